@@ -11,13 +11,13 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import Awaitable, Callable, Mapping, MutableMapping
-from http.cookies import CookieError, SimpleCookie
 from importlib import import_module
 from typing import Any
 
 from asgiref.sync import sync_to_async
 from django.conf import settings
 from django.db import connections
+from django.http.cookie import parse_cookie
 from django.urls import Resolver404, resolve
 
 from mammometry.clinic.access import BODY_BYTES
@@ -116,15 +116,10 @@ def _granted(path: str) -> int:
 
 def _is_logged_in(headers: Any) -> bool:
     """Whether a request comes from somebody's session. What he or she may do is asked later."""
-    cookies: SimpleCookie = SimpleCookie()
-    try:
-        cookies.load(dict(headers).get(b"cookie", b"").decode("latin-1"))
-    except CookieError:
-        return False
-    held = cookies.get(settings.SESSION_COOKIE_NAME)
+    held = parse_cookie(dict(headers).get(b"cookie", b"").decode("latin-1")).get(settings.SESSION_COOKIE_NAME)
     if held is None:
         return False
-    store = import_module(settings.SESSION_ENGINE).SessionStore(held.value)
+    store = import_module(settings.SESSION_ENGINE).SessionStore(held)
     try:
         return "_auth_user_id" in store
     finally:

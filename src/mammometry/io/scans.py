@@ -1,5 +1,6 @@
-"""Scans of other devices as folders: the mesh in mm, its colours, the scanner's name and unit.
+"""Scans of other devices as folders.
 
+A folder holds the mesh in mm, its colours, and the scanner's name and unit.
 An OBJ comes with a material file and pictures. Their names are not kept, as they may hold a patient's name.
 """
 

@@ -1,4 +1,6 @@
-"""Scans of other devices that come in: a mesh with its material and pictures, or all of them as a ZIP.
+"""Scans of other devices as they come in.
+
+A mesh with its material and pictures, or all of them as a ZIP.
 
 What was sent is looked at in a folder of its own. Nothing of it is kept but what `io.scans` makes of it.
 """
@@ -28,7 +30,7 @@ _KINDS = (*_MESHES, ".mtl", *_PICTURES)
 _MOST_FILES = 40  # of one scan: a mesh, its material, at most sixteen pictures, and what devices add
 _CHUNK = 1 << 20  # bytes that are unpacked at once
 _AT_ONCE = threading.BoundedSemaphore(1)  # a scan of 200 MB takes about 2 GB as it is read
-_MB = 10**6
+_MB = 10**6  # bytes
 
 
 def taken_in(files: Sequence[UploadedFile[Any]], about: Scan, *, units: str | None, texture: bool) -> dict[str, bytes]:
@@ -90,7 +92,7 @@ def _unpack(packed: UploadedFile[Any], folder: Path, most: int) -> None:
 
 def _is_wanted(member: zipfile.ZipInfo) -> bool:
     path = PurePosixPath(member.filename.replace("\\", "/"))
-    hidden = any(part.startswith((".", "__MACOSX")) for part in path.parts)
+    hidden = any(part.startswith((".", "__MACOSX")) for part in path.parts if part != "..")
     return not member.is_dir() and not hidden and path.suffix.lower() in _KINDS
 
 

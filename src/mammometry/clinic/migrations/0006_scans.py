@@ -7,7 +7,7 @@ from django.db import migrations, models
 
 
 class Migration(migrations.Migration):
-    """Lets a visit have no rig; those that are there keep theirs."""
+    """Lets a visit have no rig."""
 
     dependencies = [("clinic", "0005_promises")]
     operations = [

@@ -98,10 +98,9 @@ def may_queue(target: Visit | Calibration | DailyCheck, *, anyway: bool = False)
 
     if Job.objects.filter(_about(target), state__in=(Job.State.QUEUED, Job.State.RUNNING)).exists():
         return None  # the one that is open is answered
-    if isinstance(target, Visit) and target.rig is None:
-        return None if is_scan(target.folder) else "This visit has no scan. Begin a new one."
     if isinstance(target, Visit):
-        assert target.rig is not None
+        if target.rig is None:
+            return None if is_scan(target.folder) else "This visit has no scan. Begin a new one."
         if target.calibration is None:
             target.calibration = current(target.rig)
             if target.calibration is None:
