@@ -101,10 +101,22 @@ class Model:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CoveredModel:
-    """The surface covered with photographs: OBJ, its material and its picture."""
+    """One mesh as an OBJ, covered with photographs."""
 
+    name: str
+    """As of `Model`."""
+    title: str
+    side: Side
     obj: bytes
     """mm, world frame. Names ``model.mtl``."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CoveredModels:
+    """Meshes covered with one picture of photographs."""
+
+    models: tuple[CoveredModel, ...]
+    """The whole surface is the first."""
     mtl: bytes
     """Names ``model.jpg``."""
     jpeg: bytes
@@ -130,7 +142,7 @@ class Exported:
     warnings: tuple[str, ...] = ()
     report_pdf: bytes | None = None
     models: tuple[Model, ...] = ()
-    covered: CoveredModel | None = None
+    covered: CoveredModels | None = None
     """None if its photographic colours are left out."""
     photographs: Mapping[str, Photograph] = field(default_factory=dict)
     """Camera → photograph, read at look-up. Empty if de-identified."""

@@ -10,9 +10,10 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
-from mammometry.hospital.exported import Absent, CoveredModel, Exported, Model, Quantity, Side
+import numpy as np
+
+from mammometry.hospital.exported import Absent, CoveredModel, CoveredModels, Exported, Model, Quantity, Side
 from mammometry.io.images import EXTENSIONS
-from mammometry.io.models import write_obj
 
 if TYPE_CHECKING:
     from mammometry.api.job import Job
@@ -27,6 +28,9 @@ if TYPE_CHECKING:
 Part: TypeAlias = Literal["pdf", "models", "photographs"]
 """What may be gathered beside the numbers."""
 _PARTS: tuple[Part, ...] = ("pdf", "models", "photographs")
+_TITLES = {"left": "Left breast, closed", "right": "Right breast, closed", "model": "Model, closed"}
+_WHOLE = "Whole surface"
+_MTL, _JPEG = "model.mtl", "model.jpg"
 
 
 def gather(job: Job, *, deidentify: bool = False, parts: Sequence[Part] = _PARTS) -> Exported:
@@ -59,7 +63,7 @@ def gather(job: Job, *, deidentify: bool = False, parts: Sequence[Part] = _PARTS
         absent=tuple(_absent(side) for side in _absent_sides(job.plan.measured)),
         report_pdf=_report(job, deidentify) if "pdf" in parts else None,
         models=() if atlas is None else tuple(_models(measured, atlas.mesh)),
-        covered=None if atlas is None or deidentify else covered(atlas),
+        covered=None if atlas is None or deidentify else covered(atlas, measured),
         photographs=job.inputs.photographs if shown else {},
         photograph_files=_photograph_files(job) if shown else {},
         deidentified=deidentify,
@@ -126,13 +130,19 @@ def stl(mesh: TriangleMesh) -> bytes:
     return bytes(export_stl(Trimesh(vertices=mesh.vertices, faces=mesh.faces, process=False)))
 
 
-def covered(atlas: Atlas) -> CoveredModel:
-    """Return the covered surface as three files' contents."""
-    with tempfile.TemporaryDirectory(prefix="mammometry-") as folder:
-        path = Path(folder) / "model.obj"
-        write_obj(path, atlas)
-        mtl, jpeg = (path.with_suffix(suffix).read_bytes() for suffix in (".mtl", ".jpg"))
-        return CoveredModel(obj=path.read_bytes(), mtl=mtl, jpeg=jpeg)
+def covered(atlas: Atlas, measured: Sequence[VolumeMeasurement]) -> CoveredModels:
+    """Cover the surface and the closed breasts with photographs."""
+    from mammometry.geometry.mesh import TriangleMesh
+    from mammometry.io.models import jpeg_of, material, obj_text
+    from mammometry.surface.transfer import transferred
+
+    made = [CoveredModel(name="surface", title=_WHOLE, side="", obj=obj_text(atlas, _MTL).encode())]
+    for each in measured:
+        skin, wall = np.split(each.closed.faces, [each.skin_faces])
+        on_skin = transferred(atlas, TriangleMesh(vertices=each.closed.vertices, faces=skin))
+        obj = obj_text(on_skin, _MTL, wall=wall)
+        made.append(CoveredModel(name=each.name, title=_TITLES[each.name], side=each.name, obj=obj.encode()))
+    return CoveredModels(models=tuple(made), mtl=material(_JPEG).encode(), jpeg=jpeg_of(atlas))
 
 
 def _source(job: Job, deidentify: bool) -> str:
@@ -246,10 +256,9 @@ def _absent(side: NoBreast) -> Absent:
 
 
 def _models(measured: Sequence[VolumeMeasurement], surface: TriangleMesh) -> Iterator[Model]:
-    titles: dict[str, str] = {"left": "Left breast, closed", "right": "Right breast, closed", "model": "Model, closed"}
     for each in measured:
-        yield Model(name=each.name, title=titles[each.name], side=each.name, stl=stl(each.closed))
-    yield Model(name="surface", title="Whole surface", side="", stl=stl(surface))
+        yield Model(name=each.name, title=_TITLES[each.name], side=each.name, stl=stl(each.closed))
+    yield Model(name="surface", title=_WHOLE, side="", stl=stl(surface))
 
 
 def _photograph_files(job: Job) -> dict[str, Path]:

@@ -27,7 +27,7 @@ def write_glb(path: Path, atlas: Atlas) -> None:
     import trimesh
 
     vertices, faces, uv = _unwelded(atlas)
-    picture = Image.open(io.BytesIO(_jpeg(atlas)), formats=("JPEG",))
+    picture = Image.open(io.BytesIO(jpeg_of(atlas)), formats=("JPEG",))
     visual: Any = trimesh.visual
     material = visual.material.PBRMaterial(baseColorTexture=picture, metallicFactor=0.0, roughnessFactor=1.0)
     mesh = trimesh.Trimesh(
@@ -46,14 +46,32 @@ def write_obj(path: Path, atlas: Atlas) -> None:
     Raises:
         OSError: the disk refuses.
     """
-    vertices, faces, uv = _unwelded(atlas)
-    path.with_suffix(".jpg").write_bytes(_jpeg(atlas))
-    path.with_suffix(".mtl").write_text(f"newmtl skin\nKa 0 0 0\nKd 1 1 1\nKs 0 0 0\nmap_Kd {path.stem}.jpg\n")
-    path.write_text(
-        f"# mm, world frame\nmtllib {path.stem}.mtl\nusemtl skin\n"
-        + _lines("v %.4f %.4f %.4f\n", vertices)
-        + _lines("vt %.6f %.6f\n", uv)
-        + _lines("f %d/%d %d/%d %d/%d\n", (faces + 1).repeat(2, axis=1))
+    path.with_suffix(".jpg").write_bytes(jpeg_of(atlas))
+    path.with_suffix(".mtl").write_text(material(f"{path.stem}.jpg"))
+    path.write_text(obj_text(atlas, f"{path.stem}.mtl"))
+
+
+def material(picture: str) -> str:
+    """Text of a material file: ``skin`` shows the picture, ``wall`` is grey."""
+    return f"newmtl skin\nKa 0 0 0\nKd 1 1 1\nKs 0 0 0\nmap_Kd {picture}\nnewmtl wall\nKd 0.5 0.5 0.5\nKs 0 0 0\n"
+
+
+def obj_text(atlas: Atlas, library: str, wall: Int32[Array, "k 3"] | None = None) -> str:
+    """Text of an OBJ, mm.
+
+    Args:
+        atlas: the covered mesh.
+        library: name of its material file.
+        wall: further faces on the same vertices, without a picture.
+    """
+    origin, faces, uv = atlas.unwelded()
+    corners = np.stack([origin[faces], faces], axis=2) + 1
+    return (
+        f"# mm, world frame\nmtllib {library}\nusemtl skin\n"
+        + _lines("v %.4f %.4f %.4f\n", atlas.mesh.vertices)
+        + _lines("vt %.6f %.6f\n", _upwards(uv))
+        + _lines("f %d/%d %d/%d %d/%d\n", corners)
+        + ("" if wall is None else "usemtl wall\n" + _lines("f %d %d %d\n", wall + 1))
     )
 
 
@@ -71,10 +89,15 @@ def _unwelded(atlas: Atlas) -> tuple[Float64[Array, "n 3"], Int32[Array, "m 3"],
     Texture coordinates run from (0, 0), lower left, to (1, 1), upper right.
     """
     origin, faces, uv = atlas.unwelded()
-    return atlas.mesh.vertices[origin], faces, np.column_stack([uv[:, 0], 1.0 - uv[:, 1]])
+    return atlas.mesh.vertices[origin], faces, _upwards(uv)
 
 
-def _jpeg(atlas: Atlas) -> bytes:
+def _upwards(uv: Float64[Array, "n 2"]) -> Float64[Array, "n 2"]:
+    return np.column_stack([uv[:, 0], 1.0 - uv[:, 1]])
+
+
+def jpeg_of(atlas: Atlas) -> bytes:
+    """The covering picture as a JPEG."""
     buffer = io.BytesIO()
     Image.fromarray(np.asarray(atlas.picture)).save(buffer, "JPEG", quality=_QUALITY)
     return buffer.getvalue()

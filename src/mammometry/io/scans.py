@@ -7,6 +7,7 @@ An OBJ comes with a material file and pictures. Their names are not kept, as the
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 import re
 import tempfile
@@ -16,6 +17,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
+from PIL import Image
 
 from mammometry.base.errors import SessionError
 from mammometry.base.identity import subject_id
@@ -24,6 +26,7 @@ from mammometry.base.parse import read_bytes, read_text, toml_table
 from mammometry.geometry.arrays import Array, UInt8
 from mammometry.io.foreign import ForeignMesh, read_foreign
 from mammometry.io.images import read_photograph
+from mammometry.io.jpeg import without_tags
 from mammometry.io.meshes import write_ply
 from mammometry.io.obj_texture import CoveredObj, read_covered_obj
 
@@ -170,7 +173,7 @@ def _covered(
         if content.startswith(_TIFF_MARKS):
             raise _refused(path, "a TIFF", "the picture as JPEG or PNG", "Save it as one of them, or leave it out")
         kept[name] = f"texture-{number}.{'png' if content.startswith(_PNG_MARK) else 'jpg'}"
-        files[kept[name]] = content
+        files[kept[name]] = _untagged(path, content, pixels[name])
     lines = []
     for number, material in enumerate(covered.materials, 1):
         picture = materials.get(material, "")
@@ -226,6 +229,20 @@ def _eight_bit(pixels: Array) -> UInt8[Array, "h w 3"]:
     if pixels.dtype == np.uint16:
         pixels = (pixels >> 8).astype(np.uint8)
     return np.repeat(pixels[..., None], 3, axis=2) if pixels.ndim == 2 else pixels
+
+
+def _untagged(path: Path, content: bytes, pixels: UInt8[Array, "h w 3"]) -> bytes:
+    """A picture without what its file says beside: days, places, names."""
+    if content.startswith(_PNG_MARK):
+        buffer = io.BytesIO()
+        Image.fromarray(pixels).save(buffer, "PNG")
+        return buffer.getvalue()
+    jpeg = without_tags(content)
+    if jpeg is None:
+        raise _refused(
+            path, "a JPEG in an unusual coding", "a plain JPEG or PNG", "Save it as one of them, or leave it out"
+        )
+    return jpeg.content
 
 
 def _ply(foreign: ForeignMesh, colours: UInt8[Array, "n 3"]) -> bytes:

@@ -10,7 +10,7 @@ import numpy as np
 from PIL import Image
 
 from mammometry.base.photograph import Photograph
-from mammometry.hospital.exported import Absent, CoveredModel, Exported, Model, Order, Patient, Quantity
+from mammometry.hospital.exported import Absent, CoveredModel, CoveredModels, Exported, Model, Order, Patient, Quantity
 
 ANNA = Patient(id="KIS-4711", name="Zypernkatze^Quirina", born=datetime.date(1980, 2, 29), sex="F")
 ORDER = Order(accession="A123", study_uid="1.2.826.0.1.3680043.8.498.1", referring="House^Gregory", procedure_id="P7")
@@ -78,8 +78,13 @@ def exported(folder: Path, **changed: Any) -> Exported:
             Model(name=name, title=name, side=side, stl=bytes(80) + number.to_bytes(4, "little") + bytes(50 * number))  # type: ignore[arg-type]
             for number, (name, side) in enumerate((("left", "left"), ("right", "right"), ("surface", "")), 1)
         ),
-        covered=CoveredModel(
-            obj=b"mtllib model.mtl\nv 0 0 0\n", mtl=b"newmtl skin\nmap_Kd model.jpg\n", jpeg=buffer.getvalue()
+        covered=CoveredModels(
+            models=tuple(
+                CoveredModel(name=name, title=name, side=side, obj=b"mtllib model.mtl\nv 0 0 %d\n" % number)  # type: ignore[arg-type]
+                for number, (name, side) in enumerate((("surface", ""), ("left", "left"), ("right", "right")))
+            ),
+            mtl=b"newmtl skin\nmap_Kd model.jpg\n",
+            jpeg=buffer.getvalue(),
         ),
         photographs={
             "front": Photograph(name="front", pixels=front),

@@ -1,11 +1,13 @@
 """Scans of other devices: what is kept, what is left out, and files that are none."""
 
+import io
 import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
+from PIL.PngImagePlugin import PngInfo
 from tests.unit.io.scan_files import DARK, SKIN, scanned, texture
 
 from mammometry.base.errors import ImageError, MammometryError, SessionError
@@ -64,6 +66,28 @@ def test_the_files_fit_together_under_names_of_ours(scan: Path, tmp_path: Path) 
     folder = put(files, tmp_path / "out")
     again = taken(folder / OBJ)
     assert (again[MESH], again["texture-1.jpg"]) == (files[MESH], files["texture-1.jpg"])
+
+
+@pytest.mark.parametrize("kind", ["jpg", "progressive", "png"])
+def test_a_picture_keeps_its_pixels_and_loses_its_tags(scan: Path, tmp_path: Path, kind: str) -> None:
+    folder = put({path.name: path.read_bytes() for path in scan.parent.iterdir()}, tmp_path / "in")
+    tags = Image.Exif()
+    tags[0x010E] = "Muster, Anna"
+    text = PngInfo()
+    text.add_text("Patient", "Muster, Anna")
+    with Image.open(folder / "Muster Anna.jpg") as opened:
+        opened.load()
+    picture = folder / "Muster Anna.jpg"
+    if kind == "png":
+        opened.save(picture, "PNG", exif=tags, pnginfo=text)
+    else:
+        opened.save(picture, "JPEG", exif=tags, comment="Muster", quality=90, progressive=kind == "progressive")
+    assert b"Muster" in picture.read_bytes()
+    files = taken(folder / scan.name)
+    (name,) = [name for name in files if name.startswith("texture-")]
+    assert b"Muster" not in files[name]
+    with Image.open(io.BytesIO(files[name])) as kept, Image.open(picture) as before:
+        assert np.array_equal(np.asarray(kept), np.asarray(before))
 
 
 def test_the_shape_alone_needs_no_other_file(scan: Path, tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ from pydicom.uid import (
 
 from mammometry.hospital.codes import UNITS, Coded
 from mammometry.hospital.dicom.frame import Study, begun, coded, finished
+from mammometry.hospital.exported import Side
 from mammometry.hospital.identifiers import uid
 
 _MODEL = Coded(value="129020", scheme="DCM", meaning="Photogrammetric Imaging 3D CAM model")  # CID 7061
@@ -55,26 +56,35 @@ def models(study: Study, *, series: int) -> list[Dataset]:
         model = _document(
             study, _STL, each.stl, series=("models", series, "Models, STL"), instance=number, title=each.title
         )
-        if each.side in _LATERALITY:
-            model.ImageLaterality = _LATERALITY[each.side]
+        _of_side(model, each.side)
         _manufacturing(model, study, each.title)
         made.append(finished(model))
     return made
 
 
 def covered(study: Study, texture: Dataset, *, series: int) -> list[Dataset]:
-    """The surface as Encapsulated OBJ, and its MTL, which names the texture."""
+    """Covered models as Encapsulated OBJ, and their MTL.
+
+    The MTL names the texture.
+    """
     files = study.exported.covered
     if files is None:
         return []
-    place = ("covered", series, "Surface with photographs, OBJ")
-    mtl = _document(study, _MTL, files.mtl, series=place, instance=2, title="Material of the surface")
+    place = ("covered", series, "Models with photographs, OBJ")
+    mtl = _document(
+        study, _MTL, files.mtl, series=place, instance=len(files.models) + 1, title="Material of the models"
+    )
     mtl.ReferencedInstanceSequence = Sequence([_named(texture, "model.jpg")])
     mtl = finished(mtl)
-    obj = _document(study, _OBJ, files.obj, series=place, instance=1, title="Whole surface with photographs")
-    obj.ReferencedInstanceSequence = Sequence([_named(mtl, "model.mtl")])
-    _manufacturing(obj, study, "Whole surface with photographs")
-    return [finished(obj), mtl]
+    made = []
+    for number, each in enumerate(files.models, 1):
+        title = f"{each.title}, with photographs"
+        obj = _document(study, _OBJ, each.obj, series=place, instance=number, title=title)
+        obj.ReferencedInstanceSequence = Sequence([_named(mtl, "model.mtl")])
+        _of_side(obj, each.side)
+        _manufacturing(obj, study, title)
+        made.append(finished(obj))
+    return [*made, mtl]
 
 
 def _document(
@@ -102,6 +112,11 @@ def _document(
     made.EncapsulatedDocumentLength = len(content)
     made.EncapsulatedDocument = content + b"\0" * (len(content) % 2)
     return made
+
+
+def _of_side(made: Dataset, side: Side) -> None:
+    if side in _LATERALITY:
+        made.ImageLaterality = _LATERALITY[side]
 
 
 def _manufacturing(made: Dataset, study: Study, title: str) -> None:

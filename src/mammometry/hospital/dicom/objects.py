@@ -40,7 +40,7 @@ def objects(exported: Exported, patient: Patient = Patient(), order: Order = Ord
 
 def possible_names(photographs: int) -> list[str]:
     """Names of all files that a session may have."""
-    counts = (("01-DOC", 1), ("02-SR", 1), ("03-M3D", 4), ("04-M3D", 2), ("05-XC", 1), ("06-XC", photographs))
+    counts = (("01-DOC", 1), ("02-SR", 1), ("03-M3D", 4), ("04-M3D", 4), ("05-XC", 1), ("06-XC", photographs))
     return [f"{kind}-{number:03d}.dcm" for kind, count in counts for number in range(1, count + 1)]
 
 

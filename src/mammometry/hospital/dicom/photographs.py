@@ -5,7 +5,6 @@ A baseline JPEG is taken over as it is, without its tags. Others are written as 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -17,21 +16,7 @@ from pydicom.uid import ExplicitVRLittleEndian, JPEGBaseline8Bit, VLPhotographic
 from mammometry.base.photograph import Photograph
 from mammometry.hospital.codes import BREAST
 from mammometry.hospital.dicom.frame import Study, begun, coded, finished
-
-_START, _SCAN, _END = 0xD8, 0xDA, 0xD9  # JPEG markers, ITU-T T.81, table B.1
-_BASELINE = 0xC0  # second byte of the marker of a baseline frame (ISO 10918-1, B.1.1.3)
-_FRAMES = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}
-_KEPT_TAGS = {0xE0, 0xEE}  # JFIF and Adobe: how colours are coded. Others name camera, place and time
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Jpeg:
-    """A baseline JPEG without its tags."""
-
-    content: bytes
-    size_wh: tuple[int, int]
-    components: int
-    """3 for colour, 1 for grey."""
+from mammometry.io.jpeg import Jpeg, without_tags
 
 
 def photographs(study: Study, *, series: int) -> list[Dataset]:
@@ -101,36 +86,8 @@ def baseline(path: Path) -> Jpeg | None:
     with Image.open(path, formats=("JPEG", "MPO")) as opened:
         if exif_of(opened, path).get(274, 1) != 1 or opened.mode not in ("L", "RGB"):  # tag 274: orientation
             return None
-    return without_tags(path.read_bytes())
-
-
-def without_tags(data: bytes) -> Jpeg | None:
-    """Take tags and comments out of a baseline JPEG.
-
-    Its picture is not coded again. None for any other file.
-    """
-    place, kept, frame = 2, bytearray(data[:2]), b""
-    if data[:2] != bytes([0xFF, _START]):
-        return None
-    while place + 4 <= len(data) and data[place] == 0xFF:
-        marker, length = data[place + 1], int.from_bytes(data[place + 2 : place + 4], "big")
-        segment = data[place : place + 2 + length]
-        if marker == _SCAN:
-            end = data.find(bytes([0xFF, _END]), place)  # of the first picture, where a file holds several
-            if end < 0 or len(frame) < 10:
-                return None
-            kept += data[place : end + 2]
-            height, width = int.from_bytes(frame[5:7], "big"), int.from_bytes(frame[7:9], "big")
-            count = frame[9]
-            return Jpeg(content=bytes(kept), size_wh=(width, height), components=count) if count in (1, 3) else None
-        if marker in _FRAMES:
-            if marker != _BASELINE:
-                return None
-            frame = segment
-        if not (0xE0 <= marker <= 0xEF or marker == 0xFE) or marker in _KEPT_TAGS:
-            kept += segment
-        place += 2 + length
-    return None
+    jpeg = without_tags(path.read_bytes())
+    return jpeg if jpeg is not None and jpeg.baseline else None
 
 
 def _put_jpeg(made: Dataset, jpeg: Jpeg) -> None:
