@@ -1,6 +1,7 @@
 """An Orthanc for tests, which they start and end themselves: a DICOM archive with C-STORE, C-FIND and DICOMweb."""
 
 import json
+import resource
 import shutil
 import socket
 import subprocess
@@ -86,7 +87,10 @@ class Orthanc:
         file = self.folder / "orthanc.json"
         file.write_text(json.dumps(settings))
         with (self.folder / "log").open("ab") as log:
-            self.running = subprocess.Popen([binary, str(file)], stdout=log, stderr=log, cwd=self.folder)
+            self.running = subprocess.Popen(
+                [binary, str(file)], stdout=log, stderr=log, cwd=self.folder,
+                restore_signals=False,  # Python ignores SIGXFSZ: a write beyond `fill` fails, as on a full disk
+            )  # fmt: skip
         for _ in range(300):
             try:
                 self.get("/system")
@@ -95,6 +99,12 @@ class Orthanc:
                 assert self.running.poll() is None, (self.folder / "log").read_text()[-2000:]
                 time.sleep(0.1)
         raise AssertionError("Orthanc did not start")
+
+    def fill(self, largest_bytes: int | None) -> None:
+        """No file grows beyond this any more, as if the disk were full. None: there is room again."""
+        assert self.running is not None
+        most = resource.RLIM_INFINITY if largest_bytes is None else largest_bytes
+        resource.prlimit(self.running.pid, resource.RLIMIT_FSIZE, (most, resource.RLIM_INFINITY))
 
     def stop(self, *, kill: bool = False) -> None:
         if self.running is not None:

@@ -100,7 +100,7 @@ def test_results_arrive_under_the_patients_name(
     with running(archive) as came:
         deliveries.deliver(clinic, claimed)
     claimed.refresh_from_db()
-    assert (claimed.state, claimed.sent, claimed.message) == ("sent", 10, "")
+    assert (claimed.state, claimed.sent, claimed.message) == ("sent", 12, "")
     assert {str(each.PatientName) for each in came.values()} == {"Zypernkatze^Quirina"}
     assert {each.PatientID for each in came.values()} == {"KIS-4711"}
 
@@ -233,7 +233,7 @@ def test_a_study_of_objects_is_taken_along_and_for_others_tells_nobody(
     client, address = client_of(Role.CLINICIAN), reverse("visit-dicom", args=[visit.pk])
     whole = client.get(address)
     assert visit.patient.pseudonym in whole["Content-Disposition"]
-    assert len(unzipped(whole)) == 10
+    assert len(unzipped(whole)) == 12
     assert {str(pydicom.dcmread(io.BytesIO(each)).PatientName) for each in unzipped(whole).values()} == {
         "Zypernkatze^Quirina"
     }

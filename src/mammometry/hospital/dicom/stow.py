@@ -95,23 +95,38 @@ def _store(base: str, made: Dataset, context: ssl.SSLContext | None, when: str) 
     except OSError as error:
         raise _silent(base, error, when) from None
     failed = _failed(answer)
-    if failed:
+    # A full Orthanc answers 200, with an object neither among the stored nor among the refused ones.
+    if failed or (
+        not _listed(answer, made) and made.SOPInstanceUID not in _there(base, made.StudyInstanceUID, context)
+    ):
         raise ArchiveError(
             base,
-            found=f"a refused object {when} ({failed}, {made.SOPClassUID.name})",
+            found=f"a refused object {when} ({failed or 'not stored, without a reason'}, {made.SOPClassUID.name})",
             expected="an archive that stores it",
-            remedy="Ask its administrator why. Then run the same command again: what has arrived is not sent again",
+            remedy="Ask its administrator why, and whether it is full. Then run the same command again: what has "
+            "arrived is not sent again",
         )
 
 
 def _failed(answer: bytes) -> str:
     """The reason if the answer's Failed SOP Sequence (0008,1198) is not empty."""
+    items = _items(answer, "00081198")
+    return f"reason {items[0].get('00081197', {}).get('Value', ['unknown'])[0]}" if items else ""
+
+
+def _listed(answer: bytes, made: Dataset) -> bool:
+    """Whether the answer's Referenced SOP Sequence (0008,1199) names the object: it is stored."""
+    stored = [each.get("00081155", {}).get("Value") for each in _items(answer, "00081199")]
+    return [str(made.SOPInstanceUID)] in stored
+
+
+def _items(answer: bytes, sequence: str) -> list[dict[str, Any]]:
+    """Items of a sequence of an answer. Empty for an answer that is no DICOM JSON."""
     try:
-        said: dict[str, Any] = json.loads(answer)
-        items = said.get("00081198", {}).get("Value") or []
-        return f"reason {items[0].get('00081197', {}).get('Value', ['unknown'])[0]}" if items else ""
-    except (ValueError, AttributeError, TypeError, IndexError):
-        return ""
+        found = json.loads(answer)[sequence].get("Value") or []
+        return [each for each in found if isinstance(each, dict)]
+    except (ValueError, AttributeError, TypeError, KeyError):
+        return []
 
 
 def _request(url: str, headers: dict[str, str], body: bytes | None = None) -> urllib.request.Request:
