@@ -2,15 +2,19 @@
 
 import asyncio
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import pytest
+from django.conf import settings
+from django.test import Client
+from django.urls import reverse
 
 from mammometry.clinic import limits
 from mammometry.clinic.access import BODY_BYTES
-from mammometry.clinic.config import Limits
+from mammometry.clinic.config import ClinicConfig, Limits
 from mammometry.clinic.limits import Limited
+from mammometry.clinic.roles import Role
 
 Message = dict[str, Any]
 
@@ -39,6 +43,7 @@ def ask(
     chunks: list[bytes],
     headers: list[tuple[bytes, bytes]] | None = None,
     client: str = "10.0.0.1",
+    path: str = "/",
 ) -> int:
     """One request; its status."""
     waiting = [
@@ -53,7 +58,7 @@ def ask(
     async def send(message: Mapping[str, Any]) -> None:
         sent.append(dict(message))
 
-    scope: Message = {"type": "http", "path": "/", "headers": headers or [], "client": (client, 4711)}
+    scope: Message = {"type": "http", "path": path, "headers": headers or [], "client": (client, 4711)}
     asyncio.run(application(scope, receive, send))
     return int(sent[0]["status"])
 
@@ -78,6 +83,21 @@ def test_a_body_in_pieces_is_stopped_at_the_limit() -> None:
     inner = Inner()
     assert ask(limited(inner), [b"x" * 1024] * (BODY_BYTES // 1024 + 5)) == 413
     assert inner.bodies == []
+
+
+def test_large_bodies_are_read_from_people_who_are_logged_in_alone(
+    shared_database: None, clinic: ClinicConfig, client_of: Callable[..., Client]
+) -> None:
+    """They are kept on the disk before anybody asks who sends them."""
+    inner, path = Inner(), reverse("scan-new")
+    chunks = [bytes(2 * BODY_BYTES)]
+    cookies = client_of(Role.TECHNICIAN).cookies
+    inside = "; ".join(f"{name}={each.value}" for name, each in cookies.items()).encode()
+    name = settings.SESSION_COOKIE_NAME.encode()
+    for cookie in (b"", b"a=b; ;=", name + b"=" + b"a" * 32, name + b"=\xff"):
+        assert ask(limited(inner), chunks, [(b"cookie", cookie)], path=path) == 413
+    assert ask(limited(inner), chunks, [(b"cookie", inside)], path=path) == 200
+    assert inner.bodies == [2 * BODY_BYTES]
 
 
 @pytest.mark.parametrize("length", [b"-1", b"1e3", b"0x10", b"", "٣".encode()])
