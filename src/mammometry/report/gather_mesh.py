@@ -115,7 +115,7 @@ def _warnings(measurements: Sequence[VolumeMeasurement], absent: Sequence[NoBrea
     yield from (unmeasured_words(side) for side in absent)
     yield (
         "The mesh comes from another scanner, whose accuracy is not known here. The interval uses the uncertainty of "
-        "scale and surface that was entered (`--scale-sd`, `--surface-sd`), or the defaults."
+        "scale and surface that was entered, or 0.1 % and 0.1 mm."
     )
     for each in measurements:
         if not each.watertight:

@@ -148,6 +148,12 @@ def test_what_is_said_of_it_is_checked(
     assert nothing_is_left(clinic)
 
 
+def test_a_visit_without_files_is_refused(client_of: Callable[..., Client], patient: Patient) -> None:
+    page = send(client_of(Role.TECHNICIAN), patient, {}).content.decode()
+    assert page.count('class="wrong"') == 1
+    assert not Visit.objects.exists()
+
+
 @pytest.mark.slow
 def test_a_bomb_is_stopped_at_the_clinics_limit(
     client_of: Callable[..., Client], patient: Patient, clinic: ClinicConfig, settings: Settings
@@ -228,7 +234,7 @@ def test_a_scan_is_measured_shown_and_exported(
     assert "measure" in said
     assert queue.done(job.pk, "me", answer)
     page = client.get(reverse("visit", args=[visit.pk])).content.decode()
-    for words in ("Left breast", "Right breast", "Vectra M5", "cm, as stated", "Read this first"):
+    for words in ("Left breast", "Right breast", "Vectra M5", "cm, as stated", "Read this first", ">measured<"):
         assert words in page
     assert client.get(reverse("scene", args=[visit.pk])).json()
     assert "Vectra M5" in client.get(reverse("report", args=[visit.pk])).content.decode()

@@ -64,6 +64,14 @@ class Visit(Keyed):
         return "" if scan is None else scan.scanner
 
     @property
+    def shown_state(self) -> str:
+        """Its state, as pages say it.
+
+        Nobody can confirm the boundary of a scan.
+        """
+        return "scanned" if self.is_scan and self.state == Visit.State.MEASURED else self.state
+
+    @property
     def is_scan(self) -> bool:
         """Whether another device made it: it has a mesh and no photographs."""
         return self.rig_id is None

@@ -40,6 +40,7 @@ _CHIPS = {
     "queued": ("busy", "being measured"),
     "running": ("busy", "running"),
     "measured": ("care", "to be confirmed"),
+    "scanned": ("good", "measured"),
     "refused": ("bad", "✕ no volume"),
     "confirmed": ("good", "✓ confirmed"),
     "done": ("good", "✓ done"),
