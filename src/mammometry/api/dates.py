@@ -17,7 +17,7 @@ from mammometry.geometry.transform import Transform
 from mammometry.io.outputs import require_apart, require_free, write_outputs
 from mammometry.io.results.stamp import stamped
 from mammometry.io.results.store import Watch, unwatched
-from mammometry.job.measuring import earlier_errors
+from mammometry.job.stage_values import earlier_errors
 from mammometry.settings import Settings
 
 if TYPE_CHECKING:

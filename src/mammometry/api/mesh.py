@@ -30,6 +30,7 @@ from mammometry.base.memory import peak_memory_mb
 from mammometry.base.progress import Progress
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry.nearest import point_tree
 from mammometry.io.drawn import DrawnBoundaries, boundaries_in, landmarks_in
 from mammometry.io.foreign import ForeignMesh, read_foreign
 from mammometry.io.outputs import require_apart, require_own_folder, take_folder
@@ -209,13 +210,11 @@ class MeshJob:
 
     def _lay_out(self, surface: RepairedSurface, foreign: ForeignMesh) -> None:
         """Plan the measurement as for a session. The earlier products are given."""
-        from scipy.spatial import cKDTree
-
         from mammometry.measure.trunk.body import rig_frame
         from mammometry.surface.dents import ValidPatches
         from mammometry.surface.texture import TexturedMesh
 
-        colours = foreign.colours[cKDTree(foreign.mesh.vertices).query(surface.mesh.vertices)[1]]
+        colours = foreign.colours[point_tree(foreign.mesh.vertices).query(surface.mesh.vertices)[1]]
         if not np.ptp(foreign.colours, axis=0).any():  # one colour shows no shape: shaded as by a lamp at the viewer's
             facing = np.abs(surface.mesh.vertex_normals() @ rig_frame(self.rig)[2])
             colours = np.repeat((_DARK + _LIGHT * facing[:, None]).astype(np.uint8), 3, axis=1)

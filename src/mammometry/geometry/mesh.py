@@ -64,10 +64,8 @@ class TriangleMesh:
 
     def edges(self) -> Int64[Array, "e 2"]:
         """Each undirected edge once, smaller index first."""
-        directed = self.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64)
-        keys = np.sort(directed.min(axis=1) * len(self.vertices) + directed.max(axis=1))
-        keys = keys[np.diff(keys, prepend=-1) > 0]  # np.unique hashes first, ten times slower here
-        return np.stack(np.divmod(keys, max(len(self.vertices), 1)), axis=1)
+        starts, stops = self.faces.ravel().astype(np.int64), self.faces[:, [1, 2, 0]].ravel().astype(np.int64)
+        return unique_edges(starts, stops, len(self.vertices))
 
     def is_watertight(self) -> bool:
         """Whether the mesh is closed, edge-manifold and oriented.
@@ -165,3 +163,10 @@ def joined(meshes: Sequence[TriangleMesh]) -> TriangleMesh:
             np.int32
         ),
     )
+
+
+def unique_edges(starts: Int64[Array, " k"], stops: Int64[Array, " k"], n: int) -> Int64[Array, "e 2"]:
+    """Each undirected edge between n vertices once, smaller number first, in order."""
+    keys = np.sort(np.minimum(starts, stops) * n + np.maximum(starts, stops))
+    keys = keys[np.diff(keys, prepend=-1) > 0]  # np.unique hashes first, ten times slower here
+    return np.stack(np.divmod(keys, max(n, 1)), axis=1)

@@ -15,6 +15,30 @@ IN_A_LEAF = 4  # faces; for speed alone
 
 
 @kernel
+def boxes(corners: Float64[Array, "m 3 3"]) -> tuple[Float64[Array, "k 3"], Float64[Array, "k 3"]]:
+    """Bounding boxes of a complete binary tree.
+
+    Node i has the children 2 i + 1 and 2 i + 2. The last level holds the faces. Boxes without a face are infinitely
+    far from everywhere.
+    """
+    width = 1
+    while width * IN_A_LEAF < len(corners):
+        width *= 2
+    low, high = np.full((2 * width - 1, 3), np.inf), np.full((2 * width - 1, 3), -np.inf)
+    for face in range(len(corners)):
+        node = width - 1 + face // IN_A_LEAF
+        for corner in range(3):
+            for axis in range(3):
+                low[node, axis] = min(low[node, axis], corners[face, corner, axis])
+                high[node, axis] = max(high[node, axis], corners[face, corner, axis])
+    for node in range(width - 2, -1, -1):
+        for axis in range(3):
+            low[node, axis] = min(low[2 * node + 1, axis], low[2 * node + 2, axis])
+            high[node, axis] = max(high[2 * node + 1, axis], high[2 * node + 2, axis])
+    return low, high
+
+
+@kernel
 def search(
     points: Float64[Array, "n 3"],
     corners: Float64[Array, "m 3 3"],

@@ -10,8 +10,8 @@ from mammometry.base.errors import MeasureError
 from mammometry.base.progress import Progress
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.job.inputs import Inputs
-from mammometry.job.products import Memo, Parent, Product, Products
-from mammometry.job.stage_values import CameraSet, FinishedSurface
+from mammometry.job.products import Memo, Parent, Product, Products, side_by_side
+from mammometry.job.stage_values import CameraSet, FinishedSurface, earlier_errors
 
 if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a plan alone need not wait for.
     from mammometry.calibration.adjust.calibrated import Calibration
@@ -25,7 +25,7 @@ if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a pla
     from mammometry.measure.trunk.body import Body
     from mammometry.measure.volume.lacking import Lacking
     from mammometry.measure.volume.measurement import VolumeMeasurement
-    from mammometry.measure.volume.uncertainty import EarlierErrors, Evidence
+    from mammometry.measure.volume.uncertainty import Evidence
     from mammometry.surface.dents import ValidPatches
     from mammometry.surface.repair import RepairedSurface
     from mammometry.surface.stillness import Stillness
@@ -72,6 +72,15 @@ class Measured(Products):
     """Left against mirrored right. The value is None if the trunk shows no mid-sagittal plane."""
     dimensions: Product[Dimensions] | None = None
     """Shape, lengths, ptosis."""
+
+    def ensure(self) -> None:
+        """Make all products, those after the volumes side by side."""
+        for product in (self.boundaries, self.measurements):
+            if product is not None:
+                product.ensure()
+        # What takes longest begins first.
+        later = (self.dimensions, self.symmetry, self.lacking, *self.products())
+        side_by_side(product.ensure for product in later if product is not None)
 
 
 def measure(inputs: Inputs, upstream: Upstream, settings: MeasureSettings, memo: Memo) -> Measured:
@@ -274,21 +283,19 @@ def _measurements(
         *,
         progress: Progress,
     ) -> tuple[VolumeMeasurement, ...]:
-        from mammometry.measure.volume.volumes import measure_volume
+        from mammometry.measure.volume.volumes import measured_or_refused
         from mammometry.measure.wall.open_breast import open_breasts
 
         frame = None if body is None else body.frame
         breasts = open_breasts(boundaries, repaired, settings, frame=frame, back=inputs.wall)
-        measured: list[VolumeMeasurement] = []
-        refusals: list[MeasureError] = []
-        for number, breast in enumerate(breasts):
-            try:
-                measured.append(measure_volume(breast, evidence))
-            except MeasureError as error:
-                if breast.boundary.name in inputs.boundaries:
-                    raise  # who drew it waits to hear
-                refusals.append(error)  # of this side alone
-            progress((number + 1) / len(breasts))
+        measured, refusals = [], []
+        for breast, each in zip(breasts, measured_or_refused(breasts, evidence, progress=progress), strict=True):
+            if not isinstance(each, MeasureError):
+                measured.append(each)
+            elif breast.boundary.name in inputs.boundaries:
+                raise each  # who drew it waits to hear
+            else:
+                refusals.append(each)  # of this side alone
         if refusals and not measured:
             raise refusals[0]
         return tuple(measured)
@@ -481,18 +488,3 @@ def _anthropometry(
         inputs=_mounted(inputs),
     )
     return landmarks, symmetry, dimensions
-
-
-def earlier_errors(calibration: Calibration | None) -> EarlierErrors:
-    """A calibration's own errors. Empty if there is none."""
-    import numpy as np
-
-    from mammometry.calibration.judge.expected_error import expected_error
-    from mammometry.measure.volume.uncertainty import EarlierErrors
-
-    if calibration is None:
-        return EarlierErrors()
-    expected = np.concatenate(list(expected_error(calibration).std_mm.values()))
-    seen = np.isfinite(expected)
-    point_std_mm = float(np.sqrt(np.mean(expected[seen] ** 2))) if seen.any() else None
-    return EarlierErrors(scale_std=calibration.scale_std, point_std_mm=point_std_mm)

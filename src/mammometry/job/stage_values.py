@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 from mammometry.geometry.camera import Rig
 
 if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a plan alone need not wait for.
+    from mammometry.calibration.adjust.calibrated import Calibration
+    from mammometry.measure.volume.uncertainty import EarlierErrors
     from mammometry.surface.repair import RepairedSurface
     from mammometry.surface.texture import TexturedMesh
 
@@ -36,3 +38,18 @@ class FinishedSurface:
 
     repaired: RepairedSurface
     textured: TexturedMesh
+
+
+def earlier_errors(calibration: Calibration | None) -> EarlierErrors:
+    """A calibration's own errors. Empty if there is none."""
+    import numpy as np
+
+    from mammometry.calibration.judge.expected_error import expected_error
+    from mammometry.measure.volume.uncertainty import EarlierErrors
+
+    if calibration is None:
+        return EarlierErrors()
+    expected = np.concatenate(list(expected_error(calibration).std_mm.values()))
+    seen = np.isfinite(expected)
+    point_std_mm = float(np.sqrt(np.mean(expected[seen] ** 2))) if seen.any() else None
+    return EarlierErrors(scale_std=calibration.scale_std, point_std_mm=point_std_mm)

@@ -17,11 +17,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import find_objects, gaussian_filter1d, map_coordinates
-from scipy.spatial import cKDTree
 from scipy.special import log_ndtr, ndtr
 from skimage.measure import find_contours
 
 from mammometry.geometry.arrays import Array, Bool, Float64, read_only
+from mammometry.geometry.nearest import point_tree
 from mammometry.matching.foreground import Foreground
 
 _TANGENT_STEP = 4  # points of the contour, about a pixel apart, on either side; chosen by eye
@@ -94,7 +94,7 @@ def follow(foreground: Foreground) -> Trace:
     seen = np.isfinite(_edge_in_px(contour, foreground))
     if not seen.any():
         return Trace(uv=np.empty((0, 2)), lost_px=np.empty(0))
-    return Trace(uv=contour.uv, lost_px=np.asarray(cKDTree(contour.uv[seen]).query(contour.uv)[0]))
+    return Trace(uv=contour.uv, lost_px=np.asarray(point_tree(contour.uv[seen]).query(contour.uv)[0]))
 
 
 def edge_places(profiles: Float64[Array, "n k"], x: Float64[Array, " k"], unit: float) -> Float64[Array, " n"]:

@@ -9,12 +9,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from mammometry.base.errors import MeasureError
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry.nearest import point_tree
 from mammometry.geometry.refine import edge_table, split_edges
 from mammometry.geometry.transform import Transform
 from mammometry.measure.boundary.boundary import Boundary
@@ -241,7 +241,7 @@ def in_mesh_unit(points_mm: Float64[Array, "n 3"], mesh: TriangleMesh, mm_per_un
 
     It is taken in mm, or in the mesh file's unit if it then lies on the mesh, and nearer.
     """
-    vertices = cKDTree(mesh.vertices)
+    vertices = point_tree(mesh.vertices)
     as_mm, as_unit = (float(np.median(vertices.query(points_mm * factor)[0])) for factor in (1.0, mm_per_unit))
     return points_mm * mm_per_unit if as_unit < min(_ON_MESH_MM, as_mm) else points_mm
 

@@ -17,6 +17,7 @@ from mammometry.calibration.judge.quality import CalibrationQuality
 from mammometry.calibration.targets.target import Target
 from mammometry.geometry.arrays import Array, Float32
 from mammometry.geometry.camera import Rig
+from mammometry.geometry.nearest import point_tree
 from mammometry.matching import quality as match_quality
 from mammometry.matching.foreground import Foreground
 from mammometry.matching.match import DisparityMap
@@ -220,12 +221,10 @@ def skin_shares(measured: VolumeMeasurement, repaired: RepairedSurface) -> dict[
 
     The origin is that of the nearest vertex of the whole surface.
     """
-    from scipy.spatial import cKDTree
-
     skin = ~wall_faces(measured)
     middles = measured.closed.corners()[skin].mean(axis=1)
     areas = np.linalg.norm(measured.closed.face_vectors()[skin], axis=1)
-    nearest = cKDTree(repaired.mesh.vertices).query(middles, workers=1)[1]
+    nearest = point_tree(repaired.mesh.vertices).query(middles, workers=1)[1]
     sums = np.bincount(repaired.provenance[nearest], areas, minlength=len(Provenance))
     return {kind: float(sums[kind] / max(areas.sum(), 1e-12)) for kind in Provenance}
 

@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from PIL import Image
-from scipy.spatial import cKDTree
 
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.mesh import TriangleMesh, joined
+from mammometry.geometry.nearest import point_tree
 from mammometry.geometry.transform import Transform
 from mammometry.measure.shape.symmetry import Symmetry
 from mammometry.measure.volume.measurement import VolumeMeasurement
@@ -226,7 +226,7 @@ def _texture(atlas: Atlas) -> Texture:
 
 def _nearest(of: TriangleMesh, to: TriangleMesh) -> Array:
     """For each vertex of `to`, index of the nearest vertex of `of`."""
-    return np.asarray(cKDTree(of.vertices).query(to.vertices)[1])
+    return np.asarray(point_tree(of.vertices).query(to.vertices)[1])
 
 
 def _layers(repaired: RepairedSurface, origin: Array) -> tuple[Layer, ...]:

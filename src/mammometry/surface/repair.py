@@ -7,12 +7,12 @@ from enum import IntEnum
 
 import numpy as np
 from scipy import ndimage
-from scipy.spatial import cKDTree
 
 from mammometry.base.errors import SurfaceError
 from mammometry.base.progress import Progress, no_progress
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32, UInt8, read_only
 from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry.nearest import point_tree
 from mammometry.surface import elastic_kernels
 from mammometry.surface.correspond import Correspondences, Gates, ViewData, correspond, view_data
 from mammometry.surface.dents import ValidPatches
@@ -138,7 +138,7 @@ def as_measured(mesh: TriangleMesh, valid: ValidPatches) -> RepairedSurface:
     data = np.concatenate([image.valid_points_world() for image in images])
     sigma_mm = np.concatenate([image.sigma_mm[image.valid] for image in images])
     bits = np.concatenate([np.full(int(image.valid.sum()), 1 << k, np.int32) for k, image in enumerate(images)])
-    _, nearest = cKDTree(data).query(mesh.vertices)
+    _, nearest = point_tree(data).query(mesh.vertices)
     return RepairedSurface(
         mesh=mesh,
         provenance=np.full(len(mesh.vertices), Provenance.MEASURED, dtype=np.uint8),

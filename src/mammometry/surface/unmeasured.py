@@ -11,9 +11,9 @@ from dataclasses import replace
 
 import numpy as np
 from PIL import Image, ImageDraw
-from scipy.spatial import cKDTree
 
 from mammometry.geometry.arrays import Array, UInt8
+from mammometry.geometry.nearest import point_tree
 from mammometry.surface.atlas import Atlas
 from mammometry.surface.repair import Provenance, RepairedSurface
 
@@ -43,7 +43,7 @@ def faded_atlas(atlas: Atlas, repaired: RepairedSurface) -> Atlas:
         atlas: the surface thinned for looking.
         repaired: the full surface.
     """
-    nearest = cKDTree(repaired.mesh.vertices).query(atlas.mesh.vertices)[1]
+    nearest = point_tree(repaired.mesh.vertices).query(atlas.mesh.vertices)[1]
     measured = (repaired.provenance == Provenance.MEASURED)[nearest]
     unmeasured = np.flatnonzero((measured[atlas.mesh.faces].sum(axis=1) < 2) & (atlas.view >= 0))
     mask = Image.new("1", (atlas.picture.shape[1], atlas.picture.shape[0]))

@@ -2,9 +2,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial import cKDTree
 
 from mammometry.geometry.mesh import TriangleMesh
-from mammometry.geometry.nearest import closest_on_mesh, closest_on_triangles
+from mammometry.geometry.nearest import closest_on_mesh, closest_on_triangles, point_tree
+from mammometry.geometry.nearest_kernels import IN_A_LEAF, boxes
 
 
 def box_mesh() -> TriangleMesh:
@@ -85,3 +87,32 @@ def test_a_fine_mesh_seen_from_afar_equals_brute_force():
         for p in points
     ]
     np.testing.assert_allclose(closest_on_mesh(points, mesh).distances_mm, brute, rtol=1e-12)
+
+
+@pytest.mark.parametrize("count", [1, 4, 5, 33])
+def test_boxes_hold_what_lies_below_them(count):
+    """The plain twin: every box from the faces that it stands for, at once."""
+    corners = np.random.default_rng(count).normal(size=(count, 3, 3))
+    low, high = boxes(corners)
+    leaves = (len(low) + 1) // 2
+    assert leaves * IN_A_LEAF >= count
+    for node in range(len(low)):
+        first, last = node, node
+        while first < leaves - 1:
+            first, last = 2 * first + 1, 2 * last + 2
+        below = corners[(first - leaves + 1) * IN_A_LEAF : (last - leaves + 2) * IN_A_LEAF].reshape(-1, 3)
+        np.testing.assert_array_equal(low[node], below.min(axis=0, initial=np.inf))
+        np.testing.assert_array_equal(high[node], below.max(axis=0, initial=-np.inf))
+
+
+def test_a_point_tree_finds_what_scipys_own_finds():
+    """Points of a plane, seen from near and far; doubles too."""
+    rng = np.random.default_rng(3)
+    points = np.column_stack([rng.uniform(-50, 50, (3000, 2)), np.zeros(3000)])
+    asked = np.concatenate([points[:100] + 1e-3, rng.normal(size=(300, 3)) * 60])
+    for tree in (point_tree(points), point_tree(np.concatenate([points, points]))):
+        distance, nearest = tree.query(asked, distance_upper_bound=80.0)
+        expected, there = cKDTree(points).query(asked, distance_upper_bound=80.0)
+        np.testing.assert_array_equal(distance, expected)
+        found = np.isfinite(expected)
+        np.testing.assert_array_equal(nearest[found] % 3000, there[found])

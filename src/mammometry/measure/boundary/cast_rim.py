@@ -14,10 +14,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from mammometry.geometry.arrays import Array, Bool, Float64, Int64, read_only
 from mammometry.geometry.camera import Camera, Rig
+from mammometry.geometry.nearest import point_tree
 from mammometry.matching.foreground import Foreground
 from mammometry.matching.outline import Contour, outline
 from mammometry.measure.settings import BaseRimSettings
@@ -119,10 +119,10 @@ def _pierced(
     nothing = np.empty((0, 3))
     if len(uv) < _FEWEST or not len(contour.uv):
         return nothing, nothing, nothing, nothing, np.empty(0)
-    gap_px, nearest = (np.asarray(answer) for answer in cKDTree(uv).query(contour.uv))
+    gap_px, nearest = (np.asarray(answer) for answer in point_tree(uv).query(contour.uv))
     close = gap_px < _EDGE_BAND_PX
     contour, anchor = contour.chosen(close), facing_vertices[nearest[close]]
-    tree = cKDTree(vertices)
+    tree = point_tree(vertices)
     away, near = (
         np.asarray(answer) for answer in tree.query(anchor, k=_NEIGHBOURS, distance_upper_bound=_PATCH_RADIUS_MM)
     )

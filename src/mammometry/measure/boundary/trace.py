@@ -8,17 +8,18 @@ from __future__ import annotations
 import numpy as np
 from scipy.sparse import coo_matrix, csr_matrix
 from scipy.sparse.csgraph import connected_components, dijkstra
-from scipy.spatial import cKDTree
 
 from mammometry.base.errors import CrossingError, MeasureError
 from mammometry.geometry.arrays import Array, Float64, Int64
-from mammometry.geometry.mesh import TriangleMesh
-from mammometry.geometry.nearest import closest_on_mesh
+from mammometry.geometry.mesh import TriangleMesh, unique_edges
+from mammometry.geometry.nearest import closest_on_mesh, point_tree
 
 _STEP_MM = 3.0  # distance of the stops along a curve, about an edge's length
 _STOPS = (1, 4, 12)  # one stop in so many is passed, in turn, until the path is simple; chosen by eye
 _BANDS_MM = (6.0, 12.0, 25.0)  # widths of the band around the curve that are tried in turn; chosen by eye
 _OFF_MESH_MM = 5.0  # a curve further off the mesh was drawn on another one; chosen by eye
+REACH_MM = _BANDS_MM[-1] + _OFF_MESH_MM
+"""A path depends on the mesh up to so far from its curve."""
 _OPEN_MM = 20.0  # a gap above this and five times the median step leaves a curve open; chosen by eye
 _GAP_STEPS = 5  # median steps: see `_OPEN_MM`
 _LEG_COST = 30.0  # most ways between neighbouring stops cost less: `_STEP_MM` long, a few mm off the curve
@@ -47,7 +48,7 @@ def check_curve(name: str, points_world: Float64[Array, "n 3"], mesh: TriangleMe
             expected="a simple closed curve",
             remedy="Redraw the boundary so that it runs once around the breast",
         )
-    distance = np.array(cKDTree(mesh.vertices).query(points_world)[0])
+    distance = np.array(point_tree(mesh.vertices).query(points_world)[0])
     far = distance > _OFF_MESH_MM
     if far.any() and len(mesh.faces):  # from the vertices; a coarse mesh may still be near
         distance[far] = closest_on_mesh(points_world[far], mesh).distances_mm
@@ -93,43 +94,43 @@ def edge_loop(name: str, points_world: Float64[Array, "n 3"], mesh: TriangleMesh
         MeasureError: the path cannot be closed, or the curve runs along itself.
     """
     curve = _resampled(points_world)
-    near = _near(curve, mesh, _BANDS_MM[-1])
-    distance = np.asarray(cKDTree(curve).query(mesh.vertices[near])[0])
-    close = distance < _BANDS_MM[-1] + _OFF_MESH_MM  # an edge within the widest band belongs to a face within this one
-    near, distance = near[close], distance[close]
-    number = np.full(len(mesh.vertices), -1, dtype=np.int64)
-    number[near] = np.arange(len(near))
-    faces = number[mesh.faces[mesh.faces_within(number >= 0)]]
-    local = TriangleMesh(vertices=mesh.vertices[near], faces=faces.astype(np.int32))
-    edges = local.edges()
-    length = np.linalg.norm(local.vertices[edges[:, 0]] - local.vertices[edges[:, 1]], axis=1)
-    cost = length * (1 + distance[edges].sum(axis=1) ** 2) + 1e-9
+    low, high = curve.min(axis=0) - _BANDS_MM[-1], curve.max(axis=0) + _BANDS_MM[-1]
+    near = mesh.vertices_between(low, high)
+    tree = point_tree(curve)
     paths = 0
     for reach in _BANDS_MM:
-        band = np.flatnonzero(distance < reach)
+        away = np.asarray(tree.query(mesh.vertices[near], distance_upper_bound=reach)[0])
+        within = np.isfinite(away)
+        band, away = near[within], away[within]
+        vertices, edges = mesh.vertices[band], _edges_between(band, mesh)
+        steps = vertices[edges[:, 1]] - vertices[edges[:, 0]]
+        length = np.sqrt(np.einsum("ij,ij->i", steps, steps))
+        cost = length * (1 + (away[edges[:, 0]] + away[edges[:, 1]]) ** 2) + 1e-9
         for every in _STOPS:
-            path = _path(curve[::every], band, local, edges, cost)
+            path = _path(curve[::every], vertices, edges, cost)
             if path is None:
                 break
             paths += 1
             simple = _without_spurs(path)
             if simple is not None:
-                return near[band[simple]]
+                return band[simple]
     if paths:
         raise _broken(name, "a curve that runs back along itself")
     raise _broken(name, f"a place farther than {_BANDS_MM[-1]:.0f} mm from any connected surface")
 
 
-def _near(curve: Float64[Array, "k 3"], mesh: TriangleMesh, reach_mm: float) -> Int64[Array, " n"]:
-    """Vertices within the curve's bounding box and a margin."""
-    low, high = curve.min(axis=0) - reach_mm, curve.max(axis=0) + reach_mm
-    return mesh.vertices_between(low, high)
+def _edges_between(vertices: Int64[Array, " b"], mesh: TriangleMesh) -> Int64[Array, "e 2"]:
+    """Each edge with both ends among some vertices once, by their places in that list, smaller first."""
+    number = np.full(len(mesh.vertices), -1, dtype=np.int64)
+    number[vertices] = np.arange(len(vertices))
+    starts, stops = number[mesh.faces].ravel(), number[mesh.faces[:, [1, 2, 0]]].ravel()
+    both = (starts >= 0) & (stops >= 0)
+    return unique_edges(starts[both], stops[both], len(vertices))
 
 
 def _path(
     curve: Float64[Array, "k 3"],
-    band: Int64[Array, " b"],
-    mesh: TriangleMesh,
+    vertices: Float64[Array, "b 3"],
     edges: Int64[Array, "e 2"],
     cost: Float64[Array, " e"],
 ) -> list[int] | None:
@@ -137,17 +138,14 @@ def _path(
 
     Past the vertices nearest to the curve. None if the band is torn.
     """
-    number = np.full(len(mesh.vertices), -1, dtype=np.int64)
-    number[band] = np.arange(len(band))
-    within = (number[edges] >= 0).all(axis=1)
-    if not within.any():
+    if not len(edges):
         return None
-    a, b = number[edges[within]].T
+    a, b = edges.T
     both = np.concatenate([a, b]), np.concatenate([b, a])  # else each search would turn the graph around
-    graph = coo_matrix((np.tile(cost[within], 2), both), shape=(len(band), len(band))).tocsr()
+    graph = coo_matrix((np.tile(cost, 2), both), shape=(len(vertices), len(vertices))).tocsr()
     _, part = connected_components(graph, directed=False)
     main = np.flatnonzero(part == np.argmax(np.bincount(part)))
-    away, nearest = (np.asarray(answer) for answer in cKDTree(mesh.vertices[band[main]]).query(curve))
+    away, nearest = (np.asarray(answer) for answer in point_tree(vertices[main]).query(curve))
     stops = main[nearest[away < _OFF_MESH_MM]]
     stops = stops[stops != np.roll(stops, 1)]
     if len(stops) < 3:

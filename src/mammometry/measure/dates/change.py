@@ -11,12 +11,12 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from mammometry.base.errors import MeasureError
 from mammometry.base.progress import Progress, no_progress
 from mammometry.geometry.arrays import Array, Float64, read_only
 from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry.nearest import point_tree
 from mammometry.measure.dates.trunk_fit import TrunkFit, TrunkSkin, fit_trunks, trunk_of
 from mammometry.measure.settings import CompareSettings, MeasureSettings, ThoraxSettings
 from mammometry.measure.shape.lengths import LinearMeasure
@@ -270,4 +270,4 @@ def _rms_mm(measured: VolumeMeasurement, surface: RepairedSurface, out_mm: Float
     The breast was cut out of the mapped surface.
     """
     skin = measured.skin
-    return rms_mm(skin, out_mm[np.asarray(cKDTree(surface.mesh.vertices).query(skin.vertices)[1])])
+    return rms_mm(skin, out_mm[np.asarray(point_tree(surface.mesh.vertices).query(skin.vertices)[1])])

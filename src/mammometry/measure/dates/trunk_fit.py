@@ -11,10 +11,10 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from mammometry.base.errors import MeasureError
 from mammometry.geometry.arrays import Array, Float64, read_only
+from mammometry.geometry.nearest import point_tree
 from mammometry.geometry.transform import Transform
 from mammometry.measure.settings import ThoraxSettings
 from mammometry.measure.shape.symmetry import trunk_skin
@@ -141,7 +141,7 @@ def _within_mm(
     """
     moved = motion.apply(_every(after, _JUDGED)[0])
     there, outward = fixed
-    nearest = np.asarray(cKDTree(there).query(moved)[1])
+    nearest = np.asarray(point_tree(there).query(moved)[1])
     away = ((moved - there[nearest]) * outward[nearest]).sum(axis=1)
     return float(np.quantile(np.abs(away), _SHARE))
 

@@ -25,9 +25,8 @@ alone a path is up to 2/√3 = 1.155 times too long.
 """
 _BELT = 0.4  # edge lengths by which the belt is wider: on a coarse mesh more than one row of faces; chosen by eye
 _PAIRS = 2_000_000  # of points that see one another, at most in a round; a fine mesh needs fewer points on each edge
-_ROOM, _ROOM_MM = 2.5, 60.0
-"""Limits of a first search for a path: this factor of the straight distance plus this much. If it finds none, all faces
-are searched. Chosen by eye.
+_ROOMS = ((1.25, 30.0), (2.5, 60.0), (np.inf, 0.0))
+"""Lengths up to which a path is looked for, in turn: a factor of the straight distance, plus mm. For speed alone.
 """
 
 
@@ -56,10 +55,14 @@ def geodesic(mesh: TriangleMesh, start_world: Float64[Array, 3], stop_world: Flo
     Raises:
         MeasureError: no way over the surface leads from one to the other.
     """
-    room = _room(mesh, start_world, stop_world)
-    for part in (mesh.submesh(room), mesh.submesh(np.arange(len(mesh.faces)))):
-        path = _path(part, np.stack([start_world, stop_world])) if len(part.faces) else None
-        if path is not None:
+    ends = np.stack([start_world, stop_world])
+    straight_mm = float(np.linalg.norm(start_world - stop_world))
+    for factor, more_mm in _ROOMS:
+        most_mm = factor * straight_mm + more_mm if np.isfinite(factor) else np.inf
+        room = _room(mesh, ends, most_mm)
+        path = _path(mesh.submesh(room), ends) if room.any() else None
+        # No shorter path leaves the room: each of its points is no farther from both ends together than it is long.
+        if path is not None and path.length_mm + _moved_mm(path, ends) <= most_mm:
             return path
     raise MeasureError(
         "surface",
@@ -69,14 +72,20 @@ def geodesic(mesh: TriangleMesh, start_world: Float64[Array, 3], stop_world: Flo
     )
 
 
-def _room(mesh: TriangleMesh, start: Float64[Array, 3], stop: Float64[Array, 3]) -> Bool[Array, " m"]:
-    """Faces in the ellipsoid that holds all short enough paths.
-
-    Up to `_ROOM` times the straight length plus `_ROOM_MM`.
-    """
-    around = np.linalg.norm(mesh.vertices - start, axis=1) + np.linalg.norm(mesh.vertices - stop, axis=1)
-    within = around <= _ROOM * float(np.linalg.norm(start - stop)) + _ROOM_MM
+def _room(mesh: TriangleMesh, ends: Float64[Array, "2 3"], most_mm: float) -> Bool[Array, " m"]:
+    """Faces in the ellipsoid that holds all paths up to a length."""
+    if not np.isfinite(most_mm):
+        return np.ones(len(mesh.faces), dtype=bool)
+    middle = ends.mean(axis=0)
+    near = mesh.vertices_between(middle - most_mm / 2, middle + most_mm / 2)
+    away = [np.linalg.norm(mesh.vertices[near] - end, axis=1) for end in ends]
+    within = np.zeros(len(mesh.vertices), dtype=bool)
+    within[near[away[0] + away[1] <= most_mm]] = True
     return mesh.faces_within(within)
+
+
+def _moved_mm(path: SurfacePath, ends: Float64[Array, "2 3"]) -> float:
+    return float(np.linalg.norm(path.points_world[[0, -1]] - ends, axis=1).sum())
 
 
 def _path(local: TriangleMesh, ends: Float64[Array, "2 3"]) -> SurfacePath | None:

@@ -10,10 +10,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from mammometry.geometry.arrays import Array, Bool, Float64, UInt8
 from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry.nearest import point_tree
 from mammometry.measure.landmarks.landmarks import Landmark
 from mammometry.measure.settings import NippleSettings
 
@@ -127,14 +127,14 @@ def _sampled(skin: TriangleMesh, colours: UInt8[Array, "n 3"], boundary: Float64
         points=points,
         normals=skin.vertex_normals()[chosen],
         redness=np.log(linear[:, 0]) - np.log(linear[:, 1]),
-        edge_mm=np.asarray(cKDTree(loop).query(points)[0]),
+        edge_mm=np.asarray(point_tree(loop).query(points)[0]),
         near=_pairs(points, np.arange(len(points)), _FOOT_MM[1]),
         far=_pairs(points, np.arange(0, len(points), _EVERY), _RING_MM[1]),
     )
 
 
 def _pairs(points: Float64[Array, "n 3"], chosen: Array, within_mm: float) -> _Pairs:
-    found = cKDTree(points).sparse_distance_matrix(cKDTree(points[chosen]), within_mm, output_type="ndarray")
+    found = point_tree(points).sparse_distance_matrix(point_tree(points[chosen]), within_mm, output_type="ndarray")
     return _Pairs(row=found["i"], column=chosen[found["j"]], distance_mm=found["v"])
 
 

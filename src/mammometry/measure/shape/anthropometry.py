@@ -6,11 +6,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from mammometry.geometry.arrays import Array, Float64, UInt8, read_only
 from mammometry.geometry.mesh import TriangleMesh
-from mammometry.geometry.nearest import closest_on_mesh
+from mammometry.geometry.nearest import closest_on_mesh, point_tree
 from mammometry.measure.landmarks.landmarks import Landmark, picked_landmarks
 from mammometry.measure.landmarks.nipples import propose_nipple
 from mammometry.measure.settings import MeasureSettings
@@ -58,7 +57,7 @@ def find_landmarks(
     middles = [measured.boundary_world.mean(axis=0) for measured in measurements if measured.name != "model"]
     middle = np.mean(middles, axis=0) if len(middles) == 2 else None
     found = list(picked_landmarks(picked, mesh, frame, sigma_mm=settings.picked_sigma_mm, middle_world=middle))
-    tree = cKDTree(mesh.vertices, balanced_tree=False)
+    tree = point_tree(mesh.vertices)
     for measured in measurements:
         name = f"nipple_{measured.name}"
         if name in picked:

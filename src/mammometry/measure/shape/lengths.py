@@ -16,6 +16,7 @@ from scipy.spatial import cKDTree
 
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry.nearest import point_tree
 from mammometry.measure.landmarks.geodesic import geodesic
 from mammometry.measure.landmarks.landmarks import Landmark
 from mammometry.measure.volume.measurement import VolumeMeasurement
@@ -82,7 +83,7 @@ def linear_measures(
     Raises:
         MeasureError: two landmarks lie on parts of the surface that are not connected.
     """
-    skin = _Skin(tree=cKDTree(mesh.vertices), normals=mesh.vertex_normals())
+    skin = _Skin(tree=point_tree(mesh.vertices), normals=mesh.vertex_normals())
     pairs = [("N-N", "nipple to nipple", "nipple_left", "nipple_right")]
     for side in _SIDES:
         pairs += [

@@ -9,11 +9,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from mammometry.base.cores import available_cores
 from mammometry.geometry.arrays import Array, Bool, Float64, read_only
 from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry.nearest import point_tree
 from mammometry.geometry.transform import Transform
 from mammometry.measure.trunk.body import within_boundary
 from mammometry.measure.trunk.mirror_plane import MirrorPlane, mirror
@@ -150,7 +150,7 @@ def signed_mm(
     asked = np.ones(len(skin.vertices), dtype=bool) if asked is None else asked
     found = np.full(len(skin.vertices), np.nan)
     points = skin.vertices[asked]
-    tree = cKDTree(other.vertices)
+    tree = point_tree(other.vertices)
     distance, place = tree.query(points, distance_upper_bound=_FARTHEST_MM, workers=available_cores())
     near = np.isfinite(distance)
     nearest = np.asarray(place)[near]

@@ -83,22 +83,42 @@ def inside_curve(mesh: TriangleMesh, curve: Int64[Array, " n"]) -> OpenPart:
     Returns:
         The part; without faces where the curve divides nothing.
     """
-    after = np.full(len(mesh.vertices), -1, dtype=np.int64)
-    after[curve] = np.roll(curve, -1)
-    near = TriangleMesh(vertices=mesh.vertices, faces=mesh.faces[faces_around(mesh.vertices[curve], mesh)])
-    starts, stops = near.faces.ravel(), near.faces[:, [1, 2, 0]].ravel()
-    walls = (after[starts] == stops) | (after[stops] == starts)
+    return open_part(mesh, faces_inside(mesh, curve))
+
+
+def faces_inside(mesh: TriangleMesh, curve: Int64[Array, " n"]) -> Bool[Array, " m"]:
+    """Faces of the part that `inside_curve` keeps."""
+    around = faces_around(mesh.vertices[curve], mesh)
+    near = TriangleMesh(vertices=mesh.vertices, faces=mesh.faces[around])
+    walls = sides_on(near, curve)
     rings = mesh_kernels.edge_rings(len(mesh.vertices), near.faces)
     count, part = mesh_kernels.face_parts(rings, walls)
     touching = np.unique(part[np.flatnonzero(walls) // 3])
+    inside = np.zeros(len(mesh.faces), dtype=bool)
     if len(touching) < 2:
-        return _compact(near, np.zeros(len(near.faces), dtype=bool))
+        return inside
     area = np.bincount(part, _areas_mm2(near), minlength=count)
     # What reaches the edge of the neighbourhood goes on beyond it, and is not the smaller part.
     alone = np.flatnonzero(rings == np.arange(len(rings)))
     area[np.unique(part[alone // 3])] = np.inf
-    chosen = touching[np.argsort(area[touching])[-2]]
-    return _without_chords(_compact(near, part == chosen))
+    inside[around] = part == touching[np.argsort(area[touching])[-2]]
+    return inside
+
+
+def sides_on(mesh: TriangleMesh, curve: Int64[Array, " n"]) -> Bool[Array, " h"]:
+    """Which sides of faces lie on a closed curve of edges.
+
+    Side 3 f + k runs from corner k of face f to the next.
+    """
+    after = np.full(len(mesh.vertices), -1, dtype=np.int64)
+    after[curve] = np.roll(curve, -1)
+    starts, stops = mesh.faces.ravel(), mesh.faces[:, [1, 2, 0]].ravel()
+    return np.asarray((after[starts] == stops) | (after[stops] == starts))
+
+
+def open_part(mesh: TriangleMesh, faces: Bool[Array, " m"]) -> OpenPart:
+    """Some faces of a mesh with their openings, ready for a wall."""
+    return _without_chords(_compact(mesh, faces))
 
 
 def faces_around(points: Float64[Array, "n 3"], mesh: TriangleMesh) -> Bool[Array, " m"]:

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from mammometry.base.errors import MeasureError
 from mammometry.geometry.arrays import Array, Float64
+from mammometry.geometry.nearest import point_tree
 from mammometry.geometry.transform import Transform
 
 _SAMPLES = 6000  # points that are moved; chosen for speed
@@ -70,7 +70,7 @@ def register(
     """
     points, normals = (each[:: max(1, len(moving[0]) // _SAMPLES)] for each in moving)
     there, outward = fixed
-    tree = cKDTree(there)
+    tree = point_tree(there)
     motion = start or Transform.identity()
     reach, scale = reach_mm, reach_mm
     weights = np.zeros(len(points))

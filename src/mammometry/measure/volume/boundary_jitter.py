@@ -9,19 +9,20 @@ from dataclasses import replace
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
-from scipy.spatial import cKDTree
 
 from mammometry.base.errors import MeasureError
 from mammometry.base.progress import Progress, no_progress
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry.nearest import point_tree
 from mammometry.measure.boundary.boundary import Boundary
+from mammometry.measure.boundary.trace import REACH_MM, edge_loop
 from mammometry.measure.settings import ObserverSettings
-from mammometry.measure.solid.cut import faces_around
+from mammometry.measure.solid.recut import Band
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.chest_wall import ChestWall
 from mammometry.measure.wall.open_breast import OpenBreast
-from mammometry.surface.repair import Provenance, RepairedSurface
+from mammometry.surface.repair import Provenance
 
 _ORDERS = 4  # Fourier orders 0 to 3: wider, shifted, oblong, three-lobed (docs/decisions/0009)
 _SMOOTH = 48
@@ -56,14 +57,19 @@ def boundary_std_cc(breast: OpenBreast, wall: ChestWall, *, progress: Progress =
     boundary, surface = breast.boundary, breast.surface
     volume_cc = wall.closed.volume_mm3() / 1000
     wider, *others_mm = displacements_mm(_sigma_mm(breast))
-    near = _around(surface, boundary.points_world)
-    changes_cc = []
     modes = (wider, -wider, *others_mm)
+    reach_mm = 2 * float(max(np.abs(each).max() for each in modes)) + REACH_MM
+    changes_cc = []
+    try:
+        band = Band(surface.mesh, edge_loop(boundary.name, boundary.points_world, surface.mesh), reach_mm)
+    except MeasureError:
+        return None
     for number, across_mm in enumerate(modes):
-        redrawn = redraw(boundary, across_mm, near.mesh)
+        redrawn = redraw(boundary, across_mm, band.mesh)
         boundaries = [redrawn if other.name == boundary.name else other for other in breast.boundaries]
-        again = replace(breast, boundary=redrawn, surface=near, boundaries=boundaries, seen=breast.skin)
         try:
+            part = band.inside(edge_loop(redrawn.name, redrawn.points_world, band.mesh))
+            again = replace(breast, boundary=redrawn, boundaries=boundaries, seen=breast.skin, cut=part)
             moved = chest_wall.fit(again, wall.kind)
         except MeasureError:
             return None
@@ -83,7 +89,7 @@ def _sigma_mm(breast: OpenBreast) -> Float64[Array, " n"]:
     boundary, surface, settings = breast.boundary, breast.surface, breast.settings
     points = boundary.points_world
     measured = surface.mesh.vertices[surface.provenance == Provenance.MEASURED]
-    away_mm = np.asarray(cKDTree(measured).query(points)[0]) if len(measured) else np.zeros(len(points))
+    away_mm = np.asarray(point_tree(measured).query(points)[0]) if len(measured) else np.zeros(len(points))
     away_mm = gaussian_filter1d(away_mm, len(points) / _SMOOTH, mode="wrap")
     drawn_mm = np.hypot(drawn_sigma_mm(boundary, breast.body_frame, settings.observers), boundary.across_mm)
     return np.hypot(drawn_mm, settings.unseen_slope * away_mm)
@@ -141,18 +147,5 @@ def redraw(boundary: Boundary, across_mm: Float64[Array, " n"], mesh: TriangleMe
     wanted = points + across_mm[:, None] * outwards
     low, high = wanted.min(axis=0) - _SKIN_MARGIN_MM, wanted.max(axis=0) + _SKIN_MARGIN_MM
     near = mesh.vertices[mesh.vertices_between(low, high)]
-    foot = near[np.asarray(cKDTree(near).query(wanted)[1])]
+    foot = near[np.asarray(point_tree(near).query(wanted)[1])]
     return replace(boundary, points_world=foot)
-
-
-def _around(surface: RepairedSurface, points_world: Float64[Array, "n 3"]) -> RepairedSurface:
-    """The part of a surface in which every redrawing of a curve is cut."""
-    faces = faces_around(points_world, surface.mesh)
-    used = surface.mesh.vertices_used_by(faces)
-    return replace(
-        surface,
-        mesh=surface.mesh.submesh(faces),
-        provenance=surface.provenance[used],
-        sigma_mm=surface.sigma_mm[used],
-        pair_bits=surface.pair_bits[used],
-    )

@@ -9,11 +9,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from mammometry.geometry.arrays import Array, Float64, Int32
 from mammometry.geometry.camera import Rig
 from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry.nearest import point_tree
 from mammometry.surface.motions import effects, rigid_motions
 from mammometry.surface.repair import RepairedSurface
 from mammometry.surface.stillness import Stillness
@@ -95,5 +95,5 @@ def _measured_by(points: Float64[Array, "n 3"], surface: RepairedSurface) -> Int
     known = np.flatnonzero(surface.pair_bits)
     if not len(known):
         return np.zeros(len(points), dtype=np.int32)
-    nearest = np.asarray(cKDTree(surface.mesh.vertices[known]).query(points, workers=1)[1])
+    nearest = np.asarray(point_tree(surface.mesh.vertices[known]).query(points, workers=1)[1])
     return np.asarray(surface.pair_bits[known[nearest]])

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from mammometry.geometry.arrays import Array, Bool, Float64
 from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry.nearest import point_tree
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.volume.movement import Movement, movement_std_cc
@@ -194,7 +194,7 @@ def _of_skin(
         np.add.at(own_mm2, skin.faces[:, corner], face_mm2 / 3)
     if surface is None:
         return _at_95({"matching": settings.surface_sigma_mm * own_mm2.sum()})
-    nearest = np.asarray(cKDTree(surface.mesh.vertices).query(skin.vertices, workers=1)[1])
+    nearest = np.asarray(point_tree(surface.mesh.vertices).query(skin.vertices, workers=1)[1])
     origin = surface.provenance[nearest]
     seen, repaired, invented = (
         origin == each for each in (Provenance.MEASURED, Provenance.REPAIRED, Provenance.INVENTED)
@@ -234,10 +234,10 @@ def _may_be_off_mm(
     if not (len(measured) and which.any()):
         return np.zeros(np.count_nonzero(which))
     points, normals = skin.vertices[which], skin.vertex_normals()[which]
-    away_mm = np.asarray(cKDTree(measured).query(points, workers=1)[0])
+    away_mm = np.asarray(point_tree(measured).query(points, workers=1)[0])
     some = slice(None, None, max(1, len(points) // _ROOM_SAMPLES))
     room_mm = outward_room_mm(points[some], normals[some], views, away_mm[some])
-    like = np.asarray(cKDTree(points[some]).query(points)[1])
+    like = np.asarray(point_tree(points[some]).query(points)[1])
     return np.minimum(away_mm, room_mm[like])
 
 

@@ -11,10 +11,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from mammometry.geometry.arrays import Array, Bool, Float64, Int64, read_only
 from mammometry.geometry.camera import Camera, Rig
+from mammometry.geometry.nearest import point_tree
 from mammometry.matching.foreground import Foreground
 from mammometry.matching.outline import follow
 from mammometry.measure.settings import MeasureSettings
@@ -47,7 +47,7 @@ class Silhouette:
         seen, column, row = _pixels(self.camera, points_world)
         outside = seen[self.foreground.coverage[row, column] < self.foreground.contour_level]
         uv = self.camera.project(points_world[outside])
-        away_px, nearest = (np.asarray(answer) for answer in cKDTree(self.outline_uv).query(uv))
+        away_px, nearest = (np.asarray(answer) for answer in point_tree(self.outline_uv).query(uv))
         return _chosen(outside[away_px > self.doubt_px[nearest]], len(points_world))
 
 

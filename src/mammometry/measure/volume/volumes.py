@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import replace
 
+from mammometry.base.cores import available_cores
+from mammometry.base.errors import MeasureError
 from mammometry.base.progress import Progress, no_progress
 from mammometry.measure.volume import boundary_jitter, volume
 from mammometry.measure.volume.measurement import VolumeMeasurement
@@ -29,11 +32,32 @@ def measure_volumes(
     Raises:
         MeasureError: the wanted wall does not fit, or skin and wall do not make a closed solid.
     """
-    measured = []
-    for number, breast in enumerate(breasts):
-        measured.append(measure_volume(breast, evidence))
-        progress((number + 1) / len(breasts))
-    return tuple(measured)
+    measured = measured_or_refused(breasts, evidence, progress=progress)
+    for each in measured:
+        if isinstance(each, MeasureError):
+            raise each
+    return tuple(each for each in measured if not isinstance(each, MeasureError))
+
+
+def measured_or_refused(
+    breasts: Sequence[OpenBreast], evidence: Evidence = Evidence(), *, progress: Progress = no_progress
+) -> list[VolumeMeasurement | MeasureError]:
+    """Measure every breast, side by side, or say why it is refused.
+
+    Args and order as of `measure_volumes`. One side does not stop the other.
+    """
+
+    def measured(breast: OpenBreast) -> VolumeMeasurement | MeasureError:
+        try:
+            return measure_volume(breast, evidence)
+        except MeasureError as error:
+            return error
+
+    with ThreadPoolExecutor(max(1, min(len(breasts), available_cores()))) as pool:
+        waiting = [pool.submit(measured, breast) for breast in breasts]
+        for number, _ in enumerate(as_completed(waiting), 1):
+            progress(number / len(breasts))
+    return [each.result() for each in waiting]
 
 
 def measure_volume(breast: OpenBreast, evidence: Evidence = Evidence()) -> VolumeMeasurement:

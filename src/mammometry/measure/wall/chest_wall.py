@@ -9,10 +9,11 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from mammometry.base.errors import CrossingError, MeasureError
+from mammometry.geometry import mesh_kernels
 from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry.nearest import point_tree
 from mammometry.measure.solid.cut import OpenPart
 from mammometry.measure.solid.sew import Closed
 from mammometry.measure.wall.open_breast import OpenBreast
@@ -102,7 +103,7 @@ def _close_first(breast: OpenBreast, kind: str) -> ChestWall:
     try:
         return _close(breast, kind)
     except CrossingError as error:
-        nearest = cKDTree(breast.surface.mesh.vertices).query(breast.boundary.points_world, workers=1)[1]
+        nearest = point_tree(breast.surface.mesh.vertices).query(breast.boundary.points_world, workers=1)[1]
         unseen = float((breast.surface.provenance[nearest] != Provenance.MEASURED).mean())
         if unseen < _MUCH_UNSEEN:
             raise
@@ -137,8 +138,7 @@ def _check_plausible(closed: Closed, part: OpenPart, kind: str) -> None:
     """
     rim = part.mesh.vertices[np.concatenate(part.loops)]
     volume_mm3, area_mm2 = closed.solid.volume_mm3(), closed.wall.area_mm2()
-    corners = closed.skin.corners() - rim.mean(axis=0)
-    straight_mm3 = float(np.einsum("ij,ij->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6)
+    straight_mm3 = mesh_kernels.volume(closed.skin.vertices, closed.skin.faces, rim.mean(axis=0))
     astray_mm = abs(volume_mm3 - straight_mm3) / max(area_mm2, 1e-9)
     if astray_mm > _ASTRAY_MM:
         raise MeasureError(

@@ -41,7 +41,7 @@ class OpenBreast:
     boundary: Boundary
     """Around it, on the surface. mm, world frame."""
     surface: RepairedSurface
-    """The closed, repaired mesh that it is cut from, or the part of it around the boundary."""
+    """The closed, repaired mesh that it is cut from."""
     settings: MeasureSettings = field(default_factory=MeasureSettings)
     """Which wall, and how a trunk is described."""
     boundaries: Sequence[Boundary] = ()
@@ -55,7 +55,9 @@ class OpenBreast:
     back: TriangleMesh | None = None
     """The separately measured wall (wall.ply), mm, world frame. It is then the default."""
     seen: Skin | None = None
-    """Visible skin. Give it if known, or if `surface` is only part of the subject."""
+    """Visible skin, if known already."""
+    cut: OpenPart | None = None
+    """Its skin cut out of the surface, if known already."""
 
     @property
     def is_cast(self) -> bool:
@@ -74,6 +76,8 @@ class OpenBreast:
         Raises:
             MeasureError: the boundary cannot be followed on the surface.
         """
+        if self.cut is not None:
+            return self.cut
         if self.is_cast:
             return above(self.surface.mesh, self.own_base.height)
         name, points = self.boundary.name, self.boundary.points_world

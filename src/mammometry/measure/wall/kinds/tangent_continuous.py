@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from mammometry.base.errors import MeasureError
 from mammometry.geometry.arrays import Array, Float64
+from mammometry.geometry.nearest import point_tree
 from mammometry.measure.solid.sew import Closed
 from mammometry.measure.trunk.thorax import on_trunk
 from mammometry.measure.wall.heights import TrunkChart, plate, through
@@ -45,11 +45,11 @@ def tangent_continuous(breast: OpenBreast) -> Closed:
     part, trunk = breast.part, breast.trunk
     rim = trunk.cylindrical(part.mesh.vertices[np.concatenate(part.loops)])
     flat = trunk.cylindrical(breast.beside)
-    away, nearest = (np.asarray(each) for each in cKDTree(rim[:, :2]).query(flat[:, :2]))
+    away, nearest = (np.asarray(each) for each in point_tree(rim[:, :2]).query(flat[:, :2]))
     near = (away > _RING_MM[0]) & (away < _RING_MM[1]) & on_trunk(flat, trunk)
     near &= np.abs(flat[:, 2] - rim[nearest, 2]) < _STEEPEST * away
     ring, away = flat[near], away[near]
-    off_breast = np.asarray(cKDTree(part.mesh.vertices).query(breast.beside[near])[0]) > _NOT_BREAST * away
+    off_breast = np.asarray(point_tree(part.mesh.vertices).query(breast.beside[near])[0]) > _NOT_BREAST * away
     knots = _one_each(ring[off_breast], rim)
     if len(knots) < _FEWEST_SECTORS:
         raise MeasureError(
