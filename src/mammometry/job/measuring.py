@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 from mammometry.base.errors import MeasureError
 from mammometry.base.progress import Progress
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.job.inputs import Inputs
-from mammometry.job.products import Memo, Parent, Product, Products, side_by_side
+from mammometry.job.products import Memo, Parent, Product, Products
 from mammometry.job.stage_values import CameraSet, FinishedSurface, earlier_errors
 
 if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a plan alone need not wait for.
@@ -54,6 +54,10 @@ class Upstream:
 class Measured(Products):
     """Plan of the measurement. Empty for an open surface, without volume."""
 
+    side_by_side: ClassVar[tuple[tuple[str, ...], ...]] = (
+        ("dimensions", "symmetry", "lacking", "landmarks", "absent", "sides", "body"),
+    )
+
     boundaries: Product[tuple[Boundary, ...]] | None
     """One closed curve for each breast."""
     measurements: Product[tuple[VolumeMeasurement, ...]] | None
@@ -72,15 +76,6 @@ class Measured(Products):
     """Left against mirrored right. The value is None if the trunk shows no mid-sagittal plane."""
     dimensions: Product[Dimensions] | None = None
     """Shape, lengths, ptosis."""
-
-    def ensure(self) -> None:
-        """Make all products, those after the volumes side by side."""
-        for product in (self.boundaries, self.measurements):
-            if product is not None:
-                product.ensure()
-        # What takes longest begins first.
-        later = (self.dimensions, self.symmetry, self.lacking, *self.products())
-        side_by_side(product.ensure for product in later if product is not None)
 
 
 def measure(inputs: Inputs, upstream: Upstream, settings: MeasureSettings, memo: Memo) -> Measured:

@@ -292,7 +292,7 @@ def match(inputs: Inputs, cameras: Product[CameraSet], settings: MatchSettings, 
 class Surfaced(Products):
     """Plan of the surface."""
 
-    side_by_side: ClassVar[frozenset[str]] = frozenset({"ranges"})
+    side_by_side: ClassVar[tuple[tuple[str, ...], ...]] = (("ranges",), ("model", "mesh"))
 
     ranges: Mapping[str, Product[RangeImage]]
     """Pair → its range image, with the cameras as calibrated."""

@@ -267,29 +267,37 @@ class Products:
 
     __slots__ = ()
 
-    side_by_side: ClassVar[frozenset[str]] = frozenset()
-    """Fields whose products are independent and single-threaded."""
+    side_by_side: ClassVar[tuple[tuple[str, ...], ...]] = ()
+    """Groups of fields whose products are made at once, what takes longest first. Others are made in order."""
 
     def products(self) -> Iterator[Product[Any]]:
         """All products of this stage."""
         for name in self.__dataclass_fields__:  # type: ignore[attr-defined]  # only dataclasses derive from this
-            value = getattr(self, name)
-            if isinstance(value, Product):
-                yield value
-            elif isinstance(value, Mapping):
-                yield from value.values()
+            yield from self._of(name)
+
+    def _of(self, name: str) -> Iterator[Product[Any]]:
+        """The products of one field."""
+        value = getattr(self, name)
+        if isinstance(value, Product):
+            yield value
+        elif isinstance(value, Mapping):
+            yield from value.values()
 
     def ensure(self) -> None:
-        """Make all products that the memo lacks, independent ones side by side."""
+        """Make all products that the memo lacks."""
+        groups = {name: group for group in self.side_by_side for name in group}
+        done: set[str] = set()
         for name in self.__dataclass_fields__:  # type: ignore[attr-defined]  # only dataclasses derive from this
-            value = getattr(self, name)
-            if name in self.side_by_side:
-                side_by_side(product.ensure for product in value.values())
-            elif isinstance(value, Product):
-                value.ensure()
-            elif isinstance(value, Mapping):
-                for product in value.values():
+            if name in done:
+                continue
+            group = groups.get(name, (name,))
+            products = [product for member in group for product in self._of(member)]
+            if name in groups:
+                side_by_side(product.ensure for product in products)
+            else:
+                for product in products:
                     product.ensure()
+            done.update(group)
 
     def release(self) -> None:
         """Forget all values in memory."""

@@ -23,7 +23,7 @@ from mammometry.report.figures.sides import NAMES
 from mammometry.report.figures.surface import PROVENANCE_COLOURS
 from mammometry.report.figures.symmetry import reach_mm
 from mammometry.report.scene import Layer, Model, Texture, ViewerScene
-from mammometry.surface import atlas as atlas_of
+from mammometry.surface import thinning
 from mammometry.surface.atlas import Atlas
 from mammometry.surface.repair import Provenance, RepairedSurface
 from mammometry.surface.texture import TexturedMesh
@@ -202,7 +202,7 @@ def thinned(mesh: TriangleMesh, triangles: int) -> tuple[TriangleMesh, Array]:
     """
     if len(mesh.faces) <= triangles:
         return mesh, np.arange(len(mesh.vertices))
-    small = atlas_of.thinned(mesh, triangles)
+    small = thinning.thinned(mesh, triangles)
     return small, _nearest(mesh, small)
 
 

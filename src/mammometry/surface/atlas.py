@@ -24,6 +24,7 @@ from mammometry.geometry.mesh import TriangleMesh
 from mammometry.surface.seams import fading_pixels, fading_weights, spread
 from mammometry.surface.settings import TextureSettings
 from mammometry.surface.texture import blended, read_ahead, rgb, view_samples
+from mammometry.surface.thinning import thinned
 
 _PADDING_PX = 3  # around a chart's piece of photograph, for programs that read between pixels
 _GREY = 128  # sRGB; where no camera sees the surface
@@ -72,22 +73,6 @@ class Atlas:
         number[order] = np.cumsum(new, dtype=np.int32) - 1
         rows = rows[new]
         return rows[:, 0], number.reshape(-1, 3), rows[:, 1:] / _PLACES
-
-
-def thinned(mesh: TriangleMesh, triangles: int) -> TriangleMesh:
-    """Thin a mesh to at most `triangles`, for viewing only.
-
-    Quadric edge collapse.
-    """
-    if len(mesh.faces) <= triangles:
-        return mesh
-    from fast_simplification import simplify
-
-    middle = mesh.vertices.mean(axis=0)  # the collapse computes in float32, and wants arrays it could write to
-    vertices, faces = simplify(
-        (mesh.vertices - middle).astype(np.float32), np.array(mesh.faces, dtype=np.int32), target_count=triangles
-    )
-    return TriangleMesh(vertices=vertices.astype(np.float64) + middle, faces=faces.astype(np.int32))
 
 
 def cover(
