@@ -120,7 +120,7 @@ class Stage(Products):
     single: Product | None
     many: dict[str, Product]
 
-    side_by_side = frozenset({"many"})
+    side_by_side = (("many",),)
 
 
 def test_independent_products_are_made_side_by_side(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -133,6 +133,35 @@ def test_independent_products_are_made_side_by_side(monkeypatch: pytest.MonkeyPa
     two = {name: Product(Forgetful(), "match", f"disparity/{name}", meet) for name in ("front", "floor")}
     Stage(single=None, many=two).ensure()
     assert {each() for each in two.values()} == {0, 1}
+
+
+@dataclass(frozen=True)
+class Grouped(Products):
+    first: Product
+    short: Product
+    last: Product
+    long: Product
+
+    side_by_side = (("long", "short"),)
+
+
+def test_a_group_is_made_at_once_where_its_first_field_stands(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("os.sched_getaffinity", lambda pid: {0, 1})
+    meeting, made = Barrier(2, timeout=5), []
+
+    def product(name: str, *, meets: bool) -> Product:
+        def make(*, progress: Progress) -> None:
+            if meets:
+                meeting.wait()
+            made.append(name)
+
+        return Product(Forgetful(), "match", f"disparity/{name}", make)
+
+    Grouped(
+        first=product("first", meets=False), short=product("short", meets=True), last=product("last", meets=False),
+        long=product("long", meets=True),
+    ).ensure()  # fmt: skip
+    assert (made[0], set(made[1:3]), made[3:]) == ("first", {"short", "long"}, ["last"])
 
 
 def test_the_first_failure_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
