@@ -40,7 +40,7 @@ VERSIONS: Registry[int] = Registry(
         "stillness": 1,
         "stood": 1,
         "valid": 3,
-        "blocked": 1,
+        "blocked": 2,
         "first": 6,
         "repaired": 4,
         "mesh": 1,

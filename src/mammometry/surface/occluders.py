@@ -5,6 +5,9 @@ like background. A silhouette alone would then carve away what other cameras see
 a pair has measured, and that most other cameras see on the subject too, cannot lie beside the subject in the rest.
 Something hides it there. Such places are unknown and carve nothing. A point that most others see beside the subject is
 no part of it: their silhouettes hold.
+
+Where no pair has measured the skin, since all see the same dark band on it, the skin on both sides tells (`slits`).
+What spans a slit counts like a measured point.
 """
 
 from __future__ import annotations
@@ -15,10 +18,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import ndimage
 
-from mammometry.geometry.arrays import Array, Bool, Float32, Float64, read_only
-from mammometry.geometry.camera import Rig
+from mammometry.geometry.arrays import Array, Bool, Float64, Int32, Int64, read_only
+from mammometry.geometry.camera import Camera, Rig
 from mammometry.matching.foreground import Foreground
 from mammometry.surface.range_image import RangeImage
+from mammometry.surface.slits import find_slits
 
 _REFERENCE_DIAGONAL_PX = 1353.0  # of the 1126 × 750 images on which widths were measured, as in `matching.foreground`
 _BLOCK_PX = 2.0  # pixels a block, at that size: a bar of 4 px is seen, and a million data are looked up in a second
@@ -65,37 +69,30 @@ def find_blocked(
     Returns:
         Camera → where it is blocked, for the cameras that are.
     """
-    outside = {
-        name: _outside_px(foreground)
+    views = {
+        name: _View.of(foreground, rig.cameras[name])
         for name, foreground in foregrounds.items()
         if not foreground.everything and foreground.mask.any()
     }
-    hits = {name: np.zeros(distance.shape, dtype=np.int32) for name, (distance, _) in outside.items()}
     for image in range_images:
         points = image.valid_points_world()
         points = points[:: max(1, len(points) // _SAMPLES)]
-        places: dict[str, tuple[Array, Array, Array]] = {}
-        on, beside = (np.zeros(len(points), dtype=np.int32) for _ in range(2))
-        for name, (distance, step) in outside.items():
-            if name in rig.pair_names[image.name]:
-                continue
-            index, row, column = _seen(points, rig, name, step, distance.shape)
-            away = distance[row, column] > _GUARD_PX
-            on[index[~away]] += 1
-            beside[index[away]] += 1
-            places[name] = index[away], row[away], column[away]
-        agreed = (on > 0) & (beside <= on)
-        for name, (index, row, column) in places.items():
-            kept = agreed[index]
-            np.add.at(hits[name], (row[kept], column[kept]), 1)
+        places = {name: view.places(points) for name, view in views.items()}
+        for name, at in places.items():
+            np.minimum.at(views[name].depth_mm, (at.row[::2], at.column[::2]), at.depth_mm[::2])
+        others = {name: view for name, view in views.items() if name not in rig.pair_names[image.name]}
+        _vote(len(points), places, others)
+    slits = {name: find_slits(view.camera, view.subject, view.step, view.depth_mm) for name, view in views.items()}
+    shown = {name: view.near | slits[name].blocks for name, view in views.items()}
+    for slit in slits.values():
+        points = slit.bridges_world
+        _vote(len(points), {name: view.places(points) for name, view in views.items()}, views, shown)
     found = {}
-    for name, count in hits.items():
-        distance, step = outside[name]
-        subject = distance <= 0
-        blocks = _joined(count > 0, subject)
+    for name, view in views.items():
+        blocks = _joined(view.hits > 0, view.subject)
         if blocks.any():
-            share = np.count_nonzero(blocks) / (np.count_nonzero(blocks) + np.count_nonzero(subject))
-            found[name] = Blocked(camera=name, blocks=blocks, step=step, share=float(share))
+            share = np.count_nonzero(blocks) / (np.count_nonzero(blocks) + np.count_nonzero(view.subject))
+            found[name] = Blocked(camera=name, blocks=blocks, step=view.step, share=float(share))
     return found
 
 
@@ -115,27 +112,89 @@ def unblocked(foregrounds: Mapping[str, Foreground], blocked: Mapping[str, Block
     return opened
 
 
-def _outside_px(foreground: Foreground) -> tuple[Float32[Array, "H W"], int]:
-    """Distance of each block outside the silhouette, and the blocks' step.
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _View:
+    """One camera's silhouette in blocks, and what is gathered there."""
 
-    Distances are pixels of the reference size.
+    camera: Camera
+    step: int
+    """Pixels a block."""
+    subject: Bool[Array, "H W"]
+    near: Bool[Array, "H W"]
+    """On the subject or so near to it that a datum's error may put it there."""
+    hits: Int32[Array, "H W"]
+    """Points that are skin and lie beside the subject here: counted up."""
+    depth_mm: Float64[Array, "H W"]
+    """Of the nearest datum of any pair, along the optical axis; infinite where there is none."""
+
+    @classmethod
+    def of(cls, foreground: Foreground, camera: Camera) -> _View:
+        """Nothing gathered yet."""
+        unit = max(1.0, float(np.hypot(*foreground.coverage.shape)) / _REFERENCE_DIAGONAL_PX)
+        step = round(_BLOCK_PX * unit)
+        subject = foreground.mask[::step, ::step]
+        outside_px = ndimage.distance_transform_edt(~subject) * (step / unit)
+        return cls(
+            camera=camera,
+            step=step,
+            subject=subject,
+            near=outside_px <= _GUARD_PX,
+            hits=np.zeros(subject.shape, dtype=np.int32),
+            depth_mm=np.full(subject.shape, np.inf),
+        )
+
+    def places(self, points_world: Float64[Array, "n 3"]) -> _Places:
+        """Where the picture holds which points."""
+        height, width = self.subject.shape
+        camera = self.camera.camera_from_world.apply(points_world)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            column, row = (self.camera.pixels_from_normalised(camera[:, :2] / camera[:, 2:]) / self.step).T
+            inside = (column >= 0) & (row >= 0) & (column < width) & (row < height) & (camera[:, 2] > 0)
+        index = np.flatnonzero(inside)
+        return _Places(
+            index=index,
+            row=row[index].astype(np.intp),
+            column=column[index].astype(np.intp),
+            depth_mm=camera[index, 2],
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Places:
+    """The points that a picture holds, and their blocks."""
+
+    index: Int64[Array, " n"]
+    row: Int64[Array, " n"]
+    column: Int64[Array, " n"]
+    depth_mm: Float64[Array, " n"]
+    """Along the optical axis."""
+
+
+def _vote(
+    count: int,
+    places: Mapping[str, _Places],
+    views: Mapping[str, _View],
+    shown: Mapping[str, Bool[Array, "H W"]] | None = None,
+) -> None:
+    """Let views decide which of `count` points are skin, and count those that they see beside the subject.
+
+    Args:
+        count: of points.
+        places: of `_View.places`, by camera.
+        views: that have a vote.
+        shown: by camera, what shows the subject. None: each silhouette.
     """
-    height, width = foreground.coverage.shape
-    unit = max(1.0, float(np.hypot(height, width)) / _REFERENCE_DIAGONAL_PX)
-    step = round(_BLOCK_PX * unit)
-    distance = ndimage.distance_transform_edt(~foreground.mask[::step, ::step]) * (step / unit)
-    return distance.astype(np.float32), step
-
-
-def _seen(
-    points_world: Float64[Array, "n 3"], rig: Rig, camera: str, step: int, shape: tuple[int, int]
-) -> tuple[Array, Array, Array]:
-    """Which points a camera sees, and their blocks' row and column."""
-    with np.errstate(invalid="ignore"):
-        column, row = (rig.cameras[camera].project(points_world) / step).T
-        inside = (column >= 0) & (row >= 0) & (column < shape[1]) & (row < shape[0])
-    index = np.flatnonzero(inside)
-    return index, row[index].astype(np.intp), column[index].astype(np.intp)
+    on, beside = (np.zeros(count, dtype=np.int32) for _ in range(2))
+    for name, view in views.items():
+        at = places[name]
+        sees = (view.near if shown is None else shown[name])[at.row, at.column]
+        on[at.index[sees]] += 1
+        beside[at.index[~sees]] += 1
+    agreed = (on > 0) & (beside <= on)
+    for name, view in views.items():
+        at = places[name]
+        hit = agreed[at.index] & ~view.near[at.row, at.column]
+        np.add.at(view.hits, (at.row[hit], at.column[hit]), 1)
 
 
 def _joined(hit: Bool[Array, "H W"], subject: Bool[Array, "H W"]) -> Bool[Array, "H W"]:

@@ -13,6 +13,8 @@ from mammometry.surface.settings import ExtractSettings
 RADIUS_MM = 30.0
 FRONT = [(0, 0, 1), (0.6, 0, 1), (-0.6, 0, 1), (0, 0.8, 1)]
 BAR_PX = slice(57, 64)  # 7 px, that is 7 mm, in the middle of the first camera's picture
+BAND_MM = 8.0
+EDGE_PX = slice(30, 48)  # beyond it nothing of the sphere is left
 
 
 def sphere_seen():
@@ -21,9 +23,9 @@ def sphere_seen():
     return images, {camera.name: silhouette(camera, (RADIUS_MM,) * 3) for camera in cameras}, rig_of(cameras)
 
 
-def behind_a_bar(foreground):
+def behind_a_bar(foreground, columns=BAR_PX):
     coverage = foreground.coverage.copy()
-    coverage[:, BAR_PX] = 0.0
+    coverage[:, columns] = 0.0
     return replace(foreground, coverage=coverage)
 
 
@@ -61,11 +63,33 @@ def test_what_most_cameras_see_beside_the_subject_is_none_of_it():
 def test_unknown_silhouettes_have_no_say():
     images, foregrounds, rig = sphere_seen()
     unknown = {name: replace(each, everything=True) for name, each in foregrounds.items()}
-    assert find_blocked(images, unknown | {"c0": behind_a_bar(foregrounds["c0"])}, rig) == {}
+    assert find_blocked(images, unknown | {"c0": behind_a_bar(foregrounds["c0"], EDGE_PX)}, rig) == {}
 
 
 def test_a_single_other_camera_is_outvoted_by_none():
     """One camera sees the skin, one sees none of it: nobody else tells which is right, and the silhouette holds."""
     images, foregrounds, rig = sphere_seen()
-    few = {"c0": behind_a_bar(foregrounds["c0"]), "c1": foregrounds["c1"]}
+    few = {"c0": behind_a_bar(foregrounds["c0"], EDGE_PX), "c1": foregrounds["c1"]}
     assert find_blocked([images[0]], few, rig) == {}
+
+
+def test_a_band_that_no_camera_matches_takes_nothing():
+    """A dark band around the sphere: beside the subject for all, measured by none. The skin on both sides spans it."""
+    images, foregrounds, rig = sphere_seen()
+    banded, unmeasured = {}, []
+    for image in images:
+        camera = image.camera
+        band = np.abs(image.points_world()[..., 1]) < BAND_MM / 2
+        unmeasured.append(image.keeping(~band))
+        cut = replace(
+            foregrounds[camera.name], coverage=np.where(band, 0.0, foregrounds[camera.name].coverage).astype(np.float32)
+        )
+        banded[camera.name] = cut
+    settings = ExtractSettings(cube_mm=1.0)
+    whole_mm3 = extract(images, foregrounds, rig, settings).volume_mm3()
+    assert extract(unmeasured, banded, rig, settings).volume_mm3() < 0.7 * whole_mm3  # half of it is carved away
+    blocked = find_blocked(unmeasured, banded, rig)
+    assert set(blocked) == set(banded)
+    # 8 mm of a sphere of 30 mm, less what the band itself could bulge: a cap between two chords, 8² / (8 · 30) = .3 mm.
+    opened = unblocked(banded, blocked)
+    assert extract(unmeasured, opened, rig, settings).volume_mm3() == pytest.approx(whole_mm3, rel=0.03)
