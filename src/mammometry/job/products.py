@@ -49,7 +49,7 @@ VERSIONS: Registry[int] = Registry(
         "sides": 4,
         "boundaries": 10,
         "body": 2,
-        "measurement": 12,
+        "measurement": 13,
         "lacking": 3,
         "landmarks": 3,
         "symmetry": 3,

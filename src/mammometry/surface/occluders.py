@@ -22,7 +22,7 @@ from mammometry.geometry.arrays import Array, Bool, Float64, Int32, Int64, read_
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.matching.foreground import Foreground
 from mammometry.surface.range_image import RangeImage
-from mammometry.surface.slits import find_slits
+from mammometry.surface.slits import points_world, spanned_mm
 
 _REFERENCE_DIAGONAL_PX = 1353.0  # of the 1126 × 750 images on which widths were measured, as in `matching.foreground`
 _BLOCK_PX = 2.0  # pixels a block, at that size: a bar of 4 px is seen, and a million data are looked up in a second
@@ -82,10 +82,10 @@ def find_blocked(
             np.minimum.at(views[name].depth_mm, (at.row[::2], at.column[::2]), at.depth_mm[::2])
         others = {name: view for name, view in views.items() if name not in rig.pair_names[image.name]}
         _vote(len(points), places, others)
-    slits = {name: find_slits(view.camera, view.subject, view.step, view.depth_mm) for name, view in views.items()}
-    shown = {name: view.near | slits[name].blocks for name, view in views.items()}
-    for slit in slits.values():
-        points = slit.bridges_world
+    spans = {name: spanned_mm(view.camera, view.subject, view.step, view.depth_mm) for name, view in views.items()}
+    shown = {name: view.near | np.isfinite(spans[name]) for name, view in views.items()}
+    for name, view in views.items():
+        points = points_world(view.camera, view.step, spans[name])
         _vote(len(points), {name: view.places(points) for name, view in views.items()}, views, shown)
     found = {}
     for name, view in views.items():

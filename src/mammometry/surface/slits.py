@@ -16,7 +16,7 @@ from scipy import ndimage
 from mammometry.geometry.arrays import Array, Bool, Float64
 from mammometry.geometry.camera import Camera
 
-_LEAST = np.ones((3, 3))  # blocks of a slit: one line alone is an outlier
+_LEAST = np.ones((3, 3), dtype=bool)  # blocks of a slit: one line alone is an outlier
 _WIDEST_MM = 90.0  # between both sides of a slit: a band or a rail has 15 to 50 mm; chosen by eye
 _SIDE_MM = 12.0  # of skin on each side, from which its direction is taken; chosen by eye
 _LEAST_BLOCKS = 4  # of measured skin on each side
@@ -27,17 +27,12 @@ _OUTLINE_BLOCKS = 2.0  # Gaussian by which an outline's direction is taken; chos
 _BEND = 0.5  # of the slit's width: how far apart in depth both sides' continuations may meet; chosen by eye
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Slits:
-    """Where one camera's silhouette has slits between skin that faces it."""
+def spanned_mm(
+    camera: Camera, subject: Bool[Array, "H W"], step: int, depth_mm: Float64[Array, "H W"]
+) -> Float64[Array, "H W"]:
+    """Depth along the optical axis of what spans the slits in a silhouette, infinite elsewhere.
 
-    blocks: Bool[Array, "H W"]
-    bridges_world: Float64[Array, "n 3"]
-    """Points between both sides, one a block and direction of scanning, mm."""
-
-
-def find_slits(camera: Camera, subject: Bool[Array, "H W"], step: int, depth_mm: Float64[Array, "H W"]) -> Slits:
-    """Scan rows and columns of a silhouette for slits.
+    Rows and columns are scanned. Where both cross a slit, the shorter way counts.
 
     Args:
         camera: whose silhouette it is.
@@ -45,35 +40,36 @@ def find_slits(camera: Camera, subject: Bool[Array, "H W"], step: int, depth_mm:
         step: pixels a block.
         depth_mm: measured depth along the optical axis of each block, infinite where none is measured.
     """
-    found: list[tuple[Array, Array, Array]] = []
-    focal = camera.intrinsics[:2]
+    spans = np.full(subject.shape, np.inf)
+    widths = np.full(subject.shape, np.inf)
     measured = np.where(subject, depth_mm, np.inf)
     even = ndimage.gaussian_filter(subject.astype(np.float64), _OUTLINE_BLOCKS)
-    slopes = np.stack(np.gradient(even)[::-1])  # along rows, along columns
+    down, along = np.gradient(even)
+    slopes = np.stack([along, down])
     square = np.abs(slopes) >= _SQUARE * np.linalg.norm(slopes, axis=0)
     for axis in (0, 1):  # lines along rows, then along columns
-        lines = [array if axis == 0 else array.T for array in (subject, measured, square[axis])]
-        for line, (on, depth, crossed) in enumerate(zip(*lines, strict=True)):
-            for first, last, bridge_mm in _bridged(on, depth, crossed, step / focal[axis]):
-                at = np.arange(first, last)
-                row, column = (np.full_like(at, line), at) if axis == 0 else (at, np.full_like(at, line))
-                found.append((row, column, bridge_mm))
-    blocks = np.zeros(subject.shape, dtype=bool)
-    if not found:
-        return Slits(blocks=blocks, bridges_world=np.zeros((0, 3)))
-    row, column, bridge_mm = (np.concatenate(part) for part in zip(*found, strict=True))
-    blocks[row, column] = True
-    blocks = ndimage.binary_opening(blocks, _LEAST)
-    kept = blocks[row, column]
-    xy = camera.normalised_from_pixels(np.stack([column, row], axis=1)[kept] * float(step))
-    points = np.concatenate([xy, np.ones((len(xy), 1))], axis=1) * bridge_mm[kept, None]
-    return Slits(blocks=blocks, bridges_world=camera.camera_from_world.inverse().apply(points))
+        lines = [array if axis == 0 else array.T for array in (subject, measured, square[axis], spans, widths)]
+        for on, depth, crossed, span, width in zip(*lines, strict=True):
+            for slit, across_mm in _bridged(on, depth, crossed, step / camera.intrinsics[axis]):
+                shorter = len(across_mm) < width[slit]
+                span[slit][shorter] = across_mm[shorter]
+                width[slit][shorter] = len(across_mm)
+    spans[~ndimage.binary_opening(np.isfinite(spans), _LEAST)] = np.inf
+    return spans
+
+
+def points_world(camera: Camera, step: int, depth_mm: Float64[Array, "H W"]) -> Float64[Array, "n 3"]:
+    """Points of the blocks that have a depth, mm."""
+    row, column = np.nonzero(np.isfinite(depth_mm))
+    xy = camera.normalised_from_pixels(np.stack([column, row], axis=1) * float(step))
+    points = np.concatenate([xy, np.ones((len(xy), 1))], axis=1) * depth_mm[row, column, None]
+    return camera.camera_from_world.inverse().apply(points)
 
 
 def _bridged(
     subject: Bool[Array, " w"], depth_mm: Float64[Array, " w"], crossed: Bool[Array, " w"], block_per_mm: float
-) -> Iterator[tuple[int, int, Float64[Array, " k"]]]:
-    """Yield the slits of one line: first block, the one after the last, and the depth between both sides."""
+) -> Iterator[tuple[slice, Float64[Array, " k"]]]:
+    """Yield the slits of one line, and the depth of what spans each, block by block."""
     edges = np.flatnonzero(np.diff(subject.astype(np.int8)))
     for before, after in zip(edges[:-1], edges[1:] + 1, strict=True):
         if not (subject[before] and crossed[before] and crossed[after]):  # a run of subject, or a chord
@@ -81,27 +77,30 @@ def _bridged(
         near, far = _side(depth_mm[before::-1], block_per_mm), _side(depth_mm[after:], block_per_mm)
         if near is None or far is None:
             continue
-        count = after - before
-        at = np.arange(1, count)
-        middle = count / 2
-        mean_mm = 2 / (near.inverse(0) + far.inverse(0))
-        width_mm = np.hypot(count * block_per_mm * mean_mm, 1 / near.inverse(0) - 1 / far.inverse(0))
-        ahead, back = near.inverse(middle), far.inverse(middle)
+        blocks = after - before
+        mean_mm = 2 / (near.inverse + far.inverse)
+        width_mm = np.hypot(blocks * block_per_mm * mean_mm, 1 / near.inverse - 1 / far.inverse)
+        ahead, back = (side.inverse + side.slope * blocks / 2 for side in (near, far))
         if width_mm > _WIDEST_MM or min(ahead, back) <= 0 or abs(1 / ahead - 1 / back) > _BEND * width_mm:
             continue
-        share = at / count
-        yield before + 1, after, 1 / ((1 - share) * near.inverse(0) + share * far.inverse(0))
+        # The cubic that continues both sides (Hermite's), in inverse depth, where planes are straight.
+        t = np.arange(1, blocks) / blocks
+        inverse = (
+            near.inverse * (1 + 2 * t) * (1 - t) ** 2
+            + far.inverse * (3 - 2 * t) * t**2
+            + blocks * t * (1 - t) * (near.slope * (1 - t) + far.slope * t)
+        )
+        yield slice(before + 1, after), 1 / inverse
 
 
 @dataclass(frozen=True, slots=True)
 class _Side:
-    """Inverse depth of skin beside a slit, linear in blocks from its edge into the slit: a plane's is."""
+    """Skin beside a slit."""
 
-    at_edge: float
+    inverse: float
+    """Inverse depth at the edge, 1/mm."""
     slope: float
-
-    def inverse(self, blocks: float) -> float:
-        return self.at_edge + self.slope * blocks
+    """Its change per block from the edge into the slit: constant on a plane."""
 
 
 def _side(outward_mm: Float64[Array, " k"], block_per_mm: float) -> _Side | None:
@@ -113,9 +112,8 @@ def _side(outward_mm: Float64[Array, " k"], block_per_mm: float) -> _Side | None
     at = np.flatnonzero(np.isfinite(outward_mm[:reach]))
     if len(at) < _LEAST_BLOCKS:
         return None
-    inverse = 1 / outward_mm[at]
-    slope, at_edge = np.polyfit(at, inverse, 1)
-    # z' = −(1/z)' z², over a block of block_per_mm · z
-    if abs(slope) > _STEEPEST * block_per_mm * at_edge:
+    slope, inverse = np.polyfit(at, 1 / outward_mm[at], 1)
+    # dz/dx: over a block, z changes by −(1/z)' z², and x by block_per_mm · z.
+    if abs(slope) > _STEEPEST * block_per_mm * inverse:
         return None
-    return _Side(float(at_edge), float(-slope))
+    return _Side(float(inverse), float(-slope))

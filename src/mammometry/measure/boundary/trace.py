@@ -16,7 +16,7 @@ from mammometry.geometry.nearest import closest_on_mesh, point_tree
 
 _STEP_MM = 3.0  # distance of the stops along a curve, about an edge's length
 _STOPS = (1, 4, 12)  # one stop in so many is passed, in turn, until the path is simple; chosen by eye
-_BANDS_MM = (6.0, 12.0, 25.0)  # widths of the band around the curve that are tried in turn; chosen by eye
+_BANDS_MM = (6.0, 12.0, 25.0, 40.0)  # widths of the band around the curve that are tried in turn; chosen by eye
 _OFF_MESH_MM = 5.0  # a curve further off the mesh was drawn on another one; chosen by eye
 REACH_MM = _BANDS_MM[-1] + _OFF_MESH_MM
 """A path depends on the mesh up to so far from its curve."""
@@ -105,7 +105,10 @@ def edge_loop(name: str, points_world: Float64[Array, "n 3"], mesh: TriangleMesh
         vertices, edges = mesh.vertices[band], _edges_between(band, mesh)
         steps = vertices[edges[:, 1]] - vertices[edges[:, 0]]
         length = np.sqrt(np.einsum("ij,ij->i", steps, steps))
-        cost = length * (1 + (away[edges[:, 0]] + away[edges[:, 1]]) ** 2) + 1e-9
+        apart = away[edges[:, 0]] + away[edges[:, 1]]
+        # In the widest band the path may leave the curve: around a pocket in skin that nobody measured.
+        strictness = apart**2 if reach < _BANDS_MM[-1] else apart / _BANDS_MM[0]
+        cost = length * (1 + strictness) + 1e-9
         for every in _STOPS:
             path = _path(curve[::every], vertices, edges, cost)
             if path is None:
