@@ -18,7 +18,7 @@ from mammometry.geometry.camera import Camera
 
 _LEAST = np.ones((3, 3), dtype=bool)  # blocks of a slit: one line alone is an outlier
 _WIDEST_MM = 90.0  # between both sides of a slit: a band or a rail has 15 to 50 mm; chosen by eye
-_SIDE_MM = 12.0  # of skin on each side, from which its direction is taken; chosen by eye
+_SIDE_MM = 12.0  # of skin on each side, from which its direction and bend are taken; chosen by eye
 _LEAST_BLOCKS = 4  # of measured skin on each side
 _EDGE_BLOCKS = 4  # from the slit to the nearest measured skin, at most: windows end before an edge; chosen by eye
 _STEEPEST = np.tan(np.radians(60.0))  # of skin that faces the camera: at an occluding edge it is steeper; chosen by eye
@@ -112,7 +112,7 @@ def _side(outward_mm: Float64[Array, " k"], block_per_mm: float) -> _Side | None
     at = np.flatnonzero(np.isfinite(outward_mm[:reach]))
     if len(at) < _LEAST_BLOCKS:
         return None
-    slope, inverse = np.polyfit(at, 1 / outward_mm[at], 1)
+    _, slope, inverse = np.polyfit(at, 1 / outward_mm[at], 2)
     # dz/dx: over a block, z changes by −(1/z)' z², and x by block_per_mm · z.
     if abs(slope) > _STEEPEST * block_per_mm * inverse:
         return None
