@@ -97,10 +97,13 @@ def agreed(
         return bright
     if bright is None:
         return found.subject if found.bounded else None
-    other = _unlike_the_rest(encoded, found.near, bright)
-    missed = np.count_nonzero(found.near & ~bright & ~other) / np.count_nonzero(found.near)
     size = np.count_nonzero(bright)
     behind = np.count_nonzero(found.far & bright) / size
+    if 0 < behind <= _BEHIND:  # the subject's own far end, as an arm that is held away: no marker of the background
+        far &= ~bright
+        found = segment_by_depth(encoded, near, far, unit) or found
+    other = _unlike_the_rest(encoded, found.near, bright)
+    missed = np.count_nonzero(found.near & ~bright & ~other) / np.count_nonzero(found.near)
     beyond = np.count_nonzero(bright & ~found.subject) / size
     if missed <= _MISSED and behind <= _BEHIND and beyond <= _BEYOND:
         return bright
