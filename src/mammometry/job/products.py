@@ -33,7 +33,7 @@ VERSIONS: Registry[int] = Registry(
         "observations": 6,
         "calibration": 5,
         "cameras": 5,
-        "foreground": 9,
+        "foreground": 10,
         "disparity": 13,
         "rows": 1,
         "range": 2,

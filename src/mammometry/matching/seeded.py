@@ -31,6 +31,7 @@ _SMALLEST_PART = 0.02  # of the largest part
 # Shares above which depth contradicts brightness: of the near seeds that it leaves out, of its subject that is far, and
 # of its subject that neither depth nor colour joins to the seeds.
 _MISSED, _BEHIND, _BEYOND = 0.04, 0.02, 0.04
+_FAR_END = 0.04, 0.15  # of the bright subject: far places in it, and what they would take off, if it is an arm's end
 _AROUND, _WITHIN = 1.5, 0.95  # times the bright subject, of which so much is within: it lies on something
 
 
@@ -98,10 +99,12 @@ def agreed(
     if bright is None:
         return found.subject if found.bounded else None
     size = np.count_nonzero(bright)
-    behind = np.count_nonzero(found.far & bright) / size
-    if 0 < behind <= _BEHIND:  # the subject's own far end, as an arm that is held away: no marker of the background
-        far &= ~bright
+    most_far, most_lost = _FAR_END
+    lost = np.count_nonzero(bright & ~found.subject)
+    if 0 < np.count_nonzero(far & bright) <= most_far * size and lost <= most_lost * size:
+        far &= ~bright  # the subject's own far end, as an arm that is held away: it marks no background
         found = segment_by_depth(encoded, near, far, unit) or found
+    behind = np.count_nonzero(found.far & bright) / size
     other = _unlike_the_rest(encoded, found.near, bright)
     missed = np.count_nonzero(found.near & ~bright & ~other) / np.count_nonzero(found.near)
     beyond = np.count_nonzero(bright & ~found.subject) / size

@@ -79,6 +79,32 @@ def test_what_the_subject_lies_on_is_not_taken_with_it() -> None:
     assert agreed(encoded, disc, [seeds], 2, 0.5) is disc
 
 
+def a_body_with(far: np.ndarray, bright: np.ndarray) -> np.ndarray | None:
+    """Subject of a bright picture of which a ball is near, and `far` is far. Light falls off beside the ball."""
+    v, u = np.mgrid[:120, :160]
+    rng = np.random.default_rng(0)
+    light = np.where(bright, np.where(u > 105, 0.4, 0.7), 0.03) * rng.uniform(0.9, 1.1, bright.shape)
+    encoded = (light[..., None] * [1.0, 0.8, 0.7]).astype(np.float32)
+    near = np.hypot(u - 60, v - 60) < 40
+    return agreed(encoded, bright, [DepthSeeds(camera="a", step=2, near=near, far=far)], 2, 0.5)
+
+
+def test_an_arm_held_away_from_the_camera_is_subject() -> None:
+    """A part of it, 3 % of the subject, is as far as background. Depth must not cut the arm off there."""
+    v, u = np.mgrid[:120, :160]
+    arm = (np.abs(v - 60) < 12) & (u >= 60) & (u < 150)
+    bright = (np.hypot(u - 60, v - 60) < 45) | arm
+    strip = arm & (u > 123) & (u < 145)  # less 4 at its rim: 13 × 15 of 7,400
+    assert a_body_with(strip, bright) is bright
+
+
+def test_a_bright_wall_that_is_mostly_far_is_no_subject() -> None:
+    v, u = np.mgrid[:120, :160]
+    wall = u > 105
+    subject = a_body_with(wall, (np.hypot(u - 60, v - 60) < 45) | wall)
+    assert subject is None or not subject[:, 115:].any()
+
+
 def test_seeds_are_where_they_say() -> None:
     """Most of the ball is near, none of it far; parts of the wall that one camera alone sees may match by chance."""
     shots = [photograph(RIG.cameras[name], FAR_MM, SKIN, WALL) for name in RIG.pair_names["one"]]
