@@ -46,8 +46,8 @@ def test_the_disk_is_full_after_any_step(tmp_path: Path) -> None:
         store = Store(results)
         with store.taken():
             assert all(store.has(key(name, 1)) or store.has(key(name, 2)) for name in NAMES), step
-        if store.has(key("first", 1)):
-            assert contents(results)["surface/first.ply"] == before["surface/first.ply"]
+        if store.has(key("mesh", 1)):
+            assert contents(results)["surface/mesh.ply"] == before["surface/mesh.ply"]
         filled(results, 2)
         assert contents(results) == contents(tmp_path / "wanted")
         assert not verify(results).damaged

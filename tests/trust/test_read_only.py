@@ -69,7 +69,7 @@ def test_results_are_read_and_checked(results: Path, capsys: pytest.CaptureFixtu
     with read_only(results):
         store = Store(results)
         assert all(store.has(key(name)) for name in NAMES)
-        first = store.recall(key("first"), lambda: pytest.fail("it is there"))
+        first = store.recall(key("mesh"), lambda: pytest.fail("it is there"))
         assert (first.vertices == mesh(1).vertices).all()
         assert store.files(key("pictures"))["sub/c.png"] == b"c1"
         assert main.run(["verify", str(results)]) == 0
@@ -79,9 +79,9 @@ def test_results_are_read_and_checked(results: Path, capsys: pytest.CaptureFixtu
 def test_what_cannot_be_written_is_one_sentence(results: Path) -> None:
     before = contents(results)
     with read_only(results), pytest.raises(StorageError, match=r"no permission \(Read-only file system\)"):
-        make(Store(results), "first", 2)
+        make(Store(results), "mesh", 2)
     with read_only(results.parent), pytest.raises(StorageError, match="no permission"):
-        make(Store(results.parent / "other"), "first", 2)
+        make(Store(results.parent / "other"), "mesh", 2)
     assert contents(results) == before
 
 

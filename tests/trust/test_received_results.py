@@ -55,16 +55,16 @@ def run(results: Path, version: int = 2) -> Store:
 
 def left_ready(results: Path, record: dict[str, Any] | None = None, **changes: Any) -> Path:
     """A product that an interrupted run left ready: first, version 1, with a record that may be changed."""
-    old = json.loads((results / "surface" / "provenance.json").read_text())["products"]["first"]
-    ready = results / ".ready-surface-first-1"
+    old = json.loads((results / "surface" / "provenance.json").read_text())["products"]["mesh"]
+    ready = results / ".ready-surface-mesh-1"
     (ready / "surface").mkdir(parents=True)
-    about = {"stage": "surface", "product": "first", "record": {**old, **(record or {})}} | changes
+    about = {"stage": "surface", "product": "mesh", "record": {**old, **(record or {})}} | changes
     (ready / "record.json").write_text(json.dumps(about))
     return ready
 
 
 HOSTILE = ["../../../precious.txt", ABSOLUTE, "sub/../../../../precious.txt", "..\\..\\..\\precious.txt", "C:\\x",
-           "C:x", "first.ply:stream", ".", "..", "", "a//b", "a/", "nul\0", "provenance.json", "Provenance.JSON",
+           "C:x", "mesh.ply:stream", ".", "..", "", "a//b", "a/", "nul\0", "provenance.json", "Provenance.JSON",
            "provenance.json.", "provenance.json ", ".lock", "line\nbreak"]  # fmt: skip
 
 
@@ -79,8 +79,8 @@ def test_names_that_lead_elsewhere(results: Path, name: str, where: str) -> None
             (ready / "surface" / name).parent.mkdir(exist_ok=True)
             (ready / "surface" / name).write_bytes(b"precious")
     else:
-        change_record(results, "first", lambda record: record.update(files))
-        assert Store(results).state(key("first", 1)) == "absent"
+        change_record(results, "mesh", lambda record: record.update(files))
+        assert Store(results).state(key("mesh", 1)) == "absent"
         assert Store(results).state(key("valid", 1)) == "current"  # the others still count
     run(results)
     assert precious(results).read_text() == "precious"
@@ -89,11 +89,11 @@ def test_names_that_lead_elsewhere(results: Path, name: str, where: str) -> None
 
 INVALID: dict[str, Callable[[dict[str, Any]], object]] = {
     "no files": lambda record: record.pop("files"),
-    "a list of files": lambda record: record.update(files=["first.ply"]),
-    "no digest": lambda record: record.update(files={"first.ply": {"bytes": 3}}),
-    "a digest that is none": lambda record: record.update(files={"first.ply": {"bytes": 3, "sha256": "00"}}),
+    "a list of files": lambda record: record.update(files=["mesh.ply"]),
+    "no digest": lambda record: record.update(files={"mesh.ply": {"bytes": 3}}),
+    "a digest that is none": lambda record: record.update(files={"mesh.ply": {"bytes": 3, "sha256": "00"}}),
     "a number as text": lambda record: record.update(version="1"),
-    "negative bytes": lambda record: record.update(files={"first.ply": {**answered(b""), "bytes": -1}}),
+    "negative bytes": lambda record: record.update(files={"mesh.ply": {**answered(b""), "bytes": -1}}),
     "no time": lambda record: record.update(made=None),
     "seconds that are none": lambda record: record.update(seconds="soon"),
     "more than there is": lambda record: record.update(run="rm -r"),
@@ -104,10 +104,10 @@ INVALID: dict[str, Callable[[dict[str, Any]], object]] = {
 @pytest.mark.parametrize("change", INVALID.values(), ids=INVALID)
 def test_an_invalid_record_is_none(results: Path, change: Callable[[dict[str, Any]], object]) -> None:
     before = contents(results)
-    change_record(results, "first", lambda record: change(record) and None)
-    assert Store(results).state(key("first", 1)) == "absent"
+    change_record(results, "mesh", lambda record: change(record) and None)
+    assert Store(results).state(key("mesh", 1)) == "absent"
     store = run(results, 1)
-    assert store.made == ["surface/first"]
+    assert store.made == ["surface/mesh"]
     assert contents(results) == before
 
 
@@ -116,7 +116,7 @@ UNREADABLE = ["", "{", "null", "[]", '{"format": 1}', OTHER.replace("{}", "3"), 
 
 
 @pytest.mark.parametrize("text", UNREADABLE)
-@pytest.mark.parametrize("name", ["surface/provenance.json", ".ready-surface-first-1/record.json"])
+@pytest.mark.parametrize("name", ["surface/provenance.json", ".ready-surface-mesh-1/record.json"])
 def test_unreadable_records_are_none_and_block_nothing(results: Path, text: str, name: str) -> None:
     before = contents(results)
     left_ready(results)
@@ -139,8 +139,8 @@ def test_a_leftover_that_cannot_be_finished_goes(results: Path, what: str) -> No
         left_record["record"]["files"] = {"gone.ply": answered(b"gone")}
         (ready / "record.json").write_text(json.dumps(left_record))
     if what == "other bytes":
-        (ready / "surface" / "first.ply").write_bytes(b"half")
-        (results / "surface" / "first.ply").write_bytes(b"half")
+        (ready / "surface" / "mesh.ply").write_bytes(b"half")
+        (results / "surface" / "mesh.ply").write_bytes(b"half")
         run(results, 1)
     assert run(results, 1).made == []  # the older result was not lost
     assert contents(results) == before
@@ -148,14 +148,14 @@ def test_a_leftover_that_cannot_be_finished_goes(results: Path, what: str) -> No
 
 
 def test_a_leftover_older_than_what_is_there_goes(results: Path) -> None:
-    old = (results / "surface" / "first.ply").read_bytes()
+    old = (results / "surface" / "mesh.ply").read_bytes()
     ready = left_ready(results, {"made": "2001-01-01T00:00:00+00:00"})
     run(results, 2)
     for name in ("record.json", "surface"):
         assert not (ready / name).exists()
     new = contents(results)
-    ready = left_ready(results, {"made": "2001-01-01T00:00:00+00:00", "files": {"first.ply": answered(old)}})
-    (ready / "surface" / "first.ply").write_bytes(old)
+    ready = left_ready(results, {"made": "2001-01-01T00:00:00+00:00", "files": {"mesh.ply": answered(old)}})
+    (ready / "surface" / "mesh.ply").write_bytes(old)
     assert run(results, 2).made == []
     assert contents(results) == new
 
@@ -176,7 +176,7 @@ def test_a_file_that_was_changed_is_not_removed_with_its_product(results: Path) 
     notes = results / "surface" / "only-1.png"  # version 2 of the pictures has it no more
     notes.write_text("drawn over by somebody")
     (results / "surface" / "notes.txt").write_text("mine")
-    change_record(results, "first", lambda record: record["files"].update({"notes.txt": answered(b"yours")}))
+    change_record(results, "mesh", lambda record: record["files"].update({"notes.txt": answered(b"yours")}))
     run(results)
     assert notes.read_text() == "drawn over by somebody"
     assert (results / "surface" / "notes.txt").read_text() == "mine"
@@ -184,10 +184,10 @@ def test_a_file_that_was_changed_is_not_removed_with_its_product(results: Path) 
 
 def test_a_record_that_names_another_products_file(results: Path) -> None:
     valid = (results / "surface" / "valid.npz").read_bytes()
-    change_record(results, "first", lambda record: record["files"].update({"valid.npz": answered(valid)}))
+    change_record(results, "mesh", lambda record: record["files"].update({"valid.npz": answered(valid)}))
     store = Store(results)
     with store.taken():
-        make(store, "first", 2)
+        make(store, "mesh", 2)
     assert store.state(key("valid", 1)) == "current"
 
 
@@ -213,13 +213,13 @@ def test_a_stages_folder_that_is_a_link(results: Path, outside: Path) -> None:
     (results / "surface").rename(results / "was")
     (results / "surface").symlink_to(outside, target_is_directory=True)
     before = snapshot(outside)
-    assert Store(results).state(key("first", 1)) == "absent"
+    assert Store(results).state(key("mesh", 1)) == "absent"
     run(results)
     assert snapshot(outside) == before
     assert not (results / "surface").is_symlink()
 
 
-@pytest.mark.parametrize("name", ["first.ply", "sub", "provenance.json"])
+@pytest.mark.parametrize("name", ["mesh.ply", "sub", "provenance.json"])
 def test_a_link_inside_a_stages_folder(results: Path, outside: Path, name: str) -> None:
     path = results / "surface" / name
     if name == "sub":
@@ -230,7 +230,7 @@ def test_a_link_inside_a_stages_folder(results: Path, outside: Path, name: str) 
         path.unlink()
         path.symlink_to(outside / name)
     before = snapshot(outside)
-    product = "pictures" if name == "sub" else "first"
+    product = "pictures" if name == "sub" else "mesh"
     assert Store(results).state(key(product, 1)) in ("damaged", "absent")
     run(results, 1)
     run(results, 2)
@@ -238,13 +238,13 @@ def test_a_link_inside_a_stages_folder(results: Path, outside: Path, name: str) 
     assert not path.is_symlink()
 
 
-@pytest.mark.parametrize("where", ["", "surface", "surface/first.ply", "provenance.json", "record.json"])
+@pytest.mark.parametrize("where", ["", "surface", "surface/mesh.ply", "provenance.json", "record.json"])
 def test_a_leftover_with_links(results: Path, outside: Path, where: str) -> None:
     ready = left_ready(results, {"made": "2099-01-01T00:00:00+00:00"})
-    (ready / "surface" / "first.ply").write_bytes((outside / "first.ply").read_bytes())
+    (ready / "surface" / "mesh.ply").write_bytes((outside / "mesh.ply").read_bytes())
     (outside / "surface").mkdir()
     (outside / "record.json").write_bytes((ready / "record.json").read_bytes())
-    (outside / "surface" / "first.ply").write_bytes((outside / "first.ply").read_bytes())
+    (outside / "surface" / "mesh.ply").write_bytes((outside / "mesh.ply").read_bytes())
     path = ready / where if where else ready
     if path.is_dir():
         path.rename(results / "was")
@@ -281,7 +281,7 @@ def test_a_lock_that_is_a_link(results: Path, name: str) -> None:
     assert precious(results).read_text() == "precious"
 
 
-@pytest.mark.parametrize("name", ["first.ply", "provenance.json", "sub"])
+@pytest.mark.parametrize("name", ["mesh.ply", "provenance.json", "sub"])
 def test_something_else_of_that_name(results: Path, name: str) -> None:
     path = results / "surface" / name
     if name == "sub":

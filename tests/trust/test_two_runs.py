@@ -81,8 +81,8 @@ def test_a_killed_run_keeps_nobody_out(results: Path, other_run: subprocess.Pope
     other_run.wait()
     store = Store(results)
     with store.taken():
-        make(store, "first")
-    assert store.has(key("first"))
+        make(store, "mesh")
+    assert store.has(key("mesh"))
     assert HOLDER not in os.listdir(results)
 
 
@@ -121,7 +121,7 @@ def test_runs_that_start_together_all_end_well(results: Path, tmp_path: Path) ->
         _, said = run.communicate(timeout=120)
         assert run.returncode == 0, said
     alone = Store(tmp_path / "alone")
-    (last,) = {version for version in (1, 2) if Store(results).has(key("first", version))}
+    (last,) = {version for version in (1, 2) if Store(results).has(key("mesh", version))}
     store = Store(results)
     with alone.taken(), store.taken():
         for name in NAMES:

@@ -14,6 +14,8 @@ import numpy as np
 from mammometry.geometry.arrays import Array, Bool, Float64, Int32, Int64, read_only
 from mammometry.geometry.transform import Transform
 
+_PER_MM = 1024.0  # a power of two, so that nothing but the rounding is lost
+
 PointMap: TypeAlias = Callable[[Float64[Array, "n 3"]], Float64[Array, "n 3"]]
 """Carries points, mm, into another frame or place."""
 
@@ -170,3 +172,12 @@ def unique_edges(starts: Int64[Array, " k"], stops: Int64[Array, " k"], n: int) 
     keys = np.sort(np.minimum(starts, stops) * n + np.maximum(starts, stops))
     keys = keys[np.diff(keys, prepend=-1) > 0]  # np.unique hashes first, ten times slower here
     return np.stack(np.divmod(keys, max(n, 1)), axis=1)
+
+
+def on_microns(vectors_mm: Float64[Array, "n 3"]) -> Float64[Array, "n 3"]:
+    """Round to 1/1024 mm, a hundredth of what is measured.
+
+    Sums of such vectors up to 16 m are float32 numbers, so that files hold them in half the space, and exactly.
+    """
+    rounded: Float64[Array, "n 3"] = np.round(vectors_mm * _PER_MM) / _PER_MM
+    return rounded

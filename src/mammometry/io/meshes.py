@@ -31,7 +31,7 @@ def write_ply(
 ) -> None:
     """Write a binary little-endian PLY.
 
-    Positions as double, so that nothing is lost.
+    Positions as float where they are floats, else as double: nothing is lost.
 
     Args:
         path: the file to write.
@@ -42,7 +42,9 @@ def write_ply(
     Raises:
         ValueError: a property of another length or of a type that PLY does not know.
     """
-    columns: dict[str, Array] = {name: mesh.vertices[:, axis] for axis, name in enumerate("xyz")}
+    short = mesh.vertices.astype(np.float32)
+    positions = short if np.array_equal(short, mesh.vertices) else mesh.vertices
+    columns: dict[str, Array] = {name: positions[:, axis] for axis, name in enumerate("xyz")}
     columns |= properties or {}
     for name, values in columns.items():
         if values.shape != (len(mesh.vertices),) or values.dtype not in _NAMES:

@@ -13,7 +13,7 @@ from mammometry.base.errors import SurfaceError
 from mammometry.base.progress import Progress, no_progress, part
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.camera import Rig
-from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry.mesh import TriangleMesh, on_microns
 from mammometry.matching.foreground import Foreground
 from mammometry.surface.field import ClosingBox, Field, block_seeds, build_field, closing_box
 from mammometry.surface.isosurface import Isosurface
@@ -82,7 +82,7 @@ def extract(
             remedy="Look at the foreground previews: a mask may be inverted or belong to another photograph",
         )
     progress(1.0)
-    return best
+    return TriangleMesh(vertices=on_microns(best.vertices), faces=best.faces)
 
 
 def _surface(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mammometry.geometry.arrays import Array, Bool, Float64, Int32
-from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry.mesh import TriangleMesh, on_microns
 from mammometry.surface import elastic_kernels
 from mammometry.surface.crossing import crossing_faces
 from mammometry.surface.energy import Graph
@@ -40,7 +40,7 @@ def without_crossings(initial: TriangleMesh, displacement: Float64[Array, "n 3"]
     Each step moves them back half-way. After each step only what moved is compared with what lies around it: all pairs
     that stay are among those.
     """
-    result = displacement.copy()
+    result = on_microns(displacement)
     mesh = TriangleMesh(vertices=initial.vertices + result, faces=initial.faces)
     pairs = crossing_faces(mesh)
     for attempt in range(_CROSSING_ATTEMPTS):
@@ -49,7 +49,7 @@ def without_crossings(initial: TriangleMesh, displacement: Float64[Array, "n 3"]
         back = np.zeros(len(result), dtype=bool)
         back[initial.faces[np.unique(pairs)]] = True
         back = _with_rings(back, initial.faces, 1 + attempt // 3)
-        result[back] *= 0.5 if attempt < _CROSSING_ATTEMPTS // 2 else 0.0
+        result[back] = on_microns(result[back] * (0.5 if attempt < _CROSSING_ATTEMPTS // 2 else 0.0))
         mesh = TriangleMesh(vertices=initial.vertices + result, faces=initial.faces)
         pairs = crossing_faces(mesh, touching(back, initial.faces))
     return mesh, len(pairs)

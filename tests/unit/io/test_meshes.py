@@ -5,9 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from hypothesis import given
+from hypothesis import strategies as st
 
 from mammometry.base.errors import StorageError
-from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry.mesh import TriangleMesh, on_microns
 from mammometry.io.meshes import read_ply, write_ply
 
 
@@ -50,3 +52,23 @@ def test_other_files_are_refused(tmp_path: Path, text: bytes) -> None:
 def test_unfit_properties_are_refused(tmp_path: Path, values: np.ndarray) -> None:
     with pytest.raises(ValueError, match="one number a vertex"):
         write_ply(tmp_path / "a.ply", tetrahedron(), {"a": values})
+
+
+@given(place=st.tuples(*[st.floats(-8000, 8000)] * 3))
+def test_positions_on_microns_are_written_as_floats_and_lose_nothing(
+    tmp_path_factory: pytest.TempPathFactory, place: tuple[float, float, float]
+) -> None:
+    corners = on_microns(np.array([place, (0.1, 0.2, 0.3), (1.0, 2.0, 1 / 3)]))
+    assert np.abs(corners[1] - [0.1, 0.2, 0.3]).max() <= 1 / 2048
+    mesh = TriangleMesh(vertices=corners, faces=np.array([[0, 1, 2]], dtype=np.int32))
+    path = tmp_path_factory.mktemp("floats") / "a.ply"
+    write_ply(path, mesh)
+    assert b"property float x" in path.read_bytes()
+    np.testing.assert_array_equal(read_ply(path)[0].vertices, corners)
+
+
+def test_positions_that_are_no_floats_are_written_as_doubles(tmp_path: Path) -> None:
+    mesh = TriangleMesh(vertices=np.full((3, 3), 1 / 3), faces=np.array([[0, 1, 2]], dtype=np.int32))
+    write_ply(tmp_path / "a.ply", mesh)
+    assert b"property double x" in (tmp_path / "a.ply").read_bytes()
+    np.testing.assert_array_equal(read_ply(tmp_path / "a.ply")[0].vertices, mesh.vertices)

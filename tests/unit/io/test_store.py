@@ -22,7 +22,7 @@ from mammometry.io.write import write_text
 from mammometry.job.products import Key
 
 
-def key(product: str = "first", **changes: object) -> Key:
+def key(product: str = "mesh", **changes: object) -> Key:
     values = {"version": 1, "settings": {"cube_mm": 0.5}, "inputs": {"photograph": "abc"}} | changes
     return Key(stage="surface", product=product, **values)  # type: ignore[arg-type]
 
@@ -81,7 +81,7 @@ def test_nothing_yet_is_absent(tmp_path: Path) -> None:
 def test_provenance_says_what_it_was_made_from(tmp_path: Path) -> None:
     Store(tmp_path).recall(key(), Maker())
     table = json.loads((tmp_path / "surface" / "provenance.json").read_text())
-    record = table["products"]["first"]
+    record = table["products"]["mesh"]
     assert (table["format"], table["stage"]) == (1, "surface")
     assert record["settings"] == {"cube_mm": 0.5}
     assert record["inputs"] == {"photograph": "abc"}
@@ -101,7 +101,7 @@ def test_a_product_belongs_to_its_subject(tmp_path: Path) -> None:
     assert volume(named, key(), maker) == 2.0
     assert named.record(key()).subject == "P-1"
     assert named.state(key()) == "current"
-    assert b"comment subject P-1" in (tmp_path / "surface" / "first.ply").read_bytes()
+    assert b"comment subject P-1" in (tmp_path / "surface" / "mesh.ply").read_bytes()
     for other in (None, "P-2"):
         assert Store(tmp_path, subject=other).state(key()) == "stale"
 
@@ -109,7 +109,7 @@ def test_a_product_belongs_to_its_subject(tmp_path: Path) -> None:
 @pytest.mark.parametrize("damage", ["cut", "changed", "removed", "record"])
 def test_damaged_results_are_made_anew(tmp_path: Path, damage: str) -> None:
     Store(tmp_path).recall(key(), Maker())
-    path = tmp_path / "surface" / "first.ply"
+    path = tmp_path / "surface" / "mesh.ply"
     data = path.read_bytes()
     if damage == "cut":
         path.write_bytes(data[:-5])

@@ -40,18 +40,18 @@ def flip(path: Path) -> None:
     os.utime(path, ns=(was.st_atime_ns, was.st_mtime_ns))
 
 
-@pytest.mark.parametrize("name", ["first.ply", "model.glb"])
+@pytest.mark.parametrize("name", ["mesh.ply", "model.glb"])
 def test_a_flipped_byte_is_damage_and_is_renewed(results: Path, name: str) -> None:
     path = results / "surface" / name
     data = path.read_bytes()
-    product = "first" if name == "first.ply" else "previews"
+    product = "mesh" if name == "mesh.ply" else "previews"
     open_before = Store(results)
     assert open_before.has(key(product))
     flip(path)
     for store in (open_before, Store(results)):  # also by a process that has seen it whole
         assert store.state(key(product)) == "damaged"
         assert not store.has(key(product))
-    if name == "first.ply":
+    if name == "mesh.ply":
         maker = Maker()
         assert volume(Store(results), key(), maker) == 1.0
         assert maker.times == 1
@@ -79,10 +79,10 @@ def test_bytes_are_read_once_while_a_file_stays(results: Path, monkeypatch: pyte
     store = Store(results)
     for _ in range(3):
         assert store.states([key(), key("previews")]) == ["current", "current"]
-    assert sorted(read) == ["first.ply", "model.glb", "views.png"]
-    (results / "surface" / "first.ply").touch()
+    assert sorted(read) == ["mesh.ply", "model.glb", "views.png"]
+    (results / "surface" / "mesh.ply").touch()
     assert store.has(key())
-    assert read.count("first.ply") == 2
+    assert read.count("mesh.ply") == 2
 
 
 def cut(path: Path) -> None:
@@ -108,32 +108,32 @@ def test_verify_names_what_is_damaged(
 ) -> None:
     assert main.run(["verify", str(results)]) == 0
     assert "2 products, 3 files, 0 MB: all as they were written" in capsys.readouterr().out
-    damage(results / "surface" / "first.ply")
+    damage(results / "surface" / "mesh.ply")
     assert main.run(["verify", str(results), "--json"]) == 9
     table = json.loads(capsys.readouterr().out)
     (named,) = table["damaged"]
-    assert (named["product"], named["file"]) == ("first", "surface/first.ply")
+    assert (named["product"], named["file"]) == ("mesh", "surface/mesh.ply")
     assert found in named["found"]
-    assert table["renewed"] == ["surface/first"]
+    assert table["renewed"] == ["surface/mesh"]
     assert main.run(["verify", str(results)]) == 9
     said = capsys.readouterr().out
-    assert "surface/first.ply: " in said
-    assert "A rerun renews surface/first" in said
+    assert "surface/mesh.ply: " in said
+    assert "A rerun renews surface/mesh" in said
     assert "DAMAGED" in said
 
 
 def test_verify_says_what_it_cannot_check(results: Path) -> None:
     (results / "surface" / "notes.txt").write_text("mine")
-    (results / ".ready-surface-first-1").mkdir()
+    (results / ".ready-surface-mesh-1").mkdir()
     findings = verify(results)
     assert (findings.damaged, findings.unrecorded) == ((), ("surface/notes.txt",))
-    assert findings.leftovers == (".ready-surface-first-1",)
+    assert findings.leftovers == (".ready-surface-mesh-1",)
     path = results / "surface" / "provenance.json"
     table = json.loads(path.read_text())
-    table["products"]["first"]["files"] = {"../../x": {"bytes": 1, "sha256": "0" * 64}}
+    table["products"]["mesh"]["files"] = {"../../x": {"bytes": 1, "sha256": "0" * 64}}
     path.write_text(json.dumps(table))
     (damage,) = verify(results).damaged
-    assert (damage.product, damage.found) == ("first", "no valid record of first")
+    assert (damage.product, damage.found) == ("mesh", "no valid record of mesh")
     path.unlink()
     (damage,) = verify(results).damaged
     assert (damage.product, damage.file) == (None, "surface/provenance.json")
@@ -153,7 +153,7 @@ def test_a_first_product_that_was_being_moved_into_place_is_no_damage(
         store.recall(key(), Maker())
     findings = verify(tmp_path / "results")
     assert findings.damaged == ()
-    assert findings.unrecorded == ("surface/first.ply",)
+    assert findings.unrecorded == ("surface/mesh.ply",)
     assert len(findings.leftovers) == 1
     (tmp_path / "results" / findings.leftovers[0]).rename(tmp_path / "elsewhere")  # then nothing says whose it is
     assert [each.found for each in verify(tmp_path / "results").damaged] == ["no valid records"]

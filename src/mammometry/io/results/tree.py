@@ -59,6 +59,7 @@ STORED_TYPES: Mapping[str, str] = MappingProxyType(
         "surface.dents:ValidPatches": "mammometry.surface.dents:ValidPatches",
         "surface.motions:Unknowns": "mammometry.surface.motions:Unknowns",
         "surface.range_image:RangeImage": "mammometry.surface.range_image:RangeImage",
+        "surface.repair:RepairedSurface": "mammometry.surface.repair:RepairedSurface",
         "surface.stillness:Displaced": "mammometry.surface.stillness:Displaced",
         "surface.stillness:Stillness": "mammometry.surface.stillness:Stillness",
         "surface.stillness:Turn": "mammometry.surface.stillness:Turn",

@@ -1,4 +1,4 @@
-"""Surfaces as binary PLY, mm, world frame.
+"""The finished surface as binary PLY, mm, world frame.
 
 Each vertex has provenance, sigma_mm, pairs and colour.
 """
@@ -65,5 +65,4 @@ def _read(path: Path) -> Any:
     return FinishedSurface(repaired=repaired, textured=TexturedMesh(mesh=mesh, colours=colours))
 
 
-for _product in ("first", "repaired", "mesh"):
-    FORMATS.add(_product)(Format(write=_write, read=_read, ending=".ply"))
+FORMATS.add("mesh")(Format(write=_write, read=_read, ending=".ply"))
