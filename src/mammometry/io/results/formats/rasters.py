@@ -24,8 +24,9 @@ _PAGE_NAME = 285  # TIFF 6.0's tag of that name
 def write_raster(path: Path, value: object) -> None:
     """Write a dataclass whose arrays are images of one shape.
 
-    Compressed without loss. Pages in the order of its fields, named by them (PageName, tag 285): float32 as they are, masks as 8 bit 0 and 1.
-    The first page's ImageDescription is JSON: the pages' names and the value's other members, cameras among them.
+    Compressed without loss. Pages in the order of its fields, named by them (PageName, tag 285): float32 as they are,
+    masks as 8 bit 0 and 1. The first page's ImageDescription is JSON: the pages' names and the value's other members,
+    cameras among them.
     """
     import tifffile
 
