@@ -19,6 +19,7 @@ import shutil
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -41,13 +42,13 @@ def make_session(folder: Path, scale: float, subject: str) -> Path:
     return folder
 
 
-def run_stages(folder: Path) -> dict[str, dict[str, float]]:
-    """Make every product of a session again, in memory only, and take time and memory stage by stage."""
+def run_stages(folder: Path, stages: Sequence[Stage] = STAGES) -> dict[str, dict[str, float]]:
+    """Make every product of a session again, and take time and memory stage by stage."""
     import mammometry as mm
 
     job = mm.open_session(folder)
     rows = {}
-    for stage in STAGES:
+    for stage in stages:
         wall, processor = time.monotonic(), time.process_time()
         job.ensure(stage)
         rows[stage] = {
@@ -58,9 +59,11 @@ def run_stages(folder: Path) -> dict[str, dict[str, float]]:
     return rows
 
 
-def measured(folder: Path, warm: Path) -> dict[str, dict[str, float]]:
+def measured(folder: Path, warm: Path, stages: Sequence[Stage] = STAGES) -> dict[str, dict[str, float]]:
     """The same in a process of its own, whose kernels are loaded by a small session first."""
-    command = [sys.executable, "-m", "benchmarks.speed.whole_job", "--stages", str(warm), str(folder)]
+    for old in (warm, folder):
+        _forget(old / "results")
+    command = [sys.executable, "-m", "benchmarks.speed.whole_job", "--stages", str(warm), str(folder), *stages]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
         raise SystemExit(done.stderr.strip() or done.stdout.strip())
@@ -94,18 +97,17 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("build/speed"))
     parser.add_argument("--subject", default="plaster_5")
     parser.add_argument("--scales", type=float, nargs="+", default=SCALES, help="of the reference images' sides")
-    parser.add_argument("--stages", type=Path, nargs=2, metavar=("WARM", "SESSION"), help=argparse.SUPPRESS)
+    parser.add_argument("--stages", nargs="+", help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.stages:
-        run_stages(arguments.stages[0])
-        print(json.dumps(run_stages(arguments.stages[1])))
+        warm, session, *stages = arguments.stages
+        run_stages(Path(warm), stages)
+        print(json.dumps(run_stages(Path(session), stages)))
         return
     warm = make_session(arguments.out / "warm", _WARM, arguments.subject)
     rows: dict[float, dict[str, Any]] = {}
     for scale in arguments.scales:
         session = make_session(arguments.out / f"scale_{scale:g}", scale, arguments.subject)
-        for old in (warm, session):
-            _forget(old / "results")
         rows[scale] = measured(session, warm)
         print(
             f"scale {scale:g}: {sum(row['wall_s'] for row in rows[scale].values()):.1f} s", file=sys.stderr, flush=True

@@ -19,7 +19,7 @@ from scipy.spatial.distance import cdist
 from mammometry.calibration.adjust.calibrated import ParameterCovariance
 from mammometry.calibration.adjust.network import POSE_NAMES_CAMERA
 from mammometry.calibration.judge.shifts import shifts
-from mammometry.geometry.arrays import Array, Bool, Float64, read_only
+from mammometry.geometry.arrays import Array, Bool, Float64, Int64, read_only
 from mammometry.geometry.camera import Rig
 from mammometry.surface.agreement import Differences, RowErrors
 
@@ -255,18 +255,38 @@ def _reduced(seen: Observed, rest_mm: float) -> _Reduced:
     )
 
 
-def _fit(known: _Reduced, std: Float64[Array, " p"]) -> Fit:
-    """Motions whose sizes are known, and the evidence for those sizes."""
-    lower = cholesky(np.eye(len(std)) + known.matrix * np.outer(std, std), lower=True)
-    pulled = solve_triangular(lower, known.right * std, lower=True)
-    root = solve_triangular(lower, np.diag(std), lower=True)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Sized:
+    """Motions of certain sizes, as far as their evidence needs them."""
+
+    known: _Reduced
+    std: Float64[Array, " f"]
+    """Of the unknowns that may differ from 0."""
+    free: Int64[Array, " f"]
+    lower: Float64[Array, "f f"]
+    pulled: Float64[Array, " f"]
+    log_evidence: float
+
+
+def _sized(known: _Reduced, std: Float64[Array, " p"]) -> _Sized:
+    """The evidence for sizes."""
+    free = np.flatnonzero(std)
+    own = std[free]
+    lower = cholesky(np.eye(len(free)) + known.matrix[np.ix_(free, free)] * np.outer(own, own), lower=True)
+    pulled = solve_triangular(lower, known.right[free] * own, lower=True)
     misfit = known.squares - float(pulled @ pulled)
-    return Fit(
-        rest_mm=known.rest_mm,
-        log_evidence=-(misfit + known.log_det) / 2 - float(np.sum(np.log(np.diag(lower)))),
-        motions=root.T @ pulled,
-        covariance=root.T @ root,
-    )
+    evidence = -(misfit + known.log_det) / 2 - float(np.sum(np.log(np.diag(lower))))
+    return _Sized(known=known, std=own, free=free, lower=lower, pulled=pulled, log_evidence=evidence)
+
+
+def _fit(sized: _Sized) -> Fit:
+    """The motions themselves."""
+    count = len(sized.known.right)
+    motions, covariance = np.zeros(count), np.zeros((count, count))
+    root = solve_triangular(sized.lower, np.diag(sized.std), lower=True)
+    motions[sized.free] = root.T @ sized.pulled
+    covariance[np.ix_(sized.free, sized.free)] = root.T @ root
+    return Fit(rest_mm=sized.known.rest_mm, log_evidence=sized.log_evidence, motions=motions, covariance=covariance)
 
 
 def without_outliers(seen: Observed, asked: Unknowns) -> Observed:
@@ -277,7 +297,7 @@ def without_outliers(seen: Observed, asked: Unknowns) -> Observed:
     keep = np.ones(len(seen.values), dtype=bool)
     large_std = asked.prior_std(np.radians(_FIRST_TURN_DEG), _FIRST_SHIFT_MM)
     for _ in range(_OUTLIER_ROUNDS):
-        large = _fit(_reduced(seen.only(keep), _FIRST_REST_MM), large_std)
+        large = _fit(_sized(_reduced(seen.only(keep), _FIRST_REST_MM), large_std))
         left = np.abs(seen.values - seen.by_unknown @ large.motions)
         typical = max(_MAD * float(np.median(left[keep & seen.distances])), _CELL_MM)
         inside = ~seen.distances | (left < _OUTLIER_SIGMAS * typical)
@@ -307,22 +327,22 @@ def most_probable(seen: Observed, asked: Unknowns) -> Found:
     """
     reduced = [_reduced(seen, rest_mm) for rest_mm in _RESTS_MM]
     none = np.zeros(asked.count)
-    still = max((_fit(known, none) for known in reduced), key=lambda each: each.log_evidence)
+    still = max((_sized(known, none) for known in reduced), key=lambda each: each.log_evidence)
     sizes = [asked.prior_std(*size) for size in product(np.radians(_TURNS_DEG).tolist(), _SHIFTS_MM)]
-    fits = [_fit(known, std) for known, std in product(reduced, sizes)]
-    top = max(fits, key=lambda each: each.log_evidence)
-    known = next(each for each in reduced if each.rest_mm == top.rest_mm)
-    alone = max(((name, _fit(known, std)) for name, std in _alone(asked)), key=lambda each: each[1].log_evidence)
+    tried = [_sized(known, std) for known, std in product(reduced, sizes)]
+    top = max(tried, key=lambda each: each.log_evidence)
+    likely = [_fit(each) for each in tried if each.log_evidence > top.log_evidence - _UNLIKELY]
+    parts = ((name, _sized(top.known, std)) for name, std in _alone(asked))
+    name, alone = max(parts, key=lambda each: each[1].log_evidence)
     return Found(
-        still=still,
-        expected=_expected(fits, top),
-        alone=alone if alone[1].log_evidence > top.log_evidence else None,
+        still=_fit(still),
+        expected=_expected(likely, _fit(top)),
+        alone=(name, _fit(alone)) if alone.log_evidence > top.log_evidence else None,
     )
 
 
-def _expected(fits: Sequence[Fit], top: Fit) -> Fit:
-    """Mean and covariance over all sizes, by their evidence."""
-    likely = [each for each in fits if each.log_evidence > top.log_evidence - _UNLIKELY]
+def _expected(likely: Sequence[Fit], top: Fit) -> Fit:
+    """Mean and covariance over the likely sizes, by their evidence."""
     weights = np.exp([each.log_evidence - top.log_evidence for each in likely])
     weights /= weights.sum()
     motions = np.sum([w * each.motions for w, each in zip(weights, likely, strict=True)], axis=0)
