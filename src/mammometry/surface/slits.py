@@ -1,4 +1,4 @@
-"""Slits in a silhouette that are no background, by the skin on both their sides.
+"""Slits in a silhouette that are no background.
 
 Skin turns away from the camera where the subject really ends: it is seen at a grazing angle there, or not measured at
 all. Skin that faces the camera right up to a slit, on both sides and in line, goes on behind it. A band around the
@@ -30,9 +30,9 @@ _BEND = 0.5  # of the slit's width: how far apart in depth both sides' continuat
 def spanned_mm(
     camera: Camera, subject: Bool[Array, "H W"], step: int, depth_mm: Float64[Array, "H W"]
 ) -> Float64[Array, "H W"]:
-    """Depth along the optical axis of what spans the slits in a silhouette, infinite elsewhere.
+    """Depth of what spans the slits in a silhouette, infinite elsewhere.
 
-    Rows and columns are scanned. Where both cross a slit, the shorter way counts.
+    Along the optical axis. Rows and columns are scanned. Where both cross a slit, the shorter way counts.
 
     Args:
         camera: whose silhouette it is.
