@@ -199,7 +199,7 @@ def test_two_points_are_no_curve() -> None:
 
 def test_a_curve_far_from_any_surface_cannot_be_traced() -> None:
     lost = Boundary(name="left", points_world=EDGES[0].points_world * 5, method="")
-    with pytest.raises(MeasureError, match="farther than 25 mm from any connected surface"):
+    with pytest.raises(MeasureError, match="farther than 40 mm from any connected surface"):
         chest_wall.fit(breast_of(lost, frame=None))
 
 
