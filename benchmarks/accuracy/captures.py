@@ -4,7 +4,8 @@ Each rig is calibrated once and takes five captures, as a rig is used. Rigs, the
 target differ, some lack a pair or two, so that much of a cast stays unseen; casts have flat and curved backs, breasts
 are small and large; textures, skins and noise vary. What lies in the folder already is not made again: intervals are
 compared on the very same captures. Later ones are held out, with seeds, torsos and rigs (`rigs/`) of their own: 61 to
-100 by a row and a cross, measured before some constants were changed; from 101 on by an arc and a ring.
+100 by a row and a cross, measured before some constants were changed; from 101 on by an arc and a ring. From 201 on
+every family of subjects takes its turn, women among them: 201 to 230 were developed on, later ones are held out.
 """
 
 from __future__ import annotations
@@ -38,8 +39,12 @@ _PAIRS = {
     9: "reference:left,right",
 }
 """Rigs that lack pairs, by their number; the others have all four."""
-_OTHER_RIGS = {100: ("arc", "ring"), 60: ("row", "cross")}
+_OTHER_RIGS = {200: ("arc", "reference", "ring", "row"), 100: ("arc", "ring"), 60: ("row", "cross")}
 """After that number these rigs take the captures, in turn; the largest number that is passed counts."""
+_ALL_FAMILIES_AFTER = 200
+_FAMILIES = ("plaster", "torso", "woman", "leaning-woman", "woman-wide", "leaning-woman-wide")
+_HELD_OUT_WOMEN = 2000
+"""Their numbers are this one and the capture's: from 1000 on no woman is developed on elsewhere."""
 _SKINS = ("skin", "dark-skin", "pale-skin", "sweat")
 _CONTRASTS = (None, 0.02, 0.08)
 _NOISE = (1.0, 0.5, 2.0, 1.5)
@@ -75,23 +80,36 @@ def recipe(number: int) -> Recipe:
     """What the capture of that number, from 1 on, is of."""
     rig = (number - 1) // _PER_RIG
     plan = _plan(number, rig)
-    cast = number % 2 == 1 or plan == "reference:front,floor"  # by which a trunk's sides are not seen
+    subject = _subject(number, plan)
+    cast = subject.startswith("plaster")
     return Recipe(
         number=number,
         rig=rig,
         seed=_FIRST_SEED + rig,
         plan=plan,
-        subject=f"plaster_{(number // 2) % 9 + 1}" if cast else f"torso_{number // 2}",
+        subject=subject,
         skin="plaster" if cast else _SKINS[number // 2 % len(_SKINS)],
         contrast=_CONTRASTS[number % len(_CONTRASTS)] if cast else None,
         noise=_NOISE[rig % len(_NOISE)],
     )
 
 
+def _subject(number: int, plan: str) -> str:
+    if number > _ALL_FAMILIES_AFTER:
+        family = _FAMILIES[number % len(_FAMILIES)]
+        of_it = {"plaster": number // len(_FAMILIES) % 9 + 1, "torso": number}
+        return f"{family}_{of_it.get(family, _HELD_OUT_WOMEN + number)}"
+    # By two pairs from the front a trunk's sides are not seen.
+    if number % 2 == 1 or plan == "reference:front,floor":
+        return f"plaster_{(number // 2) % 9 + 1}"
+    return f"torso_{number // 2}"
+
+
 def _plan(number: int, rig: int) -> str:
     for after, names in _OTHER_RIGS.items():
         if number > after:
-            return str(Path(__file__).parent / "rigs" / f"{names[rig % len(names)]}.toml")
+            name = names[rig % len(names)]
+            return name if name == "reference" else str(Path(__file__).parent / "rigs" / f"{name}.toml")
     return _PAIRS.get(rig, "reference")
 
 

@@ -9,7 +9,8 @@ resumes: what is there is not made again, but measured again. --surfaces needs n
 many torsos and casts it adds errors as the stages make them (scale, cameras, matching, base). Their tails are heavier
 than the interval takes them to have, and it is told their size only by an estimate. The boundary is drawn by another
 hand, and of some trunks less of the sides is seen. A cast has one volume, a torso two. A torso's are also compared
-*as defined*: with what the same wall makes of true skin and boundary, by their interval before it.
+*as defined*: with what the same wall makes of true skin and boundary, by their interval before it; a woman's down to
+the muscle, too.
 """
 
 from __future__ import annotations
@@ -45,7 +46,7 @@ from mammometry.simulate.subjects.registry import make_subject
 from mammometry.simulate.subjects.waves import waves
 
 _SINK_MM = 3.0
-_AS_DEFINED, _SIDES = ", as defined", "left less right"
+_AS_DEFINED, _TO_MUSCLE, _SIDES = ", as defined", ", to the muscle", "left less right"
 _TAILS = 4.0
 """Degrees of freedom of Student's distribution, scaled to unit variance, from which common errors are drawn: errors
 beyond three standard deviations are five times as frequent as a normal distribution has them."""
@@ -170,6 +171,12 @@ def as_defined(found: VolumeMeasurement, true: TrueTorso, settings: MeasureSetti
     return Held(true.solid.name, f"{found.name}{_AS_DEFINED}", error_cc, found.as_defined_cc[1] - found.volume_cc)
 
 
+def to_muscle(found: VolumeMeasurement, truth_cc: float) -> Held:
+    """A woman's volume down to the muscle, of which only the skin is seen."""
+    muscle = next(one for one in found.definitions if one.meaning == "muscle")
+    return Held("", f"{found.name}{_TO_MUSCLE}", muscle.volume_cc - truth_cc, muscle.interval_cc[1] - muscle.volume_cc)
+
+
 EARLIER = EarlierErrors(scale_std=DrawnErrors().scale, point_std_mm=DrawnErrors().cameras_mm * np.sqrt(3))
 
 
@@ -217,6 +224,8 @@ def one_capture(tell: Tell, number: int, out: str, scale: float) -> tuple[str, l
     if found and "model" not in truth_cc:
         true = true_torso(wanted.subject, wanted.seed)
         held += [replace(as_defined(one, true), subject=wanted.name) for one in found]
+        muscle_cc = true.solid.facts.get("muscle_volumes_cc", {})
+        held += [replace(to_muscle(one, muscle_cc[one.name]), subject=wanted.name) for one in found if muscle_cc]
     if len(found) == 2:
         held.append(replace(_of_both_sides(found, truth_cc), subject=wanted.name))
     return refused or "", [asdict(one) for one in held]
@@ -232,15 +241,18 @@ def _of_both_sides(found: Sequence[VolumeMeasurement], truth_cc: Mapping[str, fl
 
 
 def summary(held: list[Held]) -> Iterator[str]:
-    """Coverage with its own 95 % interval (Clopper and Pearson), for casts, torsos, and torsos as they are defined."""
-    groups = {
-        "casts": [one for one in held if one.volume == "model"],
-        "torsos": [one for one in held if one.volume in ("left", "right")],
-        "torsos, left less right": [one for one in held if one.volume == _SIDES],
-        "torsos, as defined": [one for one in held if one.volume.endswith(_AS_DEFINED)],
-    }
-    groups["casts and torsos"] = groups["casts"] + groups["torsos"]
-    groups["casts, and torsos as defined"] = groups["casts"] + groups["torsos, as defined"]
+    """Coverage with its own 95 % interval (Clopper and Pearson), by family of subjects and what the volume means."""
+    groups = {"casts": [one for one in held if one.volume == "model"]}
+    for family, women in (("torsos", False), ("women", True)):
+        its = [one for one in held if ("woman" in one.subject) == women]
+        groups |= {
+            family: [one for one in its if one.volume in ("left", "right")],
+            f"{family}, left less right": [one for one in its if one.volume == _SIDES],
+            f"{family}, as defined": [one for one in its if one.volume.endswith(_AS_DEFINED)],
+            f"{family}, to the muscle": [one for one in its if one.volume.endswith(_TO_MUSCLE)],
+        }
+    groups["all"] = groups["casts"] + groups["torsos"] + groups["women"]
+    groups["all, but as defined"] = groups["casts"] + groups["torsos, as defined"] + groups["women, as defined"]
     yield "| volumes | number | held | 95 % of that share | RMS error / half width |\n" + "| --- " * 5 + "|"
     for name, group in groups.items():
         if not group:

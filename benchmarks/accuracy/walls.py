@@ -23,8 +23,8 @@ from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.open_breast import open_breasts
+from mammometry.simulate.subjects.registry import make_subject
 from mammometry.simulate.subjects.solid import Solid, rig_from_solid
-from mammometry.simulate.subjects.torso import torso, torso_shape
 from mammometry.surface.repair import Provenance, RepairedSurface
 
 SIDES = ("left", "right")
@@ -45,8 +45,8 @@ class TrueTorso:
 
 
 def true_torso(name: str, seed: int, *, edge_mm: float = _EDGE_MM) -> TrueTorso:
-    """Make a torso and say which of its skin cameras in front would see."""
-    solid = torso(torso_shape(name, seed), name=name, seed=seed, edge_mm=edge_mm)
+    """Make a torso or a woman, and say which of her skin cameras in front would see."""
+    solid = make_subject(name, seed, edge_mm=edge_mm)
     solid = solid.placed(rig_from_solid(solid, seed))
     return TrueTorso(solid=solid, surface=as_seen(solid.mesh), boundaries=true_boundaries(solid, solid.mesh.vertices))
 

@@ -39,6 +39,7 @@ _AROUND_PX = 64  # beyond it outside the subject's box a pixel counts as this fa
 _OUTLIERS = 0.002  # percent of the data at either end of an axis, one in 50,000, that do not widen the closing box
 _BOX_SAMPLES = 1_000_000  # data that the box's percentiles are taken of
 _SMALLEST_HOLE_SHARE = 2e-3  # of the subject's area: a larger hole in a mask is a gap between limbs; chosen by eye
+_SLOPE_MM = 4.0  # over which the slope of skin beside a gap is taken; chosen by eye
 _CLOSING_MM = 4.0  # gaps in a view's data narrower than twice this belong to the subject without a silhouette; by eye
 
 
@@ -176,9 +177,13 @@ def view_elements(
     `kernels.sample_field` reads them. Measured data weigh cos²/(σ² + floor²), less near the edge of the data. Up to
     `extend_mm` outwards they are continued along the nearest datum's tangent plane; the rest of the subject's
     silhouette (or of the data's own outline, where there is no silhouette) is filled with the nearest datum's range,
-    which only supports.
+    which only supports. A gap between near and far skin is spanned instead (`image_kernels.spans`): skin turns away
+    there and is hidden, and nothing that was not measured stands before the span.
     """
     normals = image.normals_camera(NORMAL_MM)
+    subject = _subject_mask(image, left, foreground)
+    slope_px = max(2, round(_SLOPE_MM / image.pixel_mm()))
+    spans_mm = image_kernels.spans(image.range_mm, image.valid, subject, slope_px, settings.span_jump_mm)
     elements: Float32[Array, "h w 3"] = kernels.view_elements(
         image.range_mm,
         image.valid,
@@ -186,7 +191,8 @@ def view_elements(
         image.trust(TAPER_MM),
         normals,
         *image_kernels.nearest_true(image.valid & np.isfinite(normals[..., 0])),
-        _subject_mask(image, left, foreground),
+        subject,
+        spans_mm,
         image.camera.intrinsics,
         image.pixel_mm(),
         settings.extend_mm,

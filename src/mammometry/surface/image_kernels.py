@@ -392,3 +392,59 @@ def outline_distances(
                 distance += np.float32(0.5 if inside[i, j] == inside[row, column] else -0.5)
             squares[row, column] = -distance if inside[row, column] else distance
     return squares
+
+
+@kernel
+def spans(
+    range_mm: Float32[Array, "h w"],
+    valid: Bool[Array, "h w"],
+    subject: Bool[Array, "h w"],
+    slope_px: int,
+    least_jump_mm: float,
+) -> Float32[Array, "h w"]:
+    """Ranges that span gaps between near and far skin, mm; 0 elsewhere.
+
+    Straight along row and column, between two data with nothing but the subject between them. The nearer skin goes on
+    with its own slope, and bends evenly until it meets the farther one. Where row and column both span, the shorter way
+    counts more.
+
+    Args:
+        range_mm: of each pixel.
+        valid: which pixels have a datum.
+        subject: which show the subject.
+        slope_px: distance over which the nearer skin's slope is taken.
+        least_jump_mm: both sides' ranges differ by more.
+    """
+    height, width = valid.shape
+    total, weight = np.zeros((height, width)), np.zeros((height, width))
+    for axis in range(2):
+        for line in range(height if axis == 0 else width):
+            ranges = range_mm[line] if axis == 0 else range_mm[:, line]
+            known = valid[line] if axis == 0 else valid[:, line]
+            on = subject[line] if axis == 0 else subject[:, line]
+            last = -1
+            for at in range(len(ranges)):
+                if known[at]:
+                    gap = at - last
+                    if last >= 0 and gap > 1 and abs(ranges[at] - ranges[last]) > least_jump_mm:
+                        near, far, inward = (last, at, -1) if ranges[last] < ranges[at] else (at, last, 1)
+                        start = np.float64(ranges[near])
+                        chord = (np.float64(ranges[far]) - start) / gap
+                        back = near + inward * slope_px
+                        slope = 0.0
+                        if 0 <= back < len(ranges) and known[back]:
+                            slope = min(max((start - np.float64(ranges[back])) / slope_px, 0.0), chord)
+                        for between in range(last + 1, at):
+                            row, column = (line, between) if axis == 0 else (between, line)
+                            away = abs(between - near)
+                            total[row, column] += (start + slope * away + (chord - slope) * away * away / gap) / gap
+                            weight[row, column] += 1.0 / gap
+                    last = at
+                elif not on[at]:
+                    last = -1
+    found = np.zeros((height, width), dtype=np.float32)
+    for row in range(height):
+        for column in range(width):
+            if weight[row, column] > 0.0:
+                found[row, column] = total[row, column] / weight[row, column]
+    return found

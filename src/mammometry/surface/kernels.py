@@ -20,6 +20,8 @@ _LEAST_COSINE = 0.1  # 84° off the normal: a smaller cosine would shrink every 
 _UNKNOWN_COSINE = 0.5  # of a datum without a normal: 60°; chosen by eye
 _STEEPEST = 6.0
 """Largest slope of a continued tangent plane, mm per mm across the ray: 80°. Seen edge-on it would diverge."""
+SPANNED = np.float32(1e-30)
+"""Weight of a range that spans a gap between measured ones: too small to count, it only bounds what nobody measured."""
 _LEAST_DEPTH_MM = 1.0  # nearer points are behind the camera, or as good as
 _WIDEST_R2 = 4.0  # squared tangent of 63° off the axis: no lens model holds so far outside its picture
 _DISTORTION = 1.5
@@ -77,8 +79,8 @@ def sample_field(
         spacing: between them, mm.
         views: the range images' cameras, as `view_rows.view_row` packs them.
         elements: range, cosine of incidence and weight per pixel of every view. Weight > 0: measured. −w: extrapolated
-            with weight w; says nothing of free space. 0 with a range: filled; only supports what lies behind it. Range
-            0: nothing.
+            with weight w; says nothing of free space. `SPANNED`: spans a gap; what nobody measured is free before it. 0
+            with a range: filled; only supports what lies behind it. Range 0: nothing.
         contours: the silhouettes' cameras.
         distances: pixels from the silhouette, positive outside.
         planes: of the closing box: n·x − d, positive outside.
@@ -283,6 +285,9 @@ def _add_view(
             supported[index] = True
         if weight == 0.0:
             continue
+        if weight == SPANNED:
+            free[index] = free[index] or (rule == RULE_DEFAULT and gap > 0.0)
+            continue
         if rule == RULE_NEAREST:
             total[index] = min(total[index], gap)
         elif rule == RULE_FURTHEST:
@@ -352,6 +357,7 @@ def view_elements(
     rows: Int32[Array, "h w"],
     columns: Int32[Array, "h w"],
     subject: Bool[Array, "h w"],
+    spans_mm: Float32[Array, "h w"],
     intrinsics: Float64[Array, " 4"],
     pixel_mm: float,
     extend_mm: float,
@@ -361,7 +367,7 @@ def view_elements(
     """What one range image says at each pixel, as `sample_field` reads it.
 
     See `field.view_elements`. `normals`: camera frame; `rows`, `columns`: the nearest datum with a normal, −1 where
-    there is none at all.
+    there is none at all; `spans_mm`: of `image_kernels.spans`.
     """
     height, width = valid.shape
     elements = np.zeros((height, width, 3), dtype=np.float32)
@@ -389,6 +395,8 @@ def view_elements(
                     seen = min(max(continued if continued > 0.0 else nearest, nearest - reach), nearest + reach)
                     variance = sigma_mm[i, j] ** 2 + sigma_floor_mm**2
                     weight = -extend_weight * cosine**2 * trust[i, j] / variance
+                if spans_mm[row, column] > 0.0:
+                    seen, weight = np.float64(spans_mm[row, column]), np.float64(SPANNED)
                 elements[row, column, 0] = seen
                 elements[row, column, 1] = cosine
                 elements[row, column, 2] = weight

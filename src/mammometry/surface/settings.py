@@ -42,6 +42,11 @@ class FieldSettings:
     """Distance by which range data are continued outwards along their tangent plane, mm across the ray. The matcher
     loses the rim and a band beside every occluding edge, which otherwise swell: 4 mm left 10 % more error on a torso.
     """
+    span_jump_mm: float = 20.0
+    """Gaps in a view's data whose sides lie further apart in range than this are spanned, mm: nothing that was not
+    measured stands before the span. What lies hidden beside a breast (between two, under one) is closed by it. 10 to 40
+    gave the same surfaces.
+    """
     lost_slope: float = 0.1
     """Where a shadow hides a silhouette's edge: how far outside it the subject is assumed to end, px per px of distance
     to the nearest visible edge. Casts' folds have .05 to .2 (docs/decisions/0017).

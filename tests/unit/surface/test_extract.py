@@ -224,6 +224,9 @@ def twin(field, points):
             supported |= gap < cut
             if nearest[2] == 0:
                 continue
+            if nearest[2] == kernels.SPANNED:
+                free |= gap > 0
+                continue
             gaps.append(gap)
             if field.rule == "tsdf":
                 if gap > -cut:

@@ -188,3 +188,46 @@ def test_outline_distances_are_exact_near_it_and_almost_so_elsewhere():
     assert (~near).any()
     # the outline lies within half a pixel's diagonal of the middle between two pixels
     assert np.abs(np.abs(found) - exact).max() < 0.75
+
+
+def parabola(u, start_mm, slope, gap_px, rise_mm):
+    """From a start with a slope to a rise at the gap's other end: the only parabola that does all three."""
+    return start_mm + slope * u + (rise_mm - slope * gap_px) * (u / gap_px) ** 2
+
+
+def test_near_skin_goes_on_with_its_slope_and_bends_to_meet_the_far_one():
+    """A ramp of 1.5 mm a pixel, a gap of 20 pixels, and skin 60 mm farther: along and against both axes."""
+    ramp = np.concatenate([300 + 1.5 * np.arange(31), np.zeros(19), np.full(30, 405.0)])
+    valid = ramp > 0
+    expected = parabola(np.arange(1, 20), 345.0, 1.5, 20, 60.0)
+    for flipped in (False, True):
+        line, known, wanted = (each[::-1] if flipped else each for each in (ramp, valid, expected))
+        image, mask = np.tile(line, (5, 1)).astype(np.float32), np.tile(known, (5, 1))
+        subject = np.ones_like(mask)
+        for turned in (False, True):
+            each = (image.T, mask.T, subject.T) if turned else (image, mask, subject)
+            found = image_kernels.spans(*(np.ascontiguousarray(one) for one in each), 4, 20.0)
+            found = found.T if turned else found
+            np.testing.assert_allclose(found[:, ~known], np.tile(wanted, (5, 1)), rtol=1e-6)
+            assert not found[mask].any()
+
+
+@pytest.mark.parametrize("least_jump_mm", [59.0, 61.0])
+def test_gaps_with_less_of_a_jump_or_with_background_in_them_are_not_spanned(least_jump_mm):
+    image = np.tile(np.concatenate([np.full(20, 300.0), np.zeros(10), np.full(20, 360.0)]), (3, 1)).astype(np.float32)
+    subject = np.ones(image.shape, dtype=bool)
+    subject[1, 25] = False
+    found = image_kernels.spans(image, image > 0, subject, 3, least_jump_mm) > 0
+    assert found[[0, 2], 20:30].all() == (least_jump_mm < 60)
+    assert not found[1].any()
+
+
+def test_the_shorter_of_two_ways_counts_more():
+    """A gap 4 wide and 12 high, both ways from 100 to 160 mm without slope: the mean, weighted by 1/5 and 1/13."""
+    image = np.full((40, 40), 100.0, dtype=np.float32)
+    image[:, 24:] = image[26:] = 160.0
+    valid = np.ones(image.shape, dtype=bool)
+    valid[14:26, 20:24] = False
+    found = image_kernels.spans(image, valid, np.ones_like(valid), 3, 20.0)
+    across, down = parabola(2, 100.0, 0.0, 5, 60.0), parabola(3, 100.0, 0.0, 13, 60.0)
+    assert found[16, 21] == pytest.approx((across / 5 + down / 13) / (1 / 5 + 1 / 13))

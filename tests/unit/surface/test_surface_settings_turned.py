@@ -10,6 +10,7 @@ from test_repair import AROUND, RADIUS, dented, radial_error, valid_views
 from mammometry.base.errors import SurfaceError
 from mammometry.base.photograph import Photograph
 from mammometry.geometry.mesh import TriangleMesh, joined
+from mammometry.matching.foreground import Foreground
 from mammometry.surface.correspond import view_data
 from mammometry.surface.dents import remove_dents
 from mammometry.surface.extract import closing_box_of, extract
@@ -107,6 +108,26 @@ def test_field_extends_data_so_far(half_ball):
         weights = view_elements(half, left, silhouettes[left.name], FieldSettings(extend_mm=extend_mm))[..., 2]
         columns = np.flatnonzero(weights[60, 35:85] < 0)  # away from the ball's rim
         assert len(columns) * half.pixel_mm() == pytest.approx(extend_mm, abs=1.0)  # whole pixels
+
+
+@pytest.mark.parametrize(("jump_mm", "hollow"), [(20.0, True), (80.0, False)])
+def test_nothing_unmeasured_stands_before_what_spans_a_gap(jump_mm, hollow):
+    """A step of 60 mm behind a gap of 24 mm, seen from ahead and, half hidden, from aside.
+
+    Ahead sees no floor in the gap, and aside only that the edge stands before it: both may be full.
+    """
+    cameras = [camera_towards(name, direction) for name, direction in (("ahead", (0, 0, 1)), ("aside", (-1, 0, 1)))]
+    middle = np.arange(120) - 59.5
+    step = np.where(middle < -12, 370.0, np.where(middle > 12, 430.0, np.nan))
+    images = [range_image(cameras[0], np.tile(step, (120, 1))), range_image(cameras[1], np.full((120, 120), 380.0))]
+    rig, box = rig_of(cameras), closing_box_of(images, ExtractSettings())
+    full = np.ones((120, 120), dtype=np.float32)
+    masks = {c.name: Foreground(camera=c.name, coverage=full, contour_level=0.5, everything=False) for c in cameras}
+    field = build_field(images, masks, rig, box, FieldSettings(span_jump_mm=jump_mm, extend_mm=0.0), "default")
+    # Half-way across, the span has fallen by a quarter of the step, 15 mm: 385 of 400 mm from the camera.
+    before, behind = (field.sample(np.array([[0.0, 0.0, depth]]), 1, 1.0).item() for depth in (19.0, 11.0))
+    assert (before > 0) == hollow
+    assert behind < 0
 
 
 @pytest.mark.parametrize(("turned", "less"), [({"k_ext": 10.0}, True), ({"k_int": 10.0}, False)])

@@ -15,6 +15,7 @@ import numpy as np
 from mammometry.geometry import mesh_kernels
 from mammometry.geometry.arrays import Array, Bool, Float64, Int64, read_only
 from mammometry.geometry.mesh import TriangleMesh
+from mammometry.measure.solid.neck import neck_sides
 
 Height = Callable[[Float64[Array, "n 3"]], Float64[Array, " n"]]
 """Signed height of world points above a surface, mm. Positive on the kept side."""
@@ -83,26 +84,44 @@ def inside_curve(mesh: TriangleMesh, curve: Int64[Array, " n"]) -> OpenPart:
     Returns:
         The part; without faces where the curve divides nothing.
     """
-    return open_part(mesh, faces_inside(mesh, curve))
+    return open_part(mesh, faces_inside(mesh, curve), curve)
 
 
 def faces_inside(mesh: TriangleMesh, curve: Int64[Array, " n"]) -> Bool[Array, " m"]:
-    """Faces of the part that `inside_curve` keeps."""
+    """Faces of the part that `inside_curve` keeps.
+
+    Where another breast touches this one, that is the part before the neck between them.
+    """
     around = faces_around(mesh.vertices[curve], mesh)
-    near = TriangleMesh(vertices=mesh.vertices, faces=mesh.faces[around])
-    walls = sides_on(near, curve)
-    rings = mesh_kernels.edge_rings(len(mesh.vertices), near.faces)
-    count, part = mesh_kernels.face_parts(rings, walls)
-    touching = np.unique(part[np.flatnonzero(walls) // 3])
     inside = np.zeros(len(mesh.faces), dtype=bool)
-    if len(touching) < 2:
-        return inside
-    area = np.bincount(part, _areas_mm2(near), minlength=count)
-    # What reaches the edge of the neighbourhood goes on beyond it, and is not the smaller part.
-    alone = np.flatnonzero(rings == np.arange(len(rings)))
-    area[np.unique(part[alone // 3])] = np.inf
-    inside[around] = part == touching[np.argsort(area[touching])[-2]]
+    near = TriangleMesh(vertices=mesh.vertices, faces=mesh.faces[around])
+    chosen = _smaller_part(near, curve, goes_on=True)
+    if chosen is None:  # by way of another breast both sides go on beyond the neighbourhood
+        return np.asarray(_smaller_part(mesh, curve, goes_on=False))
+    inside[around] = chosen
     return inside
+
+
+def _smaller_part(near: TriangleMesh, curve: Int64[Array, " n"], *, goes_on: bool) -> Bool[Array, " m"] | None:
+    """Faces on the smaller side of a curve, none if it divides nothing.
+
+    Where the mesh goes on beyond its edge, a part that reaches the edge is not the smaller one. None if both do.
+    """
+    walls = sides_on(near, curve)
+    along = np.flatnonzero(walls) // 3
+    rings = mesh_kernels.edge_rings(len(near.vertices), near.faces)
+    count, part = mesh_kernels.face_parts(rings, walls)
+    if len(np.unique(part[along])) < 2:
+        count, part = mesh_kernels.face_parts(rings, walls | neck_sides(near, curve))
+    touching = np.unique(part[along])
+    if len(touching) < 2:
+        return np.zeros(len(near.faces), dtype=bool)
+    area = np.bincount(part, _areas_mm2(near), minlength=count)
+    if goes_on:
+        alone = np.flatnonzero(rings == np.arange(len(rings)))
+        area[np.unique(part[alone // 3])] = np.inf
+    smaller = touching[np.argsort(area[touching])[-2]]
+    return np.asarray(part == smaller) if np.isfinite(area[smaller]) else None
 
 
 def sides_on(mesh: TriangleMesh, curve: Int64[Array, " n"]) -> Bool[Array, " h"]:
@@ -116,9 +135,35 @@ def sides_on(mesh: TriangleMesh, curve: Int64[Array, " n"]) -> Bool[Array, " h"]
     return np.asarray((after[starts] == stops) | (after[stops] == starts))
 
 
-def open_part(mesh: TriangleMesh, faces: Bool[Array, " m"]) -> OpenPart:
-    """Some faces of a mesh with their openings, ready for a wall."""
-    return _without_chords(_compact(mesh, faces))
+def open_part(mesh: TriangleMesh, faces: Bool[Array, " m"], curve: Int64[Array, " n"]) -> OpenPart:
+    """Some faces of a mesh with their openings, ready for a wall.
+
+    Openings that were cut elsewhere than along the curve are closed.
+    """
+    return _without_chords(_without_necks(_compact(mesh, faces), mesh, faces, curve))
+
+
+def _without_necks(part: OpenPart, mesh: TriangleMesh, faces: Bool[Array, " m"], curve: Int64[Array, " n"]) -> OpenPart:
+    """Close openings that neither the curve made nor the mesh had, each by a fan of triangles around its middle."""
+    if len(part.loops) < 2:
+        return part
+    had = mesh_kernels.open_vertices(len(mesh.vertices), mesh.faces)
+    had[curve] = True
+    had = had[mesh.vertices_used_by(faces)]
+    necks = [loop for loop in part.loops if not had[loop].any()]
+    n = len(part.mesh.vertices)
+    # The loops run as the part's own faces do, so what closes them runs against them.
+    fans = [
+        np.stack([np.roll(loop, -1), loop, np.full(len(loop), n + number)], axis=1) for number, loop in enumerate(necks)
+    ]
+    middles = [part.mesh.vertices[loop].mean(axis=0, keepdims=True) for loop in necks]
+    return OpenPart(
+        mesh=TriangleMesh(
+            vertices=np.concatenate([part.mesh.vertices, *middles]),
+            faces=np.concatenate([part.mesh.faces, *fans]).astype(np.int32),
+        ),
+        loops=tuple(loop for loop in part.loops if had[loop].any()),
+    )
 
 
 def faces_around(points: Float64[Array, "n 3"], mesh: TriangleMesh) -> Bool[Array, " m"]:

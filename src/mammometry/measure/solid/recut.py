@@ -55,7 +55,7 @@ class Band:
             return inside_curve(self._whole, self._vertices[curve])  # the band alone does not tell
         faces = self._core.copy()
         faces[self._faces] = core[part] | (~rest[part] & self._inside[self._faces])
-        return open_part(self._whole, faces)
+        return open_part(self._whole, faces, self._vertices[curve])
 
     def _beside(self, faces: Bool[Array, " m"]) -> Bool[Array, " b"]:
         """Which of the band's faces share a vertex with others outside it."""
