@@ -45,9 +45,10 @@ def extract(
 
     Paper 2.5, silhouettes of all cameras. World frame, mm. A cube's corner takes the weighted mean of the signed
     distances of all views within whose band it lies (weights cos²/σ²); else it is free space where a view looks
-    through it or it lies before what spans a view's gap, else inside where some view's surface stands before it. The silhouettes and a box behind the data bound
-    the result. Of the isosurface the part with the largest volume stays. Where it has tunnels, the field is smoothed
-    more, there alone, a few times, ever wider; the surface with the fewest stays.
+    through it, or where it lies before what spans a view's gap, else inside where some view's surface stands before
+    it. The silhouettes and a box behind the data bound the result. Of the isosurface the part with the largest volume
+    stays. Where it has tunnels, the field is smoothed more, there alone, a few times, ever wider; the surface with the
+    fewest stays.
 
     Raises:
         SurfaceError: no view has data, the views contradict each other or the silhouettes, or they enclose nothing.
