@@ -41,7 +41,7 @@ VERSIONS: Registry[int] = Registry(
         "stood": 1,
         "valid": 3,
         "blocked": 2,
-        "first": 8,
+        "first": 9,
         "repaired": 5,
         "mesh": 2,
         "model": 3,

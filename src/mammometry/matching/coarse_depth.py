@@ -171,7 +171,7 @@ def _depths(rectified: RectifiedPair, centre_world: Float64[Array, 3]) -> list[F
     nearest, farthest = (focal * base / (share * centre) + columns for share in (_NEAREST, _FARTHEST))
     lowest, count = int(np.floor(-nearest)), int(np.ceil(nearest - farthest)) + 2
     levels = [
-        Level(image=image, mask=mask)
+        Level(image=image.copy(), mask=mask.copy())  # as the matching has them: one type for each kernel
         for image, mask in (
             (rectified.left_image, rectified.left_mask),
             (rectified.right_image, rectified.right_mask),

@@ -40,6 +40,9 @@ _OUTLIERS = 0.002  # percent of the data at either end of an axis, one in 50,000
 _BOX_SAMPLES = 1_000_000  # data that the box's percentiles are taken of
 _SMALLEST_HOLE_SHARE = 2e-3  # of the subject's area: a larger hole in a mask is a gap between limbs; chosen by eye
 _SLOPE_MM = 4.0  # over which the slope of skin beside a gap is taken; chosen by eye
+_BLOCK_PX = 4  # side of the blocks in which other views' data are looked up; some data fall into each
+_SAMPLES = 300_000  # of another view's data that are looked up
+_BEFORE_MM = 5.0  # a datum of another view further before a span contradicts it; chosen by eye
 _CLOSING_MM = 4.0  # gaps in a view's data narrower than twice this belong to the subject without a silhouette; by eye
 
 
@@ -136,7 +139,9 @@ def build_field(
     view_rows, start = [], 0
     for image in seen:
         left, end = rig.pair(image.name).left, start + image.valid.size
-        elements[start:end] = view_elements(image, left, foregrounds.get(left.name), settings).reshape(-1, 3)
+        others_mm = nearest_of_others_mm(image, seen)
+        rows = view_elements(image, left, foregrounds.get(left.name), settings, others_mm)
+        elements[start:end] = rows.reshape(-1, 3)
         view_rows.append(view_row(image.camera, image.valid.shape, start))
         start = end
     contour_rows, distance_rows, start = [], [], 0
@@ -169,8 +174,30 @@ def _silhouette_step(camera: Camera, range_images: Sequence[RangeImage]) -> int:
     return max(1, round(nearest.pixel_mm() / np.median(nearest.range_mm[nearest.valid]) * camera.matrix[0, 0]))
 
 
+def nearest_of_others_mm(image: RangeImage, all_images: Sequence[RangeImage]) -> Float32[Array, "H W"]:
+    """Range of the nearest datum of other views in each block of a range image, mm. Infinite where there is none."""
+    height, width = image.valid.shape
+    nearest = np.full((-(-height // _BLOCK_PX), -(-width // _BLOCK_PX)), np.inf, dtype=np.float32)
+    for other in all_images:
+        if other is image:
+            continue
+        points = other.valid_points_world()
+        points = points[:: max(1, len(points) // _SAMPLES)]
+        uv = image.camera.project(points)
+        with np.errstate(invalid="ignore"):
+            inside = ((uv > -0.5) & (uv < [width - 0.5, height - 0.5])).all(axis=1)
+        column, row = np.rint(uv[inside]).astype(np.intp).T // _BLOCK_PX
+        range_mm = np.linalg.norm(points[inside] - image.camera.centre_world, axis=1).astype(np.float32)
+        np.minimum.at(nearest, (row, column), range_mm)
+    return nearest
+
+
 def view_elements(
-    image: RangeImage, left: Camera, foreground: Foreground | None, settings: FieldSettings
+    image: RangeImage,
+    left: Camera,
+    foreground: Foreground | None,
+    settings: FieldSettings,
+    others_mm: Float32[Array, "H W"],
 ) -> Float32[Array, "h w 3"]:
     """Range, cosine of incidence and signed weight of every pixel.
 
@@ -178,12 +205,22 @@ def view_elements(
     `extend_mm` outwards they are continued along the nearest datum's tangent plane; the rest of the subject's
     silhouette (or of the data's own outline, where there is no silhouette) is filled with the nearest datum's range,
     which only supports. A gap between near and far skin is spanned instead (`image_kernels.spans`): skin turns away
-    there and is hidden, and nothing that was not measured stands before the span.
+    there and is hidden, and nothing that was not measured stands before the span. `others_mm` is of
+    `nearest_of_others_mm`.
     """
     normals = image.normals_camera(NORMAL_MM)
     subject = _subject_mask(image, left, foreground)
     slope_px = max(2, round(_SLOPE_MM / image.pixel_mm()))
-    spans_mm = image_kernels.spans(image.range_mm, image.valid, subject, slope_px, settings.span_jump_mm)
+    spans_mm = image_kernels.spans(
+        image.range_mm,
+        image.valid,
+        subject,
+        others_mm,
+        _BLOCK_PX,
+        slope_px,
+        settings.span_jump_mm,
+        _BEFORE_MM,
+    )
     elements: Float32[Array, "h w 3"] = kernels.view_elements(
         image.range_mm,
         image.valid,

@@ -399,21 +399,28 @@ def spans(
     range_mm: Float32[Array, "h w"],
     valid: Bool[Array, "h w"],
     subject: Bool[Array, "h w"],
+    others_mm: Float32[Array, "H W"],
+    block_px: int,
     slope_px: int,
     least_jump_mm: float,
+    tolerance_mm: float,
 ) -> Float32[Array, "h w"]:
     """Ranges that span gaps between near and far skin, mm; 0 elsewhere.
 
     Straight along row and column, between two data with nothing but the subject between them. The nearer skin goes on
     with its own slope, and bends evenly until it meets the farther one. Where row and column both span, the shorter way
-    counts more.
+    counts more. Where other views have measured something before the span, skin is hidden by something else than its
+    own shape: nothing is spanned along that line.
 
     Args:
         range_mm: of each pixel.
         valid: which pixels have a datum.
         subject: which show the subject.
+        others_mm: range of the nearest datum of other views in each block of pixels, infinite where there is none.
+        block_px: side of a block.
         slope_px: distance over which the nearer skin's slope is taken.
         least_jump_mm: both sides' ranges differ by more.
+        tolerance_mm: other views' data lie no further before a span.
     """
     height, width = valid.shape
     total, weight = np.zeros((height, width)), np.zeros((height, width))
@@ -422,23 +429,20 @@ def spans(
             ranges = range_mm[line] if axis == 0 else range_mm[:, line]
             known = valid[line] if axis == 0 else valid[:, line]
             on = subject[line] if axis == 0 else subject[:, line]
+            others = others_mm[line // block_px] if axis == 0 else others_mm[:, line // block_px]
             last = -1
             for at in range(len(ranges)):
                 if known[at]:
-                    gap = at - last
-                    if last >= 0 and gap > 1 and abs(ranges[at] - ranges[last]) > least_jump_mm:
-                        near, far, inward = (last, at, -1) if ranges[last] < ranges[at] else (at, last, 1)
-                        start = np.float64(ranges[near])
-                        chord = (np.float64(ranges[far]) - start) / gap
-                        back = near + inward * slope_px
-                        slope = 0.0
-                        if 0 <= back < len(ranges) and known[back]:
-                            slope = min(max((start - np.float64(ranges[back])) / slope_px, 0.0), chord)
-                        for between in range(last + 1, at):
+                    if last >= 0 and at - last > 1 and abs(ranges[at] - ranges[last]) > least_jump_mm:
+                        span = _parabola(ranges, known, last, at, slope_px)
+                        agrees = True
+                        for between in range(last + 1 + block_px, at - block_px):  # beside it are the gap's own sides
+                            if others[between // block_px] < span[between - last - 1] - tolerance_mm:
+                                agrees = False
+                        for between in range(last + 1, at if agrees else last + 1):
                             row, column = (line, between) if axis == 0 else (between, line)
-                            away = abs(between - near)
-                            total[row, column] += (start + slope * away + (chord - slope) * away * away / gap) / gap
-                            weight[row, column] += 1.0 / gap
+                            total[row, column] += span[between - last - 1] / (at - last)
+                            weight[row, column] += 1.0 / (at - last)
                     last = at
                 elif not on[at]:
                     last = -1
@@ -448,3 +452,19 @@ def spans(
             if weight[row, column] > 0.0:
                 found[row, column] = total[row, column] / weight[row, column]
     return found
+
+
+@kernel
+def _parabola(
+    ranges: Float32[Array, " n"], known: Bool[Array, " n"], last: int, at: int, slope_px: int
+) -> Float64[Array, " k"]:
+    """Ranges between two data of a line: the nearer one's slope goes on, and bends evenly to meet the farther."""
+    near, far, inward = (last, at, -1) if ranges[last] < ranges[at] else (at, last, 1)
+    start = np.float64(ranges[near])
+    chord = (np.float64(ranges[far]) - start) / (at - last)
+    back = near + inward * slope_px
+    slope = 0.0
+    if 0 <= back < len(ranges) and known[back]:
+        slope = min(max((start - np.float64(ranges[back])) / slope_px, 0.0), chord)
+    away = np.abs(np.arange(last + 1, at) - near)
+    return start + slope * away + (chord - slope) * away * away / (at - last)

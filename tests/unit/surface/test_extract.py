@@ -13,6 +13,7 @@ from mammometry.surface.field import (
     JUMP_MM,
     build_field,
     closing_box,
+    nearest_of_others_mm,
     silhouette_distance_px,
     view_elements,
 )
@@ -271,7 +272,8 @@ def test_elements_equal_their_plain_twin(whose):
     image = images[0].keeping((points[..., 0] > -15) & (np.hypot(points[..., 0], points[..., 1]) > 4))  # with a hole
     settings = FieldSettings()
     left = rig.pair(image.name).left
-    found = view_elements(image, left, foregrounds[left.name] if whose == "silhouette" else None, settings)
+    foreground = foregrounds[left.name] if whose == "silhouette" else None
+    found = view_elements(image, left, foreground, settings, nearest_of_others_mm(image, images))
     rays, normals = image.ray_directions(), image.normals_world(NORMAL_MM)
     cosine = -np.einsum("ijk,ijk->ij", normals, rays)
     known = image.valid & np.isfinite(cosine)
@@ -416,3 +418,18 @@ def test_the_box_holds_what_little_is_seen_of_an_arm():
     image = range_image(camera, ranges)
     box = closing_box([image], back_mm=10.0, around_mm=20.0)
     assert (box.distance_mm(image.valid_points_world()) < 0).all()
+
+
+def test_the_nearest_datum_of_other_views_in_each_block():
+    """By a loop over all points of the other views, one by one."""
+    images, _, _ = scene(FRONT, (30.0, 25.0, 20.0), size=61)
+    found = nearest_of_others_mm(images[0], images)
+    expected = np.full((16, 16), np.inf)
+    for other in images[1:]:
+        for point in other.valid_points_world():
+            u, v = np.rint(images[0].camera.project(point[None])[0]).astype(int)
+            if 0 <= u < 61 and 0 <= v < 61:
+                away = np.linalg.norm(point - images[0].camera.centre_world)
+                expected[v // 4, u // 4] = min(expected[v // 4, u // 4], away)
+    assert np.isfinite(expected).any()
+    np.testing.assert_allclose(found, expected, rtol=1e-6)

@@ -190,6 +190,14 @@ def test_outline_distances_are_exact_near_it_and_almost_so_elsewhere():
     assert np.abs(np.abs(found) - exact).max() < 0.75
 
 
+def spans(image, valid, subject, slope_px, least_jump_mm, others_mm=None):
+    """Without data of other views, unless they are given in blocks of four pixels."""
+    if others_mm is None:
+        others_mm = np.full((-(-image.shape[0] // 4), -(-image.shape[1] // 4)), np.inf, dtype=np.float32)
+    arrays = (np.ascontiguousarray(each) for each in (image, valid, subject, others_mm))
+    return image_kernels.spans(*arrays, 4, slope_px, least_jump_mm, 5.0)
+
+
 def parabola(u, start_mm, slope, gap_px, rise_mm):
     """From a start with a slope to a rise at the gap's other end: the only parabola that does all three."""
     return start_mm + slope * u + (rise_mm - slope * gap_px) * (u / gap_px) ** 2
@@ -206,7 +214,7 @@ def test_near_skin_goes_on_with_its_slope_and_bends_to_meet_the_far_one():
         subject = np.ones_like(mask)
         for turned in (False, True):
             each = (image.T, mask.T, subject.T) if turned else (image, mask, subject)
-            found = image_kernels.spans(*(np.ascontiguousarray(one) for one in each), 4, 20.0)
+            found = spans(*each, 4, 20.0)
             found = found.T if turned else found
             np.testing.assert_allclose(found[:, ~known], np.tile(wanted, (5, 1)), rtol=1e-6)
             assert not found[mask].any()
@@ -217,7 +225,7 @@ def test_gaps_with_less_of_a_jump_or_with_background_in_them_are_not_spanned(lea
     image = np.tile(np.concatenate([np.full(20, 300.0), np.zeros(10), np.full(20, 360.0)]), (3, 1)).astype(np.float32)
     subject = np.ones(image.shape, dtype=bool)
     subject[1, 25] = False
-    found = image_kernels.spans(image, image > 0, subject, 3, least_jump_mm) > 0
+    found = spans(image, image > 0, subject, 3, least_jump_mm) > 0
     assert found[[0, 2], 20:30].all() == (least_jump_mm < 60)
     assert not found[1].any()
 
@@ -228,6 +236,17 @@ def test_the_shorter_of_two_ways_counts_more():
     image[:, 24:] = image[26:] = 160.0
     valid = np.ones(image.shape, dtype=bool)
     valid[14:26, 20:24] = False
-    found = image_kernels.spans(image, valid, np.ones_like(valid), 3, 20.0)
+    found = spans(image, valid, np.ones_like(valid), 3, 20.0)
     across, down = parabola(2, 100.0, 0.0, 5, 60.0), parabola(3, 100.0, 0.0, 13, 60.0)
     assert found[16, 21] == pytest.approx((across / 5 + down / 13) / (1 / 5 + 1 / 13))
+
+
+@pytest.mark.parametrize(("other_mm", "spanned"), [(340.0, False), (np.inf, True), (420.0, True)])
+def test_a_gap_before_which_another_view_measured_skin_is_not_spanned(other_mm, spanned):
+    """A rail hides a bulge from this view: near and far skin beside it say nothing of what lies between."""
+    image = np.tile(np.concatenate([np.full(20, 350.0), np.zeros(20), np.full(20, 410.0)]), (8, 1)).astype(np.float32)
+    others_mm = np.full((2, 15), np.inf, dtype=np.float32)
+    others_mm[0, 7] = other_mm  # in rows 0 to 3, columns 28 to 31
+    found = spans(image, image > 0, np.ones(image.shape, dtype=bool), 4, 20.0, others_mm) > 0
+    assert found[:4, 20:40].all() == spanned
+    assert found[4:, 20:40].all()

@@ -14,7 +14,7 @@ from mammometry.matching.foreground import Foreground
 from mammometry.surface.correspond import view_data
 from mammometry.surface.dents import remove_dents
 from mammometry.surface.extract import closing_box_of, extract
-from mammometry.surface.field import build_field, view_elements
+from mammometry.surface.field import build_field, nearest_of_others_mm, view_elements
 from mammometry.surface.repair import Provenance, repair
 from mammometry.surface.settings import DentSettings, ExtractSettings, FieldSettings, RepairSettings, TextureSettings
 from mammometry.surface.texture import paint, view_samples
@@ -105,7 +105,8 @@ def test_field_extends_data_so_far(half_ball):
     half = image.keeping(np.broadcast_to(np.arange(120) < 60, image.valid.shape))
     left = rig.pair(image.name).left
     for extend_mm in (4.0, 12.0):
-        weights = view_elements(half, left, silhouettes[left.name], FieldSettings(extend_mm=extend_mm))[..., 2]
+        settings = FieldSettings(extend_mm=extend_mm)
+        weights = view_elements(half, left, silhouettes[left.name], settings, nearest_of_others_mm(half, ()))[..., 2]
         columns = np.flatnonzero(weights[60, 35:85] < 0)  # away from the ball's rim
         assert len(columns) * half.pixel_mm() == pytest.approx(extend_mm, abs=1.0)  # whole pixels
 
@@ -119,13 +120,16 @@ def test_nothing_unmeasured_stands_before_what_spans_a_gap(jump_mm, hollow):
     cameras = [camera_towards(name, direction) for name, direction in (("ahead", (0, 0, 1)), ("aside", (-1, 0, 1)))]
     middle = np.arange(120) - 59.5
     step = np.where(middle < -12, 370.0, np.where(middle > 12, 430.0, np.nan))
-    images = [range_image(cameras[0], np.tile(step, (120, 1))), range_image(cameras[1], np.full((120, 120), 380.0))]
+    rays = cameras[1].rays_world(np.stack(np.meshgrid(*[np.arange(120.0)] * 2), axis=-1))
+    along = (30.0 - cameras[1].centre_world[2]) / rays[..., 2]  # to the near skin, at x < −12 and z = 30
+    edge = np.where(cameras[1].centre_world[0] + along * rays[..., 0] < -12, along, np.nan)
+    images = [range_image(cameras[0], np.tile(step, (120, 1))), range_image(cameras[1], edge)]
     rig, box = rig_of(cameras), closing_box_of(images, ExtractSettings())
     full = np.ones((120, 120), dtype=np.float32)
     masks = {c.name: Foreground(camera=c.name, coverage=full, contour_level=0.5, everything=False) for c in cameras}
     field = build_field(images, masks, rig, box, FieldSettings(span_jump_mm=jump_mm, extend_mm=0.0), "default")
     # Half-way across, the span has fallen by a quarter of the step, 15 mm: 385 of 400 mm from the camera.
-    before, behind = (field.sample(np.array([[0.0, 0.0, depth]]), 1, 1.0).item() for depth in (19.0, 11.0))
+    before, behind = (field.sample(np.array([[0.0, 0.0, depth]]), 1, 1.0).item() for depth in (17.0, 11.0))
     assert (before > 0) == hollow
     assert behind < 0
 
