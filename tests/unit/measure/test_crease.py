@@ -14,7 +14,7 @@ from mammometry.base.errors import MeasureError
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.nearest import closest_on_mesh
 from mammometry.measure.boundary.breasts import find_breasts
-from mammometry.measure.boundary.crease import _best_way, follow_crease
+from mammometry.measure.boundary.crease import _best_way, _own, follow_crease
 from mammometry.measure.trunk.skin_map import PIXEL_MM, Relief, dense_samples
 from mammometry.measure.trunk.thorax import Trunk
 
@@ -62,6 +62,26 @@ def test_where_nothing_is_seen_the_neighbours_decide() -> None:
     found = follow_crease(relief_of(bulge, ~hidden), np.zeros(2))
     assert not found.seen.all()
     assert np.abs(np.linalg.norm(found.flat, axis=1) - 60).max() < 8
+
+
+@pytest.mark.parametrize(
+    ("fall", "rise", "expected"),
+    [(0.0, 50.0, 1 / 51), (50.0, 0.0, 1.0), (40.0, 40.0, 1.0), (10.0, 43.0, 0.25), (0.0, 0.5, 1 / 1.5)],
+)
+def test_a_crease_is_the_breasts_own_as_far_as_skin_falls_to_it(fall: float, rise: float, expected: float) -> None:
+    """A valley 8 mm from where both its sides end: the smaller fall, with 1 mm of grace, over the greater rise."""
+    profile = np.concatenate(
+        [np.full(12, fall), np.linspace(fall, 0, 9), np.linspace(0, rise, 9)[1:], np.full(12, rise)]
+    )
+    assert _own(profile[None])[0, 20] == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("gap_mm", [20.0, 30.0])
+def test_the_foot_of_a_cliff_beyond_the_breast_is_not_its_edge(gap_mm: float) -> None:
+    """Below the trunk's seen end only the breasts hang: the relief jumps up by all their height, a far deeper crease."""
+    bulge = np.where(AXES[:, None] < -60 - gap_mm, 90.0, cap(60.0, 45.0))
+    found = follow_crease(relief_of(bulge), np.zeros(2))
+    assert np.abs(np.linalg.norm(found.flat, axis=1) - 60).max() < 5
 
 
 def test_a_neighbouring_ridge_is_not_taken_for_the_edge() -> None:

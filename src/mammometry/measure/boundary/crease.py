@@ -33,6 +33,7 @@ of the movement. Chosen by eye.
 """
 _RISE_MM = 6.0  # skin that rises again by this much belongs to something else (arm, belly, other breast)
 _STEP_MM = 1.0  # of the table of distances
+_LEVEL_MM = 1.0  # over 8 mm: skin that rises or falls less is level; chosen by eye
 _TURNS = 3  # of the dynamic programming: one to forget the ends on either side of the one that is kept
 _FURTHEST_STEPS = 3  # that the curve may move in or out from one direction to the next; 50° from the tangent at 60 mm
 _SHIFT_MM = 15.0  # farthest that the outer flank is looked for outside the crease; chosen by eye
@@ -60,7 +61,8 @@ class Crease:
 def follow_crease(relief: Relief, middle: Float64[Array, 2], settings: BreastSettings = BreastSettings()) -> Crease:
     """Follow the crease around a breast.
 
-    The concavity κ of the relief, smoothed over σ, is worth κ/(κ + κ₀) where it is positive. Skin that stands higher
+    The concavity κ of the relief, smoothed over σ, is worth κ/(κ + κ₀) where it is positive, and less where skin rises
+    outside it more than it falls to it from the breast: that is the foot of something else. Skin that stands higher
     than the level at which a breast ends costs. The curve is then drawn on the crease's outer flank, where κ has fallen
     to half. Where curved skin joins straight skin, smoothing spreads the joint evenly to both sides: half is its place.
 
@@ -77,7 +79,7 @@ def follow_crease(relief: Relief, middle: Float64[Array, 2], settings: BreastSet
     bulge = relief.at(places, relief.smooth_mm(_SIGMA_MM))
     concavity = relief.at(places, relief.concavity_per_mm(_SIGMA_MM))
     allowed = _beyond_the_top(bulge) & relief.within(places)
-    worth = np.clip(concavity, 0.0, None) / (np.clip(concavity, 0.0, None) + CREASE_PER_MM)
+    worth = np.clip(concavity, 0.0, None) / (np.clip(concavity, 0.0, None) + CREASE_PER_MM) * _own(bulge)
     worth = worth - np.clip(bulge / _VANISH_MM - 1, 0.0, None) * _HEIGHT_COST
     way = _best_way(np.where(allowed, worth, _FORBIDDEN), _STIFFNESS)
     deepest = concavity[np.arange(count), way]
@@ -108,6 +110,17 @@ def _beyond_the_top(bulge: Float64[Array, "d s"]) -> Bool[Array, "d s"]:
     allowed = begun & ~np.maximum.accumulate(risen, axis=1)
     allowed[~allowed.any(axis=1)] = True  # nothing is known here; the neighbours decide
     return allowed
+
+
+def _own(bulge: Float64[Array, "d s"]) -> Float64[Array, "d s"]:
+    """How far a crease is the breast's own, 0 to 1: skin falls to it from inside at least as much as it rises outside.
+
+    At the foot of something else (arm, belly, the other breast hanging lower than the trunk goes) it only rises.
+    """
+    reach = round(2 * _SIGMA_MM / _STEP_MM)
+    padded = np.pad(bulge, ((0, 0), (reach, reach)), mode="edge")
+    fall, rise = padded[:, : -2 * reach] - bulge, padded[:, 2 * reach :] - bulge
+    return np.clip((np.maximum(fall, 0) + _LEVEL_MM) / (np.maximum(rise, 0) + _LEVEL_MM), 0.0, 1.0)
 
 
 def _best_way(worth: Float64[Array, "d s"], stiffness: float) -> Array:
