@@ -78,7 +78,7 @@ def test_a_crease_is_the_breasts_own_as_far_as_skin_falls_to_it(fall: float, ris
 
 @pytest.mark.parametrize("gap_mm", [20.0, 30.0])
 def test_the_foot_of_a_cliff_beyond_the_breast_is_not_its_edge(gap_mm: float) -> None:
-    """Below the trunk's seen end only the breasts hang: the relief jumps up by all their height, a far deeper crease."""
+    """Below the trunk's seen end only the breasts hang: the relief jumps up by all their height, a deeper crease."""
     bulge = np.where(AXES[:, None] < -60 - gap_mm, 90.0, cap(60.0, 45.0))
     found = follow_crease(relief_of(bulge), np.zeros(2))
     assert np.abs(np.linalg.norm(found.flat, axis=1) - 60).max() < 5
