@@ -2,13 +2,13 @@
 
     python -m benchmarks.accuracy.coverage --captures 60 --out build/coverage
     python -m benchmarks.accuracy.coverage --captures 16 --first 61 --out build/held_out
-    python -m benchmarks.accuracy.coverage --surfaces 31
+    python -m benchmarks.accuracy.coverage --surfaces 31 --families torso woman leaning-woman
 
 --captures simulates sessions (`benchmarks.accuracy.captures`) and measures them: nothing but photographs goes in. It
-resumes: what is there is not made again, but measured again. --surfaces needs no photographs: to the true skin of as
-many torsos and casts it adds errors as the stages make them (scale, cameras, matching, base). Their tails are heavier
-than the interval takes them to have, and it is told their size only by an estimate. The boundary is drawn by another
-hand, and of some trunks less of the sides is seen. A cast has one volume, a torso two. A torso's are also compared
+resumes: what is there is not made again, but measured again. --surfaces needs no photographs: to the true skin of so
+many casts, and bodies of each family, it adds errors as the stages make them (scale, cameras, matching, base). Their
+tails are heavier than the interval takes them to have, and it is told their size only by an estimate. The boundary is
+drawn by another hand, and of some trunks less of the sides is seen. A cast has one volume, a torso two. A torso's are also compared
 *as defined*: with what the same wall makes of true skin and boundary, by their interval before it; a woman's down to
 the muscle, too.
 """
@@ -108,10 +108,13 @@ def _certificate(errors: DrawnErrors, rng: np.random.Generator) -> EarlierErrors
     )
 
 
-def surfaces(count: int, first: int = 1, settings: MeasureSettings = MeasureSettings()) -> Iterator[Held]:
-    """Torsos and casts, `count` of each, with drawn errors."""
+def surfaces(
+    count: int, first: int = 1, settings: MeasureSettings = MeasureSettings(), *, families: Sequence[str] = ("torso",)
+) -> Iterator[Held]:
+    """Casts and every family of bodies, `count` of each, with drawn errors."""
     for number in range(first, first + count):
-        yield from _torso(true_torso(f"torso_{number}", 0, edge_mm=2.5), number, settings)
+        for family in families:
+            yield from _torso(true_torso(f"{family}_{number}", 0, edge_mm=2.5), number, settings)
         yield _cast(f"plaster_{(number - 1) % 9 + 1}", number, settings)
 
 
@@ -134,6 +137,9 @@ def _torso(true: TrueTorso, seed: int, settings: MeasureSettings) -> Iterator[He
         found = volume.measure(boundary, wall, settings, evidence=evidence)
         yield Held(true.solid.name, boundary.name, found.volume_cc - truth_cc[boundary.name], half_width_cc(found))
         yield as_defined(found, true, settings)
+        if "muscle_volumes_cc" in true.solid.facts:
+            of_muscle = to_muscle(found, true.solid.facts["muscle_volumes_cc"][boundary.name])
+            yield replace(of_muscle, subject=true.solid.name)
         both.append(found)
     yield replace(_of_both_sides(both, truth_cc), subject=true.solid.name)
 
@@ -269,6 +275,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--captures", type=int, default=0, help="rendered sessions, casts and torsos in turn")
     parser.add_argument("--surfaces", type=int, default=0, help="torsos, and as many casts, with drawn errors")
+    parser.add_argument("--families", nargs="+", default=["torso"], help="of --surfaces: torso, woman, …")
     parser.add_argument("--first", type=int, default=1, help="number of the first one, of either")
     parser.add_argument("--scale", type=float, default=0.25, help="of the captures' pictures")
     parser.add_argument("--out", type=Path, default=Path("build/coverage"))
@@ -277,7 +284,7 @@ def main() -> None:
     arguments.out.mkdir(parents=True, exist_ok=True)
     held = []
     drawn, photographed = (
-        surfaces(arguments.surfaces, arguments.first),
+        surfaces(arguments.surfaces, arguments.first, families=arguments.families),
         rendered(arguments.captures, arguments.out, arguments.scale, arguments.first, arguments.scheduler),
     )
     for one in drawn if arguments.surfaces else photographed:
