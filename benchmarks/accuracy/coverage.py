@@ -8,9 +8,9 @@
 resumes: what is there is not made again, but measured again. --surfaces needs no photographs: to the true skin of so
 many casts, and bodies of each family, it adds errors as the stages make them (scale, cameras, matching, base). Their
 tails are heavier than the interval takes them to have, and it is told their size only by an estimate. The boundary is
-drawn by another hand, and of some trunks less of the sides is seen. A cast has one volume, a torso two. A torso's are also compared
-*as defined*: with what the same wall makes of true skin and boundary, by their interval before it; a woman's down to
-the muscle, too.
+drawn by another hand, and of some trunks less of the sides is seen. A cast has one volume, a torso two. A torso's are
+also compared *as defined*: with what the same wall makes of true skin and boundary, by their interval before it; a
+woman's down to the muscle, too.
 """
 
 from __future__ import annotations
