@@ -13,7 +13,7 @@ from trunks import LEFT, LENGTH_MM, RADIUS_MM, RIGHT, radius_mm, trunk_mesh
 from mammometry.base.errors import MeasureError
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.nearest import closest_on_mesh
-from mammometry.measure.boundary.breasts import find_breasts
+from mammometry.measure.boundary.breasts import _check_base, find_breasts
 from mammometry.measure.boundary.crease import _best_way, _own, follow_crease
 from mammometry.measure.trunk.skin_map import PIXEL_MM, Relief, dense_samples
 from mammometry.measure.trunk.thorax import Trunk
@@ -154,3 +154,27 @@ def test_a_frame_that_looks_aside_is_turned_straight() -> None:
         assert away.max() < 4.0
         assert getattr(aside, name).creased > 0.9
         assert getattr(aside, name).folded < 0.1  # a cap has no fold
+
+
+@pytest.mark.parametrize(
+    ("across_mm", "up_mm", "folds", "refused"),
+    [
+        (100, 100, 0, False),
+        (110, 110, 0, True),
+        (60, 128, 0, False),
+        (60, 133, 0, True),
+        (148, 70, 0, True),
+        (70, 70, 8, True),
+    ],
+)
+def test_a_base_that_no_breast_has_is_refused(across_mm: float, up_mm: float, folds: int, refused: bool) -> None:
+    """Half axes of an ellipse: 314, 380, 241 cm² and 256, 266 and 140 mm high; 296 mm wide; ragged."""
+    turn = np.linspace(0, 2 * np.pi, 144, endpoint=False)
+    ragged = 1 + (0.25 * np.cos(folds * turn) if folds else 0.0)
+    flat = np.stack([across_mm * np.cos(turn), up_mm * np.sin(turn)], axis=1) * np.reshape(ragged, (-1, 1))
+    trunk = Trunk(frame=np.eye(3), origin=np.zeros(3), half_width_mm=150.0)
+    if refused:
+        with pytest.raises(MeasureError, match="350 cm², and 50 % or more"):
+            _check_base(flat, "left", trunk)
+    else:
+        _check_base(flat, "left", trunk)

@@ -44,6 +44,9 @@ _FRONT_RAD, _FRONT_MM = np.deg2rad(60.0), 90.0  # of the trunk's front, where th
 _FOLD_PER_MM = 0.08  # concavity from which a crease is a fold, not the foot of a mound (.02 to .06); a fold has .1 to 1
 _WIDEST_HALF_WIDTHS, _TALLEST_MM = 1.95, 260.0
 """Largest width of a breast's base around the trunk, half widths, and largest height, mm. Chosen by eye."""
+_LARGEST_CM2 = 350.0
+"""Largest area of a base, laid flat. Real women's have 170 ± 28 cm² seen from ahead; virtual ones of up to 1,600 cc,
+drawn from their statistics, up to 270 (docs/decisions/0029)."""
 _LEAST_ROUND = 0.5  # area of a base over that of a circle of its length, laid flat; breasts have .7 to 1
 _LOWER_QUARTER = (0.625, 0.875)  # of a turn from the patient's left by the head: where the fold is
 
@@ -377,7 +380,7 @@ def _check_base(flat: Float64[Array, "n 2"], name: str, trunk: Trunk) -> None:
     """Refuse a base that no breast has.
 
     Raises:
-        MeasureError: it is too wide, too tall or too ragged.
+        MeasureError: it is too wide, too tall, too large or too ragged.
     """
     width, height = np.ptp(flat, axis=0)
     following = np.roll(flat, -1, axis=0)
@@ -385,11 +388,14 @@ def _check_base(flat: Float64[Array, "n 2"], name: str, trunk: Trunk) -> None:
     length = float(np.linalg.norm(following - flat, axis=1).sum())
     roundness = 4 * np.pi * area / length**2
     widest = _WIDEST_HALF_WIDTHS * trunk.half_width_mm
-    if width > widest or height > _TALLEST_MM or roundness < _LEAST_ROUND:
+    area_cm2 = area / 100
+    if width > widest or height > _TALLEST_MM or area_cm2 > _LARGEST_CM2 or roundness < _LEAST_ROUND:
         raise MeasureError(
             f"the patient's {name} breast",
-            found=f"an outline {width:.0f} × {height:.0f} mm, {100 * roundness:.0f} % as round as a circle",
-            expected=f"at most {widest:.0f} × {_TALLEST_MM:.0f} mm, and {100 * _LEAST_ROUND:.0f} % or more",
+            found=f"an outline {width:.0f} × {height:.0f} mm, {area_cm2:.0f} cm², "
+            f"{100 * roundness:.0f} % as round as a circle",
+            expected=f"at most {widest:.0f} × {_TALLEST_MM:.0f} mm, {_LARGEST_CM2:.0f} cm², "
+            f"and {100 * _LEAST_ROUND:.0f} % or more",
             remedy="Draw its boundary with `mammometry edit`, or pick the landmarks of the protocol",
         )
 
