@@ -175,7 +175,10 @@ def _silhouette_step(camera: Camera, range_images: Sequence[RangeImage]) -> int:
 
 
 def nearest_of_others_mm(image: RangeImage, all_images: Sequence[RangeImage]) -> Float32[Array, "H W"]:
-    """Range of the nearest datum of other views in each block of a range image, mm. Infinite where there is none."""
+    """Range of the nearest datum of other views, mm.
+
+    For each block of pixels of a range image. Infinite where there is none.
+    """
     height, width = image.valid.shape
     nearest = np.full((-(-height // _BLOCK_PX), -(-width // _BLOCK_PX)), np.inf, dtype=np.float32)
     for other in all_images:

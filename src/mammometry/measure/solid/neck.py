@@ -1,4 +1,4 @@
-"""Where two breasts touch: the shortest second cut that parts what lies inside a curve from the rest.
+"""The shortest second cut, where two breasts touch.
 
 Skin between two large breasts is seen by no camera, and the surface may join them in front of the cleavage. A curve
 around one of them alone then parts nothing: the other one leads back to the trunk. The second cut is the closed curve
@@ -23,7 +23,7 @@ _ENDLESS = 10**8  # 1 km: more than any cut
 
 
 def neck_sides(mesh: TriangleMesh, curve: Int64[Array, " n"]) -> Bool[Array, " h"]:
-    """Find the second cut, where the curve alone does not part the mesh.
+    """Find a second cut where the curve parts nothing.
 
     Args:
         mesh: the skin around a breast, mm.
