@@ -407,10 +407,10 @@ def spans(
 ) -> Float32[Array, "h w"]:
     """Ranges that span gaps between near and far skin, mm.
 
-    0 elsewhere. Straight along row and column, between two data with nothing but the subject between them. The nearer skin goes on
-    with its own slope, and bends evenly until it meets the farther one. Where row and column both span, the shorter way
-    counts more. Where other views have measured something before the span, skin is hidden by something else than its
-    own shape: nothing is spanned along that line.
+    0 elsewhere. Straight along row and column, between two data with nothing but the subject between them. The nearer
+    skin goes on with its own slope, and bends evenly until it meets the farther one. Where row and column both span,
+    the shorter way counts more. Where other views have measured something before the span, skin is hidden by something
+    else than its own shape: nothing is spanned along that line.
 
     Args:
         range_mm: of each pixel.
