@@ -50,9 +50,9 @@ def neck_sides(mesh: TriangleMesh, curve: Int64[Array, " n"]) -> Bool[Array, " h
     patch = labels.astype(np.int64)
     before, _ = _before_cut(count, patch[a], patch[b], width, (patch[ends[0]], patch[ends[1]]))
     near = np.zeros(count, dtype=bool)
-    near[patch[a]] |= before[patch[a]] != before[patch[b]]
+    near[patch[a][before[patch[a]] != before[patch[b]]]] = True
     for _ in range(_AROUND):
-        near[patch[a]] |= near[patch[b]]
+        near[patch[a][near[patch[b]]]] = True
     # Faces near the coarse cut are nodes of their own, all others belong to the end on whose side they lie.
     fine = near[patch]
     node = np.where(fine, 2 + np.cumsum(fine) - 1, before[patch].astype(np.int64))
