@@ -259,7 +259,8 @@ def summary(held: list[Held]) -> Iterator[str]:
         }
     groups["all"] = groups["casts"] + groups["torsos"] + groups["women"]
     groups["all, but as defined"] = groups["casts"] + groups["torsos, as defined"] + groups["women, as defined"]
-    yield "| volumes | number | held | 95 % of that share | RMS error / half width |\n" + "| --- " * 5 + "|"
+    columns = ("volumes", "number", "held", "95 % of that share", "RMS error / half width", "half width cc", "error cc")
+    yield f"| {' | '.join(columns)} |\n" + "| --- " * len(columns) + "|"
     for name, group in groups.items():
         if not group:
             continue
@@ -267,7 +268,10 @@ def summary(held: list[Held]) -> Iterator[str]:
         low = beta.ppf(0.025, k, n - k + 1) if k else 0.0
         high = beta.ppf(0.975, k + 1, n - k) if k < n else 1.0
         relative = np.sqrt(np.mean([(one.error_cc / one.half_cc) ** 2 for one in group]))
-        yield f"| {name} | {n} | {100 * k / n:.1f} % | {100 * low:.0f} … {100 * high:.0f} % | {relative:.2f} |"
+        errors, half = np.array([(one.error_cc, one.half_cc) for one in group]).T
+        share = f"{100 * k / n:.1f} % | {100 * low:.0f} … {100 * high:.0f} %"
+        spread = f"{errors.mean():+.1f} ± {errors.std(ddof=1) if n > 1 else 0.0:.1f}"
+        yield f"| {name} | {n} | {share} | {relative:.2f} | {np.median(half):.1f} | {spread} |"
 
 
 def main() -> None:

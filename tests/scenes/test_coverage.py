@@ -63,4 +63,4 @@ def test_the_summary_counts_what_is_held() -> None:
     """19 of 20: Clopper and Pearson's interval of the share is 75.1 to 99.9 % (their own table)."""
     held = [Held("a", "model", error_cc=0.5 if number else 2.0, half_cc=1.0) for number in range(20)]
     lines = list(summary(held))
-    assert "| casts | 20 | 95.0 % | 75 … 100 % | 0.66 |" in lines
+    assert "| casts | 20 | 95.0 % | 75 … 100 % | 0.66 | 1.0 | +0.6 ± 0.3 |" in lines
