@@ -14,6 +14,7 @@ _R = TypeVar("_R")
 
 CORES = "MAMMOMETRY_CORES"
 """Environment variable: most cores that a process may use."""
+_BLAS_THREADS = "OPENBLAS_NUM_THREADS"
 _BANDS_PER_CORE = 4  # so that the cores end together where some bands take longer; chosen by eye
 
 
@@ -32,10 +33,19 @@ def one_blas_thread() -> Iterator[None]:
     """Have BLAS use no threads of its own inside.
 
     Products are made side by side and our matrices are small: threads of BLAS on top would wait for each other. And
-    its sums come out the same to the last bit, however many cores there are.
+    its sums come out the same to the last bit, however many cores there are. SciPy has a BLAS of its own, which may be
+    loaded only inside: it reads the environment then.
     """
-    with threadpool_limits(limits=1, user_api="blas"):
-        yield
+    before = os.environ.get(_BLAS_THREADS)
+    os.environ[_BLAS_THREADS] = "1"
+    try:
+        with threadpool_limits(limits=1, user_api="blas"):
+            yield
+    finally:
+        if before is None:
+            os.environ.pop(_BLAS_THREADS, None)
+        else:
+            os.environ[_BLAS_THREADS] = before
 
 
 def in_bands(work: Callable[[slice], _R], count: int) -> list[_R]:
