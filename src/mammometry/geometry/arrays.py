@@ -7,9 +7,9 @@ The tests check them at run time.
 from typing import TypeAlias, TypeVar
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int32, Int64, Shaped, UInt8, UInt16
+from jaxtyping import Bool, Float32, Float64, Int32, Int64, Integer, Shaped, UInt8, UInt16
 
-__all__ = ["Array", "Bool", "Float32", "Float64", "Int32", "Int64", "Shaped", "UInt8", "UInt16", "read_only"]
+__all__ = ["Array", "Bool", "Float32", "Float64", "Int32", "Int64", "Integer", "Shaped", "UInt8", "UInt16", "read_only"]
 
 Array: TypeAlias = np.ndarray
 """Any NumPy array. The jaxtyping annotation around it gives shape and dtype."""

@@ -23,7 +23,7 @@ from mammometry.geometry.camera import Rig
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.surface.seams import fading_pixels, fading_weights, spread
 from mammometry.surface.settings import TextureSettings
-from mammometry.surface.texture import blended, read_ahead, rgb, view_samples
+from mammometry.surface.texture import blended, picture_of, read_ahead, view_samples
 from mammometry.surface.thinning import thinned
 
 _PADDING_PX = 3  # around a chart's piece of photograph, for programs that read between pixels
@@ -108,20 +108,22 @@ def cover(
     fading = fading_pixels(mesh, view, fading_weights(mesh, view, weights > 0), uv_px, size_wh)
     mixed = np.zeros((len(fading.row), 3), dtype=np.float32)
     for k, (photograph, uv) in enumerate(zip(read_ahead(photographs, names), projected, strict=True)):
-        pixels, seen = _reduced(rgb(photograph), step), weights[k] > 0
-        level = _levelling(uv[seen], (target - samples[k])[seen], pixels.shape[:2], _LEVEL_PX / step)
+        picture, seen = picture_of(photograph).reduced(step), weights[k] > 0
+        level = _levelling(uv[seen], (target - samples[k])[seen], picture.levels.shape[:2], _LEVEL_PX / step)
         for chart, (x, y) in zip(charts, corners, strict=True):
             if chart.view == k:
                 low, high = chart.low, chart.high
-                cut = pixels[low[1] : high[1], low[0] : high[0]] * gains[k]
+                cut = picture.window(slice(low[1], high[1]), slice(low[0], high[0])) * gains[k]
                 cut += _window(_window(level, low[1], high[1], 0), low[0], high[0], 1)
                 sheet[y : y + cut.shape[0], x : x + cut.shape[1]] = _as_bytes(cut)
         some = np.flatnonzero(fading.shares[k] > 0)
-        at = np.einsum("pc,pcx->xp", fading.between[some], uv[fading.corners[some]])[::-1]
+        at = np.einsum("pc,pcx->px", fading.between[some], uv[fading.corners[some]])
+        value = picture.colours_at(at) * gains[k]
         for channel in range(3):
-            value = gains[k, channel] * ndimage.map_coordinates(pixels[..., channel], at, order=1, mode="nearest")
-            value += ndimage.map_coordinates(level[..., channel], at / _LEVEL_STEP_PX, order=1, mode="nearest")
-            mixed[some, channel] += fading.shares[k, some] * value
+            value[:, channel] += ndimage.map_coordinates(
+                level[..., channel], at[:, ::-1].T / _LEVEL_STEP_PX, order=1, mode="nearest"
+            )
+        mixed[some] += fading.shares[k, some, None] * value
         progress(0.5 + 0.45 * (k + 1) / len(names))
     sheet[fading.row, fading.column] = _as_bytes(mixed)
     progress(1.0)
@@ -140,20 +142,6 @@ def best_views(mesh: TriangleMesh, weights: Float32[Array, "k n"]) -> Int64[Arra
     if not score.shape[1]:
         return np.full(len(mesh.faces), -1, dtype=np.int64)
     return np.where(np.isfinite(score.max(axis=1)), score.argmax(axis=1), -1)
-
-
-def _reduced(pixels: Float32[Array, "h w 3"], step: int) -> Float32[Array, "h2 w2 3"]:
-    """Means of step × step pixels.
-
-    Incomplete ones at the ends are dropped.
-    """
-    if step == 1:
-        return pixels
-    height, width = (side // step * step for side in pixels.shape[:2])
-    total = np.zeros((height // step, width // step, 3), dtype=np.float32)
-    for row, column in np.ndindex(step, step):
-        total += pixels[row:height:step, column:width:step]
-    return total / np.float32(step * step)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

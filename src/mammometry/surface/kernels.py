@@ -8,10 +8,9 @@ from typing import NamedTuple
 import numpy as np
 
 from mammometry.base.compiled import kernel
-from mammometry.geometry import lens_kernels
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32
 from mammometry.surface.image_kernels import incidence_cosine
-from mammometry.surface.view_rows import View, view_of
+from mammometry.surface.view_rows import LEAST_DEPTH_MM, View, in_camera, pixel, view_of
 
 RULE_DEFAULT, RULE_NEAREST, RULE_FURTHEST, RULE_TSDF = 0, 1, 2, 3
 """Numbers of the rules by which the views of a voxel are merged."""
@@ -22,8 +21,6 @@ _STEEPEST = 6.0
 """Largest slope of a continued tangent plane, mm per mm across the ray: 80°. Seen edge-on it would diverge."""
 SPANNED = np.float32(1e-30)
 """Weight of a range that spans a gap between measured ones: too small to count, it only bounds what nobody measured."""
-_LEAST_DEPTH_MM = 1.0  # nearer points are behind the camera, or as good as
-_WIDEST_R2 = 4.0  # squared tangent of 63° off the axis: no lens model holds so far outside its picture
 _DISTORTION = 1.5
 """Largest ratio of a block's width in the picture to that of a ball around it without lens distortion."""
 
@@ -169,32 +166,6 @@ def _merged(total: float, weight: float, free: bool, supported: bool, truncation
 
 
 @kernel
-def _in_camera(view, x, y, z):  # type: ignore[no-untyped-def]
-    """A world point in the view's camera frame, mm."""
-    r, t = view.rotation, view.translation
-    return (
-        r[0] * x + r[1] * y + r[2] * z + t[0],
-        r[3] * x + r[4] * y + r[5] * z + t[1],
-        r[6] * x + r[7] * y + r[8] * z + t[2],
-    )
-
-
-@kernel
-def _pixel(view, xc, yc, zc):  # type: ignore[no-untyped-def]
-    """Column and row of a point in the camera's frame.
-
-    Column −1 where it is not in the picture. Without branches.
-    """
-    inverse = 1.0 / max(zc, _LEAST_DEPTH_MM)
-    xn, yn = xc * inverse, yc * inverse
-    xd, yd = lens_kernels.distorted(xn, yn, view.lens)
-    u, v = view.fx * xd + view.cx, view.fy * yd + view.cy
-    inside = (zc > _LEAST_DEPTH_MM) & (xn * xn + yn * yn <= _WIDEST_R2)
-    inside = inside & (u >= 0.0) & (v >= 0.0) & (u < view.width - 1.0) & (v < view.height - 1.0)
-    return (u if inside else -1.0), v
-
-
-@kernel
 def _between(image, start, width, u, v):  # type: ignore[no-untyped-def]
     """Bilinear value of a flat image at a place inside it."""
     column, row = int(u), int(v)
@@ -215,10 +186,10 @@ def _side_of_silhouette(
     corners, mm. The silhouette's distances change by one pixel a pixel at most.
     """
     middle = 0.5 * (block.side - 1) * block.spacing
-    xc, yc, depth = _in_camera(view, block.x + middle, block.y + middle, block.z + middle)
-    if depth <= reach + _LEAST_DEPTH_MM:
+    xc, yc, depth = in_camera(view, block.x + middle, block.y + middle, block.z + middle)
+    if depth <= reach + LEAST_DEPTH_MM:
         return 0
-    u, v = _pixel(view, xc, yc, depth)
+    u, v = pixel(view, xc, yc, depth)
     radius = _DISTORTION * max(view.fx, view.fy) * reach / (depth - reach)
     if not (u >= radius and v >= radius and u + radius < view.width - 1.0 and v + radius < view.height - 1.0):
         return 0
@@ -320,11 +291,11 @@ def _project_block(
     sx, sy, sz = view.rotation[2] * spacing, view.rotation[5] * spacing, view.rotation[8] * spacing
     for i in range(side):
         for j in range(side):
-            x0, y0, z0 = _in_camera(view, block.x + i * spacing, block.y + j * spacing, block.z)
+            x0, y0, z0 = in_camera(view, block.x + i * spacing, block.y + j * spacing, block.z)
             first = (i * side + j) * side
             for k in range(side):
                 xc, yc, zc = x0 + k * sx, y0 + k * sy, z0 + k * sz
-                u[first + k], v[first + k] = _pixel(view, xc, yc, zc)
+                u[first + k], v[first + k] = pixel(view, xc, yc, zc)
                 depth[first + k] = zc
                 distance[first + k] = np.sqrt(xc * xc + yc * yc + zc * zc)
 

@@ -157,7 +157,7 @@ class TextureSettings:
     sharpness: float = 6.0
     """Power of the cosine of incidence in a photograph's weight. High values take each vertex from its best view."""
     clearance_mm: float = 0.7
-    """Distance off the surface at which occlusion rays start, mm: more than a cube's edge."""
+    """What stands less than this before a vertex does not hide it from a camera, mm: more than a cube's edge."""
     triangles: int = 200_000
     """Triangles of the viewing mesh, which carries the photographs at full resolution. The measured mesh keeps all of
     its own.

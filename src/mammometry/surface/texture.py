@@ -7,19 +7,24 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import ndimage
 
+from mammometry.base.cores import in_bands
 from mammometry.base.photograph import Photograph
 from mammometry.base.progress import Progress, no_progress
-from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int64, UInt8, read_only
-from mammometry.geometry.camera import Rig
+from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int64, Integer, UInt8, read_only
+from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry.raster_kernels import nearest_faces
+from mammometry.surface import texture_kernels
 from mammometry.surface.settings import TextureSettings
+from mammometry.surface.view_rows import view_row
 
 _LEAST_COSINE = 0.1  # 84° off the normal: a photograph shows nothing of skin seen more obliquely
 _LEAST_COMMON = 200  # vertices that two photographs both see before they are levelled; chosen by eye
 _LEAST_BRIGHT = 0.02  # of full scale: darker values are noise, whose ratio says nothing; chosen by eye
 _UNSEEN = 128.0  # mid grey, sRGB
+_SHADOW_MM = 0.5  # on the skin: side of the pixels in which one part is found to hide another, about a cube's edge
+_LEVELLED = 20_000  # vertices of which two photographs' ratio is taken: its median is known to a thousandth
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -83,23 +88,12 @@ def view_samples(
     n = len(mesh.vertices)
     weights = np.zeros((len(names), n), dtype=np.float32)
     samples = np.zeros((len(names), n, 3), dtype=np.float32)
-    shadow = _ShadowCaster(mesh)
     for k, (name, photograph) in enumerate(zip(names, read_ahead(photographs, names), strict=True)):
-        camera, pixels = rig.cameras[name], rgb(photograph)
-        towards = camera.centre_world - mesh.vertices
-        distance = np.linalg.norm(towards, axis=1)
-        cosine = np.einsum("ij,ij->i", normals, towards) / distance
-        index = np.flatnonzero(cosine > _LEAST_COSINE)
-        u, v = camera.project(mesh.vertices[index]).T
-        height, width = camera.shape_hw
-        with np.errstate(invalid="ignore"):
-            inside = (u >= 0) & (v >= 0) & (u <= width - 1) & (v <= height - 1)
-        index, at = index[inside], np.stack([v[inside], u[inside]])
-        lit = shadow.reaches(index, normals[index], camera.centre_world, settings.clearance_mm)
-        index, at = index[lit], at[:, lit]
-        weights[k, index] = cosine[index] ** settings.sharpness * (1000.0 / distance[index]) ** 2
-        for channel in range(3):
-            samples[k, index, channel] = ndimage.map_coordinates(pixels[..., channel], at, order=1, mode="nearest")
+        camera = rig.cameras[name]
+        weights[k], places = _facing(mesh, normals, camera, settings.sharpness)
+        weights[k, _hidden(mesh, camera, places, weights[k] > 0, settings.clearance_mm)] = 0.0
+        seen = np.flatnonzero(weights[k])
+        samples[k, seen] = picture_of(photograph).colours_at(places[seen, :2])
         progress(0.9 * (k + 1) / len(names))
     gains = _gains(samples, weights)
     samples *= gains[:, None, :]
@@ -120,35 +114,78 @@ def read_ahead(photographs: Mapping[str, Photograph], names: Sequence[str]) -> I
             yield photograph
 
 
-def rgb(photograph: Photograph) -> Float32[Array, "h w 3"]:
-    """Values as recorded, 0…1, three channels."""
-    pixels = photograph.encoded()
-    return np.repeat(pixels[..., None], 3, axis=2) if pixels.ndim == 2 else pixels
+def _facing(
+    mesh: TriangleMesh, normals: Float64[Array, "n 3"], camera: Camera, sharpness: float
+) -> tuple[Float32[Array, " n"], Float64[Array, "n 3"]]:
+    """Weight of a photograph at every vertex, its place there and its inverse depth (`texture_kernels.facing`)."""
+    row = view_row(camera, camera.shape_hw, 0)
+
+    def of(band: slice) -> tuple[Float32[Array, " k"], Float64[Array, "k 3"]]:
+        return texture_kernels.facing(
+            np.array(mesh.vertices[band]), normals[band], row, camera.centre_world, _LEAST_COSINE, sharpness
+        )
+
+    weights, places = zip(*in_bands(of, len(normals)), strict=True)
+    return np.concatenate(weights), np.concatenate(places)
 
 
-class _ShadowCaster:
-    """Whether something of the mesh stands between its vertices and a point."""
+def _hidden(
+    mesh: TriangleMesh, camera: Camera, places: Float64[Array, "n 3"], shown: Bool[Array, " n"], clearance_mm: float
+) -> Int64[Array, " k"]:
+    """The shown vertices before which something of the mesh stands."""
+    index = np.flatnonzero(shown)
+    if not len(index):
+        return index
+    step = max(1, round(_SHADOW_MM * camera.matrix[0, 0] * float(np.median(places[index, 2]))))
+    width, height = (-(-side // step) for side in camera.size_wh)
+    inside = places[:, 0] >= 0
+    a, b, c = mesh.faces.T
+    corners = places.copy()
+    corners[:, :2] = (corners[:, :2] + 0.5) / step - 0.5
+    _, _, inverse_depths = nearest_faces(corners, mesh.faces[inside[a] & inside[b] & inside[c]], height, width)
+    return index[texture_kernels.hidden(corners[index], inverse_depths, clearance_mm)]
 
-    def __init__(self, mesh: TriangleMesh) -> None:
-        from embreex import rtcore_scene
-        from embreex.mesh_construction import TriangleMesh as EmbreeMesh
 
-        self._middle = mesh.vertices.mean(axis=0)
-        self._vertices = mesh.vertices - self._middle  # Embree computes in float32
-        self._scene = rtcore_scene.EmbreeScene()
-        self._mesh = EmbreeMesh(self._scene, self._vertices.astype(np.float32), np.array(mesh.faces, dtype=np.int32))
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Picture:
+    """A photograph's levels as recorded, and which of them counts as 1."""
 
-    def reaches(
-        self, index: Int64[Array, " k"], normals: Float64[Array, "k 3"], viewpoint: Float64[Array, 3], clearance: float
-    ) -> Bool[Array, " k"]:
-        """Which of the vertices see `viewpoint`, starting `clearance` mm off the surface."""
-        if not len(index):
-            return np.zeros(0, dtype=bool)
-        origins = self._vertices[index] + clearance * normals
-        directions = viewpoint - self._middle - origins
-        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-        hits = self._scene.run(origins.astype(np.float32), directions.astype(np.float32), query="OCCLUDED")
-        return np.asarray(hits) < 0
+    levels: Integer[Array, "h w c"]
+    full_scale: float
+
+    def colours_at(self, uv: Float64[Array, "n 2"]) -> Float32[Array, "n 3"]:
+        """Colours at places in pixels, 0…1, linear between pixels."""
+
+        def of(band: slice) -> Float32[Array, "k 3"]:
+            return texture_kernels.colours_at(self.levels, self.full_scale, uv[band])
+
+        return np.concatenate(in_bands(of, len(uv)))
+
+    def window(self, rows: slice, columns: slice) -> Float32[Array, "a b 3"]:
+        """Colours of a part, 0…1."""
+        cut = self.levels[rows, columns].astype(np.float32) / np.float32(self.full_scale)
+        return np.repeat(cut, 3, axis=2) if cut.shape[2] == 1 else cut
+
+    def reduced(self, step: int) -> Picture:
+        """Means of step × step pixels, kept as their sums.
+
+        Incomplete ones at the ends are dropped.
+        """
+        if step == 1:
+            return self
+        height, width = (side // step * step for side in self.levels.shape[:2])
+        total = np.zeros((height // step, width // step, self.levels.shape[2]), dtype=np.uint32)
+        for row, column in np.ndindex(step, step):
+            total += self.levels[row:height:step, column:width:step]
+        return Picture(levels=total, full_scale=self.full_scale * step * step)
+
+
+def picture_of(photograph: Photograph) -> Picture:
+    """Pixels as recorded, with one or three channels."""
+    pixels = photograph.pixels
+    return Picture(
+        levels=pixels[..., None] if pixels.ndim == 2 else pixels, full_scale=float(np.iinfo(pixels.dtype).max)
+    )
 
 
 def _gains(samples: Float32[Array, "k n 3"], weights: Float32[Array, "k n"]) -> Float32[Array, "k 3"]:
@@ -166,6 +203,7 @@ def _gains(samples: Float32[Array, "k n 3"], weights: Float32[Array, "k n"]) -> 
             if len(common) < _LEAST_COMMON:
                 continue
             strength = np.sqrt(len(common))
+            common = common[:: max(1, len(common) // _LEVELLED)]
             row = np.zeros(count)
             row[a], row[b] = strength, -strength
             rows.append(row)

@@ -1,4 +1,4 @@
-"""Cameras and pictures as table rows for the first surface's kernels."""
+"""Cameras and pictures as table rows, for compiled code."""
 
 from __future__ import annotations
 
@@ -7,11 +7,15 @@ from typing import NamedTuple
 import numpy as np
 
 from mammometry.base.compiled import kernel
+from mammometry.geometry import lens_kernels
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.camera import Camera
 
 COLUMNS = 24
 """Of a row: the fields of `View`, one after another."""
+LEAST_DEPTH_MM = 1.0
+"""Nearer points are behind the camera, or as good as."""
+_WIDEST_R2 = 4.0  # squared tangent of 63° off the axis: no lens model holds so far outside its picture
 
 
 class View(NamedTuple):
@@ -64,3 +68,29 @@ def view_of(row: Float64[Array, " 24"]) -> View:
         int(row[22]),
         int(row[23]),
     )
+
+
+@kernel
+def in_camera(view, x, y, z):  # type: ignore[no-untyped-def]
+    """A world point in the view's camera frame, mm."""
+    r, t = view.rotation, view.translation
+    return (
+        r[0] * x + r[1] * y + r[2] * z + t[0],
+        r[3] * x + r[4] * y + r[5] * z + t[1],
+        r[6] * x + r[7] * y + r[8] * z + t[2],
+    )
+
+
+@kernel
+def pixel(view, xc, yc, zc):  # type: ignore[no-untyped-def]
+    """Column and row of a point in the camera's frame.
+
+    Column −1 where it is not in the picture. Without branches.
+    """
+    inverse = 1.0 / max(zc, LEAST_DEPTH_MM)
+    xn, yn = xc * inverse, yc * inverse
+    xd, yd = lens_kernels.distorted(xn, yn, view.lens)
+    u, v = view.fx * xd + view.cx, view.fy * yd + view.cy
+    inside = (zc > LEAST_DEPTH_MM) & (xn * xn + yn * yn <= _WIDEST_R2)
+    inside = inside & (u >= 0.0) & (v >= 0.0) & (u < view.width - 1.0) & (v < view.height - 1.0)
+    return (u if inside else -1.0), v

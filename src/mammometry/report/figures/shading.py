@@ -15,8 +15,8 @@ import numpy as np
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32, Int64, UInt8, read_only
 from mammometry.geometry.camera import Rig
 from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry.raster_kernels import nearest_faces
 from mammometry.measure.trunk.body import Body, Mounting, camera_up
-from mammometry.report.figures.shading_kernels import nearest_faces
 
 _LIGHTS = ((0.25, 0.45, 0.86, 0.72), (-0.75, 0.1, 0.65, 0.28), (0.1, -0.8, 0.6, 0.18))
 """Directions towards three lights (right, up, towards the viewer) and their strengths. Ambient light comes on top."""
