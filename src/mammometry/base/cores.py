@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from typing import TypeVar
@@ -11,6 +11,7 @@ from typing import TypeVar
 from threadpoolctl import threadpool_limits
 
 _R = TypeVar("_R")
+_T = TypeVar("_T")
 
 CORES = "MAMMOMETRY_CORES"
 """Environment variable: most cores that a process may use."""
@@ -57,3 +58,9 @@ def in_bands(work: Callable[[slice], _R], count: int) -> list[_R]:
     size = max(1, -(-count // (available_cores() * _BANDS_PER_CORE)))
     with ThreadPoolExecutor(available_cores()) as pool:
         return list(pool.map(work, (slice(first, first + size) for first in range(0, max(count, 1), size))))
+
+
+def each_at_once(work: Callable[[_T], _R], things: Sequence[_T]) -> list[_R]:
+    """Run lock-free work on each of a few things, in threads. Returns the results in order."""
+    with ThreadPoolExecutor(available_cores()) as pool:
+        return list(pool.map(work, things))

@@ -115,6 +115,19 @@ def correspond(
     cos²(angle between the normals) · exp(−(distance/`similarity_mm`)²), less near the edge of a view's data. Of
     several views the closest counts (the paper), or with `blend` their mean, weighted by cos²/(σ² + floor²).
     """
+
+    def of(band: slice) -> Correspondences:
+        return _correspond(vertices[band], normals[band], views, gates)
+
+    parts = in_bands(of, len(vertices))
+    fields = ("found", "targets", "similarity", "sigma_mm", "pair_bits")
+    return Correspondences(**{field: np.concatenate([getattr(part, field) for part in parts]) for field in fields})
+
+
+def _correspond(
+    vertices: Float64[Array, "n 3"], normals: Float64[Array, "n 3"], views: list[ViewData | None], gates: Gates
+) -> Correspondences:
+    """The same for some of the vertices."""
     n = len(vertices)
     nearest = np.full(n, np.inf)
     total, weight = np.zeros((n, 3)), np.zeros(n)
@@ -168,21 +181,18 @@ def correspond(
 
 def _nearest(vertices: Float64[Array, "n 3"], view: ViewData, reach_mm: float) -> Int64[Array, " n"]:
     transform = view.camera.camera_from_world
-
-    def feet(part: slice) -> Int64[Array, " k"]:
-        return elastic_kernels.feet(
-            np.ascontiguousarray(vertices[part]),
-            np.ascontiguousarray(transform.rotation),
-            np.ascontiguousarray(transform.translation_mm),
-            view.camera.intrinsics,
-            view.points,
-            view.normals,
-            view.rows,
-            view.columns,
-            reach_mm,
-        )
-
-    return np.concatenate(in_bands(feet, len(vertices)))
+    numbers: Int64[Array, " n"] = elastic_kernels.feet(
+        np.ascontiguousarray(vertices),
+        np.ascontiguousarray(transform.rotation),
+        np.ascontiguousarray(transform.translation_mm),
+        view.camera.intrinsics,
+        view.points,
+        view.normals,
+        view.rows,
+        view.columns,
+        reach_mm,
+    )
+    return numbers
 
 
 def _at(image: Array, number: Int64[Array, " k"]) -> Array:

@@ -13,7 +13,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 from scipy import ndimage
 
-from mammometry.base.cores import in_bands
+from mammometry.base.cores import each_at_once, in_bands
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, read_only
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.matching.foreground import Foreground
@@ -135,29 +135,36 @@ def build_field(
 ) -> Field:
     """Pack views with their weights, and all silhouettes."""
     seen = [image for image in range_images if image.valid.any()]
-    elements = np.empty((sum(image.valid.size for image in seen), 3), dtype=np.float32)
-    view_rows, start = [], 0
-    for image in seen:
-        left, end = rig.pair(image.name).left, start + image.valid.size
+
+    def says(image: RangeImage) -> Float32[Array, "p 3"]:
+        left = rig.pair(image.name).left
         others_mm = nearest_of_others_mm(image, seen)
-        rows = view_elements(image, left, foregrounds.get(left.name), settings, others_mm)
-        elements[start:end] = rows.reshape(-1, 3)
-        view_rows.append(view_row(image.camera, image.valid.shape, start))
-        start = end
-    contour_rows, distance_rows, start = [], [], 0
-    for name, foreground in foregrounds.items():
-        if foreground.everything or not foreground.mask.any():
-            continue
-        step = _silhouette_step(rig.cameras[name], range_images)
-        distances = silhouette_distance_px(foreground, step, settings.lost_slope)
-        contour_rows.append(view_row(thinned_camera(rig.cameras[name], step), distances.shape, start))
-        distance_rows.append(distances.ravel())
-        start += distances.size
+        return view_elements(image, left, foregrounds.get(left.name), settings, others_mm).reshape(-1, 3)
+
+    elements = each_at_once(says, seen)
+    outlined = {
+        name: foreground
+        for name, foreground in foregrounds.items()
+        if not foreground.everything and foreground.mask.any()
+    }
+    steps = {name: _silhouette_step(rig.cameras[name], range_images) for name in outlined}
+    distances = each_at_once(
+        lambda name: silhouette_distance_px(outlined[name], steps[name], settings.lost_slope), list(outlined)
+    )
+    starts = np.cumsum([0, *(image.valid.size for image in seen)])
+    view_rows = [
+        view_row(image.camera, image.valid.shape, start) for image, start in zip(seen, starts[:-1], strict=True)
+    ]
+    starts = np.cumsum([0, *(each.size for each in distances)])
+    contour_rows = [
+        view_row(thinned_camera(rig.cameras[name], steps[name]), each.shape, start)
+        for name, each, start in zip(outlined, distances, starts[:-1], strict=True)
+    ]
     return Field(
         views=np.array(view_rows).reshape(-1, COLUMNS),
-        elements=elements,
+        elements=np.concatenate(elements),
         contours=np.array(contour_rows).reshape(-1, COLUMNS),
-        distances=np.concatenate(distance_rows) if distance_rows else np.zeros(0, dtype=np.float32),
+        distances=np.concatenate([np.zeros(0, dtype=np.float32), *(each.ravel() for each in distances)]),
         box=box,
         truncation_mm=settings.truncation_mm,
         rule=rule,

@@ -36,6 +36,17 @@ def test_an_error_in_a_band_is_the_callers():
         cores.in_bands(lambda part: 1 // (part.start - part.start), 10)
 
 
+def test_things_are_worked_on_at_once_and_returned_in_order(monkeypatch):
+    monkeypatch.setattr(cores, "available_cores", lambda: 2)
+    both = threading.Barrier(2, timeout=30)
+
+    def doubled(thing):
+        both.wait()
+        return 2 * thing
+
+    assert cores.each_at_once(doubled, [3, 1, 4, 1]) == [6, 2, 8, 2]
+
+
 LOADED_INSIDE = """
 import sys
 import numpy
