@@ -3,6 +3,8 @@
 import dataclasses
 import importlib
 import json
+import zipfile
+import zlib
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,6 +20,9 @@ from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
 from mammometry.io.results.codecs import decode, encode
+from mammometry.io.results.formats.arrays import write_arrays
+from mammometry.io.results.formats.deflate import deflated, inflated
+from mammometry.io.results.formats.rasters import read_raster, write_raster
 from mammometry.io.results.tree import STORED_TYPES, from_tree, to_tree
 from mammometry.job.pipeline import CameraSet, FinishedSurface
 from mammometry.matching.match import DisparityMap
@@ -240,3 +245,26 @@ def test_each_label_names_a_type_of_ours(label: str) -> None:
     kind = getattr(importlib.import_module(module), name)
     assert dataclasses.is_dataclass(kind)
     assert kind.__module__ == module, "a type is named where it is defined"
+
+
+def test_what_is_deflated_is_read_by_everybody(tmp_path: Path) -> None:
+    """By zlib, by Python's archives and by another reader of TIFF."""
+    data = np.random.default_rng(3).integers(0, 5, 100_000).astype(np.uint8).tobytes()
+    assert zlib.decompress(deflated(data)) == data
+    assert len(deflated(data)) < len(data) / 2
+    assert inflated(deflated(data), len(data)) == data
+    for wrong in (deflated(data)[:-2000], b"no stream", deflated(data + b"x")[:50]):
+        with pytest.raises(ValueError, match=r"stream|bytes"):
+            inflated(wrong, len(data))
+
+    write_arrays(tmp_path / "a.npz", {"a": np.arange(50_000)})
+    with zipfile.ZipFile(tmp_path / "a.npz") as archive:
+        assert archive.testzip() is None
+        assert {member.compress_type for member in archive.infolist()} == {zipfile.ZIP_DEFLATED}
+    value = disparity_map()
+    write_raster(tmp_path / "a.tif", value)
+    with tifffile.TiffFile(tmp_path / "a.tif") as tiff:
+        np.testing.assert_array_equal(tiff.pages[0].asarray(), value.d_h_px)
+    again = read_raster(tmp_path / "a.tif")
+    for name in ("d_h_px", "confidence", "valid"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(value, name))

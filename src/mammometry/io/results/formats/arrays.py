@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import json
-import zipfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from mammometry.io.results.formats.deflate import DeflatedArchive
 from mammometry.io.results.formats.registry import Format
 from mammometry.io.results.tree import from_tree, to_tree
 
-_LEVEL = 1  # of deflate: files a third to a half as long; a higher one takes several times as long for a tenth more
 _JSON_FORMAT = 1
 """Version of our JSON files. A reader may rely on their members."""
 
@@ -22,9 +21,9 @@ def write_arrays(path: Path, value: Any) -> None:
     """Write a whole value to an .npz, compressed."""
     arrays: dict[str, np.ndarray[Any, Any]] = {}
     tree = json.dumps(to_tree(value, arrays)).encode()
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=_LEVEL) as archive:
+    with DeflatedArchive(path, "w") as archive:
         for name, array in {"tree": np.frombuffer(tree, dtype=np.uint8), **arrays}.items():
-            with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+            with archive.member(f"{name}.npy") as member:
                 np.lib.format.write_array(member, np.asanyarray(array), allow_pickle=False)
 
 

@@ -12,12 +12,16 @@ from typing import Any
 
 import numpy as np
 
+from mammometry.base.cores import each_at_once
 from mammometry.base.errors import MammometryError
 from mammometry.base.parse import said
+from mammometry.io.results.formats.deflate import deflated, inflated
 from mammometry.io.results.formats.registry import FORMATS, Format
 from mammometry.io.results.tree import from_tree, to_tree
 
-_DEFLATE = {"level": 1}  # a third of the length; a higher level takes several times as long for a tenth more
+_STRIP_ROWS = 64  # rows compressed together: half a megabyte or so, enough of them to share among the cores
+_ADOBE_DEFLATE, _NO_PREDICTOR = 8, 1  # TIFF's numbers of what we write
+_FLAT = 2  # dimensions of an image of one channel
 _PAGE_NAME = 285  # TIFF 6.0's tag of that name
 
 
@@ -49,16 +53,25 @@ def write_raster(path: Path, value: object) -> None:
     with tifffile.TiffWriter(path) as tiff:
         for index, (name, page) in enumerate(pages):
             array = arrays[name]
+            array = array.astype(np.uint8) if array.dtype == bool else array
             tiff.write(
-                array.astype(np.uint8) if array.dtype == bool else array,
+                iter(_strips(array)),
+                shape=array.shape,
+                dtype=array.dtype,
+                rowsperstrip=_STRIP_ROWS,
                 photometric="minisblack",
                 description=json.dumps(about) if index == 0 else None,
                 extratags=[(_PAGE_NAME, 2, None, page, True)],
                 metadata=None,
                 compression="zlib",
-                compressionargs=_DEFLATE,
                 contiguous=False,
             )
+
+
+def _strips(array: np.ndarray[Any, Any]) -> list[bytes]:
+    """Rows by rows, each deflated by itself."""
+    starts = range(0, len(array), _STRIP_ROWS)
+    return each_at_once(lambda start: deflated(np.ascontiguousarray(array[start : start + _STRIP_ROWS])), starts)
 
 
 def read_raster(path: Path) -> Any:
@@ -73,7 +86,7 @@ def read_raster(path: Path) -> Any:
         with tifffile.TiffFile(path) as tiff:
             about = json.loads(tiff.pages.first.description)
             arrays = {
-                page["array"]: tiff.pages[index].asarray().astype(page["dtype"], copy=False)
+                page["array"]: _page(tiff, index).astype(page["dtype"], copy=False)
                 for index, page in enumerate(about["pages"])
             }
         arrays |= {name: np.array(small["values"], dtype=small["dtype"]) for name, small in about["small"].items()}
@@ -82,6 +95,24 @@ def read_raster(path: Path) -> Any:
         raise
     except Exception as error:  # of a damaged file tifffile raises anything
         raise ValueError(said(error)) from None
+
+
+def _page(tiff: Any, index: int) -> np.ndarray[Any, Any]:
+    """One page's array, inflated by all cores."""
+    page = tiff.pages[index]
+    if page.compression != _ADOBE_DEFLATE or page.predictor != _NO_PREDICTOR or page.is_tiled or page.ndim != _FLAT:
+        return np.asarray(page.asarray())
+    height, width = page.shape
+    row_bytes = width * page.dtype.itemsize
+    streams = []
+    for offset, count in zip(page.dataoffsets, page.databytecounts, strict=True):
+        tiff.filehandle.seek(offset)
+        streams.append(tiff.filehandle.read(count))
+    rows = [min(page.rowsperstrip, height - start) for start in range(0, height, page.rowsperstrip)]
+    strips = each_at_once(
+        lambda number: inflated(streams[number], rows[number] * row_bytes), range(len(rows)) if streams else []
+    )
+    return np.frombuffer(b"".join(strips), dtype=page.dtype.newbyteorder(tiff.byteorder)).reshape(height, width)
 
 
 for _product in ("foreground", "disparity", "range"):
