@@ -30,7 +30,7 @@ def inflated(stream: bytes, length: int) -> bytes:
 
     try:
         data = isal_zlib.decompressobj().decompress(stream, length)
-    except isal_zlib.IsalError as error:
+    except isal_zlib.IsalError as error:  # type: ignore[misc]  # its stubs call the class an instance
         raise ValueError(f"a damaged stream ({error})") from None
     if len(data) != length:
         raise ValueError(f"{len(data)} bytes where {length} were expected")
