@@ -15,7 +15,7 @@ from typing import Literal
 
 import numpy as np
 
-from mammometry.geometry.arrays import Array, Float32, Float64, Int32, UInt8, read_only
+from mammometry.geometry.arrays import Array, Float32, Float64, Int32, UInt8, bounds, read_only
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
 
@@ -145,8 +145,8 @@ def _model(model: Model) -> dict[str, object]:
 
 
 def _surface(mesh: TriangleMesh, normals: Float64[Array, "n 3"]) -> dict[str, object]:
-    low = mesh.vertices.min(axis=0)
-    step = np.maximum(np.ptp(mesh.vertices, axis=0) / _STEPS, 1e-9)
+    low, high = bounds(mesh.vertices)
+    step = np.maximum((high - low) / _STEPS, 1e-9)
     return {
         "vertexCount": len(mesh.vertices),
         "low": low.tolist(),

@@ -10,7 +10,7 @@ import numpy as np
 
 from mammometry.base.compiled import kernel
 from mammometry.base.cores import in_bands
-from mammometry.geometry.arrays import Array, Bool, Float64, Int32, Int64
+from mammometry.geometry.arrays import Array, Bool, Float64, Int32, Int64, bounds
 from mammometry.geometry.mesh import TriangleMesh
 
 _CELL_IN_SIDES = 2.5  # a cell's edge in sides of ordinary triangles: chosen by eye, for speed alone
@@ -27,7 +27,8 @@ def crossing_faces(mesh: TriangleMesh, among: Bool[Array, " m"] | None = None) -
     if len(mesh.faces) < 2 or (among is not None and not among.any()):
         return np.zeros((0, 2), dtype=np.int64)
     used = mesh.vertices[mesh.faces.ravel()] if 3 * len(mesh.faces) < len(mesh.vertices) else mesh.vertices
-    origin, extent = used.min(axis=0), np.ptp(used, axis=0)
+    origin, high = bounds(used)
+    extent = high - origin
     boxes, side = _boxes(mesh.vertices, mesh.faces, origin)
     if among is not None:
         wide = max(float(extent.max()) / _PLACES, 1e-9)

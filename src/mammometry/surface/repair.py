@@ -10,7 +10,7 @@ from scipy import ndimage
 
 from mammometry.base.errors import SurfaceError
 from mammometry.base.progress import Progress, no_progress
-from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32, UInt8, read_only
+from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32, UInt8, bounds, read_only
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.nearest import point_tree
 from mammometry.surface import elastic_kernels
@@ -157,9 +157,10 @@ def _near_data(mesh: TriangleMesh, valid: ValidPatches, settings: RepairSettings
     if settings.fade_mm == 0:
         return np.ones(len(mesh.faces), dtype=bool)
     reach_mm = settings.reach_mm + max(settings.repaired_reach_mm, _FADED * settings.fade_mm)
-    low = mesh.vertices.min(axis=0) - settings.reach_mm
+    low, high = bounds(mesh.vertices)
+    low -= settings.reach_mm
     cell = ((mesh.vertices - low) / _CELL_MM).astype(np.int32)
-    empty = np.ones(cell.max(axis=0) + 1 + int(settings.reach_mm / _CELL_MM), dtype=bool)
+    empty = np.ones(((high - low) / _CELL_MM).astype(np.int32) + 1 + int(settings.reach_mm / _CELL_MM), dtype=bool)
     for image in valid.range_images:
         of_data = np.floor((image.valid_points_world() - low) / _CELL_MM).astype(np.int64)
         empty[tuple(of_data[((of_data >= 0) & (of_data < empty.shape)).all(axis=1)].T)] = False

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mammometry.geometry import mesh_kernels
-from mammometry.geometry.arrays import Array, Float64
+from mammometry.geometry.arrays import Array, Float64, bounds
 from mammometry.geometry.mesh import TriangleMesh
 
 
@@ -29,7 +29,7 @@ def tunnel_places(mesh: TriangleMesh, cell_mm: float) -> Float64[Array, "n 3"]:
     wide.
     """
     defect = mesh_kernels.angle_defects(mesh.vertices, mesh.faces)
-    low = mesh.vertices.min(axis=0)
+    low, _ = bounds(mesh.vertices)
     cell = tuple(((mesh.vertices - low) / cell_mm).astype(np.int64).T)
     shape = tuple(int(axis.max()) + 1 for axis in cell)
     total = np.bincount(np.ravel_multi_index(cell, shape), defect)

@@ -8,6 +8,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial.transform import Rotation
 
 from mammometry.geometry import mesh_kernels
+from mammometry.geometry.arrays import bounds
 from mammometry.geometry.mesh import TriangleMesh, joined
 from mammometry.geometry.transform import Transform
 
@@ -232,3 +233,11 @@ def test_faces_fall_into_parts_along_walls(some_faces: TriangleMesh) -> None:
     expected_count, expected = connected_components(graph, directed=False)
     assert count == expected_count >= 2
     np.testing.assert_array_equal(part, expected)  # both are numbered by their first faces
+
+
+@pytest.mark.parametrize("columns", [2, 3])
+def test_bounds_are_the_extremes_of_each_column(columns):
+    points = np.random.default_rng(1).normal(size=(50, columns))
+    low, high = bounds(points)
+    np.testing.assert_array_equal(low, points.min(axis=0))
+    np.testing.assert_array_equal(high, points.max(axis=0))

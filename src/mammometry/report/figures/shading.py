@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32, Int64, UInt8, read_only
+from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32, Int64, UInt8, bounds, read_only
 from mammometry.geometry.camera import Rig
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.raster_kernels import nearest_faces
@@ -193,7 +193,7 @@ def views_of(mesh: TriangleMesh, frames: dict[str, Float64[Array, "3 3"]], *, ma
 
     Below each is a strip for the scale bar.
     """
-    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    low, high = bounds(mesh.vertices)
     centre = (low + high) / 2
     placed = {}
     for name, frame in frames.items():
