@@ -10,19 +10,9 @@ import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int32, Int64, Integer, Shaped, UInt8, UInt16
 
 __all__ = [
-    "Array",
-    "Bool",
-    "Float32",
-    "Float64",
-    "Int32",
-    "Int64",
-    "Integer",
-    "Shaped",
-    "UInt8",
-    "UInt16",
-    "bounds",
+    "Array", "Bool", "Float32", "Float64", "Int32", "Int64", "Integer", "Shaped", "UInt8", "UInt16", "bounds",
     "read_only",
-]
+]  # fmt: skip
 
 Array: TypeAlias = np.ndarray
 """Any NumPy array. The jaxtyping annotation around it gives shape and dtype."""
