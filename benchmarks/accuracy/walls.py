@@ -1,6 +1,7 @@
 """Every chest wall on torsos of exactly known volume: what each makes of the same skin and the same boundary.
 
     python -m benchmarks.accuracy.walls
+    python -m benchmarks.accuracy.walls --families woman leaning-woman woman-wide leaning-woman-wide --torsos 9 --first 1000
 
 No photographs: the skin is the simulator's own, as far as cameras in front would see it, the boundary the true one, the
 true wall the skin of the same body without the breast. Prints bias, standard deviation, worst error, relative error and
@@ -144,7 +145,9 @@ def _ratio_errors(breasts: dict[tuple[str, str], tuple[float, float, float]]) ->
 def main() -> None:
     """Make the torsos, print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--torsos", type=int, default=36)
+    parser.add_argument("--torsos", type=int, default=36, help="bodies of each family")
+    parser.add_argument("--first", type=int, default=1, help="number of the first one")
+    parser.add_argument("--families", nargs="+", default=["torso"], help="torso, woman, leaning-woman, woman-wide, …")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, default=None, help="JSON: rows of every breast and wall; taken if there")
     arguments = parser.parse_args()
