@@ -50,7 +50,7 @@ def test_a_step_is_followed_as_a_fold_is() -> None:
     bulge = np.where(AXES[:, None] > -40, cap(70.0, 60.0), 0.0)
     found = follow_crease(relief_of(bulge), np.zeros(2))
     below = (np.abs(found.flat[:, 0]) < 35) & (found.flat[:, 1] < 0)
-    # Smoothed over 4 mm, the step's concavity is deepest 4 mm outside it and half as deep 8 mm outside: that is taken off.
+    # Smoothed over 4 mm, the step's concavity is deepest 4 mm outside it, half as deep 8 mm outside. That is taken off.
     assert np.all(found.flat[below, 1] < -38)
     assert np.all(found.flat[below, 1] > -43)
 

@@ -134,7 +134,6 @@ def test_the_trunks_end_is_not_its_side() -> None:
     )
     found = fit_thorax(TRUNK, both)
     assert np.abs(found.bulge_mm(side.points_world)).max() < 0.5
-    assert found.explained == 1.0
 
 
 def test_an_axis_that_leans_too_far_is_not_believed() -> None:

@@ -28,7 +28,8 @@ _OTHER: dict[SideName, SideName] = {"left": "right", "right": "left"}
 _ROUNDS = 3  # times that trunk and breasts are found, each from the other; chosen by eye
 _CREASE_LOST = 0.03
 """Share of the crease by which a round may have less than the best before it. Each round's thorax rests on the outlines
-of the one before, so that a wrong outline can make the next one worse. Rounds that settle differ by less; chosen by eye."""
+of the one before, so that a wrong outline can make the next one worse. Chosen by eye: rounds that settle differ by
+less."""
 _PEAK_SIGMA_MM = 8.0  # the relief is smoothed over this to look for peaks; chosen by eye
 _PEAK_RADIUS_MM = 25.0  # a peak is the highest place within this distance, in both coordinates; chosen by eye
 _LOWEST_PEAK = 0.5

@@ -25,8 +25,8 @@ _SIGMA_MM = 4.0
 than a fold."""
 _FINE_MM = 2.0  # scale at which the same crease is looked at again, to tell how abrupt it is, mm; one pixel
 _HALVED_SIGMAS = (0.0, 1.18, 1.92)
-"""Distance outside a bend of skin at which its concavity, smoothed by a Gaussian, has fallen to half, in σ: where curvature
-steps, where slope steps (a crease), where height steps (a fold under an overhang). Solutions of closed forms."""
+"""Distance outside a bend of skin at which its concavity, smoothed by a Gaussian, has fallen to half, in σ: where
+curvature steps, where slope steps (a crease), where height steps (a fold under an overhang). Closed forms."""
 _NEAR_STEPS = 6  # steps on either side of the path in which the crease is looked for at the finer scale
 _EVEN_DIRECTIONS = 3.0  # over which abruptness is averaged; chosen by eye
 _VANISH_MM = 2.0  # height over the thorax fit at which a breast ends; the fit's own scatter is 1–2 mm
@@ -164,9 +164,7 @@ def _best_way(worth: Float64[Array, "d s"], stiffness: float) -> Array:
     return way[count : 2 * count]
 
 
-def _outer_flank_mm(
-    concavity: Float64[Array, "d s"], allowed: Bool[Array, "d s"], way: Array
-) -> Float64[Array, " d"]:
+def _outer_flank_mm(concavity: Float64[Array, "d s"], allowed: Bool[Array, "d s"], way: Array) -> Float64[Array, " d"]:
     """Distance outside the path at which the concavity has halved, or a breast can no longer end, mm.
 
     0 where there is no crease.

@@ -46,9 +46,8 @@ _LEAN = 0.2  # sine of the angle between normal and level at which a normal coun
 _ARM = 1.15  # skin further to the side than this many half widths is an arm's; chosen by eye
 _RIDGE = 1e-4  # slight pull of the higher harmonics to zero, since the back is not seen; chosen by eye
 _FACING_OUT = 0.5
-"""Least share of a unit normal that points away from the axis, for skin to show the trunk's radius. The trunk's end, seen
-from below, and a breast's underside face along the axis: on one capture they were a third of all skin beside the breasts
-and drew the fit away from the trunk (docs/decisions/0026). Of skin beside breasts on bodies that are seen well all has more."""
+"""Least share of a unit normal that points away from the axis, for skin to show the trunk's radius. The trunk's end,
+seen from below, and a breast's underside face along the axis. Chosen by eye (docs/decisions/0026)."""
 _COPIES = 2  # samples for each face at most
 _FINEST_MM = 1.0  # least scatter assumed while the breasts are still in the skin; chosen by eye
 _CUT_OFF = 3.0  # scatters at which skin that stands out counts no more
@@ -109,8 +108,6 @@ class Thorax:
     settings: ThoraxSettings
     rms_mm: float
     """Scatter of the skin that was fitted, mm."""
-    explained: float = 1.0
-    """Share of the skin given to the fit that lies within its reach. Measures how good the fit is."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "coefficients", read_only(self.coefficients))
@@ -306,9 +303,10 @@ def fit_thorax(
 ) -> Thorax:
     """Fit r(θ, y) to the skin without what stands out.
 
-    Breasts and arms stand out. Skin that faces along the axis (the trunk's end, a breast's underside) is left out. The model is a Fourier series in θ whose coefficients are polynomials in y. The weights
-    are asymmetric: Tukey's for skin that stands out, Huber's for skin that lies deeper. A slight ridge holds the
-    higher harmonics, as the back is not seen.
+    Breasts and arms stand out. Skin that faces along the axis (the trunk's end, a breast's underside) is left out. The
+    model is a Fourier series in θ whose coefficients are polynomials in y. The weights are asymmetric: Tukey's for skin
+    that stands out, Huber's for skin that lies deeper. A slight ridge holds the higher harmonics, as the back is not
+    seen.
 
     Args:
         trunk: its axis.
@@ -352,8 +350,7 @@ def fit_thorax(
         weights = np.where(
             error > 0, np.clip(1 - (error / reach) ** 2, 0, None) ** 2, 1 / np.maximum(1, -error / reach)
         )
-    explained = float((np.abs(radius - design @ coefficients) < _CUT_OFF * settings.chest_scale_mm).mean())
-    return Thorax(trunk=trunk, coefficients=coefficients, settings=settings, rms_mm=scale, explained=explained)
+    return Thorax(trunk=trunk, coefficients=coefficients, settings=settings, rms_mm=scale)
 
 
 def _facing_out(skin: Skin, trunk: Trunk) -> Float64[Array, " n"]:
