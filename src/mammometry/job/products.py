@@ -55,7 +55,7 @@ VERSIONS: Registry[int] = Registry(
         "symmetry": 3,
         "dimensions": 4,
         "previews": 8,
-        "report": 13,
+        "report": 14,
     },
 )
 """Kind of product → version of its making. Raise it when the result changes for the same inputs and settings."""
