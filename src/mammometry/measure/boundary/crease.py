@@ -109,7 +109,10 @@ def follow_crease(relief: Relief, middle: Float64[Array, 2], settings: BreastSet
 
 
 def crease_worth(concavity_per_mm: Float64[Array, "*n"]) -> Float64[Array, "*n"]:
-    """How far places are a crease, 0 to 1, by their concavity κ, 1/mm: κ/(κ + κ₀) where it is positive."""
+    """How far places are a crease, 0 to 1.
+
+    By their concavity κ, 1/mm: κ/(κ + κ₀) where it is positive.
+    """
     concave = np.clip(concavity_per_mm, 0.0, None)
     return np.asarray(concave / (concave + CREASE_PER_MM))
 

@@ -47,7 +47,7 @@ _ARM = 1.15  # skin further to the side than this many half widths is an arm's; 
 _RIDGE = 1e-4  # slight pull of the higher harmonics to zero, since the back is not seen; chosen by eye
 _FACING_OUT = 0.5
 """Least share of a unit normal that points away from the axis, for skin to show the trunk's radius. The trunk's end,
-seen from below, and a breast's underside face along the axis. Chosen by eye (docs/decisions/0026)."""
+seen from below, and a breast's underside face along the axis. Chosen by eye (docs/decisions/0019)."""
 _COPIES = 2  # samples for each face at most
 _FINEST_MM = 1.0  # least scatter assumed while the breasts are still in the skin; chosen by eye
 _CUT_OFF = 3.0  # scatters at which skin that stands out counts no more

@@ -77,9 +77,10 @@ class VolumeMeasurement:
         return self.closed.submesh(np.arange(self.skin_faces, len(self.closed.faces)))
 
     def sunk(self, up: Float64[Array, 3]) -> float:
-        """How far its centre of mass lies below the boundary's middle, in half the boundary's height.
+        """Height of the boundary's middle over the centre of mass.
 
-        Breasts are fuller below: 25 virtual bodies, prone and leaning, had .05 to .6. Below 0 they hang upwards.
+        As a share of half the boundary's height. Breasts are fuller below: 25 virtual bodies, prone and leaning, had .05
+        to .6. Below 0 they hang upwards.
         """
         corners = self.closed.corners() - self.boundary_world[0]
         volumes = np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))
