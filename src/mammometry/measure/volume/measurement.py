@@ -79,8 +79,8 @@ class VolumeMeasurement:
     def sunk(self, up: Float64[Array, 3]) -> float:
         """Height of the boundary's middle over the centre of mass.
 
-        As a share of half the boundary's height. Breasts are fuller below: 25 virtual bodies, prone and leaning, had .05
-        to .6. Below 0 they hang upwards.
+        As a share of half the boundary's height. Breasts are fuller below: 25 virtual bodies, prone and leaning, had
+        .05 to .6. Below 0 they hang upwards.
         """
         corners = self.closed.corners() - self.boundary_world[0]
         volumes = np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))
