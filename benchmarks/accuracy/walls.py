@@ -1,6 +1,7 @@
 """Every chest wall on torsos of exactly known volume: what each makes of the same skin and the same boundary.
 
     python -m benchmarks.accuracy.walls
+    python -m benchmarks.accuracy.walls --families woman leaning-woman --bodies 9 --first 1000
 
 No photographs: the skin is the simulator's own, as far as cameras in front would see it, the boundary the true one, the
 true wall the skin of the same body without the breast. Prints bias, standard deviation, worst error, relative error and
@@ -134,7 +135,9 @@ def table(rows: list[dict[str, object]]) -> Iterator[str]:
 def _ratio_errors(breasts: dict[tuple[str, str], tuple[float, float, float]]) -> dict[str, tuple[float, float]]:
     """Torso → error of ln(right/left), and that over √((A/V)² + (A/V)²), mm."""
     errors = {}
-    for name in {key[0] for key in breasts}:
+    for name in dict.fromkeys(key[0] for key in breasts):
+        if not all((name, side) in breasts for side in SIDES):
+            continue  # the wall did not fit one of both
         (true_left, left, base_left), (true_right, right, base_right) = (breasts[name, side] for side in SIDES)
         error = float(np.log(right / left) - np.log(true_right / true_left))
         errors[name] = (error, 10 * abs(error) / float(np.hypot(base_left / left, base_right / right)))
@@ -144,7 +147,9 @@ def _ratio_errors(breasts: dict[tuple[str, str], tuple[float, float, float]]) ->
 def main() -> None:
     """Make the torsos, print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--torsos", type=int, default=36)
+    parser.add_argument("--bodies", type=int, default=36, help="of each family")
+    parser.add_argument("--first", type=int, default=1, help="number of the first one")
+    parser.add_argument("--families", nargs="+", default=["torso"], help="torso, woman, leaning-woman, woman-wide, …")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, default=None, help="JSON: rows of every breast and wall; taken if there")
     arguments = parser.parse_args()
@@ -152,12 +157,20 @@ def main() -> None:
     if arguments.out is not None and arguments.out.is_file():
         rows = json.loads(arguments.out.read_text())
     there = {row["torso"] for row in rows}
-    for number in range(1, arguments.torsos + 1):
-        if f"torso_{number}" not in there:
-            rows += walls_of(true_torso(f"torso_{number}", arguments.seed))
+    for family in arguments.families:
+        for number in range(arguments.first, arguments.first + arguments.bodies):
+            name = f"{family}_{number}"
+            if name in there:
+                continue
+            try:
+                rows += walls_of(true_torso(name, arguments.seed))
+            except ValueError as error:  # the simulator cannot make every woman
+                print(error)
             if arguments.out is not None:
                 arguments.out.write_text(json.dumps(rows))
-    print("\n".join(table(rows)))
+    for family in arguments.families:
+        print(f"\n{family}\n")
+        print("\n".join(table([row for row in rows if str(row["torso"]).rpartition("_")[0] == family])))
 
 
 if __name__ == "__main__":

@@ -5,6 +5,7 @@ from typing import Literal
 
 ProtocolJoin = Literal["arc", "geodesic"]
 """How a boundary runs between landmarks. See `protocol`."""
+_THICKEST_LAYER_MM = 100.0  # real women have 24 ± 8 mm where it is thickest; more is a slip of the unit or the point
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -167,8 +168,11 @@ class LayerSettings:
         return (self.right_lateral_mm, self.right_upper_mm, self.right_medial_mm, self.right_lower_mm)
 
     def __post_init__(self) -> None:
-        if min(*self.of("left"), *self.of("right")) < 0:
+        thinnest, thickest = (bound(*self.of("left"), *self.of("right")) for bound in (min, max))
+        if thinnest < 0:
             raise ValueError("thicknesses of 0 (not measured) or more")
+        if thickest > _THICKEST_LAYER_MM:
+            raise ValueError(f"thicknesses of at most {_THICKEST_LAYER_MM:.0f} mm: check the unit")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -6,6 +6,7 @@ import pytest
 
 from mammometry.cli import main
 from mammometry.simulate.disturbances.draw import draw
+from mammometry.simulate.subjects.registry import SUBJECTS
 
 
 @pytest.mark.parametrize(
@@ -31,3 +32,10 @@ def test_disturbances_that_mean_nothing_are_refused(
 def test_a_drawn_situation_is_what_is_written_for_it() -> None:
     assert str(draw(4, 2)) == str(draw(4, 2))
     assert "skin=" in str(draw(4, 0))
+
+
+def test_the_help_names_every_family(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main.run(["simulate", "--help"]) == 0
+    said = " ".join(capsys.readouterr().out.replace("│", " ").split())
+    assert [family for family in SUBJECTS if family != "user-mesh" and family not in said] == []
+    assert "leaning-woman-wide" in said

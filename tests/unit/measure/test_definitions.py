@@ -60,6 +60,17 @@ def test_one_thickness_is_too_few() -> None:
     assert layer_before_muscle_mm("left", LayerSettings(left_lateral_mm=27.0))[2] == 0
 
 
+def test_thicknesses_that_are_too_few_are_named() -> None:
+    muscle = defined(settings=LayerSettings(left_lateral_mm=27.0))[2]
+    assert "on average (1 measured, 2 are needed to count)." in muscle.sentence
+    assert "needed" not in defined()[2].sentence
+
+
+def test_a_thickness_in_the_wrong_unit_is_refused() -> None:
+    with pytest.raises(ValueError, match="at most 100 mm: check the unit"):
+        LayerSettings(left_lateral_mm=240.0)
+
+
 def test_a_negative_thickness_is_refused() -> None:
     with pytest.raises(ValueError, match="thicknesses"):
         LayerSettings(right_lower_mm=-1.0)

@@ -97,24 +97,43 @@ def skin(theta: np.ndarray, y: np.ndarray, out_mm: np.ndarray | float = 0.0) -> 
     return np.stack([r * np.sin(theta), y, r * np.cos(theta)], axis=-1)
 
 
+def of_a_trunk(points: np.ndarray) -> Skin:
+    outwards = points * [1, 0, 1]
+    return Skin(points_world=points, normals_world=outwards / np.linalg.norm(outwards, axis=1, keepdims=True))
+
+
 def test_only_skin_within_the_window_describes_the_trunk() -> None:
     rng = np.random.default_rng(0)
-    points = skin(rng.uniform(-1.2, 1.2, 4000), rng.uniform(-130, 130, 4000))
-    fit_thorax(TRUNK, points)
+    seen = of_a_trunk(skin(rng.uniform(-1.2, 1.2, 4000), rng.uniform(-130, 130, 4000)))
+    points = seen.points_world
+    fit_thorax(TRUNK, seen)
     with pytest.raises(MeasureError, match="points of skin around the breasts"):
-        fit_thorax(TRUNK, points[np.abs(points[:, 1]) > 60], ThoraxSettings(height_window_mm=60.0))
+        fit_thorax(TRUNK, seen.chosen(np.abs(points[:, 1]) > 60), ThoraxSettings(height_window_mm=60.0))
     with pytest.raises(MeasureError, match="points of skin around the breasts"):
-        fit_thorax(TRUNK, points[np.abs(points[:, 0]) > 80], ThoraxSettings(widest_deg=35.0))
+        fit_thorax(TRUNK, seen.chosen(np.abs(points[:, 0]) > 80), ThoraxSettings(widest_deg=35.0))
 
 
 def test_a_rougher_chest_keeps_skin_that_stands_out() -> None:
     """A broad ridge of 8 mm: muscle to a chest that scatters by 4 mm, no chest to one that scatters by 1 mm."""
     rng = np.random.default_rng(0)
     theta, y = rng.uniform(-1.2, 1.2, 8000), rng.uniform(-130, 130, 8000)
-    points = skin(theta, y, np.where(np.abs(theta) < 0.25, 8.0, 0.0))
+    seen = of_a_trunk(skin(theta, y, np.where(np.abs(theta) < 0.25, 8.0, 0.0)))
     ahead = np.zeros((1, 2))
-    rough, smooth = (fit_thorax(TRUNK, points, ThoraxSettings(chest_scale_mm=mm)).radius_mm(ahead) for mm in (4.0, 1.0))
+    rough, smooth = (fit_thorax(TRUNK, seen, ThoraxSettings(chest_scale_mm=mm)).radius_mm(ahead) for mm in (4.0, 1.0))
     assert rough[0] > smooth[0] + 1.0
+
+
+def test_the_trunks_end_is_not_its_side() -> None:
+    """Where the cameras look up at the trunk's lower end, half of the skin beside the breasts may be of that end."""
+    rng = np.random.default_rng(0)
+    side = of_a_trunk(skin(rng.uniform(-1.2, 1.2, 4000), rng.uniform(-60, 130, 4000)))
+    end = skin(rng.uniform(-1.2, 1.2, 4000), np.full(4000, -60.0), rng.uniform(-60.0, 0.0, 4000))
+    both = Skin(
+        points_world=np.concatenate([side.points_world, end]),
+        normals_world=np.concatenate([side.normals_world, np.tile([0.0, -1.0, 0.0], (4000, 1))]),
+    )
+    found = fit_thorax(TRUNK, both)
+    assert np.abs(found.bulge_mm(side.points_world)).max() < 0.5
 
 
 def test_an_axis_that_leans_too_far_is_not_believed() -> None:

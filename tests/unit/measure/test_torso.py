@@ -141,7 +141,7 @@ def test_the_trunk_is_found() -> None:
 def test_the_thorax_is_fitted_under_the_breasts() -> None:
     skin = seen_skin(torso())
     trunk = find_trunk(skin, np.eye(3), height_of=np.array([0.0, 7.0, 100.0]))
-    thorax = fit_thorax(trunk, skin.points_world, breasts_left_out=False)
+    thorax = fit_thorax(trunk, skin, breasts_left_out=False)
     theta, y = np.meshgrid(np.linspace(-1.2, 1.2, 50), np.linspace(-60, 70, 40))
     on_cylinder = np.stack([RADIUS_MM * np.sin(theta), y, RADIUS_MM * np.cos(theta)], axis=-1).reshape(-1, 3)
     assert np.abs(thorax.bulge_mm(on_cylinder)).max() < 1.5  # breasts of 45 and 32 mm stand on it

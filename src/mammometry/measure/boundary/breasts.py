@@ -15,17 +15,21 @@ from mammometry.base.errors import MeasureError
 from mammometry.geometry.arrays import Array, Bool, Float64, read_only
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.nearest import closest_on_mesh
-from mammometry.measure.boundary.crease import CREASE_PER_MM, Crease, follow_crease
+from mammometry.measure.boundary.crease import CREASE_PER_MM, Crease, crease_worth, follow_crease
 from mammometry.measure.boundary.standing import Standing, Verdict, standing_out
 from mammometry.measure.settings import BreastSettings, ThoraxSettings
 from mammometry.measure.trunk.body import Body, check_head, find_body
 from mammometry.measure.trunk.skin_map import PIXEL_MM, Relief, dense_samples, lay_flat
-from mammometry.measure.trunk.thorax import Thorax, Trunk, find_trunk, fit_thorax, seen_faces, seen_skin
+from mammometry.measure.trunk.thorax import Skin, Thorax, Trunk, find_trunk, fit_thorax, seen_faces, seen_skin
 from mammometry.surface.repair import RepairedSurface
 
 SideName: TypeAlias = Literal["left", "right"]
 _OTHER: dict[SideName, SideName] = {"left": "right", "right": "left"}
 _ROUNDS = 3  # times that trunk and breasts are found, each from the other; chosen by eye
+_CREASE_LOST = 0.03
+"""Share of the crease by which a round may have less than the best before it. Each round's thorax rests on the outlines
+of the one before, so that a wrong outline can make the next one worse. Chosen by eye: rounds that settle differ by
+less."""
 _PEAK_SIGMA_MM = 8.0  # the relief is smoothed over this to look for peaks; chosen by eye
 _PEAK_RADIUS_MM = 25.0  # a peak is the highest place within this distance, in both coordinates; chosen by eye
 _LOWEST_PEAK = 0.5
@@ -129,27 +133,10 @@ def find_breasts(
     """
     skin = seen_skin(surface)
     body = find_body(surface, frame, thorax_settings, skin=skin)
-    points = skin.points_world
-    samples = dense_samples(surface.mesh.submesh(seen_faces(surface)))
-    outside = np.ones(len(points), dtype=bool)
-    height_of: Float64[Array, 3] | None = None
-    for _ in range(_ROUNDS):
-        trunk = find_trunk(skin, body.frame, thorax_settings, height_of=height_of)
-        thorax = fit_thorax(trunk, points[outside], thorax_settings, breasts_left_out=not outside.all())
-        relief = lay_flat(thorax, samples, thorax_settings)
-        sides = _sides(relief, trunk, settings)
-        flat = trunk.cylindrical(points)[:, :2]
-        found = [side.crease.flat for side in _fullest_first(sides) if side.verdict == "breast"]
-        # A breast's mirror image is left out too: so the trunk beside it is the same whatever the other side has.
-        left_out = [curve * sign for curve in found for sign in ([1.0, 1.0], [-1.0, 1.0])]
-        outside = np.ones(len(points), dtype=bool)
-        for curve in left_out:
-            outside &= ~within_outline(flat, curve)
-        if found:
-            # At the height of the fuller breast, which does not depend on what the other side has.
-            height_of = trunk.world(np.array([[0.0, found[0][:, 1].mean(), 0.0]]))[0]
+    best = _best_round(surface, skin, body, settings, thorax_settings)
+    thorax, relief, sides = best.thorax, best.relief, best.sides
     outlined = [side.crease for side in sides.values() if side.verdict == "breast"]
-    head = check_head(skin, trunk, [fuller_below(crease, relief) for crease in outlined])
+    head = check_head(skin, thorax.trunk, [fuller_below(crease, relief) for crease in outlined])
     results: dict[SideName, Outline | NoBreast] = {}
     refused: list[MeasureError] = []
     for name, side in sides.items():
@@ -173,6 +160,56 @@ class _Side:
     crease: Crease
     standing: Standing | None
     verdict: Verdict
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Round:
+    """A trunk, and the sides that were seen on it."""
+
+    thorax: Thorax
+    relief: Relief
+    sides: dict[SideName, _Side]
+
+    @property
+    def gathered(self) -> dict[SideName, float]:
+        """How much of a crease each breast's outline follows, 0 to 1."""
+        return {
+            name: float(crease_worth(side.crease.concavity_per_mm).mean())
+            for name, side in self.sides.items()
+            if side.verdict == "breast"
+        }
+
+
+def _best_round(
+    surface: RepairedSurface, skin: Skin, body: Body, settings: BreastSettings, thorax_settings: ThoraxSettings
+) -> _Round:
+    """Find trunk and breasts in turn, until an outline clearly loses the crease that it followed before."""
+    samples = dense_samples(surface.mesh.submesh(seen_faces(surface)))
+    outside = np.ones(len(skin.points_world), dtype=bool)
+    height_of: Float64[Array, 3] | None = None
+    most: dict[SideName, float] = {}
+    best: _Round | None = None
+    for _ in range(_ROUNDS):
+        trunk = find_trunk(skin, body.frame, thorax_settings, height_of=height_of)
+        thorax = fit_thorax(trunk, skin.chosen(outside), thorax_settings, breasts_left_out=not outside.all())
+        relief = lay_flat(thorax, samples, thorax_settings)
+        this = _Round(thorax=thorax, relief=relief, sides=_sides(relief, trunk, settings))
+        gathered = this.gathered
+        if best is not None and any(share < most.get(name, 0.0) - _CREASE_LOST for name, share in gathered.items()):
+            break
+        best, most = this, {name: max(share, most.get(name, 0.0)) for name, share in gathered.items()}
+        flat = trunk.cylindrical(skin.points_world)[:, :2]
+        found = [side.crease.flat for side in _fullest_first(this.sides) if side.verdict == "breast"]
+        # A breast's mirror image is left out too: so the trunk beside it is the same whatever the other side has.
+        left_out = [curve * sign for curve in found for sign in ([1.0, 1.0], [-1.0, 1.0])]
+        outside = np.ones(len(skin.points_world), dtype=bool)
+        for curve in left_out:
+            outside &= ~within_outline(flat, curve)
+        if found:
+            # At the height of the fuller breast, which does not depend on what the other side has.
+            height_of = trunk.world(np.array([[0.0, found[0][:, 1].mean(), 0.0]]))[0]
+    assert best is not None
+    return best
 
 
 def _sides(relief: Relief, trunk: Trunk, settings: BreastSettings) -> dict[SideName, _Side]:

@@ -15,7 +15,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from mammometry.geometry.arrays import Array, Bool, Float64, read_only
 from mammometry.measure.settings import BreastSettings
-from mammometry.measure.trunk.skin_map import Relief
+from mammometry.measure.trunk.skin_map import PIXEL_MM, Relief
 
 CREASE_PER_MM = 0.01
 """Concavity that counts half as a crease, 1/mm, twice a mean curvature. A chest has below .005, a fold .1 to 1."""
@@ -23,6 +23,12 @@ DIRECTIONS = 144  # from the breast's middle in which its end is looked for, 2.5
 _SIGMA_MM = 4.0
 """Scale at which the skin's curvature is looked at, mm: wider than the matcher's and the skin's unevenness, narrower
 than a fold."""
+_FINE_MM = 2.0  # scale at which the same crease is looked at again, to tell how abrupt it is, mm; one pixel
+_HALVED_SIGMAS = (0.0, 1.18, 1.92)
+"""Distance outside a bend of skin at which its concavity, smoothed by a Gaussian, has fallen to half, in σ: where
+curvature steps, where slope steps (a crease), where height steps (a fold under an overhang). Closed forms."""
+_NEAR_STEPS = 6  # steps on either side of the path in which the crease is looked for at the finer scale
+_EVEN_DIRECTIONS = 3.0  # over which abruptness is averaged; chosen by eye
 _VANISH_MM = 2.0  # height over the thorax fit at which a breast ends; the fit's own scatter is 1–2 mm
 _HEIGHT_COST = 0.05
 """Cost, in creases, of a boundary on skin that stands as high again above that level. Weak: it only keeps the boundary
@@ -32,6 +38,9 @@ _STIFFNESS = 0.05
 of the movement. Chosen by eye.
 """
 _RISE_MM = 6.0  # skin that rises again by this much belongs to something else (arm, belly, other breast)
+_SUNK_MM = 12.0
+"""Skin this far behind the thorax fit is no trunk: it has ended there. The fit itself takes skin beyond 12 mm (three
+scatters of 4 mm) for something else; its own errors are 2 to 6 mm."""
 _STEP_MM = 1.0  # of the table of distances
 _LEVEL_MM = 1.0  # over 8 mm: skin that rises or falls less is level; chosen by eye
 _TURNS = 3  # of the dynamic programming: one to forget the ends on either side of the one that is kept
@@ -64,7 +73,7 @@ def follow_crease(relief: Relief, middle: Float64[Array, 2], settings: BreastSet
     The concavity κ of the relief, smoothed over σ, is worth κ/(κ + κ₀) where it is positive, and less where skin rises
     outside it more than it falls to it from the breast: that is the foot of something else. Skin that stands higher
     than the level at which a breast ends costs. The curve is then drawn on the crease's outer flank, where κ has fallen
-    to half. Where curved skin joins straight skin, smoothing spreads the joint evenly to both sides: half is its place.
+    to half, less what smoothing has put outside: nothing where curved skin joins straight skin, up to 2 σ at a fold.
 
     Args:
         relief: the skin laid flat.
@@ -79,12 +88,14 @@ def follow_crease(relief: Relief, middle: Float64[Array, 2], settings: BreastSet
     bulge = relief.at(places, relief.smooth_mm(_SIGMA_MM))
     concavity = relief.at(places, relief.concavity_per_mm(_SIGMA_MM))
     allowed = _beyond_the_top(bulge) & relief.within(places)
-    worth = np.clip(concavity, 0.0, None) / (np.clip(concavity, 0.0, None) + CREASE_PER_MM) * _own(bulge)
+    worth = crease_worth(concavity) * _own(bulge)
     worth = worth - np.clip(bulge / _VANISH_MM - 1, 0.0, None) * _HEIGHT_COST
     way = _best_way(np.where(allowed, worth, _FORBIDDEN), _STIFFNESS)
     deepest = concavity[np.arange(count), way]
-    flank_mm = _outer_flank_mm(concavity, way)
-    reach = steps[way] + flank_mm
+    flank_mm = _outer_flank_mm(concavity, allowed, way)
+    fine = relief.at(places, relief.concavity_per_mm(_FINE_MM))
+    # Each pixel has its innermost skin, which is that of its outer edge: half a pixel too far in.
+    reach = steps[way] + flank_mm - _smeared_mm(concavity, fine, way) + PIXEL_MM / 2
     # Smooth as the directions' own distances are, in mm along the curve.
     apart = float(np.mean(reach)) * 2 * np.pi / count
     reach = np.asarray(gaussian_filter1d(reach, _SIGMA_MM / apart, mode="wrap"))
@@ -97,17 +108,27 @@ def follow_crease(relief: Relief, middle: Float64[Array, 2], settings: BreastSet
     )
 
 
+def crease_worth(concavity_per_mm: Float64[Array, "*n"]) -> Float64[Array, "*n"]:
+    """How far places are a crease, 0 to 1.
+
+    By their concavity κ, 1/mm: κ/(κ + κ₀) where it is positive.
+    """
+    concave = np.clip(concavity_per_mm, 0.0, None)
+    return np.asarray(concave / (concave + CREASE_PER_MM))
+
+
 def _beyond_the_top(bulge: Float64[Array, "d s"]) -> Bool[Array, "d s"]:
     """Where a breast may end, as a mask.
 
-    From where it has fallen to half its height until the skin rises again for good.
+    From where it has fallen to half its height until the skin rises again for good, or the trunk ends.
     """
     top = np.maximum.accumulate(bulge, axis=1)
     low = bulge < np.maximum(top / 2, _VANISH_MM)
     begun = np.maximum.accumulate(low, axis=1)
     lowest = np.minimum.accumulate(np.where(begun, bulge, np.inf), axis=1)
     risen = begun & (bulge > np.maximum(lowest, 0.0) + _RISE_MM)
-    allowed = begun & ~np.maximum.accumulate(risen, axis=1)
+    ended = risen | (begun & (bulge < -_SUNK_MM))
+    allowed = begun & ~np.maximum.accumulate(ended, axis=1)
     allowed[~allowed.any(axis=1)] = True  # nothing is known here; the neighbours decide
     return allowed
 
@@ -146,14 +167,14 @@ def _best_way(worth: Float64[Array, "d s"], stiffness: float) -> Array:
     return way[count : 2 * count]
 
 
-def _outer_flank_mm(concavity: Float64[Array, "d s"], way: Array) -> Float64[Array, " d"]:
-    """Distance outside the path at which the concavity has halved, mm.
+def _outer_flank_mm(concavity: Float64[Array, "d s"], allowed: Bool[Array, "d s"], way: Array) -> Float64[Array, " d"]:
+    """Distance outside the path at which the concavity has halved, or a breast can no longer end, mm.
 
     0 where there is no crease.
     """
     count, length = concavity.shape
     ahead = way[:, None] + np.arange(int(_SHIFT_MM / _STEP_MM) + 1)
-    along = concavity[np.arange(count)[:, None], np.minimum(ahead, length - 1)]
+    along = np.where(allowed, concavity, 0.0)[np.arange(count)[:, None], np.minimum(ahead, length - 1)]
     half = along[:, :1] / 2
     fallen = along < half
     first = np.where(fallen.any(axis=1), np.argmax(fallen, axis=1), 0)
@@ -161,3 +182,19 @@ def _outer_flank_mm(concavity: Float64[Array, "d s"], way: Array) -> Float64[Arr
     above, below = along[row, np.maximum(first - 1, 0)], along[row, first]
     share = np.divide(above - half[:, 0], above - below, out=np.zeros(count), where=above > below)
     return np.where(first > 0, (first - 1 + share) * _STEP_MM, 0.0)
+
+
+def _smeared_mm(concavity: Float64[Array, "d s"], fine: Float64[Array, "d s"], way: Array) -> Float64[Array, " d"]:
+    """How far outside the crease smoothing has put the place at which the concavity halves, mm.
+
+    With the scale σ the concavity of a step in curvature stays, that of a step in slope falls as 1/σ, that of a step in
+    height as 1/σ². So two scales tell which it is.
+    """
+    count, length = concavity.shape
+    near = np.clip(way[:, None] + np.arange(-_NEAR_STEPS, _NEAR_STEPS + 1), 0, length - 1)
+    row = np.arange(count)[:, None]
+    coarse_peak, fine_peak = (np.clip(each[row, near].max(axis=1), 1e-9, None) for each in (concavity, fine))
+    order = np.clip(np.log(fine_peak / coarse_peak) / np.log(_SIGMA_MM / _FINE_MM), 0.0, 2.0)
+    order = np.where(coarse_peak > CREASE_PER_MM, order, 0.0)
+    smeared_mm = _SIGMA_MM * np.interp(order, np.arange(3), _HALVED_SIGMAS)
+    return np.asarray(gaussian_filter1d(smeared_mm, _EVEN_DIRECTIONS, mode="wrap"))

@@ -85,7 +85,7 @@ def outline_by_protocol(
     ends = np.concatenate([places[f"{name}_{side}"] for side in sides for name in ("medial", "lateral")])
     skin = seen_skin(surface)
     trunk = find_trunk(skin, frame, settings, height_of=ends.mean(axis=0))
-    thorax = fit_thorax(trunk, skin.points_world, settings, breasts_left_out=False)
+    thorax = fit_thorax(trunk, skin, settings, breasts_left_out=False)
     relief = lay_flat(thorax, dense_samples(surface.mesh.submesh(seen_faces(surface))), settings)
     return {side: _outline(side, places, thorax, relief, surface.mesh, join) for side in sides}
 

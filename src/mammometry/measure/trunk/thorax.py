@@ -45,6 +45,9 @@ _FIT_ROUNDS = 25  # of reweighting the skin; chosen by eye
 _LEAN = 0.2  # sine of the angle between normal and level at which a normal counts half; chosen by eye
 _ARM = 1.15  # skin further to the side than this many half widths is an arm's; chosen by eye
 _RIDGE = 1e-4  # slight pull of the higher harmonics to zero, since the back is not seen; chosen by eye
+_FACING_OUT = 0.5
+"""Least share of a unit normal that points away from the axis, for skin to show the trunk's radius. The trunk's end,
+seen from below, and a breast's underside face along the axis. Chosen by eye (docs/decisions/0019)."""
 _COPIES = 2  # samples for each face at most
 _FINEST_MM = 1.0  # least scatter assumed while the breasts are still in the skin; chosen by eye
 _CUT_OFF = 3.0  # scatters at which skin that stands out counts no more
@@ -134,6 +137,10 @@ class Skin:
     def __post_init__(self) -> None:
         object.__setattr__(self, "points_world", read_only(self.points_world))
         object.__setattr__(self, "normals_world", read_only(self.normals_world))
+
+    def chosen(self, which: Bool[Array, " n"] | slice) -> Skin:
+        """Part of the samples."""
+        return Skin(points_world=self.points_world[which], normals_world=self.normals_world[which])
 
 
 def seen_faces(surface: RepairedSurface) -> Int64[Array, " k"]:
@@ -289,20 +296,21 @@ def _behind_breastbone(
 
 def fit_thorax(
     trunk: Trunk,
-    points_world: Float64[Array, "n 3"],
+    skin: Skin,
     settings: ThoraxSettings = ThoraxSettings(),
     *,
     breasts_left_out: bool = True,
 ) -> Thorax:
     """Fit r(θ, y) to the skin without what stands out.
 
-    Breasts and arms stand out. The model is a Fourier series in θ whose coefficients are polynomials in y. The weights
-    are asymmetric: Tukey's for skin that stands out, Huber's for skin that lies deeper. A slight ridge holds the
-    higher harmonics, as the back is not seen.
+    Breasts and arms stand out. Skin that faces along the axis (the trunk's end, a breast's underside) is left out. The
+    model is a Fourier series in θ whose coefficients are polynomials in y. The weights are asymmetric: Tukey's for skin
+    that stands out, Huber's for skin that lies deeper. A slight ridge holds the higher harmonics, as the back is not
+    seen.
 
     Args:
         trunk: its axis.
-        points_world: skin, mm, world frame.
+        skin: samples of it, world frame.
         settings: orders of the fit, and what belongs to the trunk.
         breasts_left_out: whether the skin is already without the breasts. Then skin that stands out a little is chest,
             and only arms are left out.
@@ -310,12 +318,14 @@ def fit_thorax(
     Raises:
         MeasureError: too little skin.
     """
-    cylindrical = trunk.cylindrical(points_world[:: max(1, len(points_world) // _FIT_SAMPLES)])
+    skin = skin.chosen(slice(None, None, max(1, len(skin.points_world) // _FIT_SAMPLES)))
+    cylindrical = trunk.cylindrical(skin.points_world)
     flat, radius = cylindrical[:, :2], cylindrical[:, 2]
     inside = (
         (np.abs(flat[:, 1]) < settings.height_window_mm)
         & (np.abs(flat[:, 0]) < np.deg2rad(settings.widest_deg) * trunk.half_width_mm)
         & on_trunk(cylindrical, trunk)
+        & (_facing_out(skin, trunk) > _FACING_OUT)
     )
     flat, radius = flat[inside], radius[inside]
     design = _design(flat, trunk.half_width_mm, settings)
@@ -341,6 +351,13 @@ def fit_thorax(
             error > 0, np.clip(1 - (error / reach) ** 2, 0, None) ** 2, 1 / np.maximum(1, -error / reach)
         )
     return Thorax(trunk=trunk, coefficients=coefficients, settings=settings, rms_mm=scale)
+
+
+def _facing_out(skin: Skin, trunk: Trunk) -> Float64[Array, " n"]:
+    """Share of each unit normal that points away from the trunk's axis."""
+    aside, _, ahead = ((skin.points_world - trunk.origin) @ trunk.frame.T).T
+    to_left, _, to_front = (skin.normals_world @ trunk.frame.T).T
+    return np.asarray((aside * to_left + ahead * to_front) / np.maximum(np.hypot(aside, ahead), 1e-9))
 
 
 def on_trunk(cylindrical: Float64[Array, "n 3"], trunk: Trunk) -> Bool[Array, " n"]:

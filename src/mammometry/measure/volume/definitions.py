@@ -133,7 +133,7 @@ def define(
         basis = (
             f"by {count} thicknesses measured at the boundary"
             if count
-            else f"by the {mean_mm:.1f} mm that real women have on average"
+            else f"by the {mean_mm:.1f} mm that real women have on average{_too_few(side, settings)}"
         )
         found.append(
             _defined(
@@ -144,6 +144,12 @@ def define(
             )
         )
     return tuple(found)
+
+
+def _too_few(side: str, settings: LayerSettings) -> str:
+    """What is said if thicknesses were entered that do not count."""
+    entered = sum(thickness > 0 for thickness in settings.of(side))
+    return f" ({entered} measured, {settings.fewest} are needed to count)" if 0 < entered < settings.fewest else ""
 
 
 def _defined(meaning: Meaning, volume_cc: float, half_cc: float, sentence: str) -> DefinedVolume:

@@ -140,12 +140,16 @@ class OpenBreast:
     @cached_property
     def beside(self) -> Float64[Array, "n 3"]:
         """Visible skin outside every breast, mm, world frame."""
-        return self.skin.points_world[_outside(self.skin.points_world, self._all_boundaries(), self.trunk)]
+        return self._skin_beside.points_world
+
+    @cached_property
+    def _skin_beside(self) -> Skin:
+        return self.skin.chosen(_outside(self.skin.points_world, self._all_boundaries(), self.trunk))
 
     @cached_property
     def thorax(self) -> Thorax:
         """The trunk's smooth radius without breasts."""
-        return fit_thorax(self.trunk, self.beside, self.settings.thorax)
+        return fit_thorax(self.trunk, self._skin_beside, self.settings.thorax)
 
     def _all_boundaries(self) -> tuple[Boundary, ...]:
         return tuple(self.boundaries) or (self.boundary,)
