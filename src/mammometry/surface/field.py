@@ -136,12 +136,20 @@ def build_field(
     """Pack views with their weights, and all silhouettes."""
     seen = [image for image in range_images if image.valid.any()]
 
-    def says(image: RangeImage) -> Float32[Array, "p 3"]:
+    starts = np.cumsum([0, *(image.valid.size for image in seen)])
+    elements = np.empty((starts[-1], 3), dtype=np.float32)
+    view_rows = [
+        view_row(image.camera, image.valid.shape, start) for image, start in zip(seen, starts[:-1], strict=True)
+    ]
+
+    def fill(number: int) -> None:
+        image = seen[number]
         left = rig.pair(image.name).left
         others_mm = nearest_of_others_mm(image, seen)
-        return view_elements(image, left, foregrounds.get(left.name), settings, others_mm).reshape(-1, 3)
+        rows = view_elements(image, left, foregrounds.get(left.name), settings, others_mm)
+        elements[starts[number] : starts[number + 1]] = rows.reshape(-1, 3)
 
-    elements = each_at_once(says, seen)
+    each_at_once(fill, range(len(seen)))
     outlined = {
         name: foreground
         for name, foreground in foregrounds.items()
@@ -151,18 +159,14 @@ def build_field(
     distances = each_at_once(
         lambda name: silhouette_distance_px(outlined[name], steps[name], settings.lost_slope), list(outlined)
     )
-    starts = np.cumsum([0, *(image.valid.size for image in seen)])
-    view_rows = [
-        view_row(image.camera, image.valid.shape, start) for image, start in zip(seen, starts[:-1], strict=True)
-    ]
-    starts = np.cumsum([0, *(each.size for each in distances)])
+    starts_of_lines = np.cumsum([0, *(each.size for each in distances)])
     contour_rows = [
         view_row(thinned_camera(rig.cameras[name], steps[name]), each.shape, start)
-        for name, each, start in zip(outlined, distances, starts[:-1], strict=True)
+        for name, each, start in zip(outlined, distances, starts_of_lines[:-1], strict=True)
     ]
     return Field(
         views=np.array(view_rows).reshape(-1, COLUMNS),
-        elements=np.concatenate(elements),
+        elements=elements,
         contours=np.array(contour_rows).reshape(-1, COLUMNS),
         distances=np.concatenate([np.zeros(0, dtype=np.float32), *(each.ravel() for each in distances)]),
         box=box,
