@@ -22,6 +22,7 @@ from mammometry.matching import quality as match_quality
 from mammometry.matching.foreground import Foreground
 from mammometry.matching.match import DisparityMap
 from mammometry.measure.boundary.breasts import NoBreast
+from mammometry.measure.boundary.confirming import TO_BE_CONFIRMED
 from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.report.figures.sides import NAMES, wall_faces
 from mammometry.report.figures.surface import provenance_shares
@@ -43,6 +44,8 @@ from mammometry.surface.repair import Provenance, RepairedSurface
 DISCLAIMER = (
     "For research use only. mammometry is not a certified medical device. Do not base a diagnosis or a treatment on it."
 )
+SKIN_MEASURED = 0.8
+"""Share of a breast's skin that should be measured, not closed by the elastic repair. Chosen by eye."""
 _PACKAGES = ("numpy", "scipy", "numba", "opencv-python-headless", "scikit-image", "trimesh", "manifold3d", "pyamg")
 
 
@@ -69,6 +72,8 @@ class BreastReport:
     interval_note: str
     facts: tuple[Fact, ...]
     """Further measures of the breast."""
+    cautions: tuple[str, ...] = ()
+    """What changes the meaning of the volume. Stands beside it."""
     wall_label: str
     """Name of this subject's wall: "Chest wall", or "Base" of a cast."""
     wall: str
@@ -127,8 +132,19 @@ class ReportContent:
         return " · ".join(filter(None, (self.identity.beside, self.created, self.subject)))
 
 
-def breast_report(measured: VolumeMeasurement, repaired: RepairedSurface | None = None) -> BreastReport:
-    """Describe one measurement in words."""
+def breast_report(
+    measured: VolumeMeasurement, repaired: RepairedSurface | None = None, cautions: Sequence[str] = ()
+) -> BreastReport:
+    """Describe one measurement in words.
+
+    Args:
+        measured: one breast.
+        repaired: the whole surface, to tell what of the skin was measured.
+        cautions: of the run, which change the meaning of its volumes.
+    """
+    beside = [] if measured.watertight else ["Do not use this volume: its solid is not watertight."]
+    if TO_BE_CONFIRMED in measured.boundary_method:
+        beside.append("Nobody has confirmed its boundary.")
     facts = [
         Fact(label=definition_title(defined), value=f"{definition_words(defined)}. {defined.sentence}")
         for defined in measured.definitions
@@ -144,6 +160,8 @@ def breast_report(measured: VolumeMeasurement, repaired: RepairedSurface | None 
         facts.append(
             Fact(label="Skin", value=f"{seen:.1f} % measured, {mended:.1f} % repaired, {invented:.1f} % invented")
         )
+        if shares[Provenance.MEASURED] < SKIN_MEASURED:
+            beside.append(f"Only {seen:.0f} % of its skin was measured.")
     facts.append(Fact(label=wall_label(measured), value=measured.wall_kind))
     if not measured.watertight:
         facts.append(Fact(label="Closed solid", value="NOT watertight: do not use this volume"))
@@ -155,6 +173,7 @@ def breast_report(measured: VolumeMeasurement, repaired: RepairedSurface | None 
         interval=interval_words(measured.interval_cc),
         interval_note=sentence(measured.interval_note),
         facts=tuple(facts),
+        cautions=(*beside, *cautions),
         wall=f"{measured.wall_kind.capitalize()}: {sentence(measured.wall_definition, capital=False)}",
         boundary=sentence(measured.boundary_method),
         tables=_breast_tables(measured),
