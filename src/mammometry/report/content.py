@@ -17,14 +17,13 @@ from mammometry.calibration.judge.quality import CalibrationQuality
 from mammometry.calibration.targets.target import Target
 from mammometry.geometry.arrays import Array, Float32
 from mammometry.geometry.camera import Rig
-from mammometry.geometry.nearest import point_tree
 from mammometry.matching import quality as match_quality
 from mammometry.matching.foreground import Foreground
 from mammometry.matching.match import DisparityMap
 from mammometry.measure.boundary.breasts import NoBreast
-from mammometry.measure.boundary.confirming import TO_BE_CONFIRMED
 from mammometry.measure.volume.measurement import VolumeMeasurement
-from mammometry.report.figures.sides import NAMES, wall_faces
+from mammometry.report.cautions import own_cautions, skin_shares
+from mammometry.report.figures.sides import NAMES
 from mammometry.report.figures.surface import provenance_shares
 from mammometry.report.scene import ViewerScene
 from mammometry.report.volume_words import (
@@ -44,8 +43,6 @@ from mammometry.surface.repair import Provenance, RepairedSurface
 DISCLAIMER = (
     "For research use only. mammometry is not a certified medical device. Do not base a diagnosis or a treatment on it."
 )
-SKIN_MEASURED = 0.8
-"""Share of a breast's skin that should be measured, not closed by the elastic repair. Chosen by eye."""
 _PACKAGES = ("numpy", "scipy", "numba", "opencv-python-headless", "scikit-image", "trimesh", "manifold3d", "pyamg")
 
 
@@ -142,9 +139,6 @@ def breast_report(
         repaired: the whole surface, to tell what of the skin was measured.
         cautions: of the run, which change the meaning of its volumes.
     """
-    beside = [] if measured.watertight else ["Do not use this volume: its solid is not watertight."]
-    if TO_BE_CONFIRMED in measured.boundary_method:
-        beside.append("Nobody has confirmed its boundary.")
     facts = [
         Fact(label=definition_title(defined), value=f"{definition_words(defined)}. {defined.sentence}")
         for defined in measured.definitions
@@ -154,14 +148,12 @@ def breast_report(
         Fact(label="Skin within the boundary", value=f"{measured.area_cm2:.0f} cm²"),
         Fact(label="Base area", value=f"{measured.base_area_cm2:.0f} cm²"),
     ]
-    if repaired is not None:
-        shares = skin_shares(measured, repaired)
+    shares = None if repaired is None else skin_shares(measured, repaired)
+    if shares is not None:
         seen, mended, invented = (100 * shares[kind] for kind in sorted(Provenance, reverse=True))
         facts.append(
             Fact(label="Skin", value=f"{seen:.1f} % measured, {mended:.1f} % repaired, {invented:.1f} % invented")
         )
-        if shares[Provenance.MEASURED] < SKIN_MEASURED:
-            beside.append(f"Only {seen:.0f} % of its skin was measured.")
     facts.append(Fact(label=wall_label(measured), value=measured.wall_kind))
     if not measured.watertight:
         facts.append(Fact(label="Closed solid", value="NOT watertight: do not use this volume"))
@@ -173,7 +165,7 @@ def breast_report(
         interval=interval_words(measured.interval_cc),
         interval_note=sentence(measured.interval_note),
         facts=tuple(facts),
-        cautions=(*beside, *cautions),
+        cautions=(*own_cautions(measured, shares), *cautions),
         wall=f"{measured.wall_kind.capitalize()}: {sentence(measured.wall_definition, capital=False)}",
         boundary=sentence(measured.boundary_method),
         tables=_breast_tables(measured),
@@ -233,19 +225,6 @@ def _breast_tables(measured: VolumeMeasurement) -> tuple[Table, ...]:
         ),
     )
     return tuple(table for table in (terms, walls) if table.rows)
-
-
-def skin_shares(measured: VolumeMeasurement, repaired: RepairedSurface) -> dict[Provenance, float]:
-    """Share of a breast's skin of each origin.
-
-    The origin is that of the nearest vertex of the whole surface.
-    """
-    skin = ~wall_faces(measured)
-    middles = measured.closed.corners()[skin].mean(axis=1)
-    areas = np.linalg.norm(measured.closed.face_vectors()[skin], axis=1)
-    nearest = point_tree(repaired.mesh.vertices).query(middles, workers=1)[1]
-    sums = np.bincount(repaired.provenance[nearest], areas, minlength=len(Provenance))
-    return {kind: float(sums[kind] / max(areas.sum(), 1e-12)) for kind in Provenance}
 
 
 def calibration_report(rig: Rig, calibration: Calibration | None, quality: CalibrationQuality | None) -> StageReport:

@@ -14,7 +14,8 @@ from mammometry.measure.boundary.breasts import NoBreast
 from mammometry.measure.boundary.confirming import TO_BE_CONFIRMED
 from mammometry.measure.trunk.body import Body
 from mammometry.measure.volume.measurement import VolumeMeasurement
-from mammometry.report.content import SKIN_MEASURED, sentence, skin_shares
+from mammometry.report.cautions import SKIN_MEASURED, skin_shares
+from mammometry.report.content import sentence
 from mammometry.report.figures.sides import NAMES
 from mammometry.surface.occluders import Blocked
 from mammometry.surface.repair import Provenance, RepairedSurface
@@ -109,7 +110,7 @@ def warnings(run: RunResults) -> Iterator[str]:
 
 
 def run_cautions(run: RunResults) -> Iterator[str]:
-    """Warn of what changes the meaning of every volume of a run. These stand beside each."""
+    """Warn of what changes every volume of a run."""
     if run.moved:
         yield "Cameras or body moved: see the warnings."
     if run.calibration is None:

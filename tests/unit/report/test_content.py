@@ -11,6 +11,7 @@ from mammometry.measure.boundary.boundary import TO_BE_CONFIRMED
 from mammometry.measure.volume.definitions import DefinedVolume
 from mammometry.report import content
 from mammometry.report.anthropometry import comparison
+from mammometry.report.cautions import skin_shares
 from mammometry.report.volume_words import interval_words, volume_words
 from mammometry.report.warnings import RunResults, run_cautions, warnings
 from mammometry.settings import Settings
@@ -96,7 +97,7 @@ def test_what_changes_a_volumes_meaning_stands_beside_it(rig) -> None:
 
 def test_the_skins_origin_is_looked_up_on_the_surface() -> None:
     """The half ball towards the cameras is where `synthetic.repaired` says it was measured."""
-    shares = content.skin_shares(synthetic.measurement(), synthetic.repaired(synthetic.ball(5)))
+    shares = skin_shares(synthetic.measurement(), synthetic.repaired(synthetic.ball(5)))
     assert shares[Provenance.MEASURED] > 0.97
     assert sum(shares.values()) == pytest.approx(1.0)
 
