@@ -65,6 +65,8 @@ _LONG = 100
 """Characters of a situation that stand in its folder's name."""
 _SENTENCE = 240
 """Characters of a refusal that the table shows."""
+_MOUNTED = {"upside-down": "upside-down", "portrait-left": "left", "portrait-right": "right"}
+"""Size of the disturbance `mounted` → what session.toml says of it."""
 _VOLUME_GOAL_PERCENT, _SURFACE_GOAL = 1.0, 1.2
 """Of a disturbance that hides no skin, against the same body without it (issue 18)."""
 
@@ -75,11 +77,14 @@ class Case:
 
     recipe: SessionRecipe
     situation: Situation
+    mounting_said: bool = False
+    """Whether session.toml says how the cameras are mounted, where they are not upright."""
 
     @property
     def name(self) -> str:
         """Of its folder."""
-        return f"{self.recipe.subject}-{self.recipe.seed}-{self.recipe.scale:g}-{self.words}"
+        said = "-said" if self.mounting_said and "mounted" in str(self.situation) else ""
+        return f"{self.recipe.subject}-{self.recipe.seed}-{self.recipe.scale:g}-{self.words}{said}"
 
     @property
     def words(self) -> str:
@@ -136,7 +141,8 @@ def cases(arguments: argparse.Namespace) -> Iterator[Case]:
             if text.partition("=")[0] == "skin":  # it is what the others are compared on
                 continue
             situation = parse_situation(f"skin={arguments.skin},{text}")
-            yield _case(subject, arguments.seed, arguments.scale, situation)
+            case = _case(subject, arguments.seed, arguments.scale, situation)
+            yield replace(case, mounting_said=arguments.mounting_said)
     for seed in arguments.seeds:
         if is_held_out(seed) == arguments.held_out:
             for difficulty in arguments.difficulty:
@@ -184,6 +190,8 @@ def measured(case: Case, out: Path) -> tuple[Found, Job]:
         shutil.rmtree(session, ignore_errors=True)
         recipe = replace(case.recipe, situation=case.situation)
         write_session(session, recipe, _STUDIO)
+        if case.mounting_said:
+            _say_mounting(session / "session.toml", case.situation)
         plain = out / case.undisturbed.name
         if plain != session and _same_calibration(session, plain):
             take_over_calibration(session, plain)
@@ -197,6 +205,14 @@ def measured(case: Case, out: Path) -> tuple[Found, Job]:
             refused = " ".join(str(error).split())
     truth = read_truth(session / "truth", job.inputs.pair_names)
     return Found(case=case, sides=_sides(truth, volumes), refused=refused), job
+
+
+def _say_mounting(manifest: Path, situation: Situation) -> None:
+    for one in situation.disturbances:
+        if one.name == "mounted":
+            how = _MOUNTED[str(DISTURBANCES[one.name].sized(one))]
+            text = manifest.read_text(encoding="utf-8")
+            manifest.write_text(text.replace("[rig]\n", f'[rig]\nmounting = "{how}"\n'), encoding="utf-8")
 
 
 def _same_calibration(session: Path, other: Path) -> bool:
@@ -349,6 +365,7 @@ def main() -> None:
     parser.add_argument("--subjects", nargs="+", default=["torso_3"], help="for --disturb")
     parser.add_argument("--seed", type=int, default=7, help="for --disturb")
     parser.add_argument("--skin", default="skin", help="for --disturb")
+    parser.add_argument("--mounting-said", action="store_true", help="with mounted=…: session.toml says it")
     parser.add_argument("--scale", type=float, default=0.25, help="of the pictures")
     parser.add_argument("--out", type=Path, default=Path("build/clinic"))
     parser.add_argument("--scheduler", help="of a Dask cluster that sees the folder; default: this machine")

@@ -246,6 +246,12 @@ def _of_both_sides(found: Sequence[VolumeMeasurement], truth_cc: Mapping[str, fl
     return Held("", _SIDES, error_cc, verdict.difference_interval_cc[1] - verdict.difference_cc)
 
 
+def share_interval(part: int, whole: int) -> tuple[float, float]:
+    """95 % interval of a share of which `part` of `whole` were seen (Clopper and Pearson)."""
+    low = float(beta.ppf(0.025, part, whole - part + 1)) if part else 0.0
+    return low, float(beta.ppf(0.975, part + 1, whole - part)) if part < whole else 1.0
+
+
 def summary(held: list[Held]) -> Iterator[str]:
     """Coverage with its own 95 % interval (Clopper and Pearson), by family of subjects and what the volume means."""
     groups = {"casts": [one for one in held if one.volume == "model"]}
@@ -265,8 +271,7 @@ def summary(held: list[Held]) -> Iterator[str]:
         if not group:
             continue
         n, k = len(group), sum(one.holds for one in group)
-        low = beta.ppf(0.025, k, n - k + 1) if k else 0.0
-        high = beta.ppf(0.975, k + 1, n - k) if k < n else 1.0
+        low, high = share_interval(k, n)
         relative = np.sqrt(np.mean([(one.error_cc / one.half_cc) ** 2 for one in group]))
         errors, half = np.array([(one.error_cc, one.half_cc) for one in group]).T
         share = f"{100 * k / n:.1f} % | {100 * low:.0f} … {100 * high:.0f} %"

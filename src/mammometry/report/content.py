@@ -17,13 +17,13 @@ from mammometry.calibration.judge.quality import CalibrationQuality
 from mammometry.calibration.targets.target import Target
 from mammometry.geometry.arrays import Array, Float32
 from mammometry.geometry.camera import Rig
-from mammometry.geometry.nearest import point_tree
 from mammometry.matching import quality as match_quality
 from mammometry.matching.foreground import Foreground
 from mammometry.matching.match import DisparityMap
 from mammometry.measure.boundary.breasts import NoBreast
 from mammometry.measure.volume.measurement import VolumeMeasurement
-from mammometry.report.figures.sides import NAMES, wall_faces
+from mammometry.report.cautions import own_cautions, skin_shares
+from mammometry.report.figures.sides import NAMES
 from mammometry.report.figures.surface import provenance_shares
 from mammometry.report.scene import ViewerScene
 from mammometry.report.volume_words import (
@@ -69,6 +69,8 @@ class BreastReport:
     interval_note: str
     facts: tuple[Fact, ...]
     """Further measures of the breast."""
+    cautions: tuple[str, ...] = ()
+    """What changes the meaning of the volume. Stands beside it."""
     wall_label: str
     """Name of this subject's wall: "Chest wall", or "Base" of a cast."""
     wall: str
@@ -127,8 +129,16 @@ class ReportContent:
         return " · ".join(filter(None, (self.identity.beside, self.created, self.subject)))
 
 
-def breast_report(measured: VolumeMeasurement, repaired: RepairedSurface | None = None) -> BreastReport:
-    """Describe one measurement in words."""
+def breast_report(
+    measured: VolumeMeasurement, repaired: RepairedSurface | None = None, cautions: Sequence[str] = ()
+) -> BreastReport:
+    """Describe one measurement in words.
+
+    Args:
+        measured: one breast.
+        repaired: the whole surface, to tell what of the skin was measured.
+        cautions: of the run, which change the meaning of its volumes.
+    """
     facts = [
         Fact(label=definition_title(defined), value=f"{definition_words(defined)}. {defined.sentence}")
         for defined in measured.definitions
@@ -138,8 +148,8 @@ def breast_report(measured: VolumeMeasurement, repaired: RepairedSurface | None 
         Fact(label="Skin within the boundary", value=f"{measured.area_cm2:.0f} cm²"),
         Fact(label="Base area", value=f"{measured.base_area_cm2:.0f} cm²"),
     ]
-    if repaired is not None:
-        shares = skin_shares(measured, repaired)
+    shares = None if repaired is None else skin_shares(measured, repaired)
+    if shares is not None:
         seen, mended, invented = (100 * shares[kind] for kind in sorted(Provenance, reverse=True))
         facts.append(
             Fact(label="Skin", value=f"{seen:.1f} % measured, {mended:.1f} % repaired, {invented:.1f} % invented")
@@ -155,6 +165,7 @@ def breast_report(measured: VolumeMeasurement, repaired: RepairedSurface | None 
         interval=interval_words(measured.interval_cc),
         interval_note=sentence(measured.interval_note),
         facts=tuple(facts),
+        cautions=(*own_cautions(measured, shares), *cautions),
         wall=f"{measured.wall_kind.capitalize()}: {sentence(measured.wall_definition, capital=False)}",
         boundary=sentence(measured.boundary_method),
         tables=_breast_tables(measured),
@@ -214,19 +225,6 @@ def _breast_tables(measured: VolumeMeasurement) -> tuple[Table, ...]:
         ),
     )
     return tuple(table for table in (terms, walls) if table.rows)
-
-
-def skin_shares(measured: VolumeMeasurement, repaired: RepairedSurface) -> dict[Provenance, float]:
-    """Share of a breast's skin of each origin.
-
-    The origin is that of the nearest vertex of the whole surface.
-    """
-    skin = ~wall_faces(measured)
-    middles = measured.closed.corners()[skin].mean(axis=1)
-    areas = np.linalg.norm(measured.closed.face_vectors()[skin], axis=1)
-    nearest = point_tree(repaired.mesh.vertices).query(middles, workers=1)[1]
-    sums = np.bincount(repaired.provenance[nearest], areas, minlength=len(Provenance))
-    return {kind: float(sums[kind] / max(areas.sum(), 1e-12)) for kind in Provenance}
 
 
 def calibration_report(rig: Rig, calibration: Calibration | None, quality: CalibrationQuality | None) -> StageReport:

@@ -24,7 +24,7 @@ from mammometry.report.figures.thinning import matched_shares, thinned_foregroun
 from mammometry.report.models import viewer_scene
 from mammometry.report.page_inputs import PageInputs
 from mammometry.report.privacy import Privacy, guard, without_photographs
-from mammometry.report.warnings import RunResults, warnings
+from mammometry.report.warnings import RunResults, run_cautions, warnings
 from mammometry.surface.stillness_words import concerns, summary
 
 Pictures = Mapping[str, Mapping[str, bytes]]
@@ -103,23 +103,22 @@ def gather(
         stages.append(replace(measured_words, tables=measured_words.tables + dimension_tables(sizes, marks)))
     progress(0.9)
 
-    said = warnings(
-        RunResults(
-            quality=quality,
-            calibration=calibration,
-            shares=shares,
-            disparities=disparities,
-            foregrounds=foregrounds,
-            measurements=measurements,
-            repaired=finished.repaired,
-            blocked=plan.surfaced.blocked(),
-            moved=tuple(concerns(stillness)),
-            absent=absent,
-            body=body,
-            doubtful=without_nipple(measurements, marks, settings.measure),
-        )
+    run = RunResults(
+        quality=quality,
+        calibration=calibration,
+        shares=shares,
+        disparities=disparities,
+        foregrounds=foregrounds,
+        measurements=measurements,
+        repaired=finished.repaired,
+        blocked=plan.surfaced.blocked(),
+        moved=tuple(concerns(stillness)),
+        absent=absent,
+        body=body,
+        doubtful=without_nipple(measurements, marks, settings.measure),
     )
-    breasts = [content.breast_report(measured, finished.repaired) for measured in measurements]
+    beside = tuple(run_cautions(run))
+    breasts = [content.breast_report(measured, finished.repaired, beside) for measured in measurements]
     breasts += [content.absent_report(side) for side in absent]
     changed, everything = content.settings_facts(settings)
     return ReportContent(
@@ -128,7 +127,7 @@ def gather(
         created="" if privacy.deidentify else content.created_words(created),
         subject=content.SUBJECTS[inputs.subject_kind],
         world=plan.calibrated.cameras().world,
-        warnings=tuple(said),
+        warnings=tuple(warnings(run)),
         breasts=tuple(sorted(breasts, key=lambda breast: breast.name)),
         comparison=comparison(measurements, settings.measure, absent=absent, lacking=less) + symmetry_facts(sides),
         stages=tuple(stages),

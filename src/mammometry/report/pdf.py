@@ -67,6 +67,7 @@ def _for_the_surgeon(content: ReportContent, width: float) -> Iterator[Any]:
             text(breast.title, size=9.5, colour=FAINT),
             text(breast.volume, size=22, bold=True),
             text(breast.interval, size=9, colour=ACCENT),
+            *(text(caution, size=8.5, bold=True) for caution in breast.cautions),
             *facts(breast.facts),
         ]
         for breast in content.breasts

@@ -14,13 +14,13 @@ from mammometry.measure.boundary.breasts import NoBreast
 from mammometry.measure.boundary.confirming import TO_BE_CONFIRMED
 from mammometry.measure.trunk.body import Body
 from mammometry.measure.volume.measurement import VolumeMeasurement
-from mammometry.report.content import sentence, skin_shares
+from mammometry.report.cautions import SKIN_MEASURED, skin_shares
+from mammometry.report.content import sentence
 from mammometry.report.figures.sides import NAMES
 from mammometry.surface.occluders import Blocked
 from mammometry.surface.repair import Provenance, RepairedSurface
 
 _MATCHED = 0.6  # of a silhouette that a pair should match; flanks seen obliquely cost up to a third
-_SKIN_MEASURED = 0.8  # of a breast's skin, not closed by the elastic repair; chosen by eye
 _BLOCKED = 0.005  # of the subject in a photograph, hidden: less is a strap or a shadow; chosen by eye
 
 
@@ -102,11 +102,19 @@ def warnings(run: RunResults) -> Iterator[str]:
         )
     for measured in run.measurements:
         share = skin_shares(measured, run.repaired)[Provenance.MEASURED]
-        if share < _SKIN_MEASURED:
+        if share < SKIN_MEASURED:
             yield (
                 f"Only {100 * share:.0f} % of the skin of the {NAMES[measured.name]} was measured. The elastic repair "
                 "closed the rest."
             )
+
+
+def run_cautions(run: RunResults) -> Iterator[str]:
+    """Warn of what changes every volume of a run."""
+    if run.moved:
+        yield "Cameras or body moved: see the warnings."
+    if run.calibration is None:
+        yield "The interval does not cover the cameras' errors."
 
 
 def unmeasured_words(side: NoBreast) -> str:

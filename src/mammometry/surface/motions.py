@@ -149,6 +149,8 @@ class Observed:
     """Covariance by matching and calibration."""
     distances: Bool[Array, " m"]
     """Which are distances between surfaces."""
+    rows_of: Int64[Array, " m"]
+    """Number of the pair whose row each is. −1 of distances."""
 
     def only(self, keep: Bool[Array, " m"]) -> Observed:
         """Some of the observations."""
@@ -157,6 +159,7 @@ class Observed:
             by_unknown=self.by_unknown[keep],
             noise=self.noise[np.ix_(keep, keep)],
             distances=self.distances[keep],
+            rows_of=self.rows_of[keep],
         )
 
     def rms_mm(self, motions: Float64[Array, " p"] | None = None) -> float:
@@ -213,6 +216,7 @@ def observed(
         by_unknown=np.concatenate(design),
         noise=noise,
         distances=np.arange(len(noise)) < count,
+        rows_of=np.repeat([-1, *range(len(rows))], [count, *(len(seen.points) for seen in rows.values())]),
     )
 
 
@@ -290,17 +294,22 @@ def _fit(sized: _Sized) -> Fit:
 
 
 def without_outliers(seen: Observed, asked: Unknowns) -> Observed:
-    """Leave out cells that no plausible motion explains.
+    """Leave out cells that no plausible motion explains, and all rows of a pair that miss one another otherwise.
 
-    Hair, edges and arms in front of the trunk are examples.
+    Hair, edges and arms in front of the trunk are examples of cells. Rows of a pair miss one another by pixels without
+    a motion where much of it was matched by chance, as on a pale wall.
     """
     keep = np.ones(len(seen.values), dtype=bool)
+    std = np.sqrt(np.diag(seen.noise))
     large_std = asked.prior_std(np.radians(_FIRST_TURN_DEG), _FIRST_SHIFT_MM)
     for _ in range(_OUTLIER_ROUNDS):
         large = _fit(_sized(_reduced(seen.only(keep), _FIRST_REST_MM), large_std))
         left = np.abs(seen.values - seen.by_unknown @ large.motions)
         typical = max(_MAD * float(np.median(left[keep & seen.distances])), _CELL_MM)
         inside = ~seen.distances | (left < _OUTLIER_SIGMAS * typical)
+        for pair in range(seen.rows_of.max(initial=-1) + 1):
+            its = seen.rows_of == pair
+            inside[its] = np.sqrt(np.mean((left[its] / std[its]) ** 2)) < _OUTLIER_SIGMAS
         if np.array_equal(inside, keep):
             break
         keep = inside

@@ -13,6 +13,7 @@ from mammometry.base.errors import MeasureError
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
 from mammometry.measure.boundary.boundary import Boundary, outline_torso
+from mammometry.measure.boundary.breasts import _check_base
 from mammometry.measure.boundary.standing import Standing, standing_out
 from mammometry.measure.settings import BreastSettings
 from mammometry.measure.trunk.body import Body, Mounting, check_head, find_body, lies_across, rig_frame
@@ -70,6 +71,29 @@ def test_the_feet_are_not_taken_for_the_head() -> None:
     assert len(outline_torso(surface, np.eye(3)).boundaries) == 1
     with pytest.raises(MeasureError, match=r"head at the lower end.*breasts are fuller above.*rig\.mounting"):
         outline_torso(surface, np.diag([-1.0, -1.0, 1.0]))
+
+
+@pytest.mark.parametrize(
+    ("width_mm", "height_mm", "dents", "plausible"),
+    [
+        (150.0, 140.0, 0.0, True),
+        (210.0, 212.0, 0.0, True),  # 350 cm², just
+        (230.0, 215.0, 0.0, False),  # 388 cm²
+        (310.0, 120.0, 0.0, False),  # wider than 1.95 half widths
+        (120.0, 270.0, 0.0, False),  # taller than any
+        (150.0, 140.0, 0.25, False),  # ragged
+    ],
+)
+def test_a_base_that_no_breast_has_is_refused(width_mm: float, height_mm: float, dents: float, plausible: bool) -> None:
+    turn = np.linspace(0, 2 * np.pi, 360, endpoint=False)
+    out = 1 + dents * np.cos(9 * turn)
+    flat = np.stack([0.5 * width_mm * out * np.cos(turn), 0.5 * height_mm * out * np.sin(turn)], axis=1)
+    trunk = Trunk(frame=np.eye(3), origin=np.zeros(3), half_width_mm=150.0)
+    if plausible:
+        _check_base(flat, "left", trunk)
+    else:
+        with pytest.raises(MeasureError, match=r"left breast.*an outline .* cm²"):
+            _check_base(flat, "left", trunk)
 
 
 @pytest.mark.parametrize("turn_deg", [(0, 0, 0), (6, 15, -6), (-5, -20, 4)])

@@ -11,8 +11,9 @@ from mammometry.measure.boundary.boundary import TO_BE_CONFIRMED
 from mammometry.measure.volume.definitions import DefinedVolume
 from mammometry.report import content
 from mammometry.report.anthropometry import comparison
+from mammometry.report.cautions import skin_shares
 from mammometry.report.volume_words import interval_words, volume_words
-from mammometry.report.warnings import RunResults, warnings
+from mammometry.report.warnings import RunResults, run_cautions, warnings
 from mammometry.settings import Settings
 from mammometry.surface.occluders import Blocked
 from mammometry.surface.repair import Provenance
@@ -65,9 +66,38 @@ def test_every_meaning_of_the_breast_has_an_interval_of_its_own() -> None:
     assert section.facts[0].value == "450 ± 30 cc (± 7 %), 436 ± 46 g at 0.97 g/cc. To compare by."
 
 
+def test_what_changes_a_volumes_meaning_stands_beside_it(rig) -> None:
+    sound = synthetic.measurement("left")
+    assert content.breast_report(sound).cautions == ()
+    leaking = replace(sound, watertight=False, boundary_method=f"automatic: …; {TO_BE_CONFIRMED}")
+    repaired = synthetic.repaired(synthetic.ball())
+    unseen = replace(repaired, provenance=repaired.provenance * 0)
+    assert content.breast_report(leaking, unseen, ("Of the run.",)).cautions == (
+        "Do not use this volume: its solid is not watertight.",
+        "Nobody has confirmed its boundary.",
+        "Only 0 % of its skin was measured.",
+        "Of the run.",
+    )
+    calibration = synthetic.calibration(rig)
+    still = RunResults(
+        quality=None,
+        calibration=calibration,
+        shares={},
+        disparities={},
+        foregrounds={},
+        measurements=[sound],
+        repaired=repaired,
+    )
+    assert list(run_cautions(still)) == []
+    assert list(run_cautions(replace(still, moved=("Cameras turned.",)))) == [
+        "Cameras or body moved: see the warnings."
+    ]
+    assert list(run_cautions(replace(still, calibration=None))) == ["The interval does not cover the cameras' errors."]
+
+
 def test_the_skins_origin_is_looked_up_on_the_surface() -> None:
     """The half ball towards the cameras is where `synthetic.repaired` says it was measured."""
-    shares = content.skin_shares(synthetic.measurement(), synthetic.repaired(synthetic.ball(5)))
+    shares = skin_shares(synthetic.measurement(), synthetic.repaired(synthetic.ball(5)))
     assert shares[Provenance.MEASURED] > 0.97
     assert sum(shares.values()) == pytest.approx(1.0)
 

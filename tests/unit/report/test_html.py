@@ -64,7 +64,7 @@ def page_content() -> ReportContent:
         subject=content.SUBJECTS["torso"],
         world="The board in pose 00.",
         warnings=("Pair one: <script>alert(1)</script>",),
-        breasts=tuple(content.breast_report(each) for each in measured),
+        breasts=tuple(content.breast_report(each, cautions=("Cameras moved.",)) for each in measured),
         comparison=comparison(measured),
         stages=(content.matching_report({}, synthetic.disparities(rig), {"one": 0.9, "two": 0.8}),),
         timings=content.timings({"calibrate": 1.25, "match": 2.0}),
@@ -86,6 +86,8 @@ def test_the_page_says_what_it_must(page_content: ReportContent) -> None:
         "± 50 cc (95 %: 400 to 500 cc)",
     ):
         assert wanted in words
+    own = words[words.index("Patient's right breast") :]
+    assert own.index("± 50 cc") < own.index("Cameras moved.") < own.index("Projection")  # beside the number
     assert words.index("1 warning") < words.index("Patient's left breast") < words.index("For the technician")
     assert "The board in pose 00." in words
     assert "3.2 s" in words or "3.3 s" in words

@@ -38,7 +38,7 @@ def page_content(*names: str) -> ReportContent:
         subject=content.SUBJECTS["torso"],
         world="The board in pose 00.",
         warnings=("Pair one: only 12 % of the subject's silhouette could be matched.",),
-        breasts=tuple(content.breast_report(each) for each in measured),
+        breasts=tuple(content.breast_report(each, cautions=("Cameras moved.",)) for each in measured),
         comparison=comparison(measured),
         stages=(content.matching_report({}, disparities, shares),),
         timings=content.timings({"calibrate": 1.25, "match": 2.0}),
@@ -68,6 +68,7 @@ def test_it_says_what_it_must_on_two_to_four_pages(names: tuple[str, ...]) -> No
         assert breast.title in pages[0]
         assert breast.volume in pages[0]
         assert breast.interval in pages[0]
+    assert pages[0].count("Cameras moved.") == len(names)
     assert all(breast.wall_label in pages[0] + pages[1] for breast in said.breasts)
     assert "For the technician" in " ".join(pages[1:])
     assert "σ (median), px" in " ".join(pages[1:])

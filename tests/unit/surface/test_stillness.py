@@ -128,6 +128,19 @@ def test_no_false_alarm(seed):
     assert not find(RIG, images, rows).moved
 
 
+@pytest.mark.parametrize("moves", [False, True])
+def test_rows_that_no_motion_explains_move_nothing(still, turned, moves):
+    """Much of one pair was matched by chance: its rows miss one another by a pixel, here and there."""
+    images, rows = (turned if moves else (*still, capture()[2]))[1:]
+    pair = next(iter(rows))
+    by_chance = np.random.default_rng(5).normal(0.0, 1.2 * rows[pair].pixel_rad, len(rows[pair].points))
+    spoilt = replace(rows[pair], angle_rad=rows[pair].angle_rad + by_chance)
+    found = find(RIG, images, {**rows, pair: spoilt})
+    assert found.corrected == moves
+    if moves:
+        assert off_mm(found, images) < 0.5 * off_mm(replace(found, corrected=False), images)
+
+
 def test_turned_cameras_are_put_right(turned):
     found, images, _ = turned
     assert found.corrected

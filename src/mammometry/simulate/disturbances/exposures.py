@@ -1,7 +1,8 @@
 """Rigs and cameras: drift, moments, mounting, films, flashes.
 
 Angles of drift are of mounts that warm up or are leant on. Speeds of sway and breath are a few mm a second, as of
-people who stand still; they are chosen by eye.
+people who stand still; they are chosen by eye. What a lens does is a share of the picture, whatever its size. What a
+sensor and its software do (mosaic, sharpening, JPEG, noise) happens to pixels, of small pictures as of large ones.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from mammometry.geometry.camera import Rig
 from mammometry.simulate.disturbances.exposure import Exposure, shifted, turned, with_cameras
 from mammometry.simulate.disturbances.registry import Number, Word, disturbance
 from mammometry.simulate.rendering.motion import Motion
+from mammometry.simulate.rigs.plan import FULL_SIZE_WH
 
 _FRONT = (0.0, -math.sin(math.radians(35.0)), math.cos(math.radians(35.0)))
 """Direction out of the chest of a body that leans forward by 35°, rig frame."""
@@ -163,12 +165,17 @@ def _white_balance(exposure: Exposure, spread: float, rng: np.random.Generator) 
 @disturbance(
     "out-of-focus",
     "shoot",
-    "one camera out of focus: standard deviation of its blur",
-    Number(usual=2.0, within=(0.0, 20.0), likely=(1.0, 4.0), unit="px"),
+    "one camera out of focus: standard deviation of its blur, in pixels of a picture 4504 wide",
+    Number(usual=4.0, within=(0.0, 50.0), likely=(1.0, 8.0), unit="px of 4504"),
 )
 def _out_of_focus(exposure: Exposure, blur_px: float, rng: np.random.Generator) -> Exposure:
+    """Blur one camera's pictures by the same angle at every size.
+
+    The reference rig's lens at f/11, focused half a metre behind the body, blurs by 4 px.
+    """
     name = str(rng.choice(list(exposure.films)))
-    return exposure.with_films(lambda film: replace(film, blur_px=math.hypot(film.blur_px, blur_px)), (name,))
+    own_px = blur_px * exposure.rig.cameras[name].size_wh[0] / FULL_SIZE_WH[0]
+    return exposure.with_films(lambda film: replace(film, blur_px=math.hypot(film.blur_px, own_px)), (name,))
 
 
 @disturbance(

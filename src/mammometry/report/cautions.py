@@ -1,0 +1,44 @@
+"""Short warnings that stand beside a volume."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+
+from mammometry.geometry.nearest import point_tree
+from mammometry.measure.boundary.confirming import TO_BE_CONFIRMED
+from mammometry.measure.volume.measurement import VolumeMeasurement
+from mammometry.report.figures.sides import wall_faces
+from mammometry.surface.repair import Provenance, RepairedSurface
+
+SKIN_MEASURED = 0.8
+"""Share of a breast's skin that should be measured, not closed by the elastic repair. Chosen by eye."""
+
+
+def own_cautions(measured: VolumeMeasurement, shares: Mapping[Provenance, float] | None = None) -> Iterator[str]:
+    """Warn of what changes the meaning of one volume.
+
+    Args:
+        measured: one breast.
+        shares: of its skin, by origin. None if they are not known.
+    """
+    if not measured.watertight:
+        yield "Do not use this volume: its solid is not watertight."
+    if TO_BE_CONFIRMED in measured.boundary_method:
+        yield "Nobody has confirmed its boundary."
+    if shares is not None and shares[Provenance.MEASURED] < SKIN_MEASURED:
+        yield f"Only {100 * shares[Provenance.MEASURED]:.0f} % of its skin was measured."
+
+
+def skin_shares(measured: VolumeMeasurement, repaired: RepairedSurface) -> dict[Provenance, float]:
+    """Share of a breast's skin of each origin.
+
+    The origin is that of the nearest vertex of the whole surface.
+    """
+    skin = ~wall_faces(measured)
+    middles = measured.closed.corners()[skin].mean(axis=1)
+    areas = np.linalg.norm(measured.closed.face_vectors()[skin], axis=1)
+    nearest = point_tree(repaired.mesh.vertices).query(middles, workers=1)[1]
+    sums = np.bincount(repaired.provenance[nearest], areas, minlength=len(Provenance))
+    return {kind: float(sums[kind] / max(areas.sum(), 1e-12)) for kind in Provenance}
