@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
+from mammometry.geometry.arrays import bounds
 from mammometry.geometry.nearest import point_tree
 from mammometry.measure.boundary.confirming import TO_BE_CONFIRMED
 from mammometry.measure.volume.measurement import VolumeMeasurement
@@ -14,6 +15,7 @@ from mammometry.surface.repair import Provenance, RepairedSurface
 
 SKIN_MEASURED = 0.8
 """Share of a breast's skin that should be measured, not closed by the elastic repair. Chosen by eye."""
+_AROUND_MM = 10.0  # around a breast: its skin is a part of the surface, a cube's edge from its vertices at most
 
 
 def own_cautions(measured: VolumeMeasurement, shares: Mapping[Provenance, float] | None = None) -> Iterator[str]:
@@ -39,6 +41,9 @@ def skin_shares(measured: VolumeMeasurement, repaired: RepairedSurface) -> dict[
     skin = ~wall_faces(measured)
     middles = measured.closed.corners()[skin].mean(axis=1)
     areas = np.linalg.norm(measured.closed.face_vectors()[skin], axis=1)
-    nearest = point_tree(repaired.mesh.vertices).query(middles, workers=1)[1]
-    sums = np.bincount(repaired.provenance[nearest], areas, minlength=len(Provenance))
+    low, high = bounds(middles)
+    near = repaired.mesh.vertices_between(low - _AROUND_MM, high + _AROUND_MM)
+    near = near if len(near) else np.arange(len(repaired.mesh.vertices))
+    nearest = point_tree(repaired.mesh.vertices[near]).query(middles, workers=1)[1]
+    sums = np.bincount(repaired.provenance[near[nearest]], areas, minlength=len(Provenance))
     return {kind: float(sums[kind] / max(areas.sum(), 1e-12)) for kind in Provenance}
