@@ -294,10 +294,10 @@ def _fit(sized: _Sized) -> Fit:
 
 
 def without_outliers(seen: Observed, asked: Unknowns) -> Observed:
-    """Leave out cells that no plausible motion explains, and all rows of a pair that miss one another otherwise.
+    """Leave out cells that no plausible motion explains.
 
-    Hair, edges and arms in front of the trunk are examples of cells. Rows of a pair miss one another by pixels without
-    a motion where much of it was matched by chance, as on a pale wall.
+    Hair, edges and arms in front of the trunk are examples. Rows of a pair are left out together: they miss one another
+    by pixels without a motion where much of it was matched by chance, as on a pale wall.
     """
     keep = np.ones(len(seen.values), dtype=bool)
     std = np.sqrt(np.diag(seen.noise))
