@@ -25,3 +25,11 @@ def fast_kernel(function: Callable[..., Any]) -> Any:
     Neither infinity nor NaN may occur.
     """
     return njit(cache=True, nogil=True, error_model="numpy", fastmath=True)(function)
+
+
+def small_kernel(function: Callable[..., Any]) -> Any:
+    """Compile what other kernels call for every pixel: it is copied into them, and rounds as `kernel` does.
+
+    Calls cost more than the little that it computes.
+    """
+    return njit(cache=True, nogil=True, error_model="numpy", forceinline=True)(function)
