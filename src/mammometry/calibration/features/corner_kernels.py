@@ -199,7 +199,10 @@ def _fit(pixels, used, sigma_px, out):  # type: ignore[no-untyped-def]
 
 @kernel
 def _invert(matrix, ridge, inverse):  # type: ignore[no-untyped-def]
-    """Inverse of a positive definite matrix with `ridge` added to its diagonal, by sweeping one pivot after the other."""
+    """Inverse of a positive definite matrix with `ridge` added to its diagonal.
+
+    By sweeping one pivot after the other.
+    """
     for i in range(_TERMS):
         for j in range(_TERMS):
             inverse[i, j] = matrix[i, j]
@@ -221,9 +224,9 @@ def _invert(matrix, ridge, inverse):  # type: ignore[no-untyped-def]
 def _fill_terms(pixels, first, count, shape, last, terms):  # type: ignore[no-untyped-def]
     """Derivatives of the model by its nine terms at some pixels, and their values in the last row.
 
-    Written without calls, and into rows at fixed distances, so that the compiler makes vectors of it: exp(−z) is the sixteenth power of 1 / e^(z / 16),
-    by its series (right to 1e-8 where it matters), and the error function follows from it (Abramowitz and Stegun
-    7.1.26, right to 1.5e-7).
+    Written without calls, and into rows at fixed distances, so that the compiler makes vectors of it. exp(−z) is the
+    sixteenth power of 1 / e^(z / 16), that by its series: right to 1e-8 where it matters. The error function follows
+    from it (Abramowitz and Stegun 7.1.26, right to 1.5e-7).
     """
     shift_u, shift_v, sigma = shape
     a, a_x, a_y = last[3], last[4], last[5]
