@@ -78,34 +78,49 @@ class _Places(CompileResultCacheImpl):  # type: ignore[misc]  # numba has no typ
     )
 
 
+class _Files(IndexDataCacheFile):  # type: ignore[misc]
+    """A kernel's files, where what cannot be read counts as missing."""
+
+    def _load_index(self) -> Any:
+        with suppress(Exception):  # pickle raises anything
+            return super()._load_index()
+        return {}
+
+    def load(self, key: Any) -> Any:
+        with suppress(Exception):
+            return super().load(key)
+        return None
+
+    def is_for(self, codegen: Any) -> bool:
+        """Whether there is code for this processor."""
+        return any(key[1] == codegen.magic_tuple() for key in self._load_index())
+
+
 class _Kept(FunctionCache):  # type: ignore[misc]
     _impl_class = _Places
 
     def __init__(self, function: Any) -> None:
         super().__init__(function)
         source = Path(function.__code__.co_filename)
-        self._beside_source = IndexDataCacheFile(
-            cache_path=str(source.parent / "__pycache__"),
-            filename_base=self._impl.filename_base,
-            source_stamp=source_stamp(source),
-        )
+        # Beside the source lies what a wheel brought. Numba would not look there if it may not write there.
+        beside = [] if config.CACHE_DIR else [str(source.parent / "__pycache__")]
+        self._files = [
+            _Files(cache_path=path, filename_base=self._impl.filename_base, source_stamp=source_stamp(source))
+            for path in dict.fromkeys([self._cache_path, *beside])
+        ]
+        self._cache_file = self._files[0]
 
     def _load_overload(self, sig: Any, target_context: Any) -> Any:
-        with suppress(Exception):  # damaged, or of another version: it is compiled
-            kept = super()._load_overload(sig, target_context)
-            if kept is not None:
-                return kept
-            # A wheel's, where its folder may not be written and numba keeps what it compiles elsewhere.
-            data = self._beside_source.load(self._index_key(sig, target_context.codegen()))
-            return None if data is None else self._impl.rebuild(target_context, data)
+        key = self._index_key(sig, target_context.codegen())
+        for files in self._files:
+            with suppress(Exception):  # of another version: it is compiled
+                if (data := files.load(key)) is not None:
+                    return self._impl.rebuild(target_context, data)
         return None
 
     def is_there(self, codegen: Any) -> bool:
         """Whether any compilation of the function for this processor can be loaded."""
-        with suppress(Exception):
-            keys = [*self._cache_file._load_index(), *self._beside_source._load_index()]
-            return any(key[1] == codegen.magic_tuple() for key in keys)
-        return False
+        return any(files.is_for(codegen) for files in self._files)
 
 
 def keep(dispatcher: Any) -> Any:
