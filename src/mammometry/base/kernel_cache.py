@@ -8,6 +8,8 @@ imports of this package. Elsewhere they are compiled for the processor itself.
 A cache that does not fit, or cannot be read, is passed over: the kernel is compiled.
 """
 
+# mypy: disable-error-code="no-untyped-call, no-untyped-def, attr-defined, misc, assignment, unused-ignore"
+
 from __future__ import annotations
 
 import hashlib
@@ -72,13 +74,13 @@ class _ByContent:
         return source_stamp(Path(self._py_file))
 
 
-class _Places(CompileResultCacheImpl):  # type: ignore[misc]  # numba has no types
+class _Places(CompileResultCacheImpl):
     _locator_classes = tuple(
         type(one.__name__, (_ByContent, one), {}) for one in CompileResultCacheImpl._locator_classes
     )
 
 
-class _Files(IndexDataCacheFile):  # type: ignore[misc]
+class _Files(IndexDataCacheFile):
     """A kernel's files, where what cannot be read counts as missing."""
 
     def _load_index(self) -> Any:
@@ -96,7 +98,7 @@ class _Files(IndexDataCacheFile):  # type: ignore[misc]
         return any(key[1] == codegen.magic_tuple() for key in self._load_index())
 
 
-class _Kept(FunctionCache):  # type: ignore[misc]
+class _Kept(FunctionCache):
     _impl_class = _Places
 
     def __init__(self, function: Any) -> None:

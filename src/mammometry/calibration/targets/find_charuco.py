@@ -137,8 +137,8 @@ def _is_complete(
     centres_mm = np.asarray(board.getObjPoints(), np.float64).mean(axis=1)[:, :2]
     seen_px = np.array([np.asarray(markers[k], np.float64).reshape(4, 2).mean(axis=0) for k in known])
     picture_from_board, _ = cv2.findHomography(centres_mm[[places[numbers[k]] for k in known]], seen_px, cv2.LMEDS)
-    if picture_from_board is None:
-        return False
+    if picture_from_board is None:  # OpenCV says so of points in a line, its types do not
+        return False  # type: ignore[unreachable]
     expected = cv2.perspectiveTransform(centres_mm.reshape(-1, 1, 2), picture_from_board).reshape(-1, 2)
     inside = ((expected > 0) & (expected < np.array(shape_hw[::-1]))).all(axis=1)
     return len(known) >= _NEARLY_ALL * int(inside.sum())
