@@ -32,8 +32,8 @@ def fast_kernel(function: Callable[..., Any]) -> Any:
 
 
 def small_kernel(function: Callable[..., Any]) -> Any:
-    """Compile what other kernels call for every pixel: it is copied into them, and rounds as `kernel` does.
+    """Compile what other kernels call for every pixel.
 
-    Calls cost more than the little that it computes.
+    It is copied into them, since calls cost more than the little that it computes, and rounds as `kernel` does.
     """
     return keep(njit(nogil=True, error_model="numpy", forceinline=True)(function))

@@ -1,4 +1,4 @@
-"""Compiled kernels on disk, valid on any common processor and wherever the same source lies.
+"""Compiled kernels on disk, valid on any common processor.
 
 Numba keeps what it compiled, but for one processor and for source files with their times of change. So a wheel could
 not ship it, and every installation compiled for half a minute. Here kernels are compiled for all processors with
@@ -31,7 +31,9 @@ _IMPORT = re.compile(r"^(?:from|import) mammometry(?:\.([\w.]+))?(?: import (\([
 
 
 def choose_cpu() -> None:
-    """Have numba compile for the common processor, where this one can do what that can.
+    """Have numba compile for the common processor.
+
+    Only where this one can do what that can.
 
     ``NUMBA_CPU_NAME`` and ``NUMBA_CPU_FEATURES`` override it.
     """
@@ -43,7 +45,10 @@ def choose_cpu() -> None:
 
 @cache
 def source_stamp(path: Path) -> str:
-    """Digest of a module's text and of all modules of this package that it imports, directly or not."""
+    """Digest of a module's text and of what it imports.
+
+    Modules of this package count, imported directly or not.
+    """
     found: dict[Path, bytes] = {}
     waiting = [path]
     while waiting:
@@ -132,5 +137,8 @@ def keep(dispatcher: Any) -> Any:
 
 
 def is_kept(dispatcher: Any) -> bool:
-    """Whether a kernel was compiled before, from this source and for this processor."""
+    """Whether a kernel was compiled before.
+
+    From this source and for this processor.
+    """
     return bool(dispatcher._cache.is_there(dispatcher.targetctx.codegen()))

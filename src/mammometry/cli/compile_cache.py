@@ -69,7 +69,10 @@ def _is_on_disk() -> bool:
 
 
 def main() -> None:
-    """Compile all kernels. What is on disk is only read, and nothing is done while another process is at it."""
+    """Compile all kernels.
+
+    What is on disk is only read, and nothing is done while another process is at it.
+    """
     name, _ = listed()[-1]
     folder = Path(kernel_named(name).stats.cache_path)
     folder.mkdir(parents=True, exist_ok=True)
