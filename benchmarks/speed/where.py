@@ -26,6 +26,7 @@ from typing import Any
 
 import psutil
 
+from benchmarks.speed.reference import beside
 from mammometry.job.products import Stage
 
 STAGES: tuple[Stage, ...] = ("match", "surface", "measure")
@@ -185,10 +186,12 @@ def main() -> None:
     shutil.copytree(arguments.session, session)
     roots, took = dict[str, Frame](), dict[str, dict[str, Any]]()
     for stage in STAGES:
-        samples, took[stage] = looked_into(session, stage, arguments.out)
+        with beside() as reference:
+            samples, took[stage] = looked_into(session, stage, arguments.out)
         roots[stage] = tree(samples)
         seconds = f"{took[stage]['wall_s']:.1f} s, {took[stage]['processor_s']:.1f} processor s"
         print(f"\n{stage}: {seconds}, at most {max(mb for _, mb in took[stage]['memory_mb']):.0f} MB\n")
+        print(f"{reference}\n")
         print("| function | itself % | with what it calls % |\n| --- | --- | --- |")
         for name, own, whole in shares(samples):
             print(f"| `{name}` | {100 * own:.1f} | {100 * whole:.1f} |", flush=True)

@@ -23,6 +23,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from benchmarks.speed.reference import beside
 from mammometry.io.cameras.own import cameras_table
 from mammometry.job.products import Stage
 from mammometry.simulate.recipe import SessionRecipe
@@ -108,10 +109,10 @@ def main() -> None:
     rows: dict[float, dict[str, Any]] = {}
     for scale in arguments.scales:
         session = make_session(arguments.out / f"scale_{scale:g}", scale, arguments.subject)
-        rows[scale] = measured(session, warm)
-        print(
-            f"scale {scale:g}: {sum(row['wall_s'] for row in rows[scale].values()):.1f} s", file=sys.stderr, flush=True
-        )
+        with beside() as reference:
+            rows[scale] = measured(session, warm)
+        whole = sum(row["wall_s"] for row in rows[scale].values())
+        print(f"scale {scale:g}: {whole:.1f} s; {reference}", file=sys.stderr, flush=True)
     (arguments.out / "whole_job.json").write_text(json.dumps(rows, indent=1))
     print(f"{len(os.sched_getaffinity(0))} cores\n\n{table(rows)}")
 

@@ -13,10 +13,14 @@ from typing import Any
 
 from numba import njit
 
+from mammometry.base.kernel_cache import choose_cpu, keep
+
+choose_cpu()
+
 
 def kernel(function: Callable[..., Any]) -> Any:
     """Compile in strict IEEE arithmetic: x / 0 is infinite or NaN."""
-    return njit(cache=True, nogil=True, error_model="numpy")(function)
+    return keep(njit(nogil=True, error_model="numpy")(function))
 
 
 def fast_kernel(function: Callable[..., Any]) -> Any:
@@ -24,4 +28,12 @@ def fast_kernel(function: Callable[..., Any]) -> Any:
 
     Neither infinity nor NaN may occur.
     """
-    return njit(cache=True, nogil=True, error_model="numpy", fastmath=True)(function)
+    return keep(njit(nogil=True, error_model="numpy", fastmath=True)(function))
+
+
+def small_kernel(function: Callable[..., Any]) -> Any:
+    """Compile what other kernels call for every pixel.
+
+    It is copied into them, since calls cost more than the little that it computes, and rounds as `kernel` does.
+    """
+    return keep(njit(nogil=True, error_model="numpy", forceinline=True)(function))

@@ -44,6 +44,7 @@ class Registry(Mapping[str, T], Generic[T]):
         self._modules = modules
         self._package = package
         self._entries: dict[str, T] = dict(entries)
+        self._is_loaded = False
 
     def add(self, name: str) -> Callable[[T], T]:
         """Decorate a class or function to enter it under `name`.
@@ -104,8 +105,10 @@ class Registry(Mapping[str, T], Generic[T]):
         return len(self._loaded())
 
     def _loaded(self) -> dict[str, T]:
-        for module in (*self._modules, *self._in_package()):
-            importlib.import_module(module)
+        if not self._is_loaded:
+            for module in (*self._modules, *self._in_package()):
+                importlib.import_module(module)
+            self._is_loaded = True
         return self._entries
 
     def _in_package(self) -> Iterator[str]:

@@ -7,6 +7,7 @@ job finds them on disk, and compiles itself what it does not find.
 
 from __future__ import annotations
 
+import fcntl
 import importlib
 import subprocess
 import sys
@@ -62,17 +63,27 @@ def compiled_ahead(*, wanted: bool = True) -> Iterator[None]:
 
 def _is_on_disk() -> bool:
     """Whether the last kernel of the list is compiled from current source."""
-    kernel = kernel_named(listed()[-1][0])
-    source = Path(kernel.py_func.__code__.co_filename)
-    index = f"{source.stem}.{kernel.__name__}-*.nbi"
-    return any(entry.stat().st_mtime > source.stat().st_mtime for entry in Path(kernel.stats.cache_path).glob(index))
+    from mammometry.base.kernel_cache import is_kept
+
+    return is_kept(kernel_named(listed()[-1][0]))
 
 
 def main() -> None:
-    """Compile all kernels. What is on disk is only read."""
-    for name, types in listed():
-        # Types, not text: numba would file the kernel under the text.
-        kernel_named(name).compile(argument_types(types))
+    """Compile all kernels.
+
+    What is on disk is only read, and nothing is done while another process is at it.
+    """
+    name, _ = listed()[-1]
+    folder = Path(kernel_named(name).stats.cache_path)
+    folder.mkdir(parents=True, exist_ok=True)
+    with (folder / "compiling.lock").open("w") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            return
+        for name, types in listed():
+            # Types, not text: numba would file the kernel under the text.
+            kernel_named(name).compile(argument_types(types))
 
 
 if __name__ == "__main__":

@@ -56,11 +56,11 @@ def demo(
             from mammometry.simulate.session import write_session
 
             with bars.task("simulate", "photographs") as progress:
-                write_session(folder, _DEMO_RECIPE, progress=progress)
+                truth = dict(write_session(folder, _DEMO_RECIPE, progress=progress).true_volumes_cc)
+        else:  # made again from its recipe: truth/ is for "mammometry evaluate" alone
+            truth = true_volumes_cc(_DEMO_RECIPE)
         simulated = time.monotonic() - begun
         results = opened(folder, settings, assignments, bars).run()
-    # What is true of the session is made again from its recipe: truth/ is for "mammometry evaluate" alone.
-    truth = true_volumes_cc(_DEMO_RECIPE)
     table = results.as_table()
     table["seconds"] = round(time.monotonic() - begun, 3)
     table["stage_seconds"] = {"simulate": round(simulated, 3), **table["stage_seconds"]}

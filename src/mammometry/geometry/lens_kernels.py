@@ -4,17 +4,17 @@ The arithmetic is that of `lens`. `coefficients` is a tuple or an array of five.
 taken for every pixel, it costs more than the lens.
 """
 
-from mammometry.base.compiled import kernel
+from mammometry.base.compiled import small_kernel
 from mammometry.geometry import lens
 from mammometry.geometry.arrays import Array
 
 _TOLERANCE = 1e-7  # Newton's method doubles the digits: after a step this small the error is below 1e-13
 
-distorted = kernel(lens.distorted)
-jacobian = kernel(lens.jacobian)
+distorted = small_kernel(lens.distorted)
+jacobian = small_kernel(lens.jacobian)
 
 
-@kernel
+@small_kernel
 def undistorted(
     xd: float, yd: float, coefficients: Array, x: float, y: float
 ) -> tuple[float, float, float, float, float]:

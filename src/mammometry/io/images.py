@@ -42,6 +42,7 @@ _UPRIGHT: Mapping[int, tuple[bool, bool, bool]] = {
     8: (True, True, False),
 }
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+_JPEG_END = b"\xff\xd9"
 _PNG_TAGS = {b"eXIf", b"tEXt", b"zTXt", b"iTXt"}  # where an orientation may stand
 _TIFF_OFFSETS = ((273, 279), (324, 325))  # strips, tiles: (offsets, byte counts)
 
@@ -222,9 +223,31 @@ def _reading(path: Path, name: str) -> Iterator[None]:
 
 def _decoded_8bit(path: Path) -> Array:
     with Image.open(path, formats=FORMATS) as image:
+        if image.format == "JPEG" and image.mode in ("L", "RGB"):
+            pixels = _decoded_jpeg(path, grey=image.mode == "L")
+            if pixels is not None:
+                return pixels
         image.load()
         grey = image.mode in ("L", "LA", "1")
         return np.array(image if image.mode in ("L", "RGB") else image.convert("L" if grey else "RGB"))
+
+
+def _decoded_jpeg(path: Path, *, grey: bool) -> Array | None:
+    """Decode with OpenCV, which uses the same library as Pillow in half the time: it makes no copy of the pixels.
+
+    None where the file does not end as a JPEG should: OpenCV fills what is missing and reports nothing, Pillow reports.
+    """
+    import cv2
+
+    coded = np.fromfile(path, dtype=np.uint8)
+    if bytes(coded[-2:]) != _JPEG_END:
+        return None
+    colours = cv2.IMREAD_GRAYSCALE if grey else cv2.IMREAD_COLOR_RGB
+    try:
+        pixels = cv2.imdecode(coded, colours | cv2.IMREAD_IGNORE_ORIENTATION)
+    except cv2.error:
+        return None
+    return None if pixels is None else np.asarray(pixels)
 
 
 def _decoded_16bit(path: Path) -> Array:

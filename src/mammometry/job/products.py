@@ -30,7 +30,7 @@ STAGES: tuple[Stage, ...] = ("calibrate", "match", "surface", "measure", "report
 VERSIONS: Registry[int] = Registry(
     "kind of product",
     entries={
-        "observations": 6,
+        "observations": 7,
         "calibration": 5,
         "cameras": 5,
         "foreground": 10,

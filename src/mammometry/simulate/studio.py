@@ -13,7 +13,6 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-import tifffile
 from PIL import Image
 
 from mammometry.base.cores import available_cores
@@ -176,6 +175,8 @@ def _take(path: Path, render: Callable[[], Float32[Array, "h w *c"]], film: Film
     pixels = develop(render(), film, name=path.name, seed=seed, bits=16 if sixteen else 8).pixels
     path.parent.mkdir(parents=True, exist_ok=True)
     if sixteen:  # Pillow writes no colours of 16 bits
+        import tifffile
+
         tifffile.imwrite(path, pixels, photometric="rgb", compression="zlib", predictor=True, metadata=None)
     elif path.suffix == ".png":
         Image.fromarray(pixels).save(path, compress_level=3)

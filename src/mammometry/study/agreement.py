@@ -11,14 +11,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
+import scipy  # it imports scipy.stats, which takes half a second, when that is used
 
 from mammometry.geometry.arrays import Array, Float64, read_only
 from mammometry.study.icc import IntraclassCorrelation, intraclass_correlations
 
 LEAST_SUBJECTS = 3
 """With fewer there is no regression and no interval worth the name."""
-_Z95 = float(stats.norm.ppf(0.975))
+_Z95 = float(scipy.special.ndtri(0.975))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -182,11 +182,11 @@ def agreement(data: PairedMeasurements) -> Agreement:
     sem = sd / math.sqrt(n)
     df = n - 1
     t = mean / sem if sem else (math.copysign(math.inf, mean) if mean else math.nan)
-    student = float(stats.t.ppf(0.975, df))
-    chi_low, chi_high = (float(math.sqrt(df / stats.chi2.ppf(q, df))) for q in (0.975, 0.025))
+    student = float(scipy.stats.t.ppf(0.975, df))
+    chi_low, chi_high = (float(math.sqrt(df / scipy.stats.chi2.ppf(q, df))) for q in (0.975, 0.025))
     spread = Estimate(value=sd, interval=(sd * chi_low, sd * chi_high))
     # The 97.5th percentile of a normal distribution lies at mean + s t′/√n, t′ of the noncentral t distribution.
-    near, far = (float(stats.nct.ppf(q, df, _Z95 * math.sqrt(n))) * sem for q in (0.025, 0.975))
+    near, far = (float(scipy.stats.nct.ppf(q, df, _Z95 * math.sqrt(n))) * sem for q in (0.025, 0.975))
     return Agreement(
         subjects=n,
         mean_difference=Estimate(value=mean, interval=(mean - student * sem, mean + student * sem)),
@@ -194,9 +194,9 @@ def agreement(data: PairedMeasurements) -> Agreement:
         sem=sem,
         t=t,
         df=df,
-        p=float(2 * stats.t.sf(abs(t), df)),
+        p=float(2 * scipy.stats.t.sf(abs(t), df)),
         student_95=student,
-        student_99=float(stats.t.ppf(0.995, df)),
+        student_99=float(scipy.stats.t.ppf(0.995, df)),
         lower_limit=Estimate(value=mean - _Z95 * sd, interval=(mean - far, mean - near)),
         upper_limit=Estimate(value=mean + _Z95 * sd, interval=(mean + near, mean + far)),
         trend=_trend(data.means, difference),
@@ -205,7 +205,7 @@ def agreement(data: PairedMeasurements) -> Agreement:
         mdc=_scaled(spread, _Z95),
         mdc_of_mean=_Z95 * math.sqrt(2) * sem,
         icc=intraclass_correlations(np.stack([data.reference, data.measured], axis=1)),
-        normality_p=float(stats.shapiro(difference).pvalue) if sd else math.nan,
+        normality_p=float(scipy.stats.shapiro(difference).pvalue) if sd else math.nan,
     )
 
 
@@ -239,8 +239,8 @@ def _trend(abscissae: Float64[Array, " n"], differences: Float64[Array, " n"]) -
     df = len(differences) - 2
     left = differences - intercept - slope * abscissae
     error = math.sqrt(float(left @ left) / df / total)
-    reach = float(stats.t.ppf(0.975, df)) * error
-    p = float(2 * stats.t.sf(abs(slope) / error, df)) if error else math.nan
+    reach = float(scipy.stats.t.ppf(0.975, df)) * error
+    p = float(2 * scipy.stats.t.sf(abs(slope) / error, df)) if error else math.nan
     return Trend(slope=Estimate(value=slope, interval=(slope - reach, slope + reach)), intercept=intercept, p=p)
 
 

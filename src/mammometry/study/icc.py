@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
+import scipy  # it imports scipy.stats, which takes half a second, when that is used
 
 from mammometry.geometry.arrays import Array, Float64
 
@@ -129,7 +129,7 @@ def _by_ratio(
     """A form that follows from the ratio of two mean squares alone."""
     f = _divided(signal, noise)
     upper = (1 + confidence) / 2
-    low, high = f / stats.f.ppf(upper, *df), f * stats.f.ppf(upper, df[1], df[0])
+    low, high = f / scipy.stats.f.ppf(upper, *df), f * scipy.stats.f.ppf(upper, df[1], df[0])
     return IntraclassCorrelation(
         shrout_fleiss=names[0],
         mcgraw_wong=names[1],
@@ -138,7 +138,7 @@ def _by_ratio(
         interval=(_from_ratio(low, k), _from_ratio(high, k)),
         f=f,
         df=df,
-        p=float(stats.f.sf(f, *df)),
+        p=float(scipy.stats.f.sf(f, *df)),
     )
 
 
@@ -155,7 +155,7 @@ def _agreement(ms: MeanSquares, confidence: float) -> IntraclassCorrelation:
         b = 1 + k * value * (n - 1) / (n * (1 - value))
         df = (a * methods + b * noise) ** 2 / ((a * methods) ** 2 / (k - 1) + (b * noise) ** 2 / ((n - 1) * (k - 1)))
         upper = (1 + confidence) / 2
-        f_low, f_high = stats.f.ppf(upper, n - 1, df), stats.f.ppf(upper, df, n - 1)
+        f_low, f_high = scipy.stats.f.ppf(upper, n - 1, df), scipy.stats.f.ppf(upper, df, n - 1)
         rest = k * methods + (k * n - k - n) * noise
         interval = (  # divided by the quantiles, which may be infinite where few degrees of freedom are left
             float(n * (signal / f_low - noise) / (rest + n * signal / f_low)),
@@ -172,7 +172,7 @@ def _agreement(ms: MeanSquares, confidence: float) -> IntraclassCorrelation:
         interval=interval,
         f=f,
         df=f_df,
-        p=float(stats.f.sf(f, *f_df)),
+        p=float(scipy.stats.f.sf(f, *f_df)),
     )
 
 

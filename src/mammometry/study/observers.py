@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
-from scipy import stats
+import scipy  # it imports scipy.stats, which takes half a second, when that is used
 from scipy.spatial import cKDTree
 
 from mammometry.geometry.arrays import Array, Float64, Int64, read_only
@@ -208,7 +208,7 @@ def _scatter(variance: float, df: float, mean_cc: float) -> Scatter:
     The degrees of freedom of a sum are Satterthwaite's.
     """
     sd = math.sqrt(variance)
-    low, high = (float(np.sqrt(df / stats.chi2.ppf(q, df))) for q in (0.975, 0.025))
+    low, high = (float(np.sqrt(df / scipy.stats.chi2.ppf(q, df))) for q in (0.975, 0.025))
     return Scatter(sem=Estimate(value=sd, interval=(sd * low, sd * high)), df=float(df), percent=100 * sd / mean_cc)
 
 

@@ -18,6 +18,10 @@ LEAST_STRIDE = 3
 STRIDES = 20
 """Largest number of strides in a window's half-width. Flat parts give only the brightness, and need no million pixels.
 """
+STEEPEST = 2.0
+"""Largest change of a pixel's distance from an edge between neighbours, px: 1 at the corner. So far from both edges
+pixels are passed over without being looked at.
+"""
 STEPS = 16
 """Gauss–Newton steps, at most."""
 CONVERGED_PX = 3e-4
@@ -34,6 +38,8 @@ residual, then 1 if converged, 1 if there were enough pixels, and the number of 
 """
 
 _TERMS = 9  # unknowns of the fit: shift (u, v), σ and six photometric terms
+_BLOCK = 128  # pixels whose terms are computed and summed at a time: they stay in the first cache
+_FAINTEST = 2.0  # sixteenth of the exponent beyond which a Gaussian counts as nothing: 1e-14
 _MIN_SIGMA_PX, _MAX_SIGMA_PX = SIGMA_RANGE_PX
 
 
@@ -85,7 +91,7 @@ def fit_windows(
     largest = 1
     for n in range(count):
         largest = max(largest, 2 * radius[n] + 1)
-    pixels = np.empty((largest * largest, 5))
+    pixels = np.empty((5, largest * largest))
     for n in range(count):
         used, enough = _select(
             linear, centre[n], radius[n], board_from_offset[n], mm_per_px[n], window_mm, blank_centre_mm,
@@ -93,7 +99,7 @@ def fit_windows(
         )  # fmt: skip
         out[n, 14], out[n, 15] = enough, used
         if enough:
-            _fit(pixels[:used], sigma_px, out[n])
+            _fit(pixels, used, sigma_px, out[n])
     return out
 
 
@@ -103,10 +109,11 @@ def _select(  # type: ignore[no-untyped-def]  # compiled: types are those of `fi
 ):
     """Fill `pixels`, and return their number and whether it suffices.
 
-    Columns are u, v in pixels from the edges, x, y in radii, and the value.
+    Rows are u, v in pixels from the edges, x, y in radii, and the value.
     """
     height, width = linear.shape
     stride = max(LEAST_STRIDE, radius // STRIDES)
+    per_radius, px_per_u, px_per_v = 1.0 / radius, 1.0 / mm_per_px[0], 1.0 / mm_per_px[1]
     used = 0
     sides = np.zeros(4, np.int64)
     for dy in range(-min(radius, centre[1]), min(radius, height - 1 - centre[1]) + 1):
@@ -119,43 +126,49 @@ def _select(  # type: ignore[no-untyped-def]  # compiled: types are those of `fi
         u1, v1 = c[1, 0] + y * (c[4, 0] + y * c[8, 0]), c[1, 1] + y * (c[4, 1] + y * c[8, 1])
         u2, v2 = c[3, 0] + y * c[7, 0], c[3, 1] + y * c[7, 1]
         u3, v3 = c[6, 0], c[6, 1]
-        for dx in range(-min(radius, centre[0]), min(radius, width - 1 - centre[0]) + 1):
-            x = dx / radius
+        dx, last = -min(radius, centre[0]), min(radius, width - 1 - centre[0])
+        strided = last + 1  # next column of which flat parts use a pixel
+        if dy % stride == 0:
+            strided = -(-dx // stride) * stride
+        while dx <= last:
+            here, x = dx, dx * per_radius
             u_mm = u0 + x * (u1 + x * (u2 + x * u3))
             v_mm = v0 + x * (v1 + x * (v2 + x * v3))
             far_u, far_v = abs(u_mm), abs(v_mm)
-            if far_u >= window_mm or far_v >= window_mm:
-                continue
-            u, v = u_mm / mm_per_px[0], v_mm / mm_per_px[1]
-            if min(abs(u), abs(v)) >= band_px and (dx % stride != 0 or dy % stride != 0):
+            u, v = u_mm * px_per_u, v_mm * px_per_v
+            flat_px = min(abs(u), abs(v)) - band_px
+            outside_px = max((far_u - window_mm) * px_per_u, (far_v - window_mm) * px_per_v)
+            on_stride = here == strided
+            if on_stride:
+                strided += stride
+            dx = min(here + max(1, int(max(flat_px, outside_px) / STEEPEST)), max(strided, here + 1))
+            if outside_px >= 0 or (flat_px >= 0 and not on_stride):
                 continue
             if abs(far_u - blank_centre_mm) < blank_half_mm and abs(far_v - blank_centre_mm) < blank_half_mm:
                 continue
-            pixels[used, 0], pixels[used, 1], pixels[used, 2], pixels[used, 3] = u, v, x, y
-            pixels[used, 4] = linear[centre[1] + dy, centre[0] + dx]
+            pixels[0, used], pixels[1, used], pixels[2, used], pixels[3, used] = u, v, x, y
+            pixels[4, used] = linear[centre[1] + dy, centre[0] + here]
             sides[(2 if u > 0 else 0) + (1 if v > 0 else 0)] += 1
             used += 1
     return used, min(min(sides[0], sides[1]), min(sides[2], sides[3])) >= SIDE_PIXELS
 
 
 @kernel
-def _fit(pixels, sigma_px, out):  # type: ignore[no-untyped-def]
+def _fit(pixels, used, sigma_px, out):  # type: ignore[no-untyped-def]
     """Photometric terms first, while those of the shape are zero.
 
     Then all nine until the step is small.
     """
     shift_u, shift_v, sigma = 0.0, 0.0, sigma_px
     solution = np.zeros(_TERMS)
-    normal, right = np.empty((_TERMS, _TERMS)), np.empty(_TERMS)
+    normal, inverse, right = np.empty((_TERMS, _TERMS)), np.empty((_TERMS, _TERMS)), np.empty(_TERMS)
+    terms = np.empty((_TERMS + 1) * _BLOCK)
     for step in range(STEPS):
-        squares = _normal_equations(pixels, shift_u, shift_v, sigma, solution, normal, right)
-        regular = normal.copy()
+        squares = _normal_equations(pixels, used, (shift_u, shift_v, sigma), solution, terms, normal, right)
         ridge = 1e-12
         for i in range(_TERMS):
             ridge += 1e-7 * normal[i, i] / _TERMS
-        for i in range(_TERMS):
-            regular[i, i] += ridge
-        inverse = np.linalg.inv(regular)
+        _invert(normal, ridge, inverse)
         remaining = squares
         for i in range(_TERMS):
             solution[i] = 0.0
@@ -167,7 +180,7 @@ def _fit(pixels, sigma_px, out):  # type: ignore[no-untyped-def]
             remaining -= 2.0 * solution[i] * right[i]
             for j in range(_TERMS):
                 remaining += solution[i] * normal[i, j] * solution[j]
-        variance = max(remaining, 0.0) / max(len(pixels) - _TERMS, 1)
+        variance = max(remaining, 0.0) / max(used - _TERMS, 1)
         length = math.hypot(solution[6], solution[7])
         share = min(1.0, 1.0 / max(length, 1e-12))
         shift_u += solution[6] * share
@@ -184,44 +197,102 @@ def _fit(pixels, sigma_px, out):  # type: ignore[no-untyped-def]
             break
 
 
-@fast_kernel
-def _erf(x, gauss):  # type: ignore[no-untyped-def]
-    """Error function, given exp(−x²): Abramowitz and Stegun 7.1.26, right to 1.5e-7."""
-    t = 1.0 / (1.0 + 0.3275911 * abs(x))
-    tail = t * (0.254829592 + t * (-0.284496736 + t * (1.421413741 + t * (-1.453152027 + t * 1.061405429)))) * gauss
-    return 1.0 - tail if x >= 0 else tail - 1.0
+@kernel
+def _invert(matrix, ridge, inverse):  # type: ignore[no-untyped-def]
+    """Inverse of a positive definite matrix with `ridge` added to its diagonal.
+
+    By sweeping one pivot after the other.
+    """
+    for i in range(_TERMS):
+        for j in range(_TERMS):
+            inverse[i, j] = matrix[i, j]
+        inverse[i, i] += ridge
+    for k in range(_TERMS):
+        pivot = 1.0 / inverse[k, k]
+        inverse[k, k] = 1.0
+        for j in range(_TERMS):
+            inverse[k, j] *= pivot
+        for i in range(_TERMS):
+            if i != k:
+                factor = inverse[i, k]
+                inverse[i, k] = 0.0
+                for j in range(_TERMS):
+                    inverse[i, j] -= factor * inverse[k, j]
 
 
 @fast_kernel
-def _normal_equations(pixels, shift_u, shift_v, sigma, last, normal, right):  # type: ignore[no-untyped-def]
+def _fill_terms(pixels, first, count, shape, last, terms):  # type: ignore[no-untyped-def]
+    """Derivatives of the model by its nine terms at some pixels, and their values in the last row.
+
+    Written without calls, and into rows at fixed distances, so that the compiler makes vectors of it. exp(−z) is the
+    sixteenth power of 1 / e^(z / 16), that by its series: right to 1e-8 where it matters. The error function follows
+    from it (Abramowitz and Stegun 7.1.26, right to 1.5e-7).
+    """
+    shift_u, shift_v, sigma = shape
+    a, a_x, a_y = last[3], last[4], last[5]
+    scale = 1.0 / (math.sqrt(2.0) * sigma)
+    slope = 2.0 / math.sqrt(math.pi)
+    widening = math.sqrt(2.0) * scale
+    for p in range(count):
+        x, y = pixels[2, first + p], pixels[3, first + p]
+        s, t = (pixels[0, first + p] - shift_u) * scale, (pixels[1, first + p] - shift_v) * scale
+        z, w = s * s * 0.0625, t * t * 0.0625
+        z, w = z if z < _FAINTEST else _FAINTEST, w if w < _FAINTEST else _FAINTEST
+        z = 1.0 / (1.0 + z * (1.0 + z / 2 * (1.0 + z / 3 * (1.0 + z / 4 * (1.0 + z / 5 * (1.0 + z / 6 * (
+            1.0 + z / 7 * (1.0 + z / 8 * (1.0 + z / 9)))))))))  # fmt: skip
+        w = 1.0 / (1.0 + w * (1.0 + w / 2 * (1.0 + w / 3 * (1.0 + w / 4 * (1.0 + w / 5 * (1.0 + w / 6 * (
+            1.0 + w / 7 * (1.0 + w / 8 * (1.0 + w / 9)))))))))  # fmt: skip
+        z *= z
+        z *= z
+        z *= z
+        gauss_s = z * z
+        w *= w
+        w *= w
+        w *= w
+        gauss_t = w * w
+        q, r = 1.0 / (1.0 + 0.3275911 * abs(s)), 1.0 / (1.0 + 0.3275911 * abs(t))
+        tail_s = q * (0.254829592 + q * (-0.284496736 + q * (1.421413741 + q * (-1.453152027 + q * 1.061405429))))
+        tail_t = r * (0.254829592 + r * (-0.284496736 + r * (1.421413741 + r * (-1.453152027 + r * 1.061405429))))
+        erf_s = math.copysign(1.0 - tail_s * gauss_s, s)
+        erf_t = math.copysign(1.0 - tail_t * gauss_t, t)
+        product = erf_s * erf_t
+        strength = (a + a_x * x + a_y * y) * slope
+        along_s, along_t = strength * gauss_s * erf_t, strength * gauss_t * erf_s
+        terms[p] = 1.0
+        terms[_BLOCK + p] = x
+        terms[2 * _BLOCK + p] = y
+        terms[3 * _BLOCK + p] = product
+        terms[4 * _BLOCK + p] = product * x
+        terms[5 * _BLOCK + p] = product * y
+        terms[6 * _BLOCK + p] = -along_s * scale
+        terms[7 * _BLOCK + p] = -along_t * scale
+        terms[8 * _BLOCK + p] = -(along_s * s + along_t * t) * widening
+        terms[9 * _BLOCK + p] = pixels[4, first + p]
+
+
+@fast_kernel
+def _normal_equations(pixels, used, shape, last, terms, normal, right):  # type: ignore[no-untyped-def]
     """designᵀ design and designᵀ value, given the last step's photometric terms.
 
     Returns the sum of squared values.
     """
-    scale = 1.0 / (math.sqrt(2.0) * sigma)
-    slope = 2.0 / math.sqrt(math.pi)
-    widening = math.sqrt(2.0) * scale
-    term = np.empty(_TERMS)
     normal[:] = 0.0
     right[:] = 0.0
     squares = 0.0
-    for p in range(len(pixels)):
-        x, y, value = pixels[p, 2], pixels[p, 3], pixels[p, 4]
-        s, t = (pixels[p, 0] - shift_u) * scale, (pixels[p, 1] - shift_v) * scale
-        gauss_s, gauss_t = math.exp(-s * s), math.exp(-t * t)
-        erf_s, erf_t = _erf(s, gauss_s), _erf(t, gauss_t)
-        product = erf_s * erf_t
-        strength = (last[3] + last[4] * x + last[5] * y) * slope
-        along_s, along_t = strength * gauss_s * erf_t, strength * gauss_t * erf_s
-        term[0], term[1], term[2] = 1.0, x, y
-        term[3], term[4], term[5] = product, product * x, product * y
-        term[6], term[7] = -along_s * scale, -along_t * scale
-        term[8] = -(along_s * s + along_t * t) * widening
-        for i in range(_TERMS):
-            right[i] += term[i] * value
+    for first in range(0, used, _BLOCK):
+        count = min(_BLOCK, used - first)
+        _fill_terms(pixels, first, count, shape, last, terms)
+        for i in range(_TERMS + 1):
             for j in range(i + 1):
-                normal[i, j] += term[i] * term[j]
-        squares += value * value
+                total = 0.0
+                for p in range(count):
+                    total += terms[i * _BLOCK + p] * terms[j * _BLOCK + p]
+                if i < _TERMS:
+                    normal[i, j] += total
+                elif j < _TERMS:
+                    right[j] += total
+                else:
+                    squares += total
     for i in range(_TERMS):
         for j in range(i):
             normal[j, i] = normal[i, j]

@@ -21,13 +21,18 @@ def grey_bytes(photograph: Photograph) -> UInt8[Array, "h w"]:
 
 
 def reduced(grey: UInt8[Array, "h w"], width_px: int) -> tuple[UInt8[Array, "p q"], Float64[Array, 2]]:
-    """Area-averaged picture of about `width_px` at most, and its scale.
+    """Area-averaged picture of about `width_px`, and its scale.
 
-    The scale is original pixels per reduced pixel, x and y.
+    The scale is original pixels per reduced pixel, x and y. Large pictures are reduced by a whole number, three times
+    as fast as by another, and become up to half as wide again.
     """
     height, width = grey.shape
     if width <= 1.25 * width_px:
         return grey, np.ones(2)
+    if (step := width // width_px) >= 2:
+        whole = grey[: height // step * step, : width // step * step]
+        small = cv2.resize(whole, None, fx=1 / step, fy=1 / step, interpolation=cv2.INTER_AREA)
+        return np.asarray(small, dtype=np.uint8), np.full(2, float(step))
     size_wh = (width_px, max(1, round(height * width_px / width)))
     small = cv2.resize(grey, size_wh, interpolation=cv2.INTER_AREA)
     return np.asarray(small, dtype=np.uint8), np.array([width / size_wh[0], height / size_wh[1]])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass, fields, replace
+from functools import cache
 from typing import ClassVar
 
 import numpy as np
@@ -107,9 +108,7 @@ class SquaresBoard(Board):
     @property
     def points_target(self) -> Float64[Array, "n 3"]:
         """Inner corners by id, board frame, mm."""
-        column, row = np.meshgrid(np.arange(1, self.squares[0]), np.arange(1, self.squares[1]))
-        corners = np.stack([column.ravel(), row.ravel(), np.zeros(column.size)], axis=1)
-        return read_only(corners * self.square_mm)
+        return _inner_corners(self.squares, self.square_mm)
 
     @property
     def edge_mm(self) -> float:
@@ -137,3 +136,10 @@ class SquaresBoard(Board):
             SessionError: there is no marker dictionary of the target's name.
         """
         return Sheet(extent_mm=self.extent_mm, rectangles=self.pattern.rectangles())
+
+
+@cache
+def _inner_corners(squares: tuple[int, int], square_mm: float) -> Float64[Array, "n 3"]:
+    column, row = np.meshgrid(np.arange(1, squares[0]), np.arange(1, squares[1]))
+    corners = np.stack([column.ravel(), row.ravel(), np.zeros(column.size)], axis=1)
+    return read_only(corners * square_mm)

@@ -29,7 +29,11 @@ def charuco_board(target: CharucoTarget) -> cv2.aruco.CharucoBoard:
             expected=f"an OpenCV dictionary of at least {markers} markers, such as 'DICT_5X5_250'",
             remedy="Write the name of the dictionary that the board was made with",
         )
-    board = cv2.aruco.CharucoBoard(target.squares, target.square_mm, target.marker_mm, dictionary)
+    # Of the dictionary only what is on the board: the detector compares each square with all that it is given.
+    own = cv2.aruco.Dictionary(
+        dictionary.bytesList[:markers].copy(), dictionary.markerSize, dictionary.maxCorrectionBits
+    )
+    board = cv2.aruco.CharucoBoard(target.squares, target.square_mm, target.marker_mm, own)
     board.setLegacyPattern(target.legacy_pattern)
     return board
 

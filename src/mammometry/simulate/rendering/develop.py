@@ -40,7 +40,7 @@ def develop(
 def _count(image: Float32[Array, "h w c"], film: Film, seed: int, table: Array, pixels: Array) -> None:
     """Blur, vignetting, photons and read-out noise, then a transfer curve."""
     develop_kernel(
-        image,
+        np.ascontiguousarray(image),
         _taps(film.blur_px),
         film.vignetting,
         film.electrons,

@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from mammometry.base.compiled import kernel
+from mammometry.base.compiled import kernel, small_kernel
 from mammometry.geometry.arrays import Array
 from mammometry.geometry.lens_kernels import undistorted
 
@@ -23,7 +23,7 @@ _MIX_2 = np.uint64(0x94D049BB133111EB)
 U16 = np.uint64(0xFFFF)
 
 
-@kernel
+@small_kernel
 def mixed(state: np.uint64) -> np.uint64:
     """splitmix64's finaliser: 64 well-mixed bits of a counter."""
     state = (state ^ (state >> np.uint64(30))) * _MIX_1
@@ -117,7 +117,7 @@ def in_plane(
                 third[i * offsets.shape[0] + k] = weight_3 / slope
 
 
-@kernel
+@small_kernel
 def _ink(x: float, y: float, layout: Array, bits: Array) -> int:
     """Print of a board: 1 white, 0 black, −1 outside.
 
@@ -290,44 +290,58 @@ def develop(
         photograph: of the same type, (h, w, 3), overwritten.
     """
     height, width, channels = image.shape
-    radius = taps.shape[0] // 2
-    ring = np.zeros((taps.shape[0], width, channels), dtype=np.float32)
+    radius, across = taps.shape[0] // 2, width * channels
+    ring = np.zeros((taps.shape[0], across), dtype=np.float32)
+    signal, normal = np.zeros(across), np.zeros(width * 3)
     diagonal2 = 0.25 * (width * width + height * height)
+    first = min(radius, width)  # columns before it, and after its mirror image, look beyond the picture
     done = -1  # the last row blurred along the row so far
     for row in range(height):
         while done < min(row + radius, height - 1):
             done += 1
-            target = ring[done % taps.shape[0]]
-            for column in range(width):
-                for channel in range(channels):
-                    blurred = np.float32(0.0)
-                    for k in range(taps.shape[0]):
+            target, line = ring[done % taps.shape[0]], image[done].reshape(across)
+            for place in range(across):
+                target[place] = np.float32(0.0)
+            for k in range(taps.shape[0]):
+                shift = (k - radius) * channels
+                for place in range(first * channels, across - first * channels):
+                    target[place] += taps[k] * line[place + shift]
+                for column in range(first):
+                    for channel in range(channels):
                         source = min(max(column + k - radius, 0), width - 1)
-                        blurred += taps[k] * image[done, source, channel]
-                    target[column, channel] = blurred
+                        target[column * channels + channel] += taps[k] * line[source * channels + channel]
+                for column in range(max(width - first, first), width):
+                    for channel in range(channels):
+                        source = min(max(column + k - radius, 0), width - 1)
+                        target[column * channels + channel] += taps[k] * line[source * channels + channel]
+        for place in range(across):
+            signal[place] = 0.0
+        for k in range(taps.shape[0]):
+            target = ring[min(max(row + k - radius, 0), height - 1) % taps.shape[0]]
+            for place in range(across):
+                signal[place] += taps[k] * target[place]
+        before = seed + np.uint64(row * width) * np.uint64(6)
+        for place in range(width * 3):
+            # Normal enough: the sum of eight uniform numbers of 16 bits, from two counters; variance 8/12.
+            counter = before + np.uint64(2 * place)
+            one, other = mixed(counter * GOLDEN), mixed((counter + np.uint64(1)) * GOLDEN)
+            total = (
+                (one & U16) + ((one >> np.uint64(16)) & U16) + ((one >> np.uint64(32)) & U16) + (one >> np.uint64(48))
+            )
+            total += (other & U16) + ((other >> np.uint64(16)) & U16)
+            total += ((other >> np.uint64(32)) & U16) + (other >> np.uint64(48))
+            normal[place] = (np.float64(np.int64(total)) / 65535.0 - 4.0) * 1.224744871391589
         dy2 = (row - 0.5 * (height - 1)) ** 2
         for column in range(width):
             fall = 1.0 - vignetting * ((column - 0.5 * (width - 1)) ** 2 + dy2) / diagonal2
-            counter = seed + np.uint64(row * width + column) * np.uint64(6)
-            signal = 0.0
             for channel in range(3):
-                if channel < channels:
-                    signal = 0.0
-                    for k in range(taps.shape[0]):
-                        source = min(max(row + k - radius, 0), height - 1)
-                        signal += taps[k] * ring[source % taps.shape[0], column, channel]
-                    signal *= fall
-                # Normal enough: the sum of eight uniform numbers of 16 bits, from two counters; variance 8/12.
-                total = 0.0
-                for half in range(2):
-                    bits = mixed((counter + np.uint64(2 * channel + half)) * GOLDEN)
-                    total += np.float64(bits & U16) + np.float64((bits >> np.uint64(16)) & U16)
-                    total += np.float64((bits >> np.uint64(32)) & U16) + np.float64(bits >> np.uint64(48))
-                normal = (total / 65535.0 - 4.0) * 1.224744871391589
-                mean = max(signal, 0.0) * electrons
+                light = signal[column * channels + (channel if channels == 3 else 0)] * fall
+                mean = max(light, 0.0) * electrons
                 if mean < POISSON_BELOW:
-                    arrived = _poisson(mean, mixed((counter + np.uint64(2 * channel)) * GOLDEN ^ _MIX_1))
-                    value = (arrived + read_noise * normal) / electrons
+                    counter = before + np.uint64(6 * column + 2 * channel)
+                    arrived = _poisson(mean, mixed(counter * GOLDEN ^ _MIX_1))
+                    value = (arrived + read_noise * normal[3 * column + channel]) / electrons
                 else:
-                    value = signal + math.sqrt(mean + read_noise * read_noise) / electrons * normal
+                    noise = math.sqrt(mean + read_noise * read_noise) / electrons
+                    value = light + noise * normal[3 * column + channel]
                 photograph[row, column, channel] = table[int(min(max(value, 0.0), 1.0) * 65535.0 + 0.5)]
