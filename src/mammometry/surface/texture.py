@@ -142,7 +142,8 @@ def _hidden(
     a, b, c = mesh.faces.T
     corners = places.copy()
     corners[:, :2] = (corners[:, :2] + 0.5) / step - 0.5
-    _, _, inverse_depths = nearest_faces(corners, mesh.faces[inside[a] & inside[b] & inside[c]], height, width)
+    faces = read_only(mesh.faces[inside[a] & inside[b] & inside[c]])
+    _, _, inverse_depths = nearest_faces(corners, faces, height, width)
     return index[texture_kernels.hidden(corners[index], inverse_depths, clearance_mm)]
 
 
