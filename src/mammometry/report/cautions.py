@@ -9,6 +9,7 @@ import numpy as np
 from mammometry.geometry.arrays import bounds
 from mammometry.geometry.nearest import point_tree
 from mammometry.measure.boundary.confirming import TO_BE_CONFIRMED
+from mammometry.measure.trunk.body import HEAD_NOT_SHOWN
 from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.report.figures.sides import wall_faces
 from mammometry.surface.repair import Provenance, RepairedSurface
@@ -29,6 +30,8 @@ def own_cautions(measured: VolumeMeasurement, shares: Mapping[Provenance, float]
         yield "Do not use this volume: its solid is not watertight."
     if TO_BE_CONFIRMED in measured.boundary_method:
         yield "Nobody has confirmed its boundary."
+    if HEAD_NOT_SHOWN in measured.boundary_method:
+        yield "Left may be right: the body does not show its head's end. Check that no camera is upside down."
     if shares is not None and shares[Provenance.MEASURED] < SKIN_MEASURED:
         yield f"Only {100 * shares[Provenance.MEASURED]:.0f} % of its skin was measured."
 

@@ -8,6 +8,7 @@ import synthetic
 
 from mammometry.calibration.judge.quality import assess
 from mammometry.measure.boundary.boundary import TO_BE_CONFIRMED
+from mammometry.measure.trunk.body import HEAD_NOT_SHOWN
 from mammometry.measure.volume.definitions import DefinedVolume
 from mammometry.report import content
 from mammometry.report.anthropometry import comparison
@@ -77,6 +78,10 @@ def test_what_changes_a_volumes_meaning_stands_beside_it(rig) -> None:
         "Nobody has confirmed its boundary.",
         "Only 0 % of its skin was measured.",
         "Of the run.",
+    )
+    headless = replace(sound, boundary_method=f"automatic: …. The body {HEAD_NOT_SHOWN}: …")
+    assert content.breast_report(headless).cautions == (
+        "Left may be right: the body does not show its head's end. Check that no camera is upside down.",
     )
     calibration = synthetic.calibration(rig)
     still = RunResults(

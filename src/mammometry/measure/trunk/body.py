@@ -24,6 +24,8 @@ from mammometry.surface.repair import RepairedSurface
 Mounting: TypeAlias = Literal["upright", "upside-down", "left", "right"]
 """Where a camera's top points, as seen from behind it."""
 
+HEAD_NOT_SHOWN = "does not show where the head is"
+"""Words in a boundary's method that make left and right rest on the cameras' mounting alone."""
 _BESIDE_MM = 10.0  # skin this near to a boundary counts as breast; chosen by eye
 _WINDOW_MM = 250.0  # skin this near to the breasts' middle shows the plane; chosen by eye
 _SAMPLES = 60_000  # of the skin that show the plane; chosen for speed
@@ -300,7 +302,7 @@ def check_head(skin: Skin, trunk: Trunk, fuller_below: Sequence[float]) -> str:
         )
     if shoulders + breasts < _SHOWN:
         unsure = f" ({' and '.join(signs)})" if signs else ""
-        return f"the body does not show where the head is{unsure}: only the cameras' mounting does"
+        return f"the body {HEAD_NOT_SHOWN}{unsure}: only the cameras' mounting does"
     return "the body shows the head up: " + " and ".join(signs)
 
 
