@@ -21,6 +21,8 @@ _MUCH_WEAK_PERCENT = 10.0  # of the surface, worth a warning; chosen by eye
 class MatchQuality:
     """One pair's figures."""
 
+    size_wh: tuple[int, int]
+    """Of the map, pixels."""
     matched_pixels: int
     weak_percent: float
     """Share of matched and weak pixels with texture too weak to match, %."""
@@ -30,6 +32,8 @@ class MatchQuality:
     """Half the width of its middle 68 %, px."""
     sigma_median_px: float
     """Median expected standard deviation of the horizontal disparity, px."""
+    confidence_median: float
+    """Median correlation."""
 
     @property
     def calibration_alarm(self) -> bool:
@@ -45,12 +49,15 @@ def assess(found: DisparityMap) -> MatchQuality:
     matched, weak = int(found.valid.sum()), int((found.weak & ~found.valid).sum())
     d_v = found.d_v_px[found.valid].astype(np.float64)
     low, median, high = np.percentile(d_v, (16, 50, 84)) if matched else (0.0, 0.0, 0.0)
+    height, width = found.valid.shape
     return MatchQuality(
+        size_wh=(width, height),
         matched_pixels=matched,
         weak_percent=100 * weak / max(matched + weak, 1),
         d_v_median_px=float(median),
         d_v_spread_px=float(high - low) / 2,
         sigma_median_px=float(np.median(found.sigma_px[found.valid])) if matched else 0.0,
+        confidence_median=float(np.median(found.confidence[found.valid])) if matched else 0.0,
     )
 
 

@@ -17,9 +17,8 @@ from mammometry.calibration.judge.quality import CalibrationQuality
 from mammometry.calibration.targets.target import Target
 from mammometry.geometry.arrays import Array, Float32
 from mammometry.geometry.camera import Rig
-from mammometry.matching import quality as match_quality
 from mammometry.matching.foreground import Foreground
-from mammometry.matching.match import DisparityMap
+from mammometry.matching.quality import MatchQuality
 from mammometry.measure.boundary.breasts import NoBreast
 from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.report.cautions import own_cautions, skin_shares
@@ -269,20 +268,21 @@ def calibration_report(rig: Rig, calibration: Calibration | None, quality: Calib
 
 
 def matching_report(
-    foregrounds: Mapping[str, Foreground], disparities: Mapping[str, DisparityMap], shares: Mapping[str, float]
+    foregrounds: Mapping[str, Foreground], matching: Mapping[str, MatchQuality], shares: Mapping[str, float]
 ) -> StageReport:
     """The match stage in numbers."""
     rows = []
-    for name, found in disparities.items():
-        judged = match_quality.assess(found)
+    for name, judged in matching.items():
+        width, height = judged.size_wh
+        some = judged.matched_pixels > 0
         rows.append(
             (
                 name,
-                f"{found.valid.shape[1]} × {found.valid.shape[0]}",
+                f"{width} × {height}",
                 f"{100 * shares[name]:.1f}",
                 f"{judged.weak_percent:.1f}",
-                _median_words(found.confidence[found.valid], ".2f"),
-                _median_words(found.sigma_px[found.valid], ".3f"),
+                f"{judged.confidence_median:.2f}" if some else "–",
+                f"{judged.sigma_median_px:.3f}" if some else "–",
                 f"{number(judged.d_v_median_px, '+.3f')} ± {judged.d_v_spread_px:.3f}",
             )
         )

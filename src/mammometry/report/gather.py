@@ -14,6 +14,7 @@ from mammometry.base.progress import Progress, no_progress
 from mammometry.calibration.judge.quality import assess
 from mammometry.job.pipeline import Inputs, Plan
 from mammometry.job.products import Fleeting, Stage
+from mammometry.matching import quality as match_quality
 from mammometry.measure.volume.attribution import attributed
 from mammometry.report import content
 from mammometry.report.anthropometry import comparison, dimension_tables, symmetry_facts, without_nipple
@@ -63,10 +64,11 @@ def gather(
     progress(0.2)
 
     foregrounds = {camera: thinned_foreground(seen) for camera, seen in Fleeting(plan.matched.foregrounds).items()}
-    disparities = Fleeting(plan.matched.disparities)
-    small = {pair: thinned_map(found) for pair, found in disparities.items()}
+    small, matching = {}, {}
+    for pair, found in Fleeting(plan.matched.disparities).items():  # once: each takes a second to read at full size
+        small[pair], matching[pair] = thinned_map(found), match_quality.assess(found)
     shares = matched_shares(rig, foregrounds, small)
-    stages.append(content.matching_report(foregrounds, disparities, shares))
+    stages.append(content.matching_report(foregrounds, matching, shares))
     progress(0.4)
 
     finished = plan.surfaced.mesh()
@@ -107,7 +109,7 @@ def gather(
         quality=quality,
         calibration=calibration,
         shares=shares,
-        disparities=disparities,
+        matching=matching,
         foregrounds=foregrounds,
         measurements=measurements,
         repaired=finished.repaired,

@@ -9,7 +9,7 @@ from mammometry.calibration.adjust.bundle import Calibration
 from mammometry.calibration.judge.quality import CalibrationQuality
 from mammometry.matching import quality as match_quality
 from mammometry.matching.foreground import Foreground
-from mammometry.matching.match import DisparityMap
+from mammometry.matching.quality import MatchQuality
 from mammometry.measure.boundary.breasts import NoBreast
 from mammometry.measure.boundary.confirming import TO_BE_CONFIRMED
 from mammometry.measure.trunk.body import Body
@@ -34,8 +34,8 @@ class RunResults:
     """With what was left out of it. None for imported cameras."""
     shares: Mapping[str, float]
     """Pair → share of the subject's silhouette that was matched."""
-    disparities: Mapping[str, DisparityMap]
-    """Pair → what was matched."""
+    matching: Mapping[str, MatchQuality]
+    """Pair → how well it was matched."""
     foregrounds: Mapping[str, Foreground]
     """Camera → its silhouette."""
     measurements: Sequence[VolumeMeasurement]
@@ -83,8 +83,8 @@ def warnings(run: RunResults) -> Iterator[str]:
         )
     if run.calibration is None:
         yield "The cameras were imported. Their errors are not known, and the interval does not cover them."
-    for name, found in run.disparities.items():
-        yield from match_quality.concerns(name, match_quality.assess(found))
+    for name, judged in run.matching.items():
+        yield from match_quality.concerns(name, judged)
     for name, share in run.shares.items():
         if share < _MATCHED:
             yield f"Pair {name} matched only {100 * share:.0f} % of the subject's silhouette."

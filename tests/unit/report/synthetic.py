@@ -15,6 +15,8 @@ from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
 from mammometry.matching.foreground import Foreground
 from mammometry.matching.match import DisparityMap
+from mammometry.matching.quality import MatchQuality
+from mammometry.matching.quality import assess as assess_match
 from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.report.figures.stage_results import MeasureResult
 from mammometry.surface.dents import ValidPatches
@@ -113,6 +115,11 @@ def disparities(cameras: Rig, *, d_v_px: float = 0.0) -> dict[str, DisparityMap]
             weak=np.zeros_like(hit),
         )
     return maps
+
+
+def matching(cameras: Rig, *, d_v_px: float = 0.0) -> dict[str, MatchQuality]:
+    """How well the ball is matched."""
+    return {name: assess_match(found) for name, found in disparities(cameras, d_v_px=d_v_px).items()}
 
 
 def ranges(cameras: Rig) -> dict[str, RangeImage]:

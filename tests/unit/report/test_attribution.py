@@ -50,7 +50,7 @@ def test_a_confirmed_automatic_boundary_needs_no_warning() -> None:
                     quality=None,
                     calibration=None,
                     shares={},
-                    disparities={},
+                    matching={},
                     foregrounds={},
                     measurements=[one],
                     repaired=synthetic.repaired(synthetic.ball()),

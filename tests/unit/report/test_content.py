@@ -88,7 +88,7 @@ def test_what_changes_a_volumes_meaning_stands_beside_it(rig) -> None:
         quality=None,
         calibration=calibration,
         shares={},
-        disparities={},
+        matching={},
         foregrounds={},
         measurements=[sound],
         repaired=repaired,
@@ -131,7 +131,7 @@ def warned(rig, **changes) -> str:
         "quality": assess(calibration),
         "calibration": calibration,
         "shares": {"one": 0.95, "two": 0.95},
-        "disparities": synthetic.disparities(rig),
+        "matching": synthetic.matching(rig),
         "foregrounds": synthetic.foregrounds(rig),
         "measurements": [synthetic.measurement()],
         "repaired": synthetic.repaired(synthetic.ball()),
@@ -149,7 +149,7 @@ def test_each_fault_has_its_warning(rig) -> None:
     quality = replace(assess(synthetic.calibration(rig)), verdict="warn", reasons=("camera one_left moved",))
     assert "Check the calibration. Camera one_left moved." in warned(rig, quality=quality)
     assert "cameras were imported" in warned(rig, calibration=None, quality=None)
-    assert "vertical disparity of +0.50 ± 0.00 px" in warned(rig, disparities=synthetic.disparities(rig, d_v_px=0.5))
+    assert "vertical disparity of +0.50 ± 0.00 px" in warned(rig, matching=synthetic.matching(rig, d_v_px=0.5))
     assert "matched only 40 %" in warned(rig, shares={"one": 0.4, "two": 0.9})
     assert "not separated from the background" in warned(rig, foregrounds=synthetic.foregrounds(rig, everything=True))
     rail = Blocked(camera="one_left", blocks=np.ones((2, 2), dtype=bool), step=2, share=0.123)
@@ -186,7 +186,7 @@ def test_reports_of_the_stages_have_one_row_a_pair_or_camera(rig) -> None:
     imported = content.calibration_report(rig, None, None)
     assert "imported" in imported.facts[0].value
     assert all(len(row) == len(table.columns) for table in imported.tables for row in table.rows)
-    matched = content.matching_report(synthetic.foregrounds(rig), synthetic.disparities(rig), {"one": 0.5, "two": 1.0})
+    matched = content.matching_report(synthetic.foregrounds(rig), synthetic.matching(rig), {"one": 0.5, "two": 1.0})
     assert matched.tables[0].rows[0][2] == "50.0"
     images = synthetic.ranges(rig)
     surfaced = content.surface_report(images, synthetic.valid(images), synthetic.repaired(synthetic.ball()))

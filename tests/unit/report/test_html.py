@@ -66,7 +66,7 @@ def page_content() -> ReportContent:
         warnings=("Pair one: <script>alert(1)</script>",),
         breasts=tuple(content.breast_report(each, cautions=("Cameras moved.",)) for each in measured),
         comparison=comparison(measured),
-        stages=(content.matching_report({}, synthetic.disparities(rig), {"one": 0.9, "two": 0.8}),),
+        stages=(content.matching_report({}, synthetic.matching(rig), {"one": 0.9, "two": 0.8}),),
         timings=content.timings({"calibrate": 1.25, "match": 2.0}),
         changed_settings=changed,
         all_settings=everything,

@@ -84,7 +84,6 @@ def address(tmp_path_factory: pytest.TempPathFactory) -> str:
         for name in ("left", "right")
     ]
     changed, everything = content.settings_facts(Settings().overridden(["surface.repair.rho=3.0"]))
-    disparities = synthetic.disparities(rig, d_v_px=0.5)
     repaired = synthetic.repaired(ball)
     ranges = synthetic.ranges(rig)
     page_content = content.ReportContent(
@@ -98,7 +97,7 @@ def address(tmp_path_factory: pytest.TempPathFactory) -> str:
                     quality=quality,
                     calibration=None,
                     shares={"one": 0.4, "two": 0.9},
-                    disparities=disparities,
+                    matching=synthetic.matching(rig, d_v_px=0.5),
                     foregrounds=synthetic.foregrounds(rig, everything=True),
                     measurements=measured,
                     repaired=repaired,
@@ -109,7 +108,9 @@ def address(tmp_path_factory: pytest.TempPathFactory) -> str:
         comparison=comparison(measured),
         stages=(
             content.calibration_report(rig, calibration, quality),
-            content.matching_report(synthetic.foregrounds(rig), disparities, {"one": 0.4, "two": 0.9}),
+            content.matching_report(
+                synthetic.foregrounds(rig), synthetic.matching(rig, d_v_px=0.5), {"one": 0.4, "two": 0.9}
+            ),
             content.surface_report(ranges, synthetic.valid(ranges), repaired),
             content.measure_report(measured),
         ),

@@ -40,7 +40,7 @@ def page_content(*names: str) -> ReportContent:
         warnings=("Pair one: only 12 % of the subject's silhouette could be matched.",),
         breasts=tuple(content.breast_report(each, cautions=("Cameras moved.",)) for each in measured),
         comparison=comparison(measured),
-        stages=(content.matching_report({}, disparities, shares),),
+        stages=(content.matching_report({}, synthetic.matching(rig), shares),),
         timings=content.timings({"calibrate": 1.25, "match": 2.0}),
         changed_settings=changed,
         all_settings=everything,
