@@ -40,6 +40,7 @@ def _added(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     (tmp_path / "of_my_own.py").write_text(ADDED)
     for registry in (catalogue.PREVIEWS, catalogue.PAPER_FIGURES):
         monkeypatch.setattr(registry, "_entries", dict(registry._loaded()))
+        monkeypatch.setattr(registry, "_is_loaded", False)  # as if nothing had been looked up before the file was there
     monkeypatch.setattr(figures, "__path__", [*figures.__path__, str(tmp_path)])
     name = f"{figures.__name__}.of_my_own"
     sys.modules.pop(name, None)
