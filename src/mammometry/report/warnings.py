@@ -12,7 +12,7 @@ from mammometry.matching.foreground import Foreground
 from mammometry.matching.quality import MatchQuality
 from mammometry.measure.boundary.breasts import NoBreast
 from mammometry.measure.boundary.confirming import TO_BE_CONFIRMED
-from mammometry.measure.trunk.body import Body
+from mammometry.measure.trunk.body import HEAD_NOT_SHOWN, Body
 from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.report.cautions import SKIN_MEASURED, skin_shares
 from mammometry.report.content import sentence
@@ -68,6 +68,11 @@ def warnings(run: RunResults) -> Iterator[str]:
             "from a nipple is left out there: pick it with `mammometry edit` if there is one."
         )
     yield from run.moved
+    if any(HEAD_NOT_SHOWN in measured.boundary_method for measured in run.measurements):
+        yield (
+            "The body does not show where its head is: left and right rest on how the cameras are mounted. Check that "
+            "none is upside down."
+        )
     unconfirmed = [NAMES[measured.name] for measured in run.measurements if TO_BE_CONFIRMED in measured.boundary_method]
     if unconfirmed:
         yield (

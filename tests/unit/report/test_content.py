@@ -164,6 +164,11 @@ def test_each_fault_has_its_warning(rig) -> None:
     assert "Pose 02 of camera one_left was left out" in warned(rig, calibration=aside)
 
 
+def test_sides_that_rest_on_the_mounting_alone_are_warned_of(rig) -> None:
+    headless = replace(synthetic.measurement("left"), boundary_method=f"automatic: …. The body {HEAD_NOT_SHOWN}: …")
+    assert "Check that none is upside down." in warned(rig, measurements=[headless])
+
+
 def test_a_mostly_invented_breast_is_warned_of(rig) -> None:
     repaired = synthetic.repaired(synthetic.ball())
     unseen = replace(repaired, provenance=repaired.provenance * 0)
