@@ -56,8 +56,7 @@ def in_bands(work: Callable[[slice], _R], count: int) -> list[_R]:
     least one.
     """
     size = max(1, -(-count // (available_cores() * _BANDS_PER_CORE)))
-    with ThreadPoolExecutor(available_cores()) as pool:
-        return list(pool.map(work, (slice(first, first + size) for first in range(0, max(count, 1), size))))
+    return each_at_once(work, [slice(first, first + size) for first in range(0, max(count, 1), size)])
 
 
 def each_at_once(work: Callable[[_T], _R], things: Sequence[_T]) -> list[_R]:

@@ -71,7 +71,7 @@ def _imported(text: str) -> list[Path]:
 
 
 class _ByContent:
-    """Of a place where numba keeps things: stamps them with what the source says, not when it was written."""
+    """Place where kernels are kept, stamped with what their source says."""
 
     _py_file: str
 

@@ -7,7 +7,6 @@ job finds them on disk, and compiles itself what it does not find.
 
 from __future__ import annotations
 
-import fcntl
 import importlib
 import subprocess
 import sys
@@ -73,17 +72,18 @@ def main() -> None:
 
     What is on disk is only read, and nothing is done while another process is at it.
     """
+    from filelock import FileLock, Timeout
+
     name, _ = listed()[-1]
     folder = Path(kernel_named(name).stats.cache_path)
     folder.mkdir(parents=True, exist_ok=True)
-    with (folder / "compiling.lock").open("w") as lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            return
-        for name, types in listed():
-            # Types, not text: numba would file the kernel under the text.
-            kernel_named(name).compile(argument_types(types))
+    try:
+        with FileLock(folder / "compiling.lock", timeout=0):
+            for name, types in listed():
+                # Types, not text: numba would file the kernel under the text.
+                kernel_named(name).compile(argument_types(types))
+    except Timeout:
+        return
 
 
 if __name__ == "__main__":

@@ -233,7 +233,9 @@ def _decoded_8bit(path: Path) -> Array:
 
 
 def _decoded_jpeg(path: Path, *, grey: bool) -> Array | None:
-    """Decode with OpenCV, which uses the same library as Pillow in half the time: it makes no copy of the pixels.
+    """Decode a JPEG with OpenCV.
+
+    It has the same library as Pillow, and takes half the time: it makes no copy of the pixels.
 
     None where the file does not end as a JPEG should: OpenCV fills what is missing and reports nothing, Pillow reports.
     """

@@ -31,7 +31,7 @@ def own_cautions(measured: VolumeMeasurement, shares: Mapping[Provenance, float]
     if TO_BE_CONFIRMED in measured.boundary_method:
         yield "Nobody has confirmed its boundary."
     if HEAD_NOT_SHOWN in measured.boundary_method:
-        yield "Left may be right: the body does not show its head's end. Check that no camera is upside down."
+        yield "Left and right may be exchanged: the body does not show where its head is. See the warnings."
     if shares is not None and shares[Provenance.MEASURED] < SKIN_MEASURED:
         yield f"Only {100 * shares[Provenance.MEASURED]:.0f} % of its skin was measured."
 

@@ -127,7 +127,7 @@ def correspond(
 def _correspond(
     vertices: Float64[Array, "n 3"], normals: Float64[Array, "n 3"], views: list[ViewData | None], gates: Gates
 ) -> Correspondences:
-    """The same for some of the vertices."""
+    """Correspondences of some vertices."""
     n = len(vertices)
     nearest = np.full(n, np.inf)
     total, weight = np.zeros((n, 3)), np.zeros(n)

@@ -135,7 +135,6 @@ def build_field(
 ) -> Field:
     """Pack views with their weights, and all silhouettes."""
     seen = [image for image in range_images if image.valid.any()]
-
     starts = np.cumsum([0, *(image.valid.size for image in seen)])
     elements = np.empty((starts[-1], 3), dtype=np.float32)
     view_rows = [

@@ -81,7 +81,7 @@ def test_what_changes_a_volumes_meaning_stands_beside_it(rig) -> None:
     )
     headless = replace(sound, boundary_method=f"automatic: …. The body {HEAD_NOT_SHOWN}: …")
     assert content.breast_report(headless).cautions == (
-        "Left may be right: the body does not show its head's end. Check that no camera is upside down.",
+        "Left and right may be exchanged: the body does not show where its head is. See the warnings.",
     )
     calibration = synthetic.calibration(rig)
     still = RunResults(

@@ -222,7 +222,9 @@ def _invert(matrix, ridge, inverse):  # type: ignore[no-untyped-def]
 
 @fast_kernel
 def _fill_terms(pixels, first, count, shape, last, terms):  # type: ignore[no-untyped-def]
-    """Derivatives of the model by its nine terms at some pixels, and their values in the last row.
+    """Derivatives of the model by its nine terms at some pixels.
+
+    The last row holds the pixels' values.
 
     Written without calls, and into rows at fixed distances, so that the compiler makes vectors of it. exp(−z) is the
     sixteenth power of 1 / e^(z / 16), that by its series: right to 1e-8 where it matters. The error function follows

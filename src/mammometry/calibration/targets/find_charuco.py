@@ -38,7 +38,7 @@ a blur of 3 px makes them 8 % narrower.
 
 
 def _one_threshold() -> cv2.aruco.DetectorParameters:
-    """Search with the middle one of OpenCV's three windows only, pixels of the reduced picture."""
+    """Search with the middle one of OpenCV's three windows."""
     parameters = cv2.aruco.DetectorParameters()
     middle = (parameters.adaptiveThreshWinSizeMin + parameters.adaptiveThreshWinSizeMax) // 2
     parameters.adaptiveThreshWinSizeMin = parameters.adaptiveThreshWinSizeMax = middle

@@ -183,7 +183,10 @@ class _Round:
 def _best_round(
     surface: RepairedSurface, skin: Skin, body: Body, settings: BreastSettings, thorax_settings: ThoraxSettings
 ) -> _Round:
-    """Find trunk and breasts in turn, until an outline clearly loses the crease that it followed before."""
+    """Find trunk and breasts in turn, and keep the last good round.
+
+    It ends when an outline clearly loses the crease that it followed before.
+    """
     samples = dense_samples(surface.mesh.submesh(seen_faces(surface)))
     outside = np.ones(len(skin.points_world), dtype=bool)
     height_of: Float64[Array, 3] | None = None

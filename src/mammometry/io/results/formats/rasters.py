@@ -109,9 +109,7 @@ def _page(tiff: Any, index: int) -> np.ndarray[Any, Any]:
         tiff.filehandle.seek(offset)
         streams.append(tiff.filehandle.read(count))
     rows = [min(page.rowsperstrip, height - start) for start in range(0, height, page.rowsperstrip)]
-    strips = each_at_once(
-        lambda number: inflated(streams[number], rows[number] * row_bytes), range(len(rows)) if streams else []
-    )
+    strips = each_at_once(lambda number: inflated(streams[number], rows[number] * row_bytes), range(len(rows)))
     return np.frombuffer(b"".join(strips), dtype=page.dtype.newbyteorder(tiff.byteorder)).reshape(height, width)
 
 
