@@ -1,12 +1,15 @@
 """A run that ends in a refusal shows what was seen, until it ends otherwise."""
 
 import json
+from html import unescape
 from pathlib import Path
 
+import numpy as np
 import pytest
+from PIL import Image
 
 from mammometry.api.job import open_session
-from mammometry.base.errors import MeasureError
+from mammometry.base.errors import CalibrationError, MammometryError, MatchingError, MeasureError, SurfaceError
 from mammometry.cli import main
 from mammometry.settings import Settings
 
@@ -45,3 +48,48 @@ def test_what_hinders_the_page_does_not_hide_the_refusal(tiny_finished: Path, ti
         open_session(tiny_finished, Settings.load(tiny_settings).overridden([ALL_AROUND])).measure()
     assert refused.value.page is None
     assert mine.read_text() == "somebody's own"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("asked", "refusal", "shown"),
+    [
+        # Nobody knows a focal length so well; no datum is so certain.
+        ("calibration.quality.focal_std_refuse=1e-9", CalibrationError, ["The target"]),
+        (
+            "surface.triangulate.max_sigma_mm=1e-6",
+            SurfaceError,
+            ["Foreground", "Rectified pairs", "Disparity", "Confidence"],
+        ),
+    ],
+)
+def test_a_refusal_before_the_measurement_shows_what_its_stage_saw(
+    tiny: Path, tiny_settings: Path, asked: str, refusal: type[MammometryError], shown: list[str]
+) -> None:
+    with pytest.raises(refusal) as refused:
+        open_session(tiny, Settings.load(tiny_settings).overridden([asked])).run()
+    _holds(refused.value, shown)
+
+
+@pytest.mark.slow
+def test_photographs_without_a_flash_are_shown_where_they_are_refused(tiny: Path, tiny_settings: Path) -> None:
+    for path in (tiny / "capture").rglob("*.*"):
+        with Image.open(path) as photograph:
+            dark = np.full_like(np.asarray(photograph), 3)
+        Image.fromarray(dark).save(path)
+    with pytest.raises(MatchingError) as refused:
+        open_session(tiny, Settings.load(tiny_settings)).run()
+    assert "black" in refused.value.found
+    assert "flash" in refused.value.remedy
+    _holds(refused.value, ["The photographs"])
+
+
+def _holds(error: MammometryError, shown: list[str]) -> None:
+    """The page says what was found, and has a picture of each title."""
+    assert error.page is not None
+    page = unescape(error.page.read_text()).replace("\u00a0", " ")
+    assert error.found in page
+    assert error.remedy in page
+    assert page.count("<figure>") == len(shown)
+    for title in shown:
+        assert title in page

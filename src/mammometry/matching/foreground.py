@@ -21,6 +21,7 @@ from mammometry.matching.silhouette import block_means, sub_pixel_coverage
 
 _REFERENCE_DIAGONAL_PX = 1353.0  # of the 1126 × 750 images, a quarter of the paper's, on which widths were measured
 _BLOCK_PX = 2.0  # pixels a block, at that size, for what needs no sub-pixel position; for speed
+_BLACK = 0.1  # encoded value (sRGB) that no block of a black photograph reaches: 1 % of the light; chosen by eye
 _BLUR_OF_A_DRAWN_MASK_PX = 1.0  # Gaussian σ that gives a drawn mask an edge to interpolate; chosen by eye
 
 
@@ -79,6 +80,7 @@ def estimate_foreground(
     bright = segment(encoded, unit / step, settings.background_margin)
     subject = agreed(encoded, bright, seeds, step, unit / step)
     if subject is None:
+        _refuse_black(photograph.name, encoded)
         raise MatchingError(
             photograph.name,
             found=f"no subject that brightness, colour or a coarse stereo of {camera_name}'s pairs parts from the rest",
@@ -88,6 +90,17 @@ def estimate_foreground(
         )
     coverage = sub_pixel_coverage(pixels, linear_of(pixels.dtype), subject, step, unit, settings.contour_level)
     return Foreground(camera=camera_name, coverage=coverage, contour_level=settings.contour_level, everything=False)
+
+
+def _refuse_black(name: str, encoded: Float32[Array, "H W c"]) -> None:
+    brightest = float(encoded.max())
+    if brightest < _BLACK:
+        raise MatchingError(
+            name,
+            found=f"a photograph that is black: its brightest place has {100 * brightest:.0f} % of full brightness",
+            expected=f"a lit subject, with at least {100 * _BLACK:.0f} %",
+            remedy="Check that this camera's flash fires and its lens is uncovered, and take the capture again",
+        )
 
 
 def _from_mask(photograph: Photograph, camera_name: str, given: Bool[Array, "h w"]) -> Foreground:

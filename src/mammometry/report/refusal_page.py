@@ -21,7 +21,7 @@ def refusal_page(identity: Identity, error: MammometryError, pictures: Mapping[s
     return render(
         "refused.html.j2",
         identity=identity,
-        subject=sentence(error.subject),
+        subject=_heading(error.subject),
         details=(
             Fact(label="Found", value=error.found),
             Fact(label="Expected", value=error.expected),
@@ -29,3 +29,8 @@ def refusal_page(identity: Identity, error: MammometryError, pictures: Mapping[s
         remedy=sentence(error.remedy),
         pictures=[embed(png) for png in pictures.values()],
     )
+
+
+def _heading(subject: str) -> str:
+    """The subject with a capital, unless it is the name of a file."""
+    return subject if {"/", "."} & set(subject) else f"{subject[:1].upper()}{subject[1:]}"
