@@ -40,7 +40,7 @@ VERSIONS: Registry[int] = Registry(
         "stillness": 2,
         "stood": 1,
         "valid": 3,
-        "blocked": 2,
+        "blocked": 3,
         "first": 9,
         "repaired": 5,
         "mesh": 3,
