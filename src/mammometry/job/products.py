@@ -33,7 +33,7 @@ VERSIONS: Registry[int] = Registry(
         "observations": 7,
         "calibration": 5,
         "cameras": 5,
-        "foreground": 10,
+        "foreground": 11,
         "disparity": 13,
         "rows": 1,
         "range": 2,
