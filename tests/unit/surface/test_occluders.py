@@ -13,6 +13,7 @@ from mammometry.surface.settings import ExtractSettings
 RADIUS_MM = 30.0
 FRONT = [(0, 0, 1), (0.6, 0, 1), (-0.6, 0, 1), (0, 0.8, 1)]
 BAR_PX = slice(57, 64)  # 7 px, that is 7 mm, in the middle of the first camera's picture
+PART_PX = slice(44, 76)  # of that bar, longer than the gaps that its own width closes
 BAND_MM = 8.0
 EDGE_PX = slice(30, 48)  # beyond it nothing of the sphere is left
 
@@ -44,6 +45,22 @@ def test_a_bar_in_one_photograph_takes_nothing_of_a_sphere():
     opened = unblocked(barred, blocked)
     assert extract(images, opened, rig, settings).volume_mm3() == pytest.approx(whole_mm3, rel=0.01)
     assert all(opened[name] is barred[name] for name in ("c1", "c2", "c3"))
+
+
+def test_where_one_bar_hides_the_skin_from_two_of_three_cameras_both_are_blocked():
+    """A camera that is blocked beside the place by the same bar has no vote there: the third one decides."""
+    images, foregrounds, rig = sphere_seen()
+    coverage = {name: foregrounds[name].coverage.copy() for name in ("c1", "c2")}
+    coverage["c1"][BAR_PX] = 0.0
+    coverage["c2"][BAR_PX, PART_PX] = 0.0
+    barred = foregrounds | {name: replace(foregrounds[name], coverage=each) for name, each in coverage.items()}
+    blocked = find_blocked([images[0]], barred, rig)
+    assert set(blocked) == {"c1", "c2"}
+    hidden = np.zeros_like(coverage["c2"], dtype=bool)
+    hidden[BAR_PX, PART_PX] = True
+    hidden &= foregrounds["c2"].mask
+    found = blocked["c2"].pixels(hidden.shape)
+    assert (found & hidden).sum() > 0.8 * hidden.sum()
 
 
 def test_clean_silhouettes_are_left_as_they_are():
