@@ -32,6 +32,7 @@ _SMALLEST_PART = 0.02  # of the largest part
 # of its subject that neither depth nor colour joins to the seeds.
 _MISSED, _BEHIND, _BEYOND = 0.04, 0.02, 0.04
 _FAR_END = 0.04, 0.15  # of the bright subject: far places in it, and what they would take off, if it is an arm's end
+_LONG_END, _NECK = 0.3, 0.25  # of the bright subject, if it is joined to the rest by so much of its rim; chosen by eye
 _AROUND, _WITHIN = 1.5, 0.95  # times the bright subject, of which so much is within: it lies on something
 
 
@@ -101,7 +102,8 @@ def agreed(
     size = np.count_nonzero(bright)
     most_far, most_lost = _FAR_END
     lost = np.count_nonzero(bright & ~found.subject)
-    if 0 < np.count_nonzero(far & bright) <= most_far * size and lost <= most_lost * size:
+    end = lost <= most_lost * size or (lost <= _LONG_END * size and _by_a_neck(bright, found.subject, far))
+    if 0 < np.count_nonzero(far & bright) <= most_far * size and end:
         far &= ~bright  # the subject's own far end, as an arm that is held away: it marks no background
         found = segment_by_depth(encoded, near, far, unit) or found
     behind = np.count_nonzero(found.far & bright) / size
@@ -118,6 +120,21 @@ def agreed(
     if other.any():
         found = segment_by_depth(encoded, near & ~other, far | other, unit) or found
     return found.subject if found.bounded else None
+
+
+def _by_a_neck(bright: Bool[Array, "h w"], kept: Bool[Array, "h w"], far: Bool[Array, "h w"]) -> bool:
+    """Whether what far places take off hangs on the rest by a small part of its rim.
+
+    An arm does. What lies behind the body borders on it all along.
+    """
+    lost = bright & ~kept
+    labels, count = ndimage.label(lost)
+    rim = lost & ~ndimage.binary_erosion(lost, border_value=1)  # beyond the frame the subject goes on
+    joined = lost & ndimage.binary_dilation(bright & kept)
+    numbers = np.arange(1, count + 1)
+    taken = ndimage.sum_labels(far, labels, numbers) > 0
+    rims, joints = (ndimage.sum_labels(each, labels, numbers) for each in (rim, joined))
+    return bool(np.all(joints[taken] <= _NECK * rims[taken]))
 
 
 def _unlike_the_rest(

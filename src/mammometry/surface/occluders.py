@@ -4,7 +4,8 @@ Something else stands in front. A rail of a posing frame cuts a body in two in a
 like background. A silhouette alone would then carve away what other cameras see. Measured skin shows it: a point that
 a pair has measured, and that most other cameras see on the subject too, cannot lie beside the subject in the rest.
 Something hides it there. Such places are unknown and carve nothing. A point that most others see beside the subject is
-no part of it: their silhouettes hold.
+no part of it: their silhouettes hold. A camera that is blocked at a place does not know what lies behind it, and has no
+vote there: votes are taken anew until no camera is found blocked at further places.
 
 Where no pair has measured the skin, since all see the same dark band on it, the skin on both sides tells (`slits`).
 What spans a slit counts like a measured point.
@@ -18,7 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import ndimage
 
-from mammometry.geometry.arrays import Array, Bool, Float64, Int32, Int64, read_only
+from mammometry.geometry.arrays import Array, Bool, Float64, Int64, read_only
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.matching.foreground import Foreground
 from mammometry.surface.range_image import RangeImage
@@ -30,6 +31,7 @@ _GUARD_PX = 3.0  # nearer to a silhouette than this, at that size, a datum's own
 _SAMPLES = 300_000  # of a view's data that are looked up: a dozen a block that the subject fills
 _LEAST_SHARE = 2e-4  # of the subject's blocks that a blocked place covers, at least: fewer are outliers; chosen by eye
 _GAP_BLOCKS = 4  # gaps between data that are narrower than twice this belong to the place, at least; chosen by eye
+_ROUNDS = 4  # of votes, at most; two are usual
 _WIDENING = 1.25  # of the widest blocked place: gaps as wide as what blocks the view belong to it; chosen by eye
 
 
@@ -74,25 +76,38 @@ def find_blocked(
         for name, foreground in foregrounds.items()
         if not foreground.everything and foreground.mask.any()
     }
+    polls = []
     for image in range_images:
         points = image.valid_points_world()
         points = points[:: max(1, len(points) // _SAMPLES)]
-        places = {name: view.places(points) for name, view in views.items()}
-        for name, at in places.items():
+        poll = _Poll(
+            count=len(points),
+            places={name: view.places(points) for name, view in views.items()},
+            voters=[name for name in views if name not in rig.pair_names[image.name]],
+        )
+        for name, at in poll.places.items():
             np.minimum.at(views[name].depth_mm, (at.row[::2], at.column[::2]), at.depth_mm[::2])
-        others = {name: view for name, view in views.items() if name not in rig.pair_names[image.name]}
-        _vote(len(points), places, others)
+        polls.append(poll)
     spans = {name: spanned_mm(view.camera, view.subject, view.step, view.depth_mm) for name, view in views.items()}
     shown = {name: view.near | np.isfinite(spans[name]) for name, view in views.items()}
     for name, view in views.items():
         points = points_world(view.camera, view.step, spans[name])
-        _vote(len(points), {name: view.places(points) for name, view in views.items()}, views, shown)
+        places = {name: view.places(points) for name, view in views.items()}
+        polls.append(_Poll(count=len(points), places=places, voters=list(views), shown=shown))
+    blocks = {name: np.zeros_like(view.subject) for name, view in views.items()}
+    for _ in range(_ROUNDS):
+        hits = {name: np.zeros_like(view.subject) for name, view in views.items()}
+        for poll in polls:
+            _vote(poll, views, blocks, hits)
+        before, blocks = blocks, {name: _joined(hits[name], view.subject) for name, view in views.items()}
+        if all(np.array_equal(blocks[name], before[name]) for name in views):
+            break
     found = {}
     for name, view in views.items():
-        blocks = _joined(view.hits > 0, view.subject)
-        if blocks.any():
-            share = np.count_nonzero(blocks) / (np.count_nonzero(blocks) + np.count_nonzero(view.subject))
-            found[name] = Blocked(camera=name, blocks=blocks, step=view.step, share=float(share))
+        if blocks[name].any():
+            count = np.count_nonzero(blocks[name])
+            share = count / (count + np.count_nonzero(view.subject))
+            found[name] = Blocked(camera=name, blocks=blocks[name], step=view.step, share=float(share))
     return found
 
 
@@ -114,7 +129,7 @@ def unblocked(foregrounds: Mapping[str, Foreground], blocked: Mapping[str, Block
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _View:
-    """One camera's silhouette in blocks, and what is gathered there."""
+    """One camera's silhouette in blocks, and the depths gathered there."""
 
     camera: Camera
     step: int
@@ -122,8 +137,6 @@ class _View:
     subject: Bool[Array, "H W"]
     near: Bool[Array, "H W"]
     """On the subject or so near to it that a datum's error may put it there."""
-    hits: Int32[Array, "H W"]
-    """Points that are skin and lie beside the subject here: counted up."""
     depth_mm: Float64[Array, "H W"]
     """Of the nearest datum of any pair, along the optical axis; infinite where there is none."""
 
@@ -139,7 +152,6 @@ class _View:
             step=step,
             subject=subject,
             near=outside_px <= _GUARD_PX,
-            hits=np.zeros(subject.shape, dtype=np.int32),
             depth_mm=np.full(subject.shape, np.inf),
         )
 
@@ -170,31 +182,41 @@ class _Places:
     """Along the optical axis."""
 
 
-def _vote(
-    count: int,
-    places: Mapping[str, _Places],
-    views: Mapping[str, _View],
-    shown: Mapping[str, Bool[Array, "H W"]] | None = None,
-) -> None:
-    """Let views decide which of `count` points are skin, and count those that they see beside the subject.
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Poll:
+    """Points of which views decide whether they are skin."""
 
-    Args:
-        count: of points.
-        places: of `_View.places`, by camera.
-        views: that have a vote.
-        shown: by camera, what shows the subject. None: each silhouette.
+    count: int
+    """Of points."""
+    places: Mapping[str, _Places]
+    """Camera → where its picture holds which of them."""
+    voters: Sequence[str]
+    """Cameras that have a vote, and in which such points are counted."""
+    shown: Mapping[str, Bool[Array, "H W"]] | None = None
+    """Camera → what shows the subject. None: each silhouette."""
+
+
+def _vote(
+    poll: _Poll,
+    views: Mapping[str, _View],
+    blocked: Mapping[str, Bool[Array, "H W"]],
+    hits: Mapping[str, Bool[Array, "H W"]],
+) -> None:
+    """Let views decide which points are skin, and mark in `hits` where those lie beside the subject.
+
+    A camera has no vote where it is known to be blocked.
     """
-    on, beside = (np.zeros(count, dtype=np.int32) for _ in range(2))
-    for name, view in views.items():
-        at = places[name]
-        sees = (view.near if shown is None else shown[name])[at.row, at.column]
+    on, beside = (np.zeros(poll.count, dtype=np.int32) for _ in range(2))
+    for name in poll.voters:
+        at = poll.places[name]
+        sees = (views[name].near if poll.shown is None else poll.shown[name])[at.row, at.column]
         on[at.index[sees]] += 1
-        beside[at.index[~sees]] += 1
+        beside[at.index[~sees & ~blocked[name][at.row, at.column]]] += 1
     agreed = (on > 0) & (beside <= on)
-    for name, view in views.items():
-        at = places[name]
-        hit = agreed[at.index] & ~view.near[at.row, at.column]
-        np.add.at(view.hits, (at.row[hit], at.column[hit]), 1)
+    for name in poll.voters:
+        at = poll.places[name]
+        hit = agreed[at.index] & ~views[name].near[at.row, at.column]
+        hits[name][at.row[hit], at.column[hit]] = True
 
 
 def _joined(hit: Bool[Array, "H W"], subject: Bool[Array, "H W"]) -> Bool[Array, "H W"]:

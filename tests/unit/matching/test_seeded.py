@@ -98,6 +98,18 @@ def test_an_arm_held_away_from_the_camera_is_subject() -> None:
     assert a_body_with(strip, bright) is bright
 
 
+def test_a_long_arm_hangs_on_the_body_by_a_neck() -> None:
+    """It makes a fifth of the subject. What is as large and borders on the body along more of its rim is no arm."""
+    v, u = np.mgrid[:120, :160]
+    ball = np.hypot(u - 60, v - 60) < 41
+    arm, board = (np.abs(v - 60) < 13) & (u >= 60) & (u < 155), (np.abs(v - 60) < 35) & (u >= 60) & (u < 125)
+    far = (u > 103) & (u < 121) & (np.abs(v - 60) < 12)
+    for beside, is_arm in ((arm, True), (board, False)):
+        bright = ball | beside
+        assert 0.2 < np.count_nonzero(beside & ~ball) / np.count_nonzero(bright) < 0.3
+        assert (a_body_with(far & beside, bright) is bright) is is_arm
+
+
 def test_a_bright_wall_that_is_mostly_far_is_no_subject() -> None:
     v, u = np.mgrid[:120, :160]
     wall = u > 105

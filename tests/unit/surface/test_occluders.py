@@ -13,12 +13,13 @@ from mammometry.surface.settings import ExtractSettings
 RADIUS_MM = 30.0
 FRONT = [(0, 0, 1), (0.6, 0, 1), (-0.6, 0, 1), (0, 0.8, 1)]
 BAR_PX = slice(57, 64)  # 7 px, that is 7 mm, in the middle of the first camera's picture
+CORNER_PX = slice(60), slice(60)  # of a picture: the sphere has no other side there
 BAND_MM = 8.0
 EDGE_PX = slice(30, 48)  # beyond it nothing of the sphere is left
 
 
-def sphere_seen():
-    cameras = [camera_towards(f"c{k}", direction) for k, direction in enumerate(FRONT)]
+def sphere_seen(directions=FRONT):
+    cameras = [camera_towards(f"c{k}", direction) for k, direction in enumerate(directions)]
     images = [range_image(camera, ellipsoid_range(camera, (RADIUS_MM,) * 3)) for camera in cameras]
     return images, {camera.name: silhouette(camera, (RADIUS_MM,) * 3) for camera in cameras}, rig_of(cameras)
 
@@ -44,6 +45,20 @@ def test_a_bar_in_one_photograph_takes_nothing_of_a_sphere():
     opened = unblocked(barred, blocked)
     assert extract(images, opened, rig, settings).volume_mm3() == pytest.approx(whole_mm3, rel=0.01)
     assert all(opened[name] is barred[name] for name in ("c1", "c2", "c3"))
+
+
+def test_where_two_of_three_cameras_are_blocked_the_third_one_decides():
+    """One is blocked beside the place, too, where both others see the skin: it has no vote."""
+    images, foregrounds, rig = sphere_seen([(0, 0, 1), (0.6, 0, 1), (-0.6, 0, 1), (0.3, 0, 1), (0, 0.8, 1)])
+    assert rig.pair_names["c0"] == ("c0", "c1")  # so c2, c3 and c4 vote
+    coverage = {name: foregrounds[name].coverage.copy() for name in ("c2", "c3")}
+    coverage["c2"][:64] = 0.0
+    coverage["c3"][CORNER_PX] = 0.0
+    barred = foregrounds | {name: replace(foregrounds[name], coverage=each) for name, each in coverage.items()}
+    blocked = find_blocked([images[0]], barred, rig)
+    assert set(blocked) == set(coverage)
+    hidden = coverage["c3"] < foregrounds["c3"].coverage
+    assert (blocked["c3"].pixels(hidden.shape) & hidden).sum() > 0.8 * hidden.sum()
 
 
 def test_clean_silhouettes_are_left_as_they_are():
