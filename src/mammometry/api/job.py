@@ -20,6 +20,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from mammometry.api.previews import Drawing, Previews
 from mammometry.api.refused import seen, show_refusal, withdraw_refusal
 from mammometry.base.cores import one_blas_thread
 from mammometry.base.errors import (
@@ -27,19 +28,17 @@ from mammometry.base.errors import (
     MatchingError,
     MeasureError,
     SessionError,
-    StorageError,
     SurfaceError,
 )
 from mammometry.base.identity import NAMELESS, Identity
 from mammometry.base.memory import peak_memory_mb, return_freed_arrays
-from mammometry.base.parse import said
 from mammometry.base.progress import Progress, no_progress
 from mammometry.io.outputs import require_apart, require_free, write_output, write_outputs
 from mammometry.io.results.store import State, Store, Watch, unwatched
 from mammometry.io.session import Session
 from mammometry.io.write import write_text
 from mammometry.job.pipeline import CameraSet, FinishedSurface, Plan, plan
-from mammometry.job.products import STAGES, VERSIONS, Key, Product, Products, Stage
+from mammometry.job.products import STAGES, Key, Product, Stage
 from mammometry.report.page_inputs import PageInputs
 from mammometry.settings import Settings
 
@@ -150,12 +149,10 @@ class Job:
         self.plan: Plan = plan(self.inputs, settings, self.store)
         """Every product, made or recalled when called: ``job.plan.matched.disparities["front"]()``."""
         self.stage_seconds: dict[str, float] = {}
-        self._stages: Mapping[Stage, Products] = {
-            "calibrate": self.plan.calibrated,
-            "match": self.plan.matched,
-            "surface": self.plan.surfaced,
-            "measure": self.plan.measured,
-        }
+        self._stages = self.plan.stages
+        self._previews = Previews(
+            session=self.session, settings=settings, inputs=self.inputs, plan=self.plan, store=self.store
+        )
 
     @property
     def identity(self) -> Identity:
@@ -178,26 +175,34 @@ class Job:
         """
         self.session.require(stage)
         return_freed_arrays()
-        with self.store.taken(), one_blas_thread():
-            for each in STAGES[: STAGES.index(stage) + 1]:
+        stages = STAGES[: STAGES.index(stage) + 1]
+        with self.store.taken(), one_blas_thread(), self._previews.drawing(stages if drawn else ()) as drawing:
+            for each in stages:
                 begun = time.monotonic()
                 if each == "report":
+                    drawing.wait()
                     self._ensure_report()
                 else:
-                    try:
-                        self._stages[each].ensure()
-                    except (CalibrationError, MatchingError, SurfaceError, MeasureError) as error:
-                        if drawn:
-                            draw = partial(seen, each, self.plan, self.inputs, self.store, self.previews)
-                            show_refusal(self.session.results, self.identity, error, draw)
-                        raise
-                    if drawn:
-                        self._ensure_previews(each)
+                    self._ensure_stage(each, drawing if drawn else None)
                 if each == "match":
                     self.plan.matched.release()  # large, and read back in a moment where wanted
                 self.stage_seconds[each] = self.stage_seconds.get(each, 0.0) + time.monotonic() - begun
             if stage in ("measure", "report"):
                 withdraw_refusal(self.session.results)
+
+    def _ensure_stage(self, stage: Stage, drawing: Drawing | None) -> None:
+        try:
+            self._stages[stage].ensure()
+        except (CalibrationError, MatchingError, SurfaceError, MeasureError) as error:
+            if drawing is not None:
+                show_refusal(self.session.results, self.identity, error, partial(self._seen, stage, drawing))
+            raise
+        if drawing is not None:
+            drawing.begin(stage)
+
+    def _seen(self, stage: Stage, drawing: Drawing) -> Mapping[str, bytes]:
+        drawing.wait()
+        return seen(stage, self.plan, self.inputs, self.store, self.previews)
 
     def calibrate(self) -> CameraSet:
         """Calibrate the rig, or take the ready-made cameras."""
@@ -434,14 +439,7 @@ class Job:
 
     def previews_key(self, stage: Stage) -> Key:
         """Key of a stage's previews: its products, the cameras, the photographs."""
-        made = [*self.products(stage), self.plan.calibrated.cameras]
-        return Key(
-            stage=stage,
-            product="previews",
-            version=VERSIONS["previews"],
-            settings={},
-            inputs={product.key.product: product.key.digest for product in made},
-        )
+        return self._previews.key(stage)
 
     def previews(self, stage: Stage) -> dict[str, bytes]:
         """PNG previews of a finished stage: name → file content.
@@ -449,33 +447,7 @@ class Job:
         Raises:
             StorageError: one is not as it was written, or no picture.
         """
-        from mammometry.report.figures.canvas import caption_of
-
-        pictures = {Path(name).stem: png for name, png in self.store.files(self.previews_key(stage)).items()}
-        for name, png in pictures.items():
-            try:
-                caption_of(png)
-            except Exception as error:  # Pillow raises anything that a damaged file makes it stumble over
-                raise StorageError(
-                    f"{stage}/{name}.png",
-                    found=f"a picture that cannot be read back ({said(error)})",
-                    expected="the file as it was written",
-                    remedy="Remove it and run the command again: it will be made again",
-                ) from None
-        return pictures
-
-    def _ensure_previews(self, stage: Stage) -> None:
-        def prepare() -> Callable[[Path, Progress], None]:
-            from mammometry.report.figures.previews import draw_stage
-
-            def write(folder: Path, progress: Progress) -> None:
-                for name, png in draw_stage(stage, self.plan, self.inputs).items():
-                    (folder / f"{name}.png").write_bytes(png)
-
-            return write
-
-        if not self.store.has(self.previews_key(stage)):
-            self.store.write_folder(self.previews_key(stage), prepare)
+        return self._previews.files(stage)
 
 
 def open_session(path: Path | str, settings: Settings | None = None, *, watch: Watch = unwatched) -> Job:

@@ -18,7 +18,7 @@ from mammometry.base.progress import Progress
 from mammometry.geometry.camera import Rig
 from mammometry.job.inputs import Inputs
 from mammometry.job.measuring import Measured, Upstream, measure
-from mammometry.job.products import Memo, Parent, Product, Products, side_by_side
+from mammometry.job.products import Memo, Parent, Product, Products, Stage, side_by_side
 from mammometry.job.stage_values import CameraSet, FinishedSurface
 from mammometry.job.standing import rows_of, what_moved, where_they_stood
 from mammometry.job.subjects import find_subjects
@@ -442,9 +442,19 @@ class Plan:
     surfaced: Surfaced
     measured: Measured
 
+    @property
+    def stages(self) -> dict[Stage, Products]:
+        """The plans of the stages that have products, in the order in which data flow."""
+        return {
+            "calibrate": self.calibrated,
+            "match": self.matched,
+            "surface": self.surfaced,
+            "measure": self.measured,
+        }
+
     def products(self) -> Iterator[Product[Any]]:
         """All products in the order in which they are made."""
-        for stage in (self.calibrated, self.matched, self.surfaced, self.measured):
+        for stage in self.stages.values():
             yield from stage.products()
 
 
