@@ -11,7 +11,7 @@ from mammometry.api import previews
 from mammometry.api.job import Job, open_session
 from mammometry.base.errors import StorageError
 from mammometry.base.second_process import NotDone, SecondProcess
-from mammometry.report.figures import previews as figures
+from mammometry.report import stage_facts
 from mammometry.settings import Settings
 
 
@@ -50,10 +50,10 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
 def test_the_second_process_draws_the_same_bytes(
     job: Job, drawn: dict[Path, bytes], calls: list[Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def here(*_: object) -> dict[str, bytes]:
+    def here(*_: object) -> None:
         raise AssertionError("drawn here")
 
-    monkeypatch.setattr(figures, "draw_stage", here)
+    monkeypatch.setattr(stage_facts, "drawn", here)
     job.ensure("measure")
     assert {path: path.read_bytes() for path in drawn} == drawn
     assert calls == [None, "calibrate", "match", "surface", "measure"]
@@ -89,5 +89,16 @@ def test_what_hinders_their_writing_is_said_by_the_run(job: Job, monkeypatch: py
         raise StorageError("results", found="a full disk", expected="room", remedy="Make room")
 
     monkeypatch.setattr(job.store, "write_folder", full)
-    with pytest.raises(StorageError, match="found a full disk, expected room. Make room"):
+    with pytest.raises(StorageError, match=r"found a full disk, expected room\. Make room"):
         job.ensure("match")
+
+
+def test_what_the_report_says_of_a_stage_is_the_same_with_its_pictures_and_without(job: Job) -> None:
+    plan, inputs = job.plan, job.inputs
+    _, matched = stage_facts.drawn("match", plan, inputs)
+    assert isinstance(matched, stage_facts.MatchingFacts)
+    alone = stage_facts.matching_facts(plan, plan.calibrated.cameras().rig)
+    assert (matched.quality, matched.shares) == (alone.quality, alone.shares)
+    assert matched.quality.keys() == matched.shares.keys() == job.session.pair_names.keys()
+    _, surfaced = stage_facts.drawn("surface", plan, inputs)
+    assert surfaced == stage_facts.surface_facts(plan)

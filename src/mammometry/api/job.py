@@ -18,6 +18,7 @@ from dataclasses import dataclass, field, replace
 from datetime import datetime
 from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from mammometry.api.previews import Drawing, Previews
@@ -50,6 +51,7 @@ if TYPE_CHECKING:
     from mammometry.measure.volume.measurement import VolumeMeasurement
     from mammometry.report.content import ReportContent
     from mammometry.report.privacy import Privacy
+    from mammometry.report.stage_facts import Facts
 
 WARNINGS = "warnings.json"
 """The report's warnings, for programs: a list of sentences."""
@@ -180,8 +182,7 @@ class Job:
             for each in stages:
                 begun = time.monotonic()
                 if each == "report":
-                    drawing.wait()
-                    self._ensure_report()
+                    self._ensure_report(drawing.facts())
                 else:
                     self._ensure_stage(each, drawing if drawn else None)
                 if each == "match":
@@ -201,7 +202,7 @@ class Job:
             drawing.begin(stage)
 
     def _seen(self, stage: Stage, drawing: Drawing) -> Mapping[str, bytes]:
-        drawing.wait()
+        drawing.facts()  # all pictures that were begun are there then
         return seen(stage, self.plan, self.inputs, self.store, self.previews)
 
     def calibrate(self) -> CameraSet:
@@ -402,13 +403,13 @@ class Job:
         write_outputs(folder, files, command="report")
         return folder / html.PAGE
 
-    def _ensure_report(self) -> None:
+    def _ensure_report(self, facts: Mapping[Stage, Facts]) -> None:
         def prepare() -> Callable[[Path, Progress], None]:
             from mammometry.report import html, pdf  # a run with nothing to do needs neither
             from mammometry.report.privacy import Privacy
 
             def write(folder: Path, progress: Progress) -> None:
-                said = self._report_content(Privacy(), progress)
+                said = self._report_content(Privacy(), progress, facts)
                 html.write(folder, said)
                 pdf.write(folder, said)
                 write_text(folder / WARNINGS, json.dumps(list(said.warnings), ensure_ascii=False, indent=1) + "\n")
@@ -417,7 +418,9 @@ class Job:
 
         self.store.write_folder(self.report_key, prepare)
 
-    def _report_content(self, privacy: Privacy, progress: Progress = no_progress) -> ReportContent:
+    def _report_content(
+        self, privacy: Privacy, progress: Progress = no_progress, facts: Mapping[Stage, Facts] = MappingProxyType({})
+    ) -> ReportContent:
         from mammometry.report import gather
 
         return gather.gather(
@@ -425,6 +428,7 @@ class Job:
             self.inputs,
             self._page_inputs,
             pictures={stage: self.previews(stage) for stage in self._stages},
+            facts=facts,
             privacy=privacy,
             progress=progress,
         )

@@ -27,6 +27,7 @@ from mammometry.job.products import VERSIONS, Key, Stage
 if TYPE_CHECKING:
     from mammometry.io.session import Session
     from mammometry.job.inputs import Inputs
+    from mammometry.report.stage_facts import Facts
     from mammometry.settings import Settings
 
 _LOG = logging.getLogger(__name__)
@@ -92,7 +93,7 @@ class Previews:
             drawing = Drawing(lambda stage: self._ensure(stage, second), pool)
             try:
                 yield drawing
-                drawing.wait()
+                drawing.facts()
             except BaseException:
                 pool.shutdown(wait=False, cancel_futures=True)
                 raise
@@ -101,19 +102,24 @@ class Previews:
         folder = self.session.path / "capture"
         return megapixels_of(folder, self.session.limits) if folder.is_dir() else 0.0
 
-    def _ensure(self, stage: Stage, second: SecondProcess | None = None) -> None:
+    def _ensure(self, stage: Stage, second: SecondProcess | None = None) -> Facts:
+        facts: Facts = None
+
         def prepare() -> Callable[[Path, Progress], None]:
             def write(folder: Path, progress: Progress) -> None:
-                for name, png in self._drawn(stage, second).items():
+                nonlocal facts
+                pictures, facts = self._drawn(stage, second)
+                for name, png in pictures.items():
                     (folder / f"{name}.png").write_bytes(png)
 
             return write
 
         if not self.store.has(self.key(stage)):
             self.store.write_folder(self.key(stage), prepare)
+        return facts
 
-    def _drawn(self, stage: Stage, second: SecondProcess | None) -> dict[str, bytes]:
-        from mammometry.report.figures.previews import draw_stage
+    def _drawn(self, stage: Stage, second: SecondProcess | None) -> tuple[dict[str, bytes], Facts]:
+        from mammometry.report.stage_facts import drawn
 
         if second is not None:
             try:
@@ -122,43 +128,44 @@ class Previews:
                 raise
             except NotDone as why:
                 _LOG.warning("the previews of %s are drawn here: %s", stage, why)
-        return draw_stage(stage, self.plan, self.inputs)
+        return drawn(stage, self.plan, self.inputs)
 
 
 class Drawing:
     """Pictures that are being drawn, here or beside."""
 
-    def __init__(self, ensure: Callable[[Stage], None], pool: ThreadPoolExecutor | None) -> None:
+    def __init__(self, ensure: Callable[[Stage], Facts], pool: ThreadPoolExecutor | None) -> None:
         self._ensure = ensure
         self._pool = pool
-        self._waiting: list[Future[None]] = []
+        self._begun: dict[Stage, Future[Facts]] = {}
 
     def begin(self, stage: Stage) -> None:
         """Draw the pictures of a stage that is made."""
         if self._pool is None:
-            self._ensure(stage)
+            done: Future[Facts] = Future()
+            done.set_result(self._ensure(stage))
+            self._begun[stage] = done
         else:
-            self._waiting.append(self._pool.submit(self._ensure, stage))
+            self._begun[stage] = self._pool.submit(self._ensure, stage)
 
-    def wait(self) -> None:
-        """Have all pictures there that were begun.
+    def facts(self) -> dict[Stage, Facts]:
+        """Have all pictures there that were begun. Gives what the report says of their stages.
 
         Raises:
             MammometryError: whatever stood in the way, in one sentence.
         """
-        for each in self._waiting:
-            each.result()
+        return {stage: each.result() for stage, each in self._begun.items()}
 
 
 def _load() -> None:
     """Import, in the second process, what draws."""
-    from mammometry.report.figures import previews  # noqa: F401
+    from mammometry.report import stage_facts  # noqa: F401
 
 
-def _draw(session: Session, settings: Settings, stage: Stage) -> dict[str, bytes]:
+def _draw(session: Session, settings: Settings, stage: Stage) -> tuple[dict[str, bytes], Facts]:
     """Draw a stage's pictures, in the second process, from the results on disk."""
-    from mammometry.report.figures.previews import draw_stage
+    from mammometry.report.stage_facts import drawn
 
     inputs = session.inputs()
     stored = Reader(Store(session.results, subject=session.manifest.subject.id))
-    return draw_stage(stage, plan(inputs, settings, stored), inputs)
+    return drawn(stage, plan(inputs, settings, stored), inputs)

@@ -394,7 +394,7 @@ def surface(
         drop,
         parents={"cameras": calibrated.cameras, "stillness": stillness, "ranges": ranges},
         settings=(settings.decompose, settings.dents),
-    )
+    ).letting_go(*ranges.values())
     seen: dict[str, Parent] = {"cameras": cameras, "valid": valid, "foregrounds": matched.foregrounds}
     blocked: Product[Mapping[str, Blocked]] = Product(memo, "surface", "blocked", find_blocked, parents=seen)
     first: Product[TriangleMesh] = Product(
@@ -408,7 +408,7 @@ def surface(
     ).letting_go(*matched.foregrounds.values())
     repaired: Product[RepairedSurface] = Product(
         memo, "surface", "repaired", mend, parents={"first": first, "valid": valid}, settings=settings.repair
-    )
+    ).letting_go(first, valid)
     coloured: dict[str, Parent] = {"cameras": cameras, "repaired": repaired}
     shots = {f"capture/{camera}": inputs.digests[f"capture/{camera}"] for camera in inputs.photographs}
     mesh: Product[FinishedSurface] = Product(
