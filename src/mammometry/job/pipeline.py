@@ -37,6 +37,7 @@ if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a pla
     from mammometry.surface.agreement import RowErrors
     from mammometry.surface.atlas import Atlas
     from mammometry.surface.dents import ValidPatches
+    from mammometry.surface.extract import Solid
     from mammometry.surface.occluders import Blocked
     from mammometry.surface.range_image import RangeImage
     from mammometry.surface.repair import RepairedSurface
@@ -350,20 +351,27 @@ def surface(
 
         return occluders.find_blocked(valid.range_images, foregrounds, cameras.rig)
 
-    def build(
+    def enclose(
         cameras: CameraSet,
         valid: ValidPatches,
         foregrounds: Mapping[str, Foreground],
         blocked: Mapping[str, Blocked],
         *,
         progress: Progress,
-    ) -> TriangleMesh:
+    ) -> Solid | None:
         from mammometry.surface import extract, occluders
 
         if inputs.subject_kind == "surface":
-            return extract.extract_open(valid.range_images, settings.extract, progress=progress)
+            return None
         opened = occluders.unblocked(foregrounds, blocked)
-        return extract.extract(valid.range_images, opened, cameras.rig, settings.extract, progress=progress)
+        return extract.solid_of(valid.range_images, opened, cameras.rig, settings.extract)
+
+    def build(valid: ValidPatches, solid: Solid | None, *, progress: Progress) -> TriangleMesh:
+        from mammometry.surface import extract
+
+        if solid is None:
+            return extract.extract_open(valid.range_images, settings.extract, progress=progress)
+        return extract.meshed(solid, settings.extract, progress=progress)
 
     def mend(first: TriangleMesh, valid: ValidPatches, *, progress: Progress) -> RepairedSurface:
         from mammometry.surface import repair
@@ -397,15 +405,18 @@ def surface(
     ).letting_go(*ranges.values())
     seen: dict[str, Parent] = {"cameras": cameras, "valid": valid, "foregrounds": matched.foregrounds}
     blocked: Product[Mapping[str, Blocked]] = Product(memo, "surface", "blocked", find_blocked, parents=seen)
+    solid: Product[Solid | None] = Product(
+        None, "surface", "solid", enclose, parents={**seen, "blocked": blocked}
+    ).letting_go(*matched.foregrounds.values())
     first: Product[TriangleMesh] = Product(
         memo,
         "surface",
         "first",
         build,
-        parents={**seen, "blocked": blocked},
+        parents={"valid": valid, "solid": solid},
         settings=settings.extract,
         inputs={"subject": inputs.digests["subject"]},
-    ).letting_go(*matched.foregrounds.values())
+    )
     repaired: Product[RepairedSurface] = Product(
         memo, "surface", "repaired", mend, parents={"first": first, "valid": valid}, settings=settings.repair
     ).letting_go(first, valid)
@@ -445,12 +456,7 @@ class Plan:
     @property
     def stages(self) -> dict[Stage, Products]:
         """The plans of the stages that have products, in the order in which data flow."""
-        return {
-            "calibrate": self.calibrated,
-            "match": self.matched,
-            "surface": self.surfaced,
-            "measure": self.measured,
-        }
+        return {"calibrate": self.calibrated, "match": self.matched, "surface": self.surfaced, "measure": self.measured}
 
     def products(self) -> Iterator[Product[Any]]:
         """All products in the order in which they are made."""
