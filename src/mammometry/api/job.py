@@ -18,8 +18,10 @@ from dataclasses import dataclass, field, replace
 from datetime import datetime
 from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
+from mammometry.api.previews import Drawing, Previews
 from mammometry.api.refused import seen, show_refusal, withdraw_refusal
 from mammometry.base.cores import one_blas_thread
 from mammometry.base.errors import (
@@ -27,19 +29,17 @@ from mammometry.base.errors import (
     MatchingError,
     MeasureError,
     SessionError,
-    StorageError,
     SurfaceError,
 )
 from mammometry.base.identity import NAMELESS, Identity
 from mammometry.base.memory import peak_memory_mb, return_freed_arrays
-from mammometry.base.parse import said
 from mammometry.base.progress import Progress, no_progress
 from mammometry.io.outputs import require_apart, require_free, write_output, write_outputs
 from mammometry.io.results.store import State, Store, Watch, unwatched
 from mammometry.io.session import Session
 from mammometry.io.write import write_text
 from mammometry.job.pipeline import CameraSet, FinishedSurface, Plan, plan
-from mammometry.job.products import STAGES, VERSIONS, Key, Product, Products, Stage
+from mammometry.job.products import STAGES, Key, Product, Stage
 from mammometry.report.page_inputs import PageInputs
 from mammometry.settings import Settings
 
@@ -51,6 +51,7 @@ if TYPE_CHECKING:
     from mammometry.measure.volume.measurement import VolumeMeasurement
     from mammometry.report.content import ReportContent
     from mammometry.report.privacy import Privacy
+    from mammometry.report.stage_facts import Facts
 
 WARNINGS = "warnings.json"
 """The report's warnings, for programs: a list of sentences."""
@@ -150,12 +151,10 @@ class Job:
         self.plan: Plan = plan(self.inputs, settings, self.store)
         """Every product, made or recalled when called: ``job.plan.matched.disparities["front"]()``."""
         self.stage_seconds: dict[str, float] = {}
-        self._stages: Mapping[Stage, Products] = {
-            "calibrate": self.plan.calibrated,
-            "match": self.plan.matched,
-            "surface": self.plan.surfaced,
-            "measure": self.plan.measured,
-        }
+        self._stages = self.plan.stages
+        self._previews = Previews(
+            session=self.session, settings=settings, inputs=self.inputs, plan=self.plan, store=self.store
+        )
 
     @property
     def identity(self) -> Identity:
@@ -178,26 +177,33 @@ class Job:
         """
         self.session.require(stage)
         return_freed_arrays()
-        with self.store.taken(), one_blas_thread():
-            for each in STAGES[: STAGES.index(stage) + 1]:
+        stages = STAGES[: STAGES.index(stage) + 1]
+        with self.store.taken(), one_blas_thread(), self._previews.drawing(stages if drawn else ()) as drawing:
+            for each in stages:
                 begun = time.monotonic()
                 if each == "report":
-                    self._ensure_report()
+                    self._ensure_report(drawing.facts())
                 else:
-                    try:
-                        self._stages[each].ensure()
-                    except (CalibrationError, MatchingError, SurfaceError, MeasureError) as error:
-                        if drawn:
-                            draw = partial(seen, each, self.plan, self.inputs, self.store, self.previews)
-                            show_refusal(self.session.results, self.identity, error, draw)
-                        raise
-                    if drawn:
-                        self._ensure_previews(each)
+                    self._ensure_stage(each, drawing if drawn else None)
                 if each == "match":
                     self.plan.matched.release()  # large, and read back in a moment where wanted
                 self.stage_seconds[each] = self.stage_seconds.get(each, 0.0) + time.monotonic() - begun
             if stage in ("measure", "report"):
                 withdraw_refusal(self.session.results)
+
+    def _ensure_stage(self, stage: Stage, drawing: Drawing | None) -> None:
+        try:
+            self._stages[stage].ensure()
+        except (CalibrationError, MatchingError, SurfaceError, MeasureError) as error:
+            if drawing is not None:
+                show_refusal(self.session.results, self.identity, error, partial(self._seen, stage, drawing))
+            raise
+        if drawing is not None:
+            drawing.begin(stage)
+
+    def _seen(self, stage: Stage, drawing: Drawing) -> Mapping[str, bytes]:
+        drawing.facts()  # all pictures that were begun are there then
+        return seen(stage, self.plan, self.inputs, self.store, self.previews)
 
     def calibrate(self) -> CameraSet:
         """Calibrate the rig, or take the ready-made cameras."""
@@ -397,13 +403,13 @@ class Job:
         write_outputs(folder, files, command="report")
         return folder / html.PAGE
 
-    def _ensure_report(self) -> None:
+    def _ensure_report(self, facts: Mapping[Stage, Facts]) -> None:
         def prepare() -> Callable[[Path, Progress], None]:
             from mammometry.report import html, pdf  # a run with nothing to do needs neither
             from mammometry.report.privacy import Privacy
 
             def write(folder: Path, progress: Progress) -> None:
-                said = self._report_content(Privacy(), progress)
+                said = self._report_content(Privacy(), progress, facts)
                 html.write(folder, said)
                 pdf.write(folder, said)
                 write_text(folder / WARNINGS, json.dumps(list(said.warnings), ensure_ascii=False, indent=1) + "\n")
@@ -412,7 +418,9 @@ class Job:
 
         self.store.write_folder(self.report_key, prepare)
 
-    def _report_content(self, privacy: Privacy, progress: Progress = no_progress) -> ReportContent:
+    def _report_content(
+        self, privacy: Privacy, progress: Progress = no_progress, facts: Mapping[Stage, Facts] = MappingProxyType({})
+    ) -> ReportContent:
         from mammometry.report import gather
 
         return gather.gather(
@@ -420,6 +428,7 @@ class Job:
             self.inputs,
             self._page_inputs,
             pictures={stage: self.previews(stage) for stage in self._stages},
+            facts=facts,
             privacy=privacy,
             progress=progress,
         )
@@ -434,14 +443,7 @@ class Job:
 
     def previews_key(self, stage: Stage) -> Key:
         """Key of a stage's previews: its products, the cameras, the photographs."""
-        made = [*self.products(stage), self.plan.calibrated.cameras]
-        return Key(
-            stage=stage,
-            product="previews",
-            version=VERSIONS["previews"],
-            settings={},
-            inputs={product.key.product: product.key.digest for product in made},
-        )
+        return self._previews.key(stage)
 
     def previews(self, stage: Stage) -> dict[str, bytes]:
         """PNG previews of a finished stage: name → file content.
@@ -449,33 +451,7 @@ class Job:
         Raises:
             StorageError: one is not as it was written, or no picture.
         """
-        from mammometry.report.figures.canvas import caption_of
-
-        pictures = {Path(name).stem: png for name, png in self.store.files(self.previews_key(stage)).items()}
-        for name, png in pictures.items():
-            try:
-                caption_of(png)
-            except Exception as error:  # Pillow raises anything that a damaged file makes it stumble over
-                raise StorageError(
-                    f"{stage}/{name}.png",
-                    found=f"a picture that cannot be read back ({said(error)})",
-                    expected="the file as it was written",
-                    remedy="Remove it and run the command again: it will be made again",
-                ) from None
-        return pictures
-
-    def _ensure_previews(self, stage: Stage) -> None:
-        def prepare() -> Callable[[Path, Progress], None]:
-            from mammometry.report.figures.previews import draw_stage
-
-            def write(folder: Path, progress: Progress) -> None:
-                for name, png in draw_stage(stage, self.plan, self.inputs).items():
-                    (folder / f"{name}.png").write_bytes(png)
-
-            return write
-
-        if not self.store.has(self.previews_key(stage)):
-            self.store.write_folder(self.previews_key(stage), prepare)
+        return self._previews.files(stage)
 
 
 def open_session(path: Path | str, settings: Settings | None = None, *, watch: Watch = unwatched) -> Job:

@@ -16,7 +16,8 @@ from mammometry.batch.cluster import Machines
 from mammometry.batch.engine import Began, Ended, Engine, Task, Wish
 from mammometry.batch.entry import Entry
 from mammometry.batch.record import Row, key_of
-from mammometry.batch.session import measure_entry, megapixels_of
+from mammometry.batch.session import measure_entry
+from mammometry.io.images import megapixels_of
 from mammometry.settings import Settings
 
 State: TypeAlias = Literal["current", "measured", "failed", "stopped"]
@@ -138,7 +139,7 @@ def _size(entry: Entry, looked: Looked) -> float | None:
     if (row := looked.known.get(entry.address)) is not None:
         return row.megapixels
     try:
-        return None if entry.remote else megapixels_of(Path(entry.address))
+        return None if entry.remote else megapixels_of(Path(entry.address) / "capture")
     except (OSError, MammometryError):  # its own task will say what is wrong with it
         return None
 

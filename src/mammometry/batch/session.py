@@ -25,7 +25,7 @@ from mammometry.base.progress import Progress
 from mammometry.batch import storage
 from mammometry.batch.entry import Entry
 from mammometry.batch.record import RECORD, Measured, Record, Row, key_of, read_record, stats_of, write_record
-from mammometry.io.images import read_header
+from mammometry.io.images import megapixels_of
 from mammometry.io.write import disk_errors
 from mammometry.job.products import STAGES, Key
 from mammometry.settings import Settings
@@ -83,18 +83,6 @@ def _scratch() -> Iterator[Path]:
         yield Path(folder)
 
 
-def megapixels_of(session: Path) -> float:
-    """Size of a session's photographs by their headers, megapixels.
-
-    0 if they cannot be read.
-    """
-    total = 0
-    for path in sorted((session / "capture").iterdir()):
-        width, height = read_header(path, path.name).stored_wh
-        total += width * height
-    return round(total / 1e6, 3)
-
-
 def _measured(session: Path, settings: Settings, tell: Tell) -> Record:
     """Measure a session and write its record."""
     job = open_session(session, settings, watch=lambda key: _watched(key, tell))
@@ -146,7 +134,7 @@ def _row_of(job: Job, peak_mb: float | None) -> Row:
         made_at=job.made_at("report"),
         seconds=round(sum(record.seconds for record in made if record is not None), 3),
         peak_memory_mb=peak_mb,
-        megapixels=megapixels_of(job.session.path),
+        megapixels=megapixels_of(job.session.path / "capture"),
         page="report/report.html",
         thumbnail=_thumbnail(job.session.results),
     )

@@ -74,11 +74,10 @@ class TriangleMesh:
 
         Every directed edge occurs once, and so does its opposite.
         """
-        directed = self.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64)
-        n = len(self.vertices)
-        forward = np.sort(directed[:, 0] * n + directed[:, 1])
-        backward = np.sort(directed[:, 1] * n + directed[:, 0])
-        return len(forward) > 0 and bool((np.diff(forward) > 0).all() and (forward == backward).all())
+        starts, stops, across = self._sides()
+        side = np.arange(len(across))
+        opposite = (across[across] == side) & (starts[across] == stops) & ((starts != stops) | (across == side))
+        return len(starts) > 0 and bool(opposite.all())
 
     def euler_number(self) -> int:
         """V − E + F over the vertices in use.
@@ -86,7 +85,19 @@ class TriangleMesh:
         2 for one closed surface without tunnels.
         """
         used = np.bincount(self.faces.ravel(), minlength=1)
-        return int(np.count_nonzero(used)) - len(self.edges()) + len(self.faces)
+        starts, stops, across = self._sides()
+        side = np.arange(len(across))
+        few = across[across] == side  # one face or two on the edge, as everywhere on a surface
+        edges = int(np.count_nonzero(few & (side <= across)))
+        edges += len(unique_edges(starts[~few].astype(np.int64), stops[~few].astype(np.int64), len(self.vertices)))
+        return int(np.count_nonzero(used)) - edges + len(self.faces)
+
+    def _sides(self) -> tuple[Int32[Array, " h"], Int32[Array, " h"], Int32[Array, " h"]]:
+        """Start and stop of each face's sides, and the next side on the same edge (`mesh_kernels.edge_rings`)."""
+        from mammometry.geometry import mesh_kernels
+
+        across = mesh_kernels.edge_rings(len(self.vertices), self.faces)
+        return self.faces.ravel(), self.faces[:, [1, 2, 0]].ravel(), across
 
     def components(self) -> tuple[int, Int32[Array, " n"]]:
         """Number of connected parts and each vertex's part.

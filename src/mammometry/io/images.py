@@ -86,6 +86,21 @@ def read_header(path: Path, name: str, limits: LimitSettings = LimitSettings()) 
             return ImageHeader(stored_wh=image.size, orientation=orientation, bits=_bits(image, path))
 
 
+def megapixels_of(folder: Path, limits: LimitSettings = LimitSettings()) -> float:
+    """Size of all photographs in a folder by their headers, megapixels.
+
+    Raises:
+        OSError: there is no such folder.
+        ImageError: one is unreadable.
+    """
+    total = 0
+    for path in sorted(folder.iterdir()):
+        if path.suffix.lower() in EXTENSIONS and not path.name.startswith("."):
+            width, height = read_header(path, path.name, limits).stored_wh
+            total += width * height
+    return round(total / 1e6, 3)
+
+
 def read_photograph(path: Path, name: str, limits: LimitSettings = LimitSettings()) -> Photograph:
     """Read a photograph, turned as its EXIF orientation says.
 

@@ -310,7 +310,7 @@ def _measurements(
             "calibration": upstream.calibration,
             "stillness": upstream.stillness,
         },
-    )
+    ).letting_go(upstream.valid, *upstream.foregrounds.values())
     return Product(
         memo,
         "measure",

@@ -18,7 +18,7 @@ from mammometry.base.progress import Progress
 from mammometry.geometry.camera import Rig
 from mammometry.job.inputs import Inputs
 from mammometry.job.measuring import Measured, Upstream, measure
-from mammometry.job.products import Memo, Parent, Product, Products, side_by_side
+from mammometry.job.products import Memo, Parent, Product, Products, Stage, side_by_side
 from mammometry.job.stage_values import CameraSet, FinishedSurface
 from mammometry.job.standing import rows_of, what_moved, where_they_stood
 from mammometry.job.subjects import find_subjects
@@ -37,6 +37,7 @@ if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a pla
     from mammometry.surface.agreement import RowErrors
     from mammometry.surface.atlas import Atlas
     from mammometry.surface.dents import ValidPatches
+    from mammometry.surface.extract import Solid
     from mammometry.surface.occluders import Blocked
     from mammometry.surface.range_image import RangeImage
     from mammometry.surface.repair import RepairedSurface
@@ -350,20 +351,27 @@ def surface(
 
         return occluders.find_blocked(valid.range_images, foregrounds, cameras.rig)
 
-    def build(
+    def enclose(
         cameras: CameraSet,
         valid: ValidPatches,
         foregrounds: Mapping[str, Foreground],
         blocked: Mapping[str, Blocked],
         *,
         progress: Progress,
-    ) -> TriangleMesh:
+    ) -> Solid | None:
         from mammometry.surface import extract, occluders
 
         if inputs.subject_kind == "surface":
-            return extract.extract_open(valid.range_images, settings.extract, progress=progress)
+            return None
         opened = occluders.unblocked(foregrounds, blocked)
-        return extract.extract(valid.range_images, opened, cameras.rig, settings.extract, progress=progress)
+        return extract.solid_of(valid.range_images, opened, cameras.rig, settings.extract)
+
+    def build(valid: ValidPatches, solid: Solid | None, *, progress: Progress) -> TriangleMesh:
+        from mammometry.surface import extract
+
+        if solid is None:
+            return extract.extract_open(valid.range_images, settings.extract, progress=progress)
+        return extract.meshed(solid, settings.extract, progress=progress)
 
     def mend(first: TriangleMesh, valid: ValidPatches, *, progress: Progress) -> RepairedSurface:
         from mammometry.surface import repair
@@ -394,21 +402,24 @@ def surface(
         drop,
         parents={"cameras": calibrated.cameras, "stillness": stillness, "ranges": ranges},
         settings=(settings.decompose, settings.dents),
-    )
+    ).letting_go(*ranges.values())
     seen: dict[str, Parent] = {"cameras": cameras, "valid": valid, "foregrounds": matched.foregrounds}
     blocked: Product[Mapping[str, Blocked]] = Product(memo, "surface", "blocked", find_blocked, parents=seen)
+    solid: Product[Solid | None] = Product(
+        None, "surface", "solid", enclose, parents={**seen, "blocked": blocked}
+    ).letting_go(*matched.foregrounds.values())
     first: Product[TriangleMesh] = Product(
         memo,
         "surface",
         "first",
         build,
-        parents={**seen, "blocked": blocked},
+        parents={"valid": valid, "solid": solid},
         settings=settings.extract,
         inputs={"subject": inputs.digests["subject"]},
-    ).letting_go(*matched.foregrounds.values())
+    )
     repaired: Product[RepairedSurface] = Product(
         memo, "surface", "repaired", mend, parents={"first": first, "valid": valid}, settings=settings.repair
-    )
+    ).letting_go(first, valid)
     coloured: dict[str, Parent] = {"cameras": cameras, "repaired": repaired}
     shots = {f"capture/{camera}": inputs.digests[f"capture/{camera}"] for camera in inputs.photographs}
     mesh: Product[FinishedSurface] = Product(
@@ -442,9 +453,14 @@ class Plan:
     surfaced: Surfaced
     measured: Measured
 
+    @property
+    def stages(self) -> dict[Stage, Products]:
+        """The plans of the stages that have products, in the order in which data flow."""
+        return {"calibrate": self.calibrated, "match": self.matched, "surface": self.surfaced, "measure": self.measured}
+
     def products(self) -> Iterator[Product[Any]]:
         """All products in the order in which they are made."""
-        for stage in (self.calibrated, self.matched, self.surfaced, self.measured):
+        for stage in self.stages.values():
             yield from stage.products()
 
 

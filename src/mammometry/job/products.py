@@ -220,6 +220,16 @@ def _values(parent: Parent, values: Mapping[Product[Any], Any]) -> Any:
     return {name: values[product] for name, product in parent.items()}
 
 
+def fleeting(product: Product[T]) -> T:
+    """A product's value, made or recalled.
+
+    It is not kept.
+    """
+    value = product()
+    product.release()
+    return value
+
+
 class Fleeting(Mapping[str, T]):
     """Values of products by name, made or recalled at each look-up.
 
@@ -230,10 +240,7 @@ class Fleeting(Mapping[str, T]):
         self._products = products
 
     def __getitem__(self, name: str) -> T:
-        product = self._products[name]
-        value = product()
-        product.release()
-        return value
+        return fleeting(self._products[name])
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._products)

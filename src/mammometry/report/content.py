@@ -24,6 +24,7 @@ from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.report.cautions import own_cautions, skin_shares
 from mammometry.report.figures.sides import NAMES
 from mammometry.report.figures.surface import provenance_shares
+from mammometry.report.figures.thinning import ThinnedRange
 from mammometry.report.scene import ViewerScene
 from mammometry.report.volume_words import (
     definition_title,
@@ -35,8 +36,6 @@ from mammometry.report.volume_words import (
 )
 from mammometry.settings import Settings, as_table
 from mammometry.study.tables import Table, number, signed, thousands
-from mammometry.surface.dents import ValidPatches
-from mammometry.surface.range_image import RangeImage
 from mammometry.surface.repair import Provenance, RepairedSurface
 
 DISCLAIMER = (
@@ -305,7 +304,7 @@ def matching_report(
 
 
 def surface_report(
-    ranges: Mapping[str, RangeImage], valid: ValidPatches, repaired: RepairedSurface, stillness: str = "not compared"
+    ranges: Sequence[ThinnedRange], repaired: RepairedSurface, stillness: str = "not compared"
 ) -> StageReport:
     """The surface stage in numbers."""
     mesh = repaired.mesh
@@ -343,19 +342,16 @@ def surface_report(
             value=", ".join(f"{moved:.3g} mm" for moved in repaired.convergence) or "none",
         ),
     )
-    rows = []
-    for kept in valid.range_images:
-        before = ranges[kept.name]
-        count = int(before.valid.sum())
-        rows.append(
-            (
-                kept.name,
-                thousands(count),
-                f"{100 * (1 - int(kept.valid.sum()) / max(count, 1)):.1f}",
-                _range_words(before.range_mm[before.valid]),
-                _median_words(before.sigma_mm[before.valid], ".3f"),
-            )
+    rows = [
+        (
+            each.name,
+            thousands(len(each.ranges_mm)),
+            f"{100 * (1 - each.kept_count / max(len(each.ranges_mm), 1)):.1f}",
+            _range_words(each.ranges_mm),
+            "–" if each.sigma_median_mm is None else f"{each.sigma_median_mm:.3f}",
         )
+        for each in ranges
+    ]
     table = Table(
         title="Range images",
         columns=("pair", "points", "dropped, %", "distance, mm", "σ (median), mm"),
@@ -463,10 +459,6 @@ def _camera_table(rig: Rig, quality: CalibrationQuality | None) -> Table:
     judged = () if quality is None else ("RMS, px", "σ of focal length, ppm", "picture covered, %")
     columns = ("camera", "size, px", "focal length, px", "principal point, px", "k1, k2", *judged)
     return Table(title="Cameras", columns=columns, rows=tuple(rows))
-
-
-def _median_words(values: Float32[Array, " n"], form: str) -> str:
-    return format(float(np.median(values)), form) if len(values) else "–"
 
 
 def _range_words(values: Float32[Array, " n"]) -> str:

@@ -8,25 +8,25 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from datetime import datetime
+from types import MappingProxyType
 
 from mammometry.base.identity import NAMELESS
 from mammometry.base.progress import Progress, no_progress
 from mammometry.calibration.judge.quality import assess
 from mammometry.job.pipeline import Inputs, Plan
-from mammometry.job.products import Fleeting, Stage
-from mammometry.matching import quality as match_quality
+from mammometry.job.products import Stage
 from mammometry.measure.volume.attribution import attributed
 from mammometry.report import content
 from mammometry.report.anthropometry import comparison, dimension_tables, symmetry_facts, without_nipple
 from mammometry.report.content import ReportContent
 from mammometry.report.figures.previews import draw_stage
 from mammometry.report.figures.shading import front_of
-from mammometry.report.figures.thinning import matched_shares, thinned_foreground, thinned_map
 from mammometry.report.models import viewer_scene
 from mammometry.report.page_inputs import PageInputs
 from mammometry.report.privacy import Privacy, guard, without_photographs
+from mammometry.report.stage_facts import Facts, MatchingFacts, matching_facts, surface_facts
 from mammometry.report.warnings import RunResults, run_cautions, warnings
-from mammometry.surface.stillness_words import concerns, summary
+from mammometry.surface.stillness_words import concerns
 
 Pictures = Mapping[str, Mapping[str, bytes]]
 _COLOURED: tuple[Stage, ...] = ("surface", "measure")  # stages whose pictures show the surface in its colours
@@ -38,6 +38,7 @@ def gather(
     page: PageInputs,
     *,
     pictures: Pictures,
+    facts: Mapping[Stage, Facts] = MappingProxyType({}),
     created: datetime | None = None,
     privacy: Privacy = Privacy(),
     progress: Progress = no_progress,
@@ -51,6 +52,7 @@ def gather(
         inputs: what the session brought; photographs are read one at a time.
         page: what the report shows beside products. All of it is part of the report's key.
         pictures: stage → its previews, name → PNG. Those of the surface are drawn again where colours are left out.
+        facts: stage → what `stage_facts.drawn` said of it; the rest is found here.
         created: moment of the report; now by default.
         privacy: what to leave out.
         progress: gets the fraction done.
@@ -63,12 +65,10 @@ def gather(
     stages = [content.calibration_report(rig, calibration, quality)]
     progress(0.2)
 
-    foregrounds = {camera: thinned_foreground(seen) for camera, seen in Fleeting(plan.matched.foregrounds).items()}
-    small, matching = {}, {}
-    for pair, found in Fleeting(plan.matched.disparities).items():  # once: each takes a second to read at full size
-        small[pair], matching[pair] = thinned_map(found), match_quality.assess(found)
-    shares = matched_shares(rig, foregrounds, small)
-    stages.append(content.matching_report(foregrounds, matching, shares))
+    matched = facts.get("match")
+    if not isinstance(matched, MatchingFacts):
+        matched = matching_facts(plan, rig)
+    stages.append(content.matching_report(matched.foregrounds, matched.quality, matched.shares))
     progress(0.4)
 
     finished = plan.surfaced.mesh()
@@ -86,13 +86,12 @@ def gather(
         landmarks=inputs.landmarks,
     )
     textured = guarded.textured
-    ranges = {pair: product() for pair, product in plan.surfaced.ranges.items()}
-    valid = plan.surfaced.valid()
     if privacy.guarded:
         redrawn: dict[str, dict[str, bytes]] = {stage: draw_stage(stage, plan, inputs, textured) for stage in _COLOURED}
         pictures = without_photographs({**pictures, **redrawn})
     stillness = plan.surfaced.stillness()
-    stages.append(content.surface_report(ranges, valid, finished.repaired, summary(stillness)))
+    surfaced = facts.get("surface")
+    stages.append(surfaced if isinstance(surfaced, content.StageReport) else surface_facts(plan))
     progress(0.7)
 
     sides = None if plan.measured.symmetry is None else plan.measured.symmetry()
@@ -108,9 +107,9 @@ def gather(
     run = RunResults(
         quality=quality,
         calibration=calibration,
-        shares=shares,
-        matching=matching,
-        foregrounds=foregrounds,
+        shares=matched.shares,
+        matching=matched.quality,
+        foregrounds=matched.foregrounds,
         measurements=measurements,
         repaired=finished.repaired,
         blocked=plan.surfaced.blocked(),

@@ -84,8 +84,30 @@ def repair(
     Raises:
         SurfaceError: no vertex has a plausible point; names the pairs.
     """
-    whole, near = initial, _near_data(initial, valid, settings)
-    initial = whole.submesh(near)
+    near = _near_data(initial, valid, settings)
+    displacement, provenance, found, moves = _drawn_to_data(initial.submesh(near), valid, settings, progress)
+    kept = np.zeros(len(initial.vertices), dtype=bool)
+    kept[initial.faces[near]] = True
+    mesh, crossings = without_crossings(initial, _spread(displacement, kept, 0.0))
+    progress(1.0)
+    return RepairedSurface(
+        mesh=mesh,
+        provenance=_spread(provenance, kept, Provenance.INVENTED),
+        sigma_mm=_spread(found.sigma_mm, kept, np.nan),
+        pair_bits=_spread(found.pair_bits, kept, 0),
+        pair_names=tuple(image.name for image in valid.range_images),
+        convergence=np.array(moves),
+        crossings=crossings,
+    )
+
+
+def _drawn_to_data(
+    initial: TriangleMesh, valid: ValidPatches, settings: RepairSettings, progress: Progress
+) -> tuple[Float64[Array, "n 3"], UInt8[Array, " n"], Correspondences, list[float]]:
+    """Displacements of the vertices near data, mm, their provenance, their last data, and the moves.
+
+    What else is needed here is large, and let go before crossings are looked for.
+    """
     graph = graph_of_mesh(initial)
     spacing = float(np.sqrt(2 * np.median(np.linalg.norm(initial.face_vectors(), axis=1))))  # of the fine cubes
     views = [view_data(image, spacing, taper_mm=settings.taper_mm) for image in valid.range_images]
@@ -111,22 +133,10 @@ def repair(
         moves.append(move)
         if number + 1 < rounds:
             found = _correspondences(_moved(initial, displacement), views, settings)
-    kept = np.zeros(len(whole.vertices), dtype=bool)
-    kept[whole.faces[near]] = True
-    mesh, crossings = without_crossings(whole, _spread(displacement, kept, 0.0))
     provenance = np.where(found.found, Provenance.MEASURED, Provenance.REPAIRED).astype(np.uint8)
     _, away_mm = propagate(np.zeros((len(provenance), 1)), found.found, graph, initial.vertices)
     provenance[away_mm > settings.repaired_reach_mm] = Provenance.INVENTED
-    progress(1.0)
-    return RepairedSurface(
-        mesh=mesh,
-        provenance=_spread(provenance, kept, Provenance.INVENTED),
-        sigma_mm=_spread(found.sigma_mm, kept, np.nan),
-        pair_bits=_spread(found.pair_bits, kept, 0),
-        pair_names=tuple(image.name for image in valid.range_images),
-        convergence=np.array(moves),
-        crossings=crossings,
-    )
+    return displacement, provenance, found, moves
 
 
 def as_measured(mesh: TriangleMesh, valid: ValidPatches) -> RepairedSurface:

@@ -241,3 +241,22 @@ def test_bounds_are_the_extremes_of_each_column(columns):
     low, high = bounds(points)
     np.testing.assert_array_equal(low, points.min(axis=0))
     np.testing.assert_array_equal(high, points.max(axis=0))
+
+
+def test_topology_of_any_faces_is_that_of_their_sorted_sides() -> None:
+    """Closed, open, doubled, turned over, folded up: against sorted keys of all sides."""
+    rng = np.random.default_rng(22)
+    solid = np.array([[0, 1, 2], [0, 2, 3], [0, 3, 1], [1, 3, 2]], dtype=np.int32)
+    seen = {True: 0, False: 0}
+    for number in range(600):
+        faces = rng.integers(0, 8, (rng.integers(0, 8), 3)).astype(np.int32)
+        if number % 2:
+            faces = np.concatenate([solid, solid + 4 * (number % 4 == 1), faces[: number % 3]])
+        mesh = TriangleMesh(vertices=rng.random((8, 3)), faces=faces)
+        directed = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+        forward, backward = np.sort(directed @ [8, 1]), np.sort(directed @ [1, 8])
+        closed = len(faces) > 0 and len(np.unique(forward)) == len(forward) and (forward == backward).all()
+        assert mesh.is_watertight() == closed
+        assert mesh.euler_number() == len(np.unique(faces)) - len(mesh.edges()) + len(faces)
+        seen[bool(closed)] += 1
+    assert min(seen.values()) > 50

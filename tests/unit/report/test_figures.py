@@ -26,7 +26,7 @@ from mammometry.report.figures import surface as surface_figures
 from mammometry.report.figures.canvas import Caption
 from mammometry.report.figures.shading import front_frame, front_of
 from mammometry.report.figures.stage_results import CalibrationResult, MatchingResult, SurfaceResult
-from mammometry.report.figures.thinning import matched_shares
+from mammometry.report.figures.thinning import matched_shares, thinned_ranges
 from mammometry.surface.repair import Provenance
 
 
@@ -132,8 +132,7 @@ def test_surface(rig) -> None:
     mesh = synthetic.ball()
     shown = SurfaceResult(
         rig=rig,
-        ranges=images,
-        valid=synthetic.valid(images),
+        ranges=thinned_ranges(images, synthetic.valid(images)),
         first=synthetic.ball(3),
         repaired=synthetic.repaired(mesh),
         textured=synthetic.textured(mesh),

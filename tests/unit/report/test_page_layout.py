@@ -14,6 +14,7 @@ from mammometry.report import content, html
 from mammometry.report.anthropometry import comparison
 from mammometry.report.figures import previews
 from mammometry.report.figures.shading import front_frame
+from mammometry.report.figures.thinning import thinned_ranges
 from mammometry.report.models import viewer_scene
 from mammometry.report.warnings import RunResults, warnings
 from mammometry.settings import Settings
@@ -111,7 +112,7 @@ def address(tmp_path_factory: pytest.TempPathFactory) -> str:
             content.matching_report(
                 synthetic.foregrounds(rig), synthetic.matching(rig, d_v_px=0.5), {"one": 0.4, "two": 0.9}
             ),
-            content.surface_report(ranges, synthetic.valid(ranges), repaired),
+            content.surface_report(thinned_ranges(ranges, synthetic.valid(ranges)), repaired),
             content.measure_report(measured),
         ),
         timings=content.timings({"calibrate": 1.25, "match": 2.0}),

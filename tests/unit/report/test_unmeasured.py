@@ -8,7 +8,6 @@ from mammometry.report.content import surface_report
 from mammometry.report.figures.shading import front_frame
 from mammometry.report.models import viewer_scene
 from mammometry.surface.atlas import Atlas
-from mammometry.surface.dents import ValidPatches
 from mammometry.surface.repair import Provenance
 from mammometry.surface.unmeasured import GREY, faded, faded_atlas, shown_colours
 
@@ -50,7 +49,7 @@ def test_the_photographs_are_faded_under_unmeasured_faces_alone() -> None:
 
 def test_the_area_that_nobody_measured_is_one_number() -> None:
     ball = synthetic.ball(4)
-    said = surface_report({}, ValidPatches(range_images=(), angles_rad=()), synthetic.repaired(ball))
+    said = surface_report((), synthetic.repaired(ball))
     (fact,) = [each.value for each in said.facts if each.label == "Closed without having been measured"]
     # By Archimedes, a sphere's zone has 2πRh: half of it is behind, half of that within half the radius.
     half_cm2 = 2 * np.pi * synthetic.RADIUS_MM**2 / 100

@@ -161,10 +161,10 @@ def whole(stage: str, fraction: float) -> float:
 
 
 def _megapixels(visit: Visit) -> float | None:
-    from mammometry.batch.session import megapixels_of
+    from mammometry.io.images import megapixels_of
 
     try:
-        return megapixels_of(visit.folder)
+        return megapixels_of(visit.folder / "capture")
     except (OSError, MammometryError):  # its own task will say what is wrong with it
         return None
 

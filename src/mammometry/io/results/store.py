@@ -385,6 +385,34 @@ class Store:
             return self._records[stage]
 
 
+class Reader:
+    """A memo that reads what a store has, and makes nothing."""
+
+    def __init__(self, store: Store) -> None:
+        self._store = store
+
+    def has(self, key: Key) -> bool:
+        """Whether the product is current."""
+        return self._store.has(key)
+
+    def recall(self, key: Key, prepare: Callable[[], Callable[[Progress], T]]) -> T:
+        """Return the current, whole product from disk.
+
+        Raises:
+            StorageError: it is not there.
+        """
+
+        def refuse() -> Callable[[Progress], T]:
+            raise StorageError(
+                f"{key.stage}/{key.product}",
+                found="no current result",
+                expected="it on the disk",
+                remedy="Run the session: it will be made",
+            )
+
+        return self._store.recall(key, refuse)
+
+
 def _identity(found: os.stat_result) -> _Identity:
     return found.st_size, found.st_mtime_ns, found.st_ino, found.st_ctime_ns
 

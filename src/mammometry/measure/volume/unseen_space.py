@@ -11,8 +11,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import ndimage
 
-from mammometry.geometry.arrays import Array, Bool, Float64, Int64, read_only
+from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int64, read_only
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.nearest import point_tree
 from mammometry.matching.foreground import Foreground
@@ -29,14 +30,15 @@ class Silhouette:
     """One camera's silhouette. No part of the subject shows outside it."""
 
     camera: Camera
-    foreground: Foreground
+    background: Bool[Array, "h w"]
+    """Pixels whose centre lies outside the silhouette."""
     outline_uv: Float64[Array, "n 2"]
     """Points of the outline, pixels."""
     doubt_px: Float64[Array, " n"]
     """How far outside each point the subject may end, pixels."""
 
     def __post_init__(self) -> None:
-        for name in ("outline_uv", "doubt_px"):
+        for name in ("background", "outline_uv", "doubt_px"):
             object.__setattr__(self, name, read_only(getattr(self, name)))
 
     def excludes(self, points_world: Float64[Array, "n 3"]) -> Bool[Array, " n"]:
@@ -45,7 +47,7 @@ class Silhouette:
         Points are in mm, world frame.
         """
         seen, column, row = _pixels(self.camera, points_world)
-        outside = seen[self.foreground.coverage[row, column] < self.foreground.contour_level]
+        outside = seen[self.background[row, column]]
         uv = self.camera.project(points_world[outside])
         away_px, nearest = (np.asarray(answer) for answer in point_tree(self.outline_uv).query(uv))
         return _chosen(outside[away_px > self.doubt_px[nearest]], len(points_world))
@@ -55,17 +57,44 @@ class Silhouette:
 class SeenThrough:
     """What one pair measured. Nothing stands in front of it."""
 
-    image: RangeImage
+    camera: Camera
+    """The pair's left one, of the whole range image."""
+    first: tuple[int, int]
+    """Row and column of the window that holds all data."""
+    range_mm: Float32[Array, "h w"]
+    sigma_mm: Float32[Array, "h w"]
+    valid: Bool[Array, "h w"]
+    """Inside the window."""
     margin_mm: float
     """Possible error of a datum, mm, besides three of its standard deviations."""
 
+    def __post_init__(self) -> None:
+        for name in ("range_mm", "sigma_mm", "valid"):
+            object.__setattr__(self, name, read_only(getattr(self, name)))
+
+    @classmethod
+    def of(cls, image: RangeImage, margin_mm: float) -> SeenThrough:
+        """Cut out what holds data: the rest of a range image excludes nothing."""
+        found = ndimage.find_objects(image.valid.astype(np.uint8))
+        window = found[0] if found else (slice(0, 0), slice(0, 0))
+        return cls(
+            camera=image.camera,
+            first=(window[0].start, window[1].start),
+            range_mm=image.range_mm[window].copy(),
+            sigma_mm=image.sigma_mm[window].copy(),
+            valid=image.valid[window].copy(),
+            margin_mm=margin_mm,
+        )
+
     def excludes(self, points_world: Float64[Array, "n 3"]) -> Bool[Array, " n"]:
         """Which points, mm, world frame, stand in front of a datum."""
-        seen, column, row = _pixels(self.image.camera, points_world)
-        before_mm = self.image.range_mm[row, column] - np.linalg.norm(
-            points_world[seen] - self.image.camera.centre_world, axis=1
-        )
-        free = self.image.valid[row, column] & (before_mm > self.margin_mm + _SIGMAS * self.image.sigma_mm[row, column])
+        seen, column, row = _pixels(self.camera, points_world)
+        row, column = row - self.first[0], column - self.first[1]
+        height, width = self.valid.shape
+        within = (row >= 0) & (row < height) & (column >= 0) & (column < width)
+        seen, row, column = seen[within], row[within], column[within]
+        before_mm = self.range_mm[row, column] - np.linalg.norm(points_world[seen] - self.camera.centre_world, axis=1)
+        free = self.valid[row, column] & (before_mm > self.margin_mm + _SIGMAS * self.sigma_mm[row, column])
         return _chosen(seen[free], len(points_world))
 
 
@@ -89,7 +118,7 @@ def bounds(
         rig: the calibrated cameras.
         settings: how far to trust them.
     """
-    through = (SeenThrough(image=image, margin_mm=settings.seen_through_mm) for image in range_images)
+    through = (SeenThrough.of(image, settings.seen_through_mm) for image in range_images)
     return (*_silhouettes(foregrounds, rig, settings), *through)
 
 
@@ -102,7 +131,7 @@ def _silhouettes(foregrounds: Mapping[str, Foreground], rig: Rig, settings: Meas
         if len(traced.uv):
             yield Silhouette(
                 camera=camera,
-                foreground=foreground,
+                background=foreground.coverage < foreground.contour_level,
                 outline_uv=traced.uv,
                 doubt_px=np.hypot(settings.silhouette_doubt_px, settings.silhouette_doubt_slope * traced.lost_px),
             )

@@ -15,9 +15,10 @@ from mammometry.geometry.camera import Rig
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.job.inputs import Inputs
 from mammometry.job.pipeline import Plan
-from mammometry.job.products import Fleeting, Stage
+from mammometry.job.products import Fleeting, Stage, fleeting
 from mammometry.matching.foreground import Foreground
 from mammometry.matching.match import DisparityMap
+from mammometry.matching.quality import MatchQuality
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.boundary.breasts import NoBreast
 from mammometry.measure.shape.symmetry import Symmetry
@@ -26,9 +27,14 @@ from mammometry.measure.volume.lacking import Lacking
 from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.report.figures import canvas
 from mammometry.report.figures.shading import Scene, View, front_frame, front_of, standard_views
-from mammometry.report.figures.thinning import LARGEST_WIDTH_PX, matched_shares, thinned_foreground, thinned_map
-from mammometry.surface.dents import ValidPatches
-from mammometry.surface.range_image import RangeImage
+from mammometry.report.figures.thinning import (
+    LARGEST_WIDTH_PX,
+    ThinnedRange,
+    matched_shares,
+    thinned_foreground,
+    thinned_maps,
+    thinned_ranges,
+)
 from mammometry.surface.repair import RepairedSurface
 from mammometry.surface.texture import TexturedMesh
 
@@ -57,6 +63,8 @@ class MatchingResult:
     """By camera."""
     disparities: Mapping[str, DisparityMap]
     """By pair."""
+    quality: Mapping[str, MatchQuality] = field(default_factory=dict)
+    """Pair → figures of the whole map."""
 
     @classmethod
     def thinned(
@@ -72,12 +80,14 @@ class MatchingResult:
         """
         with ThreadPoolExecutor(2) as pool:
             small = dict(zip(foregrounds, pool.map(partial(_small, photographs), foregrounds), strict=True))
-            return cls(
-                rig=rig,
-                photographs=small,
-                foregrounds={camera: thinned_foreground(foregrounds[camera]) for camera in foregrounds},
-                disparities={pair: thinned_map(disparities[pair]) for pair in disparities},
-            )
+        maps, quality = thinned_maps(disparities)
+        return cls(
+            rig=rig,
+            photographs=small,
+            foregrounds={camera: thinned_foreground(seen) for camera, seen in foregrounds.items()},
+            disparities=maps,
+            quality=quality,
+        )
 
     @cached_property
     def shares(self) -> dict[str, float]:
@@ -91,10 +101,8 @@ class SurfaceResult:
 
     stage: ClassVar[Stage] = "surface"
     rig: Rig
-    ranges: Mapping[str, RangeImage]
-    """By pair."""
-    valid: ValidPatches
-    """What was kept of them."""
+    ranges: Sequence[ThinnedRange]
+    """As small as pictures need them, and what was kept of them."""
     first: TriangleMesh
     repaired: RepairedSurface
     textured: TexturedMesh
@@ -169,9 +177,8 @@ def stage_result(stage: Stage, plan: Plan, inputs: Inputs, textured: TexturedMes
     if stage == "surface":
         return SurfaceResult(
             rig=rig,
-            ranges={pair: product() for pair, product in plan.surfaced.ranges.items()},
-            valid=plan.surfaced.valid(),
-            first=plan.surfaced.first(),
+            ranges=thinned_ranges(Fleeting(plan.surfaced.ranges), fleeting(plan.surfaced.valid)),
+            first=fleeting(plan.surfaced.first),
             repaired=finished.repaired,
             textured=textured,
             mounting=inputs.mounting,

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from mammometry.geometry.arrays import Array, Float32, UInt8
+from mammometry.geometry.arrays import Array, UInt8
 from mammometry.report.figures import canvas
 from mammometry.report.figures.canvas import Caption, Sheet
 from mammometry.report.figures.catalogue import preview
@@ -33,21 +33,20 @@ def range_images(result: SurfaceResult) -> bytes:
     As in Fig. 1.
     """
     ranges = result.ranges
-    seen = np.concatenate([image.range_mm[image.valid] for image in ranges.values()])
-    low, high = canvas.robust_range(seen, 0.002)
-    sheet = _map_sheet([image.valid.shape for image in ranges.values()], bars=True)
+    low, high = canvas.robust_range(np.concatenate([each.ranges_mm for each in ranges]), 0.002)
+    sheet = _map_sheet([each.size_wh[::-1] for each in ranges], bars=True)
     drawn: Any = None
-    for index, (name, image) in enumerate(ranges.items()):
-        axes = sheet.panel(index, f"{name}: {thousands(int(image.valid.sum()))} points")
+    for index, each in enumerate(ranges):
+        axes = sheet.panel(index, f"{each.name}: {thousands(len(each.ranges_mm))} points")
         drawn = axes.imshow(
-            canvas.with_gaps(canvas.thinned(image.range_mm, 640), canvas.thinned(image.valid, 640)),
-            extent=canvas.pixel_extent(image.camera.size_wh),
+            canvas.with_gaps(each.range_mm, each.valid),
+            extent=canvas.pixel_extent(each.size_wh),
             cmap=canvas.colour_map("gray"),
             vmin=low,
             vmax=high,
             interpolation="nearest",
         )
-        canvas.note(axes, f"median σ {_median(image.sigma_mm[image.valid]):.2f} mm")
+        canvas.note(axes, f"median σ {each.sigma_median_mm or 0.0:.2f} mm")
     for row in range(sheet.rows):
         sheet.bar(row, drawn, "distance to the camera, mm")
     return sheet.png(
@@ -61,22 +60,21 @@ def range_images(result: SurfaceResult) -> bytes:
 @preview("dents", stage="surface", place=2, photographs=False, on_paper=True)
 def dents(result: SurfaceResult) -> bytes:
     """Which range data were kept and which were dropped as dented."""
-    ranges, valid = result.ranges, result.valid
-    sheet = _map_sheet([image.valid.shape for image in ranges.values()], header=26)
+    sheet = _map_sheet([each.size_wh[::-1] for each in result.ranges], header=26)
     kept_colour, dropped_colour = canvas.rgb(canvas.BLUE), canvas.rgb(canvas.ORANGE)
     sheet.legend([(canvas.BLUE, "kept"), (canvas.ORANGE, "dropped"), (canvas.hexadecimal(canvas.MISSING), "no data")])
-    for index, kept in enumerate(valid.range_images):
-        before = ranges[kept.name]
-        share = 1 - float(kept.valid.sum()) / max(int(before.valid.sum()), 1)
-        axes = sheet.panel(index, f"{kept.name}: {100 * share:.1f} % dropped")
-        had, has = canvas.thinned(before.valid, 640), canvas.thinned(kept.valid, 640)
-        picture = np.full((*had.shape, 3), 1.0)
+    for index, each in enumerate(result.ranges):
+        share = 1 - each.kept_count / max(len(each.ranges_mm), 1)
+        axes = sheet.panel(index, f"{each.name}: {100 * share:.1f} % dropped")
+        picture = np.full((*each.valid.shape, 3), 1.0)
         picture[:] = canvas.MISSING
-        picture[had] = dropped_colour
+        picture[each.valid] = dropped_colour
         # The nearer to grazing, the paler: what the rule judges by shows in the picture.
-        angle = np.nan_to_num(canvas.thinned(valid.angles_rad[index], 640), nan=0.0)[..., None]
-        picture = np.where(has[..., None], kept_colour + (1 - kept_colour) * np.clip(angle / np.pi, 0, 0.6), picture)
-        axes.imshow(picture, extent=canvas.pixel_extent(kept.camera.size_wh), interpolation="nearest")
+        angle = np.nan_to_num(each.angles_rad, nan=0.0)[..., None]
+        picture = np.where(
+            each.kept[..., None], kept_colour + (1 - kept_colour) * np.clip(angle / np.pi, 0, 0.6), picture
+        )
+        axes.imshow(picture, extent=canvas.pixel_extent(each.size_wh), interpolation="nearest")
     return sheet.png(
         Caption(
             title="Decomposition and dents",
@@ -206,7 +204,3 @@ def _view_sheet(views: Sequence[View], *, rows: int, bars: bool = False, header:
 def _map_sheet(shapes: Sequence[tuple[int, ...]], *, bars: bool = False, header: int = 0) -> Sheet:
     columns, rows = canvas.grid(len(shapes))
     return Sheet(columns, rows, canvas.fitting(shapes, 270), bars=bars, header=header)
-
-
-def _median(values: Float32[Array, " n"]) -> float:
-    return float(np.median(values)) if len(values) else 0.0

@@ -1,17 +1,20 @@
-"""Thinned foregrounds and disparity maps, and matched shares."""
+"""Thinned foregrounds, disparity maps and range images, and matched shares."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mammometry.geometry.arrays import Array, Float64
+from mammometry.geometry.arrays import Array, Bool, Float32, Float64
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.matching.foreground import Foreground
 from mammometry.matching.match import DisparityMap
-from mammometry.surface.range_image import thinned_camera
+from mammometry.matching.quality import MatchQuality, assess
+from mammometry.report.figures.canvas import thinned
+from mammometry.surface.dents import ValidPatches
+from mammometry.surface.range_image import RangeImage, thinned_camera
 
 LARGEST_WIDTH_PX = 1200
 """Largest width of a photograph in pictures of the matching, pixels."""
@@ -47,6 +50,70 @@ def thinned_map(found: DisparityMap) -> DisparityMap:
         sigma_px=thin(found.sigma_px),
         valid=thin(found.valid),
         weak=thin(found.weak),
+    )
+
+
+def thinned_maps(
+    disparities: Mapping[str, DisparityMap],
+) -> tuple[dict[str, DisparityMap], dict[str, MatchQuality]]:
+    """Thin all pairs' maps, and judge the whole ones.
+
+    Each is looked up once: at full size they are large.
+    """
+    maps, quality = {}, {}
+    for pair, found in disparities.items():
+        maps[pair], quality[pair] = thinned_map(found), assess(found)
+    return maps, quality
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ThinnedRange:
+    """What pictures and tables show of one pair's range image, before and after the removal of dents."""
+
+    name: str
+    """The pair's."""
+    size_wh: tuple[int, int]
+    """Of the whole image, pixels."""
+    ranges_mm: Float32[Array, " n"]
+    """Distances of all data, in row order."""
+    sigma_median_mm: float | None
+    """None without data."""
+    kept_count: int
+    """Data that stayed."""
+    range_mm: Float32[Array, "h w"]
+    """Every k-th pixel, as `valid`, `kept` and `angles_rad`. 0 where not valid."""
+    valid: Bool[Array, "h w"]
+    kept: Bool[Array, "h w"]
+    angles_rad: Float32[Array, "h w"]
+    """Between the local normal and the direction to the camera. NaN if unknown."""
+
+
+def thinned_ranges(ranges: Mapping[str, RangeImage], valid: ValidPatches) -> tuple[ThinnedRange, ...]:
+    """Thin the range images of all pairs for pictures.
+
+    Each is looked up once: at full size they are large.
+    """
+    return tuple(
+        _thinned_range(ranges[kept.name], kept.valid, angles)
+        for kept, angles in zip(valid.range_images, valid.angles_rad, strict=True)
+    )
+
+
+def _thinned_range(image: RangeImage, kept: Bool[Array, "h w"], angles_rad: Float32[Array, "h w"]) -> ThinnedRange:
+    def thin(values: Array) -> Array:
+        return thinned(values, _MAP_PX).copy()
+
+    sigmas_mm = image.sigma_mm[image.valid]
+    return ThinnedRange(
+        name=image.name,
+        size_wh=image.camera.size_wh,
+        ranges_mm=image.range_mm[image.valid],
+        sigma_median_mm=float(np.median(sigmas_mm)) if len(sigmas_mm) else None,
+        kept_count=int(kept.sum()),
+        range_mm=thin(image.range_mm),
+        valid=thin(image.valid),
+        kept=thin(kept),
+        angles_rad=thin(angles_rad),
     )
 
 

@@ -1,0 +1,171 @@
+"""Previews of a job's stages.
+
+Where there are cores, a second process draws them beside the next stage's work, from the results on disk. What it
+cannot draw is drawn here, so that whatever stands in the way is said in the same words.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from mammometry.base.cores import available_cores
+from mammometry.base.errors import StorageError
+from mammometry.base.parse import said
+from mammometry.base.progress import Progress
+from mammometry.base.second_process import Ended, NotDone, SecondProcess
+from mammometry.io.images import megapixels_of
+from mammometry.io.results.store import Reader, Store
+from mammometry.job.pipeline import Plan, plan
+from mammometry.job.products import VERSIONS, Key, Stage
+
+if TYPE_CHECKING:
+    from mammometry.io.session import Session
+    from mammometry.job.inputs import Inputs
+    from mammometry.report.stage_facts import Facts
+    from mammometry.settings import Settings
+
+_LOG = logging.getLogger(__name__)
+_LEAST_MEGAPIXELS = 5.0  # photographs from which a second process, two processor seconds to begin, is worth it
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Previews:
+    """Pictures of the stages of one session's job."""
+
+    session: Session
+    settings: Settings
+    inputs: Inputs
+    plan: Plan
+    store: Store
+
+    def key(self, stage: Stage) -> Key:
+        """Key of a stage's pictures: its products, the cameras, the photographs."""
+        made = [*self.plan.stages[stage].products(), self.plan.calibrated.cameras]
+        return Key(
+            stage=stage,
+            product="previews",
+            version=VERSIONS["previews"],
+            settings={},
+            inputs={product.key.product: product.key.digest for product in made},
+        )
+
+    def files(self, stage: Stage) -> dict[str, bytes]:
+        """PNG previews of a finished stage: name → file content.
+
+        Raises:
+            StorageError: one is not as it was written, or no picture.
+        """
+        from mammometry.report.figures.canvas import caption_of
+
+        pictures = {Path(name).stem: png for name, png in self.store.files(self.key(stage)).items()}
+        for name, png in pictures.items():
+            try:
+                caption_of(png)
+            except Exception as error:  # Pillow raises anything that a damaged file makes it stumble over
+                raise StorageError(
+                    f"{stage}/{name}.png",
+                    found=f"a picture that cannot be read back ({said(error)})",
+                    expected="the file as it was written",
+                    remedy="Remove it and run the command again: it will be made again",
+                ) from None
+        return pictures
+
+    @contextmanager
+    def drawing(self, stages: Sequence[Stage]) -> Iterator[Drawing]:
+        """Draw pictures inside, as their stages are made. All are there when the block ends.
+
+        Args:
+            stages: what will be made, in order. Without pictures to draw beside a later one there is no second process.
+        """
+        known = [stage for stage in stages[:-1] if stage in self.plan.stages]
+        missing = any(not self.store.has(self.key(stage)) for stage in known)
+        if not missing or available_cores() < 2 or self._megapixels() < _LEAST_MEGAPIXELS:
+            yield Drawing(self._ensure, None)
+            return
+        with ThreadPoolExecutor(1) as pool, SecondProcess() as second:
+            pool.submit(second.call, _load)
+            drawing = Drawing(lambda stage: self._ensure(stage, second), pool)
+            try:
+                yield drawing
+                drawing.facts()
+            except BaseException:
+                pool.shutdown(wait=False, cancel_futures=True)
+                raise
+
+    def _megapixels(self) -> float:
+        folder = self.session.path / "capture"
+        return megapixels_of(folder, self.session.limits) if folder.is_dir() else 0.0
+
+    def _ensure(self, stage: Stage, second: SecondProcess | None = None) -> Facts:
+        facts: Facts = None
+
+        def prepare() -> Callable[[Path, Progress], None]:
+            def write(folder: Path, progress: Progress) -> None:
+                nonlocal facts
+                pictures, facts = self._drawn(stage, second)
+                for name, png in pictures.items():
+                    (folder / f"{name}.png").write_bytes(png)
+
+            return write
+
+        if not self.store.has(self.key(stage)):
+            self.store.write_folder(self.key(stage), prepare)
+        return facts
+
+    def _drawn(self, stage: Stage, second: SecondProcess | None) -> tuple[dict[str, bytes], Facts]:
+        from mammometry.report.stage_facts import drawn
+
+        if second is not None:
+            try:
+                return second.call(_draw, self.session, self.settings, stage)
+            except Ended:
+                raise
+            except NotDone as why:
+                _LOG.warning("the previews of %s are drawn here: %s", stage, why)
+        return drawn(stage, self.plan, self.inputs)
+
+
+class Drawing:
+    """Pictures that are being drawn, here or beside."""
+
+    def __init__(self, ensure: Callable[[Stage], Facts], pool: ThreadPoolExecutor | None) -> None:
+        self._ensure = ensure
+        self._pool = pool
+        self._begun: dict[Stage, Future[Facts]] = {}
+
+    def begin(self, stage: Stage) -> None:
+        """Draw the pictures of a stage that is made."""
+        if self._pool is None:
+            done: Future[Facts] = Future()
+            done.set_result(self._ensure(stage))
+            self._begun[stage] = done
+        else:
+            self._begun[stage] = self._pool.submit(self._ensure, stage)
+
+    def facts(self) -> dict[Stage, Facts]:
+        """Have all pictures there that were begun. Gives what the report says of their stages.
+
+        Raises:
+            MammometryError: whatever stood in the way, in one sentence.
+        """
+        return {stage: each.result() for stage, each in self._begun.items()}
+
+
+def _load() -> None:
+    """Import, in the second process, what draws."""
+    from mammometry.report import stage_facts  # noqa: F401
+
+
+def _draw(session: Session, settings: Settings, stage: Stage) -> tuple[dict[str, bytes], Facts]:
+    """Draw a stage's pictures, in the second process, from the results on disk."""
+    from mammometry.report.stage_facts import drawn
+
+    inputs = session.inputs()
+    stored = Reader(Store(session.results, subject=session.manifest.subject.id))
+    return drawn(stage, plan(inputs, settings, stored), inputs)
