@@ -9,7 +9,7 @@ import numpy as np
 from mammometry.geometry.arrays import bounds
 from mammometry.geometry.nearest import point_tree
 from mammometry.measure.boundary.confirming import TO_BE_CONFIRMED
-from mammometry.measure.trunk.body import HEAD_NOT_SHOWN
+from mammometry.measure.trunk.head import HEAD_NOT_SHOWN
 from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.report.figures.sides import wall_faces
 from mammometry.surface.repair import Provenance, RepairedSurface

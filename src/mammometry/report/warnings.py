@@ -12,7 +12,8 @@ from mammometry.matching.foreground import Foreground
 from mammometry.matching.quality import MatchQuality
 from mammometry.measure.boundary.breasts import NoBreast
 from mammometry.measure.boundary.confirming import TO_BE_CONFIRMED
-from mammometry.measure.trunk.body import HEAD_NOT_SHOWN, Body
+from mammometry.measure.trunk.body import Body
+from mammometry.measure.trunk.head import HEAD_NOT_SHOWN
 from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.report.cautions import SKIN_MEASURED, skin_shares
 from mammometry.report.content import sentence

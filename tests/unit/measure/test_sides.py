@@ -16,9 +16,9 @@ from mammometry.measure.boundary.boundary import Boundary, outline_torso
 from mammometry.measure.boundary.breasts import _check_base
 from mammometry.measure.boundary.standing import Standing, standing_out
 from mammometry.measure.settings import BreastSettings
-from mammometry.measure.trunk.body import Body, Mounting, check_head, find_body, lies_across, rig_frame
+from mammometry.measure.trunk.body import Body, Mounting, find_body, lies_across, rig_frame
 from mammometry.measure.trunk.skin_map import PIXEL_MM, Relief
-from mammometry.measure.trunk.thorax import Skin, Trunk, seen_skin
+from mammometry.measure.trunk.thorax import Trunk, seen_skin
 from mammometry.measure.volume.lacking import lacking
 from mammometry.measure.volume.volumes import measure_volumes
 from mammometry.measure.wall.open_breast import open_breasts
@@ -121,34 +121,6 @@ def test_a_trunk_across_the_cameras_is_refused() -> None:
     assert not lies_across(skin, np.eye(3))
     with pytest.raises(MeasureError, match=r"lies across.*rig\.mounting"):
         find_body(one_sided(), rolled)
-
-
-def test_arms_leave_the_trunk_at_the_heads_end() -> None:
-    trunk = Trunk(frame=np.eye(3), origin=np.zeros(3), half_width_mm=130.0)
-    rng = np.random.default_rng(0)
-    arms = np.stack(
-        [rng.choice([-1, 1], 900) * rng.uniform(155, 210, 900), rng.uniform(80, 200, 900), 0 * np.ones(900)]
-    )
-    skin = Skin(points_world=arms.T, normals_world=np.tile([0.0, 0.0, 1.0], (900, 1)))
-    assert "head up" in check_head(skin, trunk, [])
-    with pytest.raises(MeasureError, match="head at the lower end"):
-        check_head(skin, replace(trunk, frame=np.diag([-1.0, -1.0, 1.0])), [])
-    nobody = Skin(points_world=np.zeros((5, 3)), normals_world=np.zeros((5, 3)))
-    assert "only the cameras' mounting does" in check_head(nobody, trunk, [])
-
-
-def test_arms_that_hang_do_not_outvote_the_breasts() -> None:
-    """Seen from the shoulders to the hands, more of them below: as on three rendered bodies."""
-    trunk = Trunk(frame=np.eye(3), origin=np.zeros(3), half_width_mm=130.0)
-    rng = np.random.default_rng(0)
-    arms = np.stack(
-        [rng.choice([-1, 1], 900) * rng.uniform(155, 210, 900), rng.uniform(-250, 110, 900), 0 * np.ones(900)]
-    )
-    skin = Skin(points_world=arms.T, normals_world=np.tile([0.0, 0.0, 1.0], (900, 1)))
-    assert "only the cameras' mounting does" in check_head(skin, trunk, [])
-    assert "head up" in check_head(skin, trunk, [0.7, 0.6])
-    with pytest.raises(MeasureError, match="head at the lower end"):
-        check_head(skin, trunk, [-0.7, -0.6])
 
 
 @pytest.mark.parametrize(

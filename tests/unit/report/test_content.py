@@ -8,7 +8,7 @@ import synthetic
 
 from mammometry.calibration.judge.quality import assess
 from mammometry.measure.boundary.boundary import TO_BE_CONFIRMED
-from mammometry.measure.trunk.body import HEAD_NOT_SHOWN
+from mammometry.measure.trunk.head import HEAD_NOT_SHOWN
 from mammometry.measure.volume.definitions import DefinedVolume
 from mammometry.report import content
 from mammometry.report.anthropometry import comparison

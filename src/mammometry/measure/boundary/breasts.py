@@ -18,7 +18,8 @@ from mammometry.geometry.nearest import closest_on_mesh
 from mammometry.measure.boundary.crease import CREASE_PER_MM, Crease, crease_worth, follow_crease
 from mammometry.measure.boundary.standing import Standing, Verdict, standing_out
 from mammometry.measure.settings import BreastSettings, ThoraxSettings
-from mammometry.measure.trunk.body import Body, check_head, find_body
+from mammometry.measure.trunk.body import Body, find_body
+from mammometry.measure.trunk.head import check_head, head_signs
 from mammometry.measure.trunk.skin_map import PIXEL_MM, Relief, dense_samples, lay_flat
 from mammometry.measure.trunk.thorax import Skin, Thorax, Trunk, find_trunk, fit_thorax, seen_faces, seen_skin
 from mammometry.surface.repair import RepairedSurface
@@ -136,7 +137,7 @@ def find_breasts(
     best = _best_round(surface, skin, body, settings, thorax_settings)
     thorax, relief, sides = best.thorax, best.relief, best.sides
     outlined = [side.crease for side in sides.values() if side.verdict == "breast"]
-    head = check_head(skin, thorax.trunk, [fuller_below(crease, relief) for crease in outlined])
+    head = check_head(head_signs(skin, thorax.trunk, [fuller_below(crease, relief) for crease in outlined]))
     results: dict[SideName, Outline | NoBreast] = {}
     refused: list[MeasureError] = []
     for name, side in sides.items():
@@ -193,7 +194,8 @@ def _best_round(
     most: dict[SideName, float] = {}
     best: _Round | None = None
     for _ in range(_ROUNDS):
-        trunk = find_trunk(skin, body.frame, thorax_settings, height_of=height_of)
+        middle_of = None if body.plane is None else body.point_world
+        trunk = find_trunk(skin, body.frame, thorax_settings, height_of=height_of, middle_of=middle_of)
         thorax = fit_thorax(trunk, skin.chosen(outside), thorax_settings, breasts_left_out=not outside.all())
         relief = lay_flat(thorax, samples, thorax_settings)
         this = _Round(thorax=thorax, relief=relief, sides=_sides(relief, trunk, settings))

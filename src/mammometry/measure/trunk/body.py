@@ -24,8 +24,6 @@ from mammometry.surface.repair import RepairedSurface
 Mounting: TypeAlias = Literal["upright", "upside-down", "left", "right"]
 """Where a camera's top points, as seen from behind it."""
 
-HEAD_NOT_SHOWN = "does not show where the head is"
-"""Words in a boundary's method that make left and right rest on the cameras' mounting alone."""
 _BESIDE_MM = 10.0  # skin this near to a boundary counts as breast; chosen by eye
 _WINDOW_MM = 250.0  # skin this near to the breasts' middle shows the plane; chosen by eye
 _SAMPLES = 60_000  # of the skin that show the plane; chosen for speed
@@ -37,18 +35,8 @@ _CELL_DEG, _CELL_MM = 3.0, 12.0  # in which the trunk's radius is averaged for t
 _MISFIT_MM = 10.0  # at which a misfit of both sides is limited; chosen by eye
 _TURN_MM_PER_DEG = 0.01  # cost of a turn, so that a round trunk is left as the cameras have it
 _FEWEST_CELLS = 60  # pairs of cells that must be seen on both sides; chosen by eye
-_SHOULDERS = (1.15, 1.7)  # half widths from the axis at which arms leave the trunk; chosen by eye
-_FEWEST_SHOULDER = 200  # samples of skin there for it to say anything
-_CLEAR_SHOULDERS = 0.6
-"""Balance of that skin below which it says nothing: arms that hang are seen at all heights (−.5 to .2 on three upright
-bodies); raised ones, or on a frame, gave .7 to 1 on nine."""
 _LEAN = 0.2  # sine of the angle between normal and level at which a normal counts half; chosen by eye
 _AXIS_ROUNDS = 20  # of reweighting the normals; chosen by eye
-_CONTRADICTED = -0.5
-"""Signs of the head's end (−2 to 2) below which the body contradicts the cameras. Chosen by eye: arms gave .7 to .9 on
-six bodies, natural breasts .8 to 1 on three (docs/decisions/0026)."""
-_SHOWN = 0.3
-"""Signs above which the body shows the head up. Mounds, which say nothing, gave −.05 to .3."""
 _STARTS_DEG = (0.0, -10.0, 10.0, -20.0, 20.0)  # turns about the axis that are tried
 _FACING_ROUNDS = 3  # of finding the axis and straight ahead, each from the other; chosen by eye
 
@@ -253,61 +241,6 @@ def lies_across(skin: Skin, frame: Float64[Array, "3 3"]) -> bool:
         return float(weights.mean()), abs(float(axis @ frame[0])) - abs(float(axis @ frame[1]))
 
     return max(level(frame[1]), level(frame[0]))[1] > 0
-
-
-def shoulders_above(skin: Skin, trunk: Trunk) -> float:
-    """Balance of armpit skin above and below the middle, −1 to 1.
-
-    Share of the skin where arms leave the trunk above the middle, less that below. 0 if no such skin was seen, or as
-    much at either end, as with arms that hang.
-    """
-    local = (skin.points_world - trunk.origin) @ trunk.frame.T
-    near, far = _SHOULDERS
-    aside = np.abs(local[:, 0]) / trunk.half_width_mm
-    there = local[(aside > near) & (aside < far), 1]
-    balance = float(np.sign(there).mean()) if len(there) >= _FEWEST_SHOULDER else 0.0
-    return balance if abs(balance) >= _CLEAR_SHOULDERS else 0.0
-
-
-def check_head(skin: Skin, trunk: Trunk, fuller_below: Sequence[float]) -> str:
-    """Compare where the cameras have the head with what the body shows.
-
-    A contradiction is refused, never swapped.
-
-    Args:
-        skin: what was seen of the torso.
-        trunk: its axis, at the height of the breasts.
-        fuller_below: for each breast that was found, how much fuller and sharper its lower end is, −1 to 1.
-
-    Returns:
-        What the body says, a clause.
-
-    Raises:
-        MeasureError: the body shows the head at the other end.
-    """
-    shoulders = shoulders_above(skin, trunk)
-    breasts = float(np.mean(fuller_below)) if fuller_below else 0.0
-    signs = []
-    if shoulders:
-        signs.append(f"{50 * (1 + abs(shoulders)):.0f} % of the skin where arms leave the trunk is {_end(shoulders)}")
-    if breasts:
-        signs.append(f"the breasts are fuller {_end(-breasts)}")
-    if shoulders + breasts < _CONTRADICTED:
-        raise MeasureError(
-            "torso",
-            found=f"the head at the lower end, as the cameras are mounted: {' and '.join(signs)}",
-            expected="an upright patient in front of the cameras, head up",
-            remedy='Say in session.toml how the cameras are mounted, for example rig.mounting = "upside-down"; '
-            "otherwise left and right are exchanged",
-        )
-    if shoulders + breasts < _SHOWN:
-        unsure = f" ({' and '.join(signs)})" if signs else ""
-        return f"the body {HEAD_NOT_SHOWN}{unsure}: only the cameras' mounting does"
-    return "the body shows the head up: " + " and ".join(signs)
-
-
-def _end(above: float) -> str:
-    return "above" if above > 0 else "below"
 
 
 def _plane(

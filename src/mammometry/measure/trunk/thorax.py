@@ -27,12 +27,11 @@ further ahead. Chosen by eye: a boundary 121 mm wide that tilts back by 7.7° (r
 medial end.
 """
 _MIDDLE_MM = 15.0  # skin this near to the middle between both sides shows the breastbone; chosen by eye
-_OUTERMOST = (0.01, 0.99)  # quantiles of the seen skin's place across, whose middle is the trunk's; chosen by eye
 _HALF_WIDTHS_MM, _DEPTHS_MM = (95.0, 260.0), (50.0, 220.0)
 """Half widths of a trunk, and depths of its axis behind the breastbone, outside which the sides are wrong. Chosen by
 eye, far wider than adults.
 """
-_ASKEW = 0.35  # share of the half width by which the axis may lie beside the seen skin's middle; chosen by eye
+_ASKEW = 0.35  # share of the half width by which the axis may lie beside the middle; chosen by eye
 ASSUMED_DEPTH_MM, ASSUMED_HALF_WIDTH_MM = 110.0, 150.0
 """Assumed depth of the axis behind the breastbone, and half width, if no sides were seen: chosen by eye. It matters
 little: from 80 to 170 mm a breast's volume changes by 5 % (145 breasts of real women: +3.5, +5.4, +7.1, +8.6 % at 80,
@@ -184,6 +183,7 @@ def find_trunk(
     settings: ThoraxSettings = ThoraxSettings(),
     *,
     height_of: Float64[Array, 3] | None = None,
+    middle_of: Float64[Array, 3] | None = None,
 ) -> Trunk:
     """Find the trunk's axis from the skin.
 
@@ -196,15 +196,17 @@ def find_trunk(
         frame: patient's left, head, straight ahead (rows), roughly.
         settings: which skin counts as side.
         height_of: a world point at the breasts' height; without it the middle of the seen skin.
+        middle_of: a world point of the mid-sagittal plane, where it is known; without it the middle of the skin that
+            faces ahead.
 
     Raises:
         MeasureError: no skin was seen at the breasts' height.
     """
     every = max(1, len(skin.points_world) // _AXIS_SAMPLES)
-    points, normals = skin.points_world[::every], skin.normals_world[::every]
-    turned_up = orthonormal(_axis(normals, frame, settings), frame[2])
-    found = _between_sides(points, normals, turned_up, height_of)
-    return _behind_breastbone(points, normals, frame, height_of) if found is None else found
+    sampled = skin.chosen(slice(None, None, every))
+    turned_up = orthonormal(_axis(sampled.normals_world, frame, settings), frame[2])
+    found = _between_sides(_front(sampled, turned_up, height_of, middle_of), turned_up)
+    return _behind_breastbone(_front(sampled, frame, height_of, middle_of), frame) if found is None else found
 
 
 def _axis(normals: Float64[Array, "n 3"], frame: Float64[Array, "3 3"], settings: ThoraxSettings) -> Float64[Array, 3]:
@@ -225,20 +227,29 @@ def _axis(normals: Float64[Array, "n 3"], frame: Float64[Array, "3 3"], settings
     return np.asarray(axis)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Front:
+    """Seen skin at the breasts' height, in a frame."""
+
+    local: Float64[Array, "n 3"]
+    azimuth_deg: Float64[Array, " n"]
+    """Of its normals, from straight ahead towards the patient's left."""
+    bone: Float64[Array, 3]
+    """The breastbone's place."""
+
+
 def _front(
-    points: Float64[Array, "n 3"],
-    normals: Float64[Array, "n 3"],
+    skin: Skin,
     frame: Float64[Array, "3 3"],
     height_of: Float64[Array, 3] | None,
-) -> tuple[Float64[Array, "n 3"], Float64[Array, " n"], Float64[Array, 3]]:
-    """Seen skin at breast height, its azimuth, and the breastbone's place.
-
-    In the frame. The azimuth is in degrees.
+    middle_of: Float64[Array, 3] | None,
+) -> _Front:
+    """Seen skin at breast height, and the breastbone.
 
     Raises:
         MeasureError: none was seen there.
     """
-    local, turned = points @ frame.T, normals @ frame.T
+    local, turned = skin.points_world @ frame.T, skin.normals_world @ frame.T
     height = float(np.median(local[:, 1]) if height_of is None else height_of @ frame[1])
     there = np.abs(local[:, 1] - height) < _SIDE_BAND_MM
     if there.sum() < _FEWEST_SIDE:
@@ -249,23 +260,29 @@ def _front(
             remedy="Check that the boundaries are of this surface, and in millimetres",
         )
     local, turned = local[there], turned[there]
-    middle = float(np.mean(np.quantile(local[:, 0], _OUTERMOST)))
+    middle = _middle(local[:, 0], turned[:, 2]) if middle_of is None else float(middle_of @ frame[0])
     between = np.abs(local[:, 0] - middle) < _MIDDLE_MM
     ahead = float(np.median(local[between, 2] if between.any() else local[:, 2]))
-    return local, np.rad2deg(np.arctan2(turned[:, 0], turned[:, 2])), np.array([middle, height, ahead])
+    azimuth_deg = np.rad2deg(np.arctan2(turned[:, 0], turned[:, 2]))
+    return _Front(local=local, azimuth_deg=azimuth_deg, bone=np.array([middle, height, ahead]))
 
 
-def _between_sides(
-    points: Float64[Array, "n 3"],
-    normals: Float64[Array, "n 3"],
-    frame: Float64[Array, "3 3"],
-    height_of: Float64[Array, 3] | None,
-) -> Trunk | None:
+def _middle(across: Float64[Array, " n"], ahead: Float64[Array, " n"]) -> float:
+    """Where half of the skin, as it is seen from straight ahead, lies on either side.
+
+    An arm that was seen on one side alone hardly moves it. A breast does not: it covers as much as a flat chest.
+    """
+    order = np.argsort(across)
+    covered = np.cumsum(np.clip(ahead, 0.0, None)[order])
+    return float(across[order][min(int(np.searchsorted(covered, covered[-1] / 2)), len(order) - 1)])
+
+
+def _between_sides(front: _Front, frame: Float64[Array, "3 3"]) -> Trunk | None:
     """The axis between the trunk's sides.
 
     None where they were not seen, or are none that a trunk has.
     """
-    local, azimuth, bone = _front(points, normals, frame, height_of)
+    local, azimuth, bone = front.local, front.azimuth_deg, front.bone
     low, high = _SIDE_AZIMUTH_DEG
     beside = (np.abs(azimuth) > low) & (np.abs(azimuth) < high) & (local[:, 2] < bone[2] - _BEHIND_FRONT_MM)
     left, right = (local[beside & (sign * azimuth > 0) & (sign * (local[:, 0] - bone[0]) > 0)] for sign in (1, -1))
@@ -283,14 +300,8 @@ def _between_sides(
     return Trunk(frame=frame, origin=place @ frame, half_width_mm=half_width)
 
 
-def _behind_breastbone(
-    points: Float64[Array, "n 3"],
-    normals: Float64[Array, "n 3"],
-    frame: Float64[Array, "3 3"],
-    height_of: Float64[Array, 3] | None,
-) -> Trunk:
-    bone = _front(points, normals, frame, height_of)[2]
-    place = bone - [0.0, 0.0, ASSUMED_DEPTH_MM]
+def _behind_breastbone(front: _Front, frame: Float64[Array, "3 3"]) -> Trunk:
+    place = front.bone - [0.0, 0.0, ASSUMED_DEPTH_MM]
     return Trunk(frame=frame, origin=place @ frame, half_width_mm=ASSUMED_HALF_WIDTH_MM, assumed=True)
 
 

@@ -1,0 +1,159 @@
+"""Which end of the trunk is the head's, as the body itself shows it.
+
+Four signs, each between −1 and 1, and each with the other sign once the body is turned over. None of them holds for
+every body: arms that hang are seen at all heights, and mounds are as full above as below. So they are added.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mammometry.base.errors import MeasureError
+from mammometry.geometry.arrays import Array, Float64
+from mammometry.measure.trunk.thorax import Skin, Trunk
+
+HEAD_NOT_SHOWN = "does not show where the head is"
+"""Words in a boundary's method that make left and right rest on the cameras' mounting alone."""
+_SHOULDERS = (1.15, 1.7)  # half widths from the axis at which arms leave the trunk; chosen by eye
+_FEWEST = 200  # samples of skin for a sign to say anything
+_CLEAR_SHOULDERS = 0.6
+"""Balance of that skin below which it says nothing: arms that hang are seen at all heights (−.7 to .6 on upright
+bodies); raised ones, or on a frame, gave .7 to 1."""
+_FLANK_DEG, _FLANK = (65.0, 115.0), (0.75, 1.15)
+"""Skin that faces aside (degrees from straight ahead) this many half widths from the axis is the trunk's flank."""
+_FLANK_MM = 200.0  # flanks are looked at this far up and down; chosen by eye
+_MIDLINE_MM, _BIN_MM = 20.0, 10.0  # half width of the strip along the midline, and height of its parts; chosen by eye
+_FRONT_MM = (40.0, 230.0)  # heights above and below the breasts at which the strip is compared; chosen by eye
+_FEWEST_IN_BIN, _FEWEST_BINS = 5, 5  # samples of a part, and parts seen both above and below
+_SLOPE = 0.2  # sine of the mean slope at which the strip says all it can; upright bodies have .02 to 1
+_CONTRADICTED = -0.5
+"""Sum of the signs below which the body contradicts the cameras (docs/decisions/0026)."""
+_SHOWN = 0.5
+"""Sum above which the body shows the head up."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HeadSigns:
+    """What the body shows, each from −1 (the head is at the other end) to 1. 0 says nothing."""
+
+    arms: float
+    """Arms leave the trunk at the head's end."""
+    breasts: float
+    """A breast is fuller and its crease sharper at the feet's end."""
+    flanks: float
+    """The trunk's own sides are seen from the armpits to the feet's end. Arms cover them at the head's."""
+    front: float
+    """The breastbone and what lies above slope back towards the neck. The belly slopes less, or forwards."""
+
+    @property
+    def together(self) -> float:
+        """Sum of all."""
+        return self.arms + self.breasts + self.flanks + self.front
+
+    def words(self) -> str:
+        """The signs that say something, a clause."""
+        said = []
+        if self.arms:
+            share = 50 * (1 + abs(self.arms))
+            said.append(f"{share:.0f} % of the skin where arms leave the trunk is {_end(self.arms)}")
+        if self.breasts:
+            said.append(f"the breasts are fuller {_end(-self.breasts)}")
+        if self.flanks:
+            said.append(f"the trunk's sides are seen more {_end(-self.flanks)}")
+        if self.front:
+            said.append(f"the chest slopes back {_end(self.front)}")
+        return " and ".join(said)
+
+
+def head_signs(skin: Skin, trunk: Trunk, fuller_below: Sequence[float]) -> HeadSigns:
+    """Ask the body where its head is.
+
+    Args:
+        skin: what was seen of the torso.
+        trunk: its axis, at the height of the breasts.
+        fuller_below: for each breast that was found, how much fuller and sharper its lower end is, −1 to 1. The one
+            that says most counts: a mound beside it says nothing.
+    """
+    local = (skin.points_world - trunk.origin) @ trunk.frame.T
+    normals = skin.normals_world @ trunk.frame.T
+    return HeadSigns(
+        arms=_arms(local, trunk),
+        breasts=float(max(fuller_below, key=abs, default=0.0)),
+        flanks=_flanks(local, normals, trunk),
+        front=_front(local, normals),
+    )
+
+
+def check_head(signs: HeadSigns) -> str:
+    """Compare where the cameras have the head with what the body shows.
+
+    A contradiction is refused, never swapped.
+
+    Returns:
+        What the body says, a clause.
+
+    Raises:
+        MeasureError: the body shows the head at the other end.
+    """
+    words = signs.words()
+    if signs.together < _CONTRADICTED:
+        raise MeasureError(
+            "torso",
+            found=f"the head at the lower end, as the cameras are mounted: {words}",
+            expected="an upright patient in front of the cameras, head up",
+            remedy='Say in session.toml how the cameras are mounted, for example rig.mounting = "upside-down"; '
+            "otherwise left and right are exchanged",
+        )
+    if signs.together < _SHOWN:
+        unsure = f" ({words})" if words else ""
+        return f"the body {HEAD_NOT_SHOWN}{unsure}: only the cameras' mounting does"
+    return f"the body shows the head up: {words}"
+
+
+def _end(above: float) -> str:
+    return "above" if above > 0 else "below"
+
+
+def _arms(local: Float64[Array, "n 3"], trunk: Trunk) -> float:
+    """Share of the skin where arms leave the trunk above the middle, less that below.
+
+    0 if no such skin was seen, or nearly as much at either end, as with arms that hang.
+    """
+    near, far = _SHOULDERS
+    aside = np.abs(local[:, 0]) / trunk.half_width_mm
+    there = local[(aside > near) & (aside < far), 1]
+    balance = float(np.sign(there).mean()) if len(there) >= _FEWEST else 0.0
+    return balance if abs(balance) >= _CLEAR_SHOULDERS else 0.0
+
+
+def _flanks(local: Float64[Array, "n 3"], normals: Float64[Array, "n 3"], trunk: Trunk) -> float:
+    """Share of the flanks' skin below the middle, less that above. The mean of those sides that were seen."""
+    aside = np.abs(local[:, 0]) / trunk.half_width_mm
+    turned_deg = np.abs(np.rad2deg(np.arctan2(normals[:, 0], normals[:, 2])))
+    there = (turned_deg > _FLANK_DEG[0]) & (turned_deg < _FLANK_DEG[1]) & (aside > _FLANK[0]) & (aside < _FLANK[1])
+    there &= (normals[:, 0] * local[:, 0] > 0) & (np.abs(local[:, 1]) < _FLANK_MM)
+    sides = [local[there & (sign * local[:, 0] > 0), 1] for sign in (1, -1)]
+    balances = [-float(np.sign(side).mean()) for side in sides if len(side) >= _FEWEST]
+    return float(np.mean(balances)) if balances else 0.0
+
+
+def _front(local: Float64[Array, "n 3"], normals: Float64[Array, "n 3"]) -> float:
+    """How much more the midline's skin faces the head above the middle than it faces the feet below.
+
+    Parts of the strip are compared with those as far below, so that it does not matter how much was pictured.
+    """
+    there = (np.abs(local[:, 0]) < _MIDLINE_MM) & (local[:, 2] > 0) & (normals[:, 2] > 0)
+    part = np.round(local[there, 1] / _BIN_MM).astype(int)
+    first, last = (round(height / _BIN_MM) for height in _FRONT_MM)
+    within = np.abs(part) <= last
+    count = np.bincount(part[within] + last, minlength=2 * last + 1)
+    upwards = np.bincount(part[within] + last, normals[there, 1][within], minlength=2 * last + 1) / np.maximum(count, 1)
+    steps = np.arange(first, last + 1)
+    both = np.minimum(count[last + steps], count[last - steps]) >= _FEWEST_IN_BIN
+    if both.sum() < _FEWEST_BINS:
+        return 0.0
+    slope = (upwards[last + steps] + upwards[last - steps])[both].mean()
+    return float(np.clip(slope / _SLOPE, -1.0, 1.0))
