@@ -148,10 +148,10 @@ def _cut_off(
     """
     lost, taken = bright & ~found.subject, found.near & bright
     labels, count = ndimage.label(bright)
-    if count < 2 or not taken.any():
+    if count < 2 or not taken.any() or not lost.any():
         return np.zeros_like(bright)
     numbers = np.arange(count + 1)
-    alike = _Colours(encoded, taken).ratio(taken, ~bright, by_light=False) > 1
+    alike = _Colours(encoded, taken).ratio(taken, lost, by_light=False) > 1 / _SURE
     apart = ~(ndimage.sum_labels(bright & found.subject, labels, numbers) > 0)
     apart &= ~(ndimage.sum_labels(far, labels, numbers) > 0)
     apart &= ndimage.sum_labels(alike, labels, numbers) >= _CUT_OFF * ndimage.sum_labels(bright, labels, numbers)
