@@ -33,6 +33,7 @@ _SMALLEST_PART = 0.02  # of the largest part
 _MISSED, _BEHIND, _BEYOND = 0.04, 0.02, 0.04
 _FAR_END = 0.04, 0.15  # of the bright subject: far places in it, and what they would take off, if it is an arm's end
 _LONG_END, _NECK = 0.3, 0.25  # of the bright subject, if it is joined to the rest by so much of its rim; chosen by eye
+_CUT_OFF = 0.9  # of a part that something parts from the rest: its blocks of the subject's chromaticity; by eye
 _AROUND, _WITHIN = 1.5, 0.95  # times the bright subject, of which so much is within: it lies on something
 
 
@@ -109,7 +110,8 @@ def agreed(
     behind = np.count_nonzero(found.far & bright) / size
     other = _unlike_the_rest(encoded, found.near, bright)
     missed = np.count_nonzero(found.near & ~bright & ~other) / np.count_nonzero(found.near)
-    beyond = np.count_nonzero(bright & ~found.subject) / size
+    cut_off = _cut_off(encoded, bright, found, far)
+    beyond = np.count_nonzero(bright & ~found.subject & ~cut_off) / size
     if missed <= _MISSED and behind <= _BEHIND and beyond <= _BEYOND:
         return bright
     around = (
@@ -119,7 +121,7 @@ def agreed(
         return bright
     if other.any():
         found = segment_by_depth(encoded, near & ~other, far | other, unit) or found
-    return found.subject if found.bounded else None
+    return found.subject | cut_off if found.bounded else None
 
 
 def _by_a_neck(bright: Bool[Array, "h w"], kept: Bool[Array, "h w"], far: Bool[Array, "h w"]) -> bool:
@@ -135,6 +137,27 @@ def _by_a_neck(bright: Bool[Array, "h w"], kept: Bool[Array, "h w"], far: Bool[A
     taken = ndimage.sum_labels(far, labels, numbers) > 0
     rims, joints = (ndimage.sum_labels(each, labels, numbers) for each in (rim, joined))
     return bool(np.all(joints[taken] <= _NECK * rims[taken]))
+
+
+def _cut_off(
+    encoded: Float32[Array, "h w channels"], bright: Bool[Array, "h w"], found: ByDepth, far: Bool[Array, "h w"]
+) -> Bool[Array, "h w"]:
+    """Parts of the bright subject that do not touch what depth joins to the seeds.
+
+    A rail before the body parts them. They have the subject's chromaticity, and no depth contradicts them.
+    """
+    lost, taken = bright & ~found.subject, found.near & bright
+    labels, count = ndimage.label(bright)
+    if count < 2 or not taken.any() or not lost.any():
+        return np.zeros_like(bright)
+    numbers = np.arange(count + 1)
+    alike = _Colours(encoded, taken).ratio(taken, lost, by_light=False) > 1 / _SURE
+    apart = ~(ndimage.sum_labels(bright & found.subject, labels, numbers) > 0)
+    apart &= ~(ndimage.sum_labels(far, labels, numbers) > 0)
+    apart &= ndimage.sum_labels(alike, labels, numbers) >= _CUT_OFF * ndimage.sum_labels(bright, labels, numbers)
+    apart[0] = False
+    found_apart: Bool[Array, "h w"] = apart[labels] & lost
+    return found_apart
 
 
 def _unlike_the_rest(
