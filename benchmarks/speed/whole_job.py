@@ -4,7 +4,8 @@
 
 Renders a capture of its own at 1/16, 1/4 and all of the reference rig's pixels (a plaster breast; `--scales` for
 others), with its true cameras for a calibration, and runs the job in a process of its own after a warm-up at a small
-size. "Processor" counts all cores' seconds: on a machine that others use, too, it is the steadier figure.
+size. "Processor" counts all cores' seconds and all processes: on a machine that others use, too, it is the steadier
+figure. Then `mammometry run` by itself, which calibrates nothing here, but draws beside and writes the report.
 The growth exponent is the slope of log(time) over log(pixels): 1 where time is proportional to the pixels.
 """
 
@@ -20,8 +21,11 @@ import subprocess
 import sys
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
+
+import psutil
 
 from benchmarks.speed.reference import beside
 from mammometry.io.cameras.own import cameras_table
@@ -32,6 +36,7 @@ from mammometry.simulate.session import write_session
 SCALES = (0.25, 0.5, 1.0)  # of the sides: 1/16, 1/4 and all of the pixels
 STAGES: tuple[Stage, ...] = ("match", "surface", "measure")
 _WARM = 0.1
+_LOOK_S = 0.2  # between two looks at the memory
 _PIXELS = 8 * 4504 * 3000
 
 
@@ -50,11 +55,11 @@ def run_stages(folder: Path, stages: Sequence[Stage] = STAGES) -> dict[str, dict
     job = mm.open_session(folder)
     rows = {}
     for stage in stages:
-        wall, processor = time.monotonic(), time.process_time()
+        wall, processor = time.monotonic(), sum(os.times()[:4])
         job.ensure(stage)
         rows[stage] = {
             "wall_s": time.monotonic() - wall,
-            "processor_s": time.process_time() - processor,
+            "processor_s": sum(os.times()[:4]) - processor,
             "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
         }
     return rows
@@ -72,14 +77,46 @@ def measured(folder: Path, warm: Path, stages: Sequence[Stage] = STAGES) -> dict
     return rows
 
 
+def whole_run(folder: Path) -> dict[str, float]:
+    """`mammometry run`, with report: seconds, and the greatest memory of all its processes together.
+
+    Memory that processes share counts once (proportional set size), where the system tells it.
+    """
+    _forget(folder / "results")
+    wall, spent, peak = time.monotonic(), os.times(), 0.0
+    command = [sys.executable, "-m", "mammometry", "run", str(folder), "--quiet"]
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL) as process:
+        while process.poll() is None:
+            peak = max(peak, memory_mb(process.pid))
+            time.sleep(_LOOK_S)
+    if process.returncode:
+        raise SystemExit(f"mammometry run {folder} ended with {process.returncode}")
+    after = os.times()
+    processor = after.children_user + after.children_system - spent.children_user - spent.children_system
+    return {"wall_s": time.monotonic() - wall, "processor_s": processor, "peak_mb": peak}
+
+
+def memory_mb(pid: int) -> float:
+    """Memory of a process and of those that it started, MB."""
+    total = 0.0
+    with suppress(psutil.Error):
+        whole = psutil.Process(pid)
+        for each in [whole, *whole.children(recursive=True)]:
+            with suppress(psutil.Error):
+                full = each.memory_full_info()
+                total += getattr(full, "pss", full.rss) / 1e6
+    return total
+
+
 def table(rows: dict[float, dict[str, dict[str, float]]]) -> str:
     """Markdown: one row a stage, one column a size, and the exponent between the first and the last."""
     scales = list(rows)
     pixels = {scale: _PIXELS * scale * scale for scale in scales}
     head = ["stage", *(f"{pixels[scale] / 1e6:.1f} Mpx: wall s (processor s), peak MB" for scale in scales), "exponent"]
     lines = [head, ["---"] * len(head)]
-    sums = {"images to textured mesh": ("match", "surface"), "whole": STAGES}
-    for stage, parts in ({name: (name,) for name in STAGES} | sums).items():
+    sums = {"images to textured mesh": ("match", "surface"), "stages one by one": STAGES}
+    whole = {"run, with report": ("run",)} if all("run" in rows[scale] for scale in scales) else {}
+    for stage, parts in ({name: (name,) for name in STAGES} | sums | whole).items():
         cells, seconds = [], []
         for scale in scales:
             chosen = [rows[scale][name] for name in parts]
@@ -111,7 +148,8 @@ def main() -> None:
         session = make_session(arguments.out / f"scale_{scale:g}", scale, arguments.subject)
         with beside() as reference:
             rows[scale] = measured(session, warm)
-        whole = sum(row["wall_s"] for row in rows[scale].values())
+            rows[scale]["run"] = whole_run(session)
+        whole = sum(row["wall_s"] for name, row in rows[scale].items() if name != "run")
         print(f"scale {scale:g}: {whole:.1f} s; {reference}", file=sys.stderr, flush=True)
     (arguments.out / "whole_job.json").write_text(json.dumps(rows, indent=1))
     print(f"{len(os.sched_getaffinity(0))} cores\n\n{table(rows)}")

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import psutil
 import pytest
 
 from mammometry.api import previews
@@ -102,3 +103,15 @@ def test_what_the_report_says_of_a_stage_is_the_same_with_its_pictures_and_witho
     assert matched.quality.keys() == matched.shares.keys() == job.session.pair_names.keys()
     _, surfaced = stage_facts.drawn("surface", plan, inputs)
     assert surfaced == stage_facts.surface_facts(plan)
+
+
+def test_ctrl_c_ends_both_and_leaves_nothing_half_written(job: Job, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(self: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(type(job.plan.matched), "ensure", interrupted)
+    before = {process.pid for process in psutil.Process().children()}
+    with pytest.raises(KeyboardInterrupt):
+        job.ensure("match")
+    assert {process.pid for process in psutil.Process().children()} <= before
+    assert not list(job.session.results.glob(".writing-*"))

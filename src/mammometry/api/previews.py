@@ -119,8 +119,6 @@ class Previews:
         return facts
 
     def _drawn(self, stage: Stage, second: SecondProcess | None) -> tuple[dict[str, bytes], Facts]:
-        from mammometry.report.stage_facts import drawn
-
         if second is not None:
             try:
                 return second.call(_draw, self.session, self.settings, stage)
@@ -128,6 +126,8 @@ class Previews:
                 raise
             except NotDone as why:
                 _LOG.warning("the previews of %s are drawn here: %s", stage, why)
+        from mammometry.report.stage_facts import drawn  # half a second, and the report alone may never be wanted
+
         return drawn(stage, self.plan, self.inputs)
 
 

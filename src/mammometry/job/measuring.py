@@ -201,8 +201,8 @@ def _boundaries(
         parents={
             "cameras": upstream.cameras,
             "repaired": upstream.repaired,
+            "sides": sides,  # made before the foregrounds, which are large, are read back
             "foregrounds": upstream.foregrounds,
-            "sides": sides,
         },
         settings=settings,
         inputs=digests,

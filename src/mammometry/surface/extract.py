@@ -12,7 +12,6 @@ import numpy as np
 
 from mammometry.base.errors import SurfaceError
 from mammometry.base.progress import Progress, no_progress, part
-from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.camera import Rig
 from mammometry.geometry.mesh import TriangleMesh, on_microns
 from mammometry.matching.foreground import Foreground
@@ -59,13 +58,11 @@ def extract(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Solid:
-    """The signed distance to mesh: all that is needed of range images and silhouettes, in a third of their memory."""
+    """The signed distance to mesh. Silhouettes, which are large, are needed no more."""
 
     distance: Field
-    seeds: Float64[Array, "n 3"]
-    """Points near which the surface passes, world frame, mm."""
-    pairs: tuple[str, ...]
-    """Pairs that have data."""
+    seen: tuple[RangeImage, ...]
+    """Range images with data: the surface passes near those."""
 
 
 def solid_of(
@@ -84,7 +81,7 @@ def solid_of(
     check_agreement(seen)
     box = closing_box_of(seen, settings)
     distance = build_field(seen, foregrounds, rig, box, settings.field, settings.rule)
-    return Solid(distance=distance, seeds=block_seeds(seen), pairs=tuple(image.name for image in seen))
+    return Solid(distance=distance, seen=tuple(seen))
 
 
 def meshed(
@@ -113,7 +110,7 @@ def meshed(
             best = candidate
     if len(best.faces) == 0:
         raise SurfaceError(
-            f"pairs {', '.join(solid.pairs)}",
+            f"pairs {', '.join(image.name for image in solid.seen)}",
             found="range data and silhouettes that enclose nothing",
             expected="silhouettes around the surface that the range data show",
             remedy="Look at the foreground previews: a mask may be inverted or belong to another photograph",
@@ -133,7 +130,7 @@ def _surface(
     grid = sample_blocks(
         solid.distance.sample,
         np.array([corners.min(axis=0), corners.max(axis=0)]),
-        solid.seeds,
+        block_seeds(solid.seen),
         cube_mm=settings.cube_mm,
         truncation_mm=settings.field.truncation_mm,
         near_mm=near_mm,
