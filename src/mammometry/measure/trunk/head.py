@@ -1,6 +1,6 @@
 """Which end of the trunk is the head's, as the body itself shows it.
 
-Four signs, each between −1 and 1, and each with the other sign once the body is turned over. None of them holds for
+Four signs, each between −1 and 1 at most, and each with the other sign once the body is turned over. None of them holds for
 every body: arms that hang are seen at all heights, and mounds are as full above as below. So they are added.
 """
 
@@ -28,7 +28,10 @@ _FLANK_MM = 200.0  # flanks are looked at this far up and down; chosen by eye
 _MIDLINE_MM, _BIN_MM = 20.0, 10.0  # half width of the strip along the midline, and height of its parts; chosen by eye
 _FRONT_MM = (40.0, 230.0)  # heights above and below the breasts at which the strip is compared; chosen by eye
 _FEWEST_IN_BIN, _FEWEST_BINS = 5, 5  # samples of a part, and parts seen both above and below
-_SLOPE = 0.2  # sine of the mean slope at which the strip says all it can; upright bodies have .02 to 1
+_SLOPE = 0.2  # sine of the mean slope at which the strip says all it can; upright bodies have −.04 to 1
+_FRONT_SHARE = 0.5
+"""What the strip says at most: half of the others. A chest that stands out over a flat belly slopes as much below as
+above (an independent renderer's body: −.1)."""
 _CONTRADICTED = -0.5
 """Sum of the signs below which the body contradicts the cameras (docs/decisions/0026)."""
 _SHOWN = 0.5
@@ -46,7 +49,8 @@ class HeadSigns:
     flanks: float
     """The trunk's own sides are seen from the armpits to the feet's end. Arms cover them at the head's."""
     front: float
-    """The breastbone and what lies above slope back towards the neck. The belly slopes less, or forwards."""
+    """The breastbone and what lies above slope back towards the neck. The belly slopes less, or forwards. Between −.5
+    and .5."""
 
     @property
     def together(self) -> float:
@@ -156,4 +160,4 @@ def _front(local: Float64[Array, "n 3"], normals: Float64[Array, "n 3"]) -> floa
     if both.sum() < _FEWEST_BINS:
         return 0.0
     slope = (upwards[last + steps] + upwards[last - steps])[both].mean()
-    return float(np.clip(slope / _SLOPE, -1.0, 1.0))
+    return _FRONT_SHARE * float(np.clip(slope / _SLOPE, -1.0, 1.0))
