@@ -55,7 +55,7 @@ def both(*skins: Skin) -> Skin:
     ("skin", "sign"),
     [
         (arms(80, 200), "arms"),
-        (flanks(-180, 60), "flanks"),
+        (both(flanks(-180, 60), midline(0.0, 0.0)), "flanks"),
         (midline(0.35, 0.05), "front"),
         (midline(0.3, -0.2), "front"),  # a belly that stands out
     ],
@@ -73,6 +73,12 @@ def test_each_sign_shows_the_head_and_turns_with_the_body(skin: Skin, sign: str)
 def test_arms_that_hang_say_nothing() -> None:
     """Seen from the shoulders to the hands, more of them below."""
     assert head_signs(arms(-250, 110), TRUNK, []).arms == 0
+
+
+def test_where_pictures_end_shows_no_head() -> None:
+    """Flanks without arms, seen from far above to just below the breasts."""
+    cropped = both(flanks(-70, 200), midline(0.0, 0.0, low=-70, high=200))
+    assert head_signs(cropped, TRUNK, []).flanks == pytest.approx(0.0, abs=0.1)
 
 
 def test_how_much_was_pictured_does_not_move_the_fronts_sign() -> None:
