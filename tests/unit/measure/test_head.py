@@ -55,14 +55,14 @@ def both(*skins: Skin) -> Skin:
     ("skin", "sign"),
     [
         (arms(80, 200), "arms"),
-        (flanks(-180, 60), "flanks"),
+        (both(flanks(-180, 60), midline(0.0, 0.0)), "flanks"),
         (midline(0.35, 0.05), "front"),
         (midline(0.3, -0.2), "front"),  # a belly that stands out
     ],
 )
 def test_each_sign_shows_the_head_and_turns_with_the_body(skin: Skin, sign: str) -> None:
     upright, over = (head_signs(skin, replace(TRUNK, frame=frame), []) for frame in (np.eye(3), OVER))
-    assert getattr(upright, sign) > 0.4
+    assert getattr(upright, sign) > 0.3
     assert getattr(over, sign) == pytest.approx(-getattr(upright, sign), abs=1e-9)
     assert upright.together == pytest.approx(getattr(upright, sign))  # the others say nothing
     ends = ("below", "above") if sign == "flanks" else ("above", "below")
@@ -75,12 +75,18 @@ def test_arms_that_hang_say_nothing() -> None:
     assert head_signs(arms(-250, 110), TRUNK, []).arms == 0
 
 
+def test_where_pictures_end_shows_no_head() -> None:
+    """Flanks without arms, seen from far above to just below the breasts."""
+    cropped = both(flanks(-70, 200), midline(0.0, 0.0, low=-70, high=200))
+    assert head_signs(cropped, TRUNK, []).flanks == pytest.approx(0.0, abs=0.1)
+
+
 def test_how_much_was_pictured_does_not_move_the_fronts_sign() -> None:
     """A belly that was pictured far down, and no neck: only what is seen at both ends counts."""
     near = head_signs(midline(0.25, 0.1, low=-120, high=120), TRUNK, []).front
     far = head_signs(midline(0.25, 0.1, low=-230, high=120), TRUNK, []).front
     assert near == pytest.approx(far, abs=0.02)
-    assert near == pytest.approx(0.15 / 0.2, abs=0.02)
+    assert near == pytest.approx(0.5 * 0.15 / 0.2, abs=0.02)
     assert head_signs(midline(0.25, 0.1, low=-230, high=50), TRUNK, []).front == 0  # too little above
 
 
@@ -94,12 +100,12 @@ def test_a_mound_beside_a_breast_says_nothing() -> None:
 def test_what_is_said_of_the_head() -> None:
     assert "head up" in check_head(replace(NOTHING, arms=1.0))
     assert HEAD_NOT_SHOWN in check_head(NOTHING)
-    assert "sides are seen more below" in check_head(replace(NOTHING, flanks=0.3))
+    assert "sides are seen more below" in check_head(replace(NOTHING, flanks=0.7))
     assert HEAD_NOT_SHOWN in check_head(replace(NOTHING, flanks=-0.3))
     with pytest.raises(MeasureError, match=r"head at the lower end.*slopes back below.*rig\.mounting"):
         check_head(replace(NOTHING, front=-0.4, breasts=-0.3))
-    # A clear sign outvotes a weak one, and arms that hang, as they are seen by cameras on their sides, do not refuse.
-    assert "head up" in check_head(HeadSigns(arms=-1.0, breasts=0.0, flanks=0.9, front=0.7))
+    # Arms that hang, of which cameras on their sides see only the lower ends, do not refuse an upright body.
+    assert HEAD_NOT_SHOWN in check_head(HeadSigns(arms=-1.0, breasts=0.0, flanks=0.9, front=0.4))
 
 
 def test_an_arm_on_one_side_alone_does_not_move_the_trunks_axis() -> None:

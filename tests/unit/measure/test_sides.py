@@ -153,6 +153,10 @@ def test_a_camera_turned_about_its_axis_and_named_so_gives_the_same_frame(mounti
         (14.0, 60.0, 0.55, 80.0, "none"),
         (15.2, 59.0, 0.68, 42.0, "none"),  # what photographs of `torso_one_side` gave once
         (14.0, 60.0, 0.55, 10.0, "unclear"),
+        (11.3, 48.0, 0.77, 14.0, "breast"),  # a mound of 80 cc from photographs, where the other breast is mirrored
+        (11.3, 48.0, 0.77, None, "unclear"),
+        (11.3, 48.0, 0.77, 40.0, "none"),
+        (11.3, 48.0, 0.67, 14.0, "unclear"),
         (14.0, 60.0, 0.55, None, "unclear"),
         (14.0, 120.0, 0.55, 80.0, "unclear"),
         (40.0, 400.0, 0.5, None, "breast"),

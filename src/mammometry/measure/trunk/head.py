@@ -1,6 +1,6 @@
 """Which end of the trunk is the head's, as the body itself shows it.
 
-Four signs, each between −1 and 1, and each with the other sign once the body is turned over. None of them holds for
+Four signs, each between −1 and 1 at most, and each with the other sign once the body is turned over. None of them holds for
 every body: arms that hang are seen at all heights, and mounds are as full above as below. So they are added.
 """
 
@@ -24,11 +24,16 @@ _CLEAR_SHOULDERS = 0.6
 bodies); raised ones, or on a frame, gave .7 to 1."""
 _FLANK_DEG, _FLANK = (65.0, 115.0), (0.75, 1.15)
 """Skin that faces aside (degrees from straight ahead) this many half widths from the axis is the trunk's flank."""
-_FLANK_MM = 200.0  # flanks are looked at this far up and down; chosen by eye
+_FLANK_MM = 200.0  # flanks are looked at this far up and down at most; chosen by eye
+_AHEAD, _LAST = 0.5, 0.005
+"""Skin within this share of the half width shows how far up and down pictures reach, but for this share of it."""
 _MIDLINE_MM, _BIN_MM = 20.0, 10.0  # half width of the strip along the midline, and height of its parts; chosen by eye
 _FRONT_MM = (40.0, 230.0)  # heights above and below the breasts at which the strip is compared; chosen by eye
 _FEWEST_IN_BIN, _FEWEST_BINS = 5, 5  # samples of a part, and parts seen both above and below
-_SLOPE = 0.2  # sine of the mean slope at which the strip says all it can; upright bodies have .02 to 1
+_SLOPE = 0.2  # sine of the mean slope at which the strip says all it can; upright bodies have −.04 to 1
+_FRONT_SHARE = 0.5
+"""What the strip says at most: half of the others. A chest that stands out over a flat belly slopes as much below as
+above (an independent renderer's body: −.1)."""
 _CONTRADICTED = -0.5
 """Sum of the signs below which the body contradicts the cameras (docs/decisions/0026)."""
 _SHOWN = 0.5
@@ -46,7 +51,8 @@ class HeadSigns:
     flanks: float
     """The trunk's own sides are seen from the armpits to the feet's end. Arms cover them at the head's."""
     front: float
-    """The breastbone and what lies above slope back towards the neck. The belly slopes less, or forwards."""
+    """The breastbone and what lies above slope back towards the neck. The belly slopes less, or forwards. Between −.5
+    and .5."""
 
     @property
     def together(self) -> float:
@@ -130,11 +136,19 @@ def _arms(local: Float64[Array, "n 3"], trunk: Trunk) -> float:
 
 
 def _flanks(local: Float64[Array, "n 3"], normals: Float64[Array, "n 3"], trunk: Trunk) -> float:
-    """Share of the flanks' skin below the middle, less that above. The mean of those sides that were seen."""
+    """Share of the flanks' skin below the middle, less that above. The mean of those sides that were seen.
+
+    Only as far up and down as the trunk's front was seen at both ends: where pictures end shows no head.
+    """
+    front = local[(np.abs(local[:, 0]) < _AHEAD * trunk.half_width_mm) & (local[:, 2] > 0), 1]
+    if len(front) < _FEWEST:
+        return 0.0
+    low, high = np.quantile(front, (_LAST, 1 - _LAST))
+    reach = min(_FLANK_MM, -float(low), float(high))
     aside = np.abs(local[:, 0]) / trunk.half_width_mm
     turned_deg = np.abs(np.rad2deg(np.arctan2(normals[:, 0], normals[:, 2])))
     there = (turned_deg > _FLANK_DEG[0]) & (turned_deg < _FLANK_DEG[1]) & (aside > _FLANK[0]) & (aside < _FLANK[1])
-    there &= (normals[:, 0] * local[:, 0] > 0) & (np.abs(local[:, 1]) < _FLANK_MM)
+    there &= (normals[:, 0] * local[:, 0] > 0) & (np.abs(local[:, 1]) < reach)
     sides = [local[there & (sign * local[:, 0] > 0), 1] for sign in (1, -1)]
     balances = [-float(np.sign(side).mean()) for side in sides if len(side) >= _FEWEST]
     return float(np.mean(balances)) if balances else 0.0
@@ -156,4 +170,4 @@ def _front(local: Float64[Array, "n 3"], normals: Float64[Array, "n 3"]) -> floa
     if both.sum() < _FEWEST_BINS:
         return 0.0
     slope = (upwards[last + steps] + upwards[last - steps])[both].mean()
-    return float(np.clip(slope / _SLOPE, -1.0, 1.0))
+    return _FRONT_SHARE * float(np.clip(slope / _SLOPE, -1.0, 1.0))
