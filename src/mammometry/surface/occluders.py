@@ -7,6 +7,9 @@ Something hides it there. Such places are unknown and carve nothing. A point tha
 no part of it: their silhouettes hold. A camera that is blocked at a place does not know what lies behind it, and has no
 vote there: votes are taken anew until no camera is found blocked at further places.
 
+Skin is measured up to half a window before what hides it. Where it faces the camera, a little more of it counts as
+measured (`past_edges`).
+
 Where no pair has measured the skin, since all see the same dark band on it, the skin on both sides tells (`slits`).
 What spans a slit counts like a measured point.
 """
@@ -22,6 +25,7 @@ from scipy import ndimage
 from mammometry.geometry.arrays import Array, Bool, Float64, Int64, read_only
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.matching.foreground import Foreground
+from mammometry.surface.past_edges import continued_world
 from mammometry.surface.range_image import RangeImage
 from mammometry.surface.slits import points_world, spanned_mm
 
@@ -79,15 +83,15 @@ def find_blocked(
     polls = []
     for image in range_images:
         points = image.valid_points_world()
-        points = points[:: max(1, len(points) // _SAMPLES)]
-        poll = _Poll(
-            count=len(points),
-            places={name: view.places(points) for name, view in views.items()},
-            voters=[name for name in views if name not in rig.pair_names[image.name]],
-        )
-        for name, at in poll.places.items():
-            np.minimum.at(views[name].depth_mm, (at.row[::2], at.column[::2]), at.depth_mm[::2])
-        polls.append(poll)
+        own = [views[name] for name in rig.pair_names[image.name] if name in views]
+        others = [name for name in views if name not in rig.pair_names[image.name]]
+        for seen in (points, _shown(continued_world(image), own)):
+            some = seen[:: max(1, len(seen) // _SAMPLES)]
+            places = {name: view.places(some) for name, view in views.items()}
+            polls.append(_Poll(count=len(some), places=places, voters=others))
+            if seen is points:
+                for name, at in places.items():
+                    np.minimum.at(views[name].depth_mm, (at.row[::2], at.column[::2]), at.depth_mm[::2])
     spans = {name: spanned_mm(view.camera, view.subject, view.step, view.depth_mm) for name, view in views.items()}
     shown = {name: view.near | np.isfinite(spans[name]) for name, view in views.items()}
     for name, view in views.items():
@@ -194,6 +198,17 @@ class _Poll:
     """Cameras that have a vote, and in which such points are counted."""
     shown: Mapping[str, Bool[Array, "H W"]] | None = None
     """Camera → what shows the subject. None: each silhouette."""
+
+
+def _shown(points_world: Float64[Array, "n 3"], views: Sequence[_View]) -> Float64[Array, "m 3"]:
+    """Points that all these views see on the subject."""
+    shown = np.ones(len(points_world), dtype=bool)
+    for view in views:
+        at = view.places(points_world)
+        on = np.zeros(len(points_world), dtype=bool)
+        on[at.index] = view.subject[at.row, at.column]
+        shown &= on
+    return points_world[shown]
 
 
 def _vote(
