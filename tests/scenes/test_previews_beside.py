@@ -61,6 +61,7 @@ def test_the_second_process_draws_the_same_bytes(
     assert sorted(job.store.made) == [f"{stage}/previews" for stage in ("calibrate", "match", "measure", "surface")]
 
 
+@pytest.mark.slow
 def test_one_core_draws_here(
     job: Job, drawn: dict[Path, bytes], calls: list[Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -71,6 +72,7 @@ def test_one_core_draws_here(
     assert {path: path.read_bytes() for path in there} == {path: drawn[path] for path in there}
 
 
+@pytest.mark.slow
 def test_what_it_cannot_draw_is_drawn_here(
     job: Job, drawn: dict[Path, bytes], monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -94,6 +96,7 @@ def test_what_hinders_their_writing_is_said_by_the_run(job: Job, monkeypatch: py
         job.ensure("match")
 
 
+@pytest.mark.slow
 def test_what_the_report_says_of_a_stage_is_the_same_with_its_pictures_and_without(job: Job) -> None:
     plan, inputs = job.plan, job.inputs
     _, matched = stage_facts.drawn("match", plan, inputs)

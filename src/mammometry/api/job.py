@@ -422,13 +422,13 @@ class Job:
         self, privacy: Privacy, progress: Progress = no_progress, facts: Mapping[Stage, Facts] = MappingProxyType({})
     ) -> ReportContent:
         from mammometry.report import gather
+        from mammometry.report.stage_facts import Shown
 
         return gather.gather(
             self.plan,
             self.inputs,
             self._page_inputs,
-            pictures={stage: self.previews(stage) for stage in self._stages},
-            facts=facts,
+            Shown(pictures={stage: self.previews(stage) for stage in self._stages}, facts=facts),
             privacy=privacy,
             progress=progress,
         )

@@ -78,7 +78,9 @@ class Previews:
 
     @contextmanager
     def drawing(self, stages: Sequence[Stage]) -> Iterator[Drawing]:
-        """Draw pictures inside, as their stages are made. All are there when the block ends.
+        """Draw pictures as their stages are made.
+
+        All are there when the block ends.
 
         Args:
             stages: what will be made, in order. Without pictures to draw beside a later one there is no second process.
@@ -149,7 +151,9 @@ class Drawing:
             self._begun[stage] = self._pool.submit(self._ensure, stage)
 
     def facts(self) -> dict[Stage, Facts]:
-        """Have all pictures there that were begun. Gives what the report says of their stages.
+        """Wait for all pictures that were begun.
+
+        Returns what the report says of their stages.
 
         Raises:
             MammometryError: whatever stood in the way, in one sentence.

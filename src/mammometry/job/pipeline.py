@@ -455,7 +455,7 @@ class Plan:
 
     @property
     def stages(self) -> dict[Stage, Products]:
-        """The plans of the stages that have products, in the order in which data flow."""
+        """Plans of the stages, in the order of making."""
         return {"calibrate": self.calibrated, "match": self.matched, "surface": self.surfaced, "measure": self.measured}
 
     def products(self) -> Iterator[Product[Any]]:

@@ -5,10 +5,8 @@ Stage by stage, little is held in memory.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from datetime import datetime
-from types import MappingProxyType
 
 from mammometry.base.identity import NAMELESS
 from mammometry.base.progress import Progress, no_progress
@@ -24,11 +22,10 @@ from mammometry.report.figures.shading import front_of
 from mammometry.report.models import viewer_scene
 from mammometry.report.page_inputs import PageInputs
 from mammometry.report.privacy import Privacy, guard, without_photographs
-from mammometry.report.stage_facts import Facts, MatchingFacts, matching_facts, surface_facts
+from mammometry.report.stage_facts import MatchingFacts, Shown, matching_facts, surface_facts
 from mammometry.report.warnings import RunResults, run_cautions, warnings
 from mammometry.surface.stillness_words import concerns
 
-Pictures = Mapping[str, Mapping[str, bytes]]
 _COLOURED: tuple[Stage, ...] = ("surface", "measure")  # stages whose pictures show the surface in its colours
 
 
@@ -36,9 +33,8 @@ def gather(
     plan: Plan,
     inputs: Inputs,
     page: PageInputs,
+    shown: Shown,
     *,
-    pictures: Pictures,
-    facts: Mapping[Stage, Facts] = MappingProxyType({}),
     created: datetime | None = None,
     privacy: Privacy = Privacy(),
     progress: Progress = no_progress,
@@ -51,8 +47,8 @@ def gather(
         plan: the whole job.
         inputs: what the session brought; photographs are read one at a time.
         page: what the report shows beside products. All of it is part of the report's key.
-        pictures: stage → its previews, name → PNG. Those of the surface are drawn again where colours are left out.
-        facts: stage → what `stage_facts.drawn` said of it; the rest is found here.
+        shown: previews, and what was found with them; the rest is found here. Previews of the surface are drawn again
+            where colours are left out.
         created: moment of the report; now by default.
         privacy: what to leave out.
         progress: gets the fraction done.
@@ -65,7 +61,8 @@ def gather(
     stages = [content.calibration_report(rig, calibration, quality)]
     progress(0.2)
 
-    matched = facts.get("match")
+    pictures = shown.pictures
+    matched = shown.facts.get("match")
     if not isinstance(matched, MatchingFacts):
         matched = matching_facts(plan, rig)
     stages.append(content.matching_report(matched.foregrounds, matched.quality, matched.shares))
@@ -90,7 +87,7 @@ def gather(
         redrawn: dict[str, dict[str, bytes]] = {stage: draw_stage(stage, plan, inputs, textured) for stage in _COLOURED}
         pictures = without_photographs({**pictures, **redrawn})
     stillness = plan.surfaced.stillness()
-    surfaced = facts.get("surface")
+    surfaced = shown.facts.get("surface")
     stages.append(surfaced if isinstance(surfaced, content.StageReport) else surface_facts(plan))
     progress(0.7)
 

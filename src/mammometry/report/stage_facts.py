@@ -1,4 +1,4 @@
-"""What a report says of a stage that does not depend on later ones.
+"""What a report says of a stage by itself.
 
 It is found with the stage's pictures, from the same values: they are large, and read once.
 """
@@ -6,7 +6,7 @@ It is found with the stage's pictures, from the same values: they are large, and
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TypeAlias
 
 from mammometry.geometry.camera import Rig
@@ -38,8 +38,18 @@ Facts: TypeAlias = MatchingFacts | StageReport | None
 """Of the matching, of the surface, or none."""
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Shown:
+    """Pictures of all stages, and what was said with them."""
+
+    pictures: Mapping[str, Mapping[str, bytes]]
+    """Stage → its previews, name → PNG."""
+    facts: Mapping[Stage, Facts] = field(default_factory=dict)
+    """Stage → what `drawn` found."""
+
+
 def drawn(stage: Stage, plan: Plan, inputs: Inputs) -> tuple[dict[str, bytes], Facts]:
-    """Every preview of a stage, name → PNG, and what the report says of it."""
+    """Previews of a stage, and what the report says of it."""
     result = stage_result(stage, plan, inputs)
     pictures = draw(result)
     if isinstance(result, MatchingResult):

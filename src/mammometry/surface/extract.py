@@ -58,7 +58,10 @@ def extract(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Solid:
-    """The signed distance to mesh. Silhouettes, which are large, are needed no more."""
+    """The signed distance to mesh.
+
+    Silhouettes, which are large, are needed no more.
+    """
 
     distance: Field
     seen: tuple[RangeImage, ...]

@@ -74,7 +74,10 @@ class SeenThrough:
 
     @classmethod
     def of(cls, image: RangeImage, margin_mm: float) -> SeenThrough:
-        """Cut out what holds data: the rest of a range image excludes nothing."""
+        """Cut out what holds data.
+
+        The rest of a range image excludes nothing.
+        """
         found = ndimage.find_objects(image.valid.astype(np.uint8))
         window = found[0] if found else (slice(0, 0), slice(0, 0))
         return cls(

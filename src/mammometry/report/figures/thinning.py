@@ -68,7 +68,10 @@ def thinned_maps(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ThinnedRange:
-    """What pictures and tables show of one pair's range image, before and after the removal of dents."""
+    """What pictures and tables show of a range image.
+
+    Before and after the removal of dents.
+    """
 
     name: str
     """The pair's."""
