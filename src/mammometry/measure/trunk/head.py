@@ -2,8 +2,8 @@
 
 The body itself shows it.
 
-Four signs, each between −1 and 1 at most, and each with the other sign once the body is turned over. None of them holds for
-every body: arms that hang are seen at all heights, and mounds are as full above as below. So they are added.
+Four signs, each between −1 and 1 at most, and each with the other sign once the body is turned over. None of them holds
+for every body: arms that hang are seen at all heights, and mounds are as full above as below. So they are added.
 """
 
 from __future__ import annotations
