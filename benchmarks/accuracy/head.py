@@ -28,7 +28,7 @@ from mammometry.measure.boundary.boundary import outline_torso
 from mammometry.measure.trunk.body import rig_frame
 from mammometry.measure.trunk.head import HEAD_NOT_SHOWN
 from mammometry.simulate.disturbances.draw import draw, is_held_out
-from mammometry.simulate.disturbances.exposures import turned, with_cameras
+from mammometry.simulate.disturbances.exposure import turned, with_cameras
 from mammometry.simulate.disturbances.registry import disturbed
 from mammometry.simulate.rigs.build import build_rig
 from mammometry.simulate.rigs.plan import REFERENCE

@@ -1,12 +1,15 @@
 """Torsos with one breast removed, and with mounds that have no fold: what is found on each side.
 
     python -m benchmarks.accuracy.sides
+    python -m benchmarks.accuracy.sides --clinic --first 500 --torsos 12
 
 No photographs: the skin is the simulator's own, as far as cameras in front would see it, with noise along its normals,
 and the frame that tells head from foot is turned at random. Of each torso the right breast is removed (its skin is the
 chest's), or replaced by a mound of 80 to 400 cc that runs out flat all around, without areola and nipple. Prints what
 was said of each side, the error of the mound's volume against what the same wall makes of the true skin within the true
 boundary, how far its interval holds, and by how much the intact side's volume changes when the other breast is gone.
+With `--clinic` the right side is operated as the virtual clinic does it: mounds as flat as it draws them, scars, folds
+of loose skin. Numbers of torsos are then seeds; held-out ones are skipped.
 """
 
 from __future__ import annotations
@@ -14,6 +17,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -29,6 +33,10 @@ from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.measure.volume.volumes import measure_volumes
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.open_breast import open_breasts
+from mammometry.simulate.disturbances.draw import is_held_out
+from mammometry.simulate.disturbances.registry import disturbed
+from mammometry.simulate.situation import parse_situation
+from mammometry.simulate.subjects.registry import make_subject
 from mammometry.simulate.subjects.solid import rig_from_solid
 from mammometry.simulate.subjects.torso import BreastShape, TorsoShape, torso, torso_shape
 from mammometry.surface.repair import RepairedSurface
@@ -95,17 +103,53 @@ def cases(number: int, seed: int) -> Iterator[Case]:
         )
 
 
+def clinic_cases(number: int, seed: int) -> Iterator[Case]:
+    """The same three, by the disturbances of the virtual clinic."""
+    if is_held_out(number):
+        return
+    rng = np.random.default_rng([seed, number, 29])
+    scar_mm, loose_mm, mound_cc = (
+        rng.uniform(1.0, 8.0),
+        rng.uniform(4.0, 12.0),
+        np.exp(rng.uniform(*np.log(_MOUNDS_CC))),
+    )
+    build = str(rng.choice(["", ",build=thin", ",build=obese"]))
+    operated = {
+        "two": "",
+        "removed": f"removed=right,scar={scar_mm:.1f},loose-skin={loose_mm:.1f}",
+        "mound": f"removed=right,mound={mound_cc:.3g},scar={scar_mm:.1f}",  # the side that was removed is rebuilt
+    }
+    for kind, text in operated.items():
+        situation = parse_situation((text + build).strip(","))
+        reshape = partial(disturbed, stage="patient", situation=situation, seed=number)
+        solid = make_subject("torso", number, edge_mm=_EDGE_MM, reshape=reshape)
+        solid = solid.placed(rig_from_solid(solid, number))
+        mesh = solid.mesh
+        noise = np.random.default_rng([seed, number, 27]).normal(0.0, _NOISE_MM, len(mesh.vertices))
+        noisy = TriangleMesh(vertices=mesh.vertices + mesh.vertex_normals() * noise[:, None], faces=mesh.faces)
+        volumes = {"left": 0.0, "right": 0.0} | solid.volumes_cc
+        yield Case(
+            name=kind,
+            surface=as_seen(noisy),
+            boundaries={
+                side: Boundary(name=side, points_world=mesh.vertices[breast.boundary], method="true")  # type: ignore[arg-type]
+                for side, breast in solid.breasts.items()
+            },
+            lacking_cc=volumes["left"] - volumes["right"],
+        )
+
+
 def same_wall_cc(case: Case, frame: Float64[Array, "3 3"]) -> dict[str, float]:
     """What the default wall makes of the same skin within the true boundaries, cc."""
     opened = open_breasts(tuple(case.boundaries.values()), case.surface, frame=frame)
     return {each.boundary.name: chest_wall.fit(each).closed.volume_mm3() / 1000 for each in opened}
 
 
-def rows_of(number: int, seed: int) -> Iterator[dict[str, object]]:
+def rows_of(number: int, seed: int, clinic: bool = False) -> Iterator[dict[str, object]]:
     """One row a case."""
     rng = np.random.default_rng([seed, number, 28])
     rough = Rotation.from_rotvec(np.deg2rad(_TILT_DEG) * rng.uniform(-1, 1, 3)).as_matrix()
-    for case in cases(number, seed):
+    for case in (clinic_cases if clinic else cases)(number, seed):
         row: dict[str, object] = {"torso": number, "case": case.name, "true": sorted(case.boundaries)}
         try:
             found = outline_torso(case.surface, rough)
@@ -176,10 +220,11 @@ def main() -> None:
     parser.add_argument("--torsos", type=int, default=12)
     parser.add_argument("--first", type=int, default=1)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--clinic", action="store_true", help="operate the right side as the virtual clinic does")
     arguments = parser.parse_args()
     rows = []
     for number in range(arguments.first, arguments.first + arguments.torsos):
-        for row in rows_of(number, arguments.seed):
+        for row in rows_of(number, arguments.seed, arguments.clinic):
             rows.append(row)
             print(row, flush=True)
     print("\n".join(summary(rows)))

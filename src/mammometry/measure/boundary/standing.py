@@ -18,7 +18,7 @@ Verdict: TypeAlias = Literal["breast", "none", "unclear"]
 _ELSEWHERE_MM = 25.0  # from the mirrored middle of the other breast: chests' own forms gave 39 to 79 (decision 26)
 _MIRRORED_CREASED = 0.7
 """Share of the outline that must run in a crease for something low to be a mound where the other breast is mirrored.
-Photographed mounds of 80 cc had .74 to .78 there, others from .87 on. Chests without a breast had .11 to .75, but never
+Photographed mounds of 80 cc had .74 to .78 there, others from .87 on. Chests without a breast had .1 to .8, but never
 nearer than 39 mm to that place (docs/decisions/0026)."""
 _TOP = 0.98  # quantile of the heights that counts as the top, so that a speck is none
 _ROUND_MM = 6.0  # a low mound's top is looked for in relief smoothed over this; chosen by eye
@@ -46,8 +46,8 @@ class Standing:
         """What it is.
 
         What stands out little on average, without a crease around nearly all of it, is the chest's own form if it lies
-        elsewhere than the other side's breast, mirrored. What is low must have more of a crease to be a breast, and most
-        where no other breast tells its place. What is neither is unclear.
+        elsewhere than the other side's breast, mirrored. What is low must have more of a crease to be a breast, and
+        most where no other breast tells its place. What is neither is unclear.
 
         Args:
             settings: what a breast is.
