@@ -37,7 +37,7 @@ VERSIONS: Registry[int] = Registry(
         "disparity": 13,
         "rows": 1,
         "range": 2,
-        "stillness": 2,
+        "stillness": 3,
         "stood": 1,
         "valid": 3,
         "blocked": 4,

@@ -45,6 +45,7 @@ _RESTS_MM = (0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.45, 0.7, 1.1)
 _FIRST_TURN_DEG, _FIRST_SHIFT_MM, _FIRST_REST_MM = 0.05, 1.0, 0.1
 """Sizes used to find outliers: large, so that outliers and not motions are left out."""
 _OUTLIER_SIGMAS = 4.0  # robust, of a cell's difference; chosen by eye
+_CONTRADICTION = 2.0  # times the distance between pairs, that rows of one pair alone may move skin; chosen by eye
 _OUTLIER_ROUNDS = 5  # times that outliers are looked for; fewer if none changes
 _UNLIKELY = 10.0  # natural logarithm of a share of the probability that is left out
 _MAD = 1.4826  # standard deviation over median of the absolute deviations, of a normal distribution
@@ -313,6 +314,24 @@ def without_outliers(seen: Observed, asked: Unknowns) -> Observed:
         if np.array_equal(inside, keep):
             break
         keep = inside
+    return seen.only(keep)
+
+
+def without_contradicted_rows(seen: Observed, asked: Unknowns) -> Observed:
+    """Leave out rows of a pair that common skin contradicts.
+
+    What most probably moved by them alone would put pairs much further apart than they are, and not nearer together:
+    the pair was matched by chance somewhere.
+    """
+    apart_mm, by_unknown = seen.values[seen.distances], seen.by_unknown[seen.distances]
+    keep = np.ones(len(seen.values), dtype=bool)
+    for pair in range(seen.rows_of.max(initial=-1) + 1) if len(apart_mm) else ():
+        its = seen.rows_of == pair
+        if not its.any():
+            continue
+        moved_mm = by_unknown @ most_probable(seen.only(its), asked).expected.motions
+        far = float(moved_mm @ moved_mm) > _CONTRADICTION**2 * float(apart_mm @ apart_mm)
+        keep[its] = not far or float(np.sum((apart_mm - moved_mm) ** 2)) < float(apart_mm @ apart_mm)
     return seen.only(keep)
 
 

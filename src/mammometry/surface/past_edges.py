@@ -22,10 +22,10 @@ _LEAST_COSINE = 0.5  # 60° off the normal: skin that is seen more obliquely may
 
 
 def continued_world(image: RangeImage) -> Float64[Array, "n 3"]:
-    """Points on the tangent planes of a pair's data, beside and past their edges, world frame, mm.
+    """Continue a pair's data past their edges.
 
-    Only of skin that faces the camera and does not turn away. Data nearer to an edge than half a window say no more
-    than that.
+    Points on their tangent planes, world frame, mm. Only of skin that faces the camera and does not turn away. Data
+    nearer to an edge than half a window say no more than that.
     """
     unit = max(1.0, float(np.hypot(*image.valid.shape)) / _REFERENCE_DIAGONAL_PX)
     sound = ndimage.distance_transform_edt(image.valid) > _EDGE_PX * unit

@@ -28,6 +28,7 @@ from mammometry.surface.motions import (
     observed,
     rigid_motions,
     unknowns,
+    without_contradicted_rows,
     without_outliers,
 )
 from mammometry.surface.range_image import RangeImage
@@ -142,7 +143,7 @@ def find(
     rows = {name: rows[name] for name in pairs if name in rows and len(rows[name].points)}
     if not apart:
         return _nothing(asked, compared=False)
-    seen = without_outliers(observed(rig, apart, rows, covariance, asked), asked)
+    seen = without_contradicted_rows(without_outliers(observed(rig, apart, rows, covariance, asked), asked), asked)
     before_mm = seen.rms_mm()
     honest_mm = float(np.median(np.concatenate([each.expected_mm for each in apart])))
     limit_mm = max(_UNEXPLAINED_MM, honest_mm)
@@ -156,7 +157,7 @@ def find(
         images = [carried(image, rig.pair(image.name), there.pair(image.name)) for image in range_images]
         again = observed(there, differences(images), rows, covariance, asked)
         values = again.values + np.where(again.distances, again.by_unknown @ so_far, 0.0)
-        seen = without_outliers(replace(again, values=values), asked)
+        seen = without_contradicted_rows(without_outliers(replace(again, values=values), asked), asked)
         moved = most_probable(seen, asked)
     best = moved.expected
     found = replace(_judged(rig, rows, moved, asked), unexplained=best.rest_mm >= limit_mm)

@@ -141,6 +141,17 @@ def test_rows_that_no_motion_explains_move_nothing(still, turned, moves):
         assert off_mm(found, images) < 0.5 * off_mm(replace(found, corrected=False), images)
 
 
+def test_rows_that_common_skin_contradicts_move_nothing(still):
+    """One pair's rows miss one another more and more towards one side, as if a camera had turned; no skin is apart."""
+    _, images = still
+    rows = capture()[2]
+    pair = next(iter(rows))
+    aside = rows[pair].points[:, 1] - rows[pair].points[:, 1].min()
+    ramp = 1.2 * rows[pair].pixel_rad * (aside / aside.max()) ** 2
+    spoilt = replace(rows[pair], angle_rad=rows[pair].angle_rad + ramp)
+    assert not find(RIG, images, {**rows, pair: spoilt}).moved
+
+
 def test_turned_cameras_are_put_right(turned):
     found, images, _ = turned
     assert found.corrected
