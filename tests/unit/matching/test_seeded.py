@@ -114,8 +114,9 @@ def test_a_part_that_a_rail_cuts_off_is_subject() -> None:
     """No seed is in it and it does not touch the rest, but it has its colour, and nothing says that it is far."""
     v, u = np.mgrid[:120, :160]
     bright = (np.hypot(u - 60, v - 60) < 41) | ((u > 108) & (u < 135) & (np.abs(v - 60) < 40))
-    assert a_body_with(np.zeros_like(bright), bright) is bright
-    assert a_body_with((u > 108) & (u < 135), bright) is not bright
+    undisputed, far = (a_body_with(there, bright) for there in (np.zeros_like(bright), (u > 108) & (u < 135)))
+    assert undisputed is bright
+    assert far is not bright
 
 
 def test_a_bright_wall_that_is_mostly_far_is_no_subject() -> None:
