@@ -319,6 +319,8 @@ def surface(
     Paper 2.4 to 2.6.
     """
 
+    extraction = settings.extract.of(inputs.subject_kind)
+
     def ranged(pair: str) -> Product[RangeImage]:
         def triangulate(disparity: DisparityMap, *, progress: Progress) -> RangeImage:
             from mammometry.surface import range_image
@@ -364,14 +366,14 @@ def surface(
         if inputs.subject_kind == "surface":
             return None
         opened = occluders.unblocked(foregrounds, blocked)
-        return extract.solid_of(valid.range_images, opened, cameras.rig, settings.extract)
+        return extract.solid_of(valid.range_images, opened, cameras.rig, extraction)
 
     def build(valid: ValidPatches, solid: Solid | None, *, progress: Progress) -> TriangleMesh:
         from mammometry.surface import extract
 
         if solid is None:
-            return extract.extract_open(valid.range_images, settings.extract, progress=progress)
-        return extract.meshed(solid, settings.extract, progress=progress)
+            return extract.extract_open(valid.range_images, extraction, progress=progress)
+        return extract.meshed(solid, extraction, progress=progress)
 
     def mend(first: TriangleMesh, valid: ValidPatches, *, progress: Progress) -> RepairedSurface:
         from mammometry.surface import repair
@@ -408,14 +410,10 @@ def surface(
     solid: Product[Solid | None] = Product(
         None, "surface", "solid", enclose, parents={**seen, "blocked": blocked}
     ).letting_go(*matched.foregrounds.values())
+    given = {"subject": inputs.digests["subject"]}
+    body: dict[str, Parent] = {"valid": valid, "solid": solid}
     first: Product[TriangleMesh] = Product(
-        memo,
-        "surface",
-        "first",
-        build,
-        parents={"valid": valid, "solid": solid},
-        settings=settings.extract,
-        inputs={"subject": inputs.digests["subject"]},
+        memo, "surface", "first", build, parents=body, settings=extraction, inputs=given
     )
     repaired: Product[RepairedSurface] = Product(
         memo, "surface", "repaired", mend, parents={"first": first, "valid": valid}, settings=settings.repair

@@ -18,7 +18,7 @@ from mammometry.matching.foreground import Foreground
 from mammometry.surface.field import ClosingBox, Field, block_seeds, build_field, closing_box
 from mammometry.surface.isosurface import Isosurface
 from mammometry.surface.range_image import RangeImage
-from mammometry.surface.settings import ExtractSettings
+from mammometry.surface.settings import CUBE_MM, ExtractSettings
 from mammometry.surface.topology import largest_part, tunnel_places
 from mammometry.surface.visibility import check_agreement
 from mammometry.surface.voxels import sample_blocks
@@ -134,7 +134,7 @@ def _surface(
         solid.distance.sample,
         np.array([corners.min(axis=0), corners.max(axis=0)]),
         block_seeds(solid.seen),
-        cube_mm=settings.cube_mm,
+        cube_mm=settings.cube_mm or CUBE_MM,
         truncation_mm=settings.field.truncation_mm,
         near_mm=near_mm,
         progress=part(progress, 0.0, 0.6),

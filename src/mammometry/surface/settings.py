@@ -1,11 +1,15 @@
 """All settings of the surface stage in one value."""
 
-from dataclasses import dataclass, field
-from typing import Literal
+from dataclasses import dataclass, field, replace
+from typing import Literal, Self
 
 TAPER_MM = 3.0
 """Distance over which a view's weight rises from its data's edge, mm, since windows at the edge see past the surface.
 """
+
+CUBE_MM = 0.5
+"""Edge of a cube of the first surface, mm: the paper's."""
+_TORSO_CUBE_MM = 0.7  # docs/decisions/0040
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,8 +61,10 @@ class FieldSettings:
 class ExtractSettings:
     """Grid of cubes, and the rule that merges views on it."""
 
-    cube_mm: float = 0.5
-    """Edge of a cube, mm (the paper's)."""
+    cube_mm: float | None = None
+    """Edge of a cube, mm. None: 0.7 of a torso, else 0.5, the paper's. A torso has ten times the skin of a cast: with
+    0.7 it takes half the time, and errs as much (docs/decisions/0040).
+    """
     rule: Literal["default", "nearest", "furthest", "tsdf"] = "default"
     """Rule for disagreeing views. ``nearest`` and ``furthest`` are the paper's two failing rules (Fig. 3). ``tsdf`` is
     Curless and Levoy's average of truncated distances, free space included.
@@ -75,6 +81,12 @@ class ExtractSettings:
     """Distance of the closing box's other sides from the data, mm. Silhouettes bound the solid earlier."""
     field: FieldSettings = field(default_factory=FieldSettings)
     """How strongly each source speaks."""
+
+    def of(self, subject_kind: str) -> Self:
+        """The same, with the edge of the cubes that suits the subject."""
+        if self.cube_mm is not None:
+            return self
+        return replace(self, cube_mm=_TORSO_CUBE_MM if subject_kind == "torso" else CUBE_MM)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
