@@ -19,6 +19,7 @@ from types import TracebackType
 from typing import IO, Any, Self, TypeVar
 
 from mammometry.base.cores import CORES
+from mammometry.base.memory import return_freed_arrays
 
 _R = TypeVar("_R")
 
@@ -92,6 +93,7 @@ class SecondProcess:
 
 def main() -> None:
     """Do the orders of standard input until it closes."""
+    return_freed_arrays()
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what libraries print is no answer
     orders: queue.SimpleQueue[bytes] = queue.SimpleQueue()

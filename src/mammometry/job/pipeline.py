@@ -318,7 +318,6 @@ def surface(
 
     Paper 2.4 to 2.6.
     """
-
     extraction = settings.extract.of(inputs.subject_kind)
 
     def ranged(pair: str) -> Product[RangeImage]:

@@ -10,14 +10,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import ndimage
 
+from mammometry.base.cores import in_bands
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int64, read_only
 from mammometry.geometry.camera import Camera
 from mammometry.matching.match import DisparityMap
-from mammometry.surface import image_kernels
+from mammometry.surface import image_kernels, ray_kernels
 from mammometry.surface.settings import TriangulateSettings
 
 _SAMPLES = 100_000  # data of which a median is taken: more change it by less than a thousandth; chosen by eye
-_SIGMA_STEP_PX = 0.05  # of the disparity, for the slope by which σ is carried to the range; chosen by eye
 
 NORMAL_MM = 1.5
 """Half-width of the window for a datum's normal, in the first surface and the repair, mm. Chosen by eye."""
@@ -188,23 +188,20 @@ def _intersected(
     Only for the given pixels.
     """
     left, right = disparity.left, disparity.right
-    u, v = columns.astype(np.float64), rows.astype(np.float64)
-    d_h = disparity.d_h_px[rows, columns].astype(np.float64)
-    d_v = disparity.d_v_px[rows, columns].astype(np.float64)
-    rays_left = left.rays_world(np.stack([u, v], axis=-1))
-    baseline = right.centre_world - left.centre_world
+    left_from_right = left.camera_from_world.rotation @ right.camera_from_world.rotation.T
+    baseline = left.camera_from_world.rotation @ (right.centre_world - left.centre_world)
 
-    def along_left(shift: float) -> tuple[Float64[Array, " n"], Float64[Array, " n"]]:
-        rays_right = right.rays_world(np.stack([u - d_h - shift, v - d_v], axis=-1))
-        cosine = np.einsum("ij,ij->i", rays_left, rays_right)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            denominator = 1.0 - cosine**2
-            to_left, to_right = rays_left @ baseline, rays_right @ baseline
-            return (to_left - cosine * to_right) / denominator, (cosine * to_left - to_right) / denominator
+    def of(some: slice) -> tuple[Float64[Array, " n"], ...]:
+        at = rows[some], columns[some]
+        matches = [np.ascontiguousarray(found[at], dtype=np.float64) for found in (disparity.d_h_px, disparity.d_v_px)]
+        met: tuple[Float64[Array, " n"], ...] = ray_kernels.meetings(
+            *at, *matches, left.intrinsics, right.intrinsics, left_from_right, baseline
+        )
+        return met
 
-    distance, distance_right = along_left(0.0)
-    slope = (along_left(_SIGMA_STEP_PX)[0] - along_left(-_SIGMA_STEP_PX)[0]) / (2 * _SIGMA_STEP_PX)
-    return distance, distance_right, np.abs(slope) * disparity.sigma_px[rows, columns]
+    parts = zip(*in_bands(of, len(rows)), strict=True)
+    distance, distance_right, slope = (np.concatenate(part) for part in parts)
+    return distance, distance_right, slope * disparity.sigma_px[rows, columns]
 
 
 def _step(disparity: DisparityMap, spacing_mm: float) -> int:

@@ -5,6 +5,7 @@ from spheres import camera_towards, ellipsoid_range, range_image
 from mammometry.geometry.camera import Camera
 from mammometry.geometry.transform import Transform
 from mammometry.matching.match import DisparityMap
+from mammometry.surface import ray_kernels
 from mammometry.surface.range_image import RangeImage, triangulate
 from mammometry.surface.settings import TriangulateSettings
 
@@ -98,6 +99,39 @@ def test_uncertain_and_impossible_disparities_are_dropped():
         weak=disparity.weak,
     )
     assert not triangulate(flipped).valid.any()
+
+
+def test_rays_meet_where_those_of_the_cameras_do():
+    # Plain NumPy twin, in the world frame, of cameras turned against each other.
+    left, right = camera_towards("left", (0.3, -0.2, 1)), camera_towards("right", (-0.2, 0.1, 1))
+    random = np.random.default_rng(5)
+    rows, columns = random.integers(0, SIZE, (2, 300))
+    d_h, d_v = random.normal(0, 30, 300), random.normal(0, 5, 300)
+    rotations = left.camera_from_world.rotation, right.camera_from_world.rotation
+    baseline = right.centre_world - left.centre_world
+    turned = rotations[0] @ rotations[1].T
+    found = ray_kernels.meetings(
+        rows,
+        columns,
+        d_h,
+        d_v,
+        left.intrinsics,
+        right.intrinsics,
+        rotations[0] @ rotations[1].T,
+        rotations[0] @ baseline,
+    )
+
+    def along(shift: float) -> np.ndarray:
+        a = left.rays_world(np.stack([columns, rows], axis=-1).astype(float))
+        b = right.rays_world(np.stack([columns - d_h - shift, rows - d_v], axis=-1))
+        # Least squares of |s a − t b − baseline|, ray by ray.
+        return np.array(
+            [np.linalg.lstsq(np.stack([p, -q], axis=1), baseline, rcond=None)[0] for p, q in zip(a, b, strict=True)]
+        )
+
+    np.testing.assert_allclose(np.stack(found[:2], axis=1), along(0.0), rtol=1e-7)
+    slope = np.abs(along(0.05)[:, 0] - along(-0.05)[:, 0]) / 0.1
+    np.testing.assert_allclose(found[2], slope, rtol=1e-4)
 
 
 def test_normals_of_a_sphere_point_to_its_outside():
