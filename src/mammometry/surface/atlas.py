@@ -21,6 +21,7 @@ from mammometry.base.progress import Progress, no_progress, part
 from mammometry.geometry.arrays import Array, Float32, Float64, Int32, Int64, UInt8, read_only
 from mammometry.geometry.camera import Rig
 from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry.projection import projected
 from mammometry.surface.seams import fading_pixels, fading_weights, spread
 from mammometry.surface.settings import TextureSettings
 from mammometry.surface.texture import blended, picture_of, read_ahead, view_samples
@@ -93,7 +94,7 @@ def cover(
     gains, weights, samples = view_samples(mesh, photographs, rig, settings, progress=part(progress, 0.1, 0.5))
     view = best_views(mesh, weights)
     target = blended(weights, samples)
-    photographed = [rig.cameras[name].project(mesh.vertices) for name in names]
+    photographed = [projected(rig.cameras[name], mesh.vertices)[:, :2] for name in names]
     step = 0
     while True:  # a picture too large for what viewers can hold shows the means of step² pixels each
         step += 1

@@ -13,6 +13,7 @@ from scipy import ndimage
 
 from mammometry.base.errors import SurfaceError
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32, UInt8, read_only
+from mammometry.geometry.projection import projected
 from mammometry.surface.decompose import Patches, decompose
 from mammometry.surface.range_image import RangeImage
 from mammometry.surface.settings import DecomposeSettings, DentSettings
@@ -215,7 +216,7 @@ def _seen_through(
             continue
         gap = gap_mm(points, other)
         known = np.isfinite(gap)
-        uv = np.rint(other.camera.project(points[known])).astype(np.intp)
+        uv = np.rint(projected(other.camera, points[known])[:, :2]).astype(np.intp)
         sigma, angle = other.sigma_mm[uv[:, 1], uv[:, 0]], other_angle[uv[:, 1], uv[:, 0]]
         tolerance = np.maximum(settings.seen_through_mm, _SIGMAS * np.hypot(own_sigma[known], sigma))
         # A gap along a grazing ray exaggerates the distance between the surfaces: measure it across the surface.

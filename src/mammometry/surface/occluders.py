@@ -22,8 +22,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import ndimage
 
+from mammometry.base.cores import each_at_once
 from mammometry.geometry.arrays import Array, Bool, Float64, Int64, read_only
 from mammometry.geometry.camera import Camera, Rig
+from mammometry.geometry.projection import projected
 from mammometry.matching.foreground import Foreground
 from mammometry.surface.past_edges import continued_world
 from mammometry.surface.range_image import RangeImage
@@ -81,11 +83,12 @@ def find_blocked(
         if not foreground.everything and foreground.mask.any()
     }
     polls = []
-    for image in range_images:
+    continued = each_at_once(continued_world, range_images)
+    for image, past_edges in zip(range_images, continued, strict=True):
         points = image.valid_points_world()
         own = [views[name] for name in rig.pair_names[image.name] if name in views]
         others = [name for name in views if name not in rig.pair_names[image.name]]
-        for seen in (points, _shown(continued_world(image), own)):
+        for seen in (points, _shown(past_edges, own)):
             some = seen[:: max(1, len(seen) // _SAMPLES)]
             places = {name: view.places(some) for name, view in views.items()}
             polls.append(_Poll(count=len(some), places=places, voters=others))
@@ -162,16 +165,14 @@ class _View:
     def places(self, points_world: Float64[Array, "n 3"]) -> _Places:
         """Where the picture holds which points."""
         height, width = self.subject.shape
-        camera = self.camera.camera_from_world.apply(points_world)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            column, row = (self.camera.pixels_from_normalised(camera[:, :2] / camera[:, 2:]) / self.step).T
-            inside = (column >= 0) & (row >= 0) & (column < width) & (row < height) & (camera[:, 2] > 0)
-        index = np.flatnonzero(inside)
+        column, row, depth_mm = projected(self.camera, points_world).T
+        column, row = column / self.step, row / self.step
+        index = np.flatnonzero((column >= 0) & (row >= 0) & (column < width) & (row < height))  # NaN is nowhere
         return _Places(
             index=index,
             row=row[index].astype(np.intp),
             column=column[index].astype(np.intp),
-            depth_mm=camera[index, 2],
+            depth_mm=depth_mm[index],
         )
 
 

@@ -7,7 +7,6 @@ what hides. Skin that faces the camera goes on there. Where the subject really e
 from __future__ import annotations
 
 import numpy as np
-from scipy import ndimage
 
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.surface import image_kernels
@@ -28,7 +27,9 @@ def continued_world(image: RangeImage) -> Float64[Array, "n 3"]:
     nearer to an edge than half a window say no more than that.
     """
     unit = max(1.0, float(np.hypot(*image.valid.shape)) / _REFERENCE_DIAGONAL_PX)
-    sound = ndimage.distance_transform_edt(image.valid) > _EDGE_PX * unit
+    if not image.valid.any() or image.valid.all():  # no data, or none with an edge
+        return np.empty((0, 3))
+    sound = image_kernels.distance_px(~image.valid) > _EDGE_PX * unit
     if not sound.any():
         return np.empty((0, 3))
     normals = image.keeping(sound).normals_camera(_NEIGHBOURHOOD_MM)

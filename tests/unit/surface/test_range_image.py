@@ -117,7 +117,7 @@ def test_rays_meet_where_those_of_the_cameras_do():
         d_v,
         left.intrinsics,
         right.intrinsics,
-        rotations[0] @ rotations[1].T,
+        turned,
         rotations[0] @ baseline,
     )
 
