@@ -192,7 +192,7 @@ def _intersected(
     baseline = left.camera_from_world.rotation @ (right.centre_world - left.centre_world)
 
     def of(some: slice) -> tuple[Float64[Array, " n"], ...]:
-        at = rows[some], columns[some]
+        at = np.ascontiguousarray(rows[some]), np.ascontiguousarray(columns[some])
         matches = [np.ascontiguousarray(found[at], dtype=np.float64) for found in (disparity.d_h_px, disparity.d_v_px)]
         met: tuple[Float64[Array, " n"], ...] = ray_kernels.meetings(
             *at, *matches, left.intrinsics, right.intrinsics, left_from_right, baseline
