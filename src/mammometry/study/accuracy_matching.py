@@ -7,6 +7,7 @@ rectified pixel that is. So the matcher's error is separate from the calibration
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,6 +37,8 @@ class TrueDisparity:
 
     step: int
     """Rows and columns of the picture from one judged pixel to the next."""
+    focal_px: float
+    """Focal length of the picture, px: it tells how far a range image was thinned."""
     d_h_px: Float64[Array, "h w"]
     """True horizontal disparity, px. NaN where no surface is met."""
     range_mm: Float64[Array, "h w"]
@@ -142,6 +145,7 @@ def true_disparity(
     edge_px = step * np.minimum(_from_edge(hits.range_mm), there)
     return TrueDisparity(
         step=step,
+        focal_px=float(left.matrix[0, 0]),
         d_h_px=uv[..., 0] - right_uv[..., 0],
         range_mm=hits.range_mm,
         judged=judged & (edge_px > EDGE_PX),
@@ -191,14 +195,16 @@ def judge_disparity(truth: TrueDisparity, found: DisparityMap) -> MatchingAccura
 def judge_range(truth: TrueDisparity, found: RangeImage) -> RangeAccuracy | None:
     """Errors of one pair's range image, or None without data.
 
-    None if no judged pixel has a datum. Distances to the perspective centre need no common frame: errors are the
-    instrument's, not the world's.
+    None if no judged pixel has a datum. Judged are the picture's pixels that truth and range image both keep.
+    Distances to the perspective centre need no common frame: errors are the instrument's, not the world's.
     """
-    some = slice(None, None, truth.step)
-    judged = truth.judged & found.valid[some, some]
+    thinned = round(truth.focal_px / float(found.camera.matrix[0, 0]))  # the range image's own step
+    common = math.lcm(truth.step, thinned)
+    in_truth, in_found = slice(None, None, common // truth.step), slice(None, None, common // thinned)
+    judged = truth.judged[in_truth, in_truth] & found.valid[in_found, in_found]
     if not judged.any():
         return None
-    error = found.range_mm[some, some][judged] - truth.range_mm[judged]
+    error = found.range_mm[in_found, in_found][judged] - truth.range_mm[in_truth, in_truth][judged]
     return RangeAccuracy(
         bias_mm=float(np.median(error)),
         median_mm=float(np.median(np.abs(error))),

@@ -1,6 +1,7 @@
 """Two cameras before a sphere: what is true of their pixels follows from similar triangles."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +22,7 @@ from mammometry.study.accuracy_matching import (
     true_disparity,
 )
 from mammometry.study.rays import RayScene, pixel_grid, seen_by_pairs
-from mammometry.surface.range_image import RangeImage
+from mammometry.surface.range_image import RangeImage, thinned_camera
 
 RADIUS, DISTANCE, BASELINE, FOCAL = 50.0, 600.0, 150.0, 900.0
 SIZE = (240, 180)
@@ -135,6 +136,29 @@ def test_range_errors_put_in_come_out(scene: RayScene) -> None:
     assert found is not None
     assert (found.bias_mm, found.median_mm, found.p95_mm) == pytest.approx((0.3, 0.3, 0.3), abs=1e-4)
     assert judge_range(truth, image.keeping(np.zeros_like(valid))) is None
+
+
+@pytest.mark.parametrize(("judged_every", "thinned"), [(2, 2), (2, 3), (1, 2), (3, 1)])
+def test_range_images_and_truth_are_thinned_by_steps_of_their_own(
+    scene: RayScene, judged_every: int, thinned: int
+) -> None:
+    # Full-size pictures are judged at every second pixel, and their range images keep every second one too.
+    whole = true_disparity(scene, PAIR, PAIR, PAIR.left, PAIR.right)
+    few = slice(None, None, judged_every)
+    fields = {
+        name: np.array(getattr(whole, name)[few, few])
+        for name in ("d_h_px", "range_mm", "judged", "visible", "edge_px")
+    }
+    truth = replace(whole, step=judged_every, **fields)
+    kept = slice(None, None, thinned)
+    valid = np.isfinite(whole.range_mm)[kept, kept]
+    ranges = np.where(valid, whole.range_mm[kept, kept] - 0.2, 0).astype(np.float32)
+    zero = np.zeros_like(ranges)
+    camera = thinned_camera(PAIR.left, thinned)
+    image = RangeImage(name="front", camera=camera, range_mm=ranges, sigma_mm=zero, confidence=zero, valid=valid)
+    found = judge_range(truth, image)
+    assert found is not None
+    assert (found.bias_mm, found.median_mm, found.p95_mm) == pytest.approx((-0.2, 0.2, 0.2), abs=1e-4)
 
 
 @pytest.mark.parametrize("too_wide_px", [0.0, 1.5, -1.0])
