@@ -387,10 +387,10 @@ def surface(
         return FinishedSurface(repaired=repaired, textured=textured)
 
     def cover(cameras: CameraSet, repaired: RepairedSurface, *, progress: Progress) -> Atlas:
-        from mammometry.surface import atlas, unmeasured
+        from mammometry.surface import atlas, atlas_jpeg, unmeasured
 
         covered = atlas.cover(repaired.mesh, inputs.photographs, cameras.rig, settings.texture, progress=progress)
-        return unmeasured.faded_atlas(covered, repaired)
+        return atlas_jpeg.as_jpeg(unmeasured.faded_atlas(covered, repaired))
 
     ranges = {pair: ranged(pair) for pair in matched.disparities}
     stillness = what_moved(calibrated.cameras, calibrated.calibration, ranges, matched.rows, settings.stillness, memo)

@@ -12,7 +12,8 @@ import numpy as np
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.camera import Camera, StereoPair
 from mammometry.geometry.transform import Transform
-from mammometry.surface.range_image import RangeImage
+from mammometry.geometry.rounding import to_step
+from mammometry.surface.range_image import RANGE_STEP_MM, RangeImage
 
 
 def carried(image: RangeImage, before: StereoPair, after: StereoPair) -> RangeImage:
@@ -36,6 +37,7 @@ def carried(image: RangeImage, before: StereoPair, after: StereoPair) -> RangeIm
     distance = _nearest(left.rotate(rays), right.rotate(rays_right), right.apply(before.right.centre_world) - centre)
     range_mm = np.zeros_like(image.range_mm)
     range_mm[image.valid] = distance
+    range_mm = to_step(range_mm, RANGE_STEP_MM)
     good = np.isfinite(range_mm) & (range_mm > 0)
     moved = replace(image.camera, camera_from_world=image.camera.camera_from_world @ left.inverse())
     return replace(image, camera=moved, range_mm=np.where(good, range_mm, np.float32(0))).keeping(good)

@@ -1,0 +1,34 @@
+"""Measured values without the bits that are noise.
+
+A value that is rounded to a power of two holds fewer digits, so it lies small on the disk and is the same in memory
+(docs/decisions/0039).
+"""
+
+import numpy as np
+
+from mammometry.geometry.arrays import Array, Float32
+
+_MANTISSA_BITS = 23  # of a float32
+
+
+def to_step(values: Float32[Array, "*n"], step: float) -> Float32[Array, "*n"]:
+    """Round to the nearest multiple of a step, a power of two.
+
+    The error is half a step at most. No zero has a sign. NaN stays NaN.
+    """
+    rounded = values * np.float32(1.0 / step)
+    np.rint(rounded, out=rounded)
+    rounded *= np.float32(step)
+    rounded += np.float32(0.0)
+    return rounded
+
+
+def to_bits(values: Float32[Array, "*n"], bits: int) -> Float32[Array, "*n"]:
+    """Round each value to so many binary digits after its first one.
+
+    The relative error is 2^-(bits + 1) at most. Infinity and NaN stay what they are.
+    """
+    dropped = _MANTISSA_BITS - bits
+    rounded = values.view(np.uint32) + np.uint32(1 << (dropped - 1))
+    rounded &= np.uint32(0xFFFFFFFF ^ ((1 << dropped) - 1))
+    return rounded.view(np.float32)
