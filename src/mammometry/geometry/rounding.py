@@ -12,23 +12,30 @@ _MANTISSA_BITS = 23  # of a float32
 
 
 def to_step(values: Float32[Array, "*n"], step: float) -> Float32[Array, "*n"]:
-    """Round to the nearest multiple of a step, a power of two.
+    """Round to the nearest multiple of a step, a power of two, in place.
 
     The error is half a step at most. No zero has a sign. NaN stays NaN.
+
+    Returns:
+        The same array.
     """
-    rounded = values * np.float32(1.0 / step)
-    np.rint(rounded, out=rounded)
-    rounded *= np.float32(step)
-    rounded += np.float32(0.0)
-    return rounded
+    values *= np.float32(1.0 / step)
+    np.rint(values, out=values)
+    values *= np.float32(step)
+    values += np.float32(0.0)
+    return values
 
 
 def to_bits(values: Float32[Array, "*n"], bits: int) -> Float32[Array, "*n"]:
-    """Round each value to so many binary digits after its first one.
+    """Round each value to so many binary digits after its first one, in place.
 
     The relative error is 2^-(bits + 1) at most. Infinity and NaN stay what they are.
+
+    Returns:
+        The same array.
     """
     dropped = _MANTISSA_BITS - bits
-    rounded = values.view(np.uint32) + np.uint32(1 << (dropped - 1))
-    rounded &= np.uint32(0xFFFFFFFF ^ ((1 << dropped) - 1))
-    return rounded.view(np.float32)
+    digits = values.view(np.uint32)
+    digits += np.uint32(1 << (dropped - 1))
+    digits &= np.uint32(0xFFFFFFFF ^ ((1 << dropped) - 1))
+    return values

@@ -93,4 +93,3 @@ def _unwelded(atlas: Atlas) -> tuple[Float64[Array, "n 3"], Int32[Array, "m 3"],
 
 def _upwards(uv: Float64[Array, "n 2"]) -> Float64[Array, "n 2"]:
     return np.column_stack([uv[:, 0], 1.0 - uv[:, 1]])
-

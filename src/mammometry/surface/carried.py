@@ -12,8 +12,7 @@ import numpy as np
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.camera import Camera, StereoPair
 from mammometry.geometry.transform import Transform
-from mammometry.geometry.rounding import to_step
-from mammometry.surface.range_image import RANGE_STEP_MM, RangeImage
+from mammometry.surface.range_image import RangeImage
 
 
 def carried(image: RangeImage, before: StereoPair, after: StereoPair) -> RangeImage:
@@ -37,7 +36,6 @@ def carried(image: RangeImage, before: StereoPair, after: StereoPair) -> RangeIm
     distance = _nearest(left.rotate(rays), right.rotate(rays_right), right.apply(before.right.centre_world) - centre)
     range_mm = np.zeros_like(image.range_mm)
     range_mm[image.valid] = distance
-    range_mm = to_step(range_mm, RANGE_STEP_MM)
     good = np.isfinite(range_mm) & (range_mm > 0)
     moved = replace(image.camera, camera_from_world=image.camera.camera_from_world @ left.inverse())
     return replace(image, camera=moved, range_mm=np.where(good, range_mm, np.float32(0))).keeping(good)

@@ -22,7 +22,7 @@ from mammometry.surface.visibility import gap_mm
 _MIN_PATCH = 3  # points that determine a normal
 _SMALLEST_ISLAND = 30  # connected data; fewer are crumbs that the other rules leave (rule ``element``); chosen by eye
 _COMMON_MM = 3.0  # data of two views closer than this show the same skin; chosen by eye
-_ANGLE_STEP_RAD = 2.0**-8  # of the angles handed on, a fifth of a degree: they shade a picture
+_ANGLE_STEP_RAD = 2.0**-6  # of the angles handed on, a degree: they shade a picture
 _SIGMAS = 3.0  # of both data, that a gap must exceed before a datum counts as seen through
 
 
@@ -33,10 +33,32 @@ class ValidPatches:
     range_images: tuple[RangeImage, ...]
     """Same views in the same order, with reduced `valid`."""
     angles_rad: tuple[Float32[Array, "h w"], ...]
-    """Per view and element, angle between local normal and direction to the camera, rad, in steps of 2^-8. NaN if unknown."""
+    """Per view and element, angle between local normal and direction to the camera, rad. NaN if unknown.
+
+    In steps of 2^-6.
+    """
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "angles_rad", tuple(read_only(angle) for angle in self.angles_rad))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Kept:
+    """Which range data survived. With the range images it gives `ValidPatches`."""
+
+    keep: tuple[Bool[Array, "h w"], ...]
+    """Per view and element, whether its datum survived."""
+    angles_rad: tuple[Float32[Array, "h w"], ...]
+    """As of `ValidPatches`."""
+
+    def __post_init__(self) -> None:
+        for field in ("keep", "angles_rad"):
+            object.__setattr__(self, field, tuple(read_only(each) for each in getattr(self, field)))
+
+    def of(self, range_images: Sequence[RangeImage]) -> ValidPatches:
+        """The data that survived, of the views they were chosen from."""
+        images = tuple(image.keeping(keep) for image, keep in zip(range_images, self.keep, strict=True))
+        return ValidPatches(range_images=images, angles_rad=self.angles_rad)
 
 
 def remove_dents(

@@ -169,7 +169,9 @@ def triangulate(disparity: DisparityMap, settings: TriangulateSettings = Triangu
     rows, columns = np.nonzero(valid)
     distance, distance_right, sigma = _intersected(disparity, rows * step, columns * step)
     with np.errstate(invalid="ignore"):
-        good = np.isfinite(distance) & (distance > RANGE_STEP_MM) & (distance_right > 0) & (sigma <= settings.max_sigma_mm)
+        good = (
+            np.isfinite(distance) & (distance > RANGE_STEP_MM) & (distance_right > 0) & (sigma <= settings.max_sigma_mm)
+        )
 
     def spread(values: Float64[Array, " n"]) -> Float32[Array, "h w"]:
         image = np.zeros(valid.shape, dtype=np.float32)

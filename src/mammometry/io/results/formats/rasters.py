@@ -71,14 +71,15 @@ def write_raster(path: Path, value: object) -> None:
                 predictor=_HORIZONTAL if floats else None,
                 contiguous=False,
             )
-    with tifffile.TiffFile(path, mode="r+b") as tiff:
-        for page in tiff.pages:
-            if page.dtype == np.int32:
-                page.tags[_SAMPLE_FORMAT].overwrite(_IEEE_FLOAT)
+    with tifffile.TiffFile(path, mode="r+") as written:
+        each: Any
+        for each in written.pages:
+            if each.dtype == np.int32:
+                each.tags[_SAMPLE_FORMAT].overwrite(_IEEE_FLOAT)
 
 
 def _places(tree: Any, place: str) -> Iterator[tuple[str, str]]:
-    """Every array's name and where it stands in the value: ``range_images.0.valid``."""
+    """Every array's name and where it stands in the value: ``keep.0``."""
     if isinstance(tree, dict) and "$array" in tree:
         yield tree["$array"], place
     elif isinstance(tree, dict) and "$tuple" in tree:
@@ -159,5 +160,5 @@ def _page(tiff: Any, index: int) -> np.ndarray[Any, Any]:
     return whole
 
 
-for _product in ("foreground", "disparity", "range", "valid"):
+for _product in ("foreground", "disparity", "range", "kept"):
     FORMATS.add(_product)(Format(write=write_raster, read=read_raster, ending=".tif"))
