@@ -46,7 +46,7 @@ def kept_data(
     kept: Product[Kept] = Product(
         memo,
         "surface",
-        "kept",
+        "valid",
         choose,
         parents={"cameras": cameras, "stillness": stillness, "ranges": ranges},
         settings=(settings.decompose, settings.dents),
@@ -54,7 +54,7 @@ def kept_data(
     valid: Product[ValidPatches] = Product(
         Remade(),
         "surface",
-        "valid",
+        "data",
         take,
         parents={"cameras": cameras, "stillness": stillness, "ranges": ranges, "kept": kept},
     ).letting_go(*ranges.values(), kept)

@@ -160,5 +160,5 @@ def _page(tiff: Any, index: int) -> np.ndarray[Any, Any]:
     return whole
 
 
-for _product in ("foreground", "disparity", "range", "kept"):
+for _product in ("foreground", "disparity", "range", "valid"):
     FORMATS.add(_product)(Format(write=write_raster, read=read_raster, ending=".tif"))
