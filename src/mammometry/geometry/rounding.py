@@ -12,9 +12,9 @@ _MANTISSA_BITS = 23  # of a float32
 
 
 def to_step(values: Float32[Array, "*n"], step: float) -> Float32[Array, "*n"]:
-    """Round to the nearest multiple of a step, a power of two, in place.
+    """Round to the nearest multiple of a step, in place.
 
-    The error is half a step at most. No zero has a sign. NaN stays NaN.
+    The step is a power of two. The error is half a step at most. No zero has a sign. NaN stays NaN.
 
     Returns:
         The same array.
@@ -27,9 +27,9 @@ def to_step(values: Float32[Array, "*n"], step: float) -> Float32[Array, "*n"]:
 
 
 def to_bits(values: Float32[Array, "*n"], bits: int) -> Float32[Array, "*n"]:
-    """Round each value to so many binary digits after its first one, in place.
+    """Round each value to few binary digits, in place.
 
-    The relative error is 2^-(bits + 1) at most. Infinity and NaN stay what they are.
+    As many as `bits` after the first one. The relative error is 2^-(bits + 1) at most. Infinity and NaN stay what they are.
 
     Returns:
         The same array.

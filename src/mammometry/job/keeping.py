@@ -1,4 +1,7 @@
-"""Plan of the removal of dents: which range data are kept, and those data."""
+"""Plan of the removal of dents.
+
+Which range data are kept, and those data.
+"""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ VERSIONS: Registry[int] = Registry(
         "observations": 7,
         "calibration": 5,
         "cameras": 5,
-        "foreground": 13,
+        "foreground": 12,
         "disparity": 14,
         "rows": 1,
         "range": 3,
@@ -110,7 +110,10 @@ class Forgetful:
 
 
 class Remade(Forgetful):
-    """The memo of a product that is made from others in a moment, and so is in no results folder."""
+    """The memo of a product that is never stored.
+
+    It is made from others in a moment.
+    """
 
 
 class Product(Generic[T]):

@@ -14,7 +14,6 @@ from scipy import ndimage
 from mammometry.base.errors import ImageError, MatchingError
 from mammometry.base.photograph import Photograph, linear_of
 from mammometry.geometry.arrays import Array, Bool, Float32, read_only
-from mammometry.geometry.rounding import to_step
 from mammometry.matching.seeded import DepthSeeds, agreed
 from mammometry.matching.segment import segment
 from mammometry.matching.settings import ForegroundSettings
@@ -23,7 +22,6 @@ from mammometry.matching.silhouette import block_means, sub_pixel_coverage
 _REFERENCE_DIAGONAL_PX = 1353.0  # of the 1126 × 750 images, a quarter of the paper's, on which widths were measured
 _BLOCK_PX = 2.0  # pixels a block, at that size, for what needs no sub-pixel position; for speed
 _BLACK = 0.1  # encoded value (sRGB) that no block of a black photograph reaches: 1 % of the light; chosen by eye
-_COVERAGE_STEP = 2.0**-10  # moves an outline by a thousandth of a pixel or two (docs/decisions/0039)
 _BLUR_OF_A_DRAWN_MASK_PX = 1.0  # Gaussian σ that gives a drawn mask an edge to interpolate; chosen by eye
 
 
@@ -91,7 +89,6 @@ def estimate_foreground(
             "matching.foreground.mode to all",
         )
     coverage = sub_pixel_coverage(pixels, linear_of(pixels.dtype), subject, step, unit, settings.contour_level)
-    coverage = to_step(coverage, _COVERAGE_STEP)
     return Foreground(camera=camera_name, coverage=coverage, contour_level=settings.contour_level, everything=False)
 
 
@@ -115,5 +112,4 @@ def _from_mask(photograph: Photograph, camera_name: str, given: Bool[Array, "h w
             remedy="Draw the mask on the photograph itself, at its own size",
         )
     coverage = ndimage.gaussian_filter(given.astype(np.float32), _BLUR_OF_A_DRAWN_MASK_PX, mode="nearest")
-    coverage = to_step(coverage, _COVERAGE_STEP)
     return Foreground(camera=camera_name, coverage=coverage, contour_level=0.5, everything=False)
