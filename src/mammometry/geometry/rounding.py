@@ -29,7 +29,8 @@ def to_step(values: Float32[Array, "*n"], step: float) -> Float32[Array, "*n"]:
 def to_bits(values: Float32[Array, "*n"], bits: int) -> Float32[Array, "*n"]:
     """Round each value to few binary digits, in place.
 
-    As many as `bits` after the first one. The relative error is 2^-(bits + 1) at most. Infinity and NaN stay what they are.
+    As many as `bits` after the first one. The relative error is 2^-(bits + 1) at most. Infinity and NaN stay what they
+    are.
 
     Returns:
         The same array.
