@@ -16,7 +16,7 @@ from mammometry.geometry.mesh import TriangleMesh
 from mammometry.io.results.store import Store
 from mammometry.job.products import Key
 
-NAMES = ("mesh", "valid", "boundaries", "pictures")
+NAMES = ("mesh", "blocked", "boundaries", "pictures")
 
 
 def key(product: str, version: int = 1) -> Key:
@@ -45,7 +45,7 @@ def make(store: Store, product: str, version: int = 1) -> None:
 
         store.write_folder(key(product, version), lambda: write)
         return
-    values = {"mesh": mesh(version), "valid": (1, float(version), np.arange(40.0) * version), "boundaries": ()}
+    values = {"mesh": mesh(version), "blocked": (1, float(version), np.arange(40.0) * version), "boundaries": ()}
     maker: Callable[[Progress], object] = lambda progress: values[product]  # noqa: E731
     store.recall(key(product, version), lambda: maker)
 

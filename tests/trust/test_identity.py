@@ -241,14 +241,12 @@ def test_other_programs_find_the_subject_and_read_the_rest(identified: Run) -> N
     with Image.open(results / "surface" / "model.jpg") as picture:
         assert picture.info["comment"].decode() == f"subject {ID}"
     assert json.loads((results / "measure" / "measurement.json").read_text())["subject"] == ID
-    assert bytes(np.load(results / "surface" / "valid.npz")["subject"]).decode() == ID
+    assert bytes(np.load(results / "surface" / "repaired.npz")["subject"]).decode() == ID
     with tifffile.TiffFile(results / "surface" / "range" / "front.tif") as tiff:
         assert json.loads(tiff.pages.first.description)["subject"] == ID
         assert tiff.pages.first.asarray().dtype == np.float32
     assert f"comment subject {ID}\n".encode() in (results / "surface" / "mesh.ply").read_bytes()[:200]
-    meshes = [
-        trimesh.load(results / "surface" / name, process=False, force="mesh") for name in ("mesh.ply", "first.ply")
-    ]
+    meshes = [trimesh.load(results / "surface" / "mesh.ply", process=False, force="mesh")]
     meshes += [trimesh.load(results / "surface" / f"model.{ending}", force="mesh") for ending in ("glb", "obj")]
     assert all(len(mesh.faces) for mesh in meshes)
     document = PdfReader(results / "report" / "report.pdf")

@@ -81,7 +81,7 @@ def test_names_that_lead_elsewhere(results: Path, name: str, where: str) -> None
     else:
         change_record(results, "mesh", lambda record: record.update(files))
         assert Store(results).state(key("mesh", 1)) == "absent"
-        assert Store(results).state(key("valid", 1)) == "current"  # the others still count
+        assert Store(results).state(key("blocked", 1)) == "current"  # the others still count
     run(results)
     assert precious(results).read_text() == "precious"
     assert not [path.name for path in results.iterdir() if path.name.startswith(".ready")]
@@ -183,12 +183,12 @@ def test_a_file_that_was_changed_is_not_removed_with_its_product(results: Path) 
 
 
 def test_a_record_that_names_another_products_file(results: Path) -> None:
-    valid = (results / "surface" / "valid.npz").read_bytes()
-    change_record(results, "mesh", lambda record: record["files"].update({"valid.npz": answered(valid)}))
+    blocked = (results / "surface" / "blocked.npz").read_bytes()
+    change_record(results, "mesh", lambda record: record["files"].update({"blocked.npz": answered(blocked)}))
     store = Store(results)
     with store.taken():
         make(store, "mesh", 2)
-    assert store.state(key("valid", 1)) == "current"
+    assert store.state(key("blocked", 1)) == "current"
 
 
 # --- links ---

@@ -188,7 +188,8 @@ def unique_edges(starts: Int64[Array, " k"], stops: Int64[Array, " k"], n: int) 
 def on_microns(vectors_mm: Float64[Array, "n 3"]) -> Float64[Array, "n 3"]:
     """Round to 1/1024 mm, a hundredth of what is measured.
 
-    Sums of such vectors up to 16 m are float32 numbers, so that files hold them in half the space, and exactly.
+    Sums of such vectors up to 16 m are float32 numbers, so that files hold them in half the space, and exactly. No
+    zero has a sign.
     """
-    rounded: Float64[Array, "n 3"] = np.round(vectors_mm * _PER_MM) / _PER_MM
+    rounded: Float64[Array, "n 3"] = np.round(vectors_mm * _PER_MM) / _PER_MM + 0.0
     return rounded

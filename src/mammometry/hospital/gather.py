@@ -133,7 +133,8 @@ def stl(mesh: TriangleMesh) -> bytes:
 def covered(atlas: Atlas, measured: Sequence[VolumeMeasurement]) -> CoveredModels:
     """Cover the surface and the closed breasts with photographs."""
     from mammometry.geometry.mesh import TriangleMesh
-    from mammometry.io.models import jpeg_of, material, obj_text
+    from mammometry.io.models import material, obj_text
+    from mammometry.surface.atlas_jpeg import jpeg_of
     from mammometry.surface.transfer import transferred
 
     made = [CoveredModel(name="surface", title=_WHOLE, side="", obj=obj_text(atlas, _MTL).encode())]

@@ -14,8 +14,7 @@ from PIL import Image
 
 from mammometry.geometry.arrays import Array, Float64, Int32
 from mammometry.surface.atlas import Atlas
-
-_QUALITY = 92  # of the texture's JPEG, 1…100: the viewer's file stays small; chosen by eye
+from mammometry.surface.atlas_jpeg import jpeg_of
 
 
 def write_glb(path: Path, atlas: Atlas) -> None:
@@ -94,10 +93,3 @@ def _unwelded(atlas: Atlas) -> tuple[Float64[Array, "n 3"], Int32[Array, "m 3"],
 
 def _upwards(uv: Float64[Array, "n 2"]) -> Float64[Array, "n 2"]:
     return np.column_stack([uv[:, 0], 1.0 - uv[:, 1]])
-
-
-def jpeg_of(atlas: Atlas) -> bytes:
-    """The covering picture as a JPEG."""
-    buffer = io.BytesIO()
-    Image.fromarray(np.asarray(atlas.picture)).save(buffer, "JPEG", quality=_QUALITY)
-    return buffer.getvalue()

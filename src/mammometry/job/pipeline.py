@@ -17,6 +17,7 @@ from mammometry.base.photograph import Photograph
 from mammometry.base.progress import Progress
 from mammometry.geometry.camera import Rig
 from mammometry.job.inputs import Inputs
+from mammometry.job.keeping import kept_data
 from mammometry.job.measuring import Measured, Upstream, measure
 from mammometry.job.products import Memo, Parent, Product, Products, Stage, side_by_side
 from mammometry.job.stage_values import CameraSet, FinishedSurface
@@ -36,7 +37,7 @@ if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a pla
     from mammometry.matching.settings import MatchSettings
     from mammometry.surface.agreement import RowErrors
     from mammometry.surface.atlas import Atlas
-    from mammometry.surface.dents import ValidPatches
+    from mammometry.surface.dents import Kept, ValidPatches
     from mammometry.surface.extract import Solid
     from mammometry.surface.occluders import Blocked
     from mammometry.surface.range_image import RangeImage
@@ -301,7 +302,10 @@ class Surfaced(Products):
     """What moved since the calibration."""
     cameras: Product[CameraSet]
     """The cameras where they most probably stood: as calibrated, if nothing moved."""
+    kept: Product[Kept]
+    """Which range data survived the removal of dents."""
     valid: Product[ValidPatches]
+    """Those data: made from the range images when wanted, never stored."""
     blocked: Product[Mapping[str, Blocked]]
     """Camera → places with something in front of the subject, for cameras that have such places."""
     first: Product[TriangleMesh]
@@ -335,15 +339,6 @@ def surface(
             parents={"disparity": disparity},
             settings=settings.triangulate,
         ).letting_go(disparity)
-
-    def drop(
-        cameras: CameraSet, stillness: Stillness, ranges: Mapping[str, RangeImage], *, progress: Progress
-    ) -> ValidPatches:
-        from mammometry.surface import decompose, dents
-
-        images = tuple(stillness.carry(image, cameras.rig) for image in ranges.values())
-        patches = decompose.decompose(images, settings.decompose) if settings.dents.rule == "patch" else None
-        return dents.remove_dents(images, patches, settings.dents)
 
     def find_blocked(
         cameras: CameraSet, valid: ValidPatches, foregrounds: Mapping[str, Foreground], *, progress: Progress
@@ -388,22 +383,15 @@ def surface(
         return FinishedSurface(repaired=repaired, textured=textured)
 
     def cover(cameras: CameraSet, repaired: RepairedSurface, *, progress: Progress) -> Atlas:
-        from mammometry.surface import atlas, unmeasured
+        from mammometry.surface import atlas, atlas_jpeg, unmeasured
 
         covered = atlas.cover(repaired.mesh, inputs.photographs, cameras.rig, settings.texture, progress=progress)
-        return unmeasured.faded_atlas(covered, repaired)
+        return atlas_jpeg.as_jpeg(unmeasured.faded_atlas(covered, repaired))
 
     ranges = {pair: ranged(pair) for pair in matched.disparities}
     stillness = what_moved(calibrated.cameras, calibrated.calibration, ranges, matched.rows, settings.stillness, memo)
     cameras = where_they_stood(calibrated.cameras, stillness, memo)
-    valid: Product[ValidPatches] = Product(
-        memo,
-        "surface",
-        "valid",
-        drop,
-        parents={"cameras": calibrated.cameras, "stillness": stillness, "ranges": ranges},
-        settings=(settings.decompose, settings.dents),
-    ).letting_go(*ranges.values())
+    kept, valid = kept_data(calibrated.cameras, stillness, ranges, settings, memo)
     seen: dict[str, Parent] = {"cameras": cameras, "valid": valid, "foregrounds": matched.foregrounds}
     blocked: Product[Mapping[str, Blocked]] = Product(memo, "surface", "blocked", find_blocked, parents=seen)
     solid: Product[Solid | None] = Product(
@@ -429,6 +417,7 @@ def surface(
         ranges=ranges,
         stillness=stillness,
         cameras=cameras,
+        kept=kept,
         valid=valid,
         blocked=blocked,
         first=first,

@@ -34,16 +34,17 @@ VERSIONS: Registry[int] = Registry(
         "calibration": 5,
         "cameras": 5,
         "foreground": 12,
-        "disparity": 13,
+        "disparity": 14,
         "rows": 1,
-        "range": 2,
+        "range": 3,
         "stillness": 3,
         "stood": 1,
         "valid": 4,
+        "data": 1,
         "blocked": 5,
-        "first": 9,
+        "first": 10,
         "repaired": 5,
-        "mesh": 3,
+        "mesh": 4,
         "model": 5,
         "absent": 2,
         "sides": 7,
@@ -108,10 +109,17 @@ class Forgetful:
         return prepare()(lambda fraction: None)
 
 
+class Remade(Forgetful):
+    """The memo of a product that is never stored.
+
+    It is made from others in a moment.
+    """
+
+
 class Product(Generic[T]):
     """A value that is made, or recalled, when it is first wanted."""
 
-    __slots__ = ("_function", "_let_go", "_lock", "_memo", "_parents", "_value", "key", "passing")
+    __slots__ = ("_function", "_let_go", "_lock", "_memo", "_parents", "_value", "key", "passing", "remade")
 
     def __init__(
         self,
@@ -150,6 +158,7 @@ class Product(Generic[T]):
             inputs=taken,
         )
         self.passing: bool = memo is None
+        self.remade: bool = isinstance(memo, Remade)
         self._memo: Memo = memo or Forgetful()
         self._function = function
         self._parents = parents
@@ -283,10 +292,11 @@ class Products:
             yield from self._of(name)
 
     def _of(self, name: str) -> Iterator[Product[Any]]:
-        """The products of one field."""
+        """The products of one field, except those that are remade."""
         value = getattr(self, name)
         if isinstance(value, Product):
-            yield value
+            if not value.remade:
+                yield value
         elif isinstance(value, Mapping):
             yield from value.values()
 
@@ -308,5 +318,9 @@ class Products:
 
     def release(self) -> None:
         """Forget all values in memory."""
+        for name in self.__dataclass_fields__:  # type: ignore[attr-defined]  # only dataclasses derive from this
+            value = getattr(self, name)
+            if isinstance(value, Product):
+                value.release()
         for product in self.products():
             product.release()

@@ -50,12 +50,16 @@ class Atlas:
     """Number of the photograph that each face shows. −1 for none."""
     names: tuple[str, ...]
     """Cameras that the numbers stand for."""
+    jpeg: UInt8[Array, " b"] | None = None
+    """Bytes of the JPEG that `picture` was read from. None: it comes from none."""
 
     def __post_init__(self) -> None:
         if self.uv_px.shape != (len(self.mesh.faces), 3, 2) or len(self.view) != len(self.mesh.faces):
             raise ValueError(f"{len(self.mesh.faces)} faces but {self.uv_px.shape} positions, {len(self.view)} views")
         for field in ("uv_px", "picture", "view"):
             object.__setattr__(self, field, read_only(getattr(self, field)))
+        if self.jpeg is not None:
+            object.__setattr__(self, "jpeg", read_only(self.jpeg))
 
     def unwelded(self) -> tuple[Int64[Array, " n"], Int32[Array, "m 3"], Float64[Array, "n 2"]]:
         """One vertex for each place in the picture, for drawing programs.

@@ -14,6 +14,7 @@ from scipy import ndimage
 from mammometry.base.errors import SurfaceError
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32, UInt8, read_only
 from mammometry.geometry.projection import projected
+from mammometry.geometry.rounding import to_step
 from mammometry.surface.decompose import Patches, decompose
 from mammometry.surface.range_image import RangeImage
 from mammometry.surface.settings import DecomposeSettings, DentSettings
@@ -22,6 +23,7 @@ from mammometry.surface.visibility import gap_mm
 _MIN_PATCH = 3  # points that determine a normal
 _SMALLEST_ISLAND = 30  # connected data; fewer are crumbs that the other rules leave (rule ``element``); chosen by eye
 _COMMON_MM = 3.0  # data of two views closer than this show the same skin; chosen by eye
+_ANGLE_STEP_RAD = 2.0**-6  # of the angles handed on, a degree: they shade a picture
 _SIGMAS = 3.0  # of both data, that a gap must exceed before a datum counts as seen through
 
 
@@ -32,10 +34,32 @@ class ValidPatches:
     range_images: tuple[RangeImage, ...]
     """Same views in the same order, with reduced `valid`."""
     angles_rad: tuple[Float32[Array, "h w"], ...]
-    """Per view and element, angle between local normal and direction to the camera, rad. NaN if unknown."""
+    """Per view and element, angle between local normal and direction to the camera, rad. NaN if unknown.
+
+    In steps of 2^-6.
+    """
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "angles_rad", tuple(read_only(angle) for angle in self.angles_rad))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Kept:
+    """Which range data survived. With the range images it gives `ValidPatches`."""
+
+    keep: tuple[Bool[Array, "h w"], ...]
+    """Per view and element, whether its datum survived."""
+    angles_rad: tuple[Float32[Array, "h w"], ...]
+    """As of `ValidPatches`."""
+
+    def __post_init__(self) -> None:
+        for field in ("keep", "angles_rad"):
+            object.__setattr__(self, field, tuple(read_only(each) for each in getattr(self, field)))
+
+    def of(self, range_images: Sequence[RangeImage]) -> ValidPatches:
+        """The data that survived, of the views they were chosen from."""
+        images = tuple(image.keeping(keep) for image, keep in zip(range_images, self.keep, strict=True))
+        return ValidPatches(range_images=images, angles_rad=self.angles_rad)
 
 
 def remove_dents(
@@ -76,7 +100,7 @@ def remove_dents(
         )
     return ValidPatches(
         range_images=tuple(image.keeping(keep) for image, keep in zip(range_images, kept, strict=True)),
-        angles_rad=angles,
+        angles_rad=tuple(to_step(angle, _ANGLE_STEP_RAD) for angle in angles),
     )
 
 

@@ -13,12 +13,17 @@ from scipy import ndimage
 from mammometry.base.cores import in_bands
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int64, read_only
 from mammometry.geometry.camera import Camera
+from mammometry.geometry.rounding import to_bits, to_step
 from mammometry.matching.match import DisparityMap
 from mammometry.surface import image_kernels, ray_kernels
 from mammometry.surface.settings import TriangulateSettings
 
 _SAMPLES = 100_000  # data of which a median is taken: more change it by less than a thousandth; chosen by eye
 
+RANGE_STEP_MM = 2.0**-9
+"""Of a range image: its rounding has a σ of .0006 mm, a datum .007 at least (docs/decisions/0039)."""
+SIGMA_BITS = 5
+"""Binary digits of a datum's σ after the first, which is so known to 1.6 %."""
 NORMAL_MM = 1.5
 """Half-width of the window for a datum's normal, in the first surface and the repair, mm. Chosen by eye."""
 SIGMA_FLOOR_MM = 0.05
@@ -40,11 +45,13 @@ class RangeImage:
     camera: Camera
     """The pair's rectified left camera (no distortion) at this image's resolution."""
     range_mm: Float32[Array, "h w"]
-    """Euclidean distance from the perspective centre (not the depth z), mm. 0 if not valid."""
+    """Euclidean distance from the perspective centre (not the depth z), mm. 0 if not valid. Triangulated in steps of
+    2^-9 mm.
+    """
     sigma_mm: Float32[Array, "h w"]
     """Expected standard deviation of `range_mm`, mm. 0 where not valid."""
     confidence: Float32[Array, "h w"]
-    """Matching correlation c(i, j) of Eq. 1, −1…1."""
+    """Matching correlation c(i, j) of Eq. 1, −1…1. 0 where not valid."""
     valid: Bool[Array, "h w"]
     """Where there is a datum."""
 
@@ -144,6 +151,7 @@ class RangeImage:
             valid=valid,
             range_mm=np.where(valid, self.range_mm, zero),
             sigma_mm=np.where(valid, self.sigma_mm, zero),
+            confidence=np.where(valid, self.confidence, zero),
         )
 
 
@@ -161,7 +169,9 @@ def triangulate(disparity: DisparityMap, settings: TriangulateSettings = Triangu
     rows, columns = np.nonzero(valid)
     distance, distance_right, sigma = _intersected(disparity, rows * step, columns * step)
     with np.errstate(invalid="ignore"):
-        good = np.isfinite(distance) & (distance > 0) & (distance_right > 0) & (sigma <= settings.max_sigma_mm)
+        good = (
+            np.isfinite(distance) & (distance > RANGE_STEP_MM) & (distance_right > 0) & (sigma <= settings.max_sigma_mm)
+        )
 
     def spread(values: Float64[Array, " n"]) -> Float32[Array, "h w"]:
         image = np.zeros(valid.shape, dtype=np.float32)
@@ -173,9 +183,9 @@ def triangulate(disparity: DisparityMap, settings: TriangulateSettings = Triangu
     return RangeImage(
         name=disparity.name,
         camera=thinned_camera(disparity.left, step),
-        range_mm=spread(distance),
-        sigma_mm=spread(sigma),
-        confidence=np.where(valid, disparity.confidence[thin], np.float32(0)),
+        range_mm=to_step(spread(distance), RANGE_STEP_MM),
+        sigma_mm=to_bits(spread(sigma), SIGMA_BITS),
+        confidence=np.where(usable, disparity.confidence[thin], np.float32(0)),
         valid=usable,
     )
 

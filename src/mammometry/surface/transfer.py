@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
@@ -36,9 +38,7 @@ def transferred(atlas: Atlas, mesh: TriangleMesh) -> Atlas:
         on_middle = _places(atlas, middle, closest_on_triangles(corners[:, corner], triangles))
         same = chart[nearest.faces[mesh.faces[:, corner]]] == chart[middle]
         uv_px[:, corner] = np.where(same[:, None], own[:, corner], on_middle)
-    return Atlas(
-        mesh=mesh, uv_px=uv_px.astype(np.float32), picture=atlas.picture, view=atlas.view[middle], names=atlas.names
-    )
+    return replace(atlas, mesh=mesh, uv_px=uv_px.astype(np.float32), view=atlas.view[middle])
 
 
 def _charts(atlas: Atlas) -> Int32[Array, " m"]:

@@ -53,4 +53,4 @@ def faded_atlas(atlas: Atlas, repaired: RepairedSurface) -> Atlas:
     hidden = np.asarray(mask)
     drawn = np.array(atlas.picture)
     drawn[hidden] = faded(drawn[hidden])
-    return replace(atlas, picture=drawn)
+    return replace(atlas, picture=drawn, jpeg=None)

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import tifffile
 import trimesh
+from PIL import Image
 
 from mammometry.base.errors import StorageError
 from mammometry.calibration.detection.detect import Detection, MissedView, Observations
@@ -27,6 +28,9 @@ from mammometry.io.results.tree import STORED_TYPES, from_tree, to_tree
 from mammometry.job.pipeline import CameraSet, FinishedSurface
 from mammometry.matching.match import DisparityMap
 from mammometry.measure.boundary.boundary import Boundary
+from mammometry.surface.atlas import Atlas
+from mammometry.surface.atlas_jpeg import as_jpeg, jpeg_of
+from mammometry.surface.dents import Kept
 from mammometry.surface.repair import Provenance, RepairedSurface
 from mammometry.surface.texture import TexturedMesh
 
@@ -229,6 +233,7 @@ measure.shape:BreastShape
 measure.symmetry:Symmetry
 measure.volume:VolumeMeasurement
 surface.atlas:Atlas
+surface.dents:Kept
 surface.dents:ValidPatches
 surface.range_image:RangeImage
 """
@@ -268,3 +273,79 @@ def test_what_is_deflated_is_read_by_everybody(tmp_path: Path) -> None:
     again = read_raster(tmp_path / "a.tif")
     for name in ("d_h_px", "confidence", "valid"):
         np.testing.assert_array_equal(getattr(again, name), getattr(value, name))
+
+
+def photographed(shape: tuple[int, int] = (150, 90)) -> DisparityMap:
+    """A smooth map in steps, with gaps, over more than one strip."""
+    steps = np.add.outer(np.arange(shape[0]), -3 * np.arange(shape[1]))
+    valid = RNG.random(shape) > 0.1
+    fields = {name: (steps * 2.0**-8 * valid).astype(np.float32) for name in ("d_h_px", "d_v_px", "confidence")}
+    sigma_px = np.where(valid, np.float32(0.03125), np.float32(np.nan))
+    return DisparityMap(
+        name="front", left=camera(), right=camera("right"), valid=valid, weak=~valid, sigma_px=sigma_px, **fields
+    )
+
+
+def test_rasters_are_read_by_libtiff(tmp_path: Path) -> None:
+    """Floats that are written as differences: Pillow reads them with libtiff, as GDAL and OpenCV do."""
+    value = photographed()
+    write_raster(tmp_path / "a.tif", value)
+    with Image.open(tmp_path / "a.tif") as picture:
+        for page, name in enumerate(("d_h_px", "d_v_px", "confidence", "sigma_px", "valid", "weak")):
+            picture.seek(page)
+            np.testing.assert_array_equal(np.asarray(picture), getattr(value, name))
+    import cv2
+
+    read, pages = cv2.imreadmulti(str(tmp_path / "a.tif"), flags=cv2.IMREAD_UNCHANGED)
+    assert read
+    np.testing.assert_array_equal(pages[0], value.d_h_px)
+    assert read_raster(tmp_path / "a.tif").d_h_px.tobytes() == value.d_h_px.tobytes()
+    assert (tmp_path / "a.tif").stat().st_size < value.d_h_px.nbytes
+
+
+def test_rasters_of_earlier_versions_are_read(tmp_path: Path) -> None:
+    """Their floats are plain: what a file says of itself decides."""
+    value = photographed()
+    write_raster(tmp_path / "a.tif", value)
+    with tifffile.TiffFile(tmp_path / "a.tif") as tiff:
+        about = tiff.pages.first.description
+    with tifffile.TiffWriter(tmp_path / "old.tif") as tiff:
+        for page, name in enumerate(("d_h_px", "d_v_px", "confidence", "sigma_px", "valid", "weak")):
+            array = getattr(value, name)
+            tiff.write(
+                array.astype(np.uint8) if array.dtype == bool else array,
+                description=about if page == 0 else None,
+                metadata=None,
+                compression="zlib",
+                rowsperstrip=64,
+            )
+    read = read_raster(tmp_path / "old.tif")
+    for name in ("d_h_px", "sigma_px", "valid"):
+        np.testing.assert_array_equal(getattr(read, name), getattr(value, name))
+
+
+def test_kept_data_are_a_mask_over_the_range_images(tmp_path: Path) -> None:
+    keep = tuple(RNG.random((70, 50)) > 0.4 for _ in range(2))
+    angles_rad = tuple(np.full((70, 50), angle, np.float32) for angle in (0.5, np.nan))
+    encode(Kept(keep=keep, angles_rad=angles_rad), tmp_path, "valid")
+    with tifffile.TiffFile(tmp_path / "valid.tif") as tiff:
+        assert [page.tags[285].value for page in tiff.pages] == ["keep.0", "keep.1", "angles_rad.0", "angles_rad.1"]
+    read = decode(tmp_path, "valid")
+    for ours, theirs in zip((*keep, *angles_rad), (*read.keep, *read.angles_rad), strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+
+
+def test_the_covering_picture_is_kept_once_and_is_what_its_file_shows(tmp_path: Path) -> None:
+    mesh = tetrahedron()
+    picture = RNG.integers(0, 255, (40, 30, 3)).astype(np.uint8)
+    uv_px = RNG.random((4, 3, 2)).astype(np.float32) * 20
+    drawn = Atlas(mesh=mesh, uv_px=uv_px, picture=picture, view=np.zeros(4, np.int64), names=("front",))
+    made = as_jpeg(drawn)
+    assert np.any(made.picture != picture)
+    encode(made, tmp_path, "model")
+    read = decode(tmp_path, "model")
+    np.testing.assert_array_equal(read.picture, made.picture)
+    assert jpeg_of(read) == (tmp_path / "model.jpg").read_bytes()
+    with Image.open(tmp_path / "model.jpg") as shown:
+        np.testing.assert_array_equal(np.asarray(shown), made.picture)
+    assert as_jpeg(read) is read

@@ -17,9 +17,11 @@ from mammometry.base.progress import Progress
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.io import write
 from mammometry.io.results import codecs
+from mammometry.io.results.formats.arrays import ARRAYS
 from mammometry.io.results.store import Store
 from mammometry.io.write import write_text
 from mammometry.job.products import Key
+from mammometry.surface.dents import Kept
 
 
 def key(product: str = "mesh", **changes: object) -> Key:
@@ -248,3 +250,20 @@ def test_small_files_are_whole_or_not_there(tmp_path: Path, monkeypatch: pytest.
         write_text(path, "new")
     assert path.read_text() == "old"
     assert [each.name for each in tmp_path.iterdir()] == ["cameras.json"]
+
+
+def test_a_result_of_an_earlier_format_is_renewed_and_its_file_removed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As kept range data, once copies in an .npz, now a mask in a .tif: neither is taken for the other."""
+    kept = Kept(keep=(np.eye(70, dtype=bool),), angles_rad=(np.eye(70, dtype=np.float32),))
+    with monkeypatch.context() as before:
+        before.setattr(codecs, "_format", lambda product: ARRAYS)
+        Store(tmp_path).recall(key("valid", version=3), lambda: lambda progress: (1, 2))
+    assert (tmp_path / "surface" / "valid.npz").is_file()
+    store = Store(tmp_path)
+    assert store.state(key("valid", version=4)) == "stale"
+    store.recall(key("valid", version=4), lambda: lambda progress: kept)
+    assert [path.name for path in (tmp_path / "surface").glob("valid*")] == ["valid.tif"]
+    read = Store(tmp_path).recall(key("valid", version=4), Maker())
+    np.testing.assert_array_equal(read.keep[0], kept.keep[0])

@@ -6,7 +6,7 @@ from threading import Barrier
 import pytest
 
 from mammometry.base.progress import Progress
-from mammometry.job.products import VERSIONS, Fleeting, Forgetful, Key, Product, Products
+from mammometry.job.products import VERSIONS, Fleeting, Forgetful, Key, Product, Products, Remade
 
 
 @dataclass(frozen=True)
@@ -171,3 +171,33 @@ def test_the_first_failure_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     stage = Stage(single=None, many={"front": Product(Forgetful(), "match", "disparity/front", fail)})
     with pytest.raises(RuntimeError, match="front"):
         stage.ensure()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Two(Products):
+    stored: Product
+    derived: Product
+
+
+def test_what_is_remade_is_no_result_and_still_hands_on_what_it_depends_on() -> None:
+    made: list[str] = []
+
+    def take(stored: object, *, progress: Progress) -> object:
+        made.append("data")
+        return stored
+
+    def plan(width: float) -> Two:
+        stored = product("valid", settings=Wide(width), made=made)
+        derived = Product(Remade(), "surface", "data", take, parents={"stored": stored})
+        return Two(stored=stored, derived=derived)
+
+    two = plan(1.0)
+    assert list(two.products()) == [two.stored]
+    two.ensure()
+    assert made == ["valid"]
+    assert two.derived() is two.derived()
+    assert made == ["valid", "data"]
+    two.release()
+    two.derived()
+    assert made == ["valid", "data", "valid", "data"], "its value in memory was let go, too"
+    assert product("repaired", two.derived).key.digest != product("repaired", plan(2.0).derived).key.digest

@@ -51,6 +51,9 @@ def test_a_smooth_disparity_is_found_to_a_few_hundredths(gain: float, offset: fl
     assert found.confidence[found.valid].min() > 0.5
     assert not found.d_h_px[~found.valid].any()
     assert not found.valid[~pair.left_mask].any()
+    for field, step in (("d_h_px", 2.0**-8), ("d_v_px", 2.0**-10), ("confidence", 2.0**-7)):
+        assert not np.any(np.mod(getattr(found, field) / step, 1)), "files and memory hold the same, and no noise"
+    assert not np.any(found.sigma_px.view(np.uint32) & 0x3FFFF), "six binary digits"
 
 
 def test_the_expected_deviation_is_that_of_the_errors() -> None:

@@ -5,14 +5,16 @@ product               files
 ====================  =========================================================================================
 cameras               cameras.json: per camera K, dist, R, t, image_size, std
 foreground,           one float32 TIFF of several pages each, deflated (`formats.rasters`)
-disparity, range
+disparity, range,
+valid
 mesh                  mesh.ply: binary, mm, world; provenance, sigma_mm, pairs, red, green, blue a vertex
 boundaries            boundaries.json, which a session may also bring; and .npz
 model                 model.glb, model.obj (.mtl, .jpg): the viewing mesh; and .npz
 landmarks,            landmarks.json, symmetry.json, dimensions.json; and .npz
 symmetry, dimensions
 measurement           measurement.json, NAME.ply (the closed solid); and .npz
-all others            .npz, deflated: arrays, and ``tree``, UTF-8 JSON that says how they belong together
+all others            .npz, deflated: arrays, and ``tree``, UTF-8 JSON that says how they belong together; long ones
+                      are laid out for it (`formats.packed`)
 ====================  =========================================================================================
 """
 

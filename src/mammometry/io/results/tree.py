@@ -56,6 +56,7 @@ STORED_TYPES: Mapping[str, str] = MappingProxyType(
         "surface.agreement:RowErrors": "mammometry.surface.agreement:RowErrors",
         "surface.atlas:Atlas": "mammometry.surface.atlas:Atlas",
         "surface.occluders:Blocked": "mammometry.surface.occluders:Blocked",
+        "surface.dents:Kept": "mammometry.surface.dents:Kept",
         "surface.dents:ValidPatches": "mammometry.surface.dents:ValidPatches",
         "surface.motions:Unknowns": "mammometry.surface.motions:Unknowns",
         "surface.range_image:RangeImage": "mammometry.surface.range_image:RangeImage",

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from mammometry.io.results.formats.deflate import DeflatedArchive
+from mammometry.io.results.formats.packed import packed, unpacked
 from mammometry.io.results.formats.registry import Format
 from mammometry.io.results.tree import from_tree, to_tree
 
@@ -18,19 +19,35 @@ _JSON_FORMAT = 1
 
 
 def write_arrays(path: Path, value: Any) -> None:
-    """Write a whole value to an .npz, compressed."""
+    """Write a whole value to an .npz, compressed.
+
+    ``packed`` is UTF-8 JSON that says which arrays are laid out by `packed`.
+    """
     arrays: dict[str, np.ndarray[Any, Any]] = {}
     tree = json.dumps(to_tree(value, arrays)).encode()
+    laid_out: dict[str, dict[str, Any]] = {}
     with DeflatedArchive(path, "w") as archive:
-        for name, array in {"tree": np.frombuffer(tree, dtype=np.uint8), **arrays}.items():
+
+        def write(name: str, array: np.ndarray[Any, Any]) -> None:
             with archive.member(f"{name}.npy") as member:
-                np.lib.format.write_array(member, np.asanyarray(array), allow_pickle=False)
+                np.lib.format.write_array(member, array, allow_pickle=False)
+
+        write("tree", np.frombuffer(tree, dtype=np.uint8))
+        for name, array in arrays.items():
+            array = np.asanyarray(array)
+            if (found := packed(array)) is not None:
+                array, laid_out[name] = found
+            write(name, array)
+        if laid_out:
+            write("packed", np.frombuffer(json.dumps(laid_out).encode(), dtype=np.uint8))
 
 
 def read_arrays(path: Path) -> Any:
     """Read back what `write_arrays` wrote."""
     with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
-        arrays = {name: stored[name] for name in stored.files if name != "tree"}
+        arrays = {name: stored[name] for name in stored.files if name not in ("tree", "packed")}
+        for name, about in json.loads(stored["packed"].tobytes()).items() if "packed" in stored.files else ():
+            arrays[name] = unpacked(arrays[name], about)
         return from_tree(json.loads(stored["tree"].tobytes()), arrays)
 
 

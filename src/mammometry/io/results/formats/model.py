@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from mammometry.io.results.formats.arrays import read_arrays, write_arrays
 from mammometry.io.results.formats.registry import FORMATS, Format
@@ -13,14 +13,19 @@ if TYPE_CHECKING:
 
 
 def _write(path: Path, model: Atlas) -> None:
-    from mammometry.io.models import (
-        write_glb,
-        write_obj,
-    )  # brings compilers, which reading other results need not wait for
+    # They bring compilers, which reading other results need not wait for.
+    from mammometry.io.models import write_glb, write_obj
+    from mammometry.surface.atlas_jpeg import without_picture
 
-    write_arrays(path.with_suffix(".npz"), model)
+    write_arrays(path.with_suffix(".npz"), without_picture(model))
     write_obj(path.with_suffix(".obj"), model)
     write_glb(path, model)
 
 
-FORMATS.add("model")(Format(write=_write, read=read_arrays, ending=".glb", read_ending=".npz"))
+def _read(path: Path) -> Any:
+    from mammometry.surface.atlas_jpeg import with_picture
+
+    return with_picture(read_arrays(path))
+
+
+FORMATS.add("model")(Format(write=_write, read=_read, ending=".glb", read_ending=".npz"))

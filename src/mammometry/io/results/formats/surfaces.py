@@ -28,7 +28,7 @@ def _write(path: Path, value: Any) -> None:
     mesh = repaired if isinstance(repaired, TriangleMesh) else repaired.mesh
     if repaired is not mesh:
         properties |= {
-            "provenance": repaired.provenance, "sigma_mm": repaired.sigma_mm, "pairs": repaired.pair_bits
+            "provenance": repaired.provenance, "sigma_mm": repaired.sigma_mm, "pairs": _narrowed(repaired.pair_bits)
         }  # fmt: skip
         about = {
             "pair_names": repaired.pair_names,
@@ -40,6 +40,11 @@ def _write(path: Path, value: Any) -> None:
         properties |= {name: np.ascontiguousarray(channel) for name, channel in colours}
     comments = ("mm, world frame", *((f"mammometry {json.dumps(about)}",) if about else ()))
     write_ply(path, mesh, properties, comments)
+
+
+def _narrowed(bits: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+    """Numbers of up to eight pairs in one byte each."""
+    return bits.astype(np.uint8) if bits.min(initial=0) >= 0 and bits.max(initial=0) < 1 << 8 else bits
 
 
 def _read(path: Path) -> Any:
@@ -54,7 +59,7 @@ def _read(path: Path) -> Any:
         mesh=mesh,
         provenance=properties["provenance"],
         sigma_mm=properties["sigma_mm"],
-        pair_bits=properties["pairs"],
+        pair_bits=properties["pairs"].astype(np.int32, copy=False),
         pair_names=tuple(about["pair_names"]),
         convergence=np.array(about["convergence_mm"], dtype=np.float64),
         crossings=about.get("crossings"),

@@ -1,0 +1,64 @@
+"""Plan of the removal of dents.
+
+Which range data are kept, and those data.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+from mammometry.base.progress import Progress
+from mammometry.job.products import Memo, Product, Remade
+from mammometry.job.stage_values import CameraSet
+
+if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a plan alone need not wait for.
+    from mammometry.surface.dents import Kept, ValidPatches
+    from mammometry.surface.range_image import RangeImage
+    from mammometry.surface.settings import SurfaceSettings
+    from mammometry.surface.stillness import Stillness
+
+
+def kept_data(
+    cameras: Product[CameraSet],
+    stillness: Product[Stillness],
+    ranges: Mapping[str, Product[RangeImage]],
+    settings: SurfaceSettings,
+    memo: Memo,
+) -> tuple[Product[Kept], Product[ValidPatches]]:
+    """Which range data are kept, and those data.
+
+    Only the former are stored: the data themselves are in the range images.
+    """
+
+    def choose(
+        cameras: CameraSet, stillness: Stillness, ranges: Mapping[str, RangeImage], *, progress: Progress
+    ) -> Kept:
+        from mammometry.surface import decompose, dents
+
+        images = tuple(stillness.carry(image, cameras.rig) for image in ranges.values())
+        patches = decompose.decompose(images, settings.decompose) if settings.dents.rule == "patch" else None
+        valid = dents.remove_dents(images, patches, settings.dents)
+        return dents.Kept(keep=tuple(image.valid for image in valid.range_images), angles_rad=valid.angles_rad)
+
+    def take(
+        cameras: CameraSet, stillness: Stillness, ranges: Mapping[str, RangeImage], kept: Kept, *, progress: Progress
+    ) -> ValidPatches:
+        return kept.of([stillness.carry(image, cameras.rig) for image in ranges.values()])
+
+    kept: Product[Kept] = Product(
+        memo,
+        "surface",
+        "valid",
+        choose,
+        parents={"cameras": cameras, "stillness": stillness, "ranges": ranges},
+        settings=(settings.decompose, settings.dents),
+    )
+    valid: Product[ValidPatches] = Product(
+        Remade(),
+        "surface",
+        "data",
+        take,
+        parents={"cameras": cameras, "stillness": stillness, "ranges": ranges, "kept": kept},
+    ).letting_go(*ranges.values(), kept)
+    return kept, valid
