@@ -102,9 +102,9 @@ def cover(
     step = 0
     while True:  # a picture too large for what viewers can hold shows the means of step² pixels each
         step += 1
-        projected = [(uv + 0.5) / step - 0.5 for uv in photographed]
+        pixels = [(uv + 0.5) / step - 0.5 for uv in photographed]
         sizes_wh = [(size[0] // step, size[1] // step) for size in (rig.cameras[name].size_wh for name in names)]
-        charts = _charts(mesh, view, projected, sizes_wh)
+        charts = _charts(mesh, view, pixels, sizes_wh)
         corners, uv_px, size_wh = _laid_out(charts, len(mesh.faces))
         if max(size_wh) <= settings.atlas_px or step == _MOST_REDUCED:
             break
@@ -112,7 +112,7 @@ def cover(
     sheet = np.full((size_wh[1], size_wh[0], 3), _GREY, dtype=np.uint8)
     fading = fading_pixels(mesh, view, fading_weights(mesh, view, weights > 0), uv_px, size_wh)
     mixed = np.zeros((len(fading.row), 3), dtype=np.float32)
-    for k, (photograph, uv) in enumerate(zip(read_ahead(photographs, names), projected, strict=True)):
+    for k, (photograph, uv) in enumerate(zip(read_ahead(photographs, names), pixels, strict=True)):
         picture, seen = picture_of(photograph).reduced(step), weights[k] > 0
         level = _levelling(uv[seen], (target - samples[k])[seen], picture.levels.shape[:2], _LEVEL_PX / step)
         for chart, (x, y) in zip(charts, corners, strict=True):
@@ -166,7 +166,7 @@ class _Chart:
 def _charts(
     mesh: TriangleMesh,
     view: Int64[Array, " m"],
-    projected: Sequence[Float64[Array, "n 2"]],
+    pixels: Sequence[Float64[Array, "n 2"]],
     sizes_wh: Sequence[tuple[int, int]],
 ) -> list[_Chart]:
     """The charts of all photographs.
@@ -175,7 +175,7 @@ def _charts(
     """
     group = _groups(mesh, view)
     charts = []
-    for k, (uv, size_wh) in enumerate(zip(projected, sizes_wh, strict=True)):
+    for k, (uv, size_wh) in enumerate(zip(pixels, sizes_wh, strict=True)):
         shown = np.flatnonzero(view == k)
         for faces in _split(shown, group[shown]) if len(shown) else []:
             at = uv[mesh.faces[faces]]
