@@ -38,6 +38,7 @@ from mammometry.io.outputs import require_apart, require_free, write_output, wri
 from mammometry.io.results.store import State, Store, Watch, unwatched
 from mammometry.io.session import Session
 from mammometry.io.write import write_text
+from mammometry.job.beside import Beside, beside_the_next_stage
 from mammometry.job.pipeline import CameraSet, FinishedSurface, Plan, plan
 from mammometry.job.products import STAGES, Key, Product, Stage
 from mammometry.report.page_inputs import PageInputs
@@ -178,22 +179,29 @@ class Job:
         self.session.require(stage)
         return_freed_arrays()
         stages = STAGES[: STAGES.index(stage) + 1]
-        with self.store.taken(), one_blas_thread(), self._previews.drawing(stages if drawn else ()) as drawing:
+        with (
+            self.store.taken(),
+            one_blas_thread(),
+            self._previews.drawing(stages if drawn else ()) as drawing,
+            beside_the_next_stage() as beside,
+        ):
             for each in stages:
                 begun = time.monotonic()
                 if each == "report":
+                    beside.wait()
                     self._ensure_report(drawing.facts())
                 else:
-                    self._ensure_stage(each, drawing if drawn else None)
+                    self._ensure_stage(each, drawing if drawn else None, beside)
                 if each == "match":
                     self.plan.matched.release()  # large, and read back in a moment where wanted
                 self.stage_seconds[each] = self.stage_seconds.get(each, 0.0) + time.monotonic() - begun
+            beside.wait()
             if stage in ("measure", "report"):
                 withdraw_refusal(self.session.results)
 
-    def _ensure_stage(self, stage: Stage, drawing: Drawing | None) -> None:
+    def _ensure_stage(self, stage: Stage, drawing: Drawing | None, beside: Beside) -> None:
         try:
-            self._stages[stage].ensure()
+            beside.ensure(self._stages[stage])
         except (CalibrationError, MatchingError, SurfaceError, MeasureError) as error:
             if drawing is not None:
                 show_refusal(self.session.results, self.identity, error, partial(self._seen, stage, drawing))

@@ -14,9 +14,9 @@ from mammometry.geometry.camera import Camera
 
 
 def projected(camera: Camera, points_world: Float64[Array, "n 3"]) -> Float64[Array, "n 3"]:
-    """Column, row and depth of world points: distorted pixels, and mm along the optical axis.
+    """Column, row and depth of world points.
 
-    Pixels of points that are not in front of the camera are NaN.
+    Distorted pixels, and mm along the optical axis. Pixels of points that are not in front of the camera are NaN.
     """
     found = np.empty((len(points_world), 3))
     pose = np.column_stack([camera.camera_from_world.rotation, camera.camera_from_world.translation_mm])

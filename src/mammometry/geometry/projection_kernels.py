@@ -15,7 +15,10 @@ def project(
     distortion: Float64[Array, " 5"],
     found: Float64[Array, "n 3"],
 ) -> None:
-    """Fill `found`. `pose`: rotation and translation side by side. `intrinsics`: fx, fy, cx, cy."""
+    """Fill `found` with column, row and depth of each point.
+
+    `pose`: rotation and translation side by side. `intrinsics`: fx, fy, cx, cy.
+    """
     lens = distortion[0], distortion[1], distortion[2], distortion[3], distortion[4]
     for i in range(len(points)):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]

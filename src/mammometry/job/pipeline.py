@@ -8,6 +8,7 @@ and knows what is stale.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from concurrent.futures import Executor, Future
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -217,7 +218,7 @@ class Matched(Products):
     pairs: tuple[tuple[str, str, str], ...]
     """Name, left and right camera of each pair."""
 
-    def ensure(self) -> None:
+    def ensure(self, beside: Executor | None = None) -> list[Future[None]]:
         """Make everything the memo lacks, pair by pair on two cores each.
 
         Pair by pair, few pictures are held in memory.
@@ -238,6 +239,7 @@ class Matched(Products):
         side_by_side((partial(one, *pair) for pair in self.pairs), threads=2)
         for product in self.foregrounds.values():  # of cameras that are in no pair
             product.ensure()
+        return []
 
 
 def match(inputs: Inputs, cameras: Product[CameraSet], settings: MatchSettings, memo: Memo) -> Matched:
@@ -295,6 +297,7 @@ class Surfaced(Products):
     """Plan of the surface."""
 
     side_by_side: ClassVar[tuple[tuple[str, ...], ...]] = (("ranges",), ("model", "mesh"))
+    late: ClassVar[tuple[str, ...]] = ("model",)
 
     ranges: Mapping[str, Product[RangeImage]]
     """Pair → its range image, with the cameras as calibrated."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor, as_completed
+from concurrent.futures import Executor, Future, ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
 from threading import Lock
 from types import MappingProxyType
@@ -285,6 +285,8 @@ class Products:
 
     side_by_side: ClassVar[tuple[tuple[str, ...], ...]] = ()
     """Groups of fields whose products are made at once, what takes longest first. Others are made in order."""
+    late: ClassVar[tuple[str, ...]] = ()
+    """Fields that no later stage needs: they may be made beside the next one."""
 
     def products(self) -> Iterator[Product[Any]]:
         """All products of this stage."""
@@ -300,21 +302,33 @@ class Products:
         elif isinstance(value, Mapping):
             yield from value.values()
 
-    def ensure(self) -> None:
-        """Make all products that the memo lacks."""
+    def ensure(self, beside: Executor | None = None) -> list[Future[None]]:
+        """Make all products that the memo lacks.
+
+        Args:
+            beside: makes the late ones, for which nobody waits here. None: they are made as the others.
+
+        Returns:
+            What is being made beside.
+        """
         groups = {name: group for group in self.side_by_side for name in group}
+        late = self.late if beside is not None else ()
+        begun: list[Future[None]] = []
         done: set[str] = set()
         for name in self.__dataclass_fields__:  # type: ignore[attr-defined]  # only dataclasses derive from this
             if name in done:
                 continue
             group = groups.get(name, (name,))
-            products = [product for member in group for product in self._of(member)]
+            if beside is not None:
+                begun += [beside.submit(each.ensure) for member in group if member in late for each in self._of(member)]
+            products = [product for member in group if member not in late for product in self._of(member)]
             if name in groups:
                 side_by_side(product.ensure for product in products)
             else:
                 for product in products:
                     product.ensure()
             done.update(group)
+        return begun
 
     def release(self) -> None:
         """Forget all values in memory."""

@@ -5,6 +5,7 @@ Both are summed up in cells of skin, because neighbouring data err alike.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -152,26 +153,28 @@ def row_errors(disparity: DisparityMap) -> RowErrors:
     """Sum up a pair's vertical disparity over its matched picture."""
     left, right = disparity.left, disparity.right
     focal_px = float(right.matrix[1, 1])
-    rows, columns = np.nonzero(disparity.valid)
+    parts = [_in_parts(np.flatnonzero(disparity.valid.any(axis=axis))) for axis in (1, 0)]
     places, angles = [], []
-    if len(rows):
-        edges = [np.linspace(each.min(), each.max() + 1, _ROW_CELLS + 1) for each in (rows, columns)]
-        cell = sum(
-            factor * (np.digitize(each, edge) - 1)
-            for factor, each, edge in zip((_ROW_CELLS, 1), (rows, columns), edges, strict=True)
-        )
-        for number in range(_ROW_CELLS**2):
-            inside = np.flatnonzero(cell == number)
-            if len(inside) >= _FEWEST_ROWS:
-                middle = inside[len(inside) // 2]
-                at = rows[middle], columns[middle]
-                point = _point(left, right, at, float(disparity.d_h_px[at]))
-                d_v_px = float(np.median(disparity.d_v_px[rows[inside], columns[inside]]))
-                places.append(point)
-                angles.append(_angle(right, point, d_v_px))
+    for rows, columns in itertools.product(*parts):
+        valid = disparity.valid[rows, columns]
+        inside = np.flatnonzero(valid)
+        if len(inside) >= _FEWEST_ROWS:
+            row, column = np.unravel_index(inside[len(inside) // 2], valid.shape)
+            at = int(row) + rows.start, int(column) + columns.start
+            point = _point(left, right, at, float(disparity.d_h_px[at]))
+            places.append(point)
+            angles.append(_angle(right, point, float(np.median(disparity.d_v_px[rows, columns][valid]))))
     return RowErrors(
         points=np.array(places).reshape(-1, 3), angle_rad=np.array(angles, dtype=np.float64), pixel_rad=1 / focal_px
     )
+
+
+def _in_parts(used: Int64[Array, " n"]) -> list[slice]:
+    """The rows or columns from the first used one to the last, in equal parts."""
+    if not len(used):
+        return []
+    edges = np.ceil(np.linspace(used[0], used[-1] + 1, _ROW_CELLS + 1)).astype(int)
+    return [slice(int(first), int(last)) for first, last in itertools.pairwise(edges)]
 
 
 def _point(left: Camera, right: Camera, at: tuple[int, int], d_h_px: float) -> Float64[Array, 3]:

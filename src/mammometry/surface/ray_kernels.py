@@ -22,9 +22,10 @@ def meetings(
     left_from_right: Float64[Array, "3 3"],
     baseline: Float64[Array, " 3"],
 ) -> tuple[Float64[Array, " n"], Float64[Array, " n"], Float64[Array, " n"]]:
-    """Distances along both rays to where they are nearest, mm, and the left one's slope, mm/px of d_H.
+    """Distances along both rays to where they meet.
 
-    Rays of (column, row) in the left camera and (column − d_H, row − d_V) in the right one. Neither has distortion.
+    Both to where the rays are nearest, mm; third, how much the left one changes with d_H, mm/px. Rays of (column, row)
+    in the left camera and (column − d_H, row − d_V) in the right one. Neither has distortion.
 
     Args:
         rows: of the left pixels.

@@ -1,11 +1,16 @@
 """Products know what they depend on and are made when wanted, once."""
 
+import threading
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from threading import Barrier
+from typing import ClassVar
 
 import pytest
 
+from mammometry.base.errors import SurfaceError
 from mammometry.base.progress import Progress
+from mammometry.job.beside import Beside
 from mammometry.job.products import VERSIONS, Fleeting, Forgetful, Key, Product, Products, Remade
 
 
@@ -201,3 +206,56 @@ def test_what_is_remade_is_no_result_and_still_hands_on_what_it_depends_on() -> 
     two.derived()
     assert made == ["valid", "data", "valid", "data"], "its value in memory was let go, too"
     assert product("repaired", two.derived).key.digest != product("repaired", plan(2.0).derived).key.digest
+
+
+def test_what_no_later_stage_needs_is_made_beside_it() -> None:
+    """The late product waits for an event that only what comes after the stage sets."""
+    made: list[str] = []
+    later = threading.Event()
+
+    @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+    class Stage(Products):
+        side_by_side: ClassVar[tuple[tuple[str, ...], ...]] = (("model", "mesh"),)
+        late: ClassVar[tuple[str, ...]] = ("model",)
+        mesh: Product[str]
+        model: Product[str]
+
+    def model(*, progress: Progress) -> str:
+        assert later.wait(10)
+        made.append("model")
+        return "model"
+
+    def mesh(*, progress: Progress) -> str:
+        made.append("mesh")
+        return "mesh"
+
+    stage = Stage(
+        mesh=Product(Forgetful(), "surface", "mesh", mesh), model=Product(Forgetful(), "surface", "model", model)
+    )
+    with ThreadPoolExecutor(1) as pool:
+        beside = Beside(pool)
+        beside.ensure(stage)
+        assert made == ["mesh"]
+        later.set()
+        beside.wait()
+    assert made == ["mesh", "model"]
+    stage.release()
+    made.clear()
+    Beside(None).ensure(stage)  # without a second core: all of it at once
+    assert sorted(made) == ["mesh", "model"]
+
+
+def test_what_fails_beside_is_raised_by_whoever_waits() -> None:
+    @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+    class Stage(Products):
+        late: ClassVar[tuple[str, ...]] = ("model",)
+        model: Product[str]
+
+    def model(*, progress: Progress) -> str:
+        raise SurfaceError("model", found="no photograph", expected="photographs", remedy="Put them back")
+
+    with ThreadPoolExecutor(1) as pool:
+        beside = Beside(pool)
+        beside.ensure(Stage(model=Product(Forgetful(), "surface", "model", model)))
+        with pytest.raises(SurfaceError, match="no photograph"):
+            beside.wait()
