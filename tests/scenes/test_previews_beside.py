@@ -109,7 +109,7 @@ def test_what_the_report_says_of_a_stage_is_the_same_with_its_pictures_and_witho
 
 
 def test_ctrl_c_ends_both_and_leaves_nothing_half_written(job: Job, monkeypatch: pytest.MonkeyPatch) -> None:
-    def interrupted(self: object) -> None:
+    def interrupted(self: object, beside: object) -> None:
         raise KeyboardInterrupt
 
     monkeypatch.setattr(type(job.plan.matched), "ensure", interrupted)

@@ -157,4 +157,4 @@ def test_no_match_below_the_least_correlation_is_accepted(
     least = float(np.median(by_default.confidence[by_default.valid]))
     strict = match(noisy[0], replace(DEFAULT, least_correlation=least))
     assert by_default.confidence[by_default.valid].min() < least - 0.05
-    assert strict.confidence[strict.valid].min() > least
+    assert strict.confidence[strict.valid].min() >= least  # both in steps of 2^-7

@@ -40,7 +40,7 @@ def test_dents_angle_is_the_largest_that_stays():
     for limit_deg in (40.0, 60.0):
         left = remove_dents(images, None, DentSettings(angle_deg=limit_deg))
         angles = np.degrees(left.angles_rad[0][left.range_images[0].valid])
-        assert limit_deg - 3 < angles.max() <= limit_deg
+        assert limit_deg - 3 < angles.max() <= limit_deg + 0.5  # they are kept in steps of 2^-6 rad, .9°
 
 
 def test_dents_neighbourhood_gives_steadier_angles_when_wide():
