@@ -108,12 +108,13 @@ def measure(
 
 
 def _rows(capture: Capture, settings: SurfaceSettings, every: int, *, estimated: bool) -> list[dict[str, Any]]:
-    truth = read_truth(capture.truth, open_session(capture.session).session.pair_names)
+    job = open_session(capture.session)
+    truth = read_truth(capture.truth, job.session.pair_names)
     rig, truth_from_world = cameras_of(capture, truth, estimated=estimated)
     images, foregrounds = range_images(capture, rig)
     started, cpu = time.perf_counter(), time.process_time()
     valid = remove_dents(images, None, settings.dents)
-    first = extract(valid.range_images, foregrounds, rig, settings.extract)
+    first = extract(valid.range_images, foregrounds, rig, settings.extract.of(job.inputs.subject_kind))
     first_done = time.perf_counter() - started
     repaired = repair(first, valid, settings.repair)
     repaired_done = time.perf_counter() - started
@@ -173,7 +174,7 @@ def main() -> None:
     parser.add_argument("--subject", action="append", default=[], help="one subject; may be repeated; default: all")
     parser.add_argument("--cameras", choices=["true", "estimated"], default="true")
     parser.add_argument("--rule", choices=["default", "nearest", "furthest"], default="default")
-    parser.add_argument("--cube-mm", type=float, default=0.5)
+    parser.add_argument("--cube-mm", type=float, help="default: as the product chooses")
     parser.add_argument("--every", type=int, default=3, help="judge every n-th true vertex")
     parser.add_argument("--json", type=Path, help="write the figures there")
     arguments = parser.parse_args()

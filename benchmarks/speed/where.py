@@ -38,6 +38,7 @@ _DEEPEST = 40  # frames drawn one below the other
 _LINE = 300  # characters that fit across the picture
 _HANDED_ON = (
     "job/products",
+    "job/beside",
     "io/results/store",
     "api/job",
     "benchmarks",

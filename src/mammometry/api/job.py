@@ -48,8 +48,7 @@ if TYPE_CHECKING:
     from mammometry.calibration.adjust.bundle import Calibration
     from mammometry.calibration.judge.check import RigCheck
     from mammometry.matching.match import DisparityMap
-    from mammometry.measure.volume.lacking import Lacking
-    from mammometry.measure.volume.measurement import VolumeMeasurement
+    from mammometry.measure.volume.measurement import Lacking, VolumeMeasurement
     from mammometry.report.content import ReportContent
     from mammometry.report.privacy import Privacy
     from mammometry.report.stage_facts import Facts

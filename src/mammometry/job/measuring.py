@@ -23,8 +23,7 @@ if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a pla
     from mammometry.measure.shape.anthropometry import Dimensions
     from mammometry.measure.shape.symmetry import Symmetry
     from mammometry.measure.trunk.body import Body
-    from mammometry.measure.volume.lacking import Lacking
-    from mammometry.measure.volume.measurement import VolumeMeasurement
+    from mammometry.measure.volume.measurement import Lacking, VolumeMeasurement
     from mammometry.measure.volume.uncertainty import Evidence
     from mammometry.surface.dents import ValidPatches
     from mammometry.surface.repair import RepairedSurface

@@ -10,8 +10,7 @@ from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.shape.anthropometry import Dimensions
 from mammometry.measure.shape.symmetry import Symmetry
 from mammometry.measure.volume.difference import difference
-from mammometry.measure.volume.lacking import Lacking
-from mammometry.measure.volume.measurement import VolumeMeasurement
+from mammometry.measure.volume.measurement import Lacking, VolumeMeasurement
 from mammometry.report.content import Fact, sentence
 from mammometry.report.figures.sides import NAMES
 from mammometry.report.volume_words import interval_words, volume_words

@@ -45,7 +45,7 @@ STORED_TYPES: Mapping[str, str] = MappingProxyType(
         "measure.boundary:NoBreast": "mammometry.measure.boundary.breasts:NoBreast",
         "measure.boundary:Standing": "mammometry.measure.boundary.standing:Standing",
         "measure.boundary:TorsoSides": "mammometry.measure.boundary.boundary:TorsoSides",
-        "measure.lacking:Lacking": "mammometry.measure.volume.lacking:Lacking",
+        "measure.lacking:Lacking": "mammometry.measure.volume.measurement:Lacking",
         "measure.landmarks:Landmark": "mammometry.measure.landmarks.landmarks:Landmark",
         "measure.linear:LinearMeasure": "mammometry.measure.shape.lengths:LinearMeasure",
         "measure.linear:Ptosis": "mammometry.measure.shape.lengths:Ptosis",

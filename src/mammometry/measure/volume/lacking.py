@@ -6,23 +6,21 @@ side's skin, mirrored at the trunk's mid-sagittal plane, and the skin of this si
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from types import MappingProxyType
+from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
 from scipy.interpolate import LinearNDInterpolator
 
 from mammometry.base.errors import MeasureError
-from mammometry.geometry.arrays import Array, Float64, read_only
+from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.nearest import closest_on_mesh
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.trunk.body import Body
 from mammometry.measure.trunk.mirror_plane import MirrorPlane
 from mammometry.measure.trunk.thorax import Trunk
-from mammometry.measure.volume.measurement import VolumeMeasurement
+from mammometry.measure.volume.measurement import Lacking, VolumeMeasurement
 from mammometry.measure.volume.uncertainty import AXIS, WALL
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.open_breast import open_breasts
@@ -33,30 +31,6 @@ _ORDERS = 4  # Fourier orders of a boundary's jitter, as in `boundary_jitter`
 _STEP_MM = 2.0  # of the grid on which the space between both walls is summed; chosen for speed
 _WALL = "cylinder-membrane"
 _NEAREST_MM = 25.0  # a mirrored curve farther off the skin than this mirrors onto something else; chosen by eye
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Lacking:
-    """What one side lacks to the mirrored other one."""
-
-    name: Literal["left", "right"]
-    """The side that lacks, the patient's own."""
-    volume_cc: float
-    """Volume between the mirrored skin of the other side and the skin of this one, cc."""
-    interval_cc: tuple[float, float] | None
-    """95 % interval, cc. None if the other side's volume has none."""
-    terms_cc: Mapping[str, float]
-    """Half-width at 95 % that each named source contributes, cc. Empty without an interval."""
-    curves: int
-    """How many sides bear a boundary: 1 or 2."""
-    boundary_world: Float64[Array, "n 3"]
-    """The other side's boundary, mirrored and laid onto the skin of this side, mm, world frame."""
-    note: str
-    """What the volume is and what its interval covers."""
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "boundary_world", read_only(self.boundary_world))
-        object.__setattr__(self, "terms_cc", MappingProxyType(dict(self.terms_cc)))
 
 
 def lacking(

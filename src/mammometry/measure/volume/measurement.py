@@ -1,11 +1,11 @@
-"""A measured breast: what volume, report and exports say of it."""
+"""A measured breast, and what one side lacks: what volume, report and exports say of them."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -87,3 +87,27 @@ class VolumeMeasurement:
         mass = float((corners.sum(axis=1) / 4 @ up) @ volumes / volumes.sum())
         rim = (self.boundary_world - self.boundary_world[0]) @ up
         return float((rim.max() + rim.min()) / 2 - mass) / (float(np.ptp(rim)) / 2)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Lacking:
+    """What one side lacks to the mirrored other one."""
+
+    name: Literal["left", "right"]
+    """The side that lacks, the patient's own."""
+    volume_cc: float
+    """Volume between the mirrored skin of the other side and the skin of this one, cc."""
+    interval_cc: tuple[float, float] | None
+    """95 % interval, cc. None if the other side's volume has none."""
+    terms_cc: Mapping[str, float]
+    """Half-width at 95 % that each named source contributes, cc. Empty without an interval."""
+    curves: int
+    """How many sides bear a boundary: 1 or 2."""
+    boundary_world: Float64[Array, "n 3"]
+    """The other side's boundary, mirrored and laid onto the skin of this side, mm, world frame."""
+    note: str
+    """What the volume is and what its interval covers."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "boundary_world", read_only(self.boundary_world))
+        object.__setattr__(self, "terms_cc", MappingProxyType(dict(self.terms_cc)))

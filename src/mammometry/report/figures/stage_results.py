@@ -23,8 +23,7 @@ from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.boundary.breasts import NoBreast
 from mammometry.measure.shape.symmetry import Symmetry
 from mammometry.measure.trunk.body import Body, Mounting
-from mammometry.measure.volume.lacking import Lacking
-from mammometry.measure.volume.measurement import VolumeMeasurement
+from mammometry.measure.volume.measurement import Lacking, VolumeMeasurement
 from mammometry.report.figures import canvas
 from mammometry.report.figures.shading import Scene, View, front_frame, front_of, standard_views
 from mammometry.report.figures.thinning import (
