@@ -1,4 +1,4 @@
-"""A measured breast, and what one side lacks: what volume, report and exports say of them."""
+"""A measured breast, and what one side lacks to the other."""
 
 from __future__ import annotations
 
