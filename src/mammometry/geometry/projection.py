@@ -9,7 +9,7 @@ import numpy as np
 
 from mammometry.base.cores import in_bands
 from mammometry.geometry import projection_kernels
-from mammometry.geometry.arrays import Array, Float64
+from mammometry.geometry.arrays import Array, Float64, read_only
 from mammometry.geometry.camera import Camera
 
 
@@ -22,7 +22,7 @@ def projected(camera: Camera, points_world: Float64[Array, "n 3"]) -> Float64[Ar
     pose = np.column_stack([camera.camera_from_world.rotation, camera.camera_from_world.translation_mm])
 
     def project(some: slice) -> None:
-        part = np.ascontiguousarray(points_world[some], dtype=np.float64)
+        part = read_only(np.ascontiguousarray(points_world[some], dtype=np.float64))  # one type to compile for
         projection_kernels.project(part, pose, camera.intrinsics, np.array(camera.distortion), found[some])
 
     in_bands(project, len(points_world))
