@@ -174,7 +174,7 @@ def main() -> None:
     parser.add_argument("--subject", action="append", default=[], help="one subject; may be repeated; default: all")
     parser.add_argument("--cameras", choices=["true", "estimated"], default="true")
     parser.add_argument("--rule", choices=["default", "nearest", "furthest"], default="default")
-    parser.add_argument("--cube-mm", type=float, help="default: as the product chooses")
+    parser.add_argument("--cube-mm", type=float, default=0.0, help="0: as the product chooses")
     parser.add_argument("--every", type=int, default=3, help="judge every n-th true vertex")
     parser.add_argument("--json", type=Path, help="write the figures there")
     arguments = parser.parse_args()

@@ -8,6 +8,8 @@ import numpy as np
 
 from mammometry.geometry.arrays import Array, Float32
 
+SIGMA_BITS = 5
+"""Binary digits of a standard deviation after the first, which is so known to 1.6 %."""
 _MANTISSA_BITS = 23  # of a float32
 
 

@@ -295,10 +295,13 @@ class Products:
 
     def _of(self, name: str) -> Iterator[Product[Any]]:
         """The products of one field, except those that are remade."""
+        return (product for product in self._made_or_remade(name) if not product.remade)
+
+    def _made_or_remade(self, name: str) -> Iterator[Product[Any]]:
+        """All products of one field."""
         value = getattr(self, name)
         if isinstance(value, Product):
-            if not value.remade:
-                yield value
+            yield value
         elif isinstance(value, Mapping):
             yield from value.values()
 
@@ -333,8 +336,5 @@ class Products:
     def release(self) -> None:
         """Forget all values in memory."""
         for name in self.__dataclass_fields__:  # type: ignore[attr-defined]  # only dataclasses derive from this
-            value = getattr(self, name)
-            if isinstance(value, Product):
-                value.release()
-        for product in self.products():
-            product.release()
+            for product in self._made_or_remade(name):
+                product.release()

@@ -9,7 +9,7 @@ from mammometry.base.errors import MatchingError
 from mammometry.base.progress import Progress, no_progress
 from mammometry.geometry.arrays import Array, Bool, Float32, read_only
 from mammometry.geometry.camera import Camera
-from mammometry.geometry.rounding import to_bits, to_step
+from mammometry.geometry.rounding import SIGMA_BITS, to_bits, to_step
 from mammometry.matching.belief import agreeing
 from mammometry.matching.filters import squared_slope
 from mammometry.matching.first_disparities import start
@@ -34,7 +34,6 @@ _LAST_STEP_PX = 0.5  # a match that still moves by more has not settled; half of
 _D_H_STEP_PX = 2.0**-8  # of what is handed on: its rounding has a σ of .0011 px, matching .019 at least (0039)
 _D_V_STEP_PX = 2.0**-10  # finer: medians are taken of it, which find what moved
 _CONFIDENCE_STEP = 2.0**-7  # shown with two decimals
-_SIGMA_BITS = 5  # of σ, which is so known to 1.6 %
 _ISLAND_WINDOWS = 4  # of a Gaussian window's area, 4πσ²: smaller islands are not believed (docs/decisions/0015)
 
 
@@ -277,7 +276,7 @@ def finish(pair: RectifiedPair, found: Finest, settings: MatchSettings, pool: Ex
         made = laid_out(values)
         made *= np.float32(scale)
         made *= valid
-        return to_bits(made, _SIGMA_BITS) if step is None else to_step(made, step)
+        return to_bits(made, SIGMA_BITS) if step is None else to_step(made, step)
 
     scale = 2.0**doublings
     fields = (trusted.shift, trusted.d_v, trusted.confidence, trusted.sigma)

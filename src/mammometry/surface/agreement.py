@@ -170,7 +170,7 @@ def row_errors(disparity: DisparityMap) -> RowErrors:
 
 
 def _in_parts(used: Int64[Array, " n"]) -> list[slice]:
-    """The rows or columns from the first used one to the last, in equal parts."""
+    """Divide rows or columns, from the first used one to the last, equally."""
     if not len(used):
         return []
     edges = np.ceil(np.linspace(used[0], used[-1] + 1, _ROW_CELLS + 1)).astype(int)

@@ -19,7 +19,7 @@ _NO_PICTURE = (0, 0, 3)  # shape of what stands for a picture that its JPEG give
 
 
 def as_jpeg(atlas: Atlas) -> Atlas:
-    """The same mesh with its picture as a JPEG shows it."""
+    """Give the mesh the picture that its JPEG shows."""
     if atlas.jpeg is not None:
         return atlas
     buffer = io.BytesIO()

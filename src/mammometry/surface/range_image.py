@@ -13,7 +13,7 @@ from scipy import ndimage
 from mammometry.base.cores import in_bands
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int64, read_only
 from mammometry.geometry.camera import Camera
-from mammometry.geometry.rounding import to_bits, to_step
+from mammometry.geometry.rounding import SIGMA_BITS, to_bits, to_step
 from mammometry.matching.match import DisparityMap
 from mammometry.surface import image_kernels, ray_kernels
 from mammometry.surface.settings import TriangulateSettings
@@ -22,8 +22,6 @@ _SAMPLES = 100_000  # data of which a median is taken: more change it by less th
 
 RANGE_STEP_MM = 2.0**-9
 """Of a range image: its rounding has a σ of .0006 mm, a datum .007 at least (docs/decisions/0039)."""
-SIGMA_BITS = 5
-"""Binary digits of a datum's σ after the first, which is so known to 1.6 %."""
 NORMAL_MM = 1.5
 """Half-width of the window for a datum's normal, in the first surface and the repair, mm. Chosen by eye."""
 SIGMA_FLOOR_MM = 0.05

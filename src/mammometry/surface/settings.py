@@ -61,9 +61,9 @@ class FieldSettings:
 class ExtractSettings:
     """Grid of cubes, and the rule that merges views on it."""
 
-    cube_mm: float | None = None
-    """Edge of a cube, mm. None: 0.7 of a torso, else 0.5, the paper's. A torso has ten times the skin of a cast: with
-    0.7 it takes half the time, and errs as much (docs/decisions/0040).
+    cube_mm: float = 0.0
+    """Edge of a cube, mm. 0: 0.7 for a torso, else 0.5, the paper's. A torso has ten times the skin of a cast: with 0.7
+    it takes half the time, and errs as much (docs/decisions/0040).
     """
     rule: Literal["default", "nearest", "furthest", "tsdf"] = "default"
     """Rule for disagreeing views. ``nearest`` and ``furthest`` are the paper's two failing rules (Fig. 3). ``tsdf`` is
@@ -84,7 +84,7 @@ class ExtractSettings:
 
     def of(self, subject_kind: str) -> Self:
         """The same, with the edge of the cubes that suits the subject."""
-        if self.cube_mm is not None:
+        if self.cube_mm:
             return self
         return replace(self, cube_mm=_TORSO_CUBE_MM if subject_kind == "torso" else CUBE_MM)
 

@@ -247,3 +247,13 @@ def test_texture_triangles_are_the_most_of_the_viewing_mesh():
     mesh = sphere_mesh(RADIUS)
     assert len(mesh.faces) > 2000
     assert 1000 < len(thinned(mesh, 2000).faces) <= 2000
+
+
+def test_cubes_suit_the_subject_unless_their_edge_is_chosen():
+    assert [ExtractSettings().of(kind).cube_mm for kind in ("torso", "cast", "surface")] == [0.7, 0.5, 0.5]
+    assert ExtractSettings(cube_mm=1.2).of("torso").cube_mm == 1.2
+
+
+def test_cubes_of_no_edge_are_the_papers(half_ball):
+    by_default, chosen = (extract(*half_ball, ExtractSettings(cube_mm=cube_mm)) for cube_mm in (0.0, 0.5))
+    assert len(by_default.faces) == len(chosen.faces)
