@@ -43,7 +43,7 @@ from mammometry.simulate.studio import Studio
 from mammometry.study.accuracy_matching import TrueDisparity, judge_disparity
 
 _WARMING_PX = 96
-_SETTINGS = MatchSettings()
+_SETTINGS = MatchSettings(resolution="full")
 
 
 # --- Matchers --------------------------------------------------------------------------------------------------------

@@ -40,7 +40,7 @@ from mammometry.matching.rectify import rectify
 from mammometry.matching.settings import MatchSettings
 from mammometry.matching.step import FLAT_DEVIATION, prepare
 
-_SETTINGS = MatchSettings()
+_SETTINGS = MatchSettings(resolution="full")
 _SIGMA_PX = _SETTINGS.window_px / np.sqrt(12)
 _PATCH, _STRIDE = 64, 16
 _FROM_EDGE_PX = 8.0  # whole windows only

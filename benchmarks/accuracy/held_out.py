@@ -63,7 +63,7 @@ def matched(tell: Tell, capture: HeldOut, folder: str) -> list[dict[str, Any]]:
         recipe = SessionRecipe(rig=capture.rig, subject=capture.subject, scale=capture.scale, seed=capture.seed)
         write_session(session, recipe, studio)
     tell("match", 0.5)
-    return measure(session, [], [], MatchSettings(), estimated=True)
+    return measure(session, [], [], MatchSettings(resolution="full"), estimated=True)
 
 
 def main() -> None:

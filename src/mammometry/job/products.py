@@ -34,7 +34,7 @@ VERSIONS: Registry[int] = Registry(
         "calibration": 5,
         "cameras": 5,
         "foreground": 12,
-        "disparity": 14,
+        "disparity": 15,
         "rows": 1,
         "range": 3,
         "stillness": 3,

@@ -63,6 +63,13 @@ class DisparityMap:
     valid: Bool[Array, "h w"]
     weak: Bool[Array, "h w"]
     """Subject whose texture is too weak for a sure match, matched or not."""
+    halvings: int = 0
+    """From the rectified pair's pixels to the map's: 1 where one of the map is two of theirs."""
+
+    @property
+    def pair_px(self) -> float:
+        """Pixels of the rectified pair in one of the map."""
+        return 2.0**self.halvings
 
     def __post_init__(self) -> None:
         for name in ("d_h_px", "d_v_px", "confidence", "sigma_px", "valid", "weak"):
@@ -284,6 +291,7 @@ def finish(pair: RectifiedPair, found: Finest, settings: MatchSettings, pool: Ex
     d_h, d_v, confidence, sigma = pool.map(field_of, fields, (-scale, scale, 1.0, scale), steps)
     return DisparityMap(
         name=pair.name,
+        halvings=levels.finest - doublings,
         left=left,
         right=right,
         d_h_px=d_h,

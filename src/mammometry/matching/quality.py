@@ -27,7 +27,7 @@ class MatchQuality:
     weak_percent: float
     """Share of matched and weak pixels with texture too weak to match, %."""
     d_v_median_px: float
-    """Median vertical disparity: 0 with a right calibration. px."""
+    """Median vertical disparity: 0 with a right calibration. Here and below pixels of the rectified pair."""
     d_v_spread_px: float
     """Half the width of its middle 68 %, px."""
     sigma_median_px: float
@@ -47,7 +47,7 @@ class MatchQuality:
 def assess(found: DisparityMap) -> MatchQuality:
     """Judge a disparity map by itself. No truth is needed."""
     matched, weak = int(found.valid.sum()), int((found.weak & ~found.valid).sum())
-    d_v = found.d_v_px[found.valid].astype(np.float64)
+    d_v = found.pair_px * found.d_v_px[found.valid].astype(np.float64)
     low, median, high = np.percentile(d_v, (16, 50, 84)) if matched else (0.0, 0.0, 0.0)
     height, width = found.valid.shape
     return MatchQuality(
@@ -56,7 +56,7 @@ def assess(found: DisparityMap) -> MatchQuality:
         weak_percent=100 * weak / max(matched + weak, 1),
         d_v_median_px=float(median),
         d_v_spread_px=float(high - low) / 2,
-        sigma_median_px=float(np.median(found.sigma_px[found.valid])) if matched else 0.0,
+        sigma_median_px=found.pair_px * float(np.median(found.sigma_px[found.valid])) if matched else 0.0,
         confidence_median=float(np.median(found.confidence[found.valid])) if matched else 0.0,
     )
 

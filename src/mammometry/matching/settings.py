@@ -75,8 +75,10 @@ class MatchSettings:
     """Standard deviation of one window's match above which it is rejected, pixels of the finest level. Half of it where
     noise does not explain what gain and offset leave over.
     """
-    resolution: Literal["full", "solved"] = "full"
-    """full: the map has the rectified pair's pixels. solved: those of the finest level matched."""
+    resolution: Literal["solved", "full"] = "solved"
+    """solved: the map has the pixels of the finest level matched, every second one of a large picture. full: those of
+    the rectified pair, interpolated.
+    """
 
     def __post_init__(self) -> None:
         for name in ("window_px", "start_span_px", "finest_span_px", "search_share", "agreement_px"):

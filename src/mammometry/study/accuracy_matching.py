@@ -36,11 +36,11 @@ class TrueDisparity:
     """What is true of the pixels of one rectified left picture."""
 
     step: int
-    """Rows and columns of the picture from one judged pixel to the next."""
+    """Rows and columns of the map from one judged pixel to the next."""
     focal_px: float
-    """Focal length of the picture, px: it tells how far a range image was thinned."""
+    """Focal length of the map, in its pixels: it tells how far a range image was thinned."""
     d_h_px: Float64[Array, "h w"]
-    """True horizontal disparity, px. NaN where no surface is met."""
+    """True horizontal disparity, pixels of the map. NaN where no surface is met."""
     range_mm: Float64[Array, "h w"]
     """True distance to the left perspective centre, mm. NaN likewise."""
     judged: Bool[Array, "h w"]
@@ -48,7 +48,7 @@ class TrueDisparity:
     visible: Bool[Array, "h w"]
     """Pixels whose point both cameras see inside both frames, at any incidence and any distance from an edge."""
     edge_px: Float64[Array, "h w"]
-    """Distance to the nearest occluding edge in either picture, px."""
+    """Distance to the nearest occluding edge in either picture, pixels of the photographs."""
 
     def __post_init__(self) -> None:
         for field in ("d_h_px", "range_mm", "judged", "visible", "edge_px"):
@@ -57,7 +57,10 @@ class TrueDisparity:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MatchingAccuracy:
-    """Disparity and range errors of one pair, over the judged pixels."""
+    """Disparity and range errors of one pair, over the judged pixels.
+
+    In pixels of the rectified pair.
+    """
 
     median_px: float
     """Median size of the disparity's error, px."""
@@ -112,7 +115,7 @@ class SilhouetteAccuracy:
 
 
 def true_disparity(
-    scene: RayScene, true: StereoPair, calibrated: StereoPair, left: Camera, right: Camera
+    scene: RayScene, true: StereoPair, calibrated: StereoPair, left: Camera, right: Camera, *, pair_px: float = 1.0
 ) -> TrueDisparity:
     """Find the true disparity of a rectified pair's left pixels.
 
@@ -122,6 +125,7 @@ def true_disparity(
         calibrated: the cameras by which the photographs were rectified, in any frame.
         left: the rectified left camera, in the frame of `calibrated`.
         right: the rectified right camera.
+        pair_px: pixels of the rectified pair in one of `left`.
     """
     step = max(1, round(left.size_wh[0] / _JUDGED_WIDTH_PX))
     uv = pixel_grid(left, step)
@@ -142,7 +146,7 @@ def true_disparity(
     right_edge = _from_edge(scene.cast(true.right.centre_world, right_rays).range_mm)
     place = np.nan_to_num(right_uv, nan=-1.0)[..., ::-1] / step
     there = ndimage.map_coordinates(right_edge, np.moveaxis(place, -1, 0), order=1)
-    edge_px = step * np.minimum(_from_edge(hits.range_mm), there)
+    edge_px = pair_px * step * np.minimum(_from_edge(hits.range_mm), there)
     return TrueDisparity(
         step=step,
         focal_px=float(left.matrix[0, 0]),
@@ -163,7 +167,7 @@ def judge_disparity(truth: TrueDisparity, found: DisparityMap) -> MatchingAccura
     """
     some = slice(None, None, truth.step)
     d_h, sigma, valid = (field[some, some] for field in (found.d_h_px, found.sigma_px, found.valid))
-    error = d_h - truth.d_h_px
+    error = found.pair_px * (d_h - truth.d_h_px)
     judged = truth.judged & valid
     if not judged.any():
         return None
@@ -176,7 +180,7 @@ def judge_disparity(truth: TrueDisparity, found: DisparityMap) -> MatchingAccura
     near = judged & (truth.edge_px < _NEAR_EDGE_PX)
     rim = truth.visible & valid & (truth.edge_px < _RIM_PX)
     anywhere = valid & np.isfinite(truth.d_h_px)
-    score = size / sigma[judged]
+    score = size / (found.pair_px * sigma[judged])
     return MatchingAccuracy(
         median_px=float(np.median(size)),
         p95_px=float(np.percentile(size, 95)),
@@ -188,7 +192,7 @@ def judge_disparity(truth: TrueDisparity, found: DisparityMap) -> MatchingAccura
         all_accepted_beyond_1_px_percent=float(100 * np.mean(np.abs(error[anywhere]) > 1)),
         error_over_sigma=float(1.4826 * np.median(score)),
         beyond_3_sigma_percent=float(100 * np.mean(score > 3)),
-        d_v_median_px=float(np.median(found.d_v_px[found.valid])),
+        d_v_median_px=found.pair_px * float(np.median(found.d_v_px[found.valid])),
     )
 
 

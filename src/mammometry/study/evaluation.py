@@ -250,7 +250,9 @@ def _compare_pairs(
     ranges: dict[str, RangeAccuracy | None] = {}
     for number, (pair, load) in enumerate(results.disparities.items()):
         found = load()
-        true = true_disparity(scene, truth.rig.pair(pair), results.rig.pair(pair), found.left, found.right)
+        true = true_disparity(
+            scene, truth.rig.pair(pair), results.rig.pair(pair), found.left, found.right, pair_px=found.pair_px
+        )
         matching[pair] = judge_disparity(true, found)
         if pair in results.ranges:
             ranges[pair] = judge_range(true, results.ranges[pair]())

@@ -152,7 +152,7 @@ def _in_cells(
 def row_errors(disparity: DisparityMap) -> RowErrors:
     """Sum up a pair's vertical disparity over its matched picture."""
     left, right = disparity.left, disparity.right
-    focal_px = float(right.matrix[1, 1])
+    focal_px = disparity.pair_px * float(right.matrix[1, 1])
     parts = [_in_parts(np.flatnonzero(disparity.valid.any(axis=axis))) for axis in (1, 0)]
     places, angles = [], []
     for rows, columns in itertools.product(*parts):

@@ -129,8 +129,9 @@ def test_an_empty_mask_is_an_error_that_names_the_pair() -> None:
 
 def test_a_coarser_map_has_the_cameras_of_its_own_pixels() -> None:
     pair, truth = make_pair(np.random.default_rng(7))
-    found = match(pair, MatchSettings(finest_span_px=100.0, resolution="solved"))
+    found = match(pair, MatchSettings(finest_span_px=100.0))
     assert found.valid.shape == (90, 110) == found.left.shape_hw
+    assert found.pair_px == 2
     # The same point of the world has u' = (u + .5)/2 − .5, so its disparity is half.
     point = np.array([[12.0, -9.0, 900.0]])
     fine, coarse = pair.left.project(point), found.left.project(point)
@@ -141,7 +142,7 @@ def test_a_coarser_map_has_the_cameras_of_its_own_pixels() -> None:
 
 def test_a_coarse_solution_comes_back_at_full_resolution() -> None:
     pair, truth = make_pair(np.random.default_rng(8), noise=0.002)
-    found, error, complete = errors(pair, truth, MatchSettings(finest_span_px=100.0))
+    found, error, complete = errors(pair, truth, MatchSettings(finest_span_px=100.0, resolution="full"))
     assert found.valid.shape == truth.shape
     assert complete > 0.98
     assert np.median(np.abs(error)) < 0.06
@@ -149,7 +150,8 @@ def test_a_coarse_solution_comes_back_at_full_resolution() -> None:
 
 def test_a_large_subject_is_matched_finer_from_the_left_picture_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     pair, truth = make_pair(np.random.default_rng(8), noise=0.002)
-    alone = MatchSettings(finest_span_px=50.0)  # both pictures are matched at a quarter of their size, the left at half
+    # Both pictures are matched at a quarter of their size, the left one at half.
+    alone = MatchSettings(finest_span_px=50.0, resolution="full")
     found, error, complete = errors(pair, truth, alone)
     assert complete > 0.98
     assert np.median(np.abs(error)) < 0.06  # as where both are matched at half: a quarter's errors are twice as large

@@ -1,5 +1,7 @@
 """What a disparity map says about itself."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from textured_pair import make_pair
@@ -7,6 +9,8 @@ from textured_pair import make_pair
 from mammometry.matching.match import DisparityMap, match
 from mammometry.matching.quality import assess, concerns
 from mammometry.matching.rectify import RectifiedPair
+from mammometry.report.figures.thinning import thinned_map
+from mammometry.surface.agreement import row_errors
 
 
 def changed(pair: RectifiedPair, left: np.ndarray, right: np.ndarray) -> RectifiedPair:
@@ -46,6 +50,18 @@ def test_the_vertical_disparity_is_the_calibrations_alarm(offset: float, spread:
     assert quality.d_v_spread_px == pytest.approx(spread, abs=0.05)  # three standard errors of 1700 pixels
     assert quality.calibration_alarm == alarm
     assert any("vertical disparity" in words for words in concerns("front", quality)) == alarm
+
+
+def test_a_maps_figures_are_in_pixels_of_the_rectified_pair() -> None:
+    whole = with_vertical(np.full((50, 60), 0.2))
+    halved = assess(replace(whole, halvings=1))
+    assert halved.d_v_median_px == pytest.approx(2 * assess(whole).d_v_median_px)
+    assert halved.sigma_median_px == 2 * assess(whole).sigma_median_px
+    assert halved.calibration_alarm
+    assert not assess(whole).calibration_alarm
+    drawn = thinned_map(replace(whole, halvings=1))
+    np.testing.assert_array_equal(drawn.d_v_px, 2 * thinned_map(whole).d_v_px)
+    assert row_errors(replace(whole, halvings=1)).pixel_rad == row_errors(whole).pixel_rad / 2
 
 
 def test_a_rig_that_moved_is_noticed_by_matching_itself() -> None:

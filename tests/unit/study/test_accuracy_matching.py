@@ -122,6 +122,10 @@ def test_errors_put_in_come_out(scene: RayScene) -> None:
     assert found.depth_bias_mm == pytest.approx(-0.2 * 555**2 / (FOCAL * BASELINE), rel=0.05)  # nearer
     # Depths at the outline: that of the tangent cone, and of what lies 8 px within it.
     assert found.rim_bias_mm == pytest.approx(-0.2 * 580**2 / (FOCAL * BASELINE), rel=0.05)
+    halved = judge_disparity(truth, replace(disparity_map(np.nan_to_num(truth.d_h_px) + error, valid), halvings=1))
+    assert halved is not None
+    assert (halved.median_px, halved.p95_px) == (2 * found.median_px, 2 * found.p95_px)
+    assert (halved.error_over_sigma, halved.depth_bias_mm) == (found.error_over_sigma, found.depth_bias_mm)
     nothing = disparity_map(np.nan_to_num(truth.d_h_px), np.zeros_like(valid))
     assert judge_disparity(truth, nothing) is None
 

@@ -66,8 +66,8 @@ def stereo_and_matching(source: Source) -> Sheet:
             axes = sheet.panel(6 * row + side, f"{pair}: {('left', 'right')[side]} picture")
             axes.imshow(resampled(inputs.photographs[name], rig.cameras[name], ideal, _PRINT_PX))
         maps = (
-            ("d_H", each.d_h_px, each.valid),
-            ("d_V", each.d_v_px, each.valid),
+            ("d_H", each.pair_px * each.d_h_px, each.valid),
+            ("d_V", each.pair_px * each.d_v_px, each.valid),
             ("confidence c", each.confidence, each.valid),
             ("range image", ranged.range_mm, ranged.valid),
         )

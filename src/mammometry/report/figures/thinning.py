@@ -33,7 +33,7 @@ def thinned_foreground(known: Foreground) -> Foreground:
 def thinned_map(found: DisparityMap) -> DisparityMap:
     """Thin a disparity map for pictures.
 
-    Its values stay in pixels of the whole map.
+    Its values become pixels of the rectified pair.
     """
     step = max(1, -(-max(found.valid.shape) // _MAP_PX))
 
@@ -44,10 +44,10 @@ def thinned_map(found: DisparityMap) -> DisparityMap:
         found,
         left=thinned_camera(found.left, step),
         right=thinned_camera(found.right, step),
-        d_h_px=thin(found.d_h_px),
-        d_v_px=thin(found.d_v_px),
+        d_h_px=found.pair_px * thin(found.d_h_px),
+        d_v_px=found.pair_px * thin(found.d_v_px),
         confidence=thin(found.confidence),
-        sigma_px=thin(found.sigma_px),
+        sigma_px=found.pair_px * thin(found.sigma_px),
         valid=thin(found.valid),
         weak=thin(found.weak),
     )
