@@ -103,7 +103,9 @@ def main() -> None:
     parser.add_argument("--json", type=Path, help="write the figures there")
     arguments = parser.parse_args()
     estimated = arguments.cameras == "estimated"
-    rows = measure(arguments.captures, arguments.subject, arguments.pair, MatchSettings(resolution="full"), estimated=estimated)
+    rows = measure(
+        arguments.captures, arguments.subject, arguments.pair, MatchSettings(resolution="full"), estimated=estimated
+    )
     if arguments.json:
         arguments.json.write_text(json.dumps(rows, indent=1))
     print(table(rows))
