@@ -45,7 +45,7 @@ VERSIONS: Registry[int] = Registry(
         "first": 10,
         "repaired": 5,
         "mesh": 4,
-        "model": 5,
+        "model": 6,
         "absent": 2,
         "sides": 7,
         "boundaries": 13,
