@@ -39,9 +39,9 @@ def faces_in_box(
 
 @kernel
 def morton(corners: Float64[Array, "m 3 3"], bits: int) -> Int64[Array, " m"]:
-    """Place of each face's middle along Morton's curve, which keeps neighbours in space close together.
+    """Place of each face's middle along Morton's curve.
 
-    `bits` of each coordinate count.
+    It keeps neighbours in space close together. `bits` of each coordinate count.
     """
     middles, low, high = np.empty((len(corners), 3)), np.full(3, np.inf), 0.0
     for face in range(len(corners)):

@@ -140,7 +140,7 @@ def _mix_in(
     how: tuple[Any, Any],
     band: slice,
 ) -> None:
-    """Add the k-th photograph's share to some of the pixels that show several (`atlas_kernels.mix_in`)."""
+    """Add a photograph's share to pixels that show several."""
     places = fading.shares[k, band], fading.corners[band], fading.between[band]
     atlas_kernels.mix_in(mixed[band], *places, uv, *how)
 

@@ -14,9 +14,9 @@ from mammometry.geometry.arrays import Array, Float32, Float64, Int32, Int64, In
 def deepest_triangles(
     corners: Float64[Array, "b 3 2"], first: int, stop: int, width: int, margin: float
 ) -> tuple[Int32[Array, " p"], Int32[Array, " p"], Int32[Array, " p"], Float32[Array, "p 3"]]:
-    """Pixels in or just beside triangles, each with the triangle that it lies deepest in.
+    """Find the triangle that each pixel lies deepest in.
 
-    Beside: at most `margin` pixels beyond the sides' lines and beyond the box around the corners. Depth is the distance
+    Pixels in or just beside triangles. Beside: at most `margin` pixels beyond the sides' lines and beyond the box around the corners. Depth is the distance
     from the nearest side, negative outside. Of equally deep triangles it is the last; triangles without area have none.
 
     Args:
@@ -110,7 +110,7 @@ def shares_of(
 
 @small_kernel
 def _sum(levels, row, column, channel, step):  # type: ignore[no-untyped-def]
-    """Sum of the recorded levels that make one pixel."""
+    """Sum of the levels that make one pixel."""
     total = np.int64(0)
     for down in range(step):
         for along in range(step):
@@ -120,7 +120,7 @@ def _sum(levels, row, column, channel, step):  # type: ignore[no-untyped-def]
 
 @small_kernel
 def _between_four(image, row, column, channel):  # type: ignore[no-untyped-def]
-    """Value at a place of an image, linear between pixels, the border's beside it."""
+    """Value between pixels, the border's beside the image."""
     v, u = min(max(row, 0.0), image.shape[0] - 1.0), min(max(column, 0.0), image.shape[1] - 1.0)
     top, left = int(v), int(u)
     below, right = min(top + 1, image.shape[0] - 1), min(left + 1, image.shape[1] - 1)
