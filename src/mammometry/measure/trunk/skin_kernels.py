@@ -19,7 +19,7 @@ def innermost(
     pixel_mm: float,
     size: Int64[Array, " 2"],
 ) -> Float64[Array, "h w"]:
-    """Least bulge of the points in each pixel, mm. ∞ where there is none.
+    """Least bulge in each pixel, mm. ∞ without a point.
 
     Args:
         points: skin, mm, world frame.
