@@ -15,12 +15,12 @@ from tests.record_seconds import Recorder
 from tests.rota import RECORDED, chosen, function_of, longest_first, turn
 
 # Numba compiles kernel modules and the lens, and cannot see through a checking wrapper; the command line has no arrays.
-_CHECKED = ("base.photograph", "matching.match", "matching.rectify", "surface.range_image", "measure")
+_CHECKED = ("base.photograph", "matching.match", "matching.rectify", "surface.range_image")
 REPOSITORY = Path(__file__).resolve().parents[1]
 _PACKAGE = REPOSITORY / "src" / "mammometry"
 _WITHOUT_KERNELS = [
     ".".join(path.relative_to(_PACKAGE).with_suffix("").parts)
-    for package in ("calibration", "geometry")
+    for package in ("calibration", "geometry", "measure")
     for path in (_PACKAGE / package).rglob("*.py")
     if not path.stem.endswith("kernels") and path.stem not in ("__init__", "lens")
 ]

@@ -9,11 +9,14 @@ from scipy.spatial import cKDTree
 
 from mammometry.geometry.arrays import Array, Float64, Int64, read_only
 from mammometry.geometry.mesh import TriangleMesh
-from mammometry.geometry.nearest_kernels import boxes, scan, search
+from mammometry.geometry.nearest_kernels import boxes, faces_in_box, morton, scan, search
 
 _BITS = 20  # of the Morton code, an axis
 _IN_A_BOX = 32  # points, at most; for speed alone
 _FEW = 30  # queries: going through all faces costs less than the tree
+_LARGE = 20_000  # faces from which those far from all queries are left out first; for speed alone
+_SOME = 5_000  # vertices to which the queries' distances are found for that; for speed alone
+_SLACK, _SLACK_MM = 1.0 + 1e-9, 1e-9  # of those distances, for rounding
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -44,27 +47,32 @@ def closest_on_mesh(points: Float64[Array, "n 3"], mesh: TriangleMesh) -> Closes
     """
     if len(mesh.faces) == 0:
         raise ValueError("closest point of a mesh without faces")
-    corners = mesh.corners()
     queries = np.ascontiguousarray(points, dtype=np.float64)
+    near = _faces_near(queries, mesh)
+    corners = mesh.vertices[mesh.faces if near is None else mesh.faces[near]]
     if len(queries) <= _FEW:
         face = scan(queries, corners)
     else:
-        order = _along_a_curve(corners.mean(axis=1))
+        order = np.argsort(morton(corners, _BITS), kind="stable")
         sorted_corners = corners[order]
         face = order[search(queries, sorted_corners, *boxes(sorted_corners))]
     nearest = closest_on_triangles(queries, corners[face])
-    return ClosestPoints(points=nearest, faces=face, distances_mm=np.linalg.norm(queries - nearest, axis=1))
+    found = face if near is None else near[face]
+    return ClosestPoints(points=nearest, faces=found, distances_mm=np.linalg.norm(queries - nearest, axis=1))
 
 
-def _along_a_curve(centres: Float64[Array, "m 3"]) -> Int64[Array, " m"]:
-    """Order along Morton's curve, which keeps neighbours in space close together."""
-    low = centres.min(axis=0)
-    cells = (centres - low) / max(float((centres - low).max()), 1e-300) * (2**_BITS - 1)
-    code = np.zeros(len(centres), dtype=np.int64)
-    for bit in range(_BITS):
-        for axis in range(3):
-            code |= ((cells[:, axis].astype(np.int64) >> bit) & 1) << (3 * bit + axis)
-    return np.argsort(code, kind="stable")
+def _faces_near(queries: Float64[Array, "n 3"], mesh: TriangleMesh) -> Int64[Array, " k"] | None:
+    """Faces that may be nearest to one of the queries. None: all.
+
+    No query is farther from the mesh than from one of its vertices, so none of the rest lies that near.
+    """
+    if len(mesh.faces) < _LARGE or not len(queries):
+        return None
+    some = mesh.vertices[mesh.faces[:: len(mesh.faces) // _SOME, 0]]
+    reach_mm = float(np.max(point_tree(some).query(queries)[0])) * _SLACK + _SLACK_MM
+    low, high = queries.min(axis=0) - reach_mm, queries.max(axis=0) + reach_mm
+    near: Int64[Array, " k"] = faces_in_box(mesh.vertices, mesh.faces, low, high)
+    return near if len(near) < len(mesh.faces) // 2 else None
 
 
 def point_tree(points: Float64[Array, "n d"]) -> cKDTree:

@@ -8,10 +8,56 @@ from __future__ import annotations
 import numpy as np
 
 from mammometry.base.compiled import kernel
-from mammometry.geometry.arrays import Array, Float64, Int64
+from mammometry.geometry.arrays import Array, Float64, Int32, Int64
 
 IN_A_LEAF = 4  # faces; for speed alone
 """Triangles in a box of the tree's last level."""
+
+
+@kernel
+def faces_in_box(
+    vertices: Float64[Array, "n 3"], faces: Int32[Array, "m 3"], low: Float64[Array, " 3"], high: Float64[Array, " 3"]
+) -> Int64[Array, " k"]:
+    """Numbers of the faces whose own boxes meet a box."""
+    meets = np.zeros(len(faces), dtype=np.bool_)
+    count = 0
+    for face in range(len(faces)):
+        inside = True
+        for axis in range(3):
+            a, b, c = vertices[faces[face, 0], axis], vertices[faces[face, 1], axis], vertices[faces[face, 2], axis]
+            inside = inside and min(a, b, c) <= high[axis] and max(a, b, c) >= low[axis]
+        meets[face] = inside
+        count += inside
+    found = np.empty(count, dtype=np.int64)
+    count = 0
+    for face in range(len(faces)):
+        if meets[face]:
+            found[count] = face
+            count += 1
+    return found
+
+
+@kernel
+def morton(corners: Float64[Array, "m 3 3"], bits: int) -> Int64[Array, " m"]:
+    """Place of each face's middle along Morton's curve.
+
+    It keeps neighbours in space close together. `bits` of each coordinate count.
+    """
+    middles, low, high = np.empty((len(corners), 3)), np.full(3, np.inf), 0.0
+    for face in range(len(corners)):
+        for axis in range(3):
+            middles[face, axis] = (corners[face, 0, axis] + corners[face, 1, axis] + corners[face, 2, axis]) / 3
+            low[axis] = min(low[axis], middles[face, axis])
+    for face in range(len(corners)):
+        for axis in range(3):
+            high = max(high, middles[face, axis] - low[axis])
+    code = np.zeros(len(corners), dtype=np.int64)
+    for face in range(len(corners)):
+        for axis in range(3):
+            cell = int((middles[face, axis] - low[axis]) / max(high, 1e-300) * (2**bits - 1))
+            for bit in range(bits):
+                code[face] |= ((cell >> bit) & 1) << (3 * bit + axis)
+    return code
 
 
 @kernel

@@ -13,7 +13,7 @@ import numpy as np
 from PIL import Image
 
 from mammometry.base.errors import StorageError
-from mammometry.report.figures.canvas import caption_of
+from mammometry.report.figures.canvas import caption_in
 
 STYLE = "report.css"
 _QUALITY = 88  # of WebP, 0 to 100: a photograph then takes a third of a JPEG; chosen by eye
@@ -82,9 +82,8 @@ def embed(png: bytes) -> Shown:
 
     A drawing is lossless. A photograph takes a third of its JPEG size.
     """
-    caption = caption_of(png)
     with Image.open(io.BytesIO(png), formats=("PNG",)) as image:
-        width, height = image.size
+        caption, (width, height) = caption_in(image), image.size  # the picture is read once for both
         bare = Image.fromarray(np.asarray(image.convert("RGB")))  # without any metadata
     # Without loss a picture shrinks to half its PNG at the best: what cannot become small is not tried.
     data = _webp(bare, lossless=True, quality=60) if len(png) <= 2 * _SMALL_BYTES else None

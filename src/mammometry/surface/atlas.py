@@ -10,19 +10,23 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
+from typing import Any
 
 import numpy as np
 from scipy import ndimage
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
+from mammometry.base.cores import in_bands
 from mammometry.base.photograph import Photograph
 from mammometry.base.progress import Progress, no_progress, part
 from mammometry.geometry.arrays import Array, Float32, Float64, Int32, Int64, UInt8, read_only
 from mammometry.geometry.camera import Rig
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.projection import projected
-from mammometry.surface.seams import fading_pixels, fading_weights, spread
+from mammometry.surface import atlas_kernels
+from mammometry.surface.seams import FadingPixels, fading_pixels, fading_weights, spread
 from mammometry.surface.settings import TextureSettings
 from mammometry.surface.texture import blended, picture_of, read_ahead, view_samples
 from mammometry.surface.thinning import thinned
@@ -113,26 +117,32 @@ def cover(
     fading = fading_pixels(mesh, view, fading_weights(mesh, view, weights > 0), uv_px, size_wh)
     mixed = np.zeros((len(fading.row), 3), dtype=np.float32)
     for k, (photograph, uv) in enumerate(zip(read_ahead(photographs, names), pixels, strict=True)):
-        picture, seen = picture_of(photograph).reduced(step), weights[k] > 0
-        level = _levelling(uv[seen], (target - samples[k])[seen], picture.levels.shape[:2], _LEVEL_PX / step)
+        picture, seen = picture_of(photograph), weights[k] > 0
+        shape_hw = (sizes_wh[k][1], sizes_wh[k][0])
+        level = _levelling(uv[seen], (target - samples[k])[seen], shape_hw, _LEVEL_PX / step)
+        shown, levelling = (picture.levels, picture.full_scale, step), (gains[k], level, _LEVEL_STEP_PX)
         for chart, (x, y) in zip(charts, corners, strict=True):
             if chart.view == k:
-                low, high = chart.low, chart.high
-                cut = picture.window(slice(low[1], high[1]), slice(low[0], high[0])) * gains[k]
-                cut += _window(_window(level, low[1], high[1], 0), low[0], high[0], 1)
-                sheet[y : y + cut.shape[0], x : x + cut.shape[1]] = _as_bytes(cut)
-        some = np.flatnonzero(fading.shares[k] > 0)
-        at = np.einsum("pc,pcx->px", fading.between[some], uv[fading.corners[some]])
-        value = picture.colours_at(at) * gains[k]
-        for channel in range(3):
-            value[:, channel] += ndimage.map_coordinates(
-                level[..., channel], at[:, ::-1].T / _LEVEL_STEP_PX, order=1, mode="nearest"
-            )
-        mixed[some] += fading.shares[k, some, None] * value
+                cut = atlas_kernels.pasted(shown, chart.low, chart.high, levelling)
+                sheet[y : y + cut.shape[0], x : x + cut.shape[1]] = cut
+        in_bands(partial(_mix_in, mixed, fading, k, uv, (shown, levelling)), len(mixed))
         progress(0.5 + 0.45 * (k + 1) / len(names))
-    sheet[fading.row, fading.column] = _as_bytes(mixed)
+    sheet[fading.row, fading.column] = np.rint(np.clip(mixed, 0.0, 1.0) * 255).astype(np.uint8)
     progress(1.0)
     return Atlas(mesh=mesh, uv_px=uv_px.astype(np.float32), picture=sheet, view=view, names=names)
+
+
+def _mix_in(
+    mixed: Float32[Array, "p 3"],
+    fading: FadingPixels,
+    k: int,
+    uv: Float64[Array, "n 2"],
+    how: tuple[Any, Any],
+    band: slice,
+) -> None:
+    """Add a photograph's share to pixels that show several."""
+    places = fading.shares[k, band], fading.corners[band], fading.between[band]
+    atlas_kernels.mix_in(mixed[band], *places, uv, *how)
 
 
 def best_views(mesh: TriangleMesh, weights: Float32[Array, "k n"]) -> Int64[Array, " m"]:
@@ -225,23 +235,6 @@ def _levelling(
         total = np.bincount(flat, difference[:, channel], minlength=height * width).reshape(height, width)
         result[..., channel] = ndimage.gaussian_filter(total, sigma) / smooth_mass
     return result
-
-
-def _window(level: Float32[Array, "a b 3"], low: int, high: int, axis: int) -> Float32[Array, "c d 3"]:
-    """Levelling of pixels low … high − 1 along one axis.
-
-    Linear between the pixels where it is known.
-    """
-    first, part = np.divmod(np.arange(low, high), _LEVEL_STEP_PX)
-    share = (part / _LEVEL_STEP_PX).astype(np.float32).reshape([-1 if k == axis else 1 for k in range(3)])
-    window: Float32[Array, "c d 3"] = (
-        np.take(level, first, axis) * (1 - share) + np.take(level, first + 1, axis) * share
-    )
-    return window
-
-
-def _as_bytes(values: Float32[Array, "... 3"]) -> UInt8[Array, "... 3"]:
-    return np.rint(np.clip(values, 0.0, 1.0) * 255).astype(np.uint8)
 
 
 def _laid_out(

@@ -6,7 +6,7 @@ Their plain NumPy twins stand in tests/unit/surface/.
 import numpy as np
 
 from mammometry.base.compiled import kernel
-from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32, Int64
+from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32
 
 _LEAST_MASS = 6.0  # data in a window that give a normal: twice what a plane needs
 _SPREAD = 1e-3  # px⁴: data whose covariance has a smaller determinant lie in a line
@@ -275,52 +275,6 @@ def ray_gaps(
                     seen = (1 - dv) * ((1 - du) * r00 + du * r01) + dv * ((1 - du) * r10 + du * r11)
         gaps[i] = seen - np.sqrt(xc * xc + yc * yc + zc * zc)
     return gaps
-
-
-@kernel
-def pixels_of_triangles(
-    corners: Float64[Array, "b 3 2"], size_wh: Int64[Array, " 2"], margin: float
-) -> tuple[Int32[Array, " p"], Int32[Array, " p"], Int32[Array, " p"], Float32[Array, "p 3"], Float32[Array, " p"]]:
-    """Pixels in or just beside triangles.
-
-    Returns triangle, row, column, coordinates and depth. Beside: at most `margin` pixels beyond the sides' lines and
-    beyond the box around the corners. `corners`: column and row, integers at pixel centres. The coordinates are
-    barycentric, the depth is the distance from the nearest side, negative outside. A pixel near several triangles is
-    given once for each; triangles without area have none.
-    """
-    count = 0
-    for passed in range(2):
-        if passed == 1:
-            triangle = np.empty(count, dtype=np.int32)
-            rows, columns = np.empty(count, dtype=np.int32), np.empty(count, dtype=np.int32)
-            between, depths = np.empty((count, 3), dtype=np.float32), np.empty(count, dtype=np.float32)
-            count = 0
-        for number in range(len(corners)):
-            (x0, y0), (x1, y1), (x2, y2) = corners[number, 0], corners[number, 1], corners[number, 2]
-            area = (x1 - x0) * (y2 - y0) - (y1 - y0) * (x2 - x0)
-            if area == 0.0:
-                continue
-            heights = (
-                abs(area) / np.hypot(x2 - x1, y2 - y1),
-                abs(area) / np.hypot(x0 - x2, y0 - y2),
-                abs(area) / np.hypot(x1 - x0, y1 - y0),
-            )
-            left, right = min(x0, x1, x2) - margin, max(x0, x1, x2) + margin
-            top, bottom = min(y0, y1, y2) - margin, max(y0, y1, y2) + margin
-            for row in range(max(0, int(np.ceil(top))), min(size_wh[1] - 1, int(np.floor(bottom))) + 1):
-                for column in range(max(0, int(np.ceil(left))), min(size_wh[0] - 1, int(np.floor(right))) + 1):
-                    a = ((x1 - column) * (y2 - row) - (y1 - row) * (x2 - column)) / area
-                    b = ((x2 - column) * (y0 - row) - (y2 - row) * (x0 - column)) / area
-                    c = 1.0 - a - b
-                    depth = min(a * heights[0], b * heights[1], c * heights[2])
-                    if depth < -margin:
-                        continue
-                    if passed == 1:
-                        triangle[count], rows[count], columns[count] = number, row, column
-                        between[count, 0], between[count, 1], between[count, 2] = a, b, c
-                        depths[count] = depth
-                    count += 1
-    return triangle, rows, columns, between, depths
 
 
 @kernel

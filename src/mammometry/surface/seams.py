@@ -13,12 +13,14 @@ import numpy as np
 
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32, Int64
 from mammometry.geometry.mesh import TriangleMesh
-from mammometry.surface import image_kernels
+from mammometry.surface import atlas_kernels
 from mammometry.surface.energy import graph_of_mesh, laplacian
 
 _FADING_ROUNDS = 5  # edges over which one photograph fades into the next; chosen by eye
 _LEAST_SHARE = 0.03  # of a photograph at a vertex; less of one is not seen; chosen by eye
 _MARGIN_PX = 1.5  # beside a face, for who reads between pixels
+_LEAST_WEIGHT = 1e-6  # of a face's own photograph: where no weight is left, it shows that one
+_BAND_PX = 512  # rows of the picture that are gone through at once; chosen for memory
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -83,16 +85,13 @@ def fading_pixels(
     own = np.maximum(view, 0)
     elsewhere = weights.sum(axis=0)[mesh.faces] - weights[own[:, None], mesh.faces]
     faces = np.flatnonzero((view >= 0) & (elsewhere.max(axis=1) > 0))
-    face, row, column, between, depth = image_kernels.pixels_of_triangles(
-        uv_px[faces], np.array(size_wh, dtype=np.int64), _MARGIN_PX
-    )
-    order = np.lexsort((depth, column, row))  # a pixel belongs to the face that it lies deepest in
-    last = np.append((np.diff(row[order]) != 0) | (np.diff(column[order]) != 0), True)[: len(order)]
-    face, row, column, between = (values[order[last]] for values in (face, row, column, between))
+    height, width = size_wh[1], size_wh[0]
+    bands = [
+        atlas_kernels.deepest_triangles(uv_px[faces], first, min(first + _BAND_PX, height), width, _MARGIN_PX)
+        for first in range(0, height, _BAND_PX)
+    ]
+    face, row, column, between = (np.concatenate(parts) for parts in zip(*bands, strict=True))
     corners = mesh.faces[faces[face]]
-    inside = np.maximum(between, 0.0)
-    shares = np.stack([np.einsum("pc,pc->p", inside, weight[corners]) for weight in weights])
-    shares[own[faces[face]], np.arange(len(face))] += 1e-6  # where no weight is left, each face shows its own
-    return FadingPixels(
-        row=row, column=column, corners=corners, between=between, shares=shares / shares.sum(axis=0, keepdims=True)
-    )
+    shown = own[faces[face]].astype(np.int32)
+    shares = atlas_kernels.shares_of(weights, corners, between, shown, _LEAST_WEIGHT)
+    return FadingPixels(row=row, column=column, corners=corners, between=between, shares=shares)

@@ -162,24 +162,6 @@ class Picture:
 
         return np.concatenate(in_bands(of, len(uv)))
 
-    def window(self, rows: slice, columns: slice) -> Float32[Array, "a b 3"]:
-        """Colours of a part, 0…1."""
-        cut = self.levels[rows, columns].astype(np.float32) / np.float32(self.full_scale)
-        return np.repeat(cut, 3, axis=2) if cut.shape[2] == 1 else cut
-
-    def reduced(self, step: int) -> Picture:
-        """Means of step × step pixels, kept as their sums.
-
-        Incomplete ones at the ends are dropped.
-        """
-        if step == 1:
-            return self
-        height, width = (side // step * step for side in self.levels.shape[:2])
-        total = np.zeros((height // step, width // step, self.levels.shape[2]), dtype=np.uint32)
-        for row, column in np.ndindex(step, step):
-            total += self.levels[row:height:step, column:width:step]
-        return Picture(levels=total, full_scale=self.full_scale * step * step)
-
 
 def picture_of(photograph: Photograph) -> Picture:
     """Pixels as recorded, with one or three channels."""

@@ -4,6 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
+from mammometry.geometry import nearest
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.nearest import closest_on_mesh, closest_on_triangles, point_tree
 from mammometry.geometry.nearest_kernels import IN_A_LEAF, boxes
@@ -63,6 +64,27 @@ def test_closest_point_of_a_triangle_beats_dense_samples():
 def test_triangles_without_area_are_segments():
     flat = np.array([[[0.0, 0, 0], [1.0, 0, 0], [0.5, 0, 0]]])
     np.testing.assert_allclose(closest_on_triangles(np.array([[0.25, 2.0, 0]]), flat), [[0.25, 0, 0]], atol=1e-12)
+
+
+@pytest.mark.parametrize("count", [3, 100])
+def test_faces_far_from_all_queries_change_nothing(monkeypatch, count):
+    rng = np.random.default_rng(7)
+    u, v = np.meshgrid(np.linspace(0, 100, 60), np.linspace(0, 100, 60))
+    vertices = np.stack([u, v, rng.normal(size=u.shape)], axis=-1).reshape(-1, 3)
+    corner = (np.arange(59)[:, None] * 60 + np.arange(59)).ravel()
+    faces = np.stack([corner, corner + 1, corner + 61], axis=1).astype(np.int32)
+    mesh = TriangleMesh(vertices=vertices, faces=faces)
+    points = rng.uniform([60, 20, -8], [80, 40, 8], (count, 3))
+    plain = closest_on_mesh(points, mesh)
+    monkeypatch.setattr(nearest, "_LARGE", 1000)
+    monkeypatch.setattr(nearest, "_SOME", 500)
+    near = nearest._faces_near(points, mesh)
+    assert near is not None
+    assert len(near) < len(faces) / 4
+    found = closest_on_mesh(points, mesh)
+    np.testing.assert_array_equal(found.distances_mm, plain.distances_mm)
+    on_face = closest_on_triangles(points, mesh.corners()[found.faces])  # at a shared corner it may be another face
+    np.testing.assert_allclose(on_face, found.points, atol=1e-12)
 
 
 def test_a_mesh_without_faces_is_refused():

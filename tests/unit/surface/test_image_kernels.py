@@ -128,33 +128,6 @@ def test_plausible_points_are_the_nearest_data():
     assert np.abs(moved - np.abs(height))[is_found & squarely].max() < 0.12
 
 
-def test_pixels_of_triangles_are_those_within_their_sides():
-    rng = np.random.default_rng(5)
-    corners, margin, size_wh = rng.uniform(-3, 33, size=(12, 3, 2)), 1.5, np.array([30, 25])
-    corners[3, 2] = corners[3, 0]  # no area
-    found = image_kernels.pixels_of_triangles(corners, size_wh, margin)
-    rows, columns = (grid.ravel() for grid in np.mgrid[:25, :30])
-    pixels = np.stack([columns, rows], axis=1)
-    for number, three in enumerate(corners):
-        triangle, row, column, between, depth = (values[found[0] == number] for values in found)
-        if number == 3:
-            assert not len(triangle)
-            continue
-        weights = np.linalg.solve(np.vstack([three.T, np.ones(3)]), np.vstack([columns, rows, np.ones(len(rows))])).T
-        across = []
-        for corner in range(3):  # from the side opposite to it
-            start, along = three[corner - 2], three[corner - 1] - three[corner - 2]
-            normal = np.array([along[1], -along[0]]) / np.linalg.norm(along)
-            inward = np.sign((three[corner] - start) @ normal)
-            across.append(inward * (pixels - start) @ normal)
-        expected = np.min(across, axis=0)
-        boxed = (pixels >= three.min(axis=0) - margin) & (pixels <= three.max(axis=0) + margin)
-        inside = (expected >= -margin) & boxed.all(axis=1)
-        np.testing.assert_array_equal(np.stack([row, column]), np.stack([rows, columns])[:, inside])
-        np.testing.assert_allclose(between, weights[inside], atol=1e-4)
-        np.testing.assert_allclose(depth, expected[inside], atol=1e-3)
-
-
 def test_values_are_carried_over_through_a_coarse_grid_of_places():
     rng = np.random.default_rng(5)
     picture = rng.uniform(size=(40, 50)).astype(np.float32)

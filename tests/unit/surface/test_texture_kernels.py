@@ -5,9 +5,8 @@ import pytest
 from scipy import ndimage
 from spheres import camera_towards, sphere_mesh
 
-from mammometry.base.photograph import Photograph
 from mammometry.surface import texture_kernels
-from mammometry.surface.texture import Picture, picture_of
+from mammometry.surface.texture import Picture
 from mammometry.surface.view_rows import view_row
 
 
@@ -54,15 +53,3 @@ def test_colours_are_linear_between_pixels_and_the_borders_beside_them(kind, cha
         plain = levels[..., min(channel, channels - 1)] / np.iinfo(kind).max
         exact = ndimage.map_coordinates(plain, uv[:, ::-1].T, order=1, mode="nearest")
         np.testing.assert_allclose(found[:, channel], exact, atol=1e-6)
-
-
-def test_a_reduced_picture_has_the_means():
-    levels = np.random.default_rng(6).integers(0, 255, (21, 32, 3), dtype=np.uint8)
-    reduced = picture_of(Photograph(name="a", pixels=levels)).reduced(3)
-    means = (levels[:21, :30] / 255).reshape(7, 3, 10, 3, 3).mean(axis=(1, 3))
-    np.testing.assert_allclose(reduced.window(slice(0, 7), slice(0, 10)), means, atol=1e-6)
-
-
-def test_a_grey_picture_is_shown_in_three_channels():
-    grey = picture_of(Photograph(name="a", pixels=np.full((4, 5), 51, dtype=np.uint8)))
-    np.testing.assert_allclose(grey.window(slice(1, 3), slice(0, 2)), np.full((2, 2, 3), 0.2), rtol=1e-6)

@@ -329,15 +329,14 @@ def within_outline(flat: Float64[Array, "n 2"], outline: Float64[Array, "k 2"]) 
     """
     middle = outline.mean(axis=0)
     around = np.arctan2(*(outline - middle).T[::-1])
+    away = np.linalg.norm(outline - middle, axis=1)
     order = np.argsort(around)
-    offset = flat - middle
-    reach = np.interp(
-        np.arctan2(offset[:, 1], offset[:, 0]),
-        around[order],
-        np.linalg.norm(outline - middle, axis=1)[order],
-        period=2 * np.pi,
-    )
-    return np.linalg.norm(offset, axis=1) < reach
+    inside = np.zeros(len(flat), dtype=bool)
+    near = np.flatnonzero((np.abs(flat - middle) <= away.max()).all(axis=1))
+    offset = flat[near] - middle
+    reach = np.interp(np.arctan2(offset[:, 1], offset[:, 0]), around[order], away[order], period=2 * np.pi)
+    inside[near] = np.linalg.norm(offset, axis=1) < reach
+    return inside
 
 
 def _result(

@@ -12,11 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import distance_transform_edt, gaussian_filter, gaussian_laplace, grey_opening, map_coordinates
 
+from mammometry.base.cores import in_bands
 from mammometry.base.errors import MeasureError
 from mammometry.geometry.arrays import Array, Bool, Float64, read_only
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.measure.settings import ThoraxSettings
-from mammometry.measure.trunk.thorax import Thorax, on_trunk
+from mammometry.measure.trunk import skin_kernels
+from mammometry.measure.trunk.thorax import ARM, AROUND, Thorax
 
 PIXEL_MM = 2.0  # side of a pixel; half the scale at which creases are looked at
 _SPECK = 3  # pixels; smaller specks of an outer layer are taken out
@@ -90,17 +92,19 @@ def lay_flat(
         MeasureError: no skin lies there.
     """
     trunk = thorax.trunk
-    cylindrical = trunk.cylindrical(points_world)
-    flat, radius = cylindrical[:, :2], cylindrical[:, 2]
     width, height = np.deg2rad(settings.widest_deg) * trunk.half_width_mm, settings.height_window_mm
-    keep = (np.abs(flat[:, 0]) < width) & (np.abs(flat[:, 1]) < height)
-    keep &= on_trunk(cylindrical, trunk)
-    flat, bulge = flat[keep], radius[keep] - thorax.radius_mm(flat[keep])
     low = np.array([-width, -height])
-    shape = (int(2 * height / PIXEL_MM) + 2, int(2 * width / PIXEL_MM) + 2)
-    column, row = np.round((flat - low) / PIXEL_MM).astype(int).T
-    inner = np.full(shape, np.inf)
-    np.minimum.at(inner, (row, column), bulge)
+    size = np.array([int(2 * height / PIXEL_MM) + 2, int(2 * width / PIXEL_MM) + 2])
+    limits = np.array([trunk.half_width_mm, width, height, ARM * trunk.half_width_mm])
+    radius = thorax.coefficients.reshape(-1, AROUND)
+
+    def innermost(band: slice) -> Float64[Array, "h w"]:
+        found: Float64[Array, "h w"] = skin_kernels.innermost(
+            points_world[band], trunk.frame, trunk.origin, radius, limits, PIXEL_MM, size
+        )
+        return found
+
+    inner = np.min(in_bands(innermost, len(points_world)), axis=0)
     known = np.isfinite(inner)
     if not known.any():
         raise MeasureError(
@@ -118,18 +122,9 @@ def dense_samples(mesh: TriangleMesh, spacing_mm: float = _FINEST_MM) -> Float64
     This holds for coarse meshes too. A face of longest edge l is divided into ⌈l/spacing⌉² equal parts, each of which
     gives its middle.
     """
-    faces = mesh.faces[:: max(1, len(mesh.faces) // _MOST_SAMPLES)]  # so many are finer than the spacing
-    corners = mesh.vertices[faces]
-    longest = np.max([np.linalg.norm(corners[:, k] - corners[:, (k + 1) % 3], axis=1) for k in range(3)], axis=0)
+    every = max(1, len(mesh.faces) // _MOST_SAMPLES)  # so many are finer than the spacing
+    longest = skin_kernels.longest_sides(mesh.vertices, mesh.faces, every)
     spacing = max(spacing_mm, float(np.sqrt((longest**2).sum() / _MOST_SAMPLES)))
     parts = np.maximum(np.ceil(longest / spacing).astype(np.int64), 1)
-    found = []
-    for n in np.unique(parts):
-        a, b, c = np.moveaxis(corners[parts == n], 1, 0)
-        i, j = (index.ravel() for index in np.meshgrid(np.arange(n), np.arange(n), indexing="ij"))
-        upright, turned = i + j < n, i + j < n - 1
-        u = np.concatenate([(i + 1 / 3)[upright], (i + 2 / 3)[turned]]) / n
-        v = np.concatenate([(j + 1 / 3)[upright], (j + 2 / 3)[turned]]) / n
-        places = a[:, None] + u[:, None] * (b - a)[:, None] + v[:, None] * (c - a)[:, None]
-        found.append(places.reshape(-1, 3))
-    return np.concatenate(found)
+    samples: Float64[Array, "n 3"] = skin_kernels.middles_of_parts(mesh.vertices, mesh.faces, every, parts)
+    return samples

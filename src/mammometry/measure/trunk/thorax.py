@@ -15,6 +15,7 @@ from mammometry.measure.settings import ThoraxSettings
 from mammometry.surface.repair import Provenance, RepairedSurface
 
 _HARMONICS = 4  # Fourier order of the radius around the trunk; 4 follows a thorax and not a breast
+AROUND = 2 * _HARMONICS + 1  # Fourier terms
 _HEIGHT_DEGREE = 2  # of the polynomial of each Fourier coefficient along the trunk; chosen by eye
 _SIDE_AZIMUTH_DEG = (75.0, 100.0)
 """Skin whose normal points this far to the side of straight ahead shows where the trunk's axis lies, degrees.
@@ -42,7 +43,7 @@ _AXIS_SAMPLES = 60_000  # of the skin from which the axis is found; chosen for s
 _FIT_SAMPLES = 20_000  # of the skin to which the radius is fitted; chosen for speed
 _FIT_ROUNDS = 25  # of reweighting the skin; chosen by eye
 _LEAN = 0.2  # sine of the angle between normal and level at which a normal counts half; chosen by eye
-_ARM = 1.15  # skin further to the side than this many half widths is an arm's; chosen by eye
+ARM = 1.15  # skin further to the side than this many half widths is an arm's; chosen by eye
 _RIDGE = 1e-4  # slight pull of the higher harmonics to zero, since the back is not seen; chosen by eye
 _FACING_OUT = 0.5
 """Least share of a unit normal that points away from the axis, for skin to show the trunk's radius. The trunk's end,
@@ -376,7 +377,7 @@ def on_trunk(cylindrical: Float64[Array, "n 3"], trunk: Trunk) -> Bool[Array, " 
 
     Places are (half width × θ, y, r), mm. By their distance to the side.
     """
-    return cylindrical[:, 2] * np.abs(np.sin(cylindrical[:, 0] / trunk.half_width_mm)) < _ARM * trunk.half_width_mm
+    return cylindrical[:, 2] * np.abs(np.sin(cylindrical[:, 0] / trunk.half_width_mm)) < ARM * trunk.half_width_mm
 
 
 def _design(arc_y: Float64[Array, "n 2"], half_width: float, settings: ThoraxSettings) -> Float64[Array, "n c"]:

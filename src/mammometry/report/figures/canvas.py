@@ -282,7 +282,12 @@ def caption_of(png: bytes) -> Caption:
     A PNG of other origin has an empty one.
     """
     with Image.open(io.BytesIO(png), formats=("PNG",)) as image:
-        text = getattr(image, "text", {})
+        return caption_in(image)
+
+
+def caption_in(image: Image.Image) -> Caption:
+    """The caption of an opened preview, whose picture is read for it."""
+    text = getattr(image, "text", {})
     return Caption(title=str(text.get("Title", "")), text=str(text.get("Description", "")))
 
 

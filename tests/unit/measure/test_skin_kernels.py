@@ -1,0 +1,62 @@
+"""Compiled laying flat of the skin, against plain NumPy."""
+
+import numpy as np
+
+from mammometry.geometry.mesh import TriangleMesh
+from mammometry.measure.settings import ThoraxSettings
+from mammometry.measure.trunk import skin_kernels
+from mammometry.measure.trunk.skin_map import PIXEL_MM, dense_samples, lay_flat
+from mammometry.measure.trunk.thorax import Thorax, Trunk, on_trunk
+
+
+def turned_trunk(rng):
+    frame = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    return Trunk(frame=frame, origin=rng.normal(size=3) * 50, half_width_mm=150.0)
+
+
+def test_each_pixel_has_the_bulge_of_its_innermost_skin():
+    rng, settings = np.random.default_rng(3), ThoraxSettings()
+    trunk = turned_trunk(rng)
+    coefficients = np.concatenate([[110.0], rng.normal(size=26) * 5])
+    thorax = Thorax(trunk=trunk, coefficients=coefficients, settings=settings, rms_mm=1.0)
+    points = trunk.origin + rng.normal(size=(40_000, 3)) * [150.0, 200.0, 150.0] @ trunk.frame
+    points[0] = trunk.origin  # on the axis
+    relief = lay_flat(thorax, points, settings)
+    cylindrical = trunk.cylindrical(points)
+    width, height = np.deg2rad(settings.widest_deg) * trunk.half_width_mm, settings.height_window_mm
+    keep = (np.abs(cylindrical[:, 0]) < width) & (np.abs(cylindrical[:, 1]) < height) & on_trunk(cylindrical, trunk)
+    assert 1000 < keep.sum() < len(points) / 2
+    flat, bulge = cylindrical[keep, :2], thorax.bulge_mm(points[keep])
+    column, row = np.round((flat + np.array([width, height])) / PIXEL_MM).astype(int).T
+    inner = np.full(relief.bulge_mm.shape, np.inf)
+    np.minimum.at(inner, (row, column), bulge)
+    limits = np.array([trunk.half_width_mm, width, height, 1.15 * trunk.half_width_mm])
+    radius = coefficients.reshape(3, 9)
+    found = skin_kernels.innermost(
+        points, trunk.frame, trunk.origin, radius, limits, PIXEL_MM, np.array(relief.bulge_mm.shape)
+    )
+    np.testing.assert_array_equal(np.isfinite(found), np.isfinite(inner))
+    np.testing.assert_allclose(found, inner, atol=1e-9)
+    assert relief.known[np.isfinite(inner)].all()
+
+
+def test_samples_are_the_middles_of_equal_parts_of_each_face():
+    rng = np.random.default_rng(4)
+    vertices = rng.uniform(0, 12, (30, 3))
+    faces = np.array([rng.choice(30, 3, replace=False) for _ in range(40)], dtype=np.int32)
+    mesh = TriangleMesh(vertices=vertices, faces=faces)
+    samples = dense_samples(mesh, 1.5)
+    at = 0
+    for a, b, c in vertices[faces]:
+        n = int(np.ceil(max(np.linalg.norm(side) for side in (a - b, b - c, c - a)) / 1.5))
+        own = samples[at : at + n * n]
+        at += n * n
+        v, w = np.linalg.lstsq(np.stack([b - a, c - a], axis=1), (own - a).T, rcond=None)[0]
+        np.testing.assert_allclose(a + np.outer(v, b - a) + np.outer(w, c - a), own, atol=1e-9)
+        upright = np.isclose(v * n % 1, 1 / 3)
+        assert np.isclose(v * n % 1, np.where(upright, 1 / 3, 2 / 3)).all()
+        assert np.isclose(w * n % 1, np.where(upright, 1 / 3, 2 / 3)).all()
+        assert upright.sum() == n * (n + 1) // 2
+        assert (v + w < 1).all()
+        assert len(np.unique(np.round(np.stack([v, w], axis=1), 6), axis=0)) == n * n
+    assert at == len(samples)
