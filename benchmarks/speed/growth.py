@@ -24,7 +24,7 @@ import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -235,6 +235,7 @@ def main() -> None:
         for what, rows in json.loads(kept.read_text()).items():
             found[what] = {float(number): row for number, row in rows.items()}
     cores = partial(with_cores, subject=arguments.subject)
+    ways: dict[str, Callable[[Path], Iterator[tuple[float, Row]]]]
     ways = {"megapixels": with_pixels, "pairs": with_pairs, "subjects": with_subjects, "cores": cores}
     for what, way in ways.items():
         if arguments.only in (None, "pixels" if what == "megapixels" else what):

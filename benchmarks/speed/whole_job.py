@@ -36,8 +36,7 @@ import psutil
 from benchmarks.speed.reference import beside
 from mammometry.base.progress import Progress, no_progress
 from mammometry.io.cameras.own import cameras_table
-from mammometry.io.results.store import Key
-from mammometry.job.products import Stage
+from mammometry.job.products import Key, Stage
 from mammometry.simulate.recipe import SessionRecipe
 from mammometry.simulate.session import write_session
 
@@ -63,7 +62,7 @@ def run_stages(folder: Path, stages: Sequence[Stage] = STAGES) -> dict[str, dict
     import mammometry as mm
 
     job = mm.open_session(folder)
-    rows = {}
+    rows: dict[str, dict[str, float]] = {}
     for stage in stages:
         wall, processor = time.monotonic(), sum(os.times()[:4])
         job.ensure(stage)
