@@ -196,7 +196,7 @@ def exponent(rows: Mapping[float, Row], key: str = "processor_s", last: int = 0)
 def draw(found: Mapping[str, Mapping[float, Row]], path: Path) -> None:
     """Processor seconds and memory over what grows. Dashed: proportional to it."""
     from matplotlib.figure import Figure
-    from matplotlib.ticker import NullFormatter, NullLocator, StrMethodFormatter
+    from matplotlib.ticker import LogLocator, NullFormatter, NullLocator, StrMethodFormatter
 
     figure = Figure(figsize=(4.2 * len(found), 6.4), layout="constrained")
     axes = figure.subplots(2, len(found), squeeze=False)
@@ -213,6 +213,7 @@ def draw(found: Mapping[str, Mapping[float, Row]], path: Path) -> None:
             place.set(xlabel=what, ylabel=unit, ylim=(0.5 * values.min(), 3 * values.max()))
             place.set_xticks(numbers, [f"{number:.3g}" for number in numbers])
             place.xaxis.set_minor_locator(NullLocator())
+            place.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
             place.yaxis.set_major_formatter(StrMethodFormatter("{x:.0f}"))
             place.yaxis.set_minor_formatter(NullFormatter())
             place.legend(frameon=False, fontsize=8, loc="upper left")

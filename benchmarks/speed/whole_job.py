@@ -123,22 +123,24 @@ def make_products(folder: Path) -> list[dict[str, Any]]:
     """Run a session, and take time and memory of each product, in the order in which they are done."""
     import mammometry as mm
 
-    rows, memory, done = list[dict[str, Any]](), dict[Key, float](), threading.Event()
+    rows, memory, done = list[dict[str, Any]](), dict[str, float](), threading.Event()
     begun, process = time.monotonic(), psutil.Process()
 
     def look() -> None:
         while not done.wait(_LOOK_OFTEN_S):
             now = process.memory_info().rss / 1e6
-            for key in list(memory):
-                memory[key] = max(memory[key], now)
+            for name in list(memory):
+                if name in memory:
+                    memory[name] = max(memory[name], now)
 
     @contextmanager
     def watch(key: Key) -> Iterator[Progress]:
+        name = f"{key.stage}: {key.product}"
         wall, processor = time.monotonic(), time.process_time()
-        memory[key] = process.memory_info().rss / 1e6
+        memory[name] = process.memory_info().rss / 1e6
         yield no_progress
-        row = {"product": f"{key.stage}: {key.product}", "begins_s": wall - begun, "wall_s": time.monotonic() - wall}
-        rows.append(row | {"processor_s": time.process_time() - processor, "peak_mb": memory.pop(key)})
+        row = {"product": name, "begins_s": wall - begun, "wall_s": time.monotonic() - wall}
+        rows.append(row | {"processor_s": time.process_time() - processor, "peak_mb": memory.pop(name)})
 
     looking = threading.Thread(target=look, daemon=True)
     looking.start()
