@@ -376,7 +376,8 @@ def most_probable(seen: Observed, asked: Unknowns) -> Found:
     All cameras and groups are drawn from common sizes. That one camera or one group alone moved is asked only to name
     it: cameras of one pair may turn alike by chance, and the others' motions would then be taken for certain.
     """
-    reduced = [_reduced(seen, rest_mm) for rest_mm in _RESTS_MM]
+    rests_mm = _RESTS_MM if seen.distances.any() else _RESTS_MM[:1]  # rows alone say nothing of a rest
+    reduced = [_reduced(seen, rest_mm) for rest_mm in rests_mm]
     none = np.zeros(asked.count)
     still = max((_sized(known, none) for known in reduced), key=lambda each: each.log_evidence)
     sizes = [asked.prior_std(*size) for size in product(np.radians(_TURNS_DEG).tolist(), _SHIFTS_MM)]
