@@ -233,7 +233,7 @@ def main() -> None:
             command += [str(warm), str(session)]
             with beside() as reference, subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as made:
                 while made.poll() is None:
-                    peak = max(peak, memory_mb(made.pid))
+                    peak = max(peak, memory_mb(made.pid)[0])
                     time.sleep(_LOOK_S)
                 assert made.stdout is not None
                 said = made.stdout.read()

@@ -106,7 +106,7 @@ def simulate(
         typer.Option(metavar="X,Y,Z", help="Rotation of the mesh, degrees. Then y is up and z points to the front."),
     ] = "0,0,0",
     scale: Annotated[
-        float, typer.Option(help="Image size as a share of the rig's full size.", min=0.02, max=1.0)
+        float, typer.Option(help="Image size as a share of the rig's full size.", min=0.02, max=2.0)
     ] = _RECIPE.scale,
     seed: Annotated[int, typer.Option(help="Seed of everything random.", min=0)] = _RECIPE.seed,
     poses: Annotated[int, typer.Option(help="Number of poses of the calibration target.", min=1)] = _RECIPE.poses,

@@ -177,7 +177,7 @@ def observers(
 def phantoms(
     out: Annotated[Path, typer.Argument(metavar="OUT", help="Folder of the study.", show_default=False)],
     scale: Annotated[
-        float, typer.Option(help="Image size as a share of 4504 × 3000 pixels.", min=0.01, max=1.0)
+        float, typer.Option(help="Image size as a share of 4504 × 3000 pixels.", min=0.02, max=2.0)
     ] = 0.25,
     seed: Annotated[
         int, typer.Option(help="Seed of the rig, its calibration and the shapes of the models.", min=0)

@@ -37,7 +37,7 @@ VERSIONS: Registry[int] = Registry(
         "disparity": 15,
         "rows": 1,
         "range": 3,
-        "stillness": 3,
+        "stillness": 4,
         "stood": 1,
         "valid": 4,
         "data": 1,

@@ -146,8 +146,10 @@ class Observed:
     values: Float64[Array, " m"]
     """Distances between surfaces, mm, then rows' angles, rad."""
     by_unknown: Float64[Array, "m p"]
-    noise: Float64[Array, "m m"]
-    """Covariance by matching and calibration."""
+    own: tuple[Float64[Array, "b b"], ...]
+    """Covariances by matching along the diagonal: a block for each two compared pairs, then for each pair's rows."""
+    common: Float64[Array, "m k"]
+    """What calibration adds: times its transpose, a covariance of all observations."""
     distances: Bool[Array, " m"]
     """Which are distances between surfaces."""
     rows_of: Int64[Array, " m"]
@@ -158,10 +160,20 @@ class Observed:
         return Observed(
             values=self.values[keep],
             by_unknown=self.by_unknown[keep],
-            noise=self.noise[np.ix_(keep, keep)],
+            own=tuple(block[np.ix_(kept, kept)] for block, kept in zip(self.own, self.of_blocks(keep), strict=True)),
+            common=self.common[keep],
             distances=self.distances[keep],
             rows_of=self.rows_of[keep],
         )
+
+    @property
+    def variance(self) -> Float64[Array, " m"]:
+        """Of each observation's noise."""
+        return np.concatenate([np.diag(block) for block in self.own]) + np.sum(self.common**2, axis=1)
+
+    def of_blocks(self, values: Array) -> list[Array]:
+        """Rows of the observations that belong to each block."""
+        return np.split(values, np.cumsum([len(block) for block in self.own])[:-1])
 
     def rms_mm(self, motions: Float64[Array, " p"] | None = None) -> float:
         """RMS distance between surfaces, measured or after correction, mm."""
@@ -203,22 +215,24 @@ def observed(
         of_calibration.append(shifts(rig.pair(name), seen.points, names).vertical_rad)
         values.append(seen.angle_rad)
         noises.append(np.eye(len(seen.points)) * (_ROW_PX * seen.pixel_rad) ** 2)
-    noise = np.zeros((sum(map(len, values)),) * 2)
-    start = 0
-    for block in noises:
-        noise[start : start + len(block), start : start + len(block)] = block
-        start += len(block)
+    common = np.zeros((sum(map(len, values)), 0))
     if covariance is not None:
         index = [covariance.names.index(name) for name in names]
-        together = np.concatenate(of_calibration)
-        noise += together @ covariance.matrix[np.ix_(index, index)] @ together.T
+        common = np.concatenate(of_calibration) @ _root(covariance.matrix[np.ix_(index, index)])
     return Observed(
         values=np.concatenate(values),
         by_unknown=np.concatenate(design),
-        noise=noise,
-        distances=np.arange(len(noise)) < count,
+        own=tuple(noises),
+        common=common,
+        distances=np.arange(len(common)) < count,
         rows_of=np.repeat([-1, *range(len(rows))], [count, *(len(seen.points) for seen in rows.values())]),
     )
+
+
+def _root(covariance: Float64[Array, "q q"]) -> Float64[Array, "q k"]:
+    """A matrix that gives the covariance times its transpose."""
+    values, vectors = np.linalg.eigh(covariance)
+    return vectors * np.sqrt(np.maximum(values, 0.0))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -245,18 +259,28 @@ class _Reduced:
 
 
 def _reduced(seen: Observed, rest_mm: float) -> _Reduced:
-    scale = 1 / np.sqrt(np.diag(seen.noise))
-    noise = (seen.noise + np.diag(seen.distances * rest_mm**2)) * np.outer(scale, scale)
-    lower = cholesky(noise, lower=True, check_finite=False)
-    both = np.column_stack([seen.by_unknown, seen.values]) * scale[:, None]
-    both = solve_triangular(lower, both, lower=True, check_finite=False)
-    design, values = both[:, :-1], both[:, -1]
+    """Whitened block by block: as many pairs' noise in one matrix would take the sixth power of their number.
+
+    What calibration adds has few terms. It is taken off by the Woodbury identity.
+    """
+    both = np.column_stack([seen.by_unknown, seen.values, seen.common])
+    products, log_det = np.zeros((both.shape[1],) * 2), 0.0
+    for own, part, distances in zip(seen.own, seen.of_blocks(both), seen.of_blocks(seen.distances), strict=True):
+        if len(own):
+            lower = cholesky(own + np.diag(distances * rest_mm**2), lower=True, check_finite=False)
+            white = solve_triangular(lower, part, lower=True, check_finite=False)
+            products += white.T @ white
+            log_det += 2 * float(np.sum(np.log(np.diag(lower))))
+    known = seen.by_unknown.shape[1] + 1
+    lower = cholesky(np.eye(len(products) - known) + products[known:, known:], lower=True, check_finite=False)
+    taken = solve_triangular(lower, products[known:, :known], lower=True, check_finite=False)
+    left = products[:known, :known] - taken.T @ taken
     return _Reduced(
         rest_mm=rest_mm,
-        matrix=design.T @ design,
-        right=design.T @ values,
-        squares=float(values @ values),
-        log_det=2 * float(np.sum(np.log(np.diag(lower)))),
+        matrix=left[:-1, :-1],
+        right=left[:-1, -1],
+        squares=float(left[-1, -1]),
+        log_det=log_det + 2 * float(np.sum(np.log(np.diag(lower)))),
     )
 
 
@@ -265,9 +289,9 @@ class _Sized:
     """Motions of certain sizes, as far as their evidence needs them."""
 
     known: _Reduced
-    std: Float64[Array, " f"]
-    """Of the unknowns that may differ from 0."""
+    std: Float64[Array, " p"]
     free: Int64[Array, " f"]
+    """Unknowns that may differ from 0 and that an observation depends on. All others stay as they were before."""
     lower: Float64[Array, "f f"]
     pulled: Float64[Array, " f"]
     log_evidence: float
@@ -275,20 +299,19 @@ class _Sized:
 
 def _sized(known: _Reduced, std: Float64[Array, " p"]) -> _Sized:
     """The evidence for sizes."""
-    free = np.flatnonzero(std)
+    free = np.flatnonzero((std > 0) & (np.diag(known.matrix) > 0))
     own = std[free]
     lower = cholesky(np.eye(len(free)) + known.matrix[np.ix_(free, free)] * np.outer(own, own), lower=True)
     pulled = solve_triangular(lower, known.right[free] * own, lower=True)
     misfit = known.squares - float(pulled @ pulled)
     evidence = -(misfit + known.log_det) / 2 - float(np.sum(np.log(np.diag(lower))))
-    return _Sized(known=known, std=own, free=free, lower=lower, pulled=pulled, log_evidence=evidence)
+    return _Sized(known=known, std=std, free=free, lower=lower, pulled=pulled, log_evidence=evidence)
 
 
 def _fit(sized: _Sized) -> Fit:
     """The motions themselves."""
-    count = len(sized.known.right)
-    motions, covariance = np.zeros(count), np.zeros((count, count))
-    root = solve_triangular(sized.lower, np.diag(sized.std), lower=True)
+    motions, covariance = np.zeros(len(sized.std)), np.diag(sized.std**2)
+    root = solve_triangular(sized.lower, np.diag(sized.std[sized.free]), lower=True)
     motions[sized.free] = root.T @ sized.pulled
     covariance[np.ix_(sized.free, sized.free)] = root.T @ root
     return Fit(rest_mm=sized.known.rest_mm, log_evidence=sized.log_evidence, motions=motions, covariance=covariance)
@@ -301,7 +324,7 @@ def without_outliers(seen: Observed, asked: Unknowns) -> Observed:
     by pixels without a motion where much of it was matched by chance, as on a pale wall.
     """
     keep = np.ones(len(seen.values), dtype=bool)
-    std = np.sqrt(np.diag(seen.noise))
+    std = np.sqrt(seen.variance)
     large_std = asked.prior_std(np.radians(_FIRST_TURN_DEG), _FIRST_SHIFT_MM)
     for _ in range(_OUTLIER_ROUNDS):
         large = _fit(_sized(_reduced(seen.only(keep), _FIRST_REST_MM), large_std))
@@ -353,7 +376,8 @@ def most_probable(seen: Observed, asked: Unknowns) -> Found:
     All cameras and groups are drawn from common sizes. That one camera or one group alone moved is asked only to name
     it: cameras of one pair may turn alike by chance, and the others' motions would then be taken for certain.
     """
-    reduced = [_reduced(seen, rest_mm) for rest_mm in _RESTS_MM]
+    rests_mm = _RESTS_MM if seen.distances.any() else _RESTS_MM[:1]  # rows alone say nothing of a rest
+    reduced = [_reduced(seen, rest_mm) for rest_mm in rests_mm]
     none = np.zeros(asked.count)
     still = max((_sized(known, none) for known in reduced), key=lambda each: each.log_evidence)
     sizes = [asked.prior_std(*size) for size in product(np.radians(_TURNS_DEG).tolist(), _SHIFTS_MM)]

@@ -34,14 +34,15 @@ def test_reference_rig_is_as_described(seed):
         assert np.linalg.norm(camera.centre_world) / camera.matrix[0, 0] * 0.25 == pytest.approx(0.1, rel=0.1)
 
 
-def test_scale_changes_the_pixels_and_nothing_else():
-    small, full = reference_rig(0.25, 4), reference_rig(1.0, 4)
+@pytest.mark.parametrize("larger", [1.0, 2.0])
+def test_scale_changes_the_pixels_and_nothing_else(larger):
+    small, full = reference_rig(0.25, 4), reference_rig(larger, 4)
     points = np.random.default_rng(0).uniform(-80, 80, (50, 3))
     for name, camera in small.cameras.items():
         assert np.array_equal(camera.centre_world, full.cameras[name].centre_world)
         uv = camera.project(points)
         # Pyramid rule: (u + ½) scales with the image.
-        assert (full.cameras[name].project(points) + 0.5) / 4.0 - 0.5 == pytest.approx(uv, abs=1e-9)
+        assert (full.cameras[name].project(points) + 0.5) * (0.25 / larger) - 0.5 == pytest.approx(uv, abs=1e-9)
 
 
 def test_seeded_errors_differ():
@@ -89,7 +90,7 @@ def test_unknown_rig_is_refused(name):
         make_rig(name, 0.25, 1)
 
 
-@pytest.mark.parametrize("scale", [0.0, 1.5])
+@pytest.mark.parametrize("scale", [0.0, 2.5])
 def test_scale_out_of_range_is_refused(scale):
     with pytest.raises(ValueError, match="scale"):
         reference_rig(scale, 1)

@@ -8,10 +8,10 @@ from moving_rig import RADII, calibrated_rig, measured, standing
 
 from mammometry.base.errors import SurfaceError
 from mammometry.calibration.judge.shifts import shifts
-from mammometry.surface import stillness
+from mammometry.surface import motions, stillness
 from mammometry.surface.agreement import differences
 from mammometry.surface.carried import carried
-from mammometry.surface.motions import rigid_motions, unknowns
+from mammometry.surface.motions import Observed, most_probable, rigid_motions, unknowns
 from mammometry.surface.settings import StillnessSettings
 from mammometry.surface.stillness import find
 from mammometry.surface.stillness_words import concerns, summary
@@ -277,3 +277,42 @@ def test_the_unexplained_rest_is_said():
         displaced=(stillness.Displaced(pair="left", effect_mm=0.2, std_mm=0.1, body_mm=0.19),),
     )
     assert "0.30 mm in a way that no motion" in " ".join(concerns(found))
+
+
+def dense_log_evidence(seen, asked, turn_rad, shift_mm, rest_mm):
+    """Of the observations by their whole covariance in one matrix, whatever is constant left out."""
+    design = seen.by_unknown * asked.prior_std(turn_rad, shift_mm)
+    noise = np.zeros((len(seen.values),) * 2)
+    start = 0
+    for block in seen.own:
+        noise[start : start + len(block), start : start + len(block)] = block
+        start += len(block)
+    whole = noise + seen.common @ seen.common.T + np.diag(seen.distances * rest_mm**2) + design @ design.T
+    sign, log_det = np.linalg.slogdet(whole)
+    assert sign > 0
+    return -0.5 * (log_det + seen.values @ np.linalg.solve(whole, seen.values))
+
+
+def test_evidence_block_by_block_is_that_of_the_whole_covariance():
+    rng = np.random.default_rng(5)
+    asked = unknowns(RIG, list(RIG.pair_names), np.zeros(3))
+    roots = [rng.normal(size=(count, count)) for count in (7, 9, 5, 4)]
+    distances = np.arange(25) < 16
+    seen = Observed(
+        values=rng.normal(size=25),
+        by_unknown=rng.normal(size=(25, asked.count)) * asked.prior_std(1e-3, 0.1) ** -1,
+        own=tuple(root @ root.T + np.eye(len(root)) for root in roots),
+        common=rng.normal(size=(25, 6)),
+        distances=distances,
+        rows_of=np.repeat([-1, 0, 1], [16, 5, 4]),
+    )
+    found = most_probable(seen, asked)
+    rests, still = motions._RESTS_MM, found.still
+    assert still.log_evidence - dense_log_evidence(seen, asked, 0.0, 0.0, still.rest_mm) == pytest.approx(0.0, abs=1e-8)
+    best = max(
+        dense_log_evidence(seen, asked, turn, shift, rest)
+        for turn in np.radians(motions._TURNS_DEG)
+        for shift in motions._SHIFTS_MM
+        for rest in rests
+    )
+    assert found.expected.log_evidence == pytest.approx(best, abs=1e-8)

@@ -13,6 +13,8 @@ from mammometry.simulate.rigs.plan import REFERENCE, CameraPlan, RigErrors, RigP
 
 LEAST_SCALE = 0.02
 """Smallest scale of the pictures: the reference rig's are then 90 × 60 pixels, too few to find any target."""
+LARGEST_SCALE = 2.0
+"""Largest scale of the pictures: the reference rig's then have 54 megapixels, half as many as the largest cameras'."""
 NO_LENGTH = 1e-9
 """Length below which a vector has no direction. Far above rounding of unit vectors."""
 
@@ -26,10 +28,10 @@ def build_rig(plan: RigPlan, scale: float, seed: int) -> Rig:
         seed: of the errors; one seed gives the same rig at every scale.
 
     Raises:
-        ValueError: the scale is not within 0.02 … 1, or the plan's directions make no rig.
+        ValueError: the scale is not within 0.02 … 2, or the plan's directions make no rig.
     """
-    if not LEAST_SCALE <= scale <= 1.0:
-        raise ValueError(f"scale must lie between {LEAST_SCALE} and 1, found {scale}")
+    if not LEAST_SCALE <= scale <= LARGEST_SCALE:
+        raise ValueError(f"scale must lie between {LEAST_SCALE} and {LARGEST_SCALE:g}, found {scale}")
     rng = np.random.default_rng([seed, 11])
     cameras: dict[str, Camera] = {}
     pair_names: dict[str, tuple[str, str]] = {}

@@ -14,7 +14,7 @@ def reference_rig(scale: float, seed: int) -> Rig:
     """Build the reference rig.
 
     Raises:
-        ValueError: the scale is not within 0.02 … 1.
+        ValueError: the scale is not within 0.02 … 2.
     """
     return build_rig(REFERENCE, scale, seed)
 
