@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mammometry.base.cores import each_at_once
 from mammometry.geometry.arrays import Array, Float64, Int64, read_only
 from mammometry.geometry.camera import Camera
 from mammometry.matching.match import DisparityMap
@@ -80,8 +81,8 @@ def differences(range_images: Sequence[RangeImage], other_skin_mm: float = OTHER
         range_images: one for each pair.
         other_skin_mm: distance from which on two views are taken to see different skin.
     """
-    images = [_thinned(image.keeping(image.trust(TAPER_MM) > _INSIDE)) for image in range_images]
-    normals = [image.normals_camera() for image in images]
+    images = each_at_once(lambda image: _thinned(image.keeping(image.trust(TAPER_MM) > _INSIDE)), range_images)
+    normals = each_at_once(RangeImage.normals_camera, images)
     found = []
     for a, image in enumerate(images):
         for b, other in enumerate(images[a + 1 :], start=a + 1):

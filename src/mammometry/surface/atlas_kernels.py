@@ -16,8 +16,9 @@ def deepest_triangles(
 ) -> tuple[Int32[Array, " p"], Int32[Array, " p"], Int32[Array, " p"], Float32[Array, "p 3"]]:
     """Find the triangle that each pixel lies deepest in.
 
-    Pixels in or just beside triangles. Beside: at most `margin` pixels beyond the sides' lines and beyond the box around the corners. Depth is the distance
-    from the nearest side, negative outside. Of equally deep triangles it is the last; triangles without area have none.
+    Pixels in or just beside triangles. Beside: at most `margin` pixels beyond the sides' lines and beyond the box
+    around the corners. Depth is the distance from the nearest side, negative outside. Of equally deep triangles it is
+    the last; triangles without area have none.
 
     Args:
         corners: column and row, integers at pixel centres.

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
+from mammometry.base.cores import each_at_once
 from mammometry.base.errors import SurfaceError
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32, UInt8, read_only
 from mammometry.geometry.projection import projected
@@ -75,7 +76,7 @@ def remove_dents(
         ValueError: rule ``patch`` without patches.
         SurfaceError: no datum is left in any view; names the pairs.
     """
-    angles = tuple(image.incidence_rad(settings.neighbourhood_mm) for image in range_images)
+    angles = tuple(each_at_once(lambda image: image.incidence_rad(settings.neighbourhood_mm), range_images))
     limit = np.radians(settings.angle_deg)
     if settings.rule == "none":
         kept = [image.valid.copy() for image in range_images]
@@ -88,8 +89,9 @@ def remove_dents(
             kept = [image.valid & (angle <= limit) for image, angle in zip(range_images, angles, strict=True)]
         if settings.drop_seen_through:
             facing = [image.keeping(keep) for image, keep in zip(range_images, kept, strict=True)]
-            kept = [keep & ~_seen_through(k, facing, angles, settings) for k, keep in enumerate(kept)]
-        kept = [_without_islands(keep) for keep in kept]
+            through = each_at_once(lambda k: _seen_through(k, facing, angles, settings), range(len(kept)))
+            kept = [keep & ~beside for keep, beside in zip(kept, through, strict=True)]
+        kept = each_at_once(_without_islands, kept)
     if not any(keep.any() for keep in kept):
         counts = ", ".join(f"{image.name} had {int(image.valid.sum())} data" for image in range_images)
         raise SurfaceError(

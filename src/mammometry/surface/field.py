@@ -18,7 +18,7 @@ from mammometry.geometry.arrays import Array, Bool, Float32, Float64, read_only
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.matching.foreground import Foreground
 from mammometry.matching.outline import follow
-from mammometry.surface import image_kernels, kernels
+from mammometry.surface import image_kernels, kernels, outline_kernels
 from mammometry.surface.range_image import NORMAL_MM, SIGMA_FLOOR_MM, RangeImage, thinned_camera
 from mammometry.surface.settings import TAPER_MM, FieldSettings
 from mammometry.surface.view_rows import COLUMNS, view_row
@@ -261,31 +261,29 @@ def silhouette_distance_px(foreground: Foreground, step: int = 1, lost_slope: fl
     closed first. The mask must not be empty. Where the line is not the subject's edge but the border of a shadow on
     it, the subject reaches `lost_slope` times as far outside as the nearest edge that is seen is away along the line.
     """
-    from skimage.measure import find_contours
-
+    height, width = (-(-side // step) for side in foreground.coverage.shape)
     mask = foreground.mask
-    height, width = (-(-side // step) for side in mask.shape)
-    if mask.all():
+    top, bottom, left, right = outline_kernels.extent(mask).tolist()
+    if bottom - top == mask.shape[0] and right - left == mask.shape[1] and mask.all():
         return np.full((height, width), -1e4, dtype=np.float32)
     window = tuple(
-        slice(max(box.start // step - _AROUND_PX, 0) * step, (box.stop // step + _AROUND_PX) * step)
-        for box in ndimage.find_objects(mask.astype(np.uint8))[0]
+        slice(max(start // step - _AROUND_PX, 0) * step, min((stop // step + _AROUND_PX) * step, side))
+        for start, stop, side in zip((top, left), (bottom, right), mask.shape, strict=True)
     )
-    coverage, mask = foreground.coverage[window], mask[window]
-    holes = _small_holes(mask[::step, ::step])
+    inside = mask[window][::step, ::step]
+    holes = _small_holes(inside)
     if step > 1:  # what is dark between two steps belongs to the hole beside it
-        holes = ndimage.binary_dilation(holes).repeat(step, axis=0).repeat(step, axis=1)
-        holes = holes[: coverage.shape[0], : coverage.shape[1]]
-    coverage = np.where(holes, np.float32(1.0), coverage)
-    inside = coverage[::step, ::step] >= foreground.contour_level
+        holes = ndimage.binary_dilation(holes)
+    inside = inside | holes
     if inside.all():
         return np.full((height, width), -1e4, dtype=np.float32)
-    lines = [line / step for line in find_contours(coverage, foreground.contour_level) if len(line) > 1]  # type: ignore[no-untyped-call]
-    starts = np.concatenate([line[:-1] for line in lines])
-    steps = np.concatenate([np.diff(line, axis=0) for line in lines])
+    ends = np.array([end for axis in window for end in (axis.start, axis.stop)], dtype=np.int64)
+    starts, steps = outline_kernels.contour_pieces(
+        np.ascontiguousarray(foreground.coverage), ends, np.ascontiguousarray(holes), step, foreground.contour_level
+    )
     distances = np.full((height, width), np.float32(_AROUND_PX))
-    distances[tuple(slice(axis.start // step, axis.stop // step) for axis in window)] = image_kernels.outline_distances(
-        inside, starts, steps, _CONTOUR_BAND_PX
+    distances[tuple(slice(axis.start // step, -(-axis.stop // step)) for axis in window)] = (
+        image_kernels.outline_distances(inside, starts, steps, _CONTOUR_BAND_PX)
     )
     if lost_slope > 0:
         _let_out(distances, foreground, step, lost_slope)

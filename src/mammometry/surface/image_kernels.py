@@ -5,10 +5,11 @@ Their plain NumPy twins stand in tests/unit/surface/.
 
 import numpy as np
 
-from mammometry.base.compiled import kernel
+from mammometry.base.compiled import kernel, small_kernel
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32
 
 _LEAST_MASS = 6.0  # data in a window that give a normal: twice what a plane needs
+_FAR = np.int64(1) << 60  # px²: farther than any true pixel, where none is known yet
 _SPREAD = 1e-3  # px⁴: data whose covariance has a smaller determinant lie in a line
 
 
@@ -30,8 +31,9 @@ def inverse_depth_planes(
     fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
     normals = np.full((height, width, 3), np.nan, dtype=np.float32)
     bands = (height + 63) // 64
+    columns = np.empty((width, 9))
     for band in range(bands):
-        columns = np.zeros((width, 9))
+        columns[:] = 0.0
         first, last = band * 64, min(height, band * 64 + 64)
         bottom = max(first - half, 0)
         top = bottom  # rows bottom … top − 1 are in the sums
@@ -42,26 +44,27 @@ def inverse_depth_planes(
             while bottom < row - half:
                 _add_row(columns, range_mm, valid, bottom, first, fx, fy, cx, cy, -1.0)
                 bottom += 1
-            sums = np.zeros(9)
-            for column in range(min(half, width)):
-                sums += columns[column]
-            for column in range(width):
+            # One name a sum: an array of nine would be read from memory and written back for every pixel.
+            n, sx, sy, sxx, sxy, syy, sq, sxq, syq = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+            for column in range(-half, width):
                 if column + half < width:
-                    sums += columns[column + half]
+                    more = columns[column + half]
+                    n, sx, sy = n + more[0], sx + more[1], sy + more[2]
+                    sxx, sxy, syy = sxx + more[3], sxy + more[4], syy + more[5]
+                    sq, sxq, syq = sq + more[6], sxq + more[7], syq + more[8]
                 if column - half - 1 >= 0:
-                    sums -= columns[column - half - 1]
-                if not valid[row, column] or sums[0] < _LEAST_MASS - 0.5:
+                    less = columns[column - half - 1]
+                    n, sx, sy = n - less[0], sx - less[1], sy - less[2]
+                    sxx, sxy, syy = sxx - less[3], sxy - less[4], syy - less[5]
+                    sq, sxq, syq = sq - less[6], sxq - less[7], syq - less[8]
+                if column < 0 or not valid[row, column] or n < _LEAST_MASS - 0.5:
                     continue
-                mass, mx, my = sums[0], sums[1] / sums[0], sums[2] / sums[0]
-                cxx = sums[3] - sums[1] * mx
-                cxy = sums[4] - sums[1] * my
-                cyy = sums[5] - sums[2] * my
+                mx, my, mean = sx / n, sy / n, sq / n
+                cxx, cxy, cyy = sxx - sx * mx, sxy - sx * my, syy - sy * my
                 determinant = cxx * cyy - cxy * cxy
-                if determinant <= _SPREAD * mass * mass:
+                if determinant <= _SPREAD * n * n:
                     continue
-                mean = sums[6] / mass
-                cxq = sums[7] - sums[1] * mean
-                cyq = sums[8] - sums[2] * mean
+                cxq, cyq = sxq - sx * mean, syq - sy * mean
                 a = (cyy * cxq - cxy * cyq) / determinant
                 b = (cxx * cyq - cxy * cxq) / determinant
                 # Pixel coordinates about (cx, first row): to ideal ones by the focal lengths.
@@ -84,15 +87,16 @@ def _add_row(columns, range_mm, valid, row, first, fx, fy, cx, cy, sign):  # typ
             x = column - width * 0.5
             ideal_x = (column - cx) / fx
             q = np.sqrt(1.0 + ideal_x * ideal_x + ideal_y * ideal_y) / range_mm[row, column]
-            columns[column, 0] += sign
-            columns[column, 1] += sign * x
-            columns[column, 2] += sign * y
-            columns[column, 3] += sign * x * x
-            columns[column, 4] += sign * x * y
-            columns[column, 5] += sign * y * y
-            columns[column, 6] += sign * q
-            columns[column, 7] += sign * x * q
-            columns[column, 8] += sign * y * q
+            sums = columns[column]
+            sums[0] += sign
+            sums[1] += sign * x
+            sums[2] += sign * y
+            sums[3] += sign * x * x
+            sums[4] += sign * x * y
+            sums[5] += sign * y * y
+            sums[6] += sign * q
+            sums[7] += sign * x * q
+            sums[8] += sign * y * q
 
 
 @kernel
@@ -123,13 +127,14 @@ def nearest_true(mask: Bool[Array, "h w"]) -> tuple[Int32[Array, "h w"], Int32[A
     height, width = mask.shape
     rows = np.full((height, width), -1, dtype=np.int32)
     columns = np.full((height, width), -1, dtype=np.int32)
+    squares = np.empty(width, dtype=np.int64)
     for row in range(height):
         for column in range(width):
             if mask[row, column]:
                 rows[row, column], columns[row, column] = row, column
-        _sweep_row(rows, columns, row, -1)
+        _sweep_row(mask, rows, columns, squares, row, -1)
     for row in range(height - 2, -1, -1):
-        _sweep_row(rows, columns, row, 1)
+        _sweep_row(mask, rows, columns, squares, row, 1)
     return rows, columns
 
 
@@ -138,38 +143,58 @@ def distance_px(mask: Bool[Array, "h w"]) -> Float32[Array, "h w"]:
 
     0 at true ones. There must be one.
     """
-    rows, columns = nearest_true(mask)
-    down = (rows - np.arange(mask.shape[0])[:, None]).astype(np.float32)
-    along = (columns - np.arange(mask.shape[1])).astype(np.float32)
-    return np.hypot(down, along)
+    return _distances(*nearest_true(mask))
 
 
 @kernel
-def _nearer(rows, columns, row, column, from_row, from_column):  # type: ignore[no-untyped-def]
-    r, c = rows[from_row, from_column], columns[from_row, from_column]
-    if r < 0:
-        return
-    known, at = rows[row, column], columns[row, column]
-    distance2 = (r - row) * (r - row) + (c - column) * (c - column)
-    if known < 0 or distance2 < (known - row) * (known - row) + (at - column) * (at - column):
-        rows[row, column], columns[row, column] = r, c
+def _distances(rows: Int32[Array, "h w"], columns: Int32[Array, "h w"]) -> Float32[Array, "h w"]:
+    distances = np.empty(rows.shape, dtype=np.float32)
+    for row in range(rows.shape[0]):
+        for column in range(rows.shape[1]):
+            down, along = np.float64(rows[row, column] - row), np.float64(columns[row, column] - column)
+            distances[row, column] = np.sqrt(down * down + along * along)
+    return distances
 
 
 @kernel
-def _sweep_row(rows, columns, row, towards):  # type: ignore[no-untyped-def]
+def _sweep_row(mask, rows, columns, squares, row, towards):  # type: ignore[no-untyped-def]
+    """Take over nearer true pixels from the row before, then from both sides.
+
+    `squares`: room for the row's squared distances.
+    """
     height, width = rows.shape
     before = row + towards
+    for column in range(width):
+        squares[column] = _FAR if rows[row, column] < 0 else _square(rows, columns, row, column, row, column)
     if 0 <= before < height:
         for column in range(width):
-            _nearer(rows, columns, row, column, before, column)
-            if column > 0:
-                _nearer(rows, columns, row, column, before, column - 1)
-            if column + 1 < width:
-                _nearer(rows, columns, row, column, before, column + 1)
+            if not mask[row, column]:
+                _nearer(rows, columns, squares, row, column, before, column)
+                if column > 0:
+                    _nearer(rows, columns, squares, row, column, before, column - 1)
+                if column + 1 < width:
+                    _nearer(rows, columns, squares, row, column, before, column + 1)
     for column in range(1, width):
-        _nearer(rows, columns, row, column, row, column - 1)
+        if not mask[row, column]:
+            _nearer(rows, columns, squares, row, column, row, column - 1)
     for column in range(width - 2, -1, -1):
-        _nearer(rows, columns, row, column, row, column + 1)
+        if not mask[row, column]:
+            _nearer(rows, columns, squares, row, column, row, column + 1)
+
+
+@small_kernel
+def _nearer(rows, columns, squares, row, column, from_row, from_column):  # type: ignore[no-untyped-def]
+    if rows[from_row, from_column] >= 0:
+        square = _square(rows, columns, row, column, from_row, from_column)
+        if square < squares[column]:
+            squares[column] = square
+            rows[row, column], columns[row, column] = rows[from_row, from_column], columns[from_row, from_column]
+
+
+@small_kernel
+def _square(rows, columns, row, column, from_row, from_column):  # type: ignore[no-untyped-def]
+    down, along = rows[from_row, from_column] - row, columns[from_row, from_column] - column
+    return down * down + along * along
 
 
 @kernel

@@ -22,6 +22,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import ndimage
 
+from mammometry.base.cores import each_at_once
 from mammometry.geometry.arrays import Array, Bool, Float64, Int64, read_only
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.projection import projected
@@ -82,11 +83,12 @@ def find_blocked(
         if not foreground.everything and foreground.mask.any()
     }
     polls = []
-    for image in range_images:
+    further = each_at_once(continued_world, range_images)
+    for image, past in zip(range_images, further, strict=True):
         points = image.valid_points_world()
         own = [views[name] for name in rig.pair_names[image.name] if name in views]
         others = [name for name in views if name not in rig.pair_names[image.name]]
-        for seen in (points, _shown(continued_world(image), own)):
+        for seen in (points, _shown(past, own)):
             some = seen[:: max(1, len(seen) // _SAMPLES)]
             places = {name: view.places(some) for name, view in views.items()}
             polls.append(_Poll(count=len(some), places=places, voters=others))

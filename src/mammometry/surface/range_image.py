@@ -8,14 +8,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import ndimage
 
 from mammometry.base.cores import in_bands
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int64, read_only
 from mammometry.geometry.camera import Camera
 from mammometry.geometry.rounding import SIGMA_BITS, to_bits, to_step
 from mammometry.matching.match import DisparityMap
-from mammometry.surface import image_kernels, ray_kernels
+from mammometry.surface import image_kernels, outline_kernels, ray_kernels
 from mammometry.surface.settings import TriangulateSettings
 
 _SAMPLES = 100_000  # data of which a median is taken: more change it by less than a thousandth; chosen by eye
@@ -106,7 +105,8 @@ class RangeImage:
         normals = np.full((*self.camera.shape_hw, 3), np.nan, dtype=np.float32)
         if not self.valid.any():
             return normals
-        rows, columns = (slice(box.start, box.stop) for box in ndimage.find_objects(self.valid.astype(np.uint8))[0])
+        top, bottom, left, right = outline_kernels.extent(self.valid).tolist()
+        rows, columns = slice(top, bottom), slice(left, right)
         fx, fy, cx, cy = self.camera.intrinsics
         normals[rows, columns] = image_kernels.inverse_depth_planes(
             np.ascontiguousarray(self.range_mm[rows, columns]),

@@ -8,6 +8,7 @@ from enum import IntEnum
 import numpy as np
 from scipy import ndimage
 
+from mammometry.base.cores import each_at_once
 from mammometry.base.errors import SurfaceError
 from mammometry.base.progress import Progress, no_progress
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32, UInt8, bounds, read_only
@@ -110,7 +111,7 @@ def _drawn_to_data(
     """
     graph = graph_of_mesh(initial)
     spacing = float(np.sqrt(2 * np.median(np.linalg.norm(initial.face_vectors(), axis=1))))  # of the fine cubes
-    views = [view_data(image, spacing, taper_mm=settings.taper_mm) for image in valid.range_images]
+    views = each_at_once(lambda image: view_data(image, spacing, taper_mm=settings.taper_mm), valid.range_images)
     displacement = np.zeros_like(initial.vertices)
     moves: list[float] = []
     progress(0.1)

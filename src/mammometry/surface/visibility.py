@@ -18,7 +18,7 @@ from enum import IntEnum
 
 import numpy as np
 
-from mammometry.base.cores import in_bands
+from mammometry.base.cores import each_at_once, in_bands
 from mammometry.base.errors import SurfaceError
 from mammometry.geometry.arrays import Array, Float32, Float64, Int64, UInt8
 from mammometry.surface import image_kernels
@@ -129,7 +129,7 @@ def disagreement_mm(
     Only where both face alike (20°). Its expected σ comes with it. Data that neither sees within 60° of its normal are
     left out; so are views with fewer than `smallest` common data.
     """
-    normals = [image.normals_camera() for image in range_images]
+    normals = each_at_once(RangeImage.normals_camera, range_images)
     result: dict[tuple[str, str], tuple[float, float]] = {}
     for a, image in enumerate(range_images):
         for b, other in enumerate(range_images[a + 1 :], start=a + 1):
