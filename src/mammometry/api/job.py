@@ -51,6 +51,7 @@ if TYPE_CHECKING:
     from mammometry.measure.volume.measurement import Lacking, VolumeMeasurement
     from mammometry.report.content import ReportContent
     from mammometry.report.privacy import Privacy
+    from mammometry.report.scene import ViewerScene
     from mammometry.report.stage_facts import Facts
 
 WARNINGS = "warnings.json"
@@ -188,7 +189,7 @@ class Job:
                 begun = time.monotonic()
                 if each == "report":
                     beside.wait()
-                    self._ensure_report(drawing.facts())
+                    self._ensure_report(drawing)
                 else:
                     self._ensure_stage(each, drawing if drawn else None, beside)
                 if each == "match":
@@ -410,13 +411,20 @@ class Job:
         write_outputs(folder, files, command="report")
         return folder / html.PAGE
 
-    def _ensure_report(self, facts: Mapping[Stage, Facts]) -> None:
+    def _ensure_report(self, drawing: Drawing) -> None:
+        scene = None
+        if drawing.waiting:  # the last pictures: meanwhile what needs none of them
+            from mammometry.report import gather
+
+            scene = gather.whole_scene(self.plan, self.inputs)
+        facts = drawing.facts()
+
         def prepare() -> Callable[[Path, Progress], None]:
             from mammometry.report import html, pdf  # a run with nothing to do needs neither
             from mammometry.report.privacy import Privacy
 
             def write(folder: Path, progress: Progress) -> None:
-                said = self._report_content(Privacy(), progress, facts)
+                said = self._report_content(Privacy(), progress, facts, scene)
                 html.write(folder, said)
                 pdf.write(folder, said)
                 write_text(folder / WARNINGS, json.dumps(list(said.warnings), ensure_ascii=False, indent=1) + "\n")
@@ -426,7 +434,11 @@ class Job:
         self.store.write_folder(self.report_key, prepare)
 
     def _report_content(
-        self, privacy: Privacy, progress: Progress = no_progress, facts: Mapping[Stage, Facts] = MappingProxyType({})
+        self,
+        privacy: Privacy,
+        progress: Progress = no_progress,
+        facts: Mapping[Stage, Facts] = MappingProxyType({}),
+        scene: ViewerScene | None = None,
     ) -> ReportContent:
         from mammometry.report import gather
         from mammometry.report.stage_facts import Shown
@@ -435,7 +447,7 @@ class Job:
             self.plan,
             self.inputs,
             self._page_inputs,
-            Shown(pictures={stage: self.previews(stage) for stage in self._stages}, facts=facts),
+            Shown(pictures={stage: self.previews(stage) for stage in self._stages}, facts=facts, scene=scene),
             privacy=privacy,
             progress=progress,
         )

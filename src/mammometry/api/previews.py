@@ -150,6 +150,11 @@ class Drawing:
         else:
             self._begun[stage] = self._pool.submit(self._ensure, stage)
 
+    @property
+    def waiting(self) -> bool:
+        """Whether pictures that were begun are still being drawn."""
+        return not all(each.done() for each in self._begun.values())
+
     def facts(self) -> dict[Stage, Facts]:
         """Wait for all pictures that were begun.
 

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
+from mammometry.base.cores import available_cores
 from mammometry.geometry.arrays import bounds
 from mammometry.geometry.nearest import point_tree
 from mammometry.measure.boundary.confirming import TO_BE_CONFIRMED
@@ -47,6 +48,6 @@ def skin_shares(measured: VolumeMeasurement, repaired: RepairedSurface) -> dict[
     low, high = bounds(middles)
     near = repaired.mesh.vertices_between(low - _AROUND_MM, high + _AROUND_MM)
     near = near if len(near) else np.arange(len(repaired.mesh.vertices))
-    nearest = point_tree(repaired.mesh.vertices[near]).query(middles, workers=1)[1]
+    nearest = point_tree(repaired.mesh.vertices[near]).query(middles, workers=available_cores())[1]
     sums = np.bincount(repaired.provenance[near[nearest]], areas, minlength=len(Provenance))
     return {kind: float(sums[kind] / max(areas.sum(), 1e-12)) for kind in Provenance}

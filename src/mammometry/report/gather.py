@@ -14,6 +14,7 @@ from mammometry.calibration.judge.quality import assess
 from mammometry.job.pipeline import Inputs, Plan
 from mammometry.job.products import Stage
 from mammometry.measure.volume.attribution import attributed
+from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.report import content
 from mammometry.report.anthropometry import comparison, dimension_tables, symmetry_facts, without_nipple
 from mammometry.report.content import ReportContent
@@ -22,6 +23,7 @@ from mammometry.report.figures.shading import front_of
 from mammometry.report.models import viewer_scene
 from mammometry.report.page_inputs import PageInputs
 from mammometry.report.privacy import Privacy, guard, without_photographs
+from mammometry.report.scene import ViewerScene
 from mammometry.report.stage_facts import MatchingFacts, Shown, matching_facts, surface_facts
 from mammometry.report.warnings import RunResults, run_cautions, warnings
 from mammometry.surface.stillness_words import concerns
@@ -69,10 +71,7 @@ def gather(
     progress(0.4)
 
     finished = plan.surfaced.mesh()
-    measurements = tuple(
-        attributed(each, inputs.attributions, named=not privacy.deidentify)
-        for each in (() if plan.measured.measurements is None else plan.measured.measurements())
-    )
+    measurements = _measurements(plan, inputs, privacy)
     body = None if plan.measured.body is None else plan.measured.body()
     frame = front_of(rig, body)
     guarded = guard(
@@ -135,7 +134,9 @@ def gather(
         versions=content.versions(),
         pictures=pictures,
         contains=guarded.contains,
-        scene=viewer_scene(
+        scene=shown.scene
+        if shown.scene is not None and not privacy.guarded and not privacy.deidentify
+        else viewer_scene(
             frame,
             finished.repaired,
             textured,
@@ -145,3 +146,26 @@ def gather(
             atlas=plan.surfaced.model() if textured is finished.textured else None,
         ),
     )
+
+
+def whole_scene(plan: Plan, inputs: Inputs) -> ViewerScene:
+    """What a session's own report shows in the 3D viewer, with nothing left out.
+
+    It needs no previews. Products that are missing are made.
+    """
+    finished = plan.surfaced.mesh()
+    body = None if plan.measured.body is None else plan.measured.body()
+    return viewer_scene(
+        front_of(plan.calibrated.cameras().rig, body),
+        finished.repaired,
+        finished.textured,
+        _measurements(plan, inputs, Privacy()),
+        symmetry=None if plan.measured.symmetry is None else plan.measured.symmetry(),
+        atlas=plan.surfaced.model(),
+    )
+
+
+def _measurements(plan: Plan, inputs: Inputs, privacy: Privacy) -> tuple[VolumeMeasurement, ...]:
+    """The breasts', each with whoever drew what it rests on."""
+    measured = () if plan.measured.measurements is None else plan.measured.measurements()
+    return tuple(attributed(each, inputs.attributions, named=not privacy.deidentify) for each in measured)

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from mammometry.base.cores import each_at_once
 from mammometry.io.write import disk_errors, write_text
 from mammometry.report import pages
 from mammometry.report.arrangement import breast_pictures, first_pictures, stage_pictures
@@ -57,4 +58,4 @@ def _arranged(content: ReportContent) -> Mapping[str, object]:
 
 
 def _embedded(pictures: Sequence[bytes]) -> list[pages.Shown]:
-    return [pages.embed(png) for png in pictures]
+    return each_at_once(pages.embed, pictures)

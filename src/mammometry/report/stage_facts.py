@@ -19,6 +19,7 @@ from mammometry.report.content import StageReport, surface_report
 from mammometry.report.figures.previews import draw
 from mammometry.report.figures.stage_results import MatchingResult, SurfaceResult, stage_result
 from mammometry.report.figures.thinning import matched_shares, thinned_foreground, thinned_maps, thinned_ranges
+from mammometry.report.scene import ViewerScene
 from mammometry.surface.stillness_words import summary
 
 
@@ -46,6 +47,8 @@ class Shown:
     """Stage → its previews, name → PNG."""
     facts: Mapping[Stage, Facts] = field(default_factory=dict)
     """Stage → what `drawn` found."""
+    scene: ViewerScene | None = None
+    """Of the whole session, where it is made already."""
 
 
 def drawn(stage: Stage, plan: Plan, inputs: Inputs) -> tuple[dict[str, bytes], Facts]:
