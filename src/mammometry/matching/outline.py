@@ -16,7 +16,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import find_objects, gaussian_filter1d, map_coordinates
+from scipy.ndimage import gaussian_filter1d, map_coordinates
 from scipy.special import log_ndtr, ndtr
 from skimage.measure import find_contours
 
@@ -153,9 +153,9 @@ def _longest_contour(foreground: Foreground) -> Float64[Array, "n 2"]:
     mask = foreground.mask
     if not mask.any():
         return np.empty((0, 2))
-    rows, columns = find_objects(mask.astype(np.uint8))[0]
-    top, left = max(rows.start - 2, 0), max(columns.start - 2, 0)
-    coverage = foreground.coverage[top : rows.stop + 2, left : columns.stop + 2]
+    rows, columns = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
+    top, left = max(rows[0] - 2, 0), max(columns[0] - 2, 0)
+    coverage = foreground.coverage[top : rows[-1] + 3, left : columns[-1] + 3]
     contours: list[Float64[Array, "n 2"]] = find_contours(  # type: ignore[no-untyped-call]
         coverage, foreground.contour_level
     )

@@ -6,6 +6,7 @@ It is smoothed, healed on demand, and meshed piece by piece on all cores.
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import ndimage
@@ -23,6 +24,17 @@ _APRON = 3  # fine cubes that the Gaussian reaches to either side
 _BLEND = TRANSITION - _APRON  # fine cubes over which the fine field turns into the coarse one
 _COARSE_SMOOTHING = 0.5  # σ at most, in large cubes: chosen by eye
 _LEVEL_CLEARANCE = 0.01  # share of a cube's edge that a vertex keeps from its ends; chosen by eye
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Piece:
+    """One chunk's part of the surface."""
+
+    mesh: OpenMesh
+    border: Int64[Array, " k"]
+    """Vertices that it may share with other chunks: those on a plane between two."""
+
+
 _EMPTY = OpenMesh(vertices=np.zeros((0, 3)), faces=np.zeros((0, 3), dtype=np.int32))
 
 
@@ -63,12 +75,12 @@ class Isosurface:
 
     def _meshed(
         self, chunks: list[tuple[int, ...]], progress: Progress = no_progress
-    ) -> dict[tuple[int, ...], OpenMesh | None]:
+    ) -> dict[tuple[int, ...], _Piece | None]:
         """Pieces of some chunks, on all cores.
 
         Filters and marching cubes hold no lock.
         """
-        pieces: dict[tuple[int, ...], OpenMesh | None] = {}
+        pieces: dict[tuple[int, ...], _Piece | None] = {}
         with ThreadPoolExecutor(available_cores()) as pool:
             for chunk, piece in zip(chunks, pool.map(self._piece, chunks), strict=True):
                 pieces[chunk] = piece
@@ -115,7 +127,7 @@ class Isosurface:
         Faces counter-clockwise seen from outside, world frame, mm. None where fine and coarse cubes do not fit
         together: a saddle that both decide differently.
         """
-        near = _joined([piece for piece in self._pieces.values() if piece is not None], _CHUNK * BLOCK)
+        near = _joined([piece for piece in self._pieces.values() if piece is not None])
         whole = near if self._far is None else stitched(near, self._far, FAR_CUBES)
         if whole is None:
             return None
@@ -127,7 +139,7 @@ class Isosurface:
         ends = zip(chunk, self._grid.far.shape, strict=True)
         return tuple(slice(number * _CHUNK, min((number + 1) * _CHUNK, count)) for number, count in ends)
 
-    def _piece(self, chunk: tuple[int, ...]) -> OpenMesh | None:
+    def _piece(self, chunk: tuple[int, ...]) -> _Piece | None:
         """Vertices, in cubes from the grid's origin, and faces of one chunk.
 
         None where no surface passes.
@@ -142,7 +154,11 @@ class Isosurface:
         field = _blurred(grid.dense(first - 1, last + 1), self._smoothing)
         field = _off_level(self._led_over(field, first, last, self._healed[self._reaching(chunk)]), grid.cube_mm)
         far = grid.far[tuple(slice(a, b) for a, b in zip(first, last, strict=True))]
-        return _marched(field, ~_repeated(far, BLOCK), first * BLOCK, 1)
+        mesh = _marched(field, ~_repeated(far, BLOCK), first * BLOCK, 1)
+        if mesh is None:
+            return None
+        on_plane = np.logical_or.reduce([axis % (_CHUNK * BLOCK) == 0 for axis in mesh.vertices.T])
+        return _Piece(mesh=mesh, border=np.flatnonzero(on_plane))
 
     def _led_over(
         self,
@@ -253,17 +269,17 @@ def _nearness(
     return strength
 
 
-def _joined(pieces: list[OpenMesh], period: int) -> OpenMesh:
+def _joined(pieces: list[_Piece]) -> OpenMesh:
     """Join the vertices that two pieces share.
 
-    They lie on the same cube edge, on a plane every `period` cubes.
+    They lie on the same cube edge.
     """
     if not pieces:
         return _EMPTY
-    starts = np.cumsum([0] + [len(piece.vertices) for piece in pieces])
-    vertices = np.concatenate([piece.vertices for piece in pieces])
-    faces = np.concatenate([piece.faces + np.int32(start) for piece, start in zip(pieces, starts[:-1], strict=True)])
-    border = np.flatnonzero(np.logical_or.reduce([axis % period == 0 for axis in vertices.T]))
+    starts = np.cumsum([0] + [len(piece.mesh.vertices) for piece in pieces])[:-1]
+    vertices = np.concatenate([piece.mesh.vertices for piece in pieces])
+    faces = np.concatenate([piece.mesh.faces + np.int32(start) for piece, start in zip(pieces, starts, strict=True)])
+    border = np.concatenate([piece.border + start for piece, start in zip(pieces, starts, strict=True)])
     _, first, inverse = np.unique(edge_keys(vertices[border], 1), return_index=True, return_inverse=True)
     stands_for = np.arange(len(vertices), dtype=np.int32)
     stands_for[border] = border[first][inverse]

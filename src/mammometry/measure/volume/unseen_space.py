@@ -7,12 +7,13 @@ lost. It may lie further out, the more so the farther along the outline from whe
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import ndimage
 
+from mammometry.base.cores import each_at_once
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int64, read_only
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.nearest import point_tree
@@ -125,19 +126,20 @@ def bounds(
     return (*_silhouettes(foregrounds, rig, settings), *through)
 
 
-def _silhouettes(foregrounds: Mapping[str, Foreground], rig: Rig, settings: MeasureSettings) -> Iterator[Silhouette]:
-    for name, camera in rig.cameras.items():
-        foreground = foregrounds.get(name)
-        if foreground is None or foreground.everything:
-            continue
+def _silhouettes(foregrounds: Mapping[str, Foreground], rig: Rig, settings: MeasureSettings) -> list[Silhouette]:
+    known = [name for name in rig.cameras if name in foregrounds and not foregrounds[name].everything]
+
+    def silhouette(name: str) -> Silhouette:
+        foreground = foregrounds[name]
         traced = follow(foreground)
-        if len(traced.uv):
-            yield Silhouette(
-                camera=camera,
-                background=foreground.coverage < foreground.contour_level,
-                outline_uv=traced.uv,
-                doubt_px=np.hypot(settings.silhouette_doubt_px, settings.silhouette_doubt_slope * traced.lost_px),
-            )
+        return Silhouette(
+            camera=rig.cameras[name],
+            background=foreground.coverage < foreground.contour_level,
+            outline_uv=traced.uv,
+            doubt_px=np.hypot(settings.silhouette_doubt_px, settings.silhouette_doubt_slope * traced.lost_px),
+        )
+
+    return [found for found in each_at_once(silhouette, known) if len(found.outline_uv)]
 
 
 def outward_room_mm(
