@@ -23,7 +23,7 @@ import numpy as np
 from scipy import ndimage
 
 from mammometry.base.cores import each_at_once
-from mammometry.geometry.arrays import Array, Bool, Float64, Int64, read_only
+from mammometry.geometry.arrays import Array, Bool, Float64, Int32, read_only
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.projection import projected
 from mammometry.matching.foreground import Foreground
@@ -90,16 +90,18 @@ def find_blocked(
         others = [name for name in views if name not in rig.pair_names[image.name]]
         for seen in (points, _shown(past, own)):
             some = seen[:: max(1, len(seen) // _SAMPLES)]
-            places = {name: view.places(some) for name, view in views.items()}
+            places = {}
+            for name, view in views.items():
+                places[name], depth_mm = view.places(some)
+                if seen is points:
+                    at = places[name]
+                    np.minimum.at(view.depth_mm, (at.row[::2], at.column[::2]), depth_mm[::2])
             polls.append(_Poll(count=len(some), places=places, voters=others))
-            if seen is points:
-                for name, at in places.items():
-                    np.minimum.at(views[name].depth_mm, (at.row[::2], at.column[::2]), at.depth_mm[::2])
     spans = {name: spanned_mm(view.camera, view.subject, view.step, view.depth_mm) for name, view in views.items()}
     shown = {name: view.near | np.isfinite(spans[name]) for name, view in views.items()}
     for name, view in views.items():
         points = points_world(view.camera, view.step, spans[name])
-        places = {name: view.places(points) for name, view in views.items()}
+        places = {name: view.places(points)[0] for name, view in views.items()}
         polls.append(_Poll(count=len(points), places=places, voters=list(views), shown=shown))
     blocks = {name: np.zeros_like(view.subject) for name, view in views.items()}
     for _ in range(_ROUNDS):
@@ -162,29 +164,28 @@ class _View:
             depth_mm=np.full(subject.shape, np.inf),
         )
 
-    def places(self, points_world: Float64[Array, "n 3"]) -> _Places:
-        """Where the picture holds which points."""
+    def places(self, points_world: Float64[Array, "n 3"]) -> tuple[_Places, Float64[Array, " k"]]:
+        """Where the picture holds which points, and their depth along the optical axis, mm."""
         height, width = self.subject.shape
         column, row, depth_mm = projected(self.camera, points_world).T
         column, row = column / self.step, row / self.step
         index = np.flatnonzero((column >= 0) & (row >= 0) & (column < width) & (row < height))  # NaN is nowhere
-        return _Places(
-            index=index,
-            row=row[index].astype(np.intp),
-            column=column[index].astype(np.intp),
-            depth_mm=depth_mm[index],
+        places = _Places(
+            index=index.astype(np.int32), row=row[index].astype(np.int32), column=column[index].astype(np.int32)
         )
+        return places, depth_mm[index]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Places:
-    """The points that a picture holds, and their blocks."""
+    """The points that a picture holds, and their blocks.
 
-    index: Int64[Array, " n"]
-    row: Int64[Array, " n"]
-    column: Int64[Array, " n"]
-    depth_mm: Float64[Array, " n"]
-    """Along the optical axis."""
+    All pictures' together are most of what is held in memory here.
+    """
+
+    index: Int32[Array, " n"]
+    row: Int32[Array, " n"]
+    column: Int32[Array, " n"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -205,7 +206,7 @@ def _shown(points_world: Float64[Array, "n 3"], views: Sequence[_View]) -> Float
     """Points that all these views see on the subject."""
     shown = np.ones(len(points_world), dtype=bool)
     for view in views:
-        at = view.places(points_world)
+        at, _ = view.places(points_world)
         on = np.zeros(len(points_world), dtype=bool)
         on[at.index] = view.subject[at.row, at.column]
         shown &= on
