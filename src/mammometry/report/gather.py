@@ -149,9 +149,9 @@ def gather(
 
 
 def whole_scene(plan: Plan, inputs: Inputs) -> ViewerScene:
-    """What a session's own report shows in the 3D viewer, with nothing left out.
+    """What the 3D viewer of a session's own report shows.
 
-    It needs no previews. Products that are missing are made.
+    Nothing is left out. It needs no previews. Products that are missing are made.
     """
     finished = plan.surfaced.mesh()
     body = None if plan.measured.body is None else plan.measured.body()

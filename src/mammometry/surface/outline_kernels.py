@@ -35,9 +35,9 @@ _PIECES = np.array(
 
 @kernel
 def extent(mask: Bool[Array, "h w"]) -> Int64[Array, " 4"]:
-    """First and last row and column with a true pixel, each end one further.
+    """First and last row and column with a true pixel.
 
-    Rows first. Zeros where there is none.
+    Each end is one further. Rows first. Zeros where there is none.
     """
     height, width = mask.shape
     box = np.zeros(4, dtype=np.int64)
@@ -64,10 +64,10 @@ def extent(mask: Bool[Array, "h w"]) -> Int64[Array, " 4"]:
 def contour_pieces(
     coverage: Float32[Array, "h w"], window: Int64[Array, " 4"], holes: Bool[Array, "H W"], step: int, level: float
 ) -> tuple[Float64[Array, "n 2"], Float64[Array, "n 2"]]:
-    """Straight pieces of the contours at a level, one or two a square of four pixels that they pass.
+    """Straight pieces of the contours at a level.
 
-    Row and column of each piece's start, and its way to its end, in steps from the window's first pixel. As
-    skimage.measure.find_contours, in no order.
+    One or two for each square of four pixels that they pass. Row and column of each piece's start, and its way to its
+    end, in steps from the window's first pixel. As skimage.measure.find_contours, in no order.
 
     Args:
         coverage: of each pixel.

@@ -188,7 +188,14 @@ def test_tasks_are_served_as_they_come_and_one_is_stopped_without_the_others(the
 
 def _children_of_worker(there):
     (pid,) = there.client.run(os.getpid).values()
-    return [child for child in psutil.Process(pid).children() if "mammometry.batch.child" in child.cmdline()]
+    return [child for child in psutil.Process(pid).children() if _is_child(child)]
+
+
+def _is_child(process):
+    try:
+        return "mammometry.batch.child" in process.cmdline()
+    except psutil.NoSuchProcess:  # it ended meanwhile, waited for or not yet
+        return False
 
 
 def test_a_worker_of_another_version_is_refused_by_name(there, monkeypatch):
