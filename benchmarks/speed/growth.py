@@ -245,7 +245,8 @@ def main() -> None:
             if what != "cores":
                 found[what] = rows
                 kept.write_text(json.dumps(found, indent=1))
-    draw({what: found[what] for what in ways if what in found}, out / "growth.png")
+    if found:
+        draw({what: found[what] for what in ways if what in found}, out / "growth.png")
 
 
 if __name__ == "__main__":
