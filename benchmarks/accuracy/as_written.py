@@ -92,7 +92,7 @@ def tube(sample_data: Path, method: str, out: Path) -> dict[str, Any]:
     found = job.match()["front"]
     share, points = speckled(sample_data, rig, triangulate(found))
     fitted = fit_cylinder(points, np.array([0.0, 0.0, 1.0]), _TUBE_RADIUS_MM)
-    d_v = found.d_v_px[found.valid]
+    d_v = found.pair_px * found.d_v_px[found.valid]
     spread = 1.4826 * float(np.median(np.abs(d_v - np.median(d_v))))
     return {
         "method": method,

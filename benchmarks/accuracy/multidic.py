@@ -146,7 +146,7 @@ def main() -> None:
         disparity = mm.open_session(session, settings).match()["front"]
         share, points = speckled(arguments.sample_data, cameras.rig, triangulate(disparity))
         fitted = fit_cylinder(points, np.array([0.0, 0.0, 1.0]), 57.0)
-        d_v = disparity.d_v_px[disparity.valid]
+        d_v = disparity.pair_px * disparity.d_v_px[disparity.valid]
         spread = 1.4826 * float(np.median(np.abs(d_v - np.median(d_v))))
         pairs.append({"pair": number, "matched": share, **vars(fitted)})
         print(

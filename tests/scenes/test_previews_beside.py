@@ -12,7 +12,8 @@ from mammometry.api import previews
 from mammometry.api.job import Job, open_session
 from mammometry.base.errors import StorageError
 from mammometry.base.second_process import NotDone, SecondProcess
-from mammometry.report import stage_facts
+from mammometry.report import gather, stage_facts
+from mammometry.report.scene import to_json
 from mammometry.settings import Settings
 
 
@@ -118,3 +119,27 @@ def test_ctrl_c_ends_both_and_leaves_nothing_half_written(job: Job, monkeypatch:
         job.ensure("match")
     assert {process.pid for process in psutil.Process().children()} <= before
     assert not list(job.session.results.glob(".writing-*"))
+
+
+def test_the_scene_that_is_made_meanwhile_is_what_the_report_would_make(
+    job: Job, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On a finished session nothing else of the report differs: pages are compared by their scenes."""
+    scenes: list[str | None] = []
+    before = gather.gather
+
+    def noted(*arguments: Any, **named: Any) -> Any:
+        said = before(*arguments, **named)
+        scenes.append(None if said.scene is None else to_json(said.scene))
+        return said
+
+    monkeypatch.setattr(gather, "gather", noted)
+    with monkeypatch.context() as while_drawn:
+        while_drawn.setattr(previews.Drawing, "waiting", property(lambda _: True))
+        job.report()
+    (job.session.results / "report" / "provenance.json").unlink()
+    again = open_session(job.session.path, job.settings)
+    again.report()
+    meanwhile, alone = scenes
+    assert meanwhile is not None
+    assert meanwhile == alone

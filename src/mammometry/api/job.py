@@ -100,7 +100,7 @@ class Results:
         return {name: measured.interval_cc for name, measured in self.measurements.items()}
 
     def as_table(self) -> dict[str, Any]:
-        """The same as plain JSON-ready data, as ``--json`` prints it."""
+        """All of it as plain data for JSON, as ``--json`` prints it."""
         return {
             "volumes_cc": {name: round(value, 3) for name, value in self.volumes_cc.items()},
             "intervals_cc": {

@@ -93,7 +93,10 @@ class TriangleMesh:
         return int(np.count_nonzero(used)) - edges + len(self.faces)
 
     def _sides(self) -> tuple[Int32[Array, " h"], Int32[Array, " h"], Int32[Array, " h"]]:
-        """Start and stop of each face's sides, and the next side on the same edge (`mesh_kernels.edge_rings`)."""
+        """Start and stop of each face's sides, and the next side on the same edge.
+
+        See `mesh_kernels.edge_rings`.
+        """
         from mammometry.geometry import mesh_kernels
 
         across = mesh_kernels.edge_rings(len(self.vertices), self.faces)

@@ -1,12 +1,12 @@
-"""Compiled kernel: the mesh face nearest to the viewer at each pixel.
+"""Compiled kernels on pixel grids.
 
-Its twin in the tests is a ray caster.
+The mesh face nearest to the viewer, whose twin in the tests is a ray caster; what a mask takes of its picture.
 """
 
 import numpy as np
 
 from mammometry.base.compiled import kernel
-from mammometry.geometry.arrays import Array, Float32, Float64, Int32
+from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32, Int64
 
 _SLACK = 1e-9
 """Slack of a barycentric weight: no pixel falls between two faces that share an edge."""
@@ -47,3 +47,30 @@ def nearest_faces(
                     weights[row, column, 1] = of_b
                     weights[row, column, 2] = of_c
     return nearest, weights, towards
+
+
+@kernel
+def extent(mask: Bool[Array, "h w"]) -> Int64[Array, " 4"]:
+    """First and last row and column with a true pixel.
+
+    Each end is one further. Rows first. Zeros where there is none.
+    """
+    height, width = mask.shape
+    box = np.zeros(4, dtype=np.int64)
+    left, right = width, 0
+    for row in range(height):
+        first = 0
+        while first < width and not mask[row, first]:
+            first += 1
+        if first == width:
+            continue
+        last = width - 1
+        while last >= right and not mask[row, last]:
+            last -= 1
+        if right == 0:
+            box[0] = row
+        box[1] = row + 1
+        left, right = min(left, first), max(right, last + 1)
+    if right > 0:
+        box[2], box[3] = left, right
+    return box

@@ -41,7 +41,7 @@ VERSIONS: Registry[int] = Registry(
         "stood": 1,
         "valid": 4,
         "data": 1,
-        "blocked": 5,
+        "blocked": 6,
         "first": 10,
         "repaired": 5,
         "mesh": 4,

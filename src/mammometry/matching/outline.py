@@ -20,6 +20,7 @@ from scipy.ndimage import gaussian_filter1d, map_coordinates
 from scipy.special import log_ndtr, ndtr
 from skimage.measure import find_contours
 
+from mammometry.geometry import raster_kernels
 from mammometry.geometry.arrays import Array, Bool, Float64, read_only
 from mammometry.geometry.nearest import point_tree
 from mammometry.matching.foreground import Foreground
@@ -150,12 +151,11 @@ def _misfit(
 
 def _longest_contour(foreground: Foreground) -> Float64[Array, "n 2"]:
     """`uv` corners about a pixel apart."""
-    mask = foreground.mask
-    if not mask.any():
+    top, bottom, left, right = raster_kernels.extent(foreground.mask).tolist()
+    if top == bottom:
         return np.empty((0, 2))
-    rows, columns = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
-    top, left = max(rows[0] - 2, 0), max(columns[0] - 2, 0)
-    coverage = foreground.coverage[top : rows[-1] + 3, left : columns[-1] + 3]
+    top, left = max(top - 2, 0), max(left - 2, 0)
+    coverage = foreground.coverage[top : bottom + 2, left : right + 2]
     contours: list[Float64[Array, "n 2"]] = find_contours(  # type: ignore[no-untyped-call]
         coverage, foreground.contour_level
     )

@@ -27,6 +27,7 @@ from mammometry.report.scene import ViewerScene
 from mammometry.report.stage_facts import MatchingFacts, Shown, matching_facts, surface_facts
 from mammometry.report.warnings import RunResults, run_cautions, warnings
 from mammometry.surface.stillness_words import concerns
+from mammometry.surface.texture import TexturedMesh
 
 _COLOURED: tuple[Stage, ...] = ("surface", "measure")  # stages whose pictures show the surface in its colours
 
@@ -134,17 +135,7 @@ def gather(
         versions=content.versions(),
         pictures=pictures,
         contains=guarded.contains,
-        scene=shown.scene
-        if shown.scene is not None and not privacy.guarded and not privacy.deidentify
-        else viewer_scene(
-            frame,
-            finished.repaired,
-            textured,
-            measurements,
-            symmetry=sides,
-            # Where colours are left out, so are the photographs themselves.
-            atlas=plan.surfaced.model() if textured is finished.textured else None,
-        ),
+        scene=shown.scene or _scene(plan, measurements, textured),
     )
 
 
@@ -153,15 +144,20 @@ def whole_scene(plan: Plan, inputs: Inputs) -> ViewerScene:
 
     Nothing is left out. It needs no previews. Products that are missing are made.
     """
+    return _scene(plan, _measurements(plan, inputs, Privacy()), plan.surfaced.mesh().textured)
+
+
+def _scene(plan: Plan, measurements: tuple[VolumeMeasurement, ...], textured: TexturedMesh) -> ViewerScene:
     finished = plan.surfaced.mesh()
     body = None if plan.measured.body is None else plan.measured.body()
     return viewer_scene(
         front_of(plan.calibrated.cameras().rig, body),
         finished.repaired,
-        finished.textured,
-        _measurements(plan, inputs, Privacy()),
+        textured,
+        measurements,
         symmetry=None if plan.measured.symmetry is None else plan.measured.symmetry(),
-        atlas=plan.surfaced.model(),
+        # Where colours are left out, so are the photographs themselves.
+        atlas=plan.surfaced.model() if textured is finished.textured else None,
     )
 
 

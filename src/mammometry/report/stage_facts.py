@@ -48,7 +48,7 @@ class Shown:
     facts: Mapping[Stage, Facts] = field(default_factory=dict)
     """Stage → what `drawn` found."""
     scene: ViewerScene | None = None
-    """Of the whole session, where it is made already."""
+    """What `gather.whole_scene` made of the session, for a report that leaves nothing out."""
 
 
 def drawn(stage: Stage, plan: Plan, inputs: Inputs) -> tuple[dict[str, bytes], Facts]:
@@ -63,13 +63,13 @@ def drawn(stage: Stage, plan: Plan, inputs: Inputs) -> tuple[dict[str, bytes], F
 
 
 def matching_facts(plan: Plan, rig: Rig) -> MatchingFacts:
-    """The same without pictures."""
+    """Find what the report says of the matching, without pictures."""
     foregrounds = {camera: thinned_foreground(seen) for camera, seen in Fleeting(plan.matched.foregrounds).items()}
     maps, quality = thinned_maps(Fleeting(plan.matched.disparities))
     return MatchingFacts(foregrounds=foregrounds, quality=quality, shares=matched_shares(rig, foregrounds, maps))
 
 
 def surface_facts(plan: Plan) -> StageReport:
-    """The same without pictures."""
+    """Find what the report says of the surface, without pictures."""
     ranges = thinned_ranges(Fleeting(plan.surfaced.ranges), fleeting(plan.surfaced.valid))
     return surface_report(ranges, plan.surfaced.mesh().repaired, summary(plan.surfaced.stillness()))

@@ -1,6 +1,6 @@
-"""Compiled kernels on silhouettes: their extent, and the pieces of their contour.
+"""Compiled kernel: the pieces of a silhouette's contour.
 
-Their plain twins stand in tests/unit/surface/test_outline_kernels.py.
+Its plain twin stands in tests/unit/surface/test_outline_kernels.py.
 """
 
 import numpy as np
@@ -31,33 +31,6 @@ _PIECES = np.array(
         [_NONE, _NONE, _NONE, _NONE],
     ]
 )
-
-
-@kernel
-def extent(mask: Bool[Array, "h w"]) -> Int64[Array, " 4"]:
-    """First and last row and column with a true pixel.
-
-    Each end is one further. Rows first. Zeros where there is none.
-    """
-    height, width = mask.shape
-    box = np.zeros(4, dtype=np.int64)
-    left, right = width, 0
-    for row in range(height):
-        first = 0
-        while first < width and not mask[row, first]:
-            first += 1
-        if first == width:
-            continue
-        last = width - 1
-        while last >= right and not mask[row, last]:
-            last -= 1
-        if right == 0:
-            box[0] = row
-        box[1] = row + 1
-        left, right = min(left, first), max(right, last + 1)
-    if right > 0:
-        box[2], box[3] = left, right
-    return box
 
 
 @kernel

@@ -10,11 +10,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mammometry.base.cores import in_bands
+from mammometry.geometry import raster_kernels
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int64, read_only
 from mammometry.geometry.camera import Camera
 from mammometry.geometry.rounding import SIGMA_BITS, to_bits, to_step
 from mammometry.matching.match import DisparityMap
-from mammometry.surface import image_kernels, outline_kernels, ray_kernels
+from mammometry.surface import image_kernels, ray_kernels
 from mammometry.surface.settings import TriangulateSettings
 
 _SAMPLES = 100_000  # data of which a median is taken: more change it by less than a thousandth; chosen by eye
@@ -105,7 +106,7 @@ class RangeImage:
         normals = np.full((*self.camera.shape_hw, 3), np.nan, dtype=np.float32)
         if not self.valid.any():
             return normals
-        top, bottom, left, right = outline_kernels.extent(self.valid).tolist()
+        top, bottom, left, right = raster_kernels.extent(self.valid).tolist()
         rows, columns = slice(top, bottom), slice(left, right)
         fx, fy, cx, cy = self.camera.intrinsics
         normals[rows, columns] = image_kernels.inverse_depth_planes(

@@ -389,7 +389,10 @@ def _why_none(standing: Standing | None) -> str:
 
 
 def _on_skin(flat: Float64[Array, "n 2"], relief: Relief, thorax: Thorax, mesh: TriangleMesh) -> Float64[Array, "n 3"]:
-    """Places laid flat, back on the skin, mm, world frame. Several are a closed curve."""
+    """Put places that were laid flat back on the skin, mm, world frame.
+
+    Several are a closed curve.
+    """
     bulge_mm = relief.at(flat, relief.bulge_mm)
     radius = thorax.radius_mm(flat) + (bulge_mm if len(flat) == 1 else on_one_sheet(bulge_mm))
     world = thorax.trunk.world(np.concatenate([flat, radius[:, None]], axis=1))

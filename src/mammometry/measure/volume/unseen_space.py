@@ -11,9 +11,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import ndimage
 
 from mammometry.base.cores import each_at_once
+from mammometry.geometry import raster_kernels
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int64, read_only
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.nearest import point_tree
@@ -79,11 +79,11 @@ class SeenThrough:
 
         The rest of a range image excludes nothing.
         """
-        found = ndimage.find_objects(image.valid.astype(np.uint8))
-        window = found[0] if found else (slice(0, 0), slice(0, 0))
+        top, bottom, left, right = raster_kernels.extent(image.valid).tolist()
+        window = (slice(top, bottom), slice(left, right))
         return cls(
             camera=image.camera,
-            first=(window[0].start, window[1].start),
+            first=(top, left),
             range_mm=image.range_mm[window].copy(),
             sigma_mm=image.sigma_mm[window].copy(),
             valid=image.valid[window].copy(),
