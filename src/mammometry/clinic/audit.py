@@ -26,6 +26,7 @@ from mammometry.base.csv_cells import CsvWriter
 
 TABLE = "auditlog_logentry"
 _LEFT_OUT = {
+    "Patient": ["search_words"],
     "Person": ["password", "last_login"],
     "Upload": ["received_bytes"],
     "Delivery": ["tries", "next_try"],
@@ -36,12 +37,17 @@ MASKED = {
     "Patient": ["family_name", "given_name", "born", "record_number", "note"],
     "Visit": ["note"],
     "VisitOrder": ["referring"],
+    "Consent": ["note"],
+    "Operation": ["words"],
+    "Conclusion": ["text"],
+    "Correction": ["reason"],
 }
 """Fields of which the audit holds only that they changed: they tell who somebody is."""
 _ABOUT = {
     "patient": "Patient", "visit": "Visit", "rig": "Rig", "calibration": "Calibration", "check": "DailyCheck",
     "job": "Job", "upload": "Upload", "measurement": "Measurement", "person": "Person",
-    "destination": "Destination", "delivery": "Delivery",
+    "destination": "Destination", "delivery": "Delivery", "operation": "Operation", "consent": "Consent",
+    "correction": "Correction", "comparison": "Comparison",
 }  # fmt: skip
 
 

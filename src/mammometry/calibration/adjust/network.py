@@ -78,7 +78,7 @@ class Network:
 
     @property
     def parameter_names(self) -> tuple[str, ...]:
-        """A name for each parameter, in order: ``front_left.fx_px``, ``pose 01.rotation_x_rad``, ``point 7.x_mm``."""
+        """Name of each parameter: ``front_left.fx_px``, ``pose 01.rotation_x_rad``, ``point 7.x_mm``."""
         of_camera = (*self.intrinsic_names, *POSE_NAMES_CAMERA)
         names = [f"{camera}.{name}" for camera in self.cameras for name in of_camera]
         names += [f"pose {station}.{name}" for station in self.stations for name in POSE_NAMES_STATION]

@@ -20,10 +20,16 @@ from mammometry.base.csv_cells import CsvWriter
 from mammometry.clinic import audit
 from mammometry.clinic.config import ClinicConfig, ClinicError
 from mammometry.clinic.models import (
+    Comparison,
+    Conclusion,
+    Confirmation,
+    Consent,
+    Correction,
     Delivery,
     Drawing,
     Job,
     Measurement,
+    Operation,
     Patient,
     Scan,
     Upload,
@@ -50,10 +56,16 @@ def rows_of(patient: Patient) -> list[Model]:
     """All rows about a patient, each after what it refers to."""
     visits = list(Visit.objects.filter(patient=patient).order_by("taken_at"))
     queries: list[Any] = [
+        Consent.objects.filter(patient=patient),
+        Operation.objects.filter(patient=patient),
         Upload.objects.filter(visit__in=visits),
-        Job.objects.filter(visit__in=visits),
+        Comparison.objects.filter(after__in=visits),
+        Job.objects.filter(Q(visit__in=visits) | Q(comparison__after__in=visits)),
         Measurement.objects.filter(visit__in=visits),
         Volume.objects.filter(measurement__visit__in=visits),
+        Confirmation.objects.filter(measurement__visit__in=visits),
+        Conclusion.objects.filter(visit__in=visits),
+        Correction.objects.filter(Q(visit__in=visits) | Q(patient=patient)),
         Drawing.objects.filter(visit__in=visits),
         Delivery.objects.filter(visit__in=visits),
         VisitOrder.objects.filter(visit__in=visits),

@@ -8,6 +8,7 @@ from __future__ import annotations
 from django.conf import settings
 from django.db import models
 
+from mammometry.clinic.models.comparisons import Comparison
 from mammometry.clinic.models.keyed import Keyed
 from mammometry.clinic.models.rigs import Calibration, DailyCheck
 from mammometry.clinic.models.visits import Visit
@@ -22,6 +23,7 @@ class Job(Keyed):
         MEASURE = "measure"
         CALIBRATE = "calibrate"
         CHECK = "check"
+        COMPARE = "compare"
 
     class State(models.TextChoices):
         """How far it is."""
@@ -35,6 +37,7 @@ class Job(Keyed):
     visit = models.ForeignKey(Visit, null=True, on_delete=models.CASCADE, related_name="jobs")
     calibration = models.ForeignKey(Calibration, null=True, on_delete=models.CASCADE, related_name="jobs")
     check_of_day = models.ForeignKey(DailyCheck, null=True, on_delete=models.CASCADE, related_name="jobs")
+    comparison = models.ForeignKey(Comparison, null=True, on_delete=models.CASCADE, related_name="jobs")
     kind = models.CharField(max_length=10, choices=Kind.choices)
     state = models.CharField(max_length=10, choices=State.choices, default=State.QUEUED, db_index=True)
     attempt = models.PositiveIntegerField(default=0)
@@ -61,7 +64,7 @@ class Job(Keyed):
                 condition=models.Q(state__in=("queued", "running")),
                 name=f"one_open_job_a_{field}",
             )
-            for field in ("visit", "calibration", "check_of_day")
+            for field in ("visit", "calibration", "check_of_day", "comparison")
         )
 
     def __str__(self) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import secrets
 
+from django.conf import settings
 from django.db import models
 
 from mammometry.clinic.models.keyed import Keyed
@@ -34,6 +35,12 @@ class Patient(Keyed):
     pseudonym = models.CharField(max_length=8, unique=True, default=new_pseudonym, editable=False)
     """As everything outside this table calls this patient."""
     note = models.TextField(max_length=2000, blank=True)
+    search_words = models.CharField(max_length=600, default="", blank=True, editable=False)
+    """Names and numbers as a search compares them: without case, accents and hyphens."""
+    merged_into = models.ForeignKey("self", null=True, on_delete=models.CASCADE, related_name="merged", editable=False)
+    """The record that holds this patient's visits now. None: this one."""
+    binned_at = models.DateTimeField(null=True, editable=False)
+    """When it was put into the bin. None: it is in use."""
     created = models.DateTimeField(auto_now_add=True)
 
     class Meta:
@@ -46,3 +53,72 @@ class Patient(Keyed):
     def name(self) -> str:
         """Family name, given name."""
         return f"{self.family_name}, {self.given_name}"
+
+
+class Consent(Keyed):
+    """What a patient agreed to, and until when."""
+
+    class Purpose(models.TextChoices):
+        """What the pictures may be used for."""
+
+        PICTURES = "pictures", "Photographs and measurement"
+        RESEARCH = "research", "Research, by pseudonym"
+
+    patient = models.ForeignKey(Patient, on_delete=models.CASCADE, related_name="consents")
+    purpose = models.CharField(max_length=10, choices=Purpose.choices)
+    given_on = models.DateField()
+    withdrawn_on = models.DateField(null=True, blank=True)
+    """None: it holds."""
+    note = models.CharField(max_length=300, blank=True)
+    entered_at = models.DateTimeField(auto_now_add=True)
+    entered_by = models.ForeignKey(settings.AUTH_USER_MODEL, null=True, on_delete=models.PROTECT, related_name="+")
+
+    class Meta:
+        ordering = ("purpose", "-given_on")
+
+    def __str__(self) -> str:
+        return f"{self.patient.pseudonym}, {self.purpose}"
+
+
+class Operation(Keyed):
+    """One operation on one or both breasts."""
+
+    class Kind(models.TextChoices):
+        """What was done."""
+
+        MASTECTOMY = "mastectomy", "Mastectomy"
+        CONSERVING = "conserving", "Breast-conserving surgery"
+        EXPANDER = "expander", "Tissue expander inserted"
+        FILLING = "filling", "Tissue expander filled"
+        IMPLANT = "implant", "Implant inserted"
+        FLAP = "flap", "Reconstruction with a flap"
+        GRAFT = "graft", "Fat graft"
+        REDUCTION = "reduction", "Reduction or lift"
+        AUGMENTATION = "augmentation", "Augmentation"
+        OTHER = "other", "Other"
+
+    class Side(models.TextChoices):
+        """The patient's own side."""
+
+        LEFT = "left", "Left"
+        RIGHT = "right", "Right"
+        BOTH = "both", "Both"
+
+    patient = models.ForeignKey(Patient, on_delete=models.CASCADE, related_name="operations")
+    kind = models.CharField(max_length=12, choices=Kind.choices)
+    side = models.CharField(max_length=5, choices=Side.choices)
+    day = models.DateField()
+    volume_cc = models.FloatField(null=True, blank=True)
+    """Of the implant, of the expander's filling in all, or of the injected fat, each side."""
+    resected_g = models.FloatField(null=True, blank=True)
+    """Weight of the tissue that was taken out, each side."""
+    words = models.CharField(max_length=300, blank=True)
+    """In free text: the flap, the implant's type, what "other" is."""
+    entered_at = models.DateTimeField(auto_now_add=True)
+    entered_by = models.ForeignKey(settings.AUTH_USER_MODEL, null=True, on_delete=models.PROTECT, related_name="+")
+
+    class Meta:
+        ordering = ("-day", "kind")
+
+    def __str__(self) -> str:
+        return f"{self.patient.pseudonym}, {self.kind}"

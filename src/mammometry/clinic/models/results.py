@@ -19,6 +19,10 @@ class Measurement(Keyed):
     made_at = models.DateTimeField()
     software = models.CharField(max_length=40)
     """Version of mammometry."""
+    curves = models.JSONField(default=dict)
+    """Breast → digest of the boundary that was measured (`measure.volume.attribution.curve_digest`)."""
+    quantities = models.JSONField(default=list)
+    """All measured numbers, with the names of `hospital.exported.Quantity`."""
 
     class Meta:
         ordering = ("-made_at",)
@@ -85,3 +89,36 @@ class Drawing(Keyed):
 
     def __str__(self) -> str:
         return f"{self.item} {self.action}"
+
+
+class Confirmation(Keyed):
+    """Somebody looked at one measured result and found it right. It changes no number."""
+
+    measurement = models.ForeignKey(Measurement, on_delete=models.CASCADE, related_name="confirmations")
+    curves = models.JSONField(default=dict)
+    """Breast → digest of the boundary that was looked at."""
+    at = models.DateTimeField(auto_now_add=True)
+    by = models.ForeignKey(settings.AUTH_USER_MODEL, null=True, on_delete=models.PROTECT, related_name="+")
+
+    class Meta:
+        ordering = ("-at",)
+
+    def __str__(self) -> str:
+        return f"{self.measurement} confirmed"
+
+
+class Conclusion(Keyed):
+    """What a clinician concluded of a visit, signed. A later one amends it and overwrites none."""
+
+    visit = models.ForeignKey(Visit, on_delete=models.CASCADE, related_name="conclusions")
+    measurement = models.ForeignKey(Measurement, null=True, on_delete=models.SET_NULL, related_name="conclusions")
+    """The result that it is about."""
+    text = models.TextField(max_length=4000)
+    at = models.DateTimeField(auto_now_add=True)
+    by = models.ForeignKey(settings.AUTH_USER_MODEL, null=True, on_delete=models.PROTECT, related_name="+")
+
+    class Meta:
+        ordering = ("-at",)
+
+    def __str__(self) -> str:
+        return f"conclusion of {self.visit}"

@@ -23,9 +23,31 @@ class Visit(Keyed):
         UPLOADING = "uploading"
         READY = "ready"
         QUEUED = "queued"
+        CHANGED = "changed"
+        """A boundary or landmark was changed and not measured yet."""
         MEASURED = "measured"
         REFUSED = "refused"
         CONFIRMED = "confirmed"
+        """The newest measurement was confirmed (`Confirmation`)."""
+
+    class Occasion(models.TextChoices):
+        """Why the patient came."""
+
+        BEFORE = "before", "Before the operation"
+        FILLING = "filling", "Filling of an expander"
+        WEEKS_6 = "6 weeks", "6 weeks after"
+        MONTHS_3 = "3 months", "3 months after"
+        MONTHS_6 = "6 months", "6 months after"
+        YEAR_1 = "1 year", "1 year after"
+        LATER = "later", "Later"
+        OTHER = "other", "Other"
+
+    class Posture(models.TextChoices):
+        """How the patient held herself. Volumes of different postures are not to be compared."""
+
+        LEANING = "leaning", "Leaning forward"
+        STANDING = "standing", "Standing"
+        LYING = "lying", "Lying"
 
     class Subject(models.TextChoices):
         """What is photographed."""
@@ -40,7 +62,12 @@ class Visit(Keyed):
     taken_at = models.DateTimeField()
     subject_kind = models.CharField(max_length=8, choices=Subject.choices, default=Subject.TORSO)
     state = models.CharField(max_length=12, choices=State.choices, default=State.NEW)
+    occasion = models.CharField(max_length=10, choices=Occasion.choices, blank=True, default="")
+    posture = models.CharField(max_length=10, choices=Posture.choices, blank=True, default="")
+    """Empty: nobody said."""
     note = models.TextField(max_length=2000, blank=True)
+    binned_at = models.DateTimeField(null=True, editable=False)
+    """When it was put into the bin. None: it is in use."""
     created = models.DateTimeField(auto_now_add=True)
     created_by = models.ForeignKey(settings.AUTH_USER_MODEL, null=True, on_delete=models.PROTECT, related_name="+")
 
@@ -104,6 +131,8 @@ class Upload(Keyed):
         CHECKED = "checked"
         REFUSED = "refused"
         PLACED = "placed"
+        SET_ASIDE = "set aside"
+        """Its file lies beside the others and is not measured. It can come back."""
 
     visit = models.ForeignKey(Visit, null=True, on_delete=models.CASCADE, related_name="uploads")
     calibration = models.ForeignKey(Calibration, null=True, on_delete=models.CASCADE, related_name="uploads")
@@ -113,7 +142,7 @@ class Upload(Keyed):
     """Its name in the folder, made by us; the sender's own name is not kept."""
     size_bytes = models.BigIntegerField()
     received_bytes = models.BigIntegerField(default=0)
-    sha256 = models.CharField(max_length=64, blank=True)
+    sha256 = models.CharField(max_length=64, blank=True, db_index=True)
     state = models.CharField(max_length=12, choices=State.choices, default=State.RECEIVING)
     checks = models.JSONField(default=list, blank=True)
     """What was looked at: {check, ok, sentence} each."""

@@ -33,7 +33,7 @@ def make_rig(name: str, scale: float, seed: int) -> Rig:
 
 
 def find_plan(name: str) -> tuple[RigPlan, tuple[str, ...]]:
-    """Plan and wanted pairs of ``reference``, ``reference:front``, ``rig.toml`` or ``rig.toml:front,floor``.
+    """Rig plan and pairs of ``reference``, ``reference:front``, ``rig.toml`` or ``rig.toml:front,floor``.
 
     Raises:
         ValueError: there is no rig of that name.
