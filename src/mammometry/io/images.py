@@ -19,6 +19,7 @@ from mammometry.base.limits import LimitSettings
 from mammometry.base.parse import require_file
 from mammometry.base.photograph import Photograph
 from mammometry.geometry.arrays import Array, Bool
+from mammometry.io.tiff import SIGNATURES, UnusualTiffError, tiff_header, tiff_is_truncated, tiff_pixels
 
 EXTENSIONS = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
 """File name endings that are taken for photographs. In any case."""
@@ -44,7 +45,6 @@ _UPRIGHT: Mapping[int, tuple[bool, bool, bool]] = {
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _JPEG_END = b"\xff\xd9"
 _PNG_TAGS = {b"eXIf", b"tEXt", b"zTXt", b"iTXt"}  # where an orientation may stand
-_TIFF_OFFSETS = ((273, 279), (324, 325))  # strips, tiles: (offsets, byte counts)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -79,11 +79,16 @@ def read_header(path: Path, name: str, limits: LimitSettings = LimitSettings()) 
     with _reading(path, name):
         if path.exists():
             require_file(path, name, "a photograph", refusal=ImageError)
-        with Image.open(path, formats=FORMATS) as image:
-            _check_size(image.size, name, limits)
-            tag = exif_of(image, path).get(_EXIF_ORIENTATION)
-            orientation = tag if isinstance(tag, int) and tag in _UPRIGHT else 1
-            return ImageHeader(stored_wh=image.size, orientation=orientation, bits=_bits(image, path))
+        tag: object
+        if is_tiff(path):
+            size_wh, tag, bits = tiff_header(path)
+        else:
+            with Image.open(path, formats=FORMATS) as image:
+                size_wh, tag = image.size, exif_of(image, path).get(_EXIF_ORIENTATION)
+                bits = _bits(image, path)
+        _check_size(size_wh, name, limits)
+        orientation = tag if isinstance(tag, int) and tag in _UPRIGHT else 1
+        return ImageHeader(stored_wh=size_wh, orientation=orientation, bits=bits)
 
 
 def megapixels_of(folder: Path, limits: LimitSettings = LimitSettings()) -> float:
@@ -124,7 +129,10 @@ def read_photograph(path: Path, name: str, limits: LimitSettings = LimitSettings
         )
     with _reading(path, name):
         _require_complete(path, name)
-        pixels = _decoded_8bit(path) if header.bits == 8 else _decoded_16bit(path)
+        if is_tiff(path):
+            pixels = tiff_pixels(path)
+        else:
+            pixels = _decoded_8bit(path) if header.bits == 8 else _decoded_16bit_png(path)
         if pixels.shape[1::-1] != header.stored_wh:
             raise ValueError(f"{pixels.shape} pixels, which its header does not state")
     transpose, flip_rows, flip_columns = _UPRIGHT[header.orientation]
@@ -267,21 +275,16 @@ def _decoded_jpeg(path: Path, *, grey: bool) -> Array | None:
     return None if pixels is None else np.asarray(pixels)
 
 
-def _decoded_16bit(path: Path) -> Array:
-    import cv2  # Pillow reduces 16-bit colour to 8
+def _decoded_16bit_png(path: Path) -> Array:
+    from imagecodecs import png_decode  # Pillow reduces 16-bit colour to 8
 
-    pixels = cv2.imread(str(path), cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION)
-    if pixels is None or pixels.dtype != np.uint16:
-        raise ValueError("no 16-bit pixels")
+    pixels = np.asarray(png_decode(path.read_bytes()))
     if pixels.ndim == 3:
-        pixels = pixels[..., 0] if pixels.shape[2] == 2 else pixels[..., 2::-1]
-    return np.asarray(pixels)
+        pixels = pixels[..., 0] if pixels.shape[2] <= 2 else pixels[..., :3]
+    return pixels
 
 
 def _bits(image: Image.Image, path: Path) -> int:
-    if image.format == "TIFF":
-        bits = _whole_numbers(image.tag_v2.get(258, 1))  # type: ignore[attr-defined]  # only TIFF images have it
-        return bits[0]
     if image.format == "PNG":
         with path.open("rb") as file:
             depth = file.read(25)[24]
@@ -297,6 +300,12 @@ def exif_of(image: Image.Image, path: Path) -> Image.Exif:
     kinds = [kind for kind, _ in _png_chunks(path)]
     behind = kinds[kinds.index(b"IDAT") :] if b"IDAT" in kinds else []
     return Image.Image.getexif(image) if kinds and not _PNG_TAGS.intersection(behind) else image.getexif()
+
+
+def is_tiff(path: Path) -> bool:
+    """Whether a file begins as a TIFF."""
+    with path.open("rb") as file:
+        return file.read(4) in SIGNATURES
 
 
 def _png_chunks(path: Path) -> Iterator[tuple[bytes, int]]:
@@ -323,28 +332,8 @@ def _require_complete(path: Path, name: str) -> None:
     size = path.stat().st_size
     if any(end > size for _, end in _png_chunks(path)):
         raise _truncated(name)
-    with Image.open(path, formats=FORMATS) as image:
-        if image.format == "TIFF":
-            tags = image.tag_v2  # type: ignore[attr-defined]  # only TIFF images have it
-            for offsets, counts in _TIFF_OFFSETS:
-                if offsets not in tags or counts not in tags:
-                    continue
-                starts, lengths = _whole_numbers(tags[offsets]), _whole_numbers(tags[counts])
-                if len(starts) != len(lengths):
-                    raise ValueError("another number of offsets than of lengths")
-                if max(start + length for start, length in zip(starts, lengths, strict=True)) > size:
-                    raise _truncated(name)
-
-
-def _whole_numbers(value: object) -> tuple[int, ...]:
-    """One or more whole numbers, as a TIFF's tag should hold.
-
-    Damaged ones hold text, fractions or nothing.
-    """
-    values = value if isinstance(value, tuple) else (value,)
-    if not values or not all(isinstance(each, int) and each >= 0 for each in values):
-        raise ValueError("a tag that is not a whole number")
-    return values
+    if is_tiff(path) and tiff_is_truncated(path):
+        raise _truncated(name)
 
 
 def _truncated(name: str) -> ImageError:
@@ -362,6 +351,13 @@ def _unreadable(path: Path, name: str, error: BaseException | None) -> ImageErro
         )
     if path.is_file() and path.stat().st_size == 0:
         return ImageError(name, found="an empty file", expected="a photograph", remedy="Copy it again from the camera")
+    if isinstance(error, UnusualTiffError):
+        return ImageError(
+            name,
+            found=str(error),
+            expected="a photograph, grey or RGB, of 8 or 16 bits",
+            remedy="Export it as an ordinary JPEG, PNG or TIFF",
+        )
     if error is not None and "truncated" in str(error).lower():
         return _truncated(name)
     kind = "a file that is not an image" if isinstance(error, UnidentifiedImageError) else "a damaged image"
