@@ -6,6 +6,7 @@ The files do not say their unit.
 from __future__ import annotations
 
 import io
+import re
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +14,14 @@ import numpy as np
 
 from mammometry.base.errors import MammometryError, SessionError
 from mammometry.base.parse import LARGEST, json_value, read_bytes, said
-from mammometry.geometry.arrays import Array, Float64, Int32, UInt8
+from mammometry.geometry.arrays import Array, Float64, Int32, Int64, UInt8
+from mammometry.geometry.obj_file import decimal_commas, parse_obj
 
 SUFFIXES = (".ply", ".obj", ".stl", ".glb")
 _KINDS = "a mesh as PLY, OBJ, STL or GLB"
 _MOST_MIB = 4096  # nearly a hundred million triangles as STL; a larger file would fill the memory
+_HEAD_BYTES = 65_536  # in which a file shows how it is written
+_DECIMAL_COMMA = re.compile(rb"\d+,\d+")
 _GREY = 128  # sRGB; of a file without colours
 
 
@@ -36,14 +40,11 @@ def read_triangles(path: Path) -> tuple[Float64[Array, "n 3"], Int32[Array, "m 3
         raise _refused(path, "no such file", _KINDS, "Check the path")
     content = read_bytes(path, str(path), _KINDS, most_mib=_MOST_MIB)
     try:
-        loaded = _loaded(path, content)
-        vertices = np.asarray(loaded.vertices, dtype=np.float64).reshape(-1, 3)
-        faces = np.asarray(loaded.faces, dtype=np.int64).reshape(-1, 3)
-        colours = _colours(loaded, len(vertices))
+        vertices, faces, colours = _parsed(path, content)
     except MammometryError:
         raise
     except Exception as error:  # the readers raise anything that a damaged file makes them stumble over
-        raise _refused(path, f"a file that cannot be read ({said(error)})", _KINDS, "Export it again") from None
+        raise _cause(path, content, error) from None
     if not len(faces):
         raise _refused(path, "no triangles", "a triangulated surface", "Export it with its faces, not as points")
     if faces.min() < 0 or faces.max() >= len(vertices):
@@ -58,6 +59,31 @@ def read_triangles(path: Path) -> tuple[Float64[Array, "n 3"], Int32[Array, "m 3
         raise _refused(path, "no triangle with an area", "a triangulated surface", "Export it again")
     used, compact = np.unique(faces, return_inverse=True)
     return vertices[first[used]], compact.reshape(-1, 3).astype(np.int32), colours[first[used]]
+
+
+def _parsed(path: Path, content: bytes) -> tuple[Float64[Array, "n 3"], Int64[Array, "m 3"], UInt8[Array, "n 3"]]:
+    if path.suffix.lower() == ".obj":
+        obj = parse_obj(content, str(path))
+        grey = np.full((len(obj.points), 3), _GREY, dtype=np.uint8)
+        return obj.points, obj.faces, grey if obj.colours is None else obj.colours
+    if path.suffix.lower() == ".ply" and b"element tristrips" in content[:_HEAD_BYTES]:
+        raise _refused(path, "triangle strips", "single triangles (element face)", "Export it without strips")
+    loaded = _loaded(path, content)
+    vertices = np.asarray(loaded.vertices, dtype=np.float64).reshape(-1, 3)
+    return vertices, np.asarray(loaded.faces, dtype=np.int64).reshape(-1, 3), _colours(loaded, len(vertices))
+
+
+def _cause(path: Path, content: bytes, error: Exception) -> SessionError:
+    """The refusal of a file that a reader stumbled over, by its likeliest cause."""
+    head = content[:_HEAD_BYTES]
+    commas = _DECIMAL_COMMA.search(head.partition(b"end_header")[2] or head) if _is_text(head) else None
+    if commas is not None:
+        return decimal_commas(str(path), commas[0].decode())
+    return _refused(path, f"a file that cannot be read ({said(error)})", _KINDS, "Export it again")
+
+
+def _is_text(head: bytes) -> bool:
+    return b"\0" not in head and (b"format ascii" in head or head.lstrip().startswith(b"solid"))
 
 
 def _loaded(path: Path, content: bytes) -> Any:

@@ -13,12 +13,13 @@ import numpy as np
 
 from mammometry.base.errors import SessionError
 from mammometry.base.parse import require_file
-from mammometry.geometry.arrays import Array, UInt8, read_only
+from mammometry.geometry.arrays import Array, Float64, UInt8, read_only
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.mesh_file import SUFFIXES, read_triangles
 
 MM_PER_UNIT = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 _SMALLEST_MM, _LARGEST_MM = 40.0, 2500.0  # longest side of what can be a small cast, or a whole body
+_COARSEST_STEP_MM = 0.1  # as the standard uncertainty of a scanner's surface (`api.mesh.SURFACE_STD_MM`)
 _HEADER_BYTES = 65_536  # in which a file's comments may state its unit
 _STATED = re.compile(
     rb"^(?:comment|#)\s*(?:units?\s*[:=]?\s*(?P<unit>mm|cm|m)\b|(?P<ours>mm), world frame)",
@@ -65,6 +66,7 @@ def read_foreign(path: Path, units: str | None = None) -> ForeignMesh:
     if unit not in MM_PER_UNIT:
         raise _refused(path, f"the unit {unit!r}", f"one of {', '.join(MM_PER_UNIT)}", "Correct --units")
     vertices, faces, colours = read_triangles(path)
+    step_mm = _step(vertices) * MM_PER_UNIT[unit]
     vertices = vertices * MM_PER_UNIT[unit]
     extent = float(np.ptp(vertices, axis=0).max())
     if not _SMALLEST_MM <= extent <= _LARGEST_MM:
@@ -74,8 +76,25 @@ def read_foreign(path: Path, units: str | None = None) -> ForeignMesh:
             f"a cast or a torso, {_SMALLEST_MM:g} to {_LARGEST_MM:g} mm",
             "Check --units",
         )
+    if step_mm > _COARSEST_STEP_MM:
+        raise _refused(
+            path,
+            f"coordinates in steps of {step_mm:.2g} mm, {np.abs(vertices).max() / 1000:.3g} m away from the origin",
+            f"steps of at most {_COARSEST_STEP_MM:g} mm",
+            "Move the mesh to its origin in the program that made it, and export it again",
+        )
     mesh = TriangleMesh(vertices=vertices, faces=faces)
     return ForeignMesh(mesh=mesh, colours=colours, units=f"{unit}, {who}", mm_per_unit=MM_PER_UNIT[unit])
+
+
+def _step(vertices: Float64[Array, "n 3"]) -> float:
+    """Distance of neighbouring single-precision numbers at the farthest coordinate, in the file's unit.
+
+    0 where the coordinates are no single-precision numbers, so that no digits were lost.
+    """
+    if not np.array_equal(vertices.astype(np.float32), vertices):
+        return 0.0
+    return float(np.spacing(np.float32(np.abs(vertices).max())))
 
 
 def _stated_unit(path: Path) -> tuple[str | None, str]:

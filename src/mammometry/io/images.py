@@ -18,7 +18,7 @@ from mammometry.base.errors import ImageError, MammometryError
 from mammometry.base.limits import LimitSettings
 from mammometry.base.parse import require_file
 from mammometry.base.photograph import Photograph
-from mammometry.geometry.arrays import Array, Bool
+from mammometry.geometry.arrays import Array, Bool, UInt8
 from mammometry.io.tiff import SIGNATURES, UnusualTiffError, tiff_header, tiff_is_truncated, tiff_pixels
 
 EXTENSIONS = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
@@ -106,7 +106,9 @@ def megapixels_of(folder: Path, limits: LimitSettings = LimitSettings()) -> floa
     return round(total / 1e6, 3)
 
 
-def read_photograph(path: Path, name: str, limits: LimitSettings = LimitSettings()) -> Photograph:
+def read_photograph(
+    path: Path, name: str, limits: LimitSettings = LimitSettings(), *, as_stored: bool = False
+) -> Photograph:
     """Read a photograph, turned as its EXIF orientation says.
 
     An alpha channel is dropped. Of a file with several pictures, as some cameras write them (MPO), the first is taken.
@@ -115,6 +117,7 @@ def read_photograph(path: Path, name: str, limits: LimitSettings = LimitSettings
         path: the file.
         name: what to call it in messages.
         limits: the size that it may have.
+        as_stored: whether it is left as its pixels are stored, whatever its orientation.
 
     Raises:
         ImageError: as `read_header`; it is truncated or damaged, or has neither 8 nor 16 bits a channel.
@@ -135,11 +138,30 @@ def read_photograph(path: Path, name: str, limits: LimitSettings = LimitSettings
             pixels = _decoded_8bit(path) if header.bits == 8 else _decoded_16bit_png(path)
         if pixels.shape[1::-1] != header.stored_wh:
             raise ValueError(f"{pixels.shape} pixels, which its header does not state")
-    transpose, flip_rows, flip_columns = _UPRIGHT[header.orientation]
+    transpose, flip_rows, flip_columns = _UPRIGHT[1 if as_stored else header.orientation]
     if transpose:
         pixels = pixels.swapaxes(0, 1)
     pixels = pixels[:: -1 if flip_rows else 1, :: -1 if flip_columns else 1]
     return Photograph(name=name, pixels=np.ascontiguousarray(pixels))
+
+
+def read_plain_picture(
+    path: Path, name: str, formats: tuple[str, ...], limits: LimitSettings = LimitSettings()
+) -> UInt8[Array, "h w 3"]:
+    """Read a picture of a format that no camera writes, as 8-bit RGB.
+
+    Args:
+        path: the file.
+        name: what to call it in messages.
+        formats: as Pillow names them.
+        limits: the size that it may have.
+
+    Raises:
+        ImageError: it cannot be read, or is too large.
+    """
+    with _reading(path, name), Image.open(path, formats=formats) as image:
+        _check_size(image.size, name, limits)
+        return np.array(image.convert("RGB"))
 
 
 def read_mask(path: Path, name: str, limits: LimitSettings = LimitSettings()) -> Bool[Array, "h w"]:

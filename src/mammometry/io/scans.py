@@ -11,6 +11,7 @@ import io
 import json
 import re
 import tempfile
+import unicodedata
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
@@ -25,7 +26,7 @@ from mammometry.base.limits import LimitSettings
 from mammometry.base.parse import read_bytes, read_text, toml_table
 from mammometry.geometry.arrays import Array, UInt8
 from mammometry.io.foreign import ForeignMesh, read_foreign
-from mammometry.io.images import read_photograph
+from mammometry.io.images import read_photograph, read_plain_picture
 from mammometry.io.jpeg import without_tags
 from mammometry.io.meshes import write_ply
 from mammometry.io.obj_texture import CoveredObj, read_covered_obj
@@ -41,8 +42,11 @@ AXES = ("y", "-y", "z", "-z", "x", "-x")
 _MOST_MTL_MIB = 1  # of a material file; real ones have a few hundred bytes
 _LONGEST = 100  # characters of a scanner's name
 _KEYS = {"format", "scanner", "units", "head", "ahead", "subject", "sha256"}
-_PNG_MARK = b"\x89PNG"
-_TIFF_MARKS = (b"II*\x00", b"MM\x00*")
+_MAP_OPTION = re.compile(r"-(?:blendu|blendv|cc|clamp|texres|bm|boost|type|imfchan|mm|o|s|t)(?=\s)", re.IGNORECASE)
+"""An option before the name of a map's picture (the format's specification, "Texture map statements")."""
+_OPTION_VALUE = re.compile(r"\s+(?:on|off|[-+]?[0-9.]+)(?=\s)")
+_JPEG_MARK, _BMP_MARK = b"\xff\xd8", b"BM"
+_MARK_BYTES = 4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -89,7 +93,7 @@ def import_scan(
     covered = read_covered_obj(mesh) if mesh.suffix.lower() == ".obj" else None
     files: dict[str, bytes] = {}
     colours = foreign.colours
-    if covered is not None and texture and covered.library:
+    if covered is not None and texture and covered.libraries:
         files, colours = _covered(mesh, covered, foreign, limits)
     elif covered is not None:
         files[OBJ] = covered.text(None).encode()
@@ -158,22 +162,22 @@ def _covered(
     """Files of the covered surface under names of ours, and a colour for each vertex."""
     from scipy.spatial import cKDTree
 
-    library = _beside(mesh, covered.library, "material file")
-    materials = _materials(library)
-    names = sorted({each for each in materials.values() if each})
+    materials: dict[str, str] = {}
+    for path in _libraries(mesh, covered.libraries):
+        materials = _materials(path) | materials
+    names = sorted({picture for picture in materials.values() if picture})
     if len(names) > MOST_PICTURES:
-        raise _refused(library, f"{len(names)} pictures", f"{MOST_PICTURES} at most", "Export the scan with fewer")
+        raise _refused(mesh, f"{len(names)} pictures", f"{MOST_PICTURES} at most", "Export the scan with fewer")
     files: dict[str, bytes] = {}
     kept: dict[str, str] = {}
     pixels: dict[str, UInt8[Array, "h w 3"]] = {}
     for number, name in enumerate(names, 1):
         path = _beside(mesh, name, "picture")
-        pixels[name] = _eight_bit(read_photograph(path, f"the picture of {mesh.name}", limits).pixels)
+        pixels[name] = _texture(path, f"the picture of {mesh.name}", limits)
         content = path.read_bytes()
-        if content.startswith(_TIFF_MARKS):
-            raise _refused(path, "a TIFF", "the picture as JPEG or PNG", "Save it as one of them, or leave it out")
-        kept[name] = f"texture-{number}.{'png' if content.startswith(_PNG_MARK) else 'jpg'}"
-        files[kept[name]] = _untagged(path, content, pixels[name])
+        jpeg = without_tags(content) if content.startswith(_JPEG_MARK) else None
+        kept[name] = f"texture-{number}.{'png' if jpeg is None else 'jpg'}"
+        files[kept[name]] = _png(pixels[name]) if jpeg is None else jpeg.content  # without days, places and names
     lines = []
     for number, material in enumerate(covered.materials, 1):
         picture = materials.get(material, "")
@@ -186,13 +190,22 @@ def _covered(
     return files, np.ascontiguousarray(colours[nearest])
 
 
+def _libraries(mesh: Path, lines: tuple[str, ...]) -> list[Path]:
+    """Material files of an OBJ: a line names one file, or several with blanks between them."""
+    paths = []
+    for line in lines:
+        whole = _found_beside(mesh, line)
+        paths += [whole] if whole is not None else [_beside(mesh, name, "material file") for name in line.split()]
+    return list(dict.fromkeys(paths))
+
+
 def _materials(path: Path) -> dict[str, str]:
     """Material → its picture's file name. Empty for a plain colour."""
     content = read_bytes(path, path.name, "a material file", most_mib=_MOST_MTL_MIB)
     found: dict[str, str] = {}
     current = ""
-    for line in content.decode("utf-8", "replace").splitlines():
-        word, _, rest = line.strip().partition(" ")
+    for line in re.split("\r\n|\r|\n", content.decode("utf-8-sig", "surrogateescape")):
+        word, _, rest = line.strip().replace("\t", " ").partition(" ")
         if word == "newmtl":
             current = rest.strip()
             found.setdefault(current, "")
@@ -204,45 +217,69 @@ def _materials(path: Path) -> dict[str, str]:
 
 
 def _picture(rest: str) -> str:
-    """File name behind the options of a map, such as ``-s 1 1 1 skin.jpg``."""
-    words = rest.split()
-    while words and words[0].startswith("-"):
-        words.pop(0)
-        while len(words) > 1 and re.fullmatch(r"on|off|[-+0-9.eE]+", words[0]):
-            words.pop(0)
-    return " ".join(words)
+    """File name behind the options of a map, such as ``-s 1 1 1 skin.jpg``, as it stands."""
+    rest = rest.strip()
+    while option := _MAP_OPTION.match(rest):
+        at = option.end()
+        while value := _OPTION_VALUE.match(rest, at):
+            at = value.end()
+        rest = rest[at:].strip()
+    return rest
 
 
 def _beside(mesh: Path, name: str, what: str) -> Path:
-    """The file of this name beside the mesh; letters may be large or small. Folders in the name do not count."""
-    plain = PurePosixPath(name.replace("\\", "/")).name
-    for path in sorted(mesh.parent.iterdir()):
-        if plain and path.name.casefold() == plain.casefold() and path.is_file():
-            return path
+    path = _found_beside(mesh, name)
+    if path is not None:
+        return path
+    plain = _plain_name(name)
     raise _refused(
         mesh, f"no {what} {plain[:80]!r} beside it, which it needs", "OBJ, MTL and picture together",
         "Add it, or import the mesh without its texture",
     )  # fmt: skip
 
 
-def _eight_bit(pixels: Array) -> UInt8[Array, "h w 3"]:
+def _found_beside(mesh: Path, name: str) -> Path | None:
+    """The file of this name beside the mesh. None: there is none.
+
+    Folders in the name do not count, and letters may be large or small. A name whose bytes are not UTF-8 is tried as
+    Western Windows writes it (code page 1252) too.
+    """
+    plain = _plain_name(name)
+    wanted = {_compared(plain), _compared(plain.encode("utf-8", "surrogateescape").decode("cp1252", "replace"))}
+    for path in sorted(mesh.parent.iterdir()):
+        if plain and _compared(path.name) in wanted and path.is_file():
+            return path
+    return None
+
+
+def _plain_name(name: str) -> str:
+    return PurePosixPath(name.replace("\\", "/")).name
+
+
+def _compared(name: str) -> str:
+    return unicodedata.normalize("NFC", name).casefold()
+
+
+def _texture(path: Path, name: str, limits: LimitSettings) -> UInt8[Array, "h w 3"]:
+    """A picture's pixels as stored, from which places in a texture count whatever its orientation tag says.
+
+    Raises:
+        ImageError: it cannot be read or is too large.
+    """
+    with path.open("rb") as file:
+        head = file.read(_MARK_BYTES)
+    if head.startswith(_BMP_MARK) or path.suffix.lower() == ".tga":
+        return read_plain_picture(path, name, ("BMP", "TGA"), limits)
+    pixels = read_photograph(path, name, limits, as_stored=True).pixels
     if pixels.dtype == np.uint16:
         pixels = (pixels >> 8).astype(np.uint8)
     return np.repeat(pixels[..., None], 3, axis=2) if pixels.ndim == 2 else pixels
 
 
-def _untagged(path: Path, content: bytes, pixels: UInt8[Array, "h w 3"]) -> bytes:
-    """A picture without what its file says beside: days, places, names."""
-    if content.startswith(_PNG_MARK):
-        buffer = io.BytesIO()
-        Image.fromarray(pixels).save(buffer, "PNG")
-        return buffer.getvalue()
-    jpeg = without_tags(content)
-    if jpeg is None:
-        raise _refused(
-            path, "a JPEG in an unusual coding", "a plain JPEG or PNG", "Save it as one of them, or leave it out"
-        )
-    return jpeg.content
+def _png(pixels: UInt8[Array, "h w 3"]) -> bytes:
+    buffer = io.BytesIO()
+    Image.fromarray(pixels).save(buffer, "PNG")
+    return buffer.getvalue()
 
 
 def _ply(foreign: ForeignMesh, colours: UInt8[Array, "n 3"]) -> bytes:

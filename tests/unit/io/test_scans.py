@@ -148,14 +148,6 @@ def test_a_picture_that_is_too_large_is_refused_by_its_header(scan: Path, tmp_pa
         taken(tmp_path / scan.name, limits=LimitSettings(megapixels=0.1))
 
 
-def test_a_tiff_is_asked_for_as_jpeg(scan: Path, tmp_path: Path) -> None:
-    for path in scan.parent.iterdir():
-        (tmp_path / path.name).write_bytes(path.read_bytes())
-    Image.new("RGB", (8, 8)).save(tmp_path / "Muster Anna.jpg", "TIFF")
-    with pytest.raises(SessionError, match="as JPEG or PNG"):
-        taken(tmp_path / scan.name)
-
-
 @pytest.mark.parametrize("changed", [{"scanner": " "}, {"scanner": "a\nb"}, {"head": "up"}, {"subject": "a/b"}])
 def test_what_is_said_of_it_is_checked(scan: Path, changed: dict[str, str]) -> None:
     about = {"scanner": "Artec", "units": "", **changed}

@@ -1,0 +1,160 @@
+"""Wavefront OBJ: vertices, triangles and places in pictures, each number counted from where it stands.
+
+A negative number counts back from the line that it stands on, whatever groups came before (the format's specification,
+"Referencing vertex data").
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from mammometry.base.errors import SessionError
+from mammometry.geometry.arrays import Array, Float64, Int64, UInt8
+
+_KEPT = ("v", "vt", "vn", "f", "usemtl")
+_DECIMAL_COMMA = re.compile(r"\d,\d")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ObjFile:
+    """An OBJ's content."""
+
+    points: Float64[Array, "n 3"]
+    """Its vertices, in its own unit."""
+    colours: UInt8[Array, "n 3"] | None
+    """sRGB behind each vertex's coordinates, where all have one."""
+    faces: Int64[Array, "m 3"]
+    """Triangles. A polygon is a fan around its first corner."""
+    uv: Float64[Array, "k 2"]
+    """Places in pictures, (0, 0) lower left."""
+    face_uv: Int64[Array, "m 3"]
+    """Place of each triangle's corner. −1: none."""
+    face_material: Int64[Array, " m"]
+    """Number of each triangle's material. −1: none."""
+    materials: tuple[str, ...]
+    """Names in the order of their first use."""
+    libraries: tuple[str, ...]
+    """What stands behind each ``mtllib``, as it stands: one name, or several with blanks between them."""
+    lines: tuple[str, ...]
+    """Vertices, faces and uses of materials; no comments and no names of parts."""
+
+
+def parse_obj(content: bytes, name: str) -> ObjFile:
+    """Read an OBJ.
+
+    Args:
+        content: of the file. Bytes that are not UTF-8 are kept as surrogates, as in names of files.
+        name: what to call it in messages.
+
+    Raises:
+        SessionError: a line holds no numbers, or names a vertex that is not there.
+    """
+    vertices: list[list[str]] = []
+    places: list[list[str]] = []
+    faces: list[tuple[int, int, int]] = []
+    face_uv: list[tuple[int, int, int]] = []
+    face_material: list[int] = []
+    materials: dict[str, int] = {}
+    libraries: list[str] = []
+    lines: list[str] = []
+    material = -1
+    try:
+        for line in _lines(content):
+            word, _, rest = line.partition(" ")
+            if word == "v":
+                vertices.append(rest.split())
+            elif word == "vt":
+                places.append(rest.split()[:2])
+            elif word == "f":
+                corners = [_corner(corner, len(vertices), len(places)) for corner in rest.split()]
+                for second, third in pairwise(corners[1:]):
+                    faces.append((corners[0][0], second[0], third[0]))
+                    face_uv.append((corners[0][1], second[1], third[1]))
+                    face_material.append(material)
+            elif word == "usemtl":
+                material = materials.setdefault(rest.strip(), len(materials))
+            elif word == "mtllib":
+                libraries.append(rest.strip())
+            if word in _KEPT:
+                lines.append(line)
+        points, colours = _points(vertices)
+        uv = np.array([[float(part) for part in (*place, "0")[:2]] for place in places], dtype=np.float64)
+    except (ValueError, IndexError, OverflowError):
+        raise _wrong_numbers(name, [*vertices, *places]) from None
+    corners_of = np.array(faces, dtype=np.int64).reshape(-1, 3)
+    places_of = np.array(face_uv, dtype=np.int64).reshape(-1, 3)
+    if corners_of.max(initial=-1) >= len(points) or places_of.max(initial=-1) >= len(uv):
+        raise _wrong_numbers(name, [])
+    return ObjFile(
+        points=points,
+        colours=colours,
+        faces=corners_of,
+        uv=uv.reshape(-1, 2),
+        face_uv=places_of,
+        face_material=np.array(face_material, dtype=np.int64),
+        materials=tuple(materials),
+        libraries=tuple(libraries),
+        lines=tuple(lines),
+    )
+
+
+def decimal_commas(name: str, sample: str) -> SessionError:
+    """The refusal of a mesh file whose numbers have commas.
+
+    Args:
+        name: what to call the file.
+        sample: one such number.
+    """
+    return SessionError(
+        name,
+        found=f"numbers with decimal commas, such as {sample[:20]}",
+        expected="decimal points",
+        remedy="Set the exporting program, or its computer, to decimal points and export it again",
+    )
+
+
+def _lines(content: bytes) -> Iterator[str]:
+    """Lines with a blank behind the first word; one that goes on behind a backslash is joined."""
+    text = content.decode("utf-8-sig", "surrogateescape")
+    for line in re.split("\r\n|\r|\n", re.sub("\\\\(\r\n|\r|\n)", " ", text)):
+        yield line.strip(" \t\0").replace("\t", " ")
+
+
+def _points(vertices: list[list[str]]) -> tuple[Float64[Array, "n 3"], UInt8[Array, "n 3"] | None]:
+    widths = {len(row) for row in vertices}
+    if min(widths, default=3) < 3:
+        raise ValueError("a vertex of fewer than three numbers")
+    points = np.array([row[:3] for row in vertices], dtype=np.float64).reshape(-1, 3)
+    if min(widths, default=0) < 6:
+        return points, None
+    colours = np.array([row[-3:] for row in vertices], dtype=np.float64)
+    scale = 255.0 if np.nanmax(colours, initial=0.0) <= 1.0 else 1.0
+    return points, np.clip(np.nan_to_num(colours) * scale + 0.5, 0, 255).astype(np.uint8)
+
+
+def _corner(text: str, vertex_count: int, place_count: int) -> tuple[int, int]:
+    """Vertex and place of one corner, such as ``7``, ``7/3``, ``7//2`` or ``-1/-1/-1``."""
+    vertex, _, rest = text.partition("/")
+    place = rest.partition("/")[0]
+    return _index(vertex, vertex_count), _index(place, place_count) if place else -1
+
+
+def _index(word: str, count: int) -> int:
+    number = int(word)
+    if number < -count or number == 0:
+        raise IndexError
+    return number - 1 if number > 0 else count + number
+
+
+def _wrong_numbers(name: str, rows: list[list[str]]) -> SessionError:
+    commas = next((part for row in rows for part in row if _DECIMAL_COMMA.search(part)), "")
+    if commas:
+        return decimal_commas(name, commas)
+    return SessionError(
+        name, found="a line without its numbers", expected="a whole OBJ", remedy="Export it again"
+    )  # fmt: skip
