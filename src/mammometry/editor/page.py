@@ -104,10 +104,10 @@ def read(kind: type[_Message], body: bytes) -> _Message:
 def refusal(error: MammometryError | ValidationError) -> tuple[int, dict[str, Any]]:
     """HTTP status and JSON of an error, for the page."""
     if isinstance(error, ValidationError):
-        return 422, {"detail": sentence([dict(item) for item in error.errors(include_url=False)])}
+        return 422, {"error": sentence([dict(item) for item in error.errors(include_url=False)])}
     if isinstance(error, LateError):
-        return 409, {"detail": str(error), "late": [list(item) for item in error.items]}
-    return (500 if isinstance(error, StorageError) else 422), {"detail": str(error)}
+        return 409, {"error": str(error), "late": [list(item) for item in error.items]}
+    return (500 if isinstance(error, StorageError) else 422), {"error": str(error)}
 
 
 def resource(package: str, name: str) -> str:
