@@ -15,14 +15,18 @@ from typing import Any
 
 from django.http import FileResponse, Http404, HttpRequest, HttpResponse, HttpResponseBase, JsonResponse
 from django.shortcuts import get_object_or_404, render
+from django.urls import reverse
 from pydantic import ValidationError
 
 from mammometry.base.errors import MammometryError
+from mammometry.clinic.jobs import queue
+from mammometry.clinic.jobs.events import table_of
 from mammometry.clinic.models import Drawing, Visit
 from mammometry.clinic.reports import report_file, scene_of
 from mammometry.clinic.security import report_policy
 from mammometry.clinic.site import the_clinic
 from mammometry.clinic.views.who import person_of
+from mammometry.editor.desk import Drawable
 from mammometry.editor.page import EditorPage, refusal
 
 _KEPT = 4  # surfaces in memory, about 300 MB each
@@ -44,12 +48,10 @@ class _Desks:
         Raises:
             MammometryError: the session cannot be opened, or has nothing to draw on.
         """
-        from mammometry.api.job import open_session
-
         measurement = visit.measurements.first()
         key = visit.pk, "" if measurement is None else measurement.digest
         with self._lock:
-            page = self._held.pop(key, None) or EditorPage(open_session(visit.folder, the_clinic().measuring()))
+            page = self._held.pop(key, None) or EditorPage(_opened(visit))
             self._held[key] = page
             while len(self._held) > _KEPT:
                 self._held.popitem(last=False)
@@ -57,6 +59,16 @@ class _Desks:
 
 
 _DESKS = _Desks()
+
+
+def _opened(visit: Visit) -> Drawable:
+    from mammometry.api.job import open_session
+    from mammometry.api.mesh import scan_job
+
+    settings = the_clinic().measuring()
+    if visit.is_scan:
+        return scan_job(visit.folder, visit.folder / "results", settings)
+    return open_session(visit.folder, settings)
 
 
 def report(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
@@ -100,12 +112,12 @@ def draw(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
 
 def drawing(request: HttpRequest, visit: uuid.UUID) -> HttpResponseBase:
     """Everything the page needs."""
-    return _told(visit, lambda shown, page: page.drawing(str(request.user)))
+    return _told(visit, lambda shown, page: {**page.drawing(str(request.user)), **_job_of(shown)})
 
 
 def items(request: HttpRequest, visit: uuid.UUID) -> HttpResponseBase:
-    """State of all boundaries and landmarks."""
-    return _told(visit, lambda shown, page: page.items())
+    """State of all boundaries and landmarks, and of the visit's job."""
+    return _told(visit, lambda shown, page: {**page.items(), **_job_of(shown)})
 
 
 def measure(request: HttpRequest, visit: uuid.UUID) -> HttpResponseBase:
@@ -122,35 +134,34 @@ def save(request: HttpRequest, visit: uuid.UUID) -> HttpResponseBase:
             _note(request, shown, f"boundary {breast}", removed=drawn.sketch is None)
         for mark, place in sent.landmarks.items():
             _note(request, shown, f"landmark {mark}", removed=place.points is None)
-        if shown.state == Visit.State.CONFIRMED:
-            Visit.objects.filter(pk=shown.pk).update(state=Visit.State.MEASURED)
-        return {"saved": [path.name for path in changed], **page.items()}
+        if changed:
+            queue.enqueue(shown, person_of(request))
+        return {"saved": len(changed), **page.items(), **_job_of(shown)}
 
     return _told(visit, saved)
 
 
-def confirm(request: HttpRequest, visit: uuid.UUID) -> HttpResponseBase:
-    """Keep that somebody looked at a boundary and found it right.
+def finish(request: HttpRequest, visit: uuid.UUID) -> HttpResponseBase:
+    """Confirm all boundaries of the measured result, and name the next page."""
 
-    The visit is confirmed when all boundaries are.
-    """
+    def finished(shown: Visit, page: EditorPage) -> dict[str, Any]:
+        curves = page.measured_curves(request.body)
+        for breast, digest in curves.items():
+            item = f"boundary {breast}"
+            Drawing.objects.create(
+                visit=shown, item=item, action=Drawing.Action.CONFIRMED, by=person_of(request), digest=digest
+            )
+        Visit.objects.filter(pk=shown.pk).update(state=Visit.State.CONFIRMED)
+        waiting = Visit.objects.filter(state=Visit.State.MEASURED).exclude(pk=shown.pk).first()
+        return {"next": reverse("draw", args=[waiting.pk]) if waiting else reverse("visit", args=[shown.pk])}
 
-    def confirmed(shown: Visit, page: EditorPage) -> dict[str, Any]:
-        sent = page.confirm(request.body, str(request.user))
-        Drawing.objects.create(
-            visit=shown,
-            item=f"boundary {sent.name}",
-            action=Drawing.Action.CONFIRMED,
-            by=person_of(request),
-            digest=sent.curve,
-        )
-        state = page.items()
-        seen = [each.get("confirmed") for each in state["boundaries"].values() if "curve" in each]
-        if seen and all(each is not None and each["holds"] for each in seen):
-            Visit.objects.filter(pk=shown.pk).update(state=Visit.State.CONFIRMED)
-        return state
+    return _told(visit, finished)
 
-    return _told(visit, confirmed)
+
+def _job_of(visit: Visit) -> dict[str, Any]:
+    """What is being measured, for the page that waits for it."""
+    job = visit.jobs.order_by("-created").first()
+    return {"job": None if job is None else table_of(job, queue.place(job))}
 
 
 def _note(request: HttpRequest, visit: Visit, item: str, *, removed: bool) -> None:
