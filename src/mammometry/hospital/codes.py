@@ -43,14 +43,6 @@ SITES = MappingProxyType(
         "right": Coded(value="73056007", scheme="SCT", meaning="Right breast structure"),
     }
 )
-OPERATIONS = MappingProxyType(
-    {
-        "implant": Coded(value="302343007", scheme="SCT", meaning="Breast prosthesis insertion"),  # CID 6084
-        "flap": Coded(value="33496007", scheme="SCT", meaning="Breast reconstruction"),  # CID 6084
-        "augmentation": Coded(value="22890008", scheme="SCT", meaning="Augmentation mammoplasty"),  # CID 6051
-    }
-)
-"""Kind of operation → its code. Kinds that PS3.16 has no code for of the same meaning are told in words alone."""
 CONCLUSIONS = Coded(value="121076", scheme="DCM", meaning="Conclusions")
 CONCLUSION = Coded(value="121077", scheme="DCM", meaning="Conclusion")
 PERSON = Coded(value="121008", scheme="DCM", meaning="Person Observer Name")
