@@ -56,3 +56,15 @@ def test_a_visit_before_the_operation_of_its_own_day_does_not_show_it(visit: Vis
     assert clinical_of(visit).operations == (operation_words(operation),)
     visit.occasion = Visit.Occasion.BEFORE
     assert clinical_of(visit).operations == ()
+
+
+def test_codes_of_operations_are_in_pydicoms_dictionary() -> None:
+    from pydicom.sr._concepts_dict import concepts
+
+    from mammometry.hospital.codes import OPERATIONS
+
+    known = {code for codes in concepts["SCT"].values() for code in codes}
+    assert set(OPERATIONS) == set(Operation.Kind.values)
+    coded = [code for code in OPERATIONS.values() if code is not None]
+    assert coded
+    assert {code.value for code in coded} <= known
