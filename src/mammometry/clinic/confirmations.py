@@ -34,8 +34,7 @@ def is_changed(visit: Visit) -> bool:
 
 def confirmation_of(measurement: Measurement) -> Confirmation | None:
     """Newest confirmation of exactly the boundaries that were measured."""
-    rows = measurement.confirmations.select_related("by")
-    return next((row for row in rows if row.curves == measurement.curves), None)
+    return next((row for row in measurement.confirmations.all() if row.curves == measurement.curves), None)
 
 
 def valid_confirmation(visit: Visit) -> Confirmation | None:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 from mammometry.clinic.changes import Interval, VolumeChange, volume_change
 from mammometry.clinic.charts import Reading
+from mammometry.clinic.confirmations import CHANGED, is_changed
 from mammometry.clinic.models import Measurement, Visit, Volume
 
 SIDES = ("left", "right", "model")
@@ -84,10 +85,15 @@ def latest(visits: Iterable[Visit]) -> list[VisitResult]:
 
 
 def visit_result(visit: Visit, measurement: Measurement) -> VisitResult:
-    """One measurement as pages show it."""
+    """One measurement as pages show it.
+
+    Without its numbers while a boundary or landmark was changed that is not measured: they are of an earlier one.
+    """
+    changed = is_changed(visit)
     by_side: dict[str, list[SideResult]] = {}
     for row in sorted(measurement.volumes.all(), key=_rank):
-        by_side.setdefault(row.side, []).append(_side(row))
+        side = _side(row)
+        by_side.setdefault(row.side, []).append(_without_numbers(side) if changed else side)
     first = {side: replace(rows[0], others=tuple(rows[1:])) for side, rows in by_side.items()}
     return VisitResult(
         visit=visit,
@@ -141,6 +147,10 @@ def age(born: datetime.date | None, at: datetime.date) -> int | None:
 
 def _rank(volume: Volume) -> int:
     return _LEADING.index(volume.definition) if volume.definition in _LEADING else len(_LEADING)
+
+
+def _without_numbers(side: SideResult) -> SideResult:
+    return replace(side, volume_cc=None, interval_cc=None, refused=CHANGED)
 
 
 def _side(volume: Volume) -> SideResult:

@@ -16,6 +16,7 @@ from django.utils import timezone
 
 import mammometry
 from mammometry.clinic.charts import Reading, time_line
+from mammometry.clinic.confirmations import CHANGED
 
 register = template.Library()
 
@@ -39,6 +40,7 @@ _CHIPS = {
     "ready": ("care", "ready to measure"),
     "queued": ("busy", "being measured"),
     "running": ("busy", "running"),
+    "changed": ("care", CHANGED),
     "measured": ("care", "to be confirmed"),
     "scanned": ("good", "measured"),
     "refused": ("bad", "✕ no volume"),

@@ -9,6 +9,7 @@ from django.shortcuts import render
 from django.template.loader import render_to_string
 
 from mammometry.clinic.site import the_clinic
+from mammometry.hospital.extra import MissingLibraryError
 
 
 def _page(request: HttpRequest, status: int, title: str, sentence: str) -> HttpResponse:
@@ -31,6 +32,11 @@ def forbidden(request: HttpRequest, exception: Exception | None = None) -> HttpR
 def missing(request: HttpRequest, exception: Exception | None = None) -> HttpResponse:
     """404."""
     return _page(request, 404, "Not here", "There is no such page. It may have been erased.")
+
+
+def not_installed(request: HttpRequest, error: MissingLibraryError) -> HttpResponse:
+    """501: the server lacks a library that this page needs."""
+    return _page(request, 501, "Not installed", str(error))
 
 
 def broken(request: HttpRequest) -> HttpResponse:
