@@ -13,7 +13,7 @@ from typing import Any
 
 from django.utils import timezone
 
-from mammometry.clinic.models import Calibration, DailyCheck, Job, Measurement, Visit, Volume
+from mammometry.clinic.models import Calibration, DailyCheck, Job, Measurement, Upload, Visit, Volume
 
 _VERDICTS = {
     "unmoved": "No camera has moved.",
@@ -43,8 +43,12 @@ def begun(target: Visit | Calibration | DailyCheck) -> None:
 def cancelled(target: Visit | Calibration | DailyCheck) -> None:
     """Its job was cancelled: it is as before."""
     if isinstance(target, Visit):
-        measured = target.measurements.exists()
-        target.state = Visit.State.MEASURED if measured else Visit.State.READY
+        newest = target.measurements.first()
+        if newest is None:
+            target.state = Visit.State.READY
+        else:
+            placed = target.uploads.filter(state=Upload.State.PLACED, created__gt=newest.made_at)
+            target.state = Visit.State.CHANGED if placed.exists() else Visit.State.MEASURED
         target.save(update_fields=["state"])
     elif isinstance(target, Calibration):
         target.state = Calibration.State.UPLOADING
