@@ -158,7 +158,7 @@ def finish(request: HttpRequest, visit: uuid.UUID) -> HttpResponseBase:
     if why is None and on_page != {item: entry_digest(entry) for item, entry in entries.items()}:
         why = "Somebody else changed a boundary or landmark meanwhile. Load the page again and look at it."
     if why is not None:
-        return JsonResponse({"detail": why}, status=409)
+        return JsonResponse({"error": why}, status=409)
     confirmations.confirm(locked, person_of(request))
     following = confirmations.next_to_confirm(locked)
     return JsonResponse({"next": reverse("home") if following is None else reverse("draw", args=[following.pk])})
