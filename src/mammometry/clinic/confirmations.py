@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from mammometry.clinic.models import Confirmation, Drawing, Job, Measurement, Person, Visit
+from mammometry.clinic.models import Confirmation, Drawing, Job, Measurement, Person, Upload, Visit
 
 CHANGED = "changed, not yet measured"
 """What pages, tables and exports say of a visit whose newest drawing is not measured."""
-CHANGED_SENTENCE = "A boundary or landmark of this visit was changed and is not measured yet. Wait until it is."
+CHANGED_SENTENCE = "A boundary, landmark or photograph of this visit was changed and is not measured yet. Measure it."
 
 
 def has_unmeasured_drawing(visit: Visit) -> bool:
@@ -27,9 +27,21 @@ def has_unmeasured_drawing(visit: Visit) -> bool:
     return measurement is None or drawn.at > measurement.made_at
 
 
+def has_unmeasured_photographs(visit: Visit) -> bool:
+    """Whether photographs came in since the newest measurement was made."""
+    measurement = visit.measurements.first()
+    if measurement is None:
+        return False
+    return visit.uploads.filter(state=Upload.State.PLACED, created__gt=measurement.made_at).exists()
+
+
+def _has_unmeasured(visit: Visit) -> bool:
+    return has_unmeasured_drawing(visit) or has_unmeasured_photographs(visit)
+
+
 def is_changed(visit: Visit) -> bool:
-    """Whether the newest drawing is not measured, so that the visit's numbers are of an earlier one."""
-    return visit.state == Visit.State.CHANGED or (visit.state == Visit.State.QUEUED and has_unmeasured_drawing(visit))
+    """Whether the newest drawing or photographs are not measured, so that the visit's numbers are of earlier ones."""
+    return visit.state == Visit.State.CHANGED or (visit.state == Visit.State.QUEUED and _has_unmeasured(visit))
 
 
 def confirmation_of(measurement: Measurement) -> Confirmation | None:
@@ -46,7 +58,7 @@ def valid_confirmation(visit: Visit) -> Confirmation | None:
 def settled_state(visit: Visit) -> Visit.State:
     """State of a visit for which no measurement waits."""
     measurement = visit.measurements.first()
-    if has_unmeasured_drawing(visit):
+    if _has_unmeasured(visit):
         return Visit.State.CHANGED
     if measurement is None:
         return Visit.State.READY

@@ -106,13 +106,13 @@ def read(kind: type[_Message], body: bytes) -> _Message:
 def refusal(error: MammometryError | ValidationError) -> tuple[int, dict[str, Any]]:
     """HTTP status and JSON of an error, for the page."""
     if isinstance(error, ValidationError):
-        return 422, {"detail": sentence([dict(item) for item in error.errors(include_url=False)])}
+        return 422, {"error": sentence([dict(item) for item in error.errors(include_url=False)])}
     if isinstance(error, LateError):
-        return 409, {"detail": str(error), "late": [list(item) for item in error.items]}
+        return 409, {"error": str(error), "late": [list(item) for item in error.items]}
     if isinstance(error, StorageError):
         _LOG.error("%s", error)
-        return (507 if error.is_full else 503), {"detail": str(error)}
-    return 422, {"detail": str(error)}
+        return (507 if error.is_full else 503), {"error": str(error)}
+    return 422, {"error": str(error)}
 
 
 def resource(package: str, name: str) -> str:

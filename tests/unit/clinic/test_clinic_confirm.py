@@ -99,7 +99,7 @@ def test_only_the_measured_boundaries_can_be_confirmed(
 ) -> None:
     refused = finish(client_of(Role.CLINICIAN), measured, body(measured, curves))
     assert refused.status_code == 409
-    assert "not those that were measured" in refused.json()["detail"]
+    assert "not those that were measured" in refused.json()["error"]
     assert not Confirmation.objects.exists()
 
 
@@ -107,9 +107,9 @@ def test_what_a_colleague_changed_meanwhile_is_not_confirmed(client_of: Callable
     client, seen = client_of(Role.CLINICIAN), body(measured)
     draw(measured)
     Visit.objects.filter(pk=measured.pk).update(state="changed")
-    assert "not measured yet" in finish(client, measured, seen).json()["detail"]
+    assert "not measured yet" in finish(client, measured, seen).json()["error"]
     measure(measured)  # the same boundaries: the landmark alone differs from what the page shows
-    assert "Somebody else changed" in finish(client, measured, seen).json()["detail"]
+    assert "Somebody else changed" in finish(client, measured, seen).json()["error"]
     assert finish(client, measured).status_code == 200
 
 
@@ -118,7 +118,7 @@ def test_a_visit_that_is_not_measured_cannot_be_confirmed(
     client_of: Callable[..., Client], measured: Visit, state: str
 ) -> None:
     Visit.objects.filter(pk=measured.pk).update(state=state)
-    assert "measured" in finish(client_of(Role.CLINICIAN), measured).json()["detail"]
+    assert "measured" in finish(client_of(Role.CLINICIAN), measured).json()["error"]
     assert not Confirmation.objects.exists()
 
 

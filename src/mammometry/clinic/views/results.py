@@ -27,12 +27,29 @@ from mammometry.clinic.rigs.history import may_queue
 from mammometry.clinic.security import report_policy
 from mammometry.clinic.site import the_clinic
 from mammometry.clinic.views.who import person_of
-from mammometry.editor.messages import Finish
+from mammometry.editor.messages import Base, Breast, Message
 from mammometry.editor.page import EditorPage, read, refusal
 from mammometry.io.drawn_changes import Group, drawn_entries, entry_digest
 from mammometry.job.inputs import SubjectKind
 
 _KEPT = 4  # surfaces in memory, about 300 MB each
+
+
+class ShownItems(Message):
+    """Versions of all that the page shows: name → digest (`entry_digest`), None where nothing stands in the session."""
+
+    boundaries: dict[Breast, Base]
+    landmarks: dict[str, Base]
+
+
+class FinishMessage(Message):
+    """Confirmation of everything that the page shows, in one step."""
+
+    curves: dict[Breast, str]
+    """Breast → digest of the measured curve that was looked at."""
+    base: ShownItems
+    author: str = ""
+    """Not used: who is logged in confirms."""
 
 
 class _Desks:
@@ -147,7 +164,7 @@ def finish(request: HttpRequest, visit: uuid.UUID) -> HttpResponseBase:
     locked = get_object_or_404(Visit.objects.select_for_update(), pk=visit)
     kind: SubjectKind = "model" if locked.subject_kind == Visit.Subject.MODEL else "torso"
     try:
-        sent = read(Finish, request.body)
+        sent = read(FinishMessage, request.body)
         entries = drawn_entries(locked.folder, kind)
     except (MammometryError, ValidationError) as error:
         status, words = refusal(error)
@@ -158,7 +175,7 @@ def finish(request: HttpRequest, visit: uuid.UUID) -> HttpResponseBase:
     if why is None and on_page != {item: entry_digest(entry) for item, entry in entries.items()}:
         why = "Somebody else changed a boundary or landmark meanwhile. Load the page again and look at it."
     if why is not None:
-        return JsonResponse({"detail": why}, status=409)
+        return JsonResponse({"error": why}, status=409)
     confirmations.confirm(locked, person_of(request))
     following = confirmations.next_to_confirm(locked)
     return JsonResponse({"next": reverse("home") if following is None else reverse("draw", args=[following.pk])})

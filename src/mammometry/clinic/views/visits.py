@@ -10,6 +10,7 @@ from django.shortcuts import get_object_or_404, redirect, render
 from django.utils import timezone
 
 from mammometry.clinic.cameras import rig_file
+from mammometry.clinic.confirmations import CHANGED_SENTENCE
 from mammometry.clinic.forms import VisitForm
 from mammometry.clinic.models import Calibration, Job, Scan, Visit
 from mammometry.clinic.reports import facts, report_file
@@ -56,6 +57,7 @@ def visit(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
         "clinician": person_of(request).has_role(Role.CLINICIAN),
         "driven": shown.rig is not None and rig_file(shown.rig) is not None,
         "scan": Scan.objects.filter(visit=shown).first(),
+        "visit_changed": CHANGED_SENTENCE,
         "limit_mb": the_clinic().limits.photograph_mb,
     }
     return render(request, "clinic/visit.html", context)
