@@ -6,6 +6,7 @@ Report, 3D view, boundaries and landmarks to draw or confirm.
 from __future__ import annotations
 
 import hashlib
+import logging
 import uuid
 from collections import OrderedDict
 from collections.abc import Callable
@@ -18,7 +19,7 @@ from django.shortcuts import get_object_or_404, render
 from django.urls import reverse
 from pydantic import ValidationError
 
-from mammometry.base.errors import MammometryError
+from mammometry.base.errors import MammometryError, StorageError
 from mammometry.clinic import confirmations
 from mammometry.clinic.jobs import queue
 from mammometry.clinic.models import Confirmation, Drawing, Visit
@@ -32,6 +33,7 @@ from mammometry.editor.page import EditorPage, read, refusal
 from mammometry.io.drawn_changes import Group, drawn_entries, entry_digest
 from mammometry.job.inputs import SubjectKind
 
+_LOG = logging.getLogger(__name__)
 _KEPT = 4  # surfaces in memory, about 300 MB each
 
 
@@ -149,11 +151,13 @@ def save(request: HttpRequest, visit: uuid.UUID) -> HttpResponseBase:
                 _note(request, shown, f"boundary {breast}", removed=drawn.sketch is None)
             for mark, place in sent.landmarks.items():
                 _note(request, shown, f"landmark {mark}", removed=place.points is None)
-            may_be_measured = may_queue(locked, anyway=True) is None
-            locked.state = Visit.State.QUEUED if may_be_measured else Visit.State.CHANGED
-            locked.save(update_fields=["state"])
-            if may_be_measured:
-                queue.enqueue(locked, person_of(request))
+            _set_state(locked, Visit.State.CHANGED)
+            if may_queue(locked, anyway=True) is None:
+                try:
+                    queue.enqueue(locked, person_of(request))
+                    _set_state(locked, Visit.State.QUEUED)
+                except StorageError as error:  # it is saved, and stays to be measured
+                    _LOG.error("%s", error)
         return {"saved": [path.name for path in changed], **_with_visit(locked, page.items())}
 
     return _told(visit, saved)
@@ -201,6 +205,11 @@ def _with_visit(visit: Visit, state: dict[str, Any]) -> dict[str, Any]:
     }
 
 
+def _set_state(visit: Visit, state: Visit.State) -> None:
+    visit.state = state
+    visit.save(update_fields=["state"])
+
+
 def _note(request: HttpRequest, visit: Visit, item: str, *, removed: bool) -> None:
     action = Drawing.Action.REMOVED if removed else Drawing.Action.DRAWN
     name = "boundaries.json" if item.startswith("boundary") else "landmarks.json"
@@ -223,6 +232,7 @@ def _told(visit: uuid.UUID, answer: Callable[[Visit, EditorPage], dict[str, Any]
         return JsonResponse(answer(shown, _DESKS.of(shown)))
     except (MammometryError, ValidationError) as error:
         status, words = refusal(error)
+        words["error"] = words["error"].replace(f"{the_clinic().folder}/", "")  # where it lies is nobody's business
         return JsonResponse(words, status=status)
 
 
