@@ -5,6 +5,7 @@ from __future__ import annotations
 from mammometry.clinic.access import route
 from mammometry.clinic.roles import ADMINISTRATOR, CARE, CLINICIAN, EVERYBODY, RIGS, STUDY
 from mammometry.clinic.views import (
+    clinical,
     compare,
     deliveries,
     exports,
@@ -37,11 +38,18 @@ PAGES = [
         name="compare-page",
         roles=CLINICIAN,
     ),
+    route("patients/<uuid:patient>/operations/new/", clinical.operation_new, name="operation-new", roles=CARE),
+    route("operations/<uuid:operation>/edit/", clinical.operation_edit, name="operation-edit", roles=CARE),
+    route("operations/<uuid:operation>/remove/", clinical.operation_remove, name="operation-remove", roles=CARE),
+    route("patients/<uuid:patient>/consents/new/", clinical.consent_new, name="consent-new", roles=CARE),
+    route("consents/<uuid:consent>/edit/", clinical.consent_edit, name="consent-edit", roles=CARE),
     route("visits/new/", visits.visit_new, name="visit-new", roles=CARE),
     route("visits/scan/", scans.scan_new, name="scan-new", roles=CARE, body_bytes=scans.BODY_BYTES, atomic=False),
     route("worklist/", worklist.worklist, name="worklist", roles=CARE),
     route("visits/<uuid:visit>/", visits.visit, name="visit", roles=CARE),
     route("visits/<uuid:visit>/take-back/", visits.visit_delete, name="visit-take-back", roles=CARE),
+    route("visits/<uuid:visit>/circumstances/", clinical.circumstances, name="circumstances", roles=CARE),
+    route("visits/<uuid:visit>/conclusion/", clinical.conclude, name="conclude", roles=CLINICIAN),
     route("visits/<uuid:visit>/report/", results.report, name="report", roles=CARE),
     route("visits/<uuid:visit>/report.pdf", results.report_pdf, name="report-pdf", roles=CARE),
     route("visits/<uuid:visit>/send/", deliveries.visit_send, name="visit-send", roles=CLINICIAN),

@@ -80,7 +80,13 @@ WORK = [
         audited=False,
     ),
     route("uploads/<uuid:upload>/place/", uploads.place, name="upload-place", roles=PHOTOGRAPHS, atomic=False),
-    route("uploads/<uuid:upload>/thumbnail/", uploads.thumbnail, name="upload-thumbnail", roles=PHOTOGRAPHS),
+    route(
+        "uploads/<uuid:upload>/thumbnail/",
+        uploads.thumbnail,
+        name="upload-thumbnail",
+        roles=PHOTOGRAPHS,
+        audited=False,  # the page that shows it is an entry
+    ),
     route("visits/<uuid:visit>/uploads/", uploads.of_visit, name="visit-uploads", roles=CARE, audited=False),
     route(
         "calibrations/<uuid:calibration>/uploads/",
