@@ -11,7 +11,7 @@ from django.http import HttpRequest, HttpResponse
 from django.shortcuts import get_object_or_404, redirect, render
 from django.utils import timezone
 
-from mammometry.clinic import results
+from mammometry.clinic import comparing, results
 from mammometry.clinic.forms import PatientForm
 from mammometry.clinic.models import Patient
 
@@ -63,9 +63,8 @@ def patient(request: HttpRequest, patient: uuid.UUID) -> HttpResponse:
         "patient": person,
         "age": results.age(person.born, timezone.localdate()),
         "visits": [(visit, by_visit.get(visit.id)) for visit in visits],
-        "measured": [result.visit for result in found if _is_compared(result)],
+        "measured": comparing.comparable(visits)[::-1],
         "readings": results.readings(found),
-        "steps": results.steps(found),
     }
     return render(request, "clinic/patient.html", context)
 
@@ -98,8 +97,3 @@ def _day(asked: str) -> datetime.date | None:
         except ValueError:
             continue
     return None
-
-
-def _is_compared(result: results.VisitResult) -> bool:
-    """Whether a visit can be laid onto another: it has a volume, and photographs."""
-    return not result.visit.is_scan and any(side.volume_cc is not None for side in result.sides)
