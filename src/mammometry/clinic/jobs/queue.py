@@ -21,6 +21,7 @@ from mammometry.clinic import comparing
 from mammometry.clinic.jobs import results
 from mammometry.clinic.jobs.results import Target
 from mammometry.clinic.models import Calibration, Comparison, DailyCheck, Job, Person, Visit
+from mammometry.io.subject import rename_subject
 
 LEASE_S = 45.0
 """A runner that says nothing for so long is taken for dead. It renews every third of it."""
@@ -64,12 +65,17 @@ def enqueue(target: Target, by: Person | None) -> Job:
     """Queue a computation for a visit, calibration, daily check or comparison.
 
     One that is open already is returned.
+
+    Raises:
+        StorageError: the disk is full or refuses.
     """
     kind, field = _KINDS[type(target)]
     about: dict[str, Any] = {field: target}
     open_one = Job.objects.filter(**about, state__in=OPEN).first()
     if open_one is not None:
         return open_one
+    if isinstance(target, Visit):
+        carry_subject(target)
     try:
         with transaction.atomic():
             job = Job.objects.create(**about, kind=kind, created_by=by)
@@ -86,6 +92,17 @@ def compare(before: Visit, after: Visit, by: Person | None) -> None:
     comparison, _ = Comparison.objects.get_or_create(before=before, after=after)
     if not comparing.is_current(comparison):
         enqueue(comparison, by)
+
+
+def carry_subject(visit: Visit) -> None:
+    """Let a visit's folder name its patient by pseudonym, and its day, after either was corrected.
+
+    Results that name another patient are dropped.
+
+    Raises:
+        StorageError: the disk is full or refuses.
+    """
+    rename_subject(visit.folder, visit.patient.pseudonym, timezone.localdate(visit.taken_at))
 
 
 def retry(job: Job, by: Person | None) -> Job:
@@ -225,6 +242,8 @@ def done(key: UUID, owner: str, answer: Mapping[str, Any]) -> bool:
             return False
         job = Job.objects.get(pk=key)
         results.enter(job, answer)
+        if job.visit is not None and job.visit.state == Visit.State.CHANGED:  # drawn while this was at work
+            enqueue(job.visit, job.created_by)
         _compare_after(job)
     return True
 
