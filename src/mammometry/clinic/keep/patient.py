@@ -147,8 +147,9 @@ def erase_bin(patient: Patient) -> int:
 
 
 def _erase_visits(patient: Patient, visits: list[Visit]) -> None:
-    Job.objects.filter(visit__in=visits, state=Job.State.QUEUED).update(state=Job.State.CANCELLED)
-    running = Job.objects.filter(visit__in=visits, state=Job.State.RUNNING, lease_until__gt=timezone.now())
+    jobs = Job.objects.filter(Q(visit__in=visits) | Q(comparison__after__in=visits) | Q(comparison__before__in=visits))
+    jobs.filter(state=Job.State.QUEUED).update(state=Job.State.CANCELLED)
+    running = jobs.filter(state=Job.State.RUNNING, lease_until__gt=timezone.now())
     if running.exists():
         remedy = "Cancel the job or wait until it ends, then repeat the command"
         raise ClinicError(patient.pseudonym, found="a visit that is being measured", expected="none", remedy=remedy)
