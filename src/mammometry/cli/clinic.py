@@ -90,6 +90,7 @@ def serve(
 ) -> Answer:
     """Serve the clinic until Ctrl-C."""
     from mammometry.clinic.config import read_config
+    from mammometry.clinic.server import require_free
     from mammometry.clinic.server import serve as run
 
     changes: dict[str, object] = {} if address is None else {"address": address}
@@ -99,6 +100,7 @@ def serve(
         tls = read_config(folder).tls
         changes["tls"] = tls.model_copy(update={"certificate": str(tls_certificate), "key": str(tls_key)})
     config = opened(folder, **changes)
+    require_free(config.address)
     scheme = "https" if config.tls.used else "http"
     print(f"{scheme}://{config.address}/ (Ctrl-C stops)", file=sys.stderr, flush=True)  # noqa: T201
     run(config, jobs=jobs)
@@ -134,8 +136,11 @@ def demo(
     Each was there at two dates. A demo that is there already is opened as it is.
     """
     from mammometry.clinic.jobs.process import beside
+    from mammometry.clinic.server import require_free
     from mammometry.clinic.server import serve as run
 
+    if serve:
+        require_free(address)
     table: dict[str, object] = {"clinic": str(folder)}
     lines: list[str] = []
     if (folder / "clinic.toml").is_file():
