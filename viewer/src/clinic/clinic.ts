@@ -3,6 +3,7 @@
 import htmx from "htmx.org";
 
 import { askFirst } from "./ask";
+import { closeMenus } from "./drop_down";
 import { postForms } from "./post";
 import { followJobs } from "./progress";
 import { takePhotographs } from "./uploads";
@@ -14,6 +15,7 @@ htmx.config.selfRequestsOnly = true;
 htmx.config.historyCacheSize = 0; // nothing of a patient stays in the browser
 
 askFirst();
+closeMenus();
 postForms();
 followJobs();
 takePhotographs();
