@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from mammometry.clinic.access import route
-from mammometry.clinic.roles import ADMINISTRATOR, CARE, CLINICIAN, EVERYBODY, RIGS, STUDY
+from mammometry.clinic.roles import CARE, CLINICIAN, EVERYBODY, RIGS, STUDY
 from mammometry.clinic.views import (
     clinical,
     compare,
@@ -14,7 +14,6 @@ from mammometry.clinic.views import (
     results,
     rigs,
     scans,
-    settings,
     study,
     today,
     visits,
@@ -90,15 +89,4 @@ PAGES = [
     route("study/cohort.csv", study.study_csv, name="study-csv", roles=STUDY),
     route("study/redcap.zip", exports.study_redcap, name="study-redcap", roles=STUDY),
     route("study/table.zip", exports.study_table, name="study-table", roles=STUDY),
-    route("archives/", deliveries.destinations, name="destinations", roles=ADMINISTRATOR),
-    route("archives/new/", deliveries.destination_new, name="destination-new", roles=ADMINISTRATOR),
-    route("archives/<uuid:destination>/", deliveries.destination_edit, name="destination-edit", roles=ADMINISTRATOR),
-    route(
-        "archives/<uuid:destination>/test/",
-        deliveries.destination_test,
-        name="destination-test",
-        roles=ADMINISTRATOR,
-        atomic=False,  # it waits for the archive
-    ),
-    route("settings/", settings.settings, name="settings", roles=ADMINISTRATOR),
 ]

@@ -31,6 +31,7 @@ from mammometry.clinic.models import (
     Measurement,
     Operation,
     Patient,
+    Person,
     Scan,
     Upload,
     Visit,
@@ -110,12 +111,17 @@ def export_patient(config: ClinicConfig, patient: Patient, target: Path) -> int:
     return number
 
 
-def erase_patient(config: ClinicConfig, patient: Patient) -> int:
+def erase_patient(config: ClinicConfig, patient: Patient, by: Person | None = None) -> int:
     """Erase one patient.
 
     Files, then rows. Killed in between, the same command goes on.
 
     What stays are the audit's entries, which hold the pseudonym and no name, and backups made before.
+
+    Args:
+        config: the open clinic.
+        patient: who is erased.
+        by: who does it on a page; None: a command.
 
     Returns:
         Number of visits erased.
@@ -153,7 +159,7 @@ def _erase_visits(patient: Patient, visits: list[Visit]) -> None:
     if running.exists():
         remedy = "Cancel the job or wait until it ends, then repeat the command"
         raise ClinicError(patient.pseudonym, found="a visit that is being measured", expected="none", remedy=remedy)
-    audit.record_command(patient, "erase")
+    audit.record_command(patient, "erase", by)
     for upload in Upload.objects.filter(visit__in=visits):
         for path in upload.path.parent.glob(f"{upload.id}*"):
             path.unlink(missing_ok=True)
