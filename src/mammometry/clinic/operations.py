@@ -78,7 +78,7 @@ def events(operations: Sequence[Operation]) -> list[Event]:
     return [
         Event(
             timezone.make_aware(datetime.datetime.combine(day, datetime.time(12))),
-            "; ".join(", ".join((one.get_kind_display(), one.get_side_display().lower())) for one in rows),
+            f"{day:%-d %b %Y}: " + "; ".join(f"{one.get_kind_display()}, {one.get_side_display().lower()}" for one in rows),
         )
         for day, rows in by_day.items()
     ]
