@@ -245,6 +245,7 @@ def export(folder: Folder, patient: Who, to: Target = None, json: Json = False, 
 def erase(
     folder: Folder,
     patient: Who,
+    binned: Annotated[bool, typer.Option("--bin", help="Only the patient's visits that lie in the bin.")] = False,
     yes: Annotated[bool, typer.Option("--yes", help="Erase without asking.")] = False,
     json: Json = False,
     verbose: Verbose = 0,
@@ -254,15 +255,22 @@ def erase(
     The audit keeps the pseudonym. Backups made before still hold the patient.
     """
     config = opened(folder)
-    from mammometry.clinic.keep.patient import erase_patient, find_patient
+    from mammometry.clinic.keep.patient import erase_bin, erase_patient, find_patient
+    from mammometry.clinic.models import Visit
 
     found = find_patient(patient)
     name = found.pseudonym
     if not yes:
-        typer.confirm(f"Erase {name} with {found.visits.count()} visits? It cannot be undone.", abort=True, err=True)
-    number = erase_patient(config, found)
+        visits = Visit.everything.filter(patient=found)
+        words = (
+            f"the {visits.exclude(binned_at=None).count()} visits of {name} in the bin"
+            if binned
+            else f"{name} with {visits.count()} visits"
+        )
+        typer.confirm(f"Erase {words}? It cannot be undone.", abort=True, err=True)
+    number = erase_bin(found) if binned else erase_patient(config, found)
     older = sorted(each.name for each in (config.folder / "backups").glob("*.tar"))
-    lines = [f"{name} is erased, with {number} visits."]
+    lines = [f"{number} visits of {name} are erased." if binned else f"{name} is erased, with {number} visits."]
     lines += [f"Still in the backups: {', '.join(older)}"] if older else []
     return Answer({"erased": name, "visits": number, "backups": older}, [*lines])
 

@@ -40,7 +40,7 @@ MASKED = {
     "Consent": ["note"],
     "Operation": ["words"],
     "Conclusion": ["text"],
-    "Correction": ["reason"],
+    "Correction": ["reason", "before", "after"],
 }
 """Fields of which the audit holds only that they changed: they tell who somebody is."""
 _ABOUT = {
@@ -102,7 +102,7 @@ def record_view(request: HttpRequest, response: HttpResponseBase, parameters: Ma
         return _enter_access(person, person, request, additional)
     model: type[Model] = apps.get_model("clinic", _ABOUT[named[-1]])
     key = parameters[named[-1]]
-    _enter_access(model._default_manager.filter(pk=key).first() or model(pk=key), person, request, additional)
+    _enter_access(model._base_manager.filter(pk=key).first() or model(pk=key), person, request, additional)
     return None
 
 

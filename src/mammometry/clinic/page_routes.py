@@ -70,7 +70,7 @@ PAGES = [
         audited=False,
     ),
     route("visits/<uuid:visit>/draw/save", results.save, name="draw-save", roles=CLINICIAN, body_bytes=_EDITOR_BYTES),
-    route("visits/<uuid:visit>/draw/confirm", results.confirm, name="draw-confirm", roles=CLINICIAN),
+    route("visits/<uuid:visit>/draw/finish", results.finish, name="draw-finish", roles=CLINICIAN),
     route("jobs/page/", visits.jobs, name="jobs-page", roles=CARE),
     route("rigs/", rigs.rigs, name="rigs", roles=_SEES_RIGS),
     route("rigs/new/", rigs.rig_new, name="rig-new", roles=RIGS),

@@ -17,10 +17,11 @@ from django.urls import URLPattern, URLResolver, include, path
 from mammometry.clinic.access import Access, mounted, route, set_up_route
 from mammometry.clinic.page_routes import PAGES
 from mammometry.clinic.roles import ADMINISTRATOR, ANYONE, CARE, EVERYBODY, RIGS
-from mammometry.clinic.views import capture, home, jobs, refusals, rigwork, uploads
+from mammometry.clinic.views import capture, home, jobs, refusals, rigwork, uploads, who
 
 ACCOUNTS = [
     route("account/login/", account.login, name="account_login", roles=ANYONE, atomic=False),
+    route("account/token/", who.token, name="account-token", roles=ANYONE, audited=False),
     route("account/logout/", account.logout, name="account_logout", roles=ANYONE),
     route("account/inactive/", account.account_inactive, name="account_inactive", roles=ANYONE),
     route("account/code/", mfa.authenticate, name="mfa_authenticate", roles=ANYONE),

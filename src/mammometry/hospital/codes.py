@@ -38,6 +38,15 @@ SIDES = MappingProxyType(
         "right": Coded(value="24028007", scheme="SCT", meaning="Right"),
     }
 )
+SITES = MappingProxyType(
+    {
+        "left": Coded(value="80248007", scheme="SCT", meaning="Left breast structure"),
+        "right": Coded(value="73056007", scheme="SCT", meaning="Right breast structure"),
+    }
+)
+CONCLUSIONS = Coded(value="121076", scheme="DCM", meaning="Conclusions")
+CONCLUSION = Coded(value="121077", scheme="DCM", meaning="Conclusion")
+PERSON = Coded(value="121008", scheme="DCM", meaning="Person Observer Name")
 UNITS = MappingProxyType(
     {
         "cm3": Coded(value="cm3", scheme="UCUM", meaning="cubic centimeter"),

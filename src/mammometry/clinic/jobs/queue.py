@@ -19,6 +19,7 @@ from django.utils import timezone
 
 from mammometry.clinic.jobs import results
 from mammometry.clinic.models import Calibration, DailyCheck, Job, Person, Visit
+from mammometry.io.subject import rename_subject
 
 LEASE_S = 45.0
 """A runner that says nothing for so long is taken for dead. It renews every third of it."""
@@ -61,12 +62,17 @@ def enqueue(target: Target, by: Person | None) -> Job:
     """Queue a computation for a visit, calibration or daily check.
 
     One that is open already is returned.
+
+    Raises:
+        StorageError: the disk is full or refuses.
     """
     kind, field = _KINDS[type(target)]
     about: dict[str, Any] = {field: target}
     open_one = Job.objects.filter(**about, state__in=OPEN).first()
     if open_one is not None:
         return open_one
+    if isinstance(target, Visit):
+        carry_subject(target)
     try:
         with transaction.atomic():
             job = Job.objects.create(**about, kind=kind, created_by=by)
@@ -74,6 +80,17 @@ def enqueue(target: Target, by: Person | None) -> Job:
     except IntegrityError:  # somebody else queued it at this moment
         return Job.objects.get(**about, state__in=OPEN)
     return job
+
+
+def carry_subject(visit: Visit) -> None:
+    """Let a visit's folder name its patient by pseudonym, and its day, after either was corrected.
+
+    Results that name another patient are dropped.
+
+    Raises:
+        StorageError: the disk is full or refuses.
+    """
+    rename_subject(visit.folder, visit.patient.pseudonym, timezone.localdate(visit.taken_at))
 
 
 def retry(job: Job, by: Person | None) -> Job:
@@ -211,7 +228,10 @@ def done(key: UUID, owner: str, answer: Mapping[str, Any]) -> bool:
             state=Job.State.DONE, fraction=1.0, stage="", digest=answer["digest"], ended=timezone.now(), exit_code=0
         ):
             return False
-        results.enter(Job.objects.get(pk=key), answer)
+        job = Job.objects.get(pk=key)
+        results.enter(job, answer)
+        if job.visit is not None and job.visit.state == Visit.State.CHANGED:  # drawn while this was at work
+            enqueue(job.visit, job.created_by)
     return True
 
 

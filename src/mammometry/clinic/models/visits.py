@@ -7,7 +7,7 @@ from pathlib import Path
 from django.conf import settings
 from django.db import models
 
-from mammometry.clinic.models.keyed import Keyed
+from mammometry.clinic.models.keyed import InUse, Keyed
 from mammometry.clinic.models.patients import Patient
 from mammometry.clinic.models.rigs import Calibration, DailyCheck, Rig
 from mammometry.clinic.site import the_clinic
@@ -70,6 +70,10 @@ class Visit(Keyed):
     """When it was put into the bin. None: it is in use."""
     created = models.DateTimeField(auto_now_add=True)
     created_by = models.ForeignKey(settings.AUTH_USER_MODEL, null=True, on_delete=models.PROTECT, related_name="+")
+
+    objects = InUse["Visit"]()
+    everything = models.Manager()
+    """Those in the bin, too."""
 
     class Meta:
         ordering = ("-taken_at",)
