@@ -19,7 +19,7 @@ from mammometry.clinic import deliveries
 from mammometry.clinic.models import Visit
 from mammometry.clinic.reports import report_file
 from mammometry.clinic.site import the_clinic
-from mammometry.clinic.views.study import asked_visits
+from mammometry.clinic.views.study import asked_visits, without_consent
 
 if TYPE_CHECKING:
     from mammometry.hospital.fhir import Release
@@ -87,6 +87,10 @@ def _study(request: HttpRequest, tables: Callable[[Any], dict[str, bytes]], kind
         except MammometryError as error:
             day = timezone.localtime(visit.taken_at).date().isoformat()
             left_out.append((visit.patient.pseudonym, day, error.found))
+    refused = without_consent(request)
+    if visits := refused.count():
+        patients = refused.values("patient").distinct().count()
+        left_out.append(("", "", f"no consent to research holds: {visits} visits of {patients} patients"))
     try:
         made = tables(sessions)
     except MammometryError as error:
