@@ -141,7 +141,7 @@ def spend(command: list[str]) -> float:
                 raise DayOneError(f"{path} answers the {role} with status {status}")
         _wait_for_a_report(people["clinician"])
     except BaseException:
-        print(clinic.output, file=sys.stderr)
+        sys.stderr.write(f"{clinic.output}\n")
         raise
     finally:
         clinic.stop()
@@ -172,9 +172,9 @@ def main() -> int:
     try:
         seconds = spend(sys.argv[1:])
     except DayOneError as error:
-        print(f"{' '.join(sys.argv[1:])}: {error}", file=sys.stderr)
+        sys.stderr.write(f"{' '.join(sys.argv[1:])}: {error}\n")
         return 1
-    print(f"{' '.join(sys.argv[1:])}: each role logged in, a visit measured, stopped; {seconds:.0f} s")
+    sys.stdout.write(f"{' '.join(sys.argv[1:])}: each role logged in, a visit measured, stopped; {seconds:.0f} s\n")
     return 0
 
 

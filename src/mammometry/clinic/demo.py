@@ -66,6 +66,8 @@ class VirtualPatient:
     """Of the simulation."""
     dates: tuple[tuple[int, str], ...]
     """Days before today, and what is other at that date: disturbances of the simulation."""
+    operations: tuple[tuple[int, str, str], ...] = ()
+    """Days before today, kind and side."""
 
 
 PATIENTS = (
@@ -82,6 +84,7 @@ PATIENTS = (
         born="1966-10-02",
         subject="torso_2",
         dates=((60, ""), (2, "removed=right")),
+        operations=((44, "mastectomy", "right"),),
     ),
     VirtualPatient(
         family_name="Demo-Celik",
@@ -294,7 +297,7 @@ def _enter_visits(calibration: Calibration) -> list[Visit]:
     """All patients and their visits, which wait for their photographs."""
     from django.utils import timezone
 
-    from mammometry.clinic.models import Patient, Visit
+    from mammometry.clinic.models import Consent, Operation, Patient, Visit
 
     made = []
     for place, each in enumerate(PATIENTS):
@@ -304,6 +307,12 @@ def _enter_visits(calibration: Calibration) -> list[Visit]:
             born=each.born,
             record_number=_record_number(place),
         )
+        first = timezone.localdate() - datetime.timedelta(days=each.dates[0][0])
+        for purpose in Consent.Purpose:
+            Consent.objects.create(patient=patient, purpose=purpose, given_on=first)
+        for days, kind, side in each.operations:
+            day = timezone.localdate() - datetime.timedelta(days=days)
+            Operation.objects.create(patient=patient, kind=kind, side=side, day=day)
         for number, (days, _) in enumerate(each.dates):
             made.append(
                 Visit.objects.create(

@@ -13,7 +13,7 @@ from django.utils import timezone
 
 from mammometry.clinic.charts import Reading, round_levels, time_line
 from mammometry.clinic.config import ClinicConfig
-from mammometry.clinic.models import Drawing, Measurement, Patient, Person, Rig, Visit, Volume
+from mammometry.clinic.models import Consent, Drawing, Measurement, Patient, Person, Rig, Visit, Volume
 from mammometry.clinic.results import age
 from mammometry.clinic.roles import Role
 from mammometry.clinic.views.patients import search
@@ -45,9 +45,11 @@ def rig(clinic: ClinicConfig) -> Rig:
 
 @pytest.fixture
 def patient(clinic: ClinicConfig) -> Patient:
-    return Patient.objects.create(
+    patient = Patient.objects.create(
         family_name="Zypernkatze", given_name="Quirina", record_number="KIS-4711", born="1980-02-29"
     )
+    Consent.objects.create(patient=patient, purpose="research", given_on=NOON.date())
+    return patient
 
 
 # --- numbers and pictures ---

@@ -130,7 +130,7 @@ def erase_patient(config: ClinicConfig, patient: Patient, by: Person | None = No
         ClinicError: one of the patient's visits is being measured.
     """
     visits = list(Visit.everything.filter(patient=patient))
-    _erase_visits(patient, visits)
+    _erase_visits(patient, visits, by)
     with transaction.atomic():
         patient.delete()
     _overwrite()
@@ -152,7 +152,7 @@ def erase_bin(patient: Patient) -> int:
     return len(visits)
 
 
-def _erase_visits(patient: Patient, visits: list[Visit]) -> None:
+def _erase_visits(patient: Patient, visits: list[Visit], by: Person | None = None) -> None:
     jobs = Job.objects.filter(Q(visit__in=visits) | Q(comparison__after__in=visits) | Q(comparison__before__in=visits))
     jobs.filter(state=Job.State.QUEUED).update(state=Job.State.CANCELLED)
     running = jobs.filter(state=Job.State.RUNNING, lease_until__gt=timezone.now())

@@ -114,8 +114,8 @@ def chip(state: str) -> dict[str, str]:
 
 @register.filter
 def on_pages(sentence: str) -> str:
-    """A sentence of the report with the clinic's page in place of a command."""
-    return sentence.replace("`mammometry edit`", "the page of boundaries, which clinicians open")
+    """A sentence of the report with the clinic's page in place of a command, and who opens it."""
+    return sentence.replace("with `mammometry edit`", "(a clinician, on the page of boundaries)")
 
 
 @register.filter
