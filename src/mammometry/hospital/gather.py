@@ -198,10 +198,12 @@ def _report(job: Job, deidentify: bool) -> bytes:
 
 def quantities(measured: Sequence[VolumeMeasurement], plan: MeasuredPlan) -> tuple[Quantity, ...]:
     """All measured numbers, under the names that every export uses."""
-    return (*_volumes(measured), *_sizes(plan))
+    sizes = None if plan.dimensions is None else plan.dimensions()
+    return (*_volumes(measured, sizes), *_sizes(sizes))
 
 
-def _volumes(measured: Sequence[VolumeMeasurement]) -> Iterator[Quantity]:
+def _volumes(measured: Sequence[VolumeMeasurement], sizes: Dimensions | None) -> Iterator[Quantity]:
+    projection_sigmas = {} if sizes is None else {shape.name: shape.projection_sigma_mm for shape in sizes.shapes}
     for each in measured:
         side: Side = each.name
         about: dict[str, Any] = {"boundary": each.boundary_method}
@@ -218,7 +220,7 @@ def _volumes(measured: Sequence[VolumeMeasurement]) -> Iterator[Quantity]:
             )  # fmt: skip
         yield Quantity(
             code="projection", title="Projection", side=side, value=each.projection_mm, unit="mm",
-            method="plane-distance", boundary=each.boundary_method,
+            sigma=projection_sigmas.get(each.name), method="plane-distance", boundary=each.boundary_method,
         )  # fmt: skip
         for code, title, value in (
             ("skin_area", "Skin within the boundary", each.area_cm2),
@@ -227,12 +229,10 @@ def _volumes(measured: Sequence[VolumeMeasurement]) -> Iterator[Quantity]:
             yield Quantity(code=code, title=title, side=side, value=value, unit="cm2", method="mesh-area", **about)
 
 
-def _sizes(plan: MeasuredPlan) -> Iterator[Quantity]:
-    product = plan.dimensions
-    found: Dimensions | None = None if product is None else product()
-    if found is None:
+def _sizes(sizes: Dimensions | None) -> Iterator[Quantity]:
+    if sizes is None:
         return
-    for each in found.lengths:
+    for each in sizes.lengths:
         name, side = _sided(each.name)
         ways = (
             ("straight", "straight", each.straight_mm, each.straight_sigma_mm),
@@ -244,7 +244,15 @@ def _sizes(plan: MeasuredPlan) -> Iterator[Quantity]:
                     code=f"{_plain(name)}_{code}", title=f"{_without_side(each.title, side)}, {words}", side=side,
                     value=value, unit="mm", sigma=sigma, method=code.replace("_", "-"),
                 )  # fmt: skip
-    for shape in found.shapes:
+    for shape in sizes.shapes:
+        for code, title, value in (
+            ("base_width", "Base width", shape.base_width_mm),
+            ("base_height", "Base height", shape.base_height_mm),
+        ):
+            yield Quantity(
+                code=code, title=title, side=shape.name, value=value, unit="mm", sigma=shape.base_sigma_mm,
+                method="extent",
+            )  # fmt: skip
         ways_cc = (
             ("upper_pole", "Volume above the nipple's level", shape.above_nipple_cc),
             ("lower_pole", "Volume below the nipple's level", shape.below_nipple_cc),
@@ -255,7 +263,7 @@ def _sizes(plan: MeasuredPlan) -> Iterator[Quantity]:
                     code=code, title=title, side=shape.name, value=volume, unit="cm3", sigma=shape.pole_sigma_cc,
                     method="level-cut",
                 )  # fmt: skip
-    for sunk in found.ptosis:
+    for sunk in sizes.ptosis:
         _, side = _sided(sunk.name)
         yield Quantity(
             code="nipple_below_fold", title="Nipple below the fold", side=side, value=sunk.nipple_below_fold_mm,

@@ -18,6 +18,7 @@ from django.utils import timezone
 from mammometry.base.csv_cells import CsvWriter
 from mammometry.clinic import results
 from mammometry.clinic.confirmations import CHANGED, confirmation_of, is_changed
+from mammometry.clinic.consents import research_consent
 from mammometry.clinic.models import Visit
 from mammometry.study.agreement import LEAST_SUBJECTS, PairedMeasurements, agreement
 
@@ -90,6 +91,8 @@ def study(request: HttpRequest) -> HttpResponse:
         "pairs": len(pairs),
         "least": LEAST_SUBJECTS,
         "within": within_days,
+        "left_out": without_consent(request).count(),
+        "left_out_patients": without_consent(request).values("patient").distinct().count(),
         "asked": request.GET,
         "query": request.GET.urlencode(),
     }
@@ -158,7 +161,18 @@ def repeated(rows: list[Row], within_days: int) -> list[tuple[str, float, float]
     return list(pairs.values())
 
 
+def without_consent(request: HttpRequest) -> QuerySet[Visit]:
+    """Measured visits of the asked time that are left out: no consent to research holds."""
+    visits = _asked(_from(request), _until(request), confirmed="confirmed" in request.GET)
+    return visits.filter(~research_consent(), measurements__isnull=False).distinct()
+
+
 def _between(begin: datetime.date | None, end: datetime.date | None, *, confirmed: bool) -> QuerySet[Visit]:
+    """Visits of patients whose consent to research holds."""
+    return _asked(begin, end, confirmed=confirmed).filter(research_consent())
+
+
+def _asked(begin: datetime.date | None, end: datetime.date | None, *, confirmed: bool) -> QuerySet[Visit]:
     visits = Visit.objects.filter(subject_kind=Visit.Subject.TORSO)
     if begin is not None:
         visits = visits.filter(taken_at__gte=_midnight(begin))

@@ -100,7 +100,9 @@ def visit_delete(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
 
 def jobs(request: HttpRequest) -> HttpResponse:
     """What is being computed, what waits, and how the last ones ended."""
-    all_jobs = Job.objects.select_related("visit__patient", "calibration__rig", "check_of_day__rig")
+    all_jobs = Job.objects.select_related(
+        "visit__patient", "comparison__before", "comparison__after__patient", "calibration__rig", "check_of_day__rig"
+    )
     context = {
         "open": list(all_jobs.filter(state__in=OPEN).order_by("created")),
         "ended": list(all_jobs.exclude(state__in=OPEN).order_by("-ended", "-created")[:50]),
