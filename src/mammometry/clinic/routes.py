@@ -79,6 +79,7 @@ WORK = [
         audited=False,
     ),
     route("uploads/<uuid:upload>/place/", uploads.place, name="upload-place", roles=PHOTOGRAPHS, atomic=False),
+    route("uploads/<uuid:upload>/back/", uploads.back, name="upload-back", roles=PHOTOGRAPHS, atomic=False),
     route("uploads/<uuid:upload>/thumbnail/", uploads.thumbnail, name="upload-thumbnail", roles=PHOTOGRAPHS),
     route("visits/<uuid:visit>/uploads/", uploads.of_visit, name="visit-uploads", roles=CARE, audited=False),
     route(

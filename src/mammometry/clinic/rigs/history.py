@@ -94,6 +94,7 @@ def may_queue(target: Visit | Calibration | DailyCheck, *, anyway: bool = False)
     A visit takes its rig's current calibration when it is queued first, and keeps it.
     """
     from mammometry.clinic.intake.uploads import state_of
+    from mammometry.clinic.records.duplicates import elsewhere, same_photographs
     from mammometry.io.scans import is_scan
 
     if Job.objects.filter(_about(target), state__in=(Job.State.QUEUED, Job.State.RUNNING)).exists():
@@ -117,6 +118,8 @@ def may_queue(target: Visit | Calibration | DailyCheck, *, anyway: bool = False)
         said = [each["sentence"] for each in state["together"] if each["level"] == "refuse"]
         missing = f"Photographs are missing: {', '.join(state['missing'])}." if state["missing"] else ""
         return " ".join(filter(None, [missing, *said])) or "This rig has no cameras. Describe it first."
+    if isinstance(target, Visit) and not anyway:
+        return " ".join(elsewhere(other, cameras) for other, cameras in same_photographs(target)) or None
     return None
 
 

@@ -32,7 +32,7 @@ def today(request: HttpRequest) -> HttpResponse:
     all_visits = Visit.objects.select_related("patient", "rig").prefetch_related("measurements__volumes")
     visits = list(all_visits.filter(taken_at__gte=begin, taken_at__lt=begin + datetime.timedelta(days=1))[:_MANY])
     earlier = all_visits.filter(taken_at__lt=begin)
-    unfinished = list(earlier.filter(state__in=("new", "uploading", "ready", "queued", "refused"))[:_MANY])
+    unfinished = list(earlier.filter(state__in=("new", "uploading", "ready", "queued", "changed", "refused"))[:_MANY])
     to_confirm = list(earlier.filter(state="measured", rig__isnull=False)[:_MANY])
     request.shown = [each.id for each in (*visits, *unfinished, *to_confirm)]  # type: ignore[attr-defined]
     rigs = [(rig, verdict_of(rig)) for rig in Rig.objects.filter(active=True)]
