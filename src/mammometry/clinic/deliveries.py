@@ -17,7 +17,7 @@ from django.utils import timezone
 from mammometry.base.errors import MammometryError, SessionError
 from mammometry.clinic.config import ClinicConfig
 from mammometry.clinic.models import Delivery, Destination, Patient, Person, Visit, VisitOrder
-from mammometry.hospital.exported import Exported, Order
+from mammometry.hospital.exported import Exported, Order, plain_name
 from mammometry.hospital.exported import Patient as PatientModule
 from mammometry.hospital.extra import require
 from mammometry.hospital.peers import Peer, Tls
@@ -111,7 +111,7 @@ def deliver(config: ClinicConfig, delivery: Delivery) -> None:
 
 def patient_module(patient: Patient) -> PatientModule:
     """A patient as the hospital's systems call him or her."""
-    name = f"{_plain(patient.family_name)}^{_plain(patient.given_name)}"
+    name = f"{plain_name(patient.family_name)}^{plain_name(patient.given_name)}"
     return PatientModule(id=patient.record_number, name=name, born=patient.born)
 
 
@@ -253,8 +253,3 @@ def tls_of(destination: Destination) -> Tls | None:
     )
     authorities, certificate, key = files
     return Tls(authorities=authorities, certificate=certificate, key=key)
-
-
-def _plain(name: str) -> str:
-    """A name without what separates parts of a name in DICOM."""
-    return " ".join(name.replace("^", " ").replace("=", " ").replace("\\", " ").split())

@@ -92,7 +92,7 @@ class VisitForm(_VisitForm):
         rig, kind = (self.fields[name] for name in ("rig", "subject_kind"))
         assert isinstance(rig, forms.ModelChoiceField)
         assert isinstance(kind, forms.ChoiceField)
-        rig.empty_label, rig.required = "Choose", True
+        rig.empty_label = "Choose"
         rigs = list(Rig.objects.filter(active=True)[:2])
         rig.queryset = Rig.objects.filter(active=True)
         if len(rigs) == 1:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from mammometry.clinic.access import route
 from mammometry.clinic.roles import ADMINISTRATOR, CARE, CLINICIAN, EVERYBODY, RIGS, STUDY
 from mammometry.clinic.views import (
+    clinical,
     compare,
     corrections,
     deliveries,
@@ -41,6 +42,11 @@ PAGES = [
         name="compare-page",
         roles=CLINICIAN,
     ),
+    route("patients/<uuid:patient>/operations/new/", clinical.operation_new, name="operation-new", roles=CARE),
+    route("operations/<uuid:operation>/edit/", clinical.operation_edit, name="operation-edit", roles=CARE),
+    route("operations/<uuid:operation>/remove/", clinical.operation_remove, name="operation-remove", roles=CARE),
+    route("patients/<uuid:patient>/consents/new/", clinical.consent_new, name="consent-new", roles=CARE),
+    route("consents/<uuid:consent>/edit/", clinical.consent_edit, name="consent-edit", roles=CARE),
     route("visits/new/", visits.visit_new, name="visit-new", roles=CARE),
     route("visits/scan/", scans.scan_new, name="scan-new", roles=CARE, body_bytes=scans.BODY_BYTES, atomic=False),
     route("worklist/", worklist.worklist, name="worklist", roles=CARE),
@@ -50,6 +56,8 @@ PAGES = [
     route("visits/<uuid:visit>/bin/", corrections.visit_bin, name="visit-bin", roles=CARE),
     route("corrections/", corrections.corrections, name="corrections", roles=CARE | ADMINISTRATOR),
     route("corrections/<uuid:correction>/undo/", corrections.correction_undo, name="correction-undo", roles=CARE),
+    route("visits/<uuid:visit>/circumstances/", clinical.circumstances, name="circumstances", roles=CARE),
+    route("visits/<uuid:visit>/conclusion/", clinical.conclude, name="conclude", roles=CLINICIAN),
     route("visits/<uuid:visit>/report/", results.report, name="report", roles=CARE),
     route("visits/<uuid:visit>/report.pdf", results.report_pdf, name="report-pdf", roles=CARE),
     route("visits/<uuid:visit>/send/", deliveries.visit_send, name="visit-send", roles=CLINICIAN),
@@ -70,7 +78,7 @@ PAGES = [
         audited=False,
     ),
     route("visits/<uuid:visit>/draw/save", results.save, name="draw-save", roles=CLINICIAN, body_bytes=_EDITOR_BYTES),
-    route("visits/<uuid:visit>/draw/confirm", results.confirm, name="draw-confirm", roles=CLINICIAN),
+    route("visits/<uuid:visit>/draw/finish", results.finish, name="draw-finish", roles=CLINICIAN),
     route("jobs/page/", visits.jobs, name="jobs-page", roles=CARE),
     route("rigs/", rigs.rigs, name="rigs", roles=_SEES_RIGS),
     route("rigs/new/", rigs.rig_new, name="rig-new", roles=RIGS),

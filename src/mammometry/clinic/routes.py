@@ -17,10 +17,11 @@ from django.urls import URLPattern, URLResolver, include, path
 from mammometry.clinic.access import Access, mounted, route, set_up_route
 from mammometry.clinic.page_routes import PAGES
 from mammometry.clinic.roles import ADMINISTRATOR, ANYONE, CARE, EVERYBODY, RIGS
-from mammometry.clinic.views import capture, home, jobs, refusals, rigwork, uploads
+from mammometry.clinic.views import capture, home, jobs, refusals, rigwork, uploads, who
 
 ACCOUNTS = [
     route("account/login/", account.login, name="account_login", roles=ANYONE, atomic=False),
+    route("account/token/", who.token, name="account-token", roles=ANYONE, audited=False),
     route("account/logout/", account.logout, name="account_logout", roles=ANYONE),
     route("account/inactive/", account.account_inactive, name="account_inactive", roles=ANYONE),
     route("account/code/", mfa.authenticate, name="mfa_authenticate", roles=ANYONE),
@@ -80,7 +81,13 @@ WORK = [
     ),
     route("uploads/<uuid:upload>/place/", uploads.place, name="upload-place", roles=PHOTOGRAPHS, atomic=False),
     route("uploads/<uuid:upload>/back/", uploads.back, name="upload-back", roles=PHOTOGRAPHS, atomic=False),
-    route("uploads/<uuid:upload>/thumbnail/", uploads.thumbnail, name="upload-thumbnail", roles=PHOTOGRAPHS),
+    route(
+        "uploads/<uuid:upload>/thumbnail/",
+        uploads.thumbnail,
+        name="upload-thumbnail",
+        roles=PHOTOGRAPHS,
+        audited=False,  # the page that shows it is an entry
+    ),
     route("visits/<uuid:visit>/uploads/", uploads.of_visit, name="visit-uploads", roles=CARE, audited=False),
     route(
         "calibrations/<uuid:calibration>/uploads/",

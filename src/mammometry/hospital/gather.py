@@ -59,7 +59,7 @@ def gather(job: Job, *, deidentify: bool = False, parts: Sequence[Part] = _PARTS
         made=None if deidentify or made is None else datetime.datetime.fromisoformat(made),
         software=mammometry.__version__,
         source=_source(job, deidentify),
-        quantities=(*_volumes(measured), *_sizes(job.plan.measured)),
+        quantities=quantities(measured, job.plan.measured),
         absent=tuple(_absent(side) for side in _absent_sides(job.plan.measured)),
         report_pdf=_report(job, deidentify) if "pdf" in parts else None,
         models=() if atlas is None else tuple(_models(measured, atlas.mesh)),
@@ -96,7 +96,7 @@ def gather_scan(
         made=None if deidentify or made is None else datetime.datetime.fromisoformat(made),
         software=mammometry.__version__,
         source=_source_of_scan(job, measured, deidentify),
-        quantities=(*_volumes(measured), *_sizes(job.plan)),
+        quantities=quantities(measured, job.plan),
         absent=tuple(_absent(side) for side in _absent_sides(job.plan)),
         report_pdf=job.store.files(job.report_key)[_document()] if "pdf" in parts and not deidentify else None,
         models=tuple(_models(measured, job.finished.repaired.mesh)) if "models" in parts else (),
@@ -165,6 +165,11 @@ def _report(job: Job, deidentify: bool) -> bytes:
         from mammometry.report.privacy import Privacy
 
         return (job.share(Path(folder), Privacy(deidentify=True, geometry_only=True)).parent / _document()).read_bytes()
+
+
+def quantities(measured: Sequence[VolumeMeasurement], plan: MeasuredPlan) -> tuple[Quantity, ...]:
+    """All measured numbers, under the names that every export uses."""
+    return (*_volumes(measured), *_sizes(plan))
 
 
 def _volumes(measured: Sequence[VolumeMeasurement]) -> Iterator[Quantity]:

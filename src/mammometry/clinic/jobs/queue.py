@@ -228,7 +228,10 @@ def done(key: UUID, owner: str, answer: Mapping[str, Any]) -> bool:
             state=Job.State.DONE, fraction=1.0, stage="", digest=answer["digest"], ended=timezone.now(), exit_code=0
         ):
             return False
-        results.enter(Job.objects.get(pk=key), answer)
+        job = Job.objects.get(pk=key)
+        results.enter(job, answer)
+        if job.visit is not None and job.visit.state == Visit.State.CHANGED:  # drawn while this was at work
+            enqueue(job.visit, job.created_by)
     return True
 
 

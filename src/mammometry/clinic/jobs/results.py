@@ -13,7 +13,8 @@ from typing import Any
 
 from django.utils import timezone
 
-from mammometry.clinic.models import Calibration, DailyCheck, Job, Measurement, Upload, Visit, Volume
+from mammometry.clinic.confirmations import has_unmeasured_drawing, settled_state
+from mammometry.clinic.models import Calibration, DailyCheck, Job, Measurement, Visit, Volume
 
 _VERDICTS = {
     "unmoved": "No camera has moved.",
@@ -43,12 +44,7 @@ def begun(target: Visit | Calibration | DailyCheck) -> None:
 def cancelled(target: Visit | Calibration | DailyCheck) -> None:
     """Its job was cancelled: it is as before."""
     if isinstance(target, Visit):
-        newest = target.measurements.first()
-        if newest is None:
-            target.state = Visit.State.READY
-        else:
-            placed = target.uploads.filter(state=Upload.State.PLACED, created__gt=newest.made_at)
-            target.state = Visit.State.CHANGED if placed.exists() else Visit.State.MEASURED
+        target.state = settled_state(target)
         target.save(update_fields=["state"])
     elif isinstance(target, Calibration):
         target.state = Calibration.State.UPLOADING
@@ -58,7 +54,7 @@ def cancelled(target: Visit | Calibration | DailyCheck) -> None:
 def failed(target: Visit | Calibration | DailyCheck, message: str) -> None:
     """Its job failed."""
     if isinstance(target, Visit):
-        target.state = Visit.State.REFUSED
+        target.state = Visit.State.CHANGED if has_unmeasured_drawing(target) else Visit.State.REFUSED
         target.save(update_fields=["state"])
     elif isinstance(target, Calibration):
         target.state, target.verdict = Calibration.State.FAILED, message[:_LONGEST]
@@ -79,15 +75,17 @@ def enter(job: Job, answer: Mapping[str, Any]) -> None:
 
 
 def _measured(job: Job, visit: Visit, answer: Mapping[str, Any]) -> None:
-    """Add a measurement, unless the visit's newest one is the same."""
+    """Add a measurement, unless the visit's newest one is the same, whose confirmation then stays."""
+    Visit.objects.select_for_update().get(pk=visit.pk)  # what is drawn at this moment is seen, or sees this
     newest = visit.measurements.order_by("-made_at").first()
     if newest is None or newest.digest != answer["digest"]:
         made_at = datetime.datetime.fromisoformat(answer["made_at"]) if answer.get("made_at") else timezone.now()
         measurement = Measurement.objects.create(
-            visit=visit, job=job, digest=answer["digest"], made_at=made_at, software=answer["software"]
-        )
+            visit=visit, job=job, digest=answer["digest"], made_at=made_at, software=answer["software"],
+            curves=answer.get("curves", {}), quantities=answer.get("quantities", []),
+        )  # fmt: skip
         Volume.objects.bulk_create(Volume(measurement=measurement, **row) for row in answer["volumes"])
-    visit.state = Visit.State.MEASURED
+    visit.state = settled_state(visit)
     visit.save(update_fields=["state"])
 
 

@@ -10,8 +10,11 @@ from django.shortcuts import get_object_or_404, redirect, render
 from django.utils import timezone
 
 from mammometry.clinic import results
+from mammometry.clinic.clinical_facts import operation_details
+from mammometry.clinic.consents import holds
 from mammometry.clinic.forms import PatientForm
-from mammometry.clinic.models import Patient
+from mammometry.clinic.models import Consent, Patient
+from mammometry.clinic.operations import events, phase_of, retentions
 from mammometry.clinic.views.choose import is_part, search_context
 
 
@@ -22,18 +25,23 @@ def patients(request: HttpRequest) -> HttpResponse:
 
 
 def patient(request: HttpRequest, patient: uuid.UUID) -> HttpResponse:
-    """One patient: volumes over time, changes, visits."""
+    """One patient: volumes over time, visits, changes, operations, consents."""
     person = get_object_or_404(Patient, pk=patient)
     visits = list(person.visits.select_related("rig").prefetch_related("measurements__volumes"))
+    operations = list(person.operations.select_related("entered_by"))
     found = results.latest(visits)
     by_visit = {result.visit.id: result for result in found}
     context = {
         "patient": person,
-        "age": results.age(person.born, timezone.localdate()),
-        "visits": [(visit, by_visit.get(visit.id)) for visit in visits],
+        "visits": [(visit, by_visit.get(visit.id), phase_of(visit, operations)) for visit in visits],
         "measured": [result.visit for result in found if _is_compared(result)],
         "readings": results.readings(found),
+        "events": events(operations),
         "steps": results.steps(found),
+        "operations": [(operation, ", ".join(operation_details(operation))) for operation in operations],
+        "retentions": retentions(operations, found),
+        "consents": person.consents.select_related("entered_by"),
+        "lacking": [purpose for purpose in Consent.Purpose if not holds(person, purpose)],
     }
     return render(request, "clinic/patient.html", context)
 

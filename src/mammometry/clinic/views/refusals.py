@@ -8,11 +8,12 @@ from django.http import HttpRequest, HttpResponse, JsonResponse
 from django.shortcuts import render
 from django.template.loader import render_to_string
 
+from mammometry.clinic.access import is_program
 from mammometry.clinic.site import the_clinic
 
 
 def _page(request: HttpRequest, status: int, title: str, sentence: str) -> HttpResponse:
-    if request.headers.get("Accept", "").startswith("application/json"):
+    if is_program(request):
         return JsonResponse({"error": sentence}, status=status)
     return render(request, "clinic/refusal.html", {"title": title, "sentence": sentence}, status=status)
 
@@ -39,6 +40,8 @@ def broken(request: HttpRequest) -> HttpResponse:
     So the page asks nothing of it, not even who is logged in.
     """
     sentence = "Something went wrong on our side. It is in the log. Nothing that was saved is lost."
+    if is_program(request):
+        return JsonResponse({"error": sentence}, status=500)
     about = {"title": "A defect", "sentence": sentence, "clinic_name": the_clinic().name}
     return HttpResponse(render_to_string("clinic/refusal.html", about), status=500)
 
@@ -46,9 +49,12 @@ def broken(request: HttpRequest) -> HttpResponse:
 def forged(request: HttpRequest, reason: str = "") -> HttpResponse:
     """403: a form without a valid token.
 
-    It is from another site or from before the last login.
+    It is from another site or from before the last login. A script gets a new token (`account-token`) and repeats.
     """
-    return _page(request, 403, "This form is out of date", "Load the page again and repeat what you did.")
+    sentence = "Load the page again and repeat what you did."
+    if is_program(request):
+        return JsonResponse({"error": f"This page is out of date. {sentence}", "stale": True}, status=403)
+    return _page(request, 403, "This form is out of date", sentence)
 
 
 def locked_out(request: HttpRequest, response: Any = None, credentials: Any = None, *_: Any) -> HttpResponse:
