@@ -93,8 +93,11 @@ def visit_move(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
     if row.conclusions.exists():
         warnings.append("The visit has a signed conclusion. Read whether it still holds.")
     form = ReasonForm(request.POST or None)
+    context |= {
+        "chosen": patient, "chosen_role": "Moves to", "facts": facts, "warnings": warnings, "act": "Move the visit",
+    }  # fmt: skip
     return _carried_out(
-        request, form, {**context, "chosen": patient, "facts": facts, "warnings": warnings, "act": "Move the visit"},
+        request, form, context,
         lambda: records.move(row, patient, form.cleaned_data["reason"], person_of(request)),
         f"The visit is {patient.name}’s now.", reverse("visit", args=[row.pk]),
     )  # fmt: skip
@@ -149,8 +152,12 @@ def patient_merge(request: HttpRequest, patient: uuid.UUID) -> HttpResponse:
         number_of = other if form.cleaned_data["number"] == str(other.pk) else kept
         records.merge(kept, other, number_of, form.cleaned_data["reason"], person_of(request))
 
+    context |= {
+        "chosen": other, "chosen_role": "Goes into this record", "chosen_other": "Another record", "facts": facts,
+        "act": "Merge the records",
+    }  # fmt: skip
     return _carried_out(
-        request, form, {**context, "chosen": other, "facts": facts, "act": "Merge the records"}, merge,
+        request, form, context, merge,
         "The two records are one.", reverse("patient", args=[kept.pk]),
     )  # fmt: skip
 
