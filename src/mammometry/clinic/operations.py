@@ -78,10 +78,14 @@ def events(operations: Sequence[Operation]) -> list[Event]:
     return [
         Event(
             timezone.make_aware(datetime.datetime.combine(day, datetime.time(12))),
-            "; ".join(", ".join((one.get_kind_display(), one.get_side_display().lower())) for one in rows),
+            f"{day:%-d %b %Y}: {'; '.join(_short(operation) for operation in rows)}",
         )
         for day, rows in by_day.items()
     ]
+
+
+def _short(operation: Operation) -> str:
+    return f"{operation.get_kind_display()}, {operation.get_side_display().lower()}"
 
 
 def retentions(operations: Sequence[Operation], results: Sequence[VisitResult]) -> list[Retention]:

@@ -79,6 +79,7 @@ METHODS = MappingProxyType(
         "level-cut": "Closed mesh cut at the level of the nipple",
         "mesh-area": "Area of a mesh",
         "plane-distance": "Greatest distance from the boundary's best plane",
+        "extent": "Straight distance between the outermost points of the boundary",
         "straight": "Straight distance between two landmarks",
         "along-skin": "Distance along the skin between two landmarks",
         "height": "Difference in height",

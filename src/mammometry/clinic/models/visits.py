@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 from django.conf import settings
 from django.db import models
@@ -81,6 +82,12 @@ class Visit(Keyed):
     def __str__(self) -> str:
         return f"{self.patient.pseudonym}, {self.taken_at:%Y-%m-%d}"
 
+    def save(self, *args: Any, **options: Any) -> None:
+        """Save. A new visit of a patient has the posture of its device, where nobody said another."""
+        if self._state.adding and not self.posture and self.subject_kind == Visit.Subject.TORSO:
+            self.posture = Visit.Posture.STANDING if self.rig_id is None else Visit.Posture.LEANING
+        super().save(*args, **options)
+
     @property
     def folder(self) -> Path:
         """Its session folder, named by this row's key."""
@@ -100,6 +107,10 @@ class Visit(Keyed):
 
         Nobody can confirm the boundary of a scan.
         """
+        from mammometry.clinic.confirmations import is_changed
+
+        if is_changed(self):
+            return Visit.State.CHANGED
         return "scanned" if self.is_scan and self.state == Visit.State.MEASURED else self.state
 
     @property

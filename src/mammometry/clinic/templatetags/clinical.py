@@ -19,15 +19,20 @@ register = template.Library()
 @register.inclusion_tag("clinic/banner.html")
 def banner(patient: Patient, visit: Visit | None = None) -> dict[str, Any]:
     """Who the page is about: name, birthday, numbers, sides of surgery, and the visit's photographs in small."""
-    today = timezone.localdate()
     shots = () if visit is None else visit.uploads.filter(state=Upload.State.PLACED).order_by("camera")
     return {
-        "patient": patient,
+        **patient_facts(patient),
         "visit": visit,
-        "age": age(patient.born, today),
-        "surgery": sides_of(list(patient.operations.all()), today),
         "shots": [upload for upload in shots if thumbnail_path(upload).is_file()],
     }
+
+
+@register.inclusion_tag("clinic/patient_facts.html")
+def patient_facts(patient: Patient) -> dict[str, Any]:
+    """Birthday, numbers and sides of surgery of a patient."""
+    today = timezone.localdate()
+    surgery = sides_of(list(patient.operations.all()), today)
+    return {"patient": patient, "age": age(patient.born, today), "surgery": surgery}
 
 
 @register.filter
@@ -38,13 +43,13 @@ def camera_words(camera: str) -> str:
 
 @register.filter
 def length_mm(value: Length | None) -> str:
-    """A length with its interval: "212.3 ± 4.1 mm"."""
+    """A length in mm with its interval: "212.3 ± 4.1"."""
     return _words(value, "")
 
 
 @register.filter
 def signed_length_mm(value: Length | None) -> str:
-    """A difference of lengths: "+4.2 ± 5.8 mm"."""
+    """A difference of lengths: "+4.2 ± 5.8"."""
     return _words(value, "+")
 
 
@@ -58,4 +63,4 @@ def _words(value: Length | None, sign: str) -> str:
     if value is None:
         return "–"
     half = "" if value.half_mm is None else f" ± {value.half_mm:.1f}"
-    return f"{value.value_mm:{sign}.1f}{half} mm".replace("-", "−")
+    return f"{value.value_mm:{sign}.1f}{half}".replace("-", "−")

@@ -10,10 +10,12 @@ from django.utils import timezone
 
 from mammometry.clinic.cameras import rig_file
 from mammometry.clinic.clinical_forms import CircumstancesForm
+from mammometry.clinic.confirmations import is_changed
 from mammometry.clinic.consents import pictures_caution
 from mammometry.clinic.forms import VisitForm
+from mammometry.clinic.jobs import queue
 from mammometry.clinic.lengths import length_table
-from mammometry.clinic.models import Calibration, Job, Scan, Visit
+from mammometry.clinic.models import Calibration, Scan, Visit
 from mammometry.clinic.next_step import next_step
 from mammometry.clinic.operations import phase_of
 from mammometry.clinic.reports import facts, report_file
@@ -65,7 +67,7 @@ def visit(request: HttpRequest, visit: uuid.UUID, draft: str | None = None) -> H
         "failed": job if job is not None and job.state in ("failed", "cancelled") and not busy else None,
         "step": next_step(shown, job, measurement, person),
         "result": None if measurement is None or busy else visit_result(shown, measurement),
-        "lengths": None if measurement is None else length_table(measurement.quantities),
+        "lengths": None if measurement is None or is_changed(shown) else length_table(measurement.quantities),
         "facts": facts(shown) if measurement is not None and not busy else None,
         "has_report": report_file(shown, "report.html") is not None,
         "drawings": shown.drawings.select_related("by")[:20],
@@ -86,8 +88,8 @@ def visit(request: HttpRequest, visit: uuid.UUID, draft: str | None = None) -> H
 
 def jobs(request: HttpRequest) -> HttpResponse:
     """What is being computed, what waits, and how the last ones ended."""
-    all_jobs = Job.objects.filter(visit__binned_at=None).select_related(
-        "visit__patient", "calibration__rig", "check_of_day__rig"
+    all_jobs = queue.of_visits_in_use().select_related(
+        "visit__patient", "comparison__before", "comparison__after__patient", "calibration__rig", "check_of_day__rig"
     )
     context = {
         "open": list(all_jobs.filter(state__in=OPEN).order_by("created")),
