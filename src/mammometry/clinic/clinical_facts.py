@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from django.db.models import QuerySet
 from django.utils import timezone
 
+from mammometry.clinic.confirmations import valid_confirmation
 from mammometry.clinic.models import Operation, Visit
 from mammometry.report.clinical import Clinical, Signed
 
@@ -23,8 +24,7 @@ _VOLUMES = {
 
 def clinical_of(visit: Visit) -> Clinical:
     """Gather what reports and exports say of a visit beside its numbers."""
-    measurement = visit.measurements.first()
-    confirmation = None if measurement is None else measurement.confirmations.select_related("by").first()
+    confirmation = valid_confirmation(visit)
     patient = visit.patient
     return Clinical(
         patient=patient.name,

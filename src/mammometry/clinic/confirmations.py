@@ -35,15 +35,18 @@ def has_unmeasured_photographs(visit: Visit) -> bool:
     return visit.uploads.filter(state=Upload.State.PLACED, created__gt=measurement.made_at).exists()
 
 
+def _has_unmeasured(visit: Visit) -> bool:
+    return has_unmeasured_drawing(visit) or has_unmeasured_photographs(visit)
+
+
 def is_changed(visit: Visit) -> bool:
-    """Whether the newest drawing is not measured, so that the visit's numbers are of an earlier one."""
-    return visit.state == Visit.State.CHANGED or (visit.state == Visit.State.QUEUED and has_unmeasured_drawing(visit))
+    """Whether the newest drawing or photographs are not measured, so that the visit's numbers are of earlier ones."""
+    return visit.state == Visit.State.CHANGED or (visit.state == Visit.State.QUEUED and _has_unmeasured(visit))
 
 
 def confirmation_of(measurement: Measurement) -> Confirmation | None:
     """Newest confirmation of exactly the boundaries that were measured."""
-    rows = measurement.confirmations.select_related("by")
-    return next((row for row in rows if row.curves == measurement.curves), None)
+    return next((row for row in measurement.confirmations.all() if row.curves == measurement.curves), None)
 
 
 def valid_confirmation(visit: Visit) -> Confirmation | None:
@@ -55,7 +58,7 @@ def valid_confirmation(visit: Visit) -> Confirmation | None:
 def settled_state(visit: Visit) -> Visit.State:
     """State of a visit for which no measurement waits."""
     measurement = visit.measurements.first()
-    if has_unmeasured_drawing(visit) or has_unmeasured_photographs(visit):
+    if _has_unmeasured(visit):
         return Visit.State.CHANGED
     if measurement is None:
         return Visit.State.READY

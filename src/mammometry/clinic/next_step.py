@@ -40,7 +40,9 @@ def next_step(visit: Visit, job: Job | None, measurement: Measurement | None, pe
         return None  # the page says why, beside the button that tries again
     measure = reverse("visit-measure", args=[visit.pk])
     if visit.state == Visit.State.CHANGED:
-        words = "A boundary or landmark was changed. The numbers below are still those before the change."
+        words = (
+            "A boundary, landmark or photograph was changed and is not measured yet. Until then there are no numbers."
+        )
         return NextStep(words=words, button="Measure", address=measure, starts_job=True)
     if measurement is None:
         if not visit.is_scan:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from mammometry.clinic.access import route
-from mammometry.clinic.roles import ADMINISTRATOR, CARE, CLINICIAN, EVERYBODY, RIGS, STUDY
+from mammometry.clinic.roles import CARE, CLINICIAN, EVERYBODY, RIGS, STUDY
 from mammometry.clinic.views import (
     clinical,
     compare,
@@ -14,7 +14,6 @@ from mammometry.clinic.views import (
     results,
     rigs,
     scans,
-    settings,
     study,
     today,
     visits,
@@ -38,6 +37,13 @@ PAGES = [
         name="compare-page",
         roles=CLINICIAN,
     ),
+    route(
+        "patients/<uuid:patient>/changes/",
+        compare.patient_changes,
+        name="patient-changes",
+        roles=CARE,
+        audited=False,
+    ),
     route("patients/<uuid:patient>/operations/new/", clinical.operation_new, name="operation-new", roles=CARE),
     route("operations/<uuid:operation>/edit/", clinical.operation_edit, name="operation-edit", roles=CARE),
     route("operations/<uuid:operation>/remove/", clinical.operation_remove, name="operation-remove", roles=CARE),
@@ -47,6 +53,7 @@ PAGES = [
     route("visits/scan/", scans.scan_new, name="scan-new", roles=CARE, body_bytes=scans.BODY_BYTES, atomic=False),
     route("worklist/", worklist.worklist, name="worklist", roles=CARE),
     route("visits/<uuid:visit>/", visits.visit, name="visit", roles=CARE),
+    route("visits/<uuid:visit>/verdict/", compare.visit_verdict, name="visit-verdict", roles=CARE, audited=False),
     route("visits/<uuid:visit>/take-back/", visits.visit_delete, name="visit-take-back", roles=CARE),
     route("visits/<uuid:visit>/circumstances/", clinical.circumstances, name="circumstances", roles=CARE),
     route("visits/<uuid:visit>/conclusion/", clinical.conclude, name="conclude", roles=CLINICIAN),
@@ -82,15 +89,4 @@ PAGES = [
     route("study/cohort.csv", study.study_csv, name="study-csv", roles=STUDY),
     route("study/redcap.zip", exports.study_redcap, name="study-redcap", roles=STUDY),
     route("study/table.zip", exports.study_table, name="study-table", roles=STUDY),
-    route("archives/", deliveries.destinations, name="destinations", roles=ADMINISTRATOR),
-    route("archives/new/", deliveries.destination_new, name="destination-new", roles=ADMINISTRATOR),
-    route("archives/<uuid:destination>/", deliveries.destination_edit, name="destination-edit", roles=ADMINISTRATOR),
-    route(
-        "archives/<uuid:destination>/test/",
-        deliveries.destination_test,
-        name="destination-test",
-        roles=ADMINISTRATOR,
-        atomic=False,  # it waits for the archive
-    ),
-    route("settings/", settings.settings, name="settings", roles=ADMINISTRATOR),
 ]

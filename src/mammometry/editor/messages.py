@@ -86,21 +86,6 @@ class Confirm(Message):
     """Digest of the curve that was looked at."""
 
 
-class Shown(Message):
-    """Versions of the items that a page shows: name → digest, or None where nothing stands in the session."""
-
-    boundaries: dict[Breast, Base]
-    landmarks: dict[str, Base]
-
-
-class Finish(Message):
-    """Confirmation of everything that the page shows, in one step."""
-
-    curves: dict[Breast, Annotated[str, Field(max_length=64)]]
-    """Breast → digest of the measured curve that was looked at."""
-    base: Shown
-
-
 def sentence(errors: list[dict[str, Any]]) -> str:
     """Say what is wrong with a message, without repeating its content."""
     first = errors[0]

@@ -173,13 +173,10 @@ class Exported:
     """Confirmation and conclusions, with names. Nothing in it if de-identified."""
     operations: tuple[Operation, ...] = ()
     """The newest first. Empty if de-identified."""
+    is_final: bool = False
+    """Whether these very numbers were confirmed and concluded of."""
     organization: str = ""
     """Where the people in `clinical` work. Empty: nobody said."""
-
-    @property
-    def is_final(self) -> bool:
-        """Whether somebody confirmed the boundaries and concluded."""
-        return self.clinical.confirmed is not None and bool(self.clinical.conclusions)
 
     @property
     def digest(self) -> str:

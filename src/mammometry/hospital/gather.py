@@ -6,7 +6,7 @@ import datetime
 import hashlib
 import json
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
@@ -14,6 +14,8 @@ import numpy as np
 
 from mammometry.hospital.exported import Absent, CoveredModel, CoveredModels, Exported, Model, Quantity, Side
 from mammometry.io.images import EXTENSIONS
+from mammometry.measure.volume.attribution import Attribution
+from mammometry.report.clinical import Clinical, Signed
 
 if TYPE_CHECKING:
     from mammometry.api.job import Job
@@ -27,17 +29,20 @@ if TYPE_CHECKING:
 
 Part: TypeAlias = Literal["pdf", "models", "photographs"]
 """What may be gathered beside the numbers."""
-_PARTS: tuple[Part, ...] = ("pdf", "models", "photographs")
+PARTS: tuple[Part, ...] = ("pdf", "models", "photographs")
 _TITLES = {"left": "Left breast, closed", "right": "Right breast, closed", "model": "Model, closed"}
 _WHOLE = "Whole surface"
 _MTL, _JPEG = "model.mtl", "model.jpg"
 
 
-def gather(job: Job, *, deidentify: bool = False, parts: Sequence[Part] = _PARTS) -> Exported:
+def gather(
+    job: Job, *, clinical: Clinical | None = None, deidentify: bool = False, parts: Sequence[Part] = PARTS
+) -> Exported:
     """Gather what is exported. What is not current is made first.
 
     Args:
         job: an open session.
+        clinical: what a clinic knows of the visit. None: confirmations in the session's own boundaries.json count.
         deidentify: leave out names, dates, photographs and photographic colours.
         parts: what to gather beside the numbers.
 
@@ -50,6 +55,7 @@ def gather(job: Job, *, deidentify: bool = False, parts: Sequence[Part] = _PARTS
     job.ensure("report" if plain else "measure")
     made = job.made_at("report" if plain else "measure")
     measured = tuple(job.measure().values())
+    known = clinical or Clinical(confirmed=_confirmed(job.inputs.attributions, measured))
     atlas = job.plan.surfaced.model() if "models" in parts else None
     shown = "photographs" in parts and not deidentify
     return Exported(
@@ -67,17 +73,38 @@ def gather(job: Job, *, deidentify: bool = False, parts: Sequence[Part] = _PARTS
         photographs=job.inputs.photographs if shown else {},
         photograph_files=_photograph_files(job) if shown else {},
         deidentified=deidentify,
+        clinical=Clinical() if deidentify else known,
     )
 
 
+def _confirmed(attributions: Mapping[str, Attribution], measured: Sequence[VolumeMeasurement]) -> Signed | None:
+    """The newest confirmation, if every measured boundary has one that holds."""
+    found = {each.name: attributions.get(each.name, Attribution()).confirmation for each in measured}
+    holding = [
+        confirmation
+        for each in measured
+        if (confirmation := found[each.name]) is not None and confirmation.holds(each.boundary_world)
+    ]
+    if not measured or len(holding) < len(measured):
+        return None
+    newest = max(holding, key=lambda confirmation: confirmation.at)
+    return Signed(by=newest.by, at=datetime.datetime.fromisoformat(newest.at))
+
+
 def gather_scan(
-    job: MeshJob, *, taken: datetime.date | None = None, deidentify: bool = False, parts: Sequence[Part] = _PARTS
+    job: MeshJob,
+    *,
+    taken: datetime.date | None = None,
+    clinical: Clinical | None = None,
+    deidentify: bool = False,
+    parts: Sequence[Part] = PARTS,
 ) -> Exported:
     """Gather what is exported of another device's scan. It has no photographs.
 
     Args:
         job: a measured scan.
         taken: day of the scan.
+        clinical: what a clinic knows of the visit. None: confirmations in its file of boundaries count.
         deidentify: leave out names, dates and the report, whose pictures show the skin.
         parts: what to gather beside the numbers.
 
@@ -88,6 +115,7 @@ def gather_scan(
 
     results = job.run(report="pdf" in parts and not deidentify)
     measured = tuple(results.measurements.values())
+    known = clinical or Clinical(confirmed=_confirmed(job.inputs.attributions, measured))
     made = results.made_at
     return Exported(
         subject="" if deidentify else job.identity.title,
@@ -101,6 +129,7 @@ def gather_scan(
         report_pdf=job.store.files(job.report_key)[_document()] if "pdf" in parts and not deidentify else None,
         models=tuple(_models(measured, job.finished.repaired.mesh)) if "models" in parts else (),
         deidentified=deidentify,
+        clinical=Clinical() if deidentify else known,
     )
 
 

@@ -135,4 +135,4 @@ def signed(folder: Path, *, concluded: bool = True) -> Exported:
             ("conserving", "Breast-conserving surgery", "left"),
         )
     )
-    return exported(folder, clinical=clinical, operations=operations, organization="Test clinic")
+    return exported(folder, clinical=clinical, operations=operations, organization="Test clinic", is_final=concluded)

@@ -143,6 +143,8 @@ def test_a_missing_library_is_one_sentence() -> None:
     require("csv")
     with pytest.raises(StorageError, match=r"no library no_such_library.*pip install 'mammometry\[hospital\]'"):
         require("csv", "no_such_library")
+    with pytest.raises(StorageError, match=r"no library no_such_library\.inner"):
+        require("no_such_library.inner")
 
 
 # --- what a clinic knows beside the numbers ---

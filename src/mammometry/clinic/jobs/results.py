@@ -13,8 +13,11 @@ from typing import Any
 
 from django.utils import timezone
 
+from mammometry.clinic.comparing import measured_digests, refusal_of
 from mammometry.clinic.confirmations import has_unmeasured_drawing, settled_state
-from mammometry.clinic.models import Calibration, DailyCheck, Job, Measurement, Visit, Volume
+from mammometry.clinic.models import Calibration, Comparison, DailyCheck, Job, Measurement, Visit, Volume
+
+Target = Visit | Calibration | DailyCheck | Comparison
 
 _VERDICTS = {
     "unmoved": "No camera has moved.",
@@ -24,7 +27,7 @@ _VERDICTS = {
 _LONGEST = 500  # characters of a verdict
 
 
-def queued(target: Visit | Calibration | DailyCheck) -> None:
+def queued(target: Target) -> None:
     """A job of it waits."""
     if isinstance(target, Visit):
         target.state = Visit.State.QUEUED
@@ -32,16 +35,22 @@ def queued(target: Visit | Calibration | DailyCheck) -> None:
     elif isinstance(target, Calibration):
         target.state = Calibration.State.QUEUED
         target.save(update_fields=["state"])
+    elif isinstance(target, Comparison):
+        target.state = Comparison.State.QUEUED
+        target.save(update_fields=["state"])
 
 
-def begun(target: Visit | Calibration | DailyCheck) -> None:
+def begun(target: Target) -> None:
     """A job of it is at work."""
     if isinstance(target, Calibration):
         target.state = Calibration.State.RUNNING
         target.save(update_fields=["state"])
+    elif isinstance(target, Comparison):
+        target.of = measured_digests(target.before, target.after)
+        target.save(update_fields=["of"])
 
 
-def cancelled(target: Visit | Calibration | DailyCheck) -> None:
+def cancelled(target: Target) -> None:
     """Its job was cancelled: it is as before."""
     if isinstance(target, Visit):
         target.state = settled_state(target)
@@ -49,9 +58,11 @@ def cancelled(target: Visit | Calibration | DailyCheck) -> None:
     elif isinstance(target, Calibration):
         target.state = Calibration.State.UPLOADING
         target.save(update_fields=["state"])
+    elif isinstance(target, Comparison):
+        _refuse(target, measured_digests(target.before, target.after), "The comparison was cancelled.")
 
 
-def failed(target: Visit | Calibration | DailyCheck, message: str) -> None:
+def failed(target: Target, message: str) -> None:
     """Its job failed."""
     if isinstance(target, Visit):
         target.state = Visit.State.CHANGED if has_unmeasured_drawing(target) else Visit.State.REFUSED
@@ -59,6 +70,8 @@ def failed(target: Visit | Calibration | DailyCheck, message: str) -> None:
     elif isinstance(target, Calibration):
         target.state, target.verdict = Calibration.State.FAILED, message[:_LONGEST]
         target.save(update_fields=["state", "verdict"])
+    elif isinstance(target, Comparison):
+        _refuse(target, target.of, message)
     else:
         target.verdict, target.passed = message[:_LONGEST], None
         target.save(update_fields=["verdict", "passed"])
@@ -72,6 +85,20 @@ def enter(job: Job, answer: Mapping[str, Any]) -> None:
         _calibrated(job.calibration, answer["figures"])
     elif job.check_of_day is not None:
         _checked(job.check_of_day, answer["figures"])
+    elif job.comparison is not None:
+        _compared(job.comparison, answer)
+
+
+def _compared(comparison: Comparison, answer: Mapping[str, Any]) -> None:
+    comparison.of, comparison.table = answer["of"], dict(answer["table"])
+    comparison.state, comparison.message, comparison.made_at = Comparison.State.DONE, "", timezone.now()
+    comparison.save()
+
+
+def _refuse(comparison: Comparison, digests: str, message: str) -> None:
+    comparison.state, comparison.message, comparison.made_at = Comparison.State.REFUSED, message[:1500], timezone.now()
+    comparison.of = refusal_of(digests)
+    comparison.save()
 
 
 def _measured(job: Job, visit: Visit, answer: Mapping[str, Any]) -> None:

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 import mammometry
 from mammometry.api.job import open_session
 from mammometry.base.each import Tell
+from mammometry.base.errors import SessionError
 from mammometry.base.progress import Progress
 from mammometry.batch.entry import Entry
 from mammometry.batch.session import measure_entry
@@ -239,6 +240,41 @@ def check(tell: Tell, calibration: str, folder: str, settings: str) -> dict[str,
     figures = {**drift.entry_table(entry), "image_set": Path(folder).name, "unseen": unseen}
     figures["limit_mm"] = job.settings.calibration.check.refuse_mm
     return {"digest": _digest(figures), "figures": _finite(figures)}
+
+
+def compare(tell: Tell, before: str, after: str, folder: str, digests: str, settings: str) -> dict[str, Any]:
+    """Compare two measured visits of one patient.
+
+    Args:
+        tell: called with stage and fraction.
+        before: folder of the earlier visit.
+        after: folder of the later visit.
+        folder: for the comparison's page and pictures.
+        digests: of both measurements, between them a colon.
+        settings: TOML.
+
+    Returns:
+        ``digest``, ``of`` and ``table``, the content of compare.json.
+
+    Raises:
+        MammometryError: whatever stands in the way, in one sentence.
+    """
+    from mammometry.api.dates import compare as compare_dates
+
+    chosen = Settings.from_toml(settings)
+    tell("compare", 0.0)
+    for which, session, digest in zip(("earlier", "later"), (before, after), digests.split(":"), strict=True):
+        if _digest([key.digest for key in open_session(session, chosen).keys("measure")]) != digest:
+            raise SessionError(
+                f"the {which} visit",
+                found="that it was measured with other settings, or that something was drawn since",
+                expected="results of what is drawn and set now",
+                remedy="Measure that visit again. Both are then compared by themselves",
+            )
+    compared = compare_dates(
+        before, after, chosen, out=Path(folder), from_clinic=True, progress=lambda share: tell("compare", share)
+    )
+    return {"digest": _digest(compared.table), "of": digests, "table": _finite(compared.table)}
 
 
 def _digest(value: object) -> str:

@@ -31,6 +31,7 @@ from mammometry.clinic.models import (
     Measurement,
     Operation,
     Patient,
+    Person,
     Scan,
     Upload,
     Visit,
@@ -110,12 +111,17 @@ def export_patient(config: ClinicConfig, patient: Patient, target: Path) -> int:
     return number
 
 
-def erase_patient(config: ClinicConfig, patient: Patient) -> int:
+def erase_patient(config: ClinicConfig, patient: Patient, by: Person | None = None) -> int:
     """Erase one patient.
 
     Files, then rows. Killed in between, the same command goes on.
 
     What stays are the audit's entries, which hold the pseudonym and no name, and backups made before.
+
+    Args:
+        config: the open clinic.
+        patient: who is erased.
+        by: who does it on a page; None: a command.
 
     Returns:
         Number of visits erased.
@@ -124,7 +130,7 @@ def erase_patient(config: ClinicConfig, patient: Patient) -> int:
         ClinicError: one of the patient's visits is being measured.
     """
     visits = list(Visit.everything.filter(patient=patient))
-    _erase_visits(patient, visits)
+    _erase_visits(patient, visits, by)
     with transaction.atomic():
         patient.delete()
     _overwrite()
@@ -146,13 +152,14 @@ def erase_bin(patient: Patient) -> int:
     return len(visits)
 
 
-def _erase_visits(patient: Patient, visits: list[Visit]) -> None:
-    Job.objects.filter(visit__in=visits, state=Job.State.QUEUED).update(state=Job.State.CANCELLED)
-    running = Job.objects.filter(visit__in=visits, state=Job.State.RUNNING, lease_until__gt=timezone.now())
+def _erase_visits(patient: Patient, visits: list[Visit], by: Person | None = None) -> None:
+    jobs = Job.objects.filter(Q(visit__in=visits) | Q(comparison__after__in=visits) | Q(comparison__before__in=visits))
+    jobs.filter(state=Job.State.QUEUED).update(state=Job.State.CANCELLED)
+    running = jobs.filter(state=Job.State.RUNNING, lease_until__gt=timezone.now())
     if running.exists():
         remedy = "Cancel the job or wait until it ends, then repeat the command"
         raise ClinicError(patient.pseudonym, found="a visit that is being measured", expected="none", remedy=remedy)
-    audit.record_command(patient, "erase")
+    audit.record_command(patient, "erase", by)
     for upload in Upload.objects.filter(visit__in=visits):
         for path in upload.path.parent.glob(f"{upload.id}*"):
             path.unlink(missing_ok=True)

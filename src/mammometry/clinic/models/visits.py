@@ -107,6 +107,10 @@ class Visit(Keyed):
 
         Nobody can confirm the boundary of a scan.
         """
+        from mammometry.clinic.confirmations import is_changed
+
+        if is_changed(self):
+            return Visit.State.CHANGED
         return "scanned" if self.is_scan and self.state == Visit.State.MEASURED else self.state
 
     @property

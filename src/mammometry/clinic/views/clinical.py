@@ -15,6 +15,7 @@ from mammometry.clinic.clinical_forms import (
     OperationForm,
     WithdrawalForm,
 )
+from mammometry.clinic.confirmations import CHANGED_SENTENCE, is_changed
 from mammometry.clinic.models import Conclusion, Consent, Operation, Patient, Visit
 from mammometry.clinic.views import visits
 from mammometry.clinic.views.who import person_of
@@ -92,6 +93,8 @@ def conclude(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
         messages.error(request, "This visit is not measured yet. Measure it first.")
     elif request.POST.get("measurement") != str(measurement.pk):
         messages.error(request, "The visit was measured again meanwhile. Look at the new result, then sign.")
+    elif is_changed(shown):
+        messages.error(request, CHANGED_SENTENCE)
     elif not form.is_valid():
         messages.error(request, "Write the conclusion first, in up to 4,000 characters.")
     elif newest is not None and (newest.text, newest.measurement_id) == (form.cleaned_data["text"], measurement.pk):

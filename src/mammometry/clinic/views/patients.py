@@ -11,7 +11,7 @@ from django.http import HttpRequest, HttpResponse
 from django.shortcuts import get_object_or_404, redirect, render
 from django.utils import timezone
 
-from mammometry.clinic import results
+from mammometry.clinic import comparing, results
 from mammometry.clinic.clinical_facts import operation_details
 from mammometry.clinic.consents import holds
 from mammometry.clinic.forms import PatientForm
@@ -66,10 +66,9 @@ def patient(request: HttpRequest, patient: uuid.UUID) -> HttpResponse:
     context = {
         "patient": person,
         "visits": [(visit, by_visit.get(visit.id), phase_of(visit, operations)) for visit in visits],
-        "measured": [result.visit for result in found if _is_compared(result)],
+        "measured": comparing.comparable(visits)[::-1],
         "readings": results.readings(found),
         "events": events(operations),
-        "steps": results.steps(found),
         "operations": [(operation, ", ".join(operation_details(operation))) for operation in operations],
         "retentions": retentions(operations, found),
         "consents": person.consents.select_related("entered_by"),
@@ -106,8 +105,3 @@ def _day(asked: str) -> datetime.date | None:
         except ValueError:
             continue
     return None
-
-
-def _is_compared(result: results.VisitResult) -> bool:
-    """Whether a visit can be laid onto another: it has a volume, and photographs."""
-    return not result.visit.is_scan and any(side.volume_cc is not None for side in result.sides)

@@ -6,6 +6,7 @@ Report, 3D view, boundaries and landmarks to draw or confirm.
 from __future__ import annotations
 
 import hashlib
+import logging
 import uuid
 from collections import OrderedDict
 from collections.abc import Callable
@@ -18,7 +19,7 @@ from django.shortcuts import get_object_or_404, render
 from django.urls import reverse
 from pydantic import ValidationError
 
-from mammometry.base.errors import MammometryError
+from mammometry.base.errors import MammometryError, StorageError
 from mammometry.clinic import confirmations
 from mammometry.clinic.jobs import queue
 from mammometry.clinic.models import Confirmation, Drawing, Visit
@@ -27,12 +28,30 @@ from mammometry.clinic.rigs.history import may_queue
 from mammometry.clinic.security import report_policy
 from mammometry.clinic.site import the_clinic
 from mammometry.clinic.views.who import person_of
-from mammometry.editor.messages import Finish
+from mammometry.editor.messages import Base, Breast, Message
 from mammometry.editor.page import EditorPage, read, refusal
 from mammometry.io.drawn_changes import Group, drawn_entries, entry_digest
 from mammometry.job.inputs import SubjectKind
 
+_LOG = logging.getLogger(__name__)
 _KEPT = 4  # surfaces in memory, about 300 MB each
+
+
+class ShownItems(Message):
+    """Versions of all that the page shows: name → digest (`entry_digest`), None where nothing stands in the session."""
+
+    boundaries: dict[Breast, Base]
+    landmarks: dict[str, Base]
+
+
+class FinishMessage(Message):
+    """Confirmation of everything that the page shows, in one step."""
+
+    curves: dict[Breast, str]
+    """Breast → digest of the measured curve that was looked at."""
+    base: ShownItems
+    author: str = ""
+    """Not used: who is logged in confirms."""
 
 
 class _Desks:
@@ -132,11 +151,13 @@ def save(request: HttpRequest, visit: uuid.UUID) -> HttpResponseBase:
                 _note(request, shown, f"boundary {breast}", removed=drawn.sketch is None)
             for mark, place in sent.landmarks.items():
                 _note(request, shown, f"landmark {mark}", removed=place.points is None)
-            may_be_measured = may_queue(locked, anyway=True) is None
-            locked.state = Visit.State.QUEUED if may_be_measured else Visit.State.CHANGED
-            locked.save(update_fields=["state"])
-            if may_be_measured:
-                queue.enqueue(locked, person_of(request))
+            _set_state(locked, Visit.State.CHANGED)
+            if may_queue(locked, anyway=True) is None:
+                try:
+                    queue.enqueue(locked, person_of(request))
+                    _set_state(locked, Visit.State.QUEUED)
+                except StorageError as error:  # it is saved, and stays to be measured
+                    _LOG.error("%s", error)
         return {"saved": [path.name for path in changed], **_with_visit(locked, page.items())}
 
     return _told(visit, saved)
@@ -147,7 +168,7 @@ def finish(request: HttpRequest, visit: uuid.UUID) -> HttpResponseBase:
     locked = get_object_or_404(Visit.objects.select_for_update(), pk=visit)
     kind: SubjectKind = "model" if locked.subject_kind == Visit.Subject.MODEL else "torso"
     try:
-        sent = read(Finish, request.body)
+        sent = read(FinishMessage, request.body)
         entries = drawn_entries(locked.folder, kind)
     except (MammometryError, ValidationError) as error:
         status, words = refusal(error)
@@ -184,6 +205,11 @@ def _with_visit(visit: Visit, state: dict[str, Any]) -> dict[str, Any]:
     }
 
 
+def _set_state(visit: Visit, state: Visit.State) -> None:
+    visit.state = state
+    visit.save(update_fields=["state"])
+
+
 def _note(request: HttpRequest, visit: Visit, item: str, *, removed: bool) -> None:
     action = Drawing.Action.REMOVED if removed else Drawing.Action.DRAWN
     name = "boundaries.json" if item.startswith("boundary") else "landmarks.json"
@@ -206,6 +232,7 @@ def _told(visit: uuid.UUID, answer: Callable[[Visit, EditorPage], dict[str, Any]
         return JsonResponse(answer(shown, _DESKS.of(shown)))
     except (MammometryError, ValidationError) as error:
         status, words = refusal(error)
+        words["error"] = words["error"].replace(f"{the_clinic().folder}/", "")  # where it lies is nobody's business
         return JsonResponse(words, status=status)
 
 

@@ -17,6 +17,7 @@ from django.utils import timezone
 
 from mammometry.base.csv_cells import CsvWriter
 from mammometry.clinic import results
+from mammometry.clinic.confirmations import CHANGED, confirmation_of, is_changed
 from mammometry.clinic.consents import research_consent
 from mammometry.clinic.models import Visit
 from mammometry.study.agreement import LEAST_SUBJECTS, PairedMeasurements, agreement
@@ -31,7 +32,9 @@ _COLUMNS = (
     "low_cc",
     "high_cc",
     "refused",
+    "state",
     "confirmed",
+    "confirmed_on",
     "rig",
     "software",
 )
@@ -51,7 +54,11 @@ class Row:
     low_cc: float | None
     high_cc: float | None
     refused: str
+    state: str
+    """Of the visit. An unmeasured change of a boundary or landmark is said, and no number is given."""
     confirmed: bool
+    confirmed_on: datetime.date | None
+    """None: not confirmed."""
     rig: str
     software: str
 
@@ -108,17 +115,22 @@ def study_csv(request: HttpRequest) -> HttpResponse:
 
 def cohort(begin: datetime.date | None, end: datetime.date | None, *, confirmed: bool) -> Iterator[Row]:
     """Newest measurement of each visit, by pseudonym and day."""
-    visits = _between(begin, end, confirmed=confirmed).prefetch_related("measurements__volumes")
+    visits = _between(begin, end, confirmed=confirmed).prefetch_related(
+        "measurements__volumes", "measurements__confirmations"
+    )
     for result in results.latest(visits):
         visit = result.visit
         day = timezone.localtime(visit.taken_at).date()
+        confirmation = confirmation_of(result.measurement) if visit.state == Visit.State.CONFIRMED else None
+        state = CHANGED if is_changed(visit) else str(visit.state)
         for side in result.sides:
             low, high = side.interval_cc or (None, None)
             yield Row(
                 pseudonym=visit.patient.pseudonym, day=day, years=results.age(visit.patient.born, day), side=side.side,
                 definition=side.definition, volume_cc=side.volume_cc, low_cc=low, high_cc=high, refused=side.refused,
-                confirmed=visit.state == Visit.State.CONFIRMED, rig=visit.device,
-                software=result.measurement.software,
+                state=state, confirmed=confirmation is not None,
+                confirmed_on=None if confirmation is None else timezone.localtime(confirmation.at).date(),
+                rig=visit.device, software=result.measurement.software,
             )  # fmt: skip
 
 

@@ -11,6 +11,7 @@ from django.utils import timezone
 
 from mammometry.clinic.cameras import rig_file
 from mammometry.clinic.clinical_forms import CircumstancesForm
+from mammometry.clinic.confirmations import is_changed
 from mammometry.clinic.consents import pictures_caution
 from mammometry.clinic.forms import VisitForm
 from mammometry.clinic.lengths import length_table
@@ -61,7 +62,7 @@ def visit(request: HttpRequest, visit: uuid.UUID, draft: str | None = None) -> H
         "failed": job if job is not None and job.state in ("failed", "cancelled") and not busy else None,
         "step": next_step(shown, job, measurement, person),
         "result": None if measurement is None or busy else visit_result(shown, measurement),
-        "lengths": None if measurement is None else length_table(measurement.quantities),
+        "lengths": None if measurement is None or is_changed(shown) else length_table(measurement.quantities),
         "facts": facts(shown) if measurement is not None and not busy else None,
         "has_report": report_file(shown, "report.html") is not None,
         "drawings": shown.drawings.select_related("by")[:20],
@@ -99,7 +100,9 @@ def visit_delete(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
 
 def jobs(request: HttpRequest) -> HttpResponse:
     """What is being computed, what waits, and how the last ones ended."""
-    all_jobs = Job.objects.select_related("visit__patient", "calibration__rig", "check_of_day__rig")
+    all_jobs = Job.objects.select_related(
+        "visit__patient", "comparison__before", "comparison__after__patient", "calibration__rig", "check_of_day__rig"
+    )
     context = {
         "open": list(all_jobs.filter(state__in=OPEN).order_by("created")),
         "ended": list(all_jobs.exclude(state__in=OPEN).order_by("-ended", "-created")[:50]),
