@@ -56,7 +56,7 @@ VERSIONS: Registry[int] = Registry(
         "symmetry": 3,
         "dimensions": 5,
         "previews": 8,
-        "report": 14,
+        "report": 15,
     },
 )
 """Kind of product → version of its making. Raise it when the result changes for the same inputs and settings."""

@@ -84,7 +84,14 @@ def gather_mesh(
     progress(0.5)
     words = content.measure_report(measurements)
     changed, everything = content.settings_facts(page.settings)
-    scene = viewer_scene(front_of(viewer, body), finished.repaired, finished.textured, measurements, symmetry=sides)
+    scene = viewer_scene(
+        front_of(viewer, body),
+        finished.repaired,
+        finished.textured,
+        measurements,
+        symmetry=sides,
+        lengths=() if sizes is None else sizes.lengths,
+    )
     progress(0.9)
     return ReportContent(
         identity=page.identity,
