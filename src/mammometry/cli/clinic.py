@@ -90,6 +90,7 @@ def serve(
 ) -> Answer:
     """Serve the clinic until Ctrl-C."""
     from mammometry.clinic.config import read_config
+    from mammometry.clinic.server import require_free
     from mammometry.clinic.server import serve as run
 
     changes: dict[str, object] = {} if address is None else {"address": address}
@@ -99,6 +100,7 @@ def serve(
         tls = read_config(folder).tls
         changes["tls"] = tls.model_copy(update={"certificate": str(tls_certificate), "key": str(tls_key)})
     config = opened(folder, **changes)
+    require_free(config.address)
     scheme = "https" if config.tls.used else "http"
     print(f"{scheme}://{config.address}/ (Ctrl-C stops)", file=sys.stderr, flush=True)  # noqa: T201
     run(config, jobs=jobs)
@@ -134,8 +136,11 @@ def demo(
     Each was there at two dates. A demo that is there already is opened as it is.
     """
     from mammometry.clinic.jobs.process import beside
+    from mammometry.clinic.server import require_free
     from mammometry.clinic.server import serve as run
 
+    if serve:
+        require_free(address)
     table: dict[str, object] = {"clinic": str(folder)}
     lines: list[str] = []
     if (folder / "clinic.toml").is_file():
@@ -260,6 +265,7 @@ def export(folder: Folder, patient: Who, to: Target = None, json: Json = False, 
 def erase(
     folder: Folder,
     patient: Who,
+    binned: Annotated[bool, typer.Option("--bin", help="Only the patient's visits that lie in the bin.")] = False,
     yes: Annotated[bool, typer.Option("--yes", help="Erase without asking.")] = False,
     json: Json = False,
     verbose: Verbose = 0,
@@ -269,15 +275,22 @@ def erase(
     The audit keeps the pseudonym. Backups made before still hold the patient.
     """
     config = opened(folder)
-    from mammometry.clinic.keep.patient import erase_patient, find_patient
+    from mammometry.clinic.keep.patient import erase_bin, erase_patient, find_patient
+    from mammometry.clinic.models import Visit
 
     found = find_patient(patient)
     name = found.pseudonym
     if not yes:
-        typer.confirm(f"Erase {name} with {found.visits.count()} visits? It cannot be undone.", abort=True, err=True)
-    number = erase_patient(config, found)
+        visits = Visit.everything.filter(patient=found)
+        words = (
+            f"the {visits.exclude(binned_at=None).count()} visits of {name} in the bin"
+            if binned
+            else f"{name} with {visits.count()} visits"
+        )
+        typer.confirm(f"Erase {words}? It cannot be undone.", abort=True, err=True)
+    number = erase_bin(found) if binned else erase_patient(config, found)
     older = sorted(path.name for path in config.backups.glob("*.tar"))
-    lines = [f"{name} is erased, with {number} visits."]
+    lines = [f"{number} visits of {name} are erased." if binned else f"{name} is erased, with {number} visits."]
     lines += [f"Still in the backups: {', '.join(older)}"] if older else []
     return Answer({"erased": name, "visits": number, "backups": older}, [*lines])
 

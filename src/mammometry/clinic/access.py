@@ -137,22 +137,22 @@ def refused(request: HttpRequest, access: Access) -> HttpResponseBase | None:
         return None
     person = request.user
     if not person.is_authenticated:
-        if _is_program(request):
+        if is_program(request):
             return JsonResponse({"error": "Log in first."}, status=401)
         return HttpResponseRedirect(f"{reverse('account_login')}?{urlencode({'next': request.get_full_path()})}")
     if access.roles.isdisjoint(person.roles):
         raise PermissionDenied
     if not access.first_factor and person.lacks_second_factor(request):
-        if _is_program(request):
+        if is_program(request):
             return JsonResponse({"error": "Set up the second factor first."}, status=403)
         return HttpResponseRedirect(reverse("mfa_activate_totp"))
     return None
 
 
-def _is_program(request: HttpRequest) -> bool:
-    """Whether a page's script asks.
+def is_program(request: HttpRequest) -> bool:
+    """Whether a page's script asks: it is answered in JSON, never by a page or the login.
 
-    It can do nothing with a login page.
+    All scripts send this header (``viewer/src/clinic/request.ts``).
     """
     return "HX-Request" in request.headers or request.headers.get("Accept", "").startswith(
         ("application/json", "text/event-stream")

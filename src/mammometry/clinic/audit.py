@@ -46,7 +46,7 @@ MASKED = {
     "Consent": ["note"],
     "Operation": ["words"],
     "Conclusion": ["text"],
-    "Correction": ["reason"],
+    "Correction": ["reason", "before", "after"],
 }
 """Fields of which the audit holds only that they changed: they tell who somebody is."""
 _ABOUT = {
@@ -149,7 +149,7 @@ def _enter_page(request: HttpRequest, kind: str, parameters: Mapping[str, Any]) 
     if named:
         model: type[Model] = apps.get_model("clinic", _ABOUT[named[-1]])
         key = parameters[named[-1]]
-        what = model._default_manager.filter(pk=key).first() or model(pk=key)
+        what = model._base_manager.filter(pk=key).first() or model(pk=key)
     _enter_access(what, person, request, kind, additional)
 
 

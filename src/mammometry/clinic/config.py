@@ -189,11 +189,18 @@ class ClinicConfig(BaseModel):
         """
         return _secret(self.folder / OPENID_SECRET_FILE, least=1)
 
-    @property
-    def listens_on(self) -> tuple[str, int]:
-        """Host and port."""
-        host, _, port = self.address.rpartition(":")
-        return host, int(port)
+
+def host_and_port(address: str) -> tuple[str, int]:
+    """Parts of an address.
+
+    Raises:
+        ClinicError: it is not of the form host:port.
+    """
+    host, _, port = address.rpartition(":")
+    if not host or not port.isdecimal():
+        remedy = "Write it like 127.0.0.1:8000"
+        raise ClinicError("the address", found=repr(address), expected="host:port", remedy=remedy)
+    return host, int(port)
 
 
 def _secret(path: Path, least: int) -> str:

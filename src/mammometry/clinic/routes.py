@@ -17,10 +17,11 @@ from mammometry.clinic.access import route, set_up_route
 from mammometry.clinic.administration_routes import ADMINISTRATION
 from mammometry.clinic.page_routes import PAGES
 from mammometry.clinic.roles import ANYONE, CARE, EVERYBODY, RIGS
-from mammometry.clinic.views import capture, home, jobs, people, refusals, rigwork, uploads
+from mammometry.clinic.views import capture, home, jobs, people, refusals, rigwork, uploads, who
 
 ACCOUNTS = [
     route("account/login/", account.login, name="account_login", roles=ANYONE, atomic=False),
+    route("account/token/", who.token, name="account-token", roles=ANYONE, audited=False),
     route("account/logout/", account.logout, name="account_logout", roles=ANYONE),
     route("account/inactive/", account.account_inactive, name="account_inactive", roles=ANYONE),
     route("account/code/", mfa.authenticate, name="mfa_authenticate", roles=ANYONE),
@@ -84,7 +85,7 @@ WORK = [
         uploads.thumbnail,
         name="upload-thumbnail",
         roles=PHOTOGRAPHS,
-        audited=False,  # the page that shows it is entered
+        audited=False,  # the page that shows it is an entry
     ),
     route("visits/<uuid:visit>/uploads/", uploads.of_visit, name="visit-uploads", roles=CARE, audited=False),
     route(

@@ -18,6 +18,8 @@ _CONNECTED_S = 60
 def configure(config: ClinicConfig) -> None:
     """Make this process the clinic's. Models can be imported afterwards.
 
+    Settings hold from the first call on: what is changed in clinic.toml afterwards needs a new process.
+
     Raises:
         ClinicError: the process has opened another clinic already.
     """
@@ -25,7 +27,7 @@ def configure(config: ClinicConfig) -> None:
     from django.conf import settings
 
     if settings.configured:
-        if config != the_clinic():
+        if config.folder.resolve() != the_clinic().folder.resolve():
             remedy = "Use a process for each clinic"
             raise ClinicError(str(config.folder), found="another open clinic", expected="none", remedy=remedy)
         return

@@ -94,7 +94,7 @@ def write_database(file: BinaryIO) -> None:
     text = io.TextIOWrapper(file, encoding="utf-8", write_through=True)
     with _snapshot():
         for model in _kept_models():
-            rows = model._default_manager.order_by("pk").iterator(chunk_size=500)
+            rows = model._base_manager.order_by("pk").iterator(chunk_size=500)
             serializers.serialize("jsonl", rows, stream=text, use_natural_foreign_keys=True)
     text.detach()
 

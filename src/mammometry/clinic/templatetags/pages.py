@@ -15,7 +15,8 @@ from django.urls import resolve, reverse
 from django.utils import timezone
 
 import mammometry
-from mammometry.clinic.charts import Reading, time_line
+from mammometry.clinic.charts import Event, Reading, time_line
+from mammometry.clinic.confirmations import CHANGED
 from mammometry.clinic.roles import Role
 
 register = template.Library()
@@ -49,6 +50,7 @@ _CHIPS = {
     "ready": ("care", "ready to measure"),
     "queued": ("busy", "being measured"),
     "running": ("busy", "running"),
+    "changed": ("care", CHANGED),
     "measured": ("care", "to be confirmed"),
     "scanned": ("good", "measured"),
     "refused": ("bad", "✕ no volume"),
@@ -112,11 +114,8 @@ def chip(state: str) -> dict[str, str]:
 
 @register.filter
 def on_pages(sentence: str) -> str:
-    """A sentence of the report, as the clinic's pages say it.
-
-    The clinic's page stands in place of a command.
-    """
-    return sentence.replace("`mammometry edit`", "“Boundary and landmarks”")
+    """A sentence of the report with the clinic's page in place of a command, and who opens it."""
+    return sentence.replace("with `mammometry edit`", "(a clinician, on the page of boundaries)")
 
 
 @register.filter
@@ -183,14 +182,11 @@ def moment(at: datetime.datetime | None) -> str:
 
 
 @register.inclusion_tag("clinic/time_line.html")
-def volumes_over_time(readings: list[Reading], words: str) -> dict[str, Any]:
-    """Volumes with their intervals over dates.
-
-    Once for narrow and once for wide screens.
-    """
+def volumes_over_time(readings: list[Reading], events: list[Event], words: str) -> dict[str, Any]:
+    """Volumes with their intervals over dates, once for narrow and once for wide screens."""
     charts = [
-        ("narrow", time_line(readings, width=340, height=250)),
-        ("broad", time_line(readings, width=760, height=300)),
+        ("narrow", time_line(readings, width=340, height=250, events=events)),
+        ("broad", time_line(readings, width=760, height=300, events=events)),
     ]
     return {"charts": charts, "words": words, "sides": sorted({each.series for each in readings})}
 
