@@ -2,6 +2,7 @@
 
 import { Matrix4, Vector3 } from "three";
 
+import { Refused, request } from "./clinic/request";
 import { number } from "./colours";
 import { type PackedScene, type Vector, unpackModel } from "./format";
 import { DIRECTIONS, directionTitle, Stage } from "./stage";
@@ -67,16 +68,6 @@ interface Thing {
   name: string;
   title: string;
   kind: "closed" | "line" | "point";
-}
-
-/** What the server refused, in its words. */
-class Refused extends Error {
-  constructor(
-    message: string,
-    readonly late: [Group, string][],
-  ) {
-    super(message);
-  }
 }
 
 const GRAB_PX = 12;
@@ -373,7 +364,8 @@ class Editor {
       this.say(`${kept}. ${this.next}`);
     } catch (error) {
       this.say(`Not saved: ${words(error)}`);
-      if (error instanceof Refused && error.late.length > 0) this.offer(error.late);
+      const late = error instanceof Refused ? (error.reply as { late?: [Group, string][] }).late : undefined;
+      if (late !== undefined) this.offer(late);
     }
   }
 
@@ -544,18 +536,9 @@ function withItem(drawn: Drawn, { group, name }: Thing, sketch: Sketch | undefin
 
 const root = document.getElementById("mm-editor")!;
 
-/** Ask the server; what it refuses is told in its words. The page says where the session is answered, and its token. */
-async function asked(path: string, body?: unknown): Promise<unknown> {
-  const { at = "", token } = root.dataset;
-  const headers: Record<string, string> = { "Content-Type": "application/json" };
-  if (token !== undefined) headers["X-CSRFToken"] = token;
-  const response = await fetch(
-    at + path,
-    body === undefined ? {} : { method: "POST", headers, body: JSON.stringify(body) },
-  );
-  if (response.ok) return response.json();
-  const reply = (await response.json().catch(() => ({}))) as { detail?: unknown; late?: [Group, string][] };
-  throw new Refused(typeof reply.detail === "string" ? reply.detail : response.statusText, reply.late ?? []);
+/** Ask the server. The page says where the session is answered. */
+function asked(path: string, json?: object): Promise<unknown> {
+  return request((root.dataset.at ?? "") + path, json === undefined ? {} : { json });
 }
 
 /** A cookie, since every start has another port, and storage is kept by port. */

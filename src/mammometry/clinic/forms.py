@@ -11,14 +11,16 @@ from django.utils import timezone
 
 from mammometry.base.errors import MammometryError
 from mammometry.capture.sessions import manifest_text
-from mammometry.clinic.models import Patient, Rig, Visit
+from mammometry.clinic.models import Patient, Person, Rig, Visit
+from mammometry.clinic.roles import Role
 
 if TYPE_CHECKING:
     _PatientForm = forms.ModelForm[Patient]
     _VisitForm = forms.ModelForm[Visit]
     _RigForm = forms.ModelForm[Rig]
+    _PersonForm = forms.ModelForm[Person]
 else:  # none can be subscripted while the program runs
-    _PatientForm = _VisitForm = _RigForm = forms.ModelForm
+    _PatientForm = _VisitForm = _RigForm = _PersonForm = forms.ModelForm
 
 _RIG_BYTES = 100_000  # a session.toml has a few kB
 _RIG_TABLES = ("rig", "target", "intrinsics")
@@ -126,3 +128,49 @@ class RigForm(_RigForm):
 def patient_words(patient: Patient) -> str:
     """A patient in a list to choose from."""
     return f"{patient.name} ({patient.record_number})"
+
+
+class PersonForm(_PersonForm):
+    """Somebody who logs in, with roles to tick."""
+
+    roles = forms.MultipleChoiceField(
+        choices=[
+            (Role.TECHNICIAN, "Technician: photographs and measures"),
+            (Role.CLINICIAN, "Clinician: also draws, confirms and compares"),
+            (Role.RESEARCHER, "Researcher: sees pseudonyms and figures, no names"),
+            (Role.ADMINISTRATOR, "Administrator: keeps people, rigs, backups and the audit; sees no results"),
+        ],
+        widget=forms.CheckboxSelectMultiple,
+        error_messages={"required": "Tick at least one role."},
+    )
+
+    class Meta:
+        model = Person
+        fields = ("username", "full_name", "email", "roles", "is_active")
+        labels = {  # noqa: RUF012
+            "username": "Name for the login",
+            "full_name": "Full name",
+            "email": "E-mail address",
+            "is_active": "May log in",
+        }
+        help_texts = {  # noqa: RUF012
+            "username": "Letters, digits and @ . + - _",
+            "full_name": "As pages and reports say it.",
+            "email": "Only for the hospital’s own login, which knows people by it.",
+            "is_active": "",
+        }
+        error_messages = {"username": {"unique": "Somebody has this name already."}}  # noqa: RUF012
+
+    def __init__(self, *args: Any, own: bool = False, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self._own = own
+        self.fields["email"].required = False
+
+    def clean(self) -> dict[str, Any]:
+        """Refuse that administrators lock themselves out."""
+        values: dict[str, Any] = super().clean() or self.cleaned_data
+        if self._own and (Role.ADMINISTRATOR not in values.get("roles", ()) or not values.get("is_active")):
+            raise forms.ValidationError(
+                "You cannot take the administrator’s role or the login from yourself. Let another administrator do it."
+            )
+        return values

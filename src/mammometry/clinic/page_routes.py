@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from mammometry.clinic.access import route
-from mammometry.clinic.roles import ADMINISTRATOR, CARE, CLINICIAN, EVERYBODY, RIGS, STUDY
+from mammometry.clinic.roles import CARE, CLINICIAN, EVERYBODY, RIGS, STUDY
 from mammometry.clinic.views import (
+    clinical,
     compare,
     deliveries,
     exports,
@@ -13,7 +14,6 @@ from mammometry.clinic.views import (
     results,
     rigs,
     scans,
-    settings,
     study,
     today,
     visits,
@@ -37,11 +37,26 @@ PAGES = [
         name="compare-page",
         roles=CLINICIAN,
     ),
+    route(
+        "patients/<uuid:patient>/changes/",
+        compare.patient_changes,
+        name="patient-changes",
+        roles=CARE,
+        audited=False,
+    ),
+    route("patients/<uuid:patient>/operations/new/", clinical.operation_new, name="operation-new", roles=CARE),
+    route("operations/<uuid:operation>/edit/", clinical.operation_edit, name="operation-edit", roles=CARE),
+    route("operations/<uuid:operation>/remove/", clinical.operation_remove, name="operation-remove", roles=CARE),
+    route("patients/<uuid:patient>/consents/new/", clinical.consent_new, name="consent-new", roles=CARE),
+    route("consents/<uuid:consent>/edit/", clinical.consent_edit, name="consent-edit", roles=CARE),
     route("visits/new/", visits.visit_new, name="visit-new", roles=CARE),
     route("visits/scan/", scans.scan_new, name="scan-new", roles=CARE, body_bytes=scans.BODY_BYTES, atomic=False),
     route("worklist/", worklist.worklist, name="worklist", roles=CARE),
     route("visits/<uuid:visit>/", visits.visit, name="visit", roles=CARE),
+    route("visits/<uuid:visit>/verdict/", compare.visit_verdict, name="visit-verdict", roles=CARE, audited=False),
     route("visits/<uuid:visit>/take-back/", visits.visit_delete, name="visit-take-back", roles=CARE),
+    route("visits/<uuid:visit>/circumstances/", clinical.circumstances, name="circumstances", roles=CARE),
+    route("visits/<uuid:visit>/conclusion/", clinical.conclude, name="conclude", roles=CLINICIAN),
     route("visits/<uuid:visit>/report/", results.report, name="report", roles=CARE),
     route("visits/<uuid:visit>/report.pdf", results.report_pdf, name="report-pdf", roles=CARE),
     route("visits/<uuid:visit>/send/", deliveries.visit_send, name="visit-send", roles=CLINICIAN),
@@ -62,7 +77,7 @@ PAGES = [
         audited=False,
     ),
     route("visits/<uuid:visit>/draw/save", results.save, name="draw-save", roles=CLINICIAN, body_bytes=_EDITOR_BYTES),
-    route("visits/<uuid:visit>/draw/confirm", results.confirm, name="draw-confirm", roles=CLINICIAN),
+    route("visits/<uuid:visit>/draw/finish", results.finish, name="draw-finish", roles=CLINICIAN),
     route("jobs/page/", visits.jobs, name="jobs-page", roles=CARE),
     route("rigs/", rigs.rigs, name="rigs", roles=_SEES_RIGS),
     route("rigs/new/", rigs.rig_new, name="rig-new", roles=RIGS),
@@ -74,15 +89,4 @@ PAGES = [
     route("study/cohort.csv", study.study_csv, name="study-csv", roles=STUDY),
     route("study/redcap.zip", exports.study_redcap, name="study-redcap", roles=STUDY),
     route("study/table.zip", exports.study_table, name="study-table", roles=STUDY),
-    route("archives/", deliveries.destinations, name="destinations", roles=ADMINISTRATOR),
-    route("archives/new/", deliveries.destination_new, name="destination-new", roles=ADMINISTRATOR),
-    route("archives/<uuid:destination>/", deliveries.destination_edit, name="destination-edit", roles=ADMINISTRATOR),
-    route(
-        "archives/<uuid:destination>/test/",
-        deliveries.destination_test,
-        name="destination-test",
-        roles=ADMINISTRATOR,
-        atomic=False,  # it waits for the archive
-    ),
-    route("settings/", settings.settings, name="settings", roles=ADMINISTRATOR),
 ]

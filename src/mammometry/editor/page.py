@@ -6,6 +6,7 @@ Whoever serves it: the local server or the clinic.
 from __future__ import annotations
 
 import json
+import logging
 from dataclasses import replace
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 _TRIANGLES = 150_000  # of the surface on the page: fine enough to see the nipple, light enough to load; chosen by eye
+_LOG = logging.getLogger(__name__)
 _Message = TypeVar("_Message", bound=Message)
 
 
@@ -104,10 +106,13 @@ def read(kind: type[_Message], body: bytes) -> _Message:
 def refusal(error: MammometryError | ValidationError) -> tuple[int, dict[str, Any]]:
     """HTTP status and JSON of an error, for the page."""
     if isinstance(error, ValidationError):
-        return 422, {"detail": sentence([dict(item) for item in error.errors(include_url=False)])}
+        return 422, {"error": sentence([dict(item) for item in error.errors(include_url=False)])}
     if isinstance(error, LateError):
-        return 409, {"detail": str(error), "late": [list(item) for item in error.items]}
-    return (500 if isinstance(error, StorageError) else 422), {"detail": str(error)}
+        return 409, {"error": str(error), "late": [list(item) for item in error.items]}
+    if isinstance(error, StorageError):
+        _LOG.error("%s", error)
+        return (507 if error.is_full else 503), {"error": str(error)}
+    return 422, {"error": str(error)}
 
 
 def resource(package: str, name: str) -> str:

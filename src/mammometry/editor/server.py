@@ -145,7 +145,7 @@ def page_view(**by_method: Callable[[HttpRequest], HttpResponse | dict[str, Any]
     def view(request: HttpRequest) -> HttpResponseBase:
         answer = by_method.get(request.method or "")
         if answer is None:
-            return sealed(JsonResponse({"detail": f"This address does not answer {request.method}."}, status=405))
+            return sealed(JsonResponse({"error": f"This address does not answer {request.method}."}, status=405))
         try:
             reply = answer(request)
         except (MammometryError, ValidationError) as error:

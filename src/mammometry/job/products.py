@@ -54,7 +54,7 @@ VERSIONS: Registry[int] = Registry(
         "lacking": 4,
         "landmarks": 4,
         "symmetry": 3,
-        "dimensions": 4,
+        "dimensions": 5,
         "previews": 8,
         "content": 1,
         "report": 15,

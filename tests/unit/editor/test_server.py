@@ -200,7 +200,7 @@ def test_another_page_cannot_save(client: Client, tmp_path: Path, headers: dict[
     sent = {"author": "A", "landmarks": {"nipple_model": {"base": None, "points": [[0, 0, 60]]}}}
     answer = client.post("/save", sent, headers=headers)
     assert answer.status == 403
-    assert answer.json()["detail"] == "The request comes from another page."
+    assert answer.json()["error"] == "The request comes from another page."
     assert list(tmp_path.iterdir()) == []
     assert client.post("/save", sent, headers={"Sec-Fetch-Site": "same-origin"}).status == 200
 
@@ -211,7 +211,7 @@ def test_what_is_too_large_or_of_another_kind_is_refused_before_it_is_read(clien
 
     large = client.ask("POST", "/save", b" " * (LARGEST_BYTES + 1), JSON)
     assert large.status == 413
-    assert "larger than 1 MB" in large.json()["detail"]
+    assert "larger than 1 MB" in large.json()["error"]
     assert client.ask("POST", "/save", endless(), JSON).status == 411
     assert client.ask("POST", "/save", b"{}", {"Content-Type": "text/plain"}).status == 415
     assert client.ask("PUT", "/save", b"{}", JSON).status == 405
@@ -328,7 +328,7 @@ def test_confirming_leaves_an_automatic_boundary_automatic(client: Client, tmp_p
     assert not told["confirmed"]["holds"]
     other = client.post("/confirm", {**sent, "base": told["base"], "curve": "that of other settings"})
     assert other.status == 422
-    assert "another curve than the one on the page" in other.json()["detail"]
+    assert "another curve than the one on the page" in other.json()["error"]
 
 
 def test_confirming_keeps_the_points_and_method_of_a_given_curve(client: Client, tmp_path: Path) -> None:
@@ -363,8 +363,8 @@ def test_what_makes_no_sense_is_refused_in_words_and_nothing_is_written(
     client.get("/drawing")
     answer = client.post("/save", {"author": "A", **sent})
     assert answer.status == 422
-    assert isinstance(answer.json()["detail"], str)
-    assert said in answer.json()["detail"]
+    assert isinstance(answer.json()["error"], str)
+    assert said in answer.json()["error"]
     assert list(tmp_path.iterdir()) == []
 
 
@@ -375,7 +375,7 @@ def test_a_body_that_is_no_drawing_is_refused_in_words(client: Client, body: str
     for path in ("/save", "/measure", "/confirm"):
         answer = client.ask("POST", path, body.encode(), JSON)
         assert answer.status in (400, 422)
-        assert isinstance(answer.json()["detail"], str)
+        assert isinstance(answer.json()["error"], str)
 
 
 def test_an_unreadable_file_is_told_and_never_replaced(client: Client, tmp_path: Path) -> None:
@@ -383,7 +383,7 @@ def test_an_unreadable_file_is_told_and_never_replaced(client: Client, tmp_path:
     (tmp_path / "boundaries.json").write_text("{ not what it should be")
     shown = client.get("/drawing")
     assert shown.status == 422
-    assert shown.json()["detail"].startswith("boundaries.json: found JSON that cannot be read")
+    assert shown.json()["error"].startswith("boundaries.json: found JSON that cannot be read")
     sketch = {"of": None, "handles": HANDLES}
     sent = {"author": "A", "boundaries": {"model": {"base": item["base"], "sketch": sketch}}}
     assert client.post("/save", sent).status == 422

@@ -1,6 +1,7 @@
 /** Photographs on their way to the clinic: in pieces, so that a cut line goes on where it was cut. */
 
 import { post } from "./post";
+import { Refused, type Reply, request } from "./request";
 
 interface Check {
   check: string;
@@ -37,12 +38,11 @@ export function takePhotographs(): void {
   for (const root of document.querySelectorAll<HTMLElement>("[data-uploads]")) void new Photographs(root).start();
 }
 
-class Refused extends Error {}
-
 class Photographs {
   private readonly queue: { file: File; camera: string | null; pose: string | null }[] = [];
   private readonly said: HTMLElement;
   private working = 0;
+  private failed = 0;
 
   constructor(private readonly root: HTMLElement) {
     this.said = root.querySelector<HTMLElement>("[data-said]")!;
@@ -68,11 +68,11 @@ class Photographs {
         this.add([...(target.files ?? [])], target.dataset.camera ?? null);
         target.value = "";
       } else if (target instanceof HTMLSelectElement && target.dataset.place !== undefined && target.value !== "")
-        void this.act(() => this.asked(`${target.dataset.place}place/`, "POST", JSON.stringify({ camera: target.value })));
+        void this.act(() => request(`${target.dataset.place}place/`, { json: { camera: target.value } }));
     });
     this.root.addEventListener("click", (event) => {
       const away = (event.target as HTMLElement).closest<HTMLElement>("[data-away]");
-      if (away !== null) void this.act(() => this.asked(away.dataset.away!, "DELETE"));
+      if (away !== null) void this.act(() => request(away.dataset.away!, { method: "DELETE" }));
       const go = (event.target as HTMLElement).closest<HTMLElement>("[data-go]");
       if (go !== null) void this.go(go);
     });
@@ -83,7 +83,7 @@ class Photographs {
   private async go(button: HTMLElement): Promise<void> {
     const anyway = button.dataset.anyway === "true";
     const next = { next: window.location.pathname };
-    const status = await post(button.dataset.go!, this.root.dataset.token!, this.said, next, anyway ? { anyway } : {});
+    const status = await post(button.dataset.go!, this.said, next, anyway ? { anyway } : {});
     if (status === 409 && !anyway && this.root.dataset.ready === "true" && this.root.dataset.for === "visit") {
       button.dataset.anyway = "true";
       button.textContent = "Measure anyway";
@@ -103,25 +103,29 @@ class Photographs {
       try {
         await this.send(next.file, next.camera, next.pose);
       } catch (error) {
+        this.failed += 1;
         this.say(error instanceof Refused ? `${next.file.name}: ${error.message}` : "The photograph could not be sent. Try again.");
       }
       await this.refresh().catch(() => undefined);
     }
     this.working -= 1;
-    if (this.working === 0) this.say(this.root.dataset.ready === "true" ? "All photographs are here." : this.said.textContent ?? "");
+    if (this.working > 0) return;
+    if (this.failed === 0 && this.root.dataset.ready === "true") this.say("All photographs are here.");
+    this.failed = 0;
   }
 
   private async send(file: File, camera: string | null, pose: string | null): Promise<void> {
     const { for: target, id } = this.root.dataset;
     const sha256 = await digest(file);
     const begin = { for: target, id, name: file.name, camera, size_bytes: file.size, sha256, ...(pose === null ? {} : { pose }) };
-    let upload = await this.patiently(() => this.asked("/uploads/", "POST", JSON.stringify(begin)));
+    let upload = await this.patiently(() => request<Upload>("/uploads/", { json: begin }));
     while (upload.state === "receiving" && upload.offset < upload.size_bytes) {
       const { offset, url, chunk_bytes } = upload;
       this.show(file.name, offset / file.size);
       upload = await this.patiently(async (again) => {
-        if (again) return this.asked(url, "GET");
-        return this.asked(url, "PATCH", file.slice(offset, offset + chunk_bytes), { "Upload-Offset": String(offset), "Content-Type": "application/offset+octet-stream" });
+        if (again) return request<Upload>(url);
+        const headers = { "Upload-Offset": String(offset), "Content-Type": "application/offset+octet-stream" };
+        return request<Upload>(url, { method: "PATCH", headers, body: file.slice(offset, offset + chunk_bytes) });
       });
     }
     this.show(file.name, 1);
@@ -133,22 +137,12 @@ class Photographs {
       try {
         return await act(attempt > 0);
       } catch (error) {
-        if (error instanceof Refused || attempt > 40) throw error;
+        if (error instanceof Refused && error.status === 409 && "offset" in error.reply) return error.reply as Reply & Upload;
+        if ((error instanceof Refused && error.status < 500) || attempt > 40) throw error;
         this.say("The connection is gone. The photograph goes on by itself when it is back.");
         await new Promise((done) => setTimeout(done, PATIENCE_MS[Math.min(attempt, PATIENCE_MS.length - 1)]));
       }
     }
-  }
-
-  private async asked<T = Upload>(url: string, method: string, body?: BodyInit, more: Record<string, string> = {}): Promise<T> {
-    const headers: Record<string, string> = { "X-CSRFToken": this.root.dataset.token!, ...more };
-    if (typeof body === "string") headers["Content-Type"] = "application/json";
-    const response = await fetch(url, { method, headers, body: body ?? null });
-    if (response.status === 204) return undefined as T;
-    const reply = (await response.json().catch(() => ({}))) as T & { error?: string; offset?: number };
-    if (response.ok || (response.status === 409 && reply.offset !== undefined)) return reply;
-    if (response.status >= 500) throw new Error(response.statusText);
-    throw new Refused(reply.error ?? response.statusText);
   }
 
   private async act(what: () => Promise<unknown>): Promise<void> {
@@ -162,7 +156,7 @@ class Photographs {
 
   /** Show what the server has. */
   private async refresh(): Promise<void> {
-    const state = await this.asked<State>(this.root.dataset.uploads!, "GET");
+    const state = await request<State>(this.root.dataset.uploads!);
     const list = this.root.querySelector<HTMLElement>("[data-places]")!;
     const cameras = (state.cameras ?? []).map(({ camera }) => camera);
     const places = state.cameras?.map(({ camera, upload }) => this.place(camera, camera, upload)) ?? [];

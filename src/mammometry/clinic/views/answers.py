@@ -15,7 +15,7 @@ from django.http import Http404, HttpRequest, HttpResponseBase, JsonResponse
 
 from mammometry.base.errors import MammometryError
 from mammometry.clinic.intake.uploads import UploadError
-from mammometry.clinic.models import Visit
+from mammometry.clinic.models import Comparison, Visit
 from mammometry.clinic.models.keyed import Keyed
 from mammometry.clinic.roles import CARE
 
@@ -91,9 +91,9 @@ def require_care(request: HttpRequest, target: object) -> None:
     """Refuse what is of a patient to those who only keep rigs.
 
     Raises:
-        PermissionDenied: it is a visit, and this person cares for no patients.
+        PermissionDenied: it is a visit or a comparison, and this person cares for no patients.
     """
-    if isinstance(target, Visit) and not request.user.has_role(*CARE):  # type: ignore[union-attr]  # logged in
+    if isinstance(target, Visit | Comparison) and not request.user.has_role(*CARE):  # type: ignore[union-attr]  # logged in
         raise PermissionDenied
 
 

@@ -11,9 +11,12 @@ from django.http import HttpRequest, HttpResponse
 from django.shortcuts import get_object_or_404, redirect, render
 from django.utils import timezone
 
-from mammometry.clinic import results
+from mammometry.clinic import comparing, results
+from mammometry.clinic.clinical_facts import operation_details
+from mammometry.clinic.consents import holds
 from mammometry.clinic.forms import PatientForm
-from mammometry.clinic.models import Patient
+from mammometry.clinic.models import Consent, Patient
+from mammometry.clinic.operations import events, phase_of, retentions
 
 _MANY = 50  # rows of a search; more are not read
 
@@ -54,18 +57,22 @@ def search(asked: str) -> QuerySet[Patient]:
 
 
 def patient(request: HttpRequest, patient: uuid.UUID) -> HttpResponse:
-    """One patient: volumes over time, changes, visits."""
+    """One patient: volumes over time, visits, changes, operations, consents."""
     person = get_object_or_404(Patient, pk=patient)
     visits = list(person.visits.select_related("rig").prefetch_related("measurements__volumes"))
+    operations = list(person.operations.select_related("entered_by"))
     found = results.latest(visits)
     by_visit = {result.visit.id: result for result in found}
     context = {
         "patient": person,
-        "age": results.age(person.born, timezone.localdate()),
-        "visits": [(visit, by_visit.get(visit.id)) for visit in visits],
-        "measured": [result.visit for result in found if _is_compared(result)],
+        "visits": [(visit, by_visit.get(visit.id), phase_of(visit, operations)) for visit in visits],
+        "measured": comparing.comparable(visits)[::-1],
         "readings": results.readings(found),
-        "steps": results.steps(found),
+        "events": events(operations),
+        "operations": [(operation, ", ".join(operation_details(operation))) for operation in operations],
+        "retentions": retentions(operations, found),
+        "consents": person.consents.select_related("entered_by"),
+        "lacking": [purpose for purpose in Consent.Purpose if not holds(person, purpose)],
     }
     return render(request, "clinic/patient.html", context)
 
@@ -98,8 +105,3 @@ def _day(asked: str) -> datetime.date | None:
         except ValueError:
             continue
     return None
-
-
-def _is_compared(result: results.VisitResult) -> bool:
-    """Whether a visit can be laid onto another: it has a volume, and photographs."""
-    return not result.visit.is_scan and any(side.volume_cc is not None for side in result.sides)

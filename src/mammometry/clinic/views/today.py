@@ -8,6 +8,7 @@ from django.http import HttpRequest, HttpResponse
 from django.shortcuts import redirect, render
 from django.utils import timezone
 
+from mammometry.clinic.first_day import first_day_of
 from mammometry.clinic.models import Job, Rig, Visit
 from mammometry.clinic.results import latest
 from mammometry.clinic.rigs.history import today as verdict_of
@@ -24,9 +25,9 @@ def today(request: HttpRequest) -> HttpResponse:
     """
     person = person_of(request)
     if CARE.isdisjoint(person.roles):
-        if person.has_role(Role.RESEARCHER):
+        if person.has_role(Role.RESEARCHER) and not person.has_role(Role.ADMINISTRATOR):
             return redirect("study")
-        return redirect("admin:clinic_person_changelist" if person.has_role(Role.ADMINISTRATOR) else "help")
+        return redirect("administration")
     now = timezone.localtime()
     begin = now.replace(hour=0, minute=0, second=0, microsecond=0)
     all_visits = Visit.objects.select_related("patient", "rig").prefetch_related("measurements__volumes")
@@ -39,6 +40,7 @@ def today(request: HttpRequest) -> HttpResponse:
     jobs = Job.objects.filter(state__in=("queued", "running")).count()
     context = {
         "now": now,
+        "first_day": first_day_of(person),
         "visits": visits,
         "volumes": {result.visit.id: result for result in latest(visits)},
         "unfinished": unfinished,

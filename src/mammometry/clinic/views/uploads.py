@@ -9,6 +9,7 @@ from django.http import Http404, HttpRequest, HttpResponse, HttpResponseBase, Js
 from django.urls import reverse
 
 from mammometry.clinic.intake import uploads
+from mammometry.clinic.intake.thumbnail import thumbnail_path
 from mammometry.clinic.models import Calibration, DailyCheck, Upload, Visit
 from mammometry.clinic.views.answers import Refused, answered, asked, found, require_care, text_of
 
@@ -87,7 +88,7 @@ def place(request: HttpRequest, upload: UUID) -> HttpResponseBase:
 @answered("GET")
 def thumbnail(request: HttpRequest, upload: UUID) -> HttpResponseBase:
     """A small picture of it."""
-    path = uploads.thumbnail_path(_find(request, upload))
+    path = thumbnail_path(_find(request, upload))
     if not path.is_file():
         raise Http404
     return HttpResponse(path.read_bytes(), content_type="image/webp", headers={"Cache-Control": "private, no-store"})

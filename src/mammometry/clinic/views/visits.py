@@ -10,8 +10,14 @@ from django.shortcuts import get_object_or_404, redirect, render
 from django.utils import timezone
 
 from mammometry.clinic.cameras import rig_file
+from mammometry.clinic.clinical_forms import CircumstancesForm
+from mammometry.clinic.confirmations import is_changed
+from mammometry.clinic.consents import pictures_caution
 from mammometry.clinic.forms import VisitForm
+from mammometry.clinic.lengths import length_table
 from mammometry.clinic.models import Calibration, Job, Scan, Visit
+from mammometry.clinic.next_step import next_step
+from mammometry.clinic.operations import phase_of
 from mammometry.clinic.reports import facts, report_file
 from mammometry.clinic.results import visit_result
 from mammometry.clinic.rigs.history import today as verdict_of
@@ -35,25 +41,39 @@ def visit_new(request: HttpRequest) -> HttpResponse:
     return render(request, "clinic/visit_new.html", {"form": form})
 
 
-def visit(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
-    """One visit, as far as it is: photographs, progress or result."""
+def visit(request: HttpRequest, visit: uuid.UUID, draft: str | None = None) -> HttpResponse:
+    """One visit, as far as it is: photographs, progress or result.
+
+    Args:
+        request: whose.
+        visit: its key.
+        draft: a conclusion that could not be signed, to be shown again.
+    """
     shown = get_object_or_404(Visit.objects.select_related("patient", "rig", "calibration"), pk=visit)
     job = shown.jobs.order_by("-created").first()
     measurement = shown.measurements.prefetch_related("volumes").first()
     busy = job is not None and job.state in OPEN
+    person = person_of(request)
     context = {
         "visit": shown,
         "patient": shown.patient,
         "job": job,
         "busy": busy,
         "failed": job if job is not None and job.state in ("failed", "cancelled") and not busy else None,
+        "step": next_step(shown, job, measurement, person),
         "result": None if measurement is None or busy else visit_result(shown, measurement),
+        "lengths": None if measurement is None or is_changed(shown) else length_table(measurement.quantities),
         "facts": facts(shown) if measurement is not None and not busy else None,
         "has_report": report_file(shown, "report.html") is not None,
         "drawings": shown.drawings.select_related("by")[:20],
+        "conclusions": list(shown.conclusions.select_related("by")),
+        "draft": draft,
+        "consent_caution": pictures_caution(shown.patient) if shown.subject_kind == Visit.Subject.TORSO else "",
+        "circumstances": CircumstancesForm(instance=shown),
+        "phase": phase_of(shown, list(shown.patient.operations.all())),
         "rig_verdict": None if shown.rig is None else verdict_of(shown.rig),
         "photographs": not busy and not shown.is_scan and (measurement is None or "photographs" in request.GET),
-        "clinician": person_of(request).has_role(Role.CLINICIAN),
+        "clinician": person.has_role(Role.CLINICIAN),
         "driven": shown.rig is not None and rig_file(shown.rig) is not None,
         "scan": Scan.objects.filter(visit=shown).first(),
         "limit_mb": the_clinic().limits.photograph_mb,
@@ -80,7 +100,9 @@ def visit_delete(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
 
 def jobs(request: HttpRequest) -> HttpResponse:
     """What is being computed, what waits, and how the last ones ended."""
-    all_jobs = Job.objects.select_related("visit__patient", "calibration__rig", "check_of_day__rig")
+    all_jobs = Job.objects.select_related(
+        "visit__patient", "comparison__before", "comparison__after__patient", "calibration__rig", "check_of_day__rig"
+    )
     context = {
         "open": list(all_jobs.filter(state__in=OPEN).order_by("created")),
         "ended": list(all_jobs.exclude(state__in=OPEN).order_by("-ended", "-created")[:50]),

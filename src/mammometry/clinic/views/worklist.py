@@ -14,10 +14,9 @@ from django.shortcuts import get_object_or_404, redirect, render
 from django.utils import timezone
 
 from mammometry.base.errors import MammometryError
-from mammometry.clinic.deliveries import connection
+from mammometry.clinic.deliveries import connection, require_libraries
 from mammometry.clinic.models import Calibration, Destination, Patient, Rig, Visit, VisitOrder
 from mammometry.clinic.views.who import person_of
-from mammometry.hospital.extra import require
 
 if TYPE_CHECKING:
     from mammometry.hospital.dicom.worklist import Entry
@@ -117,7 +116,7 @@ def _names(entry: Entry) -> tuple[str, str]:
 def _asked(
     source: Destination, *, day: datetime.date | None = None, accession: str = "", patient_id: str = ""
 ) -> list[Entry]:
-    require("pydicom", "pynetdicom")
+    require_libraries("pydicom", "pynetdicom")
     from mammometry.hospital.dicom.worklist import entries
 
     peer, tls = connection(source)
