@@ -449,7 +449,7 @@ class Editor {
       state.breasts.flatMap((name) => (this.stored(name).of === undefined ? [] : [[name, this.stored(name).of]])),
     );
     await this.act("Not confirmed", async () => {
-      const reply = await ask<State & { next?: string }>("finish", this.signed ? { curves } : { author, curves });
+      const reply = await ask<State & { next?: string }>("finish", this.signed ? { curves, base: this.drawing.bases } : { author, curves });
       if (reply.next !== undefined) return window.location.assign(reply.next);
       this.hear(reply);
       this.say("Confirmed. You may close this page.");

@@ -61,6 +61,7 @@ def compare(
     *,
     out: Path | None = None,
     privacy: Privacy | None = None,
+    from_clinic: bool = False,
     watches: tuple[Watch, Watch] = (unwatched, unwatched),
     progress: Progress = no_progress,
 ) -> Comparison:
@@ -74,6 +75,8 @@ def compare(
         settings: of all stages, for both; None for the recommended ones.
         out: folder to write; None: ``results/compare/<earlier session>`` in the later one.
         privacy: what to leave out of the page; None: nothing.
+        from_clinic: whether a clinic's database knows that both are one patient's, in this order, and who confirmed
+            which boundary. The manifests are then not asked, and the page says nothing of confirmations.
         watches: called for every product that is made, for each session.
         progress: called with the fraction of the comparison itself.
 
@@ -89,15 +92,17 @@ def compare(
     privacy = privacy or Privacy()
     settings = settings or Settings()
     jobs = [open_session(path, settings, watch=watch) for path, watch in zip((before, after), watches, strict=True)]
-    subject = _check(jobs)
+    _check(jobs)
+    subject = None if from_clinic else _one_subject(jobs)
     remarks = []
     dates = [job.session.manifest.date for job in jobs]
-    if dates[0] is not None and dates[1] is not None and dates[0] > dates[1]:
-        jobs.reverse()
-        dates.reverse()
-        remarks.append("The sessions were named in the other order. The dates in their manifests were used.")
-    if None in dates:
-        remarks.append("A session has no date. The session named first was taken as the earlier one.")
+    if not from_clinic:
+        if dates[0] is not None and dates[1] is not None and dates[0] > dates[1]:
+            jobs.reverse()
+            dates.reverse()
+            remarks.append("The sessions were named in the other order. The dates in their manifests were used.")
+        if None in dates:
+            remarks.append("A session has no date. The session named first was taken as the earlier one.")
     folder = out or jobs[1].session.results / FOLDER / _folder_name(jobs[0], privacy)
     require_apart(folder, [path for job in jobs for path in job.session.brought])
     require_free(folder, change_page.FILES, command=_COMMAND)
@@ -119,7 +124,8 @@ def compare(
         common_scale=_common_scale(jobs),
         progress=part(progress, 0.4, 0.8),
     )
-    warnings = [*_warnings(change, settings), *warnings]
+    unconfirmed = [] if from_clinic else _unconfirmed(change)
+    warnings = [*_warnings(change, settings), *unconfirmed, *warnings]
     heading = _heading(jobs, dates, subject, privacy.deidentify)
     report = _report(jobs, heading, change, visits, warnings, remarks, privacy)
     files = change_page.change_files(report)
@@ -164,8 +170,8 @@ def _heading(jobs: list[Job], dates: list[datetime.date | None], subject: str | 
     return _Heading(title=" → ".join(each.title for each in known), subtitle=_dates_words(dates), subject=None)
 
 
-def _check(jobs: list[Job]) -> str | None:
-    """Return the subject, or refuse two dates that cannot be compared."""
+def _check(jobs: list[Job]) -> None:
+    """Refuse two dates that cannot be compared."""
     for job in jobs:
         kind = job.inputs.subject_kind
         if kind != "torso":
@@ -185,6 +191,10 @@ def _check(jobs: list[Job]) -> str | None:
             expected="two sessions with photographs of their own",
             remedy="Name the session of the other date",
         )
+
+
+def _one_subject(jobs: list[Job]) -> str | None:
+    """Return the subject that the manifests name, or refuse two subjects."""
     return one_subject(
         [(f"{job.session.path}: subject.id", job.identity.subject) for job in jobs],
         remedy="Name two sessions of one subject, or correct subject.id in the one that is wrong",
@@ -297,8 +307,6 @@ def _common_scale(jobs: list[Job]) -> bool:
 
 
 def _warnings(change: Change, settings: Settings) -> list[str]:
-    from mammometry.measure.boundary.confirming import TO_BE_CONFIRMED
-
     warnings = []
     if change.doubtful:
         warnings.append(
@@ -310,6 +318,13 @@ def _warnings(change: Change, settings: Settings) -> list[str]:
             f"The trunk leaned differently by {change.fit.turned_deg:.0f}°. Breasts then hang differently, by more "
             "than the interval includes."
         )
+    return warnings
+
+
+def _unconfirmed(change: Change) -> list[str]:
+    from mammometry.measure.boundary.confirming import TO_BE_CONFIRMED
+
+    warnings = []
     for number, which in enumerate(_WHICH):
         found = [(each.before, each.after)[number] for each in change.breasts]
         if any(TO_BE_CONFIRMED in each.boundary_method for each in found):
@@ -337,7 +352,7 @@ def _report(
     privacy: Privacy,
 ) -> ChangeReport:
     from mammometry.report.change_page import ChangeReport
-    from mammometry.report.content import settings_facts
+    from mammometry.report.describe import settings_facts
     from mammometry.report.figures.change import Dated
     from mammometry.report.privacy import guard
 

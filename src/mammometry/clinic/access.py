@@ -8,7 +8,7 @@ transaction, and enters into the audit who saw which patient's, visit's or rig's
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable, Iterable
+from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from functools import wraps
 from typing import Any
@@ -18,7 +18,7 @@ from asgiref.sync import iscoroutinefunction, sync_to_async
 from django.core.exceptions import PermissionDenied
 from django.db import transaction
 from django.http import HttpRequest, HttpResponseBase, HttpResponseRedirect, JsonResponse
-from django.urls import URLPattern, URLResolver, path, re_path, reverse
+from django.urls import URLPattern, path, re_path, reverse
 
 from mammometry.clinic.roles import Role
 
@@ -81,18 +81,6 @@ def set_up_route(where: str, view: View, *, name: str, roles: frozenset[Role]) -
 def _mounted(where: str, view: View, name: str, access: Access) -> URLPattern:
     mount: Any = re_path if where.startswith("^") else path
     made: URLPattern = mount(where, guarded(view, access), name=name)
-    return made
-
-
-def mounted(patterns: Iterable[URLPattern | URLResolver], access: Access) -> list[URLPattern | URLResolver]:
-    """Another application's routes, each guarded alike."""
-    made: list[URLPattern | URLResolver] = []
-    for each in patterns:
-        if isinstance(each, URLResolver):
-            within = mounted(each.url_patterns, access)
-            made.append(URLResolver(each.pattern, within, each.default_kwargs, each.app_name, each.namespace))
-        else:
-            made.append(URLPattern(each.pattern, guarded(each.callback, access), each.default_args, each.name))
     return made
 
 

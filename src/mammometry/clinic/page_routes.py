@@ -5,7 +5,9 @@ from __future__ import annotations
 from mammometry.clinic.access import route
 from mammometry.clinic.roles import ADMINISTRATOR, CARE, CLINICIAN, EVERYBODY, RIGS, STUDY
 from mammometry.clinic.views import (
+    clinical,
     compare,
+    corrections,
     deliveries,
     exports,
     guide,
@@ -13,12 +15,12 @@ from mammometry.clinic.views import (
     results,
     rigs,
     scans,
-    settings,
     study,
     today,
     visits,
     worklist,
 )
+from mammometry.clinic.views.choose import leads_on
 
 _EDITOR_BYTES = 1 << 20  # of a drawing with all its points
 _SEES_RIGS = RIGS | CLINICIAN
@@ -28,20 +30,41 @@ PAGES = [
     route("help/", guide.guide, name="help", roles=EVERYBODY, audited=False),
     route("patients/", patients.patients, name="patients", roles=CARE),
     route("patients/new/", patients.patient_new, name="patient-new", roles=CARE),
-    route("patients/<uuid:patient>/", patients.patient, name="patient", roles=CARE),
-    route("patients/<uuid:patient>/edit/", patients.patient_edit, name="patient-edit", roles=CARE),
-    route("patients/<uuid:patient>/compare/", compare.compare, name="compare", roles=CLINICIAN),
+    route("patients/<uuid:patient>/", leads_on(patients.patient), name="patient", roles=CARE),
+    route("patients/<uuid:patient>/edit/", leads_on(patients.patient_edit), name="patient-edit", roles=CARE),
+    route("patients/<uuid:patient>/merge/", corrections.patient_merge, name="patient-merge", roles=CARE),
+    route("patients/<uuid:patient>/bin/", corrections.patient_bin, name="patient-bin", roles=CARE),
+    route("patients/<uuid:patient>/compare/", leads_on(compare.compare), name="compare", roles=CLINICIAN),
     route(
         "patients/<uuid:patient>/compare/<uuid:before>/<uuid:after>/",
         compare.compare_page,
         name="compare-page",
         roles=CLINICIAN,
     ),
+    route(
+        "patients/<uuid:patient>/changes/",
+        compare.patient_changes,
+        name="patient-changes",
+        roles=CARE,
+        audited=False,
+    ),
+    route("patients/<uuid:patient>/operations/new/", clinical.operation_new, name="operation-new", roles=CARE),
+    route("operations/<uuid:operation>/edit/", clinical.operation_edit, name="operation-edit", roles=CARE),
+    route("operations/<uuid:operation>/remove/", clinical.operation_remove, name="operation-remove", roles=CARE),
+    route("patients/<uuid:patient>/consents/new/", clinical.consent_new, name="consent-new", roles=CARE),
+    route("consents/<uuid:consent>/edit/", clinical.consent_edit, name="consent-edit", roles=CARE),
     route("visits/new/", visits.visit_new, name="visit-new", roles=CARE),
     route("visits/scan/", scans.scan_new, name="scan-new", roles=CARE, body_bytes=scans.BODY_BYTES, atomic=False),
     route("worklist/", worklist.worklist, name="worklist", roles=CARE),
     route("visits/<uuid:visit>/", visits.visit, name="visit", roles=CARE),
-    route("visits/<uuid:visit>/take-back/", visits.visit_delete, name="visit-take-back", roles=CARE),
+    route("visits/<uuid:visit>/move/", corrections.visit_move, name="visit-move", roles=CARE),
+    route("visits/<uuid:visit>/date/", corrections.visit_date, name="visit-date", roles=CARE),
+    route("visits/<uuid:visit>/bin/", corrections.visit_bin, name="visit-bin", roles=CARE),
+    route("corrections/", corrections.corrections, name="corrections", roles=CARE | ADMINISTRATOR),
+    route("corrections/<uuid:correction>/undo/", corrections.correction_undo, name="correction-undo", roles=CARE),
+    route("visits/<uuid:visit>/verdict/", compare.visit_verdict, name="visit-verdict", roles=CARE, audited=False),
+    route("visits/<uuid:visit>/circumstances/", clinical.circumstances, name="circumstances", roles=CARE),
+    route("visits/<uuid:visit>/conclusion/", clinical.conclude, name="conclude", roles=CLINICIAN),
     route("visits/<uuid:visit>/report/", results.report, name="report", roles=CARE),
     route("visits/<uuid:visit>/report.pdf", results.report_pdf, name="report-pdf", roles=CARE),
     route("visits/<uuid:visit>/send/", deliveries.visit_send, name="visit-send", roles=CLINICIAN),
@@ -74,15 +97,4 @@ PAGES = [
     route("study/cohort.csv", study.study_csv, name="study-csv", roles=STUDY),
     route("study/redcap.zip", exports.study_redcap, name="study-redcap", roles=STUDY),
     route("study/table.zip", exports.study_table, name="study-table", roles=STUDY),
-    route("archives/", deliveries.destinations, name="destinations", roles=ADMINISTRATOR),
-    route("archives/new/", deliveries.destination_new, name="destination-new", roles=ADMINISTRATOR),
-    route("archives/<uuid:destination>/", deliveries.destination_edit, name="destination-edit", roles=ADMINISTRATOR),
-    route(
-        "archives/<uuid:destination>/test/",
-        deliveries.destination_test,
-        name="destination-test",
-        roles=ADMINISTRATOR,
-        atomic=False,  # it waits for the archive
-    ),
-    route("settings/", settings.settings, name="settings", roles=ADMINISTRATOR),
 ]

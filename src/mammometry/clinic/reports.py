@@ -12,6 +12,10 @@ from pathlib import Path
 from mammometry.clinic.models import Visit
 from mammometry.report.scene import json_in_page
 
+_OF_THE_STATE = "Nobody has confirmed the automatic boundary"
+"""How the warning begins that the visit's state says already."""
+_OF_PHOTOGRAPHS = ("Pose ", "Pair ", "Something hides part", "The subject was not separated")
+"""How warnings begin that concern single photographs: `report.warnings` writes them."""
 _LARGEST = 64 << 20  # bytes of a report; ours have a few MB
 
 
@@ -20,6 +24,9 @@ class Facts:
     """What a reader must know beside the volumes."""
 
     warnings: tuple[str, ...]
+    """What concerns the numbers."""
+    notes: tuple[str, ...] = ()
+    """What concerns single photographs and how they were matched."""
 
 
 def report_file(visit: Visit, name: str) -> Path | None:
@@ -32,13 +39,18 @@ def report_file(visit: Visit, name: str) -> Path | None:
 
 
 def facts(visit: Visit) -> Facts:
-    """Warnings of the report."""
+    """Warnings of the report, without what the visit's state says."""
     path = report_file(visit, "warnings.json")
     try:
         warnings = [] if path is None else json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         warnings = []
-    return Facts(tuple(str(each) for each in warnings) if isinstance(warnings, list) else ())
+    sentences = [str(each) for each in warnings] if isinstance(warnings, list) else []
+    sentences = [sentence for sentence in sentences if not sentence.startswith(_OF_THE_STATE)]
+    return Facts(
+        tuple(sentence for sentence in sentences if not sentence.startswith(_OF_PHOTOGRAPHS)),
+        tuple(sentence for sentence in sentences if sentence.startswith(_OF_PHOTOGRAPHS)),
+    )
 
 
 def scene_of(visit: Visit) -> str | None:

@@ -5,6 +5,7 @@ What can be drawn on, and what somebody changed or confirmed.
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime
@@ -35,6 +36,7 @@ from mammometry.measure.volume.attribution import curve_digest
 from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.settings import Settings
 
+_LOG = logging.getLogger(__name__)
 DRAWN, EDITED = "drawn by hand", "edited by hand"
 _AUTOMATIC: Entry = {"method": "the automatic boundary"}
 _FARTHEST_MM = 10_000.0  # from the surface: a wrong unit is reported, and nothing overflows
@@ -74,12 +76,16 @@ class Drawable(Protocol):
         ...
 
     @property
-    def report_key(self) -> Key:
-        """What the report depends on."""
+    def content_key(self) -> Key:
+        """What the report's content depends on."""
         ...
 
     def surface(self) -> FinishedSurface:
         """The surface with its colours, made if it is not current."""
+        ...
+
+    def render_report(self) -> None:
+        """Render the report again with who drew and confirmed the boundaries by now."""
         ...
 
     def run(self) -> object:
@@ -242,6 +248,10 @@ class Desk:
                     entry={**(entry or {"automatic": True}), **seen}, base=entry_digest(entry)
                 )
             change_drawn(self.folder, self.kind, changes, subject=self.subject)
+            try:
+                self.job.render_report()
+            except StorageError as error:  # another run is at work: the next one renders the report
+                _LOG.warning("the report does not show the confirmation yet: %s", error)
 
     # --- curves ---
 

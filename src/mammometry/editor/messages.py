@@ -79,7 +79,7 @@ class Save(Message):
 class Finish(Message):
     """Confirmation that somebody looked at all boundaries and found them right."""
 
-    author: Author = "anonymous"
+    author: Author
     curves: dict[Breast, Annotated[str, Field(max_length=64)]]
     """Breast → digest of the curve that was looked at."""
 

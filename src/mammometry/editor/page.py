@@ -6,17 +6,17 @@ Whoever serves it: the local server or the clinic.
 from __future__ import annotations
 
 import json
+import logging
 from dataclasses import replace
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from pydantic import ValidationError
 
-from mammometry.base.errors import MammometryError, SessionError, StorageError
+from mammometry.base.errors import MammometryError, StorageError
 from mammometry.editor.desk import Desk, Drawable
 from mammometry.editor.messages import Finish, Measure, Message, Save, sentence
 from mammometry.io.drawn_changes import LateError
-from mammometry.measure.volume.attribution import curve_digest
 from mammometry.report.figures.shading import front_frame
 from mammometry.report.models import viewer_scene
 from mammometry.report.scene import json_in_page, to_json
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 _TRIANGLES = 150_000  # of the surface on the page: fine enough to see the nipple, light enough to load; chosen by eye
+_LOG = logging.getLogger(__name__)
 _Message = TypeVar("_Message", bound=Message)
 
 
@@ -79,24 +80,6 @@ class EditorPage:
         sent = _signed(read(Save, body), author)
         return sent, self.desk.save(sent)
 
-    def measured_curves(self, body: bytes) -> dict[str, str]:
-        """Curves that a message confirms: breast → digest.
-
-        Raises:
-            SessionError: they are not those that were measured last.
-        """
-        sent = read(Finish, body)
-        measured = {name: curve_digest(one.boundary_world) for name, one in self.desk.measured().items()}
-        shown = {name: item["of"] for name, item in self.desk.state()["boundaries"].items() if "of" in item}
-        if not sent.curves or dict(sent.curves) != measured or measured != shown:
-            raise SessionError(
-                "the boundaries",
-                found="other curves than those that were measured",
-                expected="the measured ones",
-                remedy="Wait until they are measured, load the page again and look at them",
-            )
-        return measured
-
     def finish(self, body: bytes) -> None:
         """Record the confirmation of a message."""
         self.desk.finish(read(Finish, body))
@@ -104,7 +87,7 @@ class EditorPage:
 
 def _scene(job: Drawable) -> dict[str, Any]:
     """The surface with its photographs as the report shows it, if that is current; else as it is made here."""
-    record = job.store.record(job.report_key)
+    record = job.store.record(job.content_key)
     mesh = job.mesh.key
     if record is not None and record.inputs.get(f"{mesh.stage}/{mesh.product}", mesh.digest) == mesh.digest:
         page = job.store.folder / "report" / "report.html"
@@ -133,7 +116,10 @@ def refusal(error: MammometryError | ValidationError) -> tuple[int, dict[str, An
         return 422, {"error": sentence([dict(item) for item in error.errors(include_url=False)])}
     if isinstance(error, LateError):
         return 409, {"error": str(error), "late": [list(item) for item in error.items]}
-    return (500 if isinstance(error, StorageError) else 422), {"error": str(error)}
+    if isinstance(error, StorageError):
+        _LOG.error("%s", error)
+        return (507 if error.is_full else 503), {"error": str(error)}
+    return 422, {"error": str(error)}
 
 
 def resource(package: str, name: str) -> str:

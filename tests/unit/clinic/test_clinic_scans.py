@@ -19,7 +19,7 @@ from tests.unit.io.scan_files import scanned, texture
 
 from mammometry.clinic.config import ClinicConfig
 from mammometry.clinic.jobs import queue, work
-from mammometry.clinic.models import Job, Patient, Scan, Visit
+from mammometry.clinic.models import Consent, Job, Patient, Scan, Visit
 from mammometry.clinic.roles import Role
 
 
@@ -250,6 +250,7 @@ def test_a_scan_is_measured_shown_and_exported(
             assert (b"KIS-4711" in held) is not bool(arguments)
     for release in ("r4", "r5"):
         assert client.get(reverse("visit-fhir", args=[visit.pk, release])).status_code == 200
+    Consent.objects.create(patient=patient, purpose="research", given_on="2026-01-01")
     table = client_of(Role.RESEARCHER).get(reverse("study-table"))
     with zipfile.ZipFile(io.BytesIO(table.content)) as archive:
         assert patient.pseudonym.encode() in archive.read("measurements.csv")

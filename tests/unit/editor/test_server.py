@@ -60,7 +60,8 @@ def job(folder: Path, kind: str = "model") -> SimpleNamespace:
         surface=lambda: finished,
         measured=SimpleNamespace(boundaries=lambda: (found,), sides=None, measurements=None),
         mesh=SimpleNamespace(key=None),
-        report_key=None,
+        content_key=None,
+        render_report=lambda: None,
         store=SimpleNamespace(record=lambda key: None),
         run=lambda: None,
     )

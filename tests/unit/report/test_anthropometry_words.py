@@ -17,14 +17,14 @@ def test_tables_say_values_with_their_uncertainty_and_leave_out_what_is_not_ther
         shapes=(
             BreastShape(
                 name="left", skin_cm2=250.0, base_width_mm=121.0, base_height_mm=133.0, base_sigma_mm=4.2,
-                projection_mm=41.26, quadrants_cc={"upper lateral": 80.0}, above_nipple_cc=150.4, below_nipple_cc=99.6,
-                pole_sigma_cc=12.0,
+                projection_mm=41.26, projection_sigma_mm=1.2, quadrants_cc={"upper lateral": 80.0},
+                above_nipple_cc=150.4, below_nipple_cc=99.6, pole_sigma_cc=12.0,
             ),
         ),
         lengths=(
             LinearMeasure(
                 name="N-midline left", title="left nipple to midline", straight_mm=88.25, straight_sigma_mm=2.04,
-                geodesic_mm=None, geodesic_sigma_mm=None,
+                geodesic_mm=None, geodesic_sigma_mm=None, ends_world=((88.25, 0.0, 0.0), (0.0, 0.0, 0.0)),
             ),
         ),
         ptosis=(

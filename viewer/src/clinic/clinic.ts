@@ -3,6 +3,7 @@
 import htmx from "htmx.org";
 
 import { askFirst } from "./ask";
+import { closeMenus } from "./drop_down";
 import { loggedIn } from "./login";
 import { postForms } from "./post";
 import { followJobs } from "./progress";
@@ -20,6 +21,7 @@ document.addEventListener("htmx:responseError", (event) => {
 });
 
 askFirst();
+closeMenus();
 postForms();
 followJobs();
 takePhotographs();

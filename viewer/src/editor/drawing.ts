@@ -176,6 +176,13 @@ export class Drawing {
     return body;
   }
 
+  /** Versions of all items: name → digest. */
+  get bases(): Record<Group, Record<string, string | null>> {
+    const bases: Record<Group, Record<string, string | null>> = { boundaries: {}, landmarks: {} };
+    for (const item of this.items) bases[item.group][item.name] = this.stored(item).base;
+    return bases;
+  }
+
   /** Show an item as it stands in the session, in every step that may be had back too. */
   take(item: Item, state: State): void {
     const { group, name } = item;

@@ -11,8 +11,14 @@ import numpy as np
 from PIL import Image
 
 from mammometry.base.photograph import Photograph
+from mammometry.clinic.models import Upload
 
 _LONGEST_PX, _QUALITY = 480, 75  # of a picture of about 20 kB; chosen by eye
+
+
+def thumbnail_path(upload: Upload) -> Path:
+    """Where the small picture of an upload lies."""
+    return upload.path.with_suffix(".webp")
 
 
 def write_thumbnail(photograph: Photograph, path: Path) -> None:

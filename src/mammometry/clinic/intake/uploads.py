@@ -18,6 +18,7 @@ from uuid import UUID
 
 from django.db import transaction
 from django.db.models import QuerySet
+from django.utils import timezone
 from filelock import FileLock, Timeout
 
 from mammometry.base.errors import ImageError, MammometryError
@@ -27,7 +28,8 @@ from mammometry.capture.checks.cameras import KnownCamera
 from mammometry.capture.checks.content import not_only_a_photograph
 from mammometry.capture.checks.found import Found, refuses
 from mammometry.capture.sessions import cameras_of, make_session, manifest_text
-from mammometry.clinic.intake.thumbnail import write_thumbnail
+from mammometry.clinic.intake.set_aside import clear_place, put_back, set_aside
+from mammometry.clinic.intake.thumbnail import thumbnail_path, write_thumbnail
 from mammometry.clinic.jobs import queue
 from mammometry.clinic.models import Calibration, DailyCheck, Job, Person, Rig, Upload, Visit
 from mammometry.clinic.site import the_clinic
@@ -180,19 +182,46 @@ def place(upload: Upload, camera: str) -> Upload:
 
 
 def remove(upload: Upload) -> None:
-    """Take a photograph away again, wherever it is.
+    """Set a photograph aside, or forget an upload that never came into its place.
 
     Raises:
-        UploadError: the visit is being measured.
+        UploadError: the visit is being measured, or it is set aside already.
+        StorageError: the disk is full or refuses.
     """
     target = target_of(upload)
     require_open(target)
+    if upload.state == Upload.State.SET_ASIDE:
+        raise UploadError("This photograph is set aside already.")
     if upload.state == Upload.State.PLACED:
-        (folder_of(target) / upload.name).unlink(missing_ok=True)
+        with transaction.atomic():
+            set_aside(upload, folder_of(target))
+            note_ready(target, changed=True)
+        return
     for path in _files(upload):
         path.unlink(missing_ok=True)
     upload.delete()
     note_ready(target)
+
+
+def bring_back(upload: Upload) -> None:
+    """Put a photograph that was set aside into its place. One that is there is set aside.
+
+    Raises:
+        UploadError: it is not set aside, or the visit is being measured.
+        StorageError: the disk is full or refuses.
+    """
+    target = target_of(upload)
+    require_open(target)
+    if upload.state != Upload.State.SET_ASIDE:
+        raise UploadError("This photograph is not set aside.")
+    folder = folder_of(target)
+    name = f"{_place(target, _pose(upload), upload.camera)}{Path(upload.name).suffix}"
+    with transaction.atomic():
+        _clear_place(upload, target, folder / name)
+        put_back(upload, folder, folder / name)
+        upload.name, upload.state, upload.created = name, Upload.State.PLACED, timezone.now()
+        upload.save()
+        note_ready(target, changed=True)
 
 
 def target_of(upload: Upload) -> Target:
@@ -228,11 +257,6 @@ def require_open(target: Target) -> None:
         raise UploadError("This is being measured. Wait until it is done, or cancel it first.")
 
 
-def thumbnail_path(upload: Upload) -> Path:
-    """Where its small picture lies."""
-    return upload.path.with_suffix(".webp")
-
-
 def table_of(upload: Upload) -> dict[str, Any]:
     """An upload as JSON, less the addresses."""
     field = "visit" if upload.visit_id else "calibration" if upload.calibration_id else "check"
@@ -253,12 +277,13 @@ def table_of(upload: Upload) -> dict[str, Any]:
 
 def state_of(target: Target) -> dict[str, Any]:
     """Every camera's photograph, what is missing, and what the photographs say together."""
-    uploads = list(_of(target))
+    uploads = list(_of(target).exclude(state=Upload.State.SET_ASIDE))
     newest = {(_pose(each), each.camera): each for each in uploads if each.camera}
     placed = {shot: each for shot, each in newest.items() if each.state == Upload.State.PLACED}
     known = cameras_of(rig_of(target).definition)
     common: dict[str, Any] = {
         "unplaced": [table_of(each) for each in uploads if not each.camera],
+        "set_aside": [table_of(each) for each in _of(target).filter(state=Upload.State.SET_ASIDE).order_by("camera")],
         "busy": Job.objects.filter(**{_field(target): target}, state__in=queue.OPEN).exists(),
     }
     if isinstance(target, Calibration):
@@ -322,21 +347,21 @@ def _judge_and_place(upload: Upload) -> None:
         # One at a time for each target, so that the file that stays is the one of the row that stays. SQLite has one
         # writer anyhow.
         type(target)._default_manager.select_for_update().get(pk=target.pk)
+        changed = _clear_place(upload, target, goal)
         with disk_errors(goal):
             goal.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
             upload.path.replace(goal)  # from here on it is in the session; the row follows
-            for other in goal.parent.glob(f"{upload.camera}.*"):
-                if other != goal:
-                    other.unlink()
             sync_folder(goal.parent)
-        replaced = _of(target).filter(camera=upload.camera).exclude(pk=upload.pk)
-        for each in replaced:
-            if _pose(each) == _pose(upload) and each.state != Upload.State.RECEIVING:
-                thumbnail_path(each).unlink(missing_ok=True)
-                each.delete()
         upload.name = goal.relative_to(folder).as_posix()
         upload.save()
-        note_ready(target)
+        note_ready(target, changed=changed)
+
+
+def _clear_place(upload: Upload, target: Target, goal: Path) -> bool:
+    others = _of(target).filter(camera=upload.camera).exclude(pk=upload.pk)
+    left = (Upload.State.RECEIVING, Upload.State.SET_ASIDE)
+    same_pose = [other for other in others.exclude(state__in=left) if _pose(other) == _pose(upload)]
+    return clear_place(same_pose, upload, folder_of(target), goal)
 
 
 def _look(upload: Upload, target: Target) -> tuple[list[Found], dict[str, Any]]:
@@ -392,15 +417,9 @@ def ready_folder(visit: Visit) -> None:
         StorageError: the disk is full or refuses.
     """
     text = manifest_text(
-        rig_of(visit).definition, visit.subject_kind, visit.patient.pseudonym, _local(visit.taken_at).date()
+        rig_of(visit).definition, visit.subject_kind, visit.patient.pseudonym, timezone.localdate(visit.taken_at)
     )
     make_session(visit.folder, text)
-
-
-def _local(moment: Any) -> Any:
-    from django.utils import timezone
-
-    return timezone.localtime(moment)
 
 
 def _together(target: Target, placed: Sequence[Upload]) -> list[Found]:
@@ -420,11 +439,14 @@ def _refuse(upload: Upload, found: Sequence[Found]) -> None:
     upload.save()
 
 
-def note_ready(target: Target) -> None:
-    """A visit whose photographs are all there is ready."""
+def note_ready(target: Target, *, changed: bool = False) -> None:
+    """A visit whose photographs are all there is ready. A measured one whose photographs changed says so."""
     if not isinstance(target, Visit):
         return
-    state = Visit.State.READY if state_of(target)["ready"] else Visit.State.UPLOADING
+    if target.measurements.exists():
+        state = Visit.State.CHANGED if changed else Visit.State(target.state)
+    else:
+        state = Visit.State.READY if state_of(target)["ready"] else Visit.State.UPLOADING
     if target.state != state:
         target.state = state
         target.save(update_fields=["state"])

@@ -11,7 +11,7 @@ from typing import Any
 from django.utils import timezone
 
 from mammometry.capture.sessions import make_session, manifest_text
-from mammometry.clinic.models import Calibration, DailyCheck, Job, Rig, Visit
+from mammometry.clinic.models import Calibration, Comparison, DailyCheck, Job, Rig, Visit
 from mammometry.clinic.rigs.today import Calibrated, Checked, Today, judge
 from mammometry.clinic.site import the_clinic
 from mammometry.io.drift import CameraDrift, Entry
@@ -86,16 +86,21 @@ def new_check(rig: Rig, by: Any) -> DailyCheck | None:
     return made
 
 
-def may_queue(target: Visit | Calibration | DailyCheck, *, anyway: bool = False) -> str | None:
+def may_queue(target: Visit | Calibration | DailyCheck | Comparison, *, anyway: bool = False) -> str | None:
     """Why something cannot be computed now, in a sentence.
 
     None where it can.
 
     A visit takes its rig's current calibration when it is queued first, and keeps it.
     """
+    from mammometry.clinic.comparing import may_compare
     from mammometry.clinic.intake.uploads import state_of
+    from mammometry.clinic.records.duplicates import elsewhere, same_photographs
     from mammometry.io.scans import is_scan
 
+    if isinstance(target, Comparison):
+        ready = may_compare(target.before, target.after)
+        return None if ready else "One of both visits is not measured as it stands. Measure it first."
     if Job.objects.filter(_about(target), state__in=(Job.State.QUEUED, Job.State.RUNNING)).exists():
         return None  # the one that is open is answered
     if isinstance(target, Visit):
@@ -117,6 +122,8 @@ def may_queue(target: Visit | Calibration | DailyCheck, *, anyway: bool = False)
         said = [each["sentence"] for each in state["together"] if each["level"] == "refuse"]
         missing = f"Photographs are missing: {', '.join(state['missing'])}." if state["missing"] else ""
         return " ".join(filter(None, [missing, *said])) or "This rig has no cameras. Describe it first."
+    if isinstance(target, Visit) and not anyway:
+        return " ".join(elsewhere(other, cameras) for other, cameras in same_photographs(target)) or None
     return None
 
 

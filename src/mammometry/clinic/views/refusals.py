@@ -9,7 +9,9 @@ from django.shortcuts import render
 from django.template.loader import render_to_string
 
 from mammometry.clinic.access import is_program
+from mammometry.clinic.audit import record_refusal
 from mammometry.clinic.site import the_clinic
+from mammometry.hospital.extra import MissingLibraryError
 
 
 def _page(request: HttpRequest, status: int, title: str, sentence: str) -> HttpResponse:
@@ -24,7 +26,8 @@ def bad_request(request: HttpRequest, exception: Exception | None = None) -> Htt
 
 
 def forbidden(request: HttpRequest, exception: Exception | None = None) -> HttpResponse:
-    """403: logged in, without the role."""
+    """403: logged in, without the role. The audit has an entry of it."""
+    record_refusal(request)
     sentence = "Your role does not open this page. Ask the clinic's administrator if it should."
     return _page(request, 403, "Not for your role", sentence)
 
@@ -32,6 +35,11 @@ def forbidden(request: HttpRequest, exception: Exception | None = None) -> HttpR
 def missing(request: HttpRequest, exception: Exception | None = None) -> HttpResponse:
     """404."""
     return _page(request, 404, "Not here", "There is no such page. It may have been erased.")
+
+
+def not_installed(request: HttpRequest, error: MissingLibraryError) -> HttpResponse:
+    """501: the server lacks a library that this page needs."""
+    return _page(request, 501, "Not installed", str(error))
 
 
 def broken(request: HttpRequest) -> HttpResponse:
@@ -59,5 +67,8 @@ def forged(request: HttpRequest, reason: str = "") -> HttpResponse:
 
 def locked_out(request: HttpRequest, response: Any = None, credentials: Any = None, *_: Any) -> HttpResponse:
     """429: too many wrong passwords."""
-    sentence = "Too many wrong passwords for this name. Wait a while, or ask the clinic's administrator."
-    return _page(request, 429, "Wait", sentence)
+    minutes = the_clinic().limits.wait_minutes
+    sentence = (
+        f"Too many wrong passwords for this name. Wait {minutes} minutes, or ask the administrator to let you in."
+    )
+    return _page(request, 429, "Locked out for a while", sentence)

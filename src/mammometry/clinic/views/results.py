@@ -6,6 +6,7 @@ Report, 3D view, boundaries and landmarks to draw or confirm.
 from __future__ import annotations
 
 import hashlib
+import logging
 import uuid
 from collections import OrderedDict
 from collections.abc import Callable
@@ -18,18 +19,41 @@ from django.shortcuts import get_object_or_404, render
 from django.urls import reverse
 from pydantic import ValidationError
 
-from mammometry.base.errors import MammometryError
+from mammometry.base.errors import MammometryError, StorageError
+from mammometry.clinic import confirmations
 from mammometry.clinic.jobs import queue
 from mammometry.clinic.jobs.events import table_of
-from mammometry.clinic.models import Drawing, Visit
+from mammometry.clinic.models import Confirmation, Drawing, Job, Visit
 from mammometry.clinic.reports import report_file, scene_of
+from mammometry.clinic.rigs.history import may_queue
 from mammometry.clinic.security import report_policy
 from mammometry.clinic.site import the_clinic
 from mammometry.clinic.views.who import person_of
 from mammometry.editor.desk import Drawable
-from mammometry.editor.page import EditorPage, refusal
+from mammometry.editor.messages import Base, Breast, Message
+from mammometry.editor.page import EditorPage, read, refusal
+from mammometry.io.drawn_changes import Group, drawn_entries, entry_digest
+from mammometry.job.inputs import SubjectKind
 
+_LOG = logging.getLogger(__name__)
 _KEPT = 4  # surfaces in memory, about 300 MB each
+
+
+class ShownItems(Message):
+    """Versions of all that the page shows: name → digest (`entry_digest`), None where nothing stands in the session."""
+
+    boundaries: dict[Breast, Base]
+    landmarks: dict[str, Base]
+
+
+class FinishMessage(Message):
+    """Confirmation of everything that the page shows, in one step."""
+
+    curves: dict[Breast, str]
+    """Breast → digest of the measured curve that was looked at."""
+    base: ShownItems
+    author: str = ""
+    """Not used: who is logged in confirms."""
 
 
 class _Desks:
@@ -49,7 +73,8 @@ class _Desks:
             MammometryError: the session cannot be opened, or has nothing to draw on.
         """
         measurement = visit.measurements.first()
-        key = visit.pk, "" if measurement is None else measurement.digest
+        whose = f"{visit.patient.pseudonym} {visit.taken_at.isoformat()}"  # both can be corrected
+        key = visit.pk, f"{whose} {'' if measurement is None else measurement.digest}"
         with self._lock:
             page = self._held.pop(key, None) or EditorPage(_opened(visit))
             self._held[key] = page
@@ -112,12 +137,12 @@ def draw(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
 
 def drawing(request: HttpRequest, visit: uuid.UUID) -> HttpResponseBase:
     """Everything the page needs."""
-    return _told(visit, lambda shown, page: {**page.drawing(str(request.user)), **_job_of(shown)})
+    return _told(visit, lambda shown, page: _with_visit(shown, page.drawing(str(request.user))))
 
 
 def items(request: HttpRequest, visit: uuid.UUID) -> HttpResponseBase:
-    """State of all boundaries and landmarks, and of the visit's job."""
-    return _told(visit, lambda shown, page: {**page.items(), **_job_of(shown)})
+    """State of all boundaries and landmarks."""
+    return _told(visit, lambda shown, page: _with_visit(shown, page.items()))
 
 
 def measure(request: HttpRequest, visit: uuid.UUID) -> HttpResponseBase:
@@ -126,42 +151,76 @@ def measure(request: HttpRequest, visit: uuid.UUID) -> HttpResponseBase:
 
 
 def save(request: HttpRequest, visit: uuid.UUID) -> HttpResponseBase:
-    """Keep what was drawn, with name and time."""
+    """Keep what was drawn, with name and time, and measure it."""
 
     def saved(shown: Visit, page: EditorPage) -> dict[str, Any]:
+        # A measurement that ends at this moment waits for this, and then sees that it is of an earlier drawing.
+        locked = Visit.objects.select_for_update().get(pk=shown.pk)
         sent, changed = page.save(request.body, str(request.user))
-        for breast, drawn in sent.boundaries.items():
-            _note(request, shown, f"boundary {breast}", removed=drawn.sketch is None)
-        for mark, place in sent.landmarks.items():
-            _note(request, shown, f"landmark {mark}", removed=place.points is None)
         if changed:
-            queue.enqueue(shown, person_of(request))
-        return {"saved": len(changed), **page.items(), **_job_of(shown)}
+            for breast, drawn in sent.boundaries.items():
+                _note(request, shown, f"boundary {breast}", removed=drawn.sketch is None)
+            for mark, place in sent.landmarks.items():
+                _note(request, shown, f"landmark {mark}", removed=place.points is None)
+            _set_state(locked, Visit.State.CHANGED)
+            if may_queue(locked, anyway=True) is None:
+                try:
+                    queue.enqueue(locked, person_of(request))
+                    _set_state(locked, Visit.State.QUEUED)
+                except StorageError as error:  # it is saved, and stays to be measured
+                    _LOG.error("%s", error)
+        return {"saved": len(changed), **_with_visit(locked, page.items())}
 
     return _told(visit, saved)
 
 
 def finish(request: HttpRequest, visit: uuid.UUID) -> HttpResponseBase:
-    """Confirm all boundaries of the measured result, and name the next page."""
+    """Confirm all boundaries and landmarks of the newest measurement in one step, and lead to the next visit."""
+    locked = get_object_or_404(Visit.objects.select_for_update(), pk=visit)
+    kind: SubjectKind = "model" if locked.subject_kind == Visit.Subject.MODEL else "torso"
+    try:
+        sent = read(FinishMessage, request.body)
+        entries = drawn_entries(locked.folder, kind)
+    except (MammometryError, ValidationError) as error:
+        status, words = refusal(error)
+        return JsonResponse(words, status=status)
+    groups: dict[Group, Any] = {"boundaries": sent.base.boundaries, "landmarks": sent.base.landmarks}
+    on_page = {(group, name): base for group, items in groups.items() for name, base in items.items() if base}
+    why = confirmations.refusal(locked, {str(name): digest for name, digest in sent.curves.items()})
+    if why is None and on_page != {item: entry_digest(entry) for item, entry in entries.items()}:
+        why = "Somebody else changed a boundary or landmark meanwhile. Load the page again and look at it."
+    if why is not None:
+        return JsonResponse({"error": why}, status=409)
+    confirmations.confirm(locked, person_of(request))
+    following = confirmations.next_to_confirm(locked)
+    return JsonResponse({"next": reverse("home") if following is None else reverse("draw", args=[following.pk])})
 
-    def finished(shown: Visit, page: EditorPage) -> dict[str, Any]:
-        curves = page.measured_curves(request.body)
-        for breast, digest in curves.items():
-            item = f"boundary {breast}"
-            Drawing.objects.create(
-                visit=shown, item=item, action=Drawing.Action.CONFIRMED, by=person_of(request), digest=digest
-            )
-        Visit.objects.filter(pk=shown.pk).update(state=Visit.State.CONFIRMED)
-        waiting = Visit.objects.filter(state=Visit.State.MEASURED).exclude(pk=shown.pk).first()
-        return {"next": reverse("draw", args=[waiting.pk]) if waiting else reverse("visit", args=[shown.pk])}
 
-    return _told(visit, finished)
+def _with_visit(visit: Visit, state: dict[str, Any]) -> dict[str, Any]:
+    """A page's state with what was measured of it and who confirmed it.
+
+    ``visit`` has the visit's state, whether its newest drawing is not measured yet (``changed``), and the digests of
+    the measured boundaries (``curves``); ``job`` is its newest one.
+    """
+    measurement = visit.measurements.first()
+    confirmation = Confirmation.objects.filter(measurement__visit=visit).select_related("by").first()
+    for name, boundary in state["boundaries"].items() if confirmation is not None else ():
+        if "of" in boundary:
+            holds = confirmation.curves.get(name) == boundary["of"]
+            at = confirmation.at.isoformat(timespec="seconds")
+            boundary["confirmed"] = {"by": str(confirmation.by or ""), "at": at, "holds": holds}
+    curves = {} if measurement is None else measurement.curves
+    job = visit.jobs.filter(kind=Job.Kind.MEASURE).order_by("-created").first()
+    return {
+        **state,
+        "job": None if job is None else table_of(job, queue.place(job)),
+        "visit": {"state": visit.state, "changed": confirmations.is_changed(visit), "curves": curves},
+    }
 
 
-def _job_of(visit: Visit) -> dict[str, Any]:
-    """What is being measured, for the page that waits for it."""
-    job = visit.jobs.order_by("-created").first()
-    return {"job": None if job is None else table_of(job, queue.place(job))}
+def _set_state(visit: Visit, state: Visit.State) -> None:
+    visit.state = state
+    visit.save(update_fields=["state"])
 
 
 def _note(request: HttpRequest, visit: Visit, item: str, *, removed: bool) -> None:
@@ -186,6 +245,7 @@ def _told(visit: uuid.UUID, answer: Callable[[Visit, EditorPage], dict[str, Any]
         return JsonResponse(answer(shown, _DESKS.of(shown)))
     except (MammometryError, ValidationError) as error:
         status, words = refusal(error)
+        words["error"] = words["error"].replace(f"{the_clinic().folder}/", "")  # where it lies is nobody's business
         return JsonResponse(words, status=status)
 
 

@@ -17,6 +17,8 @@ from django.utils import timezone
 
 from mammometry.base.csv_cells import CsvWriter
 from mammometry.clinic import results
+from mammometry.clinic.confirmations import CHANGED, confirmation_of, is_changed
+from mammometry.clinic.consents import research_consent
 from mammometry.clinic.models import Visit
 from mammometry.study.agreement import LEAST_SUBJECTS, PairedMeasurements, agreement
 
@@ -30,7 +32,9 @@ _COLUMNS = (
     "low_cc",
     "high_cc",
     "refused",
+    "state",
     "confirmed",
+    "confirmed_on",
     "rig",
     "software",
 )
@@ -50,7 +54,11 @@ class Row:
     low_cc: float | None
     high_cc: float | None
     refused: str
+    state: str
+    """Of the visit. An unmeasured change of a boundary or landmark is said, and no number is given."""
     confirmed: bool
+    confirmed_on: datetime.date | None
+    """None: not confirmed."""
     rig: str
     software: str
 
@@ -83,6 +91,8 @@ def study(request: HttpRequest) -> HttpResponse:
         "pairs": len(pairs),
         "least": LEAST_SUBJECTS,
         "within": within_days,
+        "left_out": without_consent(request).count(),
+        "left_out_patients": without_consent(request).values("patient").distinct().count(),
         "asked": request.GET,
         "query": request.GET.urlencode(),
     }
@@ -105,17 +115,22 @@ def study_csv(request: HttpRequest) -> HttpResponse:
 
 def cohort(begin: datetime.date | None, end: datetime.date | None, *, confirmed: bool) -> Iterator[Row]:
     """Newest measurement of each visit, by pseudonym and day."""
-    visits = _between(begin, end, confirmed=confirmed).prefetch_related("measurements__volumes")
+    visits = _between(begin, end, confirmed=confirmed).prefetch_related(
+        "measurements__volumes", "measurements__confirmations"
+    )
     for result in results.latest(visits):
         visit = result.visit
         day = timezone.localtime(visit.taken_at).date()
+        confirmation = confirmation_of(result.measurement) if visit.state == Visit.State.CONFIRMED else None
+        state = CHANGED if is_changed(visit) else str(visit.state)
         for side in result.sides:
             low, high = side.interval_cc or (None, None)
             yield Row(
                 pseudonym=visit.patient.pseudonym, day=day, years=results.age(visit.patient.born, day), side=side.side,
                 definition=side.definition, volume_cc=side.volume_cc, low_cc=low, high_cc=high, refused=side.refused,
-                confirmed=visit.state == Visit.State.CONFIRMED, rig=visit.device,
-                software=result.measurement.software,
+                state=state, confirmed=confirmation is not None,
+                confirmed_on=None if confirmation is None else timezone.localtime(confirmation.at).date(),
+                rig=visit.device, software=result.measurement.software,
             )  # fmt: skip
 
 
@@ -146,7 +161,18 @@ def repeated(rows: list[Row], within_days: int) -> list[tuple[str, float, float]
     return list(pairs.values())
 
 
+def without_consent(request: HttpRequest) -> QuerySet[Visit]:
+    """Measured visits of the asked time that are left out: no consent to research holds."""
+    visits = _asked(_from(request), _until(request), confirmed="confirmed" in request.GET)
+    return visits.filter(~research_consent(), measurements__isnull=False).distinct()
+
+
 def _between(begin: datetime.date | None, end: datetime.date | None, *, confirmed: bool) -> QuerySet[Visit]:
+    """Visits of patients whose consent to research holds."""
+    return _asked(begin, end, confirmed=confirmed).filter(research_consent())
+
+
+def _asked(begin: datetime.date | None, end: datetime.date | None, *, confirmed: bool) -> QuerySet[Visit]:
     visits = Visit.objects.filter(subject_kind=Visit.Subject.TORSO)
     if begin is not None:
         visits = visits.filter(taken_at__gte=_midnight(begin))

@@ -1,0 +1,104 @@
+"""Numbers that surgeons plan with: a table of left, right and their difference."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+_SIDES = ("left", "right")
+_NOT_MEASURED = "not measured"
+_COVERAGE_95 = 1.96  # standard deviations of a normal distribution on either side that hold 95 %
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Length:
+    """One number with half the width of its 95 % interval, mm."""
+
+    value_mm: float
+    half_mm: float | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LengthRow:
+    """One row of the table."""
+
+    title: str
+    sides: tuple[Length | None, Length | None]
+    """Left and right. None: not measured."""
+    missing: tuple[str, str] = ("", "")
+    """Why a side has no number; empty where it has one."""
+
+    @property
+    def cells(self) -> tuple[tuple[str, Length | None, str], ...]:
+        """Side, number, and why there is none: left, then right."""
+        return tuple(zip(_SIDES, self.sides, self.missing, strict=True))
+
+    @property
+    def difference(self) -> Length | None:
+        """Left less right. None without both."""
+        left, right = self.sides
+        if left is None or right is None:
+            return None
+        known = left.half_mm is not None and right.half_mm is not None
+        half = math.hypot(left.half_mm, right.half_mm) if known else None  # type: ignore[arg-type]
+        return Length(value_mm=left.value_mm - right.value_mm, half_mm=half)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LengthTable:
+    """All rows in the order in which a breast is examined, and what has no side."""
+
+    rows: tuple[LengthRow, ...]
+    nipples: Length | None
+    """From nipple to nipple. None: not measured."""
+
+    @property
+    def has_gaps(self) -> bool:
+        """Whether a landmark lacks for one of its numbers."""
+        return any(why.startswith(_NOT_MEASURED) for row in self.rows for why in row.missing)
+
+
+_ROWS = (
+    ("Sternal notch to nipple", ("sn_n_straight",), "mark the nipple and the sternal notch"),
+    ("Nipple to fold, along the skin", ("n_imf_along_skin",), "mark the nipple and the fold"),
+    ("Nipple to midline", ("n_midline_straight",), "mark the nipple"),
+    ("Base width", ("base_width_straight", "base_width"), "mark its inner and outer end"),
+    ("Projection", ("projection",), "draw the boundary"),
+    ("Nipple below the fold (ptosis)", ("nipple_below_fold",), "mark the nipple"),
+)
+"""Title, codes of `hospital.exported.Quantity` (the first that is there), what to do where it lacks."""
+_NIPPLE = ("n_midline_straight", "nipple_below_fold")
+"""Codes that are there where a nipple is marked."""
+_WITH_NIPPLE = {"sn_n_straight": "mark the sternal notch", "n_imf_along_skin": "mark the fold"}
+
+
+def length_table(quantities: Sequence[Mapping[str, Any]]) -> LengthTable | None:
+    """Lay out a measurement's quantities. None: none is a torso's length.
+
+    Args:
+        quantities: of `clinic.models.Measurement`.
+    """
+    by_code = {(str(row["code"]), str(row.get("side") or "")): row for row in quantities}
+    breasts = [side for side in _SIDES if ("projection", side) in by_code]
+    if not breasts:
+        return None
+    rows = []
+    for title, codes, remedy in _ROWS:
+        lengths, missing = [], []
+        for side in _SIDES:
+            row = next((by_code[code, side] for code in codes if (code, side) in by_code), None)
+            lengths.append(None if row is None else _length(row))
+            nipple = any((code, side) in by_code for code in _NIPPLE)
+            what = _WITH_NIPPLE.get(codes[0], remedy) if nipple else remedy
+            missing.append("" if row is not None else f"{_NOT_MEASURED}: {what}" if side in breasts else "no breast")
+        rows.append(LengthRow(title=title, sides=(lengths[0], lengths[1]), missing=(missing[0], missing[1])))
+    between = by_code.get(("n_n_straight", ""))
+    return LengthTable(rows=tuple(rows), nipples=None if between is None else _length(between))
+
+
+def _length(row: Mapping[str, Any]) -> Length:
+    value, interval, sigma = float(row["value"]), row.get("interval_95"), row.get("sigma")
+    half = (interval[1] - interval[0]) / 2 if interval else _COVERAGE_95 * sigma if sigma is not None else None
+    return Length(value_mm=value, half_mm=half)
