@@ -55,7 +55,7 @@ def gather(
     job.ensure("report" if plain else "measure")
     made = job.made_at("report" if plain else "measure")
     measured = tuple(job.measure().values())
-    known = clinical or Clinical(confirmed=_confirmed(job.inputs.attributions, measured))
+    known = clinical or Clinical(confirmed=confirmed(job.inputs.attributions, measured))
     atlas = job.plan.surfaced.model() if "models" in parts else None
     shown = "photographs" in parts and not deidentify
     return Exported(
@@ -77,7 +77,7 @@ def gather(
     )
 
 
-def _confirmed(attributions: Mapping[str, Attribution], measured: Sequence[VolumeMeasurement]) -> Signed | None:
+def confirmed(attributions: Mapping[str, Attribution], measured: Sequence[VolumeMeasurement]) -> Signed | None:
     """The newest confirmation, if every measured boundary has one that holds."""
     found = {each.name: attributions.get(each.name, Attribution()).confirmation for each in measured}
     holding = [
@@ -115,7 +115,7 @@ def gather_scan(
 
     results = job.run(report="pdf" in parts and not deidentify)
     measured = tuple(results.measurements.values())
-    known = clinical or Clinical(confirmed=_confirmed(job.inputs.attributions, measured))
+    known = clinical or Clinical(confirmed=confirmed(job.inputs.attributions, measured))
     made = results.made_at
     return Exported(
         subject="" if deidentify else job.identity.title,
