@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from django.db.models import QuerySet
 from django.utils import timezone
 
+from mammometry.clinic.comparing import verdicts
 from mammometry.clinic.confirmations import valid_confirmation
 from mammometry.clinic.models import Operation, Visit
 from mammometry.report.clinical import Clinical, Signed
@@ -34,6 +35,7 @@ def clinical_of(visit: Visit) -> Clinical:
         occasion=visit.get_occasion_display(),
         posture=visit.get_posture_display().lower(),
         operations=tuple(operation_words(operation) for operation in operations_before(visit)),
+        change=verdicts(visit),
         confirmed=None if confirmation is None else _signed(confirmation),
         conclusions=tuple(_signed(row, row.text) for row in visit.conclusions.select_related("by")),
     )

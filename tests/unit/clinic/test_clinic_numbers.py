@@ -18,7 +18,7 @@ from tests.unit.io.scan_files import scanned
 
 from mammometry.clinic.config import ClinicConfig
 from mammometry.clinic.jobs import queue, work
-from mammometry.clinic.models import Conclusion, Measurement, Patient, Visit
+from mammometry.clinic.models import Conclusion, Consent, Measurement, Patient, Visit
 from mammometry.clinic.roles import Role
 
 pytestmark = pytest.mark.slow
@@ -78,7 +78,9 @@ def of_dicom(report: pydicom.Dataset) -> Table:
         title = next(i.TextValue for i in items if i.ConceptNameCodeSequence[0].CodeMeaning == "Tracking Identifier")
         for item in items:
             if item.ValueType == "NUM":
-                name, _, limit = item.ConceptNameCodeSequence[0].CodeValue.partition(".")
+                concept = item.ConceptNameCodeSequence[0]
+                code = concept.get("CodeValue") or concept.LongCodeValue  # of more than 16 characters
+                name, _, limit = code.partition(".")
                 values[f"{name}_{sides[title]}.{limit}"] = float(item.MeasuredValueSequence[0].NumericValue)
     names = {name.partition(".")[0] for name in values}
     return {
@@ -104,6 +106,7 @@ def test_the_figures_are_the_same_numbers_everywhere(
     patient = Patient.objects.create(
         family_name="Zypernkatze", given_name="Quirina", record_number="KIS-4711", born="1980-02-29"
     )
+    Consent.objects.create(patient=patient, purpose="research", given_on="2026-01-01")
     client, researcher = client_of(Role.CLINICIAN, name="Dr. Rosa Luchs"), client_of(Role.RESEARCHER)
     visit = measured(client, patient, tmp_path / "in")
     measurement = visit.measurements.get()
