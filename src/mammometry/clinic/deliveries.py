@@ -194,7 +194,7 @@ def _gathered_scan(
     from mammometry.hospital.gather import gather_scan
 
     job = MeshJob(scan_files(visit.folder), visit.folder / "results", config.measuring())
-    keys = [*(product.key for product in job.plan.products()), job.report_key]
+    keys = [*(product.key for product in job.plan.products()), job.content_key]
     if any(state != "current" for state in job.store.states(keys)):
         raise _not_current(visit)
     taken = timezone.localtime(visit.taken_at).date()

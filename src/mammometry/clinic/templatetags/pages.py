@@ -24,7 +24,7 @@ _BYTES = ((1e12, "TB"), (1e9, "GB"), (1e6, "MB"), (1e3, "kB"))
 
 _MENU = {
     Role.CLINICIAN: ("home", "patients", "worklist", "study", "rigs", "jobs-page", "corrections"),
-    Role.TECHNICIAN: ("home", "worklist", "patients", "rigs", "jobs-page", "corrections"),
+    Role.TECHNICIAN: ("home", "patients", "worklist", "rigs", "jobs-page", "corrections"),
     Role.RESEARCHER: ("study",),
     Role.ADMINISTRATOR: ("administration", "rigs"),
 }
