@@ -69,11 +69,12 @@ def test_a_report_is_given_what_the_database_knows(visit: Visit, surgeon: Person
     assert (clinical.occasion, clinical.posture) == ("6 weeks after", "standing")
     assert clinical.confirmed is not None
     assert clinical.confirmed.by == "Dr. Sergio Surgeon"
-    Measurement.objects.create(visit=visit, digest="2", made_at=timezone.now(), software="1")
+    new = Measurement.objects.create(visit=visit, digest="2", made_at=timezone.now(), software="1")
     assert clinical_of(visit).confirmed is None  # the confirmation was of the earlier result
-    for text in ("Symmetrical.", "Not quite symmetrical."):
-        Conclusion.objects.create(visit=visit, measurement=old, text=text, by=surgeon)
-    assert [each.text for each in clinical_of(visit).conclusions] == ["Not quite symmetrical.", "Symmetrical."]
+    for text, result in (("Symmetrical.", old), ("Not quite symmetrical.", new)):
+        Conclusion.objects.create(visit=visit, measurement=result, text=text, by=surgeon)
+    told = [conclusion.text for conclusion in clinical_of(visit).conclusions]
+    assert told == ["Not quite symmetrical.", "Symmetrical.\n(Written before the visit was measured again.)"]
 
 
 def test_operations_after_the_visit_are_not_told(visit: Visit) -> None:
@@ -378,7 +379,7 @@ def test_technicians_read_a_conclusion_and_write_none(visit: Visit, client_of: C
     [
         ("measured", Role.CLINICIAN, "Look at the boundaries", "Confirm boundaries"),
         ("measured", Role.TECHNICIAN, "A clinician looks at the boundaries", None),
-        ("changed", Role.TECHNICIAN, "still those before the change", "Measure"),
+        ("changed", Role.TECHNICIAN, "was changed and is not measured yet", "Measure"),
         ("confirmed", Role.CLINICIAN, "The boundaries are confirmed.", "Write the conclusion"),
         ("confirmed", Role.TECHNICIAN, "A clinician writes the conclusion.", None),
     ],

@@ -21,7 +21,7 @@ from mammometry.base.errors import StorageError
 from mammometry.clinic import confirmations
 from mammometry.clinic.config import ClinicConfig
 from mammometry.clinic.jobs import queue
-from mammometry.clinic.models import Confirmation, Drawing, Job, Measurement, Visit
+from mammometry.clinic.models import Confirmation, Consent, Drawing, Job, Measurement, Visit
 from mammometry.clinic.roles import Role
 from mammometry.clinic.site import the_clinic
 from mammometry.clinic.views import deliveries as sending
@@ -292,6 +292,7 @@ def test_an_unmeasured_change_is_said_everywhere_and_no_number_is_shown(
     client_of: Callable[..., Client], measured: Visit, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     client, researcher = client_of(Role.CLINICIAN), client_of(Role.RESEARCHER)
+    Consent.objects.create(patient=measured.patient, purpose="research", given_on="2026-01-01")
     addresses = [reverse("visit", args=[measured.pk]), reverse("patient", args=[measured.patient_id])]
     finish(client, measured)
     for address in addresses:
