@@ -56,6 +56,7 @@ VERSIONS: Registry[int] = Registry(
         "symmetry": 3,
         "dimensions": 5,
         "previews": 8,
+        "content": 1,
         "report": 15,
     },
 )
