@@ -1,6 +1,7 @@
 """What the clinic knows of a visit beside its numbers: operations, postures, consents, conclusions."""
 
 import datetime
+import json
 from collections.abc import Callable
 
 import pytest
@@ -408,3 +409,41 @@ def test_occasion_and_posture_are_entered_and_shown(visit: Visit, client_of: Cal
     client.post(reverse("circumstances", args=[visit.pk]), {"occasion": "1 year", "posture": "floating"})
     assert Visit.objects.get(pk=visit.pk).posture == Visit.Posture.STANDING
     assert Visit.objects.create(patient=visit.patient, taken_at=timezone.now()).posture == Visit.Posture.STANDING
+
+
+def test_a_new_visit_says_why_the_patient_came_and_a_model_has_no_posture(
+    visit: Visit, client_of: Callable[..., Client]
+) -> None:
+    entered = {
+        "patient": str(visit.patient_id), "rig": str(visit.rig_id), "taken_at": "2026-03-02T10:00",
+        "subject_kind": "torso", "occasion": "before", "posture": "standing", "anyway": "1",
+    }  # fmt: skip
+    client, address = client_of(Role.TECHNICIAN), reverse("visit-new")
+    client.post(address, entered)
+    client.post(address, {**entered, "subject_kind": "model"})
+    patient, model = Visit.objects.exclude(pk=visit.pk).order_by("created")
+    assert (patient.occasion, patient.posture) == ("before", "standing")
+    assert (model.occasion, model.posture) == ("", "")
+
+
+def test_no_page_of_a_visit_names_a_command(visit: Visit, client_of: Callable[..., Client]) -> None:
+    sentences = [
+        "Nobody has confirmed the automatic boundary of the left breast..",
+        "Boundaries are drawn and confirmed with `mammometry edit`.",
+        "Pair front matched only 40 % of the subject's silhouette.",
+        "Left and right rest on how the cameras are mounted.",
+    ]
+    folder = visit.folder / "results" / "report"
+    folder.mkdir(parents=True)
+    (folder / "warnings.json").write_text(json.dumps(sentences))
+    measurement = Measurement.objects.create(visit=visit, digest="1", made_at=timezone.now(), software="1")
+    why = "Draw its boundary with `mammometry edit`."
+    Volume.objects.create(measurement=measurement, side="left", definition="any", refused=why)
+    page = client_of(Role.TECHNICIAN).get(reverse("visit", args=[visit.pk])).content.decode()
+    assert "mammometry edit" not in page
+    assert "Draw its boundary (a clinician, on the page of boundaries)." in page
+    assert "Nobody has confirmed the automatic boundary" not in page  # the state says it
+    first = page[page.index("Read this first") : page.index("More about this result")]
+    assert sentences[3] in first
+    assert "Pair front" not in first
+    assert "Pair front" in page
