@@ -222,7 +222,7 @@ def test_the_visit_page_shows_lengths_and_sends_a_clinician_to_the_landmarks(
     Measurement.objects.create(visit=visit, digest="1", made_at=timezone.now(), software="1", quantities=quantities)
     address = reverse("visit", args=[visit.pk])
     page = client_of(Role.CLINICIAN).get(address).content.decode()
-    assert "60.2 ± 2.0" in page
+    assert "60.2 ±\u00a02.0" in page
     assert "not measured: mark the nipple" in page
     assert f'href="{reverse("draw", args=[visit.pk])}">Mark the missing landmarks' in page
     page = client_of(Role.TECHNICIAN).get(address).content.decode()
