@@ -33,6 +33,7 @@ import { LineMaterial } from "three/addons/lines/LineMaterial.js";
 import { layerColours } from "./colours";
 import type { Layer, Model, Surface, Vector } from "./format";
 import { type Place, Skin, type Way } from "./geodesic";
+import { Lengths } from "./lengths";
 
 export const DIRECTIONS: Record<string, { title: string; from: Vector; up: Vector }> = {
   front: { title: "Front", from: [0, 0, 1], up: [0, 1, 0] },
@@ -89,6 +90,7 @@ export class Stage {
   private readonly marks = new Group();
   private readonly boundary = new Group();
   private readonly landmarks = new Group();
+  private readonly lengths: Lengths;
   private readonly box = new Box3();
   private readonly lines: Line2[] = [];
   private readonly skin: Mesh<BufferGeometry, MeshBasicMaterial | MeshLambertMaterial>;
@@ -125,6 +127,7 @@ export class Stage {
       this.boundary.add(this.line(points, "#000000", 4.5), this.line(points, "#ffffff", 2));
     }
     this.landmarks.add(dots(model.landmarks.map((landmark) => landmark.point), MARK, 9));
+    this.lengths = new Lengths(holder, model.lengths);
     this.lamp.position.set(0.3, 0.5, 1);
     this.camera.add(this.lamp);
     this.scene.add(this.camera, new AmbientLight("#ffffff", 0.9), this.skin, this.boundary, this.landmarks, this.marks);
@@ -169,6 +172,10 @@ export class Stage {
   showBoundary(shown: boolean): void {
     this.boundary.visible = this.landmarks.visible = shown;
     this.draw();
+  }
+
+  showLengths(shown: boolean): void {
+    this.lengths.show(shown);
   }
 
   showWall(shown: boolean): void {
@@ -285,9 +292,16 @@ export class Stage {
 
   /** Where a point of the model is drawn in the window. */
   onScreen(point: Vector3): [number, number] {
-    const frame = this.canvas.getBoundingClientRect();
+    const { left, top } = this.canvas.getBoundingClientRect();
+    const [x, y] = this.onPicture(point);
+    return [left + x, top + y];
+  }
+
+  /** Where a point of the model is drawn in the picture, px from its upper left corner. */
+  private onPicture(point: Vector3): [number, number] {
+    const { clientWidth, clientHeight } = this.canvas;
     const { x, y } = point.clone().project(this.camera);
-    return [frame.left + ((x + 1) / 2) * frame.width, frame.top + ((1 - y) / 2) * frame.height];
+    return [((x + 1) / 2) * clientWidth, ((1 - y) / 2) * clientHeight];
   }
 
   /** Whether a point on the surface is on the side that is seen. */
@@ -341,6 +355,7 @@ export class Stage {
     this.pending = requestAnimationFrame(() => {
       this.pending = 0;
       this.renderer.render(this.scene, this.camera);
+      this.lengths.place((point) => this.onPicture(new Vector3(...point)));
     });
   }
 

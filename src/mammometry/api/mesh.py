@@ -13,16 +13,15 @@ Boundaries, walls, interval, files and report are the same.
 from __future__ import annotations
 
 import hashlib
-import json
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mammometry.api.job import WARNINGS, Results
+from mammometry.api.results import Results
+from mammometry.api.stored_report import StoredReport
 from mammometry.base.cores import one_blas_thread
 from mammometry.base.errors import SessionError
 from mammometry.base.identity import Identity
@@ -37,16 +36,18 @@ from mammometry.io.outputs import require_apart, require_own_folder, take_folder
 from mammometry.io.results.store import Store, Watch, unwatched
 from mammometry.io.scans import MESH, Scan, read_scan
 from mammometry.io.subject import check_mesh
-from mammometry.io.write import write_text
 from mammometry.job.inputs import Inputs, SubjectKind
 from mammometry.job.measuring import Measured, Upstream, measure
 from mammometry.job.products import Forgetful, Key, Product
 from mammometry.job.stage_values import CameraSet, FinishedSurface
-from mammometry.report.page_inputs import PageInputs
+from mammometry.report.page_inputs import PageInputs, report_key
 from mammometry.settings import Settings
 
 if TYPE_CHECKING:
     from mammometry.measure.volume.measurement import VolumeMeasurement
+    from mammometry.report.clinical import Clinical
+    from mammometry.report.content import ReportContent
+    from mammometry.report.rendering import RenderedReport
     from mammometry.surface.dents import ValidPatches
     from mammometry.surface.repair import RepairedSurface
 
@@ -251,7 +252,7 @@ class MeshJob:
             no_breast: dict[str, str] = {side.name: side.why for side in absent}
             seconds = time.monotonic() - begun
             if report:
-                self._ensure_report()
+                self._stored_report.ensure(self._gathered)
         return Results(
             measurements=measurements,
             watertight=all(measured.watertight for measured in measurements.values()),
@@ -264,7 +265,7 @@ class MeshJob:
             no_breast=no_breast,
             made=tuple(self.store.made[before:]),
             made_at=self.store.made_at(
-                [*(product.key for product in self.plan.products()), *([self.report_key] if report else [])]
+                [*(product.key for product in self.plan.products()), *([self.content_key] if report else [])]
             ),
         )
 
@@ -273,36 +274,44 @@ class MeshJob:
         """The report's page."""
         return self.store.folder / "report" / "report.html"
 
-    def _ensure_report(self) -> None:
-        def prepare() -> Callable[[Path, Progress], None]:
-            def write(folder: Path, progress: Progress) -> None:
-                from mammometry.report import html, pdf
-                from mammometry.report.gather_mesh import MeshOrigin, gather_mesh
+    def rendered(self, clinical: Clinical) -> RenderedReport:
+        """The report with what a clinic knows of the visit, from stored results.
 
-                said = gather_mesh(
-                    self.plan,
-                    self.finished,
-                    self.rig,
-                    self._page_inputs,
-                    MeshOrigin(
-                        kind=self.kind,
-                        units=self.units,
-                        world=WORLD,
-                        scanner="" if self.files.scan is None else self.files.scan.scanner,
-                    ),
-                    progress=progress,
-                )
-                html.write(folder, said)
-                pdf.write(folder, said)
-                write_text(folder / WARNINGS, json.dumps(list(said.warnings), ensure_ascii=False, indent=1) + "\n")
+        It is not stored. What is not current is made first.
 
-            return write
+        Args:
+            clinical: names, operations, the confirmation, the conclusion.
 
-        self.store.write_folder(self.report_key, prepare)
+        Raises:
+            MammometryError: whatever stands in the way, in one sentence.
+        """
+        if not self.store.has(self.content_key):
+            self.run()
+        return self._stored_report.rendered(clinical)
+
+    def _gathered(self, progress: Progress) -> ReportContent:
+        from mammometry.report.gather_mesh import MeshOrigin, gather_mesh
+
+        origin = MeshOrigin(
+            kind=self.kind,
+            units=self.units,
+            world=WORLD,
+            scanner="" if self.files.scan is None else self.files.scan.scanner,
+        )
+        return gather_mesh(self.plan, self.finished, self.rig, self._page_inputs, origin, progress=progress)
+
+    @property
+    def _stored_report(self) -> StoredReport:
+        return StoredReport(store=self.store, content_key=self.content_key, attributions=self.inputs.attributions)
 
     @property
     def report_key(self) -> Key:
-        """Key of the report: products, the mesh, and the rest it shows."""
+        """Key of the rendered report: its content, and who drew and confirmed the boundaries."""
+        return report_key(self.content_key, self.inputs.attributions)
+
+    @property
+    def content_key(self) -> Key:
+        """Key of the report's content: products, the mesh, and the rest it shows."""
         beside = {"mesh": self.inputs.digests["mesh"], "units": self.units}
         if self.files.scan is not None:
             beside["scanner"] = self.files.scan.scanner

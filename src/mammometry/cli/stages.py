@@ -24,7 +24,8 @@ from mammometry.cli.common import (
 from mammometry.cli.compile_cache import compiled_ahead
 
 if TYPE_CHECKING:
-    from mammometry.api.job import Job, Results
+    from mammometry.api.job import Job
+    from mammometry.api.results import Results
     from mammometry.job.products import Stage
 
 app = typer.Typer()

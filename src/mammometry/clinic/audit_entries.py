@@ -17,7 +17,7 @@ from django.utils import timezone
 
 from mammometry.base.csv_cells import CsvWriter
 from mammometry.clinic.audit import COMMAND, FAILED_LOGIN, KIND_POSTGRESQL, KIND_SQLITE, LOGIN, OPENED, REFUSED
-from mammometry.clinic.models import Patient, Person
+from mammometry.clinic.models import Patient, Person, Visit
 
 CHANGED = "changed"
 KINDS = {
@@ -244,11 +244,11 @@ def _about_patient(found: QuerySet[LogEntry], pseudonym: str) -> QuerySet[LogEnt
     """
     from mammometry.clinic.keep.patient import rows_of
 
-    patient = Patient.objects.filter(pseudonym=pseudonym).first()
+    patient = Patient.everything.filter(pseudonym=pseudonym).first()
     wanted = Q(object_repr__startswith=pseudonym)
     if patient is not None:
         wanted |= Q(object_pk__in=[str(row.pk) for row in rows_of(patient)])
-        listed = [patient.pk, *patient.visits.values_list("pk", flat=True)]
+        listed = [patient.pk, *Visit.everything.filter(patient=patient).values_list("pk", flat=True)]
         found = found.annotate(additional_text=Cast("additional_data", TextField()))
         for key in listed:
             wanted |= Q(additional_text__contains=str(key))

@@ -98,7 +98,8 @@ def claim() -> Delivery | None:
     """
     now = timezone.now()
     waiting = (Delivery.State.QUEUED, Delivery.State.SENDING)
-    for due in Delivery.objects.filter(state__in=waiting, next_try__lte=now).order_by("next_try")[:20]:
+    rows = Delivery.objects.filter(state__in=waiting, next_try__lte=now, visit__binned_at=None)
+    for due in rows.order_by("next_try")[:20]:
         # Whoever changes the row first has it.
         taken = Delivery.objects.filter(pk=due.pk, state=due.state, next_try=due.next_try).update(
             state=Delivery.State.SENDING, next_try=now + _LEASE, tries=F("tries") + 1
@@ -193,7 +194,7 @@ def _gathered_scan(
     from mammometry.hospital.gather import gather_scan
 
     job = MeshJob(scan_files(visit.folder), visit.folder / "results", config.measuring())
-    keys = [*(product.key for product in job.plan.products()), job.report_key]
+    keys = [*(product.key for product in job.plan.products()), job.content_key]
     if any(state != "current" for state in job.store.states(keys)):
         raise _not_current(visit)
     taken = timezone.localtime(visit.taken_at).date()

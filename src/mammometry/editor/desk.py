@@ -5,6 +5,7 @@ What can be drawn on, and what somebody changed or confirmed.
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterable
 from datetime import UTC, datetime
 from pathlib import Path
@@ -25,6 +26,7 @@ from mammometry.measure.landmarks.names import LANDMARKS
 from mammometry.measure.trunk.body import rig_frame
 from mammometry.measure.volume.attribution import curve_digest
 
+_LOG = logging.getLogger(__name__)
 DRAWN, EDITED = "drawn by hand", "edited by hand"
 _AUTOMATIC: Entry = {"method": "the automatic boundary"}
 _FARTHEST_MM = 10_000.0  # from the surface: a wrong unit is reported, and nothing overflows
@@ -161,6 +163,10 @@ class Desk:
             seen = {"confirmed": {"by": sent.author, "at": moment, "curve": sent.curve}}
             change = Change(entry={**(entry or {"automatic": True}), **seen}, base=sent.base)
             change_drawn(self.folder, self.kind, {("boundaries", sent.name): change}, subject=self.subject)
+            try:
+                self.job.render_report()
+            except StorageError as error:  # another run is at work: the next one renders the report
+                _LOG.warning("the report does not show the confirmation yet: %s", error)
 
     # --- curves ---
 

@@ -56,7 +56,8 @@ VERSIONS: Registry[int] = Registry(
         "symmetry": 3,
         "dimensions": 5,
         "previews": 8,
-        "report": 14,
+        "content": 1,
+        "report": 15,
     },
 )
 """Kind of product → version of its making. Raise it when the result changes for the same inputs and settings."""

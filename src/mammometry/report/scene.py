@@ -80,6 +80,8 @@ class Model:
     """Title, points, and whether closed, of each curve on the surface."""
     landmarks: tuple[tuple[str, Float64[Array, 3]], ...] = ()
     """Title and place."""
+    lengths: tuple[tuple[str, Float64[Array, "2 3"]], ...] = ()
+    """Words such as "114.8 mm" and both ends, of each length."""
     wall: TriangleMesh | None = None
     """The chest wall that closes it."""
 
@@ -140,6 +142,7 @@ def _model(model: Model) -> dict[str, object]:
             {"title": title, "points": _places(points), "closed": closed} for title, points, closed in model.curves
         ],
         "landmarks": [{"title": title, "point": _places(place[None])[0]} for title, place in model.landmarks],
+        "lengths": [{"words": words, "ends": _places(ends)} for words, ends in model.lengths],
         "wall": None if model.wall is None else _surface(model.wall, model.wall.vertex_normals()),
     }
 

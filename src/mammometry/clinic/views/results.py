@@ -73,7 +73,8 @@ class _Desks:
         from mammometry.api.job import open_session
 
         measurement = visit.measurements.first()
-        key = visit.pk, "" if measurement is None else measurement.digest
+        whose = f"{visit.patient.pseudonym} {visit.taken_at.isoformat()}"  # both can be corrected
+        key = visit.pk, f"{whose} {'' if measurement is None else measurement.digest}"
         with self._lock:
             page = self._held.pop(key, None) or EditorPage(open_session(visit.folder, the_clinic().measuring()))
             self._held[key] = page

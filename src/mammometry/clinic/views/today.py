@@ -30,14 +30,12 @@ def today(request: HttpRequest) -> HttpResponse:
         return redirect("administration")
     now = timezone.localtime()
     begin = now.replace(hour=0, minute=0, second=0, microsecond=0)
-    all_visits = (
-        Visit.objects.filter(binned_at=None).select_related("patient", "rig").prefetch_related("measurements__volumes")
-    )
+    all_visits = Visit.objects.select_related("patient", "rig").prefetch_related("measurements__volumes")
     visits = list(all_visits.filter(taken_at__gte=begin, taken_at__lt=begin + datetime.timedelta(days=1))[:_MANY])
     earlier = all_visits.filter(taken_at__lt=begin)
-    unfinished = list(earlier.filter(state__in=("new", "uploading", "ready", "queued", "refused"))[:_MANY])
+    unfinished = list(earlier.filter(state__in=("new", "uploading", "ready", "queued", "changed", "refused"))[:_MANY])
     judges = person.has_role(Role.CLINICIAN)
-    unconfirmed = (all_visits if judges else earlier).filter(state__in=("measured", "changed"), rig__isnull=False)
+    unconfirmed = (all_visits if judges else earlier).filter(state="measured", rig__isnull=False)
     to_confirm = list(unconfirmed.order_by("taken_at")[:_MANY])
     request.shown = [each.id for each in (*visits, *unfinished, *to_confirm)]  # type: ignore[attr-defined]
     rigs = [(rig, verdict_of(rig)) for rig in Rig.objects.filter(active=True)]
