@@ -22,7 +22,8 @@ from pydantic import ValidationError
 from mammometry.base.errors import MammometryError, StorageError
 from mammometry.clinic import confirmations
 from mammometry.clinic.jobs import queue
-from mammometry.clinic.models import Confirmation, Drawing, Visit
+from mammometry.clinic.jobs.events import table_of
+from mammometry.clinic.models import Confirmation, Drawing, Job, Visit
 from mammometry.clinic.rendered import rendered_report
 from mammometry.clinic.reports import report_file, scene_of
 from mammometry.clinic.rigs.history import may_queue
@@ -30,6 +31,7 @@ from mammometry.clinic.security import report_policy
 from mammometry.clinic.site import the_clinic
 from mammometry.clinic.views.refusals import not_now
 from mammometry.clinic.views.who import person_of
+from mammometry.editor.desk import Drawable
 from mammometry.editor.messages import Base, Breast, Message
 from mammometry.editor.page import EditorPage, read, refusal
 from mammometry.io.drawn_changes import Group, drawn_entries, entry_digest
@@ -72,13 +74,11 @@ class _Desks:
         Raises:
             MammometryError: the session cannot be opened, or has nothing to draw on.
         """
-        from mammometry.api.job import open_session
-
         measurement = visit.measurements.first()
         whose = f"{visit.patient.pseudonym} {visit.taken_at.isoformat()}"  # both can be corrected
         key = visit.pk, f"{whose} {'' if measurement is None else measurement.digest}"
         with self._lock:
-            page = self._held.pop(key, None) or EditorPage(open_session(visit.folder, the_clinic().measuring()))
+            page = self._held.pop(key, None) or EditorPage(_opened(visit))
             self._held[key] = page
             while len(self._held) > _KEPT:
                 self._held.popitem(last=False)
@@ -86,6 +86,16 @@ class _Desks:
 
 
 _DESKS = _Desks()
+
+
+def _opened(visit: Visit) -> Drawable:
+    from mammometry.api.job import open_session
+    from mammometry.api.mesh import scan_job
+
+    settings = the_clinic().measuring()
+    if visit.is_scan:
+        return scan_job(visit.folder, visit.folder / "results", settings)
+    return open_session(visit.folder, settings)
 
 
 def report(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
@@ -163,7 +173,7 @@ def save(request: HttpRequest, visit: uuid.UUID) -> HttpResponseBase:
                     _set_state(locked, Visit.State.QUEUED)
                 except StorageError as error:  # it is saved, and stays to be measured
                     _LOG.error("%s", error)
-        return {"saved": [path.name for path in changed], **_with_visit(locked, page.items())}
+        return {"saved": len(changed), **_with_visit(locked, page.items())}
 
     return _told(visit, saved)
 
@@ -194,7 +204,7 @@ def _with_visit(visit: Visit, state: dict[str, Any]) -> dict[str, Any]:
     """A page's state with what was measured of it and who confirmed it.
 
     ``visit`` has the visit's state, whether its newest drawing is not measured yet (``changed``), and the digests of
-    the measured boundaries (``curves``).
+    the measured boundaries (``curves``); ``job`` is its newest one.
     """
     measurement = visit.measurements.first()
     confirmation = Confirmation.objects.filter(measurement__visit=visit).select_related("by").first()
@@ -204,8 +214,10 @@ def _with_visit(visit: Visit, state: dict[str, Any]) -> dict[str, Any]:
             at = confirmation.at.isoformat(timespec="seconds")
             boundary["confirmed"] = {"by": str(confirmation.by or ""), "at": at, "holds": holds}
     curves = {} if measurement is None else measurement.curves
+    job = visit.jobs.filter(kind=Job.Kind.MEASURE).order_by("-created").first()
     return {
         **state,
+        "job": None if job is None else table_of(job, queue.place(job)),
         "visit": {"state": visit.state, "changed": confirmations.is_changed(visit), "curves": curves},
     }
 
