@@ -79,7 +79,7 @@ class VisitForm(_VisitForm):
 
     class Meta:
         model = Visit
-        fields = ("patient", "rig", "taken_at", "subject_kind", "note")
+        fields = ("patient", "rig", "taken_at", "subject_kind", "occasion", "posture", "note")
         labels = {"taken_at": "Day and time", "subject_kind": "What is photographed"}  # noqa: RUF012
         widgets = {  # noqa: RUF012
             "patient": forms.HiddenInput(),
@@ -100,12 +100,23 @@ class VisitForm(_VisitForm):
         if len(rigs) == 1:
             rig.initial = rigs[0]
         kind.choices = [("torso", "A patient"), ("model", "A model on a table")]
+        name_empty_choices(self.fields["occasion"], self.fields["posture"])
+        self.fields["posture"].initial = Visit.Posture.LEANING
 
     def clean(self) -> dict[str, Any]:
-        """Ask whether a strange day is right."""
+        """Ask whether a strange day is right. A model has no posture."""
         values: dict[str, Any] = super().clean() or self.cleaned_data
         ask_about_day(self, values.get("rig"))
+        if values.get("subject_kind") == Visit.Subject.MODEL:
+            values |= {"occasion": "", "posture": ""}
         return values
+
+
+def name_empty_choices(*fields: forms.Field) -> None:
+    """Say of lists that nothing has to be chosen."""
+    for field in fields:
+        assert isinstance(field, forms.ChoiceField)
+        field.choices = [("", "not entered"), *(choice for choice in field.choices if choice[0])]
 
 
 class RigForm(_RigForm):
