@@ -24,7 +24,7 @@ def measured_job(visit: Visit) -> Job | MeshJob:
         MammometryError: its folder cannot be opened.
     """
     from mammometry.api.job import open_session
-    from mammometry.api.mesh import scan_job
+    from mammometry.api.mesh import MeshJob, scan_files
 
     if is_changed(visit):
         raise SessionError(
@@ -33,7 +33,7 @@ def measured_job(visit: Visit) -> Job | MeshJob:
         )  # fmt: skip
     settings = the_clinic().measuring()
     job: Job | MeshJob = (
-        scan_job(visit.folder, visit.folder / "results", settings)
+        MeshJob(scan_files(visit.folder), visit.folder / "results", settings)
         if visit.is_scan
         else open_session(visit.folder, settings)
     )
