@@ -33,6 +33,7 @@ VERSIONS: Registry[int] = Registry(
         "observations": 7,
         "calibration": 5,
         "cameras": 5,
+        "names": 1,
         "foreground": 12,
         "disparity": 15,
         "rows": 1,
