@@ -24,8 +24,9 @@ from mammometry.clinic.models import (
     Visit,
     Volume,
 )
-from mammometry.clinic.operations import Retention, phase_of, retentions
+from mammometry.clinic.operations import phase_of
 from mammometry.clinic.results import latest
+from mammometry.clinic.retention import Retention, retentions
 from mammometry.clinic.roles import Role
 
 TODAY = timezone.localdate
