@@ -14,7 +14,6 @@ from mammometry.clinic.clinical_forms import CircumstancesForm
 from mammometry.clinic.confirmations import is_changed
 from mammometry.clinic.consents import pictures_caution
 from mammometry.clinic.forms import VisitForm
-from mammometry.clinic.lengths import length_table
 from mammometry.clinic.models import Calibration, Job, Scan, Visit
 from mammometry.clinic.next_step import next_step
 from mammometry.clinic.operations import phase_of
@@ -24,6 +23,7 @@ from mammometry.clinic.rigs.history import today as verdict_of
 from mammometry.clinic.roles import Role
 from mammometry.clinic.site import the_clinic
 from mammometry.clinic.views.who import person_of
+from mammometry.report.lengths import length_table
 
 OPEN = ("queued", "running")
 
