@@ -56,8 +56,8 @@ VERSIONS: Registry[int] = Registry(
         "landmarks": 4,
         "symmetry": 3,
         "dimensions": 5,
-        "previews": 8,
-        "content": 1,
+        "previews": 10,
+        "content": 2,
         "report": 15,
     },
 )

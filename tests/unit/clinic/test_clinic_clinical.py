@@ -11,7 +11,7 @@ from django.urls import reverse
 from django.utils import timezone
 
 from mammometry.clinic.clinical_facts import clinical_of, operation_words
-from mammometry.clinic.lengths import length_table
+from mammometry.report.lengths import length_table
 from mammometry.clinic.models import (
     Comparison,
     Conclusion,
