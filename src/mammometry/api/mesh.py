@@ -25,7 +25,7 @@ import numpy as np
 from mammometry.api.job import WARNINGS, Results
 from mammometry.base.cores import one_blas_thread
 from mammometry.base.errors import SessionError
-from mammometry.base.identity import Identity
+from mammometry.base.identity import NAMELESS, Identity
 from mammometry.base.memory import peak_memory_mb
 from mammometry.base.progress import Progress
 from mammometry.geometry.arrays import Array, Float64
@@ -303,10 +303,15 @@ class MeshJob:
     @property
     def report_key(self) -> Key:
         """Key of the report: products, the mesh, and the rest it shows."""
+        return self.page_key()
+
+    def page_key(self, *, deidentify: bool = False) -> Key:
+        """Key of a page that shows all of it, with or without names."""
         beside = {"mesh": self.inputs.digests["mesh"], "units": self.units}
         if self.files.scan is not None:
             beside["scanner"] = self.files.scan.scanner
-        return self._page_inputs.key(self.plan.products(), beside)
+        page = replace(self._page_inputs, identity=NAMELESS) if deidentify else self._page_inputs
+        return page.key(self.plan.products(), beside)
 
     @property
     def _page_inputs(self) -> PageInputs:

@@ -35,7 +35,11 @@ def report_file(visit: Visit, name: str) -> Path | None:
 
     None if there is none.
     """
-    path = visit.folder / "results" / "report" / name
+    return readable(visit.folder / "results" / "report" / name)
+
+
+def readable(path: Path) -> Path | None:
+    """A file of ours that may be shown. None if there is none."""
     return path if path.is_file() and not path.is_symlink() and path.stat().st_size <= _LARGEST else None
 
 
@@ -60,5 +64,10 @@ def scene_of(visit: Visit) -> str | None:
     None if there is none.
     """
     path = report_file(visit, "report.html")
-    found = None if path is None else _SCENE.search(path.read_text(encoding="utf-8"))
-    return None if found is None else found[1]
+    return None if path is None else scene_in(path)
+
+
+def scene_in(page: Path) -> str | None:
+    """The 3D scene of a page, as JSON. None if there is none."""
+    scene = _SCENE.search(page.read_text(encoding="utf-8"))
+    return None if scene is None else scene[1]
