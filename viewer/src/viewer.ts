@@ -26,7 +26,7 @@ export class Viewer {
   private readonly lookButtons: HTMLElement | null;
   private readonly captions: string[];
   private readonly slider: HTMLInputElement;
-  private readonly toggles: Record<"boundary" | "wall" | "measure", HTMLButtonElement>;
+  private readonly toggles: Record<"boundary" | "lengths" | "wall" | "measure", HTMLButtonElement>;
   private picked: { stage: Stage; hits: Hit[] } | null = null;
 
   private constructor(
@@ -62,6 +62,7 @@ export class Viewer {
     const wall = packed.ofPatient ? "Chest wall" : "Back";
     this.toggles = {
       boundary: toggle(views, "Boundary", "Show boundary and landmarks (key B)", true, () => this.apply()),
+      lengths: toggle(views, "Lengths", "Show the measured lengths (key L)", true, () => this.apply()),
       wall: toggle(views, wall, `Show the ${wall.toLowerCase()} (key W)`, false, () => this.apply()),
       measure: toggle(views, "Measure", "Measure between two points (key M)", false, () => this.forget()),
     };
@@ -111,6 +112,7 @@ export class Viewer {
     if (this.stages.length > 1) this.each((stage) => stage.frame(both));
     this.toggles.wall.disabled = models.every((model) => model.wall === null);
     this.toggles.boundary.disabled = models.every((model) => model.curves.length + model.landmarks.length === 0);
+    this.toggles.lengths.hidden = models.every((model) => model.lengths.length === 0);
     this.offerLooks(models);
     await this.colour();
     this.apply();
@@ -171,6 +173,7 @@ export class Viewer {
     const section = { axis: axis < 0 ? null : axis, share: Number(this.slider.value) };
     this.each((stage) => {
       stage.showBoundary(pressed(this.toggles.boundary));
+      stage.showLengths(pressed(this.toggles.lengths));
       stage.showWall(pressed(this.toggles.wall));
       const at = stage.cut(section);
       if (axis >= 0) this.say(`Section at ${number(at)} mm (${this.controls.section.value}).`);
@@ -250,6 +253,7 @@ export class Viewer {
       "+": () => stage.turn(0, 0, 1.15),
       "-": () => stage.turn(0, 0, 1 / 1.15),
       b: () => this.toggles.boundary.click(),
+      l: () => this.toggles.lengths.click(),
       w: () => this.toggles.wall.click(),
       m: () => this.toggles.measure.click(),
       s: () => void this.save(),

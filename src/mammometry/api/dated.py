@@ -134,5 +134,5 @@ def _scan(folder: Path, settings: Settings, watch: Watch) -> Dated:
         finished=lambda: job.finished,
         rig=lambda: job.rig,
         ensure=lambda: job.run(report=False),
-        page_digest=lambda deidentify: job.page_key(deidentify=deidentify).digest,
+        page_digest=lambda deidentify: job.page_digest(deidentify=deidentify),
     )

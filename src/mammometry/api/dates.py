@@ -393,7 +393,7 @@ def _report(
     privacy: Privacy,
 ) -> ChangeReport:
     from mammometry.report.change_page import ChangeReport
-    from mammometry.report.content import settings_facts
+    from mammometry.report.describe import settings_facts
     from mammometry.report.figures.change import Dated
     from mammometry.report.privacy import guard
 

@@ -13,6 +13,7 @@ from pathlib import Path
 from django.utils import timezone
 
 import mammometry
+from mammometry.clinic.confirmations import is_changed
 from mammometry.clinic.models import Comparison, Measurement, Visit
 from mammometry.report.change_words import change_sentence, date_words
 
@@ -97,7 +98,8 @@ def _verdict(before: Visit, after: Visit, row: Comparison | None) -> Verdict:
     if row is not None:
         row.before, row.after = before, after  # with their measurements
     day = date_words(timezone.localdate(before.taken_at))
-    if row is not None and is_current(row):
+    changed = is_changed(before) or is_changed(after)
+    if row is not None and is_current(row) and not changed:
         if row.state == Comparison.State.REFUSED:
             why = f"It cannot be compared with {day}. {row.message}"
             return Verdict(before=before, after=after, state="refused", sentences=(why,))

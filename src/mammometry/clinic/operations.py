@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from django.utils import timezone
 
 from mammometry.clinic.charts import Event
+from mammometry.clinic.comparing import is_current
 from mammometry.clinic.models import Comparison, Operation, Visit
 from mammometry.clinic.results import SideResult, VisitResult
 
@@ -156,8 +157,7 @@ def _retained(
 def _comparison(before: Visit, after: Visit, side: str) -> tuple[float, tuple[float, float] | None] | None:
     """Change and interval of the comparison of both visits, cc. None: there is none of both newest results."""
     row = Comparison.objects.filter(before=before, after=after, state=Comparison.State.DONE).first()
-    newest = [visit.measurements.first() for visit in (before, after)]
-    if row is None or any(one is None or one.digest not in row.of for one in newest):
+    if row is None or not is_current(row):
         return None
     breast = row.table.get("breasts", {}).get(side)
     if breast is None or breast.get("change_cc") is None:

@@ -6,15 +6,14 @@ The report, its scene, its warnings.
 from __future__ import annotations
 
 import json
-import re
 from dataclasses import dataclass
 from pathlib import Path
 
 from mammometry.clinic.models import Visit
+from mammometry.report.scene import json_in_page
 
-_SCENE = re.compile(r'<script type="application/json" id="mm-scene">(.*?)</script>', re.DOTALL)
-_OF_THE_STATE = "Nobody has confirmed the automatic boundary"
-"""How the warning begins that the visit's state says already."""
+_OF_THE_STATE = ("Nobody has confirmed the automatic boundary", "Boundaries are drawn and confirmed with")
+"""How warnings begin that the visit's state says already: `report.rendering` writes them."""
 _OF_PHOTOGRAPHS = ("Pose ", "Pair ", "Something hides part", "The subject was not separated")
 """How warnings begin that concern single photographs: `report.warnings` writes them."""
 _LARGEST = 64 << 20  # bytes of a report; ours have a few MB
@@ -64,10 +63,4 @@ def scene_of(visit: Visit) -> str | None:
     None if there is none.
     """
     path = report_file(visit, "report.html")
-    return None if path is None else scene_in(path)
-
-
-def scene_in(page: Path) -> str | None:
-    """The 3D scene of a page, as JSON. None if there is none."""
-    scene = _SCENE.search(page.read_text(encoding="utf-8"))
-    return None if scene is None else scene[1]
+    return None if path is None else json_in_page(path.read_text(encoding="utf-8"))

@@ -80,6 +80,7 @@ WORK = [
         audited=False,
     ),
     route("uploads/<uuid:upload>/place/", uploads.place, name="upload-place", roles=PHOTOGRAPHS, atomic=False),
+    route("uploads/<uuid:upload>/back/", uploads.back, name="upload-back", roles=PHOTOGRAPHS, atomic=False),
     route(
         "uploads/<uuid:upload>/thumbnail/",
         uploads.thumbnail,

@@ -33,6 +33,7 @@ VERSIONS: Registry[int] = Registry(
         "observations": 7,
         "calibration": 5,
         "cameras": 5,
+        "names": 1,
         "foreground": 12,
         "disparity": 15,
         "rows": 1,
@@ -56,7 +57,8 @@ VERSIONS: Registry[int] = Registry(
         "symmetry": 3,
         "dimensions": 5,
         "previews": 8,
-        "report": 14,
+        "content": 1,
+        "report": 15,
     },
 )
 """Kind of product → version of its making. Raise it when the result changes for the same inputs and settings."""

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from mammometry.report.content import ReportContent
+from mammometry.report.content import Picture, ReportContent
 from mammometry.report.figures.catalogue import in_order, is_on_paper
 
 _MEASURE = "measure"
 _WITHOUT_A_BREAST = "views"  # shown first where nothing was measured
 
 
-def first_pictures(content: ReportContent) -> list[bytes]:
+def first_pictures(content: ReportContent) -> list[Picture]:
     """Pictures below the volumes: of the whole measurement.
 
     If nothing was measured, they show the surface.
@@ -23,25 +23,25 @@ def first_pictures(content: ReportContent) -> list[bytes]:
     return found or [surface[name] for name in (_WITHOUT_A_BREAST,) if name in surface]
 
 
-def breast_pictures(content: ReportContent, breast: str) -> list[bytes]:
+def breast_pictures(content: ReportContent, breast: str) -> list[Picture]:
     """Pictures of one breast."""
     return [_drawn(content, _MEASURE)[name] for name in _of_breast(content, breast)]
 
 
-def stage_pictures(content: ReportContent, stage: str) -> list[bytes]:
+def stage_pictures(content: ReportContent, stage: str) -> list[Picture]:
     """Pictures of one stage for the technician.
 
     Those of the measurement stand with the breasts.
     """
-    return [png for _, png in _of_stage(content, stage)]
+    return [picture for _, picture in _of_stage(content, stage)]
 
 
-def paper_pictures(content: ReportContent, stages: Sequence[str]) -> list[bytes]:
+def paper_pictures(content: ReportContent, stages: Sequence[str]) -> list[Picture]:
     """Pictures of these stages that the paper has room for."""
-    return [png for stage in stages for name, png in _of_stage(content, stage) if is_on_paper(name)]
+    return [picture for stage in stages for name, picture in _of_stage(content, stage) if is_on_paper(name)]
 
 
-def _of_stage(content: ReportContent, stage: str) -> list[tuple[str, bytes]]:
+def _of_stage(content: ReportContent, stage: str) -> list[tuple[str, Picture]]:
     drawn = {} if stage == _MEASURE else _drawn(content, stage)
     return [(name, drawn[name]) for name in in_order(stage, drawn)]
 
@@ -50,5 +50,5 @@ def _of_breast(content: ReportContent, breast: str) -> list[str]:
     return in_order(_MEASURE, (name for name in _drawn(content, _MEASURE) if name.endswith(f"-{breast}")))
 
 
-def _drawn(content: ReportContent, stage: str) -> dict[str, bytes]:
+def _drawn(content: ReportContent, stage: str) -> dict[str, Picture]:
     return dict(content.pictures.get(stage, {}))

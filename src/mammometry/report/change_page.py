@@ -12,12 +12,14 @@ from mammometry.geometry.arrays import Array, Float64
 from mammometry.measure.dates.change import BreastChange, Change, LengthChange
 from mammometry.report import paper
 from mammometry.report.change_words import change_sentence
-from mammometry.report.content import DISCLAIMER, Fact, sentence, versions
+from mammometry.report.content import DISCLAIMER, Fact, sentence
+from mammometry.report.describe import versions
 from mammometry.report.figures import change as change_figures
 from mammometry.report.figures.change import Dated
 from mammometry.report.figures.sides import NAMES
 from mammometry.report.models import change_scene
 from mammometry.report.pages import STYLE, embed, render, viewer_program
+from mammometry.report.pictures import encoded
 from mammometry.report.scene import to_json
 from mammometry.report.volume_words import interval_words, is_coarse, term_words, volume_words
 from mammometry.study.tables import Table, signed
@@ -283,12 +285,12 @@ def _story(
     ]
     yield paper.side_by_side([*shown, trunk], width)
     yield Spacer(0, 8)
-    yield paper.picture(pictures["change.png"], width, 400)
+    yield paper.picture(encoded(pictures["change.png"]).jpeg, width, 400)
     yield from paper.facts([Fact(label="Remark", value=remark) for remark in report.remarks])
     for table in length_tables(report.change.lengths):
         yield paper.text(table.title, size=11, bold=True, before=6)
         yield paper.table(table, width)
-    yield paper.picture(pictures["sections.png"], width, 180)
+    yield paper.picture(encoded(pictures["sections.png"]).jpeg, width, 180)
     yield paper.text("What was compared", size=11, bold=True, before=6)
     yield from paper.facts(definitions(report.change), size=7.5)
     held = Fact(label="This document contains", value=f"{report.contains}.")

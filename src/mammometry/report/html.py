@@ -6,31 +6,12 @@ Pictures, style and 3D viewer are inside. It needs no network.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 
-from mammometry.base.cores import each_at_once
-from mammometry.io.write import disk_errors, write_text
 from mammometry.report import pages
 from mammometry.report.arrangement import breast_pictures, first_pictures, stage_pictures
-from mammometry.report.content import DISCLAIMER, ReportContent
-from mammometry.report.scene import to_json
+from mammometry.report.content import DISCLAIMER, Picture, ReportContent
 
 PAGE = "report.html"
-
-
-def write(folder: Path, content: ReportContent) -> Path:
-    """Write the page into a folder and return its path.
-
-    An earlier page is replaced as a whole or not at all.
-
-    Raises:
-        StorageError: the folder cannot be written to.
-    """
-    page = folder / PAGE
-    with disk_errors(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-    write_text(page, render(content))
-    return page
 
 
 def render(content: ReportContent) -> str:
@@ -42,8 +23,8 @@ def render(content: ReportContent) -> str:
         styles=(pages.STYLE, "viewer.css"),
         content=content,
         disclaimer=DISCLAIMER,
-        scene=None if content.scene is None else Markup(to_json(content.scene)),
-        viewer=None if content.scene is None else Markup(pages.viewer_program()),
+        scene=Markup(content.scene) if content.scene else None,
+        viewer=Markup(pages.viewer_program()) if content.scene else None,
         pictures=_arranged(content),
     )
 
@@ -57,5 +38,5 @@ def _arranged(content: ReportContent) -> Mapping[str, object]:
     }
 
 
-def _embedded(pictures: Sequence[bytes]) -> list[pages.Shown]:
-    return each_at_once(pages.embed, pictures)
+def _embedded(pictures: Sequence[Picture]) -> list[pages.Shown]:
+    return [pages.shown(picture) for picture in pictures]

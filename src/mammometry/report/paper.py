@@ -9,17 +9,15 @@ from pathlib import Path
 from typing import Any
 from xml.sax.saxutils import escape
 
-import numpy as np
 from PIL import Image
 
-from mammometry.report.content import DISCLAIMER, Fact
-from mammometry.report.figures.canvas import INK, caption_of
+from mammometry.report.content import DISCLAIMER, Fact, Picture
+from mammometry.report.figures.canvas import INK
 from mammometry.study.tables import Table
 
 _MARGIN_MM = 14.0  # of the page; chosen by eye
 ACCENT, FAINT = "#005a8e", "#586573"
 _LINE, _WARN, _WARN_GROUND = "#dde2e8", "#d08700", "#fff4dc"
-_PICTURE_PX = 1400  # longer side of a picture on paper: about 190 dpi over the text width of A4
 
 
 def document(title: str, subject: str, story: Callable[[float], Iterable[Any]]) -> bytes:
@@ -160,7 +158,7 @@ def box(words: Sequence[Any], width: float, *, ground: str = _WARN_GROUND, edge:
     return Grid([[list(words)]], colWidths=[width], style=style)
 
 
-def pictures(pngs: Sequence[bytes], width: float, height: float) -> Iterator[Any]:
+def pictures(shown: Sequence[Picture], width: float, height: float) -> Iterator[Any]:
     """Pictures two a row, each under its title."""
     from reportlab.platypus import Table as Grid
     from reportlab.platypus import TableStyle
@@ -172,32 +170,21 @@ def pictures(pngs: Sequence[bytes], width: float, height: float) -> Iterator[Any
             *((f"{side}PADDING", (0, 0), (-1, -1), 2) for side in ("TOP", "BOTTOM", "LEFT", "RIGHT")),
         ]
     )
-    for start in range(0, len(pngs), 2):
+    for start in range(0, len(shown), 2):
         row = [
-            [text(caption_of(png).title, size=8, bold=True), picture(png, half, height)]
-            for png in pngs[start : start + 2]
+            [text(one.title, size=8, bold=True), picture(one.jpeg, half, height)] for one in shown[start : start + 2]
         ]
         yield Grid([row], colWidths=[0.5 * width] * len(row), style=bare, hAlign="LEFT", spaceBefore=4)
 
 
-def picture(png: bytes, width: float, height: float) -> Any:
-    """A picture fitted into a space, points, at printing resolution."""
+def picture(jpeg: bytes, width: float, height: float) -> Any:
+    """A JPEG fitted into a space, points."""
     from reportlab.platypus import Image as Placed
 
-    jpeg, image_width, image_height = _printed(png)
+    with Image.open(io.BytesIO(jpeg), formats=("JPEG",)) as opened:
+        image_width, image_height = opened.size
     scale = min(width / image_width, height / image_height)
     return Placed(io.BytesIO(jpeg), image_width * scale, image_height * scale)
-
-
-@lru_cache(maxsize=32)
-def _printed(png: bytes) -> tuple[bytes, int, int]:
-    """JPEG of a picture for the document, its width and height."""
-    with Image.open(io.BytesIO(png), formats=("PNG",)) as opened:
-        image = Image.fromarray(np.asarray(opened.convert("RGB")))  # without any metadata
-    image.thumbnail((_PICTURE_PX, _PICTURE_PX))
-    buffer = io.BytesIO()
-    image.save(buffer, format="JPEG", quality=88, subsampling=0)
-    return buffer.getvalue(), image.width, image.height
 
 
 def _footer(title: str, margin: float) -> Callable[[Any, Any], None]:

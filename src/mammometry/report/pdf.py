@@ -9,10 +9,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from functools import partial
 from itertools import chain, repeat
-from pathlib import Path
 from typing import Any
 
-from mammometry.io.write import write_bytes
 from mammometry.report.arrangement import breast_pictures, first_pictures, paper_pictures
 from mammometry.report.content import Fact, ReportContent
 from mammometry.report.paper import ACCENT, FAINT, box, facts, fitted, picture, pictures, side_by_side, table, text
@@ -23,18 +21,6 @@ _MOST_PAGES = 4  # the surgeon's two and the technician's two
 _FIRST_HEIGHT, _HEIGHT = 220.0, 150.0  # of the first picture and of the others, points; chosen by eye
 _PICTURE_HEIGHTS = (175.0, 150.0, 125.0, 100.0)
 """Heights of the technical pictures, points. The document takes the largest that fits `_MOST_PAGES`."""
-
-
-def write(folder: Path, content: ReportContent) -> Path:
-    """Write the document into a folder and return its path.
-
-    An earlier one is replaced as a whole or not at all.
-
-    Raises:
-        StorageError: the folder cannot be written to.
-    """
-    write_bytes(folder / DOCUMENT, render(content))
-    return folder / DOCUMENT
 
 
 def render(content: ReportContent) -> bytes:
@@ -79,8 +65,8 @@ def _for_the_surgeon(content: ReportContent, width: float) -> Iterator[Any]:
         yield Spacer(0, 8)
     else:
         yield text("This session shows an open surface, which has no volume.")
-    for png, height in zip(first_pictures(content), chain([_FIRST_HEIGHT], repeat(_HEIGHT)), strict=False):
-        yield picture(png, width, height)
+    for shown, height in zip(first_pictures(content), chain([_FIRST_HEIGHT], repeat(_HEIGHT)), strict=False):
+        yield picture(shown.jpeg, width, height)
     for breast in content.breasts:
         yield text(f"{breast.title}: what was measured", size=12, bold=True, before=10)
         yield from facts(

@@ -251,7 +251,7 @@ def test_the_page_is_called_after_the_subject(
         dates.append(session_of(write_session(tmp_path / name, body(*how), how[0]), "P-1"))
         put_results(dates[-1], body(*how))
     found = compare(*dates)
-    assert reports[0].keys == tuple(open_session(date).report_key.digest for date in dates)
+    assert reports[0].keys == tuple(open_session(date).content_key.digest for date in dates)
     assert (found.table["title"], found.table["subject"]) == ("P-1", "P-1")
     assert reports[0].subtitle == "spring → autumn · date not given → date not given"
     compare(*dates, privacy=Privacy(deidentify=True))

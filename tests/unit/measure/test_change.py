@@ -133,6 +133,7 @@ def length(name: str, straight: float, along: float | None, title: str = "nipple
     return LinearMeasure(
         name=name, title=title, straight_mm=straight, straight_sigma_mm=3.0,
         geodesic_mm=along, geodesic_sigma_mm=None if along is None else 4.0,
+        ends_world=((0.0, 0.0, 0.0), (straight, 0.0, 0.0)),
     )  # fmt: skip
 
 

@@ -62,5 +62,5 @@ def whole_percent(value: float) -> str:
 def _words(value: Length | None, sign: str) -> str:
     if value is None:
         return "–"
-    half = "" if value.half_mm is None else f" ± {value.half_mm:.1f}"
+    half = "" if value.half_mm is None else f" ±\u00a0{value.half_mm:.1f}"
     return f"{value.value_mm:{sign}.1f}{half}".replace("-", "−")

@@ -10,9 +10,10 @@ from django.shortcuts import get_object_or_404, render
 
 from mammometry.clinic import comparing
 from mammometry.clinic.models import Comparison, Patient, Upload, Visit
-from mammometry.clinic.reports import readable, scene_in
+from mammometry.clinic.reports import readable
 from mammometry.clinic.security import report_policy
 from mammometry.clinic.templatetags.comparisons import queued
+from mammometry.report.scene import json_in_page
 
 Pair = tuple[Upload | None, Upload | None]
 
@@ -71,7 +72,7 @@ def compare_page(request: HttpRequest, patient: uuid.UUID, before: uuid.UUID, af
 
 def compare_scene(request: HttpRequest, patient: uuid.UUID, before: uuid.UUID, after: uuid.UUID) -> HttpResponse:
     """Both surfaces for the 3D view, laid onto one another."""
-    scene = scene_in(_page(patient, before, after))
+    scene = json_in_page(_page(patient, before, after).read_text(encoding="utf-8"))
     if scene is None:
         raise Http404
     return HttpResponse(scene, content_type="application/json")
