@@ -60,7 +60,8 @@ def _judgement(visit: Visit, measurement: Measurement, *, clinician: bool) -> Ne
         return NextStep(words=words, button="Confirm boundaries", address=reverse("draw", args=[visit.pk]))
     newest = visit.conclusions.first()
     if newest is None or newest.measurement_id != measurement.pk:
+        confirmed = "The boundaries are confirmed."
         if not clinician:
-            return NextStep(words="The boundaries are confirmed. A clinician writes the conclusion.")
-        return NextStep(words="The boundaries are confirmed.", button="Write the conclusion", address="#conclusion")
+            return NextStep(words=f"{confirmed} A clinician writes the conclusion.")
+        return NextStep(words=confirmed, button="Write the conclusion", address="#conclusion")
     return NextStep(words="Confirmed and concluded.")

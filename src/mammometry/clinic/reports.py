@@ -12,8 +12,8 @@ from pathlib import Path
 from mammometry.clinic.models import Visit
 from mammometry.report.scene import json_in_page
 
-_OF_THE_STATE = "Nobody has confirmed the automatic boundary"
-"""How the warning begins that the visit's state says already."""
+_OF_THE_STATE = ("Nobody has confirmed the automatic boundary", "Boundaries are drawn and confirmed with")
+"""How warnings begin that the visit's state says already: `report.rendering` writes them."""
 _OF_PHOTOGRAPHS = ("Pose ", "Pair ", "Something hides part", "The subject was not separated")
 """How warnings begin that concern single photographs: `report.warnings` writes them."""
 _LARGEST = 64 << 20  # bytes of a report; ours have a few MB
@@ -34,7 +34,11 @@ def report_file(visit: Visit, name: str) -> Path | None:
 
     None if there is none.
     """
-    path = visit.folder / "results" / "report" / name
+    return readable(visit.folder / "results" / "report" / name)
+
+
+def readable(path: Path) -> Path | None:
+    """A file of ours that may be shown. None if there is none."""
     return path if path.is_file() and not path.is_symlink() and path.stat().st_size <= _LARGEST else None
 
 

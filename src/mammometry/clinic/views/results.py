@@ -14,7 +14,7 @@ from pathlib import Path
 from threading import Lock
 from typing import Any
 
-from django.http import FileResponse, Http404, HttpRequest, HttpResponse, HttpResponseBase, JsonResponse
+from django.http import Http404, HttpRequest, HttpResponse, HttpResponseBase, JsonResponse
 from django.shortcuts import get_object_or_404, render
 from django.urls import reverse
 from pydantic import ValidationError
@@ -24,10 +24,12 @@ from mammometry.clinic import confirmations
 from mammometry.clinic.jobs import queue
 from mammometry.clinic.jobs.events import table_of
 from mammometry.clinic.models import Confirmation, Drawing, Job, Visit
+from mammometry.clinic.rendered import rendered_report
 from mammometry.clinic.reports import report_file, scene_of
 from mammometry.clinic.rigs.history import may_queue
 from mammometry.clinic.security import report_policy
 from mammometry.clinic.site import the_clinic
+from mammometry.clinic.views.refusals import not_now
 from mammometry.clinic.views.who import person_of
 from mammometry.editor.desk import Drawable
 from mammometry.editor.messages import Base, Breast, Message
@@ -97,27 +99,29 @@ def _opened(visit: Visit) -> Drawable:
 
 
 def report(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
-    """The report, as the pipeline wrote it.
+    """The report with names, confirmation and conclusion.
 
     Sealed off from the clinic's pages.
     """
-    path = report_file(_visit(visit), "report.html")
-    if path is None:
-        raise Http404
-    page = path.read_bytes()
+    try:
+        page = rendered_report(_measured(visit)).html
+    except MammometryError as error:
+        return not_now(request, error)
     response = HttpResponse(page, content_type="text/html; charset=utf-8")
     response["Content-Security-Policy"] = report_policy(page)
     return response
 
 
-def report_pdf(request: HttpRequest, visit: uuid.UUID) -> FileResponse:
-    """The report on paper."""
-    shown = _visit(visit)
-    path = report_file(shown, "report.pdf")
-    if path is None:
-        raise Http404
-    name = f"{shown.patient.pseudonym}_{shown.taken_at:%Y-%m-%d}.pdf"
-    return FileResponse(path.open("rb"), as_attachment=True, filename=name)
+def report_pdf(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
+    """The same report on paper."""
+    shown = _measured(visit)
+    try:
+        document = rendered_report(shown).pdf
+    except MammometryError as error:
+        return not_now(request, error)
+    response = HttpResponse(document, content_type="application/pdf")
+    response["Content-Disposition"] = f'attachment; filename="{shown.patient.pseudonym}_{shown.taken_at:%Y-%m-%d}.pdf"'
+    return response
 
 
 def scene(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
@@ -204,8 +208,8 @@ def _with_visit(visit: Visit, state: dict[str, Any]) -> dict[str, Any]:
     """
     measurement = visit.measurements.first()
     confirmation = Confirmation.objects.filter(measurement__visit=visit).select_related("by").first()
-    for name, boundary in state["boundaries"].items() if confirmation is not None else ():
-        if "of" in boundary:
+    for name, boundary in state["boundaries"].items():
+        if confirmation is not None and "of" in boundary:
             holds = confirmation.curves.get(name) == boundary["of"]
             at = confirmation.at.isoformat(timespec="seconds")
             boundary["confirmed"] = {"by": str(confirmation.by or ""), "at": at, "holds": holds}
@@ -247,6 +251,14 @@ def _told(visit: uuid.UUID, answer: Callable[[Visit, EditorPage], dict[str, Any]
         status, words = refusal(error)
         words["error"] = words["error"].replace(f"{the_clinic().folder}/", "")  # where it lies is nobody's business
         return JsonResponse(words, status=status)
+
+
+def _measured(visit: uuid.UUID) -> Visit:
+    """A visit that has a report."""
+    shown = _visit(visit)
+    if report_file(shown, "report.html") is None:
+        raise Http404
+    return shown
 
 
 def _visit(visit: uuid.UUID) -> Visit:
