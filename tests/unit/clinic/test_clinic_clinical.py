@@ -10,7 +10,6 @@ from django.urls import reverse
 from django.utils import timezone
 
 from mammometry.clinic.clinical_facts import clinical_of, operation_words
-from mammometry.report.lengths import length_table
 from mammometry.clinic.models import (
     Comparison,
     Conclusion,
@@ -26,6 +25,7 @@ from mammometry.clinic.models import (
 from mammometry.clinic.operations import Retention, phase_of, retentions
 from mammometry.clinic.results import latest
 from mammometry.clinic.roles import Role
+from mammometry.report.lengths import length_table
 
 TODAY = timezone.localdate
 
