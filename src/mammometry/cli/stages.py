@@ -271,7 +271,7 @@ def measure(
             job = opened(session, settings, assignments, bars)
             results = job.run(report=False)
         return Answer(results.as_table(), volume_lines(results))
-    from mammometry.api.mesh import SCALE_STD, SURFACE_STD_MM, MeshFiles, MeshJob, folder_for
+    from mammometry.api.mesh import SCALE_STD, SURFACE_STD_MM, MeshFiles, MeshJob, folder_for, scan_files
     from mammometry.io.outputs import require_apart
     from mammometry.io.scans import MESH, is_scan, read_scan
 
@@ -282,7 +282,11 @@ def measure(
             raise typer.BadParameter(f"{option} is a standard uncertainty, 0 or more")
     scan = read_scan(session.parent) if session.name == MESH and is_scan(session.parent) else None
     if scan is not None:
-        head, ahead, subject = head or scan.head, ahead or scan.ahead or None, subject or scan.subject
+        own = scan_files(session.parent, subject=subject)
+        head, ahead, subject = head or own.head, ahead or own.ahead, own.subject
+        if boundary is None and own.boundary is not None:
+            boundary, automatic = own.boundary, True
+        landmarks = landmarks or own.landmarks
     files = MeshFiles(
         mesh=session,
         units=units,

@@ -172,6 +172,7 @@ def _scene(plan: Plan, measurements: tuple[VolumeMeasurement, ...], textured: Te
         symmetry=None if plan.measured.symmetry is None else plan.measured.symmetry(),
         # Where colours are left out, so are the photographs themselves.
         atlas=plan.surfaced.model() if textured is finished.textured else None,
+        lengths=() if plan.measured.dimensions is None or not measurements else plan.measured.dimensions().lengths,
     )
 
 

@@ -90,7 +90,14 @@ def gather_mesh(
     words = describe.measure_report(measurements)
     lengths, lengths_note = planning_lengths(sizes)
     changed, everything = describe.settings_facts(page.settings)
-    scene = viewer_scene(front_of(viewer, body), finished.repaired, finished.textured, measurements, symmetry=sides)
+    scene = viewer_scene(
+        front_of(viewer, body),
+        finished.repaired,
+        finished.textured,
+        measurements,
+        symmetry=sides,
+        lengths=() if sizes is None else sizes.lengths,
+    )
     progress(0.9)
     return ReportContent(
         identity=page.identity,

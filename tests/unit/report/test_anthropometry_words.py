@@ -26,7 +26,7 @@ def sizes_of_the_left() -> Dimensions:
         lengths=(
             LinearMeasure(
                 name="N-midline left", title="left nipple to midline", straight_mm=88.25, straight_sigma_mm=2.04,
-                geodesic_mm=None, geodesic_sigma_mm=None,
+                geodesic_mm=None, geodesic_sigma_mm=None, ends_world=((88.25, 0.0, 0.0), (0.0, 0.0, 0.0)),
             ),
         ),
         ptosis=(

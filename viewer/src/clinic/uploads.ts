@@ -7,6 +7,7 @@ interface Check {
   check: string;
   level: "ok" | "unknown" | "warn" | "refuse";
   sentence: string;
+  url?: string;
 }
 
 interface Upload {
@@ -17,7 +18,7 @@ interface Upload {
   offset: number;
   size_bytes: number;
   chunk_bytes: number;
-  state: "receiving" | "unplaced" | "accepted" | "refused" | "cancelled";
+  state: "receiving" | "checked" | "placed" | "refused" | "set aside";
   checks: Check[];
   thumbnail: string | null;
 }
@@ -26,6 +27,7 @@ interface State {
   cameras?: { camera: string; upload: Upload | null }[];
   poses?: Record<string, Record<string, Upload>>;
   unplaced: Upload[];
+  set_aside: Upload[];
   together: Check[];
   ready: boolean;
   missing: string[];
@@ -73,6 +75,8 @@ class Photographs {
     this.root.addEventListener("click", (event) => {
       const away = (event.target as HTMLElement).closest<HTMLElement>("[data-away]");
       if (away !== null) void this.act(() => request(away.dataset.away!, { method: "DELETE" }));
+      const back = (event.target as HTMLElement).closest<HTMLElement>("[data-back]");
+      if (back !== null) void this.act(() => request(`${back.dataset.back!}back/`, { method: "POST" }));
       const go = (event.target as HTMLElement).closest<HTMLElement>("[data-go]");
       if (go !== null) void this.go(go);
     });
@@ -167,8 +171,14 @@ class Photographs {
     const together = this.root.querySelector<HTMLElement>("[data-together]");
     if (together !== null) {
       const warnings = state.together.filter(({ level }) => level === "warn" || level === "refuse");
-      together.replaceChildren(...warnings.map((check) => made("p", "", check.sentence)));
+      together.replaceChildren(...warnings.map(warned));
       together.hidden = warnings.length === 0;
+    }
+    const aside = this.root.querySelector<HTMLElement>("[data-aside]");
+    if (aside !== null) {
+      aside.hidden = state.set_aside.length === 0;
+      aside.querySelector("summary")!.textContent = `Set aside (${state.set_aside.length})`;
+      aside.querySelector("ul")!.replaceChildren(...state.set_aside.map(keptAside));
     }
     this.root.dataset.ready = String(state.ready);
     const go = this.root.querySelector<HTMLButtonElement>("[data-go]");
@@ -184,14 +194,7 @@ class Photographs {
     const head = made("h3", "", title(name));
     head.append(chip(upload, level));
     item.append(head);
-    const shot = made("div", upload === null ? "none" : "shot");
-    if (upload?.thumbnail) {
-      const image = made("img", "") as HTMLImageElement;
-      image.src = upload.thumbnail;
-      image.alt = `Photograph: ${title(name)}`;
-      shot.append(image);
-    }
-    item.append(shot);
+    item.append(shotOf(upload, name));
     if (upload !== null) {
       const wrong = upload.checks.filter((check) => check.level === "warn" || check.level === "refuse");
       if (wrong.length > 0) {
@@ -200,13 +203,12 @@ class Photographs {
         item.append(list);
       }
     }
-    if (upload?.state === "unplaced") item.append(chooser(upload, cameras));
+    if (upload?.state === "checked") item.append(chooser(upload, cameras));
     if (camera !== null) item.append(picker(camera, upload === null ? "Choose photograph" : "Another photograph"));
     if (upload !== null) {
-      const away = made("button", "button", "Take away") as HTMLButtonElement;
-      away.type = "button";
+      const words = upload.state === "placed" ? "Set aside" : "Take away";
+      const away = button(words, `${words}: the photograph of ${title(name)}`);
       away.dataset.away = upload.url;
-      away.setAttribute("aria-label", `Take away the photograph: ${title(name)}`);
       item.append(away);
     }
     return item;
@@ -233,13 +235,13 @@ function title(camera: string): string {
 function worst(upload: Upload): "ok" | "warn" | "refuse" | "" {
   if (upload.state === "receiving") return "";
   if (upload.state === "refused") return "refuse";
-  return upload.checks.some(({ level }) => level === "warn") ? "warn" : upload.state === "accepted" ? "ok" : "";
+  return upload.checks.some(({ level }) => level === "warn") ? "warn" : upload.state === "placed" ? "ok" : "";
 }
 
 function chip(upload: Upload | null, level: string): HTMLElement {
   if (upload === null) return made("span", "chip", "missing");
   if (upload.state === "receiving") return made("span", "chip busy", `${Math.round((100 * upload.offset) / upload.size_bytes)} %`);
-  if (upload.state === "unplaced") return made("span", "chip care", "? choose");
+  if (upload.state === "checked") return made("span", "chip care", "? choose");
   if (level === "refuse") return made("span", "chip bad", "✕ not usable");
   if (level === "warn") return made("span", "chip care", "! look");
   return made("span", "chip good", "✓ good");
@@ -254,6 +256,46 @@ function picker(camera: string, words: string): HTMLElement {
   input.setAttribute("aria-label", `${words}: ${title(camera)}`);
   label.append(input);
   return label;
+}
+
+/** The small picture of a photograph, or its empty place. */
+function shotOf(upload: Upload | null, name: string): HTMLElement {
+  const shot = made("div", upload === null ? "none" : "shot");
+  if (upload?.thumbnail) {
+    const image = made("img", "") as HTMLImageElement;
+    image.src = upload.thumbnail;
+    image.alt = `Photograph: ${title(name)}`;
+    shot.append(image);
+  }
+  return shot;
+}
+
+/** A photograph that was set aside, with the button that brings it back. */
+function keptAside(upload: Upload): HTMLElement {
+  const name = [upload.pose === null ? "" : `pose ${upload.pose},`, upload.camera ?? ""].join(" ").trim();
+  const item = made("li", "place");
+  const back = button("Bring back", `Bring back the photograph of ${title(name)}`);
+  back.dataset.back = upload.url;
+  item.append(made("h3", "", title(name)), shotOf(upload, name), back);
+  return item;
+}
+
+/** What photographs say together; one that lies in another visit too leads there. */
+function warned(check: Check): HTMLElement {
+  const line = made("p", "", check.sentence);
+  if (check.url !== undefined) {
+    const link = made("a", "", "Open that visit") as HTMLAnchorElement;
+    link.href = check.url;
+    line.append(" ", link);
+  }
+  return line;
+}
+
+function button(words: string, label: string): HTMLButtonElement {
+  const element = made("button", "button", words) as HTMLButtonElement;
+  element.type = "button";
+  element.setAttribute("aria-label", label);
+  return element;
 }
 
 function chooser(upload: Upload, cameras: string[]): HTMLElement {
