@@ -102,10 +102,13 @@ def _confirmation(
     *,
     named: bool,
 ) -> str:
-    if not measured:
+    signed = None if clinical is None else clinical.confirmed
+    if signed is not None and measured:
+        return f"confirmed by {signature(signed)}"
+    if all(breast.name == "model" for breast in measured):  # its base needs nobody's eye
         return ""
     if clinical is not None:
-        return f"confirmed by {signature(clinical.confirmed)}" if clinical.confirmed else NOT_CONFIRMED
+        return NOT_CONFIRMED
     words = {}
     for breast in measured:
         seen = attributions.get(breast.name, Attribution()).confirmation

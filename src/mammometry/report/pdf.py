@@ -13,6 +13,7 @@ from typing import Any
 from mammometry.report import paper
 from mammometry.report.arrangement import breast_pictures, paper_pictures, whole_pictures
 from mammometry.report.content import Fact, LargeNumber, Picture, ReportContent
+from mammometry.report.figures.canvas import INK
 from mammometry.report.first_page import FirstPage, signature
 from mammometry.report.paper import ACCENT, FAINT, WARN, box, facts, fitted, pictures, side_by_side, table, text
 from mammometry.report.volume_words import MEANINGS_INTRODUCTION
@@ -115,7 +116,7 @@ def _below(content: ReportContent, first: FirstPage, width: float) -> Iterator[A
     for sentence in first.change:
         yield text(sentence, size=8.5, before=3)
     if first.confirmation:
-        colour = paper.INK if first.is_confirmed else WARN
+        colour = INK if first.is_confirmed else WARN
         yield text(f"Boundaries: {first.confirmation}.", size=9, colour=colour, before=3)
     yield from _conclusion(first, width)
 
