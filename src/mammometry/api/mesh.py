@@ -24,7 +24,7 @@ from mammometry.api.results import Results
 from mammometry.api.stored_report import StoredReport
 from mammometry.base.cores import one_blas_thread
 from mammometry.base.errors import MeasureError, SessionError
-from mammometry.base.identity import Identity
+from mammometry.base.identity import NAMELESS, Identity
 from mammometry.base.memory import peak_memory_mb
 from mammometry.base.progress import Progress
 from mammometry.geometry.arrays import Array, Float64
@@ -377,10 +377,18 @@ class MeshJob:
     @property
     def content_key(self) -> Key:
         """Key of the report's content: products, the mesh, and the rest it shows."""
+        return self._content_key(self._page_inputs)
+
+    def page_digest(self, *, deidentify: bool) -> str:
+        """Digest of everything a report would show now, with or without names."""
+        page = self._page_inputs
+        return self._content_key(replace(page, identity=NAMELESS) if deidentify else page).digest
+
+    def _content_key(self, page: PageInputs) -> Key:
         beside = {"mesh": self.inputs.digests["mesh"], "units": self.units}
         if self.files.scan is not None:
             beside["scanner"] = self.files.scan.scanner
-        return self._page_inputs.key(self.plan.products(), beside)
+        return page.key(self.plan.products(), beside)
 
     @property
     def _page_inputs(self) -> PageInputs:

@@ -372,14 +372,14 @@ def named_subject(text: str | None) -> str | None:
 
 def volume_lines(results: Results) -> list[Any]:
     """Volumes in words, and where the report is."""
-    from mammometry.report.volume_words import definition_title, definition_words, interval_words, volume_words
+    from mammometry.report.volume_words import MEANINGS, definition_words, interval_words, volume_words
 
     lines: list[Any] = []
     for name, measured in results.measurements.items():
         volume, interval = volume_words(measured.volume_cc, measured.interval_cc), interval_words(measured.interval_cc)
         lines.append(f"{name}: {volume} {interval}, wall: {measured.wall_kind}")
         for defined in measured.definitions:
-            lines.append(f"    {definition_title(defined).lower()}: {definition_words(defined)}")
+            lines.append(f"    {MEANINGS[defined.meaning]}: {definition_words(defined)}")
     for name, why in results.no_breast.items():
         lines.append(f"{name}: no breast measured. {why}.")
     for name, found in results.lacking.items():

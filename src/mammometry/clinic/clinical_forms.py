@@ -127,7 +127,7 @@ class CircumstancesForm(_CircumstancesForm):
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
-        name_empty_choices(*self.fields.values())
+        name_empty_choices(self.fields)
 
 
 class ConclusionForm(_ConclusionForm):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime
 import tomllib
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Protocol
 
 from django import forms
@@ -100,7 +101,7 @@ class VisitForm(_VisitForm):
         if len(rigs) == 1:
             rig.initial = rigs[0]
         kind.choices = [("torso", "A patient"), ("model", "A model on a table")]
-        name_empty_choices(self.fields["occasion"], self.fields["posture"])
+        name_empty_choices(self.fields)
         self.fields["posture"].initial = Visit.Posture.LEANING
 
     def clean(self) -> dict[str, Any]:
@@ -112,11 +113,12 @@ class VisitForm(_VisitForm):
         return values
 
 
-def name_empty_choices(*fields: forms.Field) -> None:
-    """Say of lists that nothing has to be chosen."""
-    for field in fields:
+def name_empty_choices(fields: Mapping[str, forms.Field]) -> None:
+    """Say of occasion and posture that nothing has to be chosen."""
+    for name, choices in (("occasion", Visit.Occasion.choices), ("posture", Visit.Posture.choices)):
+        field = fields[name]
         assert isinstance(field, forms.ChoiceField)
-        field.choices = [("", "not entered"), *(choice for choice in field.choices if choice[0])]
+        field.choices = [("", "not entered"), *choices]
 
 
 class RigForm(_RigForm):

@@ -34,7 +34,11 @@ def report_file(visit: Visit, name: str) -> Path | None:
 
     None if there is none.
     """
-    path = visit.folder / "results" / "report" / name
+    return readable(visit.folder / "results" / "report" / name)
+
+
+def readable(path: Path) -> Path | None:
+    """A file of ours that may be shown. None if there is none."""
     return path if path.is_file() and not path.is_symlink() and path.stat().st_size <= _LARGEST else None
 
 
