@@ -18,7 +18,7 @@ register = template.Library()
 
 @register.inclusion_tag("clinic/banner.html")
 def banner(patient: Patient, visit: Visit | None = None) -> dict[str, Any]:
-    """Who the page is about: name, birthday, numbers, sides of surgery, and the visit's photographs in small."""
+    """Who the page is about, with the visit's photographs in small."""
     shots = () if visit is None else visit.uploads.filter(state=Upload.State.PLACED).order_by("camera")
     return {
         **patient_facts(patient),
