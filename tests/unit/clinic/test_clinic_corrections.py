@@ -255,6 +255,7 @@ def test_what_is_in_the_bin_is_nowhere_else(
     archive = Destination.objects.create(name="PACS", address="A@h:1")
     delivery = Delivery.objects.create(visit=visit, destination=archive, next_try=NOON, state="failed")
     job = Job.objects.create(visit=visit, kind="measure", state="done", ended=timezone.now())
+    Consent.objects.create(patient=anna, purpose="research", given_on="2026-01-01")
     client = client_of(*Role)
     shown = client.get("/patients/").content.decode()
     assert "2 visits" in shown

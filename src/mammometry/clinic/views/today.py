@@ -30,12 +30,13 @@ def today(request: HttpRequest) -> HttpResponse:
         return redirect("administration")
     now = timezone.localtime()
     begin = now.replace(hour=0, minute=0, second=0, microsecond=0)
-    all_visits = Visit.objects.select_related("patient", "rig").prefetch_related("measurements__volumes")
-    visits = list(all_visits.filter(taken_at__gte=begin, taken_at__lt=begin + datetime.timedelta(days=1))[:_MANY])
+    all_visits = Visit.objects.select_related("patient", "rig")
+    of_today = all_visits.filter(taken_at__gte=begin, taken_at__lt=begin + datetime.timedelta(days=1))
+    visits = list(of_today.prefetch_related("measurements__volumes")[:_MANY])
     earlier = all_visits.filter(taken_at__lt=begin)
     unfinished = list(earlier.filter(state__in=("new", "uploading", "ready", "queued", "changed", "refused"))[:_MANY])
     judges = person.has_role(Role.CLINICIAN)
-    unconfirmed = (all_visits if judges else earlier).filter(state="measured", rig__isnull=False)
+    unconfirmed = (all_visits if judges else earlier).filter(state="measured")
     to_confirm = list(unconfirmed.order_by("taken_at")[:_MANY])
     request.shown = [each.id for each in (*visits, *unfinished, *to_confirm)]  # type: ignore[attr-defined]
     rigs = [(rig, verdict_of(rig)) for rig in Rig.objects.filter(active=True)]
