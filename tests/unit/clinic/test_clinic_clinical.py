@@ -11,7 +11,6 @@ from django.urls import reverse
 from django.utils import timezone
 
 from mammometry.clinic.clinical_facts import clinical_of, operation_words
-from mammometry.report.lengths import length_table
 from mammometry.clinic.models import (
     Comparison,
     Conclusion,
@@ -28,6 +27,7 @@ from mammometry.clinic.operations import phase_of
 from mammometry.clinic.results import latest
 from mammometry.clinic.retention import Retention, retentions
 from mammometry.clinic.roles import Role
+from mammometry.report.lengths import length_table
 
 TODAY = timezone.localdate
 
