@@ -60,7 +60,7 @@ def test_an_administrators_pages(tmp_path: Path) -> None:
         page.get_by_label("Name").fill("anna")
         page.get_by_label("Password").fill("three grey herons wade")
         page.get_by_role("button", name="Log in").click()
-        expect(page.get_by_role("heading", name="Today")).to_be_visible()
+        expect(page.get_by_role("heading", name="Today", exact=True)).to_be_visible()
         expect(page.get_by_text("The first day of this clinic")).to_be_visible()
         page.goto(link)
         expect(page.get_by_text("This link has been used or is older than three days.")).to_be_visible()
