@@ -73,7 +73,7 @@ def clear_place(others: Sequence[Upload], upload: Upload, folder: Path, goal: Pa
 
 def fired_files(folder: Path) -> dict[str, str]:
     """Digest → name below the visit's folder of every picture that was fired, where it lies for good."""
-    names = {}
+    names: dict[str, str] = {}
     for path in sorted((folder / "shots").glob("[0-9]*/shot.json")):
         try:
             cameras = json.loads(path.read_text(encoding="utf-8"))["cameras"]

@@ -7,7 +7,7 @@ from typing import Any
 from django import template
 from django.utils import timezone
 
-from mammometry.clinic.intake.uploads import thumbnail_path
+from mammometry.clinic.intake.thumbnail import thumbnail_path
 from mammometry.clinic.lengths import Length
 from mammometry.clinic.models import Patient, Upload, Visit
 from mammometry.clinic.operations import sides_of
