@@ -22,6 +22,9 @@ export class Viewer {
   private readonly legendBox: HTMLElement;
   private readonly readout: HTMLElement;
   private readonly controls: Record<"model" | "look" | "section", HTMLSelectElement>;
+  /** Buttons in place of the choice of colours, where the page asks for them. */
+  private readonly lookButtons: HTMLElement | null;
+  private readonly captions: string[];
   private readonly slider: HTMLInputElement;
   private readonly toggles: Record<"boundary" | "lengths" | "wall" | "measure", HTMLButtonElement>;
   private picked: { stage: Stage; hits: Hit[] } | null = null;
@@ -41,6 +44,14 @@ export class Viewer {
       section: choose(bar, "Section", AXES.map((axis) => [axis, axis])),
     };
     this.controls.model.parentElement!.hidden = this.choices.length < 2;
+    this.captions = root.dataset.captions?.split("|") ?? [];
+    this.lookButtons = root.dataset.buttons === undefined ? null : element(bar, "span", "mm-looks");
+    if (this.lookButtons !== null) {
+      this.lookButtons.dataset.looks = root.dataset.buttons;
+      this.lookButtons.setAttribute("role", "group");
+      this.lookButtons.setAttribute("aria-label", "Colour");
+      this.controls.look.parentElement!.hidden = true;
+    }
     this.slider = bar.appendChild(document.createElement("input"));
     Object.assign(this.slider, { type: "range", min: "0", max: "1", step: "0.002", value: "0.5", hidden: true });
     this.slider.setAttribute("aria-label", "Position of the section");
@@ -87,10 +98,10 @@ export class Viewer {
     this.picked = null;
     this.pictures.replaceChildren();
     for (const stage of this.stages.splice(0)) stage.dispose();
-    for (const model of models) {
+    for (const [k, model] of models.entries()) {
       const figure = element(this.pictures, "figure", "mm-picture");
       const holder = element(figure, "div", "mm-canvas");
-      if (models.length > 1) element(figure, "figcaption", "").textContent = model.title;
+      if (models.length > 1) element(figure, "figcaption", "").textContent = this.captions[k] ?? model.title;
       const stage = new Stage(holder, model);
       stage.canvas.addEventListener("click", (event) => this.click(stage, event));
       this.stages.push(stage);
@@ -125,6 +136,17 @@ export class Viewer {
       if (!looks.some(([name]) => name === layer.name)) looks.push([layer.name, layer.title]);
     this.controls.look.replaceChildren(...looks.map(([name, title]) => new Option(title, name)));
     if (looks.some(([name]) => name === wanted)) this.controls.look.value = wanted;
+    const choose = (name: string): void => {
+      this.controls.look.value = name;
+      void this.colour();
+    };
+    this.lookButtons?.replaceChildren();
+    for (const wished of this.lookButtons?.dataset.looks?.split(" ") ?? []) {
+      const title = looks.find(([name]) => name === wished)?.[1];
+      if (title === undefined) continue;
+      const made = button(this.lookButtons!, capital(title), `Colour: ${title}`, () => choose(wished));
+      made.dataset.look = wished;
+    }
   }
 
   private offers(look: string): boolean {
@@ -133,6 +155,8 @@ export class Viewer {
 
   private async colour(): Promise<void> {
     const look = this.controls.look.value;
+    for (const each of this.lookButtons?.children ?? [])
+      each.setAttribute("aria-pressed", String((each as HTMLElement).dataset.look === look));
     await Promise.all(this.stages.map((stage) => stage.look(look)));
     const layer = this.stages.map((stage) => stage.layer(look)).find((found) => found !== undefined);
     this.legendBox.replaceChildren();
@@ -273,6 +297,10 @@ function toggle(parent: HTMLElement, text: string, help: string, on: boolean, ac
   });
   made.setAttribute("aria-pressed", String(on));
   return made;
+}
+
+function capital(text: string): string {
+  return text.charAt(0).toUpperCase() + text.slice(1);
 }
 
 function pressed(of: HTMLButtonElement): boolean {

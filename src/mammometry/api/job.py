@@ -35,11 +35,13 @@ from mammometry.base.errors import (
 from mammometry.base.identity import NAMELESS, Identity
 from mammometry.base.memory import peak_memory_mb, return_freed_arrays
 from mammometry.base.progress import Progress, no_progress
+from mammometry.geometry.camera import Rig
 from mammometry.io.drawn import read_boundaries
 from mammometry.io.outputs import require_apart, require_free, write_output, write_outputs
 from mammometry.io.results.store import State, Store, Watch, unwatched
 from mammometry.io.session import Session
 from mammometry.job.beside import Beside, beside_the_next_stage
+from mammometry.job.measuring import Measured
 from mammometry.job.pipeline import CameraSet, FinishedSurface, Plan, plan
 from mammometry.job.products import STAGES, Key, Product, Stage
 from mammometry.report.page_inputs import PageInputs, report_key
@@ -81,6 +83,26 @@ class Job:
     def identity(self) -> Identity:
         """Whose photographs and results these are: what pages call them."""
         return self.session.identity
+
+    @property
+    def folder(self) -> Path:
+        """Where boundaries.json and landmarks.json lie."""
+        return self.session.path
+
+    @property
+    def rig(self) -> Rig:
+        """The cameras in their places at the exposures."""
+        return self.plan.calibrated.cameras().rig
+
+    @property
+    def mesh(self) -> Product[FinishedSurface]:
+        """The surface that is measured, with its colours."""
+        return self.plan.surfaced.mesh
+
+    @property
+    def measured(self) -> Measured:
+        """Products of the measurement."""
+        return self.plan.measured
 
     def products(self, stage: Stage) -> tuple[Product[Any], ...]:
         """Products of one stage, without the report, which has its own record."""

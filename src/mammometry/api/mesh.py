@@ -23,14 +23,23 @@ import numpy as np
 from mammometry.api.results import Results
 from mammometry.api.stored_report import StoredReport
 from mammometry.base.cores import one_blas_thread
-from mammometry.base.errors import SessionError
-from mammometry.base.identity import Identity
+from mammometry.base.errors import MeasureError, SessionError
+from mammometry.base.identity import NAMELESS, Identity
 from mammometry.base.memory import peak_memory_mb
 from mammometry.base.progress import Progress
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.nearest import point_tree
-from mammometry.io.drawn import DrawnBoundaries, boundaries_in, landmarks_in
+from mammometry.io.drawn import (
+    BOUNDARIES,
+    LANDMARK_FILE,
+    DrawnBoundaries,
+    boundaries_digest,
+    boundaries_in,
+    landmarks_digest,
+    landmarks_in,
+    read_boundaries,
+)
 from mammometry.io.foreign import ForeignMesh, read_foreign
 from mammometry.io.outputs import require_apart, require_own_folder, take_folder
 from mammometry.io.results.store import Store, Watch, unwatched
@@ -95,21 +104,44 @@ class MeshFiles:
     """What an imported scan's folder says. None: the mesh was not imported."""
 
 
-def scan_files(folder: Path, *, subject: str | None = None) -> MeshFiles:
-    """An imported scan's mesh, measured automatically.
+def scan_files(folder: Path, *, subject: str | None = None, drawn: bool = True) -> MeshFiles:
+    """An imported scan's mesh, with what was drawn on it. Other boundaries are found automatically.
 
     Args:
-        folder: made by ``mammometry import mesh``.
+        folder: made by ``mammometry import mesh``. What was drawn lies in it, as in a session.
         subject: a pseudonym. None: the one that the folder names.
+        drawn: whether drawn boundaries and landmarks count.
 
     Raises:
         SessionError: the folder's description is not as documented.
     """
     scan = read_scan(folder)
+    boundary, landmarks = (
+        path if drawn and path.is_file() else None for path in (folder / BOUNDARIES, folder / LANDMARK_FILE)
+    )
     return MeshFiles(
-        mesh=folder / MESH, units="mm", automatic=True, head=scan.head, ahead=scan.ahead or None,
-        subject=subject or scan.subject, scan=scan,
+        mesh=folder / MESH, units="mm", boundary=boundary, landmarks=landmarks, automatic=True, head=scan.head,
+        ahead=scan.ahead or None, subject=subject or scan.subject, scan=scan,
     )  # fmt: skip
+
+
+def scan_job(folder: Path, results: Path, settings: Settings | None = None) -> MeshJob:
+    """Open an imported scan for drawing on it.
+
+    A drawing that the measurement refuses does not count. It can so be corrected.
+
+    Args:
+        folder: made by ``mammometry import mesh``.
+        results: folder of its results.
+        settings: of the measurement; None for the recommended ones.
+
+    Raises:
+        MammometryError: the scan cannot be opened.
+    """
+    try:
+        return MeshJob(scan_files(folder), results, settings)
+    except MeasureError:
+        return MeshJob(scan_files(folder, drawn=False), results, settings)
 
 
 class MeshJob:
@@ -151,7 +183,7 @@ class MeshJob:
                 expected="where the breast ends on this mesh",
                 remedy="Add --boundary b.json, or --landmarks l.json with the protocol's landmarks, or --automatic",
             )
-        if files.boundary is not None and files.automatic:
+        if files.boundary is not None and files.automatic and files.scan is None:
             raise SessionError(
                 str(files.boundary),
                 found="a boundary file together with --automatic",
@@ -168,7 +200,7 @@ class MeshJob:
         self.store = Store(folder, watch, files.subject)
         self.units = foreign.units if files.scan is None else files.scan.units
         drawn = DrawnBoundaries() if files.boundary is None else boundaries_in(files.boundary, _NAMES)
-        if drawn.automatic:
+        if drawn.automatic and not files.automatic:
             raise SessionError(
                 f"{files.boundary}: {drawn.automatic[0]}",
                 found="a boundary to be found automatically",
@@ -207,10 +239,31 @@ class MeshJob:
         picked_landmarks(places, fine, sides, sigma_mm=own.picked_sigma_mm, middle_world=middle)
         self.rig = scanned.viewer(frame, fine)
         self.inputs = _inputs(files, self.kind, drawn, places)
-        self._lay_out(surface, foreign)
+        by_drawing = {} if self.kind == "torso" and files.automatic else _drawn(self.inputs)
+        self._lay_out(surface, foreign, by_drawing)
 
-    def _lay_out(self, surface: RepairedSurface, foreign: ForeignMesh) -> None:
-        """Plan the measurement as for a session. The earlier products are given."""
+    @property
+    def folder(self) -> Path:
+        """Where boundaries.json and landmarks.json of a scan lie."""
+        return self.files.mesh.parent
+
+    @property
+    def measured(self) -> Measured:
+        """Products of the measurement."""
+        return self.plan
+
+    def surface(self) -> FinishedSurface:
+        """The surface with its colours."""
+        return self.finished
+
+    def _lay_out(self, surface: RepairedSurface, foreign: ForeignMesh, by_drawing: dict[str, str]) -> None:
+        """Plan the measurement as for a session. The earlier products are given.
+
+        Args:
+            surface: to be measured.
+            foreign: the mesh with its colours.
+            by_drawing: digests of the drawing, where it decides the viewer's place.
+        """
         from mammometry.measure.trunk.body import rig_frame
         from mammometry.surface.dents import ValidPatches
         from mammometry.surface.texture import TexturedMesh
@@ -223,13 +276,14 @@ class MeshJob:
         cameras = CameraSet(rig=self.rig, std={}, world=WORLD, rms_px=None)
         digests = {"mesh": self.inputs.digests["mesh"]}
         self.finished = FinishedSurface(repaired=surface, textured=textured)
+        self.mesh: Product[FinishedSurface] = _at_hand("mesh", self.finished, digests)
         valid: Product[ValidPatches] = _at_hand("valid", ValidPatches(range_images=(), angles_rad=()), digests)
         upstream = Upstream(
-            cameras=_at_hand("cameras", cameras, {**digests, **_drawn(self.inputs)}),
+            cameras=_at_hand("cameras", cameras, {**digests, **by_drawing}),
             calibration=None,
             foregrounds={},
             valid=valid,
-            mesh=_at_hand("mesh", self.finished, digests),
+            mesh=self.mesh,
             repaired=_at_hand("repaired", surface, digests),
         )
         self.plan: Measured = measure(self.inputs, upstream, self.settings.measure, self.store)
@@ -289,6 +343,17 @@ class MeshJob:
             self.run()
         return self._stored_report.rendered(clinical)
 
+    def render_report(self) -> None:
+        """Render the report again with who drew and confirmed the boundaries by now, as `api.job.Job` does.
+
+        Raises:
+            MammometryError: another run is at work, or boundaries.json is not as documented.
+        """
+        drawn = read_boundaries(self.folder, self.kind, self.files.subject)
+        self.inputs = replace(self.inputs, attributions=drawn.attributions)
+        if self.store.has(self.content_key):
+            self._stored_report.render()
+
     def _gathered(self, progress: Progress) -> ReportContent:
         from mammometry.report.gather_mesh import MeshOrigin, gather_mesh
 
@@ -312,10 +377,18 @@ class MeshJob:
     @property
     def content_key(self) -> Key:
         """Key of the report's content: products, the mesh, and the rest it shows."""
+        return self._content_key(self._page_inputs)
+
+    def page_digest(self, *, deidentify: bool) -> str:
+        """Digest of everything a report would show now, with or without names."""
+        page = self._page_inputs
+        return self._content_key(replace(page, identity=NAMELESS) if deidentify else page).digest
+
+    def _content_key(self, page: PageInputs) -> Key:
         beside = {"mesh": self.inputs.digests["mesh"], "units": self.units}
         if self.files.scan is not None:
             beside["scanner"] = self.files.scan.scanner
-        return self._page_inputs.key(self.plan.products(), beside)
+        return page.key(self.plan.products(), beside)
 
     @property
     def _page_inputs(self) -> PageInputs:
@@ -337,6 +410,7 @@ def _inputs(
         target=None,
         calibration_photographs={},
         boundaries=drawn.curves,
+        automatic=drawn.automatic,
         attributions=drawn.attributions,
         landmarks=places,
         wall=back,
@@ -344,8 +418,8 @@ def _inputs(
         digests={
             "mesh": _digest(files.mesh, files.units, files.largest, files.automatic, files.head, files.ahead),
             "subject": kind,
-            "boundaries": _digest(files.boundary),
-            "landmarks": _digest(files.landmarks),
+            "boundaries": boundaries_digest(drawn),
+            "landmarks": landmarks_digest(places),
             "wall": _digest(files.back, files.units),
         },
     )

@@ -127,13 +127,16 @@ def verdicts(visit: Visit) -> tuple[str, ...]:
 def _sentences(comparison: Comparison) -> tuple[str, ...]:
     breasts = comparison.table["breasts"]
     day = timezone.localdate(comparison.before.taken_at)
-    return tuple(
+    changed = [
         change_sentence(
             name, breasts[name]["change_cc"], breasts[name]["change_interval_cc"], breasts[name]["beyond_error"], day
         )
         for name in _BREASTS
         if name in breasts
-    )
+    ]
+    at_one_date = comparison.table.get("at_one_date", {})
+    alone = [f"{name.capitalize()} breast: a volume at the {which} date only." for name, which in at_one_date.items()]
+    return (*changed, *alone)
 
 
 def _cautions(comparison: Comparison) -> tuple[str, ...]:

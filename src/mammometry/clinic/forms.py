@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime
 import tomllib
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Protocol
 
 from django import forms
@@ -79,7 +80,7 @@ class VisitForm(_VisitForm):
 
     class Meta:
         model = Visit
-        fields = ("patient", "rig", "taken_at", "subject_kind", "note")
+        fields = ("patient", "rig", "taken_at", "subject_kind", "occasion", "posture", "note")
         labels = {"taken_at": "Day and time", "subject_kind": "What is photographed"}  # noqa: RUF012
         widgets = {  # noqa: RUF012
             "patient": forms.HiddenInput(),
@@ -100,12 +101,24 @@ class VisitForm(_VisitForm):
         if len(rigs) == 1:
             rig.initial = rigs[0]
         kind.choices = [("torso", "A patient"), ("model", "A model on a table")]
+        name_empty_choices(self.fields)
+        self.fields["posture"].initial = Visit.Posture.LEANING
 
     def clean(self) -> dict[str, Any]:
-        """Ask whether a strange day is right."""
+        """Ask whether a strange day is right. A model has no posture."""
         values: dict[str, Any] = super().clean() or self.cleaned_data
         ask_about_day(self, values.get("rig"))
+        if values.get("subject_kind") == Visit.Subject.MODEL:
+            values |= {"occasion": "", "posture": ""}
         return values
+
+
+def name_empty_choices(fields: Mapping[str, forms.Field]) -> None:
+    """Say of occasion and posture that nothing has to be chosen."""
+    for name, choices in (("occasion", Visit.Occasion.choices), ("posture", Visit.Posture.choices)):
+        field = fields[name]
+        assert isinstance(field, forms.ChoiceField)
+        field.choices = [("", "not entered"), *choices]
 
 
 class RigForm(_RigForm):

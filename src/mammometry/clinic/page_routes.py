@@ -42,6 +42,13 @@ PAGES = [
         roles=CLINICIAN,
     ),
     route(
+        "patients/<uuid:patient>/compare/<uuid:before>/<uuid:after>/scene/",
+        compare.compare_scene,
+        name="compare-scene",
+        roles=CLINICIAN,
+        audited=False,
+    ),
+    route(
         "patients/<uuid:patient>/changes/",
         compare.patient_changes,
         name="patient-changes",

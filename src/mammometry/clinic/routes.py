@@ -88,6 +88,7 @@ WORK = [
         roles=PHOTOGRAPHS,
         audited=False,  # the page that shows it is an entry
     ),
+    route("uploads/<uuid:upload>/screen/", uploads.screen, name="upload-screen", roles=CARE),
     route("visits/<uuid:visit>/uploads/", uploads.of_visit, name="visit-uploads", roles=CARE, audited=False),
     route(
         "calibrations/<uuid:calibration>/uploads/",

@@ -6,21 +6,17 @@ from collections.abc import Sequence
 
 from mammometry.report.content import Picture, ReportContent
 from mammometry.report.figures.catalogue import in_order, is_on_paper
+from mammometry.report.first_page import FIRST_PICTURES
 
 _MEASURE = "measure"
-_WITHOUT_A_BREAST = "views"  # shown first where nothing was measured
 
 
-def first_pictures(content: ReportContent) -> list[Picture]:
-    """Pictures below the volumes: of the whole measurement.
-
-    If nothing was measured, they show the surface.
-    """
+def whole_pictures(content: ReportContent) -> list[Picture]:
+    """Pictures of the whole measurement, without those of the first page."""
     of_breasts = {name for breast in content.breasts for name in _of_breast(content, breast.name)}
     measure = _drawn(content, _MEASURE)
-    found = [measure[name] for name in in_order(_MEASURE, measure) if name not in of_breasts]
-    surface = _drawn(content, "surface")
-    return found or [surface[name] for name in (_WITHOUT_A_BREAST,) if name in surface]
+    left_out = {*of_breasts, *FIRST_PICTURES}
+    return [measure[name] for name in in_order(_MEASURE, measure) if name not in left_out]
 
 
 def breast_pictures(content: ReportContent, breast: str) -> list[Picture]:

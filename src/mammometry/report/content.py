@@ -37,6 +37,32 @@ class Fact:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class LargeNumber:
+    """A number of the first page."""
+
+    title: str
+    value: str
+    """"354 cc"."""
+    interval: str = ""
+    """"95 %: 300 to 410 cc"."""
+    note: str = ""
+    """What the number means."""
+    colour: str = ""
+    """Of its boundary in the pictures, #rrggbb. Empty: it has none."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Meaning:
+    """One meaning of the breast with its volumes."""
+
+    title: str
+    sentences: str
+    """What is counted, for a patient."""
+    volumes: tuple[Fact, ...]
+    """Breast → volume, interval, weight."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class BreastReport:
     """One measured breast, in words."""
 
@@ -44,10 +70,8 @@ class BreastReport:
     """model, left, right."""
     title: str
     """What to call it."""
-    volume: str
-    """"354 cc"."""
-    interval: str
-    """The 95 % interval, or that there is none."""
+    number: LargeNumber
+    """Its volume, on the first page."""
     interval_note: str
     facts: tuple[Fact, ...]
     """Further measures of the breast."""
@@ -96,6 +120,14 @@ class ReportContent:
     breasts: tuple[BreastReport, ...]
     comparison: tuple[Fact, ...]
     """Differences between both sides. Empty where neither was measured."""
+    difference: LargeNumber | None = None
+    """Difference of both volumes. None without two."""
+    meanings: tuple[Meaning, ...] = ()
+    """The volumes in every meaning of the breast, the leading one first. Empty for a cast."""
+    lengths: Table | None = None
+    """Lengths that surgeons plan with. None: none was measured."""
+    lengths_note: str = ""
+    """What the table leaves out."""
     stages: tuple[StageReport, ...]
     timings: tuple[Fact, ...]
     changed_settings: tuple[Fact, ...]

@@ -21,15 +21,17 @@ from mammometry.measure.boundary.breasts import NoBreast
 from mammometry.measure.volume.attribution import curve_digest
 from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.report.cautions import own_cautions, skin_shares
-from mammometry.report.content import BreastReport, Fact, StageReport, sentence
+from mammometry.report.content import BreastReport, Fact, LargeNumber, Meaning, StageReport, sentence
 from mammometry.report.figures.sides import NAMES
 from mammometry.report.figures.surface import provenance_shares
 from mammometry.report.figures.thinning import ThinnedRange
 from mammometry.report.volume_words import (
-    definition_title,
+    MEANINGS,
     definition_words,
-    interval_words,
     is_coarse,
+    meaning_sentences,
+    meaning_title,
+    span_words,
     term_words,
     volume_words,
 )
@@ -51,10 +53,6 @@ def breast_report(
         cautions: of the run, which change the meaning of its volumes.
     """
     facts = [
-        Fact(label=definition_title(defined), value=f"{definition_words(defined)}. {defined.sentence}")
-        for defined in measured.definitions
-    ]
-    facts += [
         Fact(label="Projection", value=f"{measured.projection_mm:.1f} mm"),
         Fact(label="Skin within the boundary", value=f"{measured.area_cm2:.0f} cm²"),
         Fact(label="Base area", value=f"{measured.base_area_cm2:.0f} cm²"),
@@ -65,15 +63,20 @@ def breast_report(
         facts.append(
             Fact(label="Skin", value=f"{seen:.1f} % measured, {mended:.1f} % repaired, {invented:.1f} % invented")
         )
-    facts.append(Fact(label=wall_label(measured), value=measured.wall_kind))
     if not measured.watertight:
         facts.append(Fact(label="Closed solid", value="NOT watertight: do not use this volume"))
     return BreastReport(
         name=measured.name,
         wall_label=wall_label(measured),
-        title=NAMES[measured.name][:1].upper() + NAMES[measured.name][1:],
-        volume=volume_words(measured.volume_cc, measured.interval_cc),
-        interval=interval_words(measured.interval_cc),
+        title=side_title(measured.name),
+        number=LargeNumber(
+            title=side_title(measured.name),
+            value=volume_words(measured.volume_cc, measured.interval_cc),
+            interval=span_words(measured.interval_cc),
+            note=MEANINGS[measured.definitions[0].meaning if measured.definitions else "closed solid"]
+            if measured.definitions or measured.name == "model"
+            else "",
+        ),
         interval_note=sentence(measured.interval_note),
         facts=tuple(facts),
         cautions=(*own_cautions(measured, shares), *cautions),
@@ -81,6 +84,26 @@ def breast_report(
         boundary=measured.boundary_method,
         curve=curve_digest(measured.boundary_world),
         tables=_breast_tables(measured),
+    )
+
+
+def side_title(name: str) -> str:
+    """What a page calls a breast, or the cast."""
+    return "Model" if name == "model" else f"{name.capitalize()} breast"
+
+
+def meanings(measurements: Sequence[VolumeMeasurement]) -> tuple[Meaning, ...]:
+    """The volumes in every meaning of the breast."""
+    found: dict[str, list[Fact]] = {}
+    walls = {}
+    for measured in measurements:
+        for defined in measured.definitions:
+            words = Fact(label=side_title(measured.name), value=definition_words(defined))
+            found.setdefault(defined.meaning, []).append(words)
+            walls[defined.meaning] = measured.wall_kind
+    return tuple(
+        Meaning(title=meaning_title(name), sentences=meaning_sentences(name, walls[name]), volumes=tuple(volumes))
+        for name, volumes in found.items()
     )
 
 
@@ -92,9 +115,12 @@ def absent_report(absent: NoBreast) -> BreastReport:
         facts.append(Fact(label="What stands out there at most", value=f"{seen.volume_cc:.0f} cc"))
     return BreastReport(
         name=absent.name,
-        title=f"Patient's {absent.name} side",
-        volume="not measured" if absent.unclear else "none",
-        interval=_without(absent),
+        title=f"{absent.name.capitalize()} side",
+        number=LargeNumber(
+            title=side_title(absent.name),
+            value="not measured" if absent.unclear or absent.refused else "none",
+            interval=_without(absent),
+        ),
         interval_note="There is no volume, so there is no interval.",
         facts=tuple(facts),
         wall_label="Chest wall",
@@ -106,8 +132,8 @@ def absent_report(absent: NoBreast) -> BreastReport:
 
 def _without(absent: NoBreast) -> str:
     if absent.refused:
-        return "Its volume was refused"
-    return "It is unclear whether this is a breast" if absent.unclear else "No breast on this side"
+        return "The volume was refused"
+    return "It is not clear whether this is a breast" if absent.unclear else "No breast on this side"
 
 
 def wall_label(measured: VolumeMeasurement) -> str:
@@ -121,7 +147,7 @@ def wall_label(measured: VolumeMeasurement) -> str:
 def _breast_tables(measured: VolumeMeasurement) -> tuple[Table, ...]:
     wall = wall_label(measured).lower()
     terms = Table(
-        title="What the interval is made of",
+        title="Where the error comes from",
         columns=("source of error", "± cc (95 %)"),
         rows=tuple((name, term_words(value)) for name, value in measured.interval_terms_cc.items()),
     )

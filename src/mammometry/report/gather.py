@@ -15,7 +15,14 @@ from mammometry.job.pipeline import Inputs, Plan
 from mammometry.job.products import Stage
 from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.report import content, describe
-from mammometry.report.anthropometry import comparison, dimension_tables, symmetry_facts, without_nipple
+from mammometry.report.anthropometry import (
+    comparison,
+    difference_number,
+    dimension_tables,
+    planning_lengths,
+    symmetry_facts,
+    without_nipple,
+)
 from mammometry.report.content import ReportContent
 from mammometry.report.figures.previews import draw_stage
 from mammometry.report.figures.shading import front_of
@@ -95,10 +102,12 @@ def gather(
     absent = () if plan.measured.absent is None else plan.measured.absent()
     less = () if plan.measured.lacking is None else plan.measured.lacking()
     marks = () if plan.measured.landmarks is None else plan.measured.landmarks()
+    sizes = None
     if measurements:
         sizes = None if plan.measured.dimensions is None else plan.measured.dimensions()
         measured_words = describe.measure_report(measurements)
         stages.append(replace(measured_words, tables=measured_words.tables + dimension_tables(sizes, marks)))
+    lengths, lengths_note = planning_lengths(sizes)
     progress(0.9)
 
     run = RunResults(
@@ -129,6 +138,10 @@ def gather(
         concerns=tuple(run_concerns(run)),
         breasts=tuple(sorted(breasts, key=lambda breast: breast.name)),
         comparison=comparison(measurements, settings.measure, absent=absent, lacking=less) + symmetry_facts(sides),
+        difference=difference_number(measurements, settings.measure),
+        meanings=describe.meanings(measurements),
+        lengths=lengths,
+        lengths_note=lengths_note,
         stages=tuple(stages),
         timings=describe.timings(page.stage_seconds),
         changed_settings=changed,

@@ -13,7 +13,13 @@ from mammometry.job.stage_values import FinishedSurface
 from mammometry.measure.trunk.body import Body
 from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.report import describe
-from mammometry.report.anthropometry import comparison, dimension_tables, symmetry_facts
+from mammometry.report.anthropometry import (
+    comparison,
+    difference_number,
+    dimension_tables,
+    planning_lengths,
+    symmetry_facts,
+)
 from mammometry.report.content import Fact, ReportContent, StageReport
 from mammometry.report.figures import previews
 from mammometry.report.figures.shading import front_of
@@ -82,6 +88,7 @@ def gather_mesh(
     pictures = {"measure": previews.draw(shown)}
     progress(0.5)
     words = describe.measure_report(measurements)
+    lengths, lengths_note = planning_lengths(sizes)
     changed, everything = describe.settings_facts(page.settings)
     scene = viewer_scene(
         front_of(viewer, body),
@@ -108,6 +115,10 @@ def gather_mesh(
             )
         ),
         comparison=comparison(measurements, page.settings.measure, absent=absent, lacking=less) + symmetry_facts(sides),
+        difference=difference_number(measurements, page.settings.measure),
+        meanings=describe.meanings(measurements),
+        lengths=lengths,
+        lengths_note=lengths_note,
         stages=(
             _mesh_facts(finished, origin),
             replace(words, tables=words.tables + dimension_tables(sizes, marks)),

@@ -98,7 +98,7 @@ def change_scene(
 ) -> ViewerScene:
     """Two dates of one patient, aligned and side by side.
 
-    The trunks are aligned. Each is coloured by the change.
+    The trunks are aligned. The later one can be coloured by the change.
 
     Args:
         frame: rows right, up and towards the viewer of the front view, world frame of the earlier date.
@@ -111,16 +111,7 @@ def change_scene(
     view_from_world = world_from_view.inverse()
     models = []
     for one in dates:
-        layer = Layer(
-            name="change",
-            title="Change between the dates",
-            help="How far the later skin stands out of the earlier one, the trunks laid on one another: orange where "
-            "there is more now, blue where there is less; grey where either date did not see the skin.",
-            values=one.change_mm.astype(np.float32),
-            kind="diverging",
-            unit="mm",
-            limits=(-limit_mm, limit_mm),
-        )
+        layers = () if one.change_mm is None else (_change_layer(one.change_mm, limit_mm),)
         models.append(
             _whole(
                 _ShownSurface(
@@ -132,7 +123,7 @@ def change_scene(
                 ),
                 view_from_world.apply,
                 own=one.world_from_own.apply,
-                first=(layer,),
+                first=layers,
                 triangles=triangles // 2,
             )
         )
@@ -142,6 +133,19 @@ def change_scene(
         world_from_view=world_from_view,
         comparisons=((title, dates[0].name, dates[1].name),),
         of_patient=True,
+    )
+
+
+def _change_layer(change_mm: Float64[Array, " n"], limit_mm: float) -> Layer:
+    return Layer(
+        name="change",
+        title="Change between the dates",
+        help="How far the later skin stands out of the earlier one, the trunks laid on one another: orange where "
+        "there is more now, blue where there is less; grey where either date did not see the skin.",
+        values=change_mm.astype(np.float32),
+        kind="diverging",
+        unit="mm",
+        limits=(-limit_mm, limit_mm),
     )
 
 

@@ -10,6 +10,7 @@ from mammometry.measure.volume.attribution import Attribution, Confirmation, att
 from mammometry.report.clinical import Clinical
 from mammometry.report.content import BreastReport, ReportContent, sentence
 from mammometry.report.figures.sides import NAMES
+from mammometry.report.first_page import first_page
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -41,8 +42,11 @@ def render(
     """
     from mammometry.report import html, pdf
 
-    told = attributed_content(content, attributions, clinical, named=named)
-    return RenderedReport(html=html.render(told).encode(), pdf=pdf.render(told), warnings=told.warnings)
+    first = first_page(content, attributions, clinical, named=named)
+    whole = attributed_content(content, attributions, clinical, named=named)
+    return RenderedReport(
+        html=html.render(whole, first).encode(), pdf=pdf.render(whole, first), warnings=whole.warnings
+    )
 
 
 def attributed_content(
@@ -66,9 +70,7 @@ def attributed_content(
 
 
 def _with_sentence(breast: BreastReport) -> BreastReport:
-    unconfirmed = TO_BE_CONFIRMED in breast.boundary
-    cautions = (*breast.cautions, *(["Nobody has confirmed its boundary."] if unconfirmed else []))
-    return replace(breast, boundary=sentence(breast.boundary), cautions=cautions)
+    return replace(breast, boundary=sentence(breast.boundary))
 
 
 def _boundary_warnings(breasts: Sequence[BreastReport], *, in_clinic: bool) -> Iterator[str]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import base64
 import json
+import re
 import zlib
 from dataclasses import dataclass, field
 from typing import Literal
@@ -20,6 +21,7 @@ from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
 
 FORMAT_VERSION = 1  # of the data that the viewer reads
+_IN_PAGE = re.compile(r'<script type="application/json" id="mm-scene">(.*?)</script>', re.DOTALL)
 _MISSING = 65535  # code of a missing value: the largest 16 bit number
 _STEPS = 65535  # values are stored in 16 bits
 
@@ -105,6 +107,12 @@ class ViewerScene:
         for title, *pair in self.comparisons:
             if not set(pair) <= set(names):
                 raise ValueError(f"comparison {title}: models {names} expected, found {pair}")
+
+
+def json_in_page(page: str) -> str | None:
+    """The scene of a report's page, as `to_json` made it. None if there is none."""
+    found = _IN_PAGE.search(page)
+    return None if found is None else found[1]
 
 
 def to_json(scene: ViewerScene) -> str:

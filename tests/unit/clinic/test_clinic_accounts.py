@@ -8,15 +8,18 @@ from pathlib import Path
 
 import allauth
 import pytest
+from allauth.account.adapter import DefaultAccountAdapter
 from auditlog.models import LogEntry
+from django.contrib import messages
 from django.template import TemplateDoesNotExist
 from django.template.loader import get_template
-from django.test import Client
+from django.test import Client, RequestFactory
 from django.urls import URLPattern, get_resolver, reverse
 from pytest_django import Settings
 from test_clinic_login import PASSWORD, anna, code, login  # noqa: F401
 
 from mammometry.clinic import audit
+from mammometry.clinic.accounts.adapters import Accounts
 from mammometry.clinic.accounts.people import add_person, invitation
 from mammometry.clinic.models import Person
 from mammometry.clinic.roles import Role
@@ -83,11 +86,9 @@ def test_a_whole_account(anna: Person, client: Client) -> None:  # noqa: F811
     client.post(page.redirect_chain[-1][0], {"password": PASSWORD})
     page = client.get(reverse("mfa_activate_totp"))
     secret = page.context["form"].secret
-    assert secret in words_of(client, reverse("mfa_activate_totp"))
-    client.post(
-        reverse("mfa_activate_totp"), {"code": code(client.get(reverse("mfa_activate_totp")).context["form"].secret)}
-    )
-    assert "The second factor is set up." in words_of(client, reverse("mfa_index"))
+    assert secret in page.content.decode()
+    client.post(reverse("mfa_activate_totp"), {"code": code(secret)})
+    assert "makes codes for your login" in words_of(client, reverse("mfa_index"))
     assert "of 10 are not used yet" in words_of(client, reverse("mfa_view_recovery_codes"))
     words_of(client, reverse("mfa_generate_recovery_codes"))
     words_of(client, reverse("mfa_reauthenticate"))
@@ -99,7 +100,23 @@ def test_a_whole_account(anna: Person, client: Client) -> None:  # noqa: F811
     entry = LogEntry.objects.get(additional_data__kind=audit.FAILED_LOGIN)
     assert (entry.additional_data["page"], entry.actor) == ("wrong code", anna)
     client.post(reverse("mfa_deactivate_totp"))
-    assert "The second factor is removed." in words_of(client, reverse("mfa_index"))
+    assert "a stolen password alone" in words_of(client, reverse("mfa_index"))
+
+
+def test_messages_are_ours_or_none(monkeypatch: pytest.MonkeyPatch, rf: RequestFactory) -> None:
+    said: list[str | None] = []
+    monkeypatch.setattr(
+        DefaultAccountAdapter, "add_message", lambda *args, message=None, **kwargs: said.append(message)
+    )
+    folder = Path(allauth.__file__).parent / "templates"
+    for path in sorted(folder.rglob("messages/*.txt")):
+        Accounts().add_message(rf.get("/"), messages.SUCCESS, path.relative_to(folder).as_posix())
+    assert sorted(map(str, said)) == [
+        "New codes are made. The old ones do not work any more.",
+        "The second factor is removed.",
+        "The second factor is set up.",
+        "Your password is changed. Log in with the new one.",
+    ]
 
 
 def test_a_new_password_is_asked_for_at_the_next_login(anna: Person, client: Client) -> None:  # noqa: F811

@@ -293,6 +293,7 @@ def test_an_unmeasured_change_is_said_everywhere_and_no_number_is_shown(
     client_of: Callable[..., Client], measured: Visit, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     client, researcher = client_of(Role.CLINICIAN), client_of(Role.RESEARCHER)
+    Consent.objects.create(patient=measured.patient, purpose="research", given_on="2026-01-01")
     addresses = [reverse("visit", args=[measured.pk]), reverse("patient", args=[measured.patient_id])]
     finish(client, measured)
     for address in addresses:

@@ -53,7 +53,6 @@ _CHIPS = {
     "running": ("busy", "running"),
     "changed": ("care", CHANGED),
     "measured": ("care", "to be confirmed"),
-    "scanned": ("good", "measured"),
     "refused": ("bad", "✕ no volume"),
     "confirmed": ("good", "✓ confirmed"),
     "done": ("good", "✓ done"),

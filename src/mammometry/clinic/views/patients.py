@@ -13,7 +13,8 @@ from mammometry.clinic.clinical_facts import operation_details
 from mammometry.clinic.consents import holds
 from mammometry.clinic.forms import PatientForm
 from mammometry.clinic.models import Consent, Patient
-from mammometry.clinic.operations import events, phase_of, retentions
+from mammometry.clinic.operations import events, phase_of
+from mammometry.clinic.retention import retentions
 from mammometry.clinic.views.choose import is_part, search_context
 
 

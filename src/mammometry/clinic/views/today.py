@@ -36,7 +36,7 @@ def today(request: HttpRequest) -> HttpResponse:
     earlier = all_visits.filter(taken_at__lt=begin)
     unfinished = list(earlier.filter(state__in=("new", "uploading", "ready", "queued", "changed", "refused"))[:_MANY])
     judges = person.has_role(Role.CLINICIAN)
-    unconfirmed = (all_visits if judges else earlier).filter(state="measured", rig__isnull=False)
+    unconfirmed = (all_visits if judges else earlier).filter(state="measured")
     to_confirm = list(unconfirmed.order_by("taken_at")[:_MANY])
     request.shown = [each.id for each in (*visits, *unfinished, *to_confirm)]  # type: ignore[attr-defined]
     rigs = [(rig, verdict_of(rig)) for rig in Rig.objects.filter(active=True)]

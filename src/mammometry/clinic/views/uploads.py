@@ -8,11 +8,13 @@ from uuid import UUID
 from django.http import Http404, HttpRequest, HttpResponse, HttpResponseBase, JsonResponse
 from django.urls import reverse
 
+from mammometry.base.errors import MammometryError
 from mammometry.clinic.intake import uploads
-from mammometry.clinic.intake.thumbnail import thumbnail_path
+from mammometry.clinic.intake.thumbnail import screen_picture, thumbnail_path
 from mammometry.clinic.models import Calibration, DailyCheck, Upload, Visit
 from mammometry.clinic.records.duplicates import elsewhere, same_photographs
 from mammometry.clinic.views.answers import Refused, answered, asked, found, require_care, text_of
+from mammometry.io.images import read_photograph
 
 BODY_BYTES = uploads.CHUNK_BYTES + 4096
 _TARGETS: dict[str, Any] = {"visit": Visit, "calibration": Calibration, "check": DailyCheck}
@@ -101,6 +103,20 @@ def thumbnail(request: HttpRequest, upload: UUID) -> HttpResponseBase:
     if not path.is_file():
         raise Http404
     return HttpResponse(path.read_bytes(), content_type="image/webp", headers={"Cache-Control": "private, no-store"})
+
+
+@answered("GET")
+def screen(request: HttpRequest, upload: UUID) -> HttpResponseBase:
+    """A picture of a visit's photograph that fills a screen."""
+    row = _find(request, upload)
+    if row.visit is None or row.state != Upload.State.PLACED:
+        raise Http404
+    try:
+        photograph = read_photograph(row.visit.folder / row.name, row.camera)
+    except MammometryError:
+        raise Http404 from None
+    headers = {"Cache-Control": "private, no-store"}
+    return HttpResponse(screen_picture(photograph), content_type="image/webp", headers=headers)
 
 
 @answered("GET")

@@ -14,7 +14,6 @@ from mammometry.clinic.confirmations import is_changed
 from mammometry.clinic.consents import pictures_caution
 from mammometry.clinic.forms import VisitForm
 from mammometry.clinic.jobs import queue
-from mammometry.clinic.lengths import length_table
 from mammometry.clinic.models import Calibration, Scan, Visit
 from mammometry.clinic.next_step import next_step
 from mammometry.clinic.operations import phase_of
@@ -25,6 +24,7 @@ from mammometry.clinic.roles import Role
 from mammometry.clinic.site import the_clinic
 from mammometry.clinic.views.choose import chosen_patient, is_part, search_context
 from mammometry.clinic.views.who import person_of
+from mammometry.report.lengths import length_table
 
 OPEN = ("queued", "running")
 
