@@ -257,8 +257,11 @@ def test_a_rig_without_a_board_says_so(client_of: Callable[..., Client]) -> None
 @pytest.mark.parametrize(
     ("roles", "first"),
     [
-        ((Role.TECHNICIAN,), ["Today", "Patients", "Worklist", "Rigs", "Jobs", "Help"]),
-        ((Role.CLINICIAN, Role.TECHNICIAN), ["Today", "Patients", "Worklist", "Study", "Rigs", "Jobs", "Help"]),
+        ((Role.TECHNICIAN,), ["Today", "Patients", "Worklist", "Rigs", "Jobs", "Corrections", "Help"]),
+        (
+            (Role.CLINICIAN, Role.TECHNICIAN),
+            ["Today", "Patients", "Worklist", "Study", "Rigs", "Jobs", "Corrections", "Help"],
+        ),
         ((Role.RESEARCHER,), ["Study", "Help"]),
         ((Role.ADMINISTRATOR,), ["Administration", "Rigs", "Help"]),
     ],

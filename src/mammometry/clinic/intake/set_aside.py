@@ -43,7 +43,7 @@ def set_aside(upload: Upload, folder: Path, *, kept_name: str = "") -> None:
 
 
 def clear_place(others: Sequence[Upload], upload: Upload, folder: Path, goal: Path) -> bool:
-    """Make room for a photograph: set aside the one that is there, and forget uploads that never came there.
+    """Set aside the photograph in a place, and forget uploads that never came there.
 
     Args:
         others: the place's uploads, but for this one.
