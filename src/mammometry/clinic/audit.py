@@ -97,19 +97,20 @@ def record_failed_login(
 ) -> None:
     """Enter that a password was wrong, or that somebody was locked out after too many.
 
-    A name that nobody has is not kept: it may be a password in the wrong field.
+    The entry names the person whose name was tried. A name that nobody has is not kept: it may be a password in the
+    wrong field.
     """
     if signal is user_login_failed and getattr(request, "axes_locked_out", False):
         return  # axes says so by its own signal
     name = (tried_name(request, credentials) or "").replace("\0", "")
     person = get_user_model()._default_manager.filter(username=name).first()
     page = "login failed" if signal is user_login_failed else "locked out"
-    _enter_access(person, None, request, FAILED_LOGIN, {"page": page})
+    _enter_access(person, person, request, FAILED_LOGIN, {"page": page})
 
 
 def record_wrong_code(person: Model, request: HttpRequest | None) -> None:
     """Enter that the password was right and the second factor's code wrong."""
-    _enter_access(person, None, request, FAILED_LOGIN, {"page": "wrong code"})
+    _enter_access(person, person, request, FAILED_LOGIN, {"page": "wrong code"})
 
 
 def record_view(request: HttpRequest, response: HttpResponseBase, parameters: Mapping[str, Any]) -> None:
@@ -174,6 +175,9 @@ def record_command(instance: Model, command: str, person: Model | None = None) -
     _enter_access(instance, person, None, COMMAND, {"page": f"command {command}", **by})
 
 
+KIND_SQLITE = "json_extract(%s, '$.kind')"
+KIND_POSTGRESQL = "%s ->> 'kind'"
+"""An entry's kind in SQL, of the column of additional data; NULL for a change of a row."""
 _SQLITE = [
     f"CREATE TRIGGER IF NOT EXISTS clinic_audit_no_{verb.lower()} BEFORE {verb} ON {TABLE} "
     "BEGIN SELECT RAISE(ABORT, 'the audit is only added to'); END"
@@ -190,12 +194,17 @@ _POSTGRESQL = [
 
 
 def seal() -> None:
-    """Make the database itself refuse to change or delete entries.
+    """Make the database itself refuse to change or delete entries, and index what pages filter by.
 
     Safe to call again.
     """
+    kind, seals = (KIND_POSTGRESQL, _POSTGRESQL) if connection.vendor == "postgresql" else (KIND_SQLITE, _SQLITE)
+    indexes = [
+        f"CREATE INDEX IF NOT EXISTS clinic_audit_by_kind ON {TABLE} (({kind % 'additional_data'}), id)",
+        f"CREATE INDEX IF NOT EXISTS clinic_audit_by_actor ON {TABLE} (actor_id, id)",
+    ]
     with connection.cursor() as cursor:
-        for statement in _POSTGRESQL if connection.vendor == "postgresql" else _SQLITE:
+        for statement in (*seals, *indexes):
             cursor.execute(statement)
 
 

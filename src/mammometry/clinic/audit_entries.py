@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import datetime
 import io
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, TextIO
 from uuid import UUID
 
 from auditlog.models import LogEntry
-from django.db.models import Q, QuerySet, TextField
+from django.contrib.contenttypes.models import ContentType
+from django.db.models import Func, Q, QuerySet, TextField
 from django.db.models.functions import Cast
 from django.utils import timezone
 
 from mammometry.base.csv_cells import CsvWriter
-from mammometry.clinic.audit import COMMAND, FAILED_LOGIN, LOGIN, OPENED, REFUSED
-from mammometry.clinic.models import Patient
+from mammometry.clinic.audit import COMMAND, FAILED_LOGIN, KIND_POSTGRESQL, KIND_SQLITE, LOGIN, OPENED, REFUSED
+from mammometry.clinic.models import Patient, Person, Visit
 
 CHANGED = "changed"
 KINDS = {
@@ -89,7 +90,7 @@ class AuditFilter:
     """Which entries are shown."""
 
     person: UUID | None = None
-    """Who did it, or whose login failed."""
+    """Who did it, or whose name was tried."""
     since: datetime.date | None = None
     """First day."""
     until: datetime.date | None = None
@@ -135,12 +136,25 @@ class Entry:
         )
 
 
+class _Kind(Func):
+    """Kind of an entry in SQL, as the index has it."""
+
+    output_field = TextField()
+
+    def as_sqlite(self, compiler: Any, connection: Any, **context: Any) -> Any:
+        """SQLite's JSON."""
+        return super().as_sql(compiler, connection, template=KIND_SQLITE % "%(expressions)s", **context)
+
+    def as_postgresql(self, compiler: Any, connection: Any, **context: Any) -> Any:
+        """PostgreSQL's JSON."""
+        return super().as_sql(compiler, connection, template=f"({KIND_POSTGRESQL % '%(expressions)s'})", **context)
+
+
 def entries(chosen: AuditFilter) -> QuerySet[LogEntry]:
     """Entries that a filter lets through, the newest first."""
-    found = LogEntry.objects.select_related("content_type", "actor").order_by("-pk")
+    found = LogEntry.objects.alias(kind=_Kind("additional_data")).order_by("-pk")
     if chosen.person is not None:
-        mine = Q(additional_data__kind=FAILED_LOGIN, object_pk=str(chosen.person))
-        found = found.filter(Q(actor_id=chosen.person) | mine)
+        found = found.filter(actor_id=chosen.person)
     if chosen.since is not None:
         found = found.filter(timestamp__gte=_midnight(chosen.since))
     if chosen.until is not None:
@@ -148,9 +162,9 @@ def entries(chosen: AuditFilter) -> QuerySet[LogEntry]:
     if chosen.patient:
         found = _about_patient(found, chosen.patient)
     if chosen.kind == CHANGED:
-        found = found.filter(action__in=_CHANGES)
+        found = found.filter(kind__isnull=True)
     elif chosen.kind:
-        found = found.filter(action=LogEntry.Action.ACCESS, additional_data__kind=chosen.kind)
+        found = found.filter(kind=chosen.kind)
     return found
 
 
@@ -164,20 +178,26 @@ def entry_page(chosen: AuditFilter, before: int | None = None) -> tuple[list[Ent
     found = entries(chosen)
     if before is not None:
         found = found.filter(pk__lt=before)
-    rows = [in_words(row) for row in found[: SHOWN + 1]]
+    names = {person.pk: str(person) for person in Person.objects.all()}
+    rows = [in_words(row, names) for row in found[: SHOWN + 1]]
     return rows[:SHOWN], rows[SHOWN - 1].number if len(rows) > SHOWN else None
 
 
-def in_words(row: LogEntry) -> Entry:
-    """One entry in words, whatever became of what it is about."""
+def in_words(row: LogEntry, names: Mapping[UUID, str]) -> Entry:
+    """One entry in words, whatever became of what it is about.
+
+    Args:
+        row: the entry.
+        names: key of each person → the name that pages say.
+    """
     additional: dict[str, Any] = row.additional_data if isinstance(row.additional_data, dict) else {}
-    model = row.content_type.model if row.content_type else ""
+    model = ContentType.objects.get_for_id(row.content_type_id).model
     model = _MODELS.get(model, model)
     changed = row.action in _CHANGES
     # Entries before kinds were kept are of pages.
     kind = CHANGED if changed else additional.get("kind") if additional.get("kind") in KINDS else OPENED
     title = f"{model.capitalize()} {_VERBS[row.action]}" if changed else title_of(str(additional.get("page", "")))
-    who = str(row.actor) if row.actor else f"account {additional['account']}" if "account" in additional else ""
+    who = names.get(row.actor_id, f"account {additional['account']}" if "account" in additional else "")
     return Entry(
         number=row.pk,
         at=row.timestamp,
@@ -197,9 +217,10 @@ def write_audit(file: TextIO, chosen: AuditFilter | None = None) -> int:
     """Write the audit as CSV, the oldest entry first. Return the number of entries."""
     writer = CsvWriter(file)
     writer.row(COLUMNS)
+    names = {person.pk: str(person) for person in Person.objects.all()}
     number = 0
     for row in entries(chosen or AuditFilter()).order_by("pk").iterator(chunk_size=1000):
-        entry = in_words(row)
+        entry = in_words(row, names)
         changes = "; ".join(f"{name}: {before} → {after}" for name, before, after in entry.fields)
         writer.row((
             str(entry.number), entry.at.isoformat(), entry.who, entry.kind, entry.title, entry.path, entry.model,
@@ -223,11 +244,11 @@ def _about_patient(found: QuerySet[LogEntry], pseudonym: str) -> QuerySet[LogEnt
     """
     from mammometry.clinic.keep.patient import rows_of
 
-    patient = Patient.objects.filter(pseudonym=pseudonym).first()
+    patient = Patient.everything.filter(pseudonym=pseudonym).first()
     wanted = Q(object_repr__startswith=pseudonym)
     if patient is not None:
         wanted |= Q(object_pk__in=[str(row.pk) for row in rows_of(patient)])
-        listed = [patient.pk, *patient.visits.values_list("pk", flat=True)]
+        listed = [patient.pk, *Visit.everything.filter(patient=patient).values_list("pk", flat=True)]
         found = found.annotate(additional_text=Cast("additional_data", TextField()))
         for key in listed:
             wanted |= Q(additional_text__contains=str(key))

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from django.db.models import QuerySet
 from django.utils import timezone
 
+from mammometry.clinic.comparing import verdicts
 from mammometry.clinic.confirmations import valid_confirmation
 from mammometry.clinic.models import Operation, Visit
 from mammometry.report.clinical import Clinical, Signed
@@ -20,11 +21,12 @@ _VOLUMES = {
     Operation.Kind.FILLING: "{} cc in all",
 }
 """Kind → how its volume is said. Others: "300 cc"."""
+_EARLIER = "(Written before the visit was measured again.)"
 
 
 def clinical_of(visit: Visit) -> Clinical:
     """Gather what reports and exports say of a visit beside its numbers."""
-    confirmation = valid_confirmation(visit)
+    confirmation, measurement = valid_confirmation(visit), visit.measurements.first()
     patient = visit.patient
     return Clinical(
         patient=patient.name,
@@ -34,8 +36,12 @@ def clinical_of(visit: Visit) -> Clinical:
         occasion=visit.get_occasion_display(),
         posture=visit.get_posture_display().lower(),
         operations=tuple(operation_words(operation) for operation in operations_before(visit)),
+        change=verdicts(visit),
         confirmed=None if confirmation is None else _signed(confirmation),
-        conclusions=tuple(_signed(row, row.text) for row in visit.conclusions.select_related("by")),
+        conclusions=tuple(
+            _signed(row, row.text if row.measurement == measurement else f"{row.text}\n{_EARLIER}")
+            for row in visit.conclusions.select_related("by", "measurement")
+        ),
     )
 
 

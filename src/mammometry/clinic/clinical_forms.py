@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from django import forms
 from django.utils import timezone
 
+from mammometry.clinic.forms import name_empty_choices
 from mammometry.clinic.models import Conclusion, Consent, Operation, Visit
 
 if TYPE_CHECKING:
@@ -126,9 +127,7 @@ class CircumstancesForm(_CircumstancesForm):
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
-        for field in self.fields.values():
-            assert isinstance(field, forms.ChoiceField)
-            field.choices = [("", "not entered"), *(choice for choice in field.choices if choice[0])]
+        name_empty_choices(self.fields)
 
 
 class ConclusionForm(_ConclusionForm):

@@ -13,6 +13,7 @@ from pathlib import Path
 from django.utils import timezone
 
 import mammometry
+from mammometry.clinic.confirmations import is_changed
 from mammometry.clinic.models import Comparison, Measurement, Visit
 from mammometry.report.change_words import change_sentence, date_words
 
@@ -97,7 +98,8 @@ def _verdict(before: Visit, after: Visit, row: Comparison | None) -> Verdict:
     if row is not None:
         row.before, row.after = before, after  # with their measurements
     day = date_words(timezone.localdate(before.taken_at))
-    if row is not None and is_current(row):
+    changed = is_changed(before) or is_changed(after)
+    if row is not None and is_current(row) and not changed:
         if row.state == Comparison.State.REFUSED:
             why = f"It cannot be compared with {day}. {row.message}"
             return Verdict(before=before, after=after, state="refused", sentences=(why,))
@@ -125,13 +127,16 @@ def verdicts(visit: Visit) -> tuple[str, ...]:
 def _sentences(comparison: Comparison) -> tuple[str, ...]:
     breasts = comparison.table["breasts"]
     day = timezone.localdate(comparison.before.taken_at)
-    return tuple(
+    changed = [
         change_sentence(
             name, breasts[name]["change_cc"], breasts[name]["change_interval_cc"], breasts[name]["beyond_error"], day
         )
         for name in _BREASTS
         if name in breasts
-    )
+    ]
+    at_one_date = comparison.table.get("at_one_date", {})
+    alone = [f"{name.capitalize()} breast: a volume at the {which} date only." for name, which in at_one_date.items()]
+    return (*changed, *alone)
 
 
 def _cautions(comparison: Comparison) -> tuple[str, ...]:

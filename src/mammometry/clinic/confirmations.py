@@ -6,6 +6,7 @@ waits to be measured.
 
 from __future__ import annotations
 
+import datetime
 from collections.abc import Mapping
 
 from mammometry.clinic.models import Confirmation, Drawing, Job, Measurement, Person, Upload, Visit
@@ -20,19 +21,25 @@ def has_unmeasured_drawing(visit: Visit) -> bool:
     drawn = visit.drawings.exclude(action=Drawing.Action.CONFIRMED).order_by("-at").first()
     if drawn is None:
         return False
-    job = visit.jobs.filter(kind=Job.Kind.MEASURE, state=Job.State.DONE).order_by("-started").first()
-    if job is not None and job.started is not None:
-        return drawn.at > job.started
-    measurement = visit.measurements.first()
-    return measurement is None or drawn.at > measurement.made_at
+    measured_at = _measured_at(visit)
+    return measured_at is None or drawn.at > measured_at
 
 
 def has_unmeasured_photographs(visit: Visit) -> bool:
-    """Whether photographs came in since the newest measurement was made."""
-    measurement = visit.measurements.first()
-    if measurement is None:
+    """Whether photographs came in, or came back, since the last finished measurement began."""
+    measured_at = _measured_at(visit)
+    if measured_at is None:
         return False
-    return visit.uploads.filter(state=Upload.State.PLACED, created__gt=measurement.made_at).exists()
+    return visit.uploads.filter(state=Upload.State.PLACED, created__gt=measured_at).exists()
+
+
+def _measured_at(visit: Visit) -> datetime.datetime | None:
+    """When the last finished measurement began. It may have come to the numbers of an earlier one."""
+    job = visit.jobs.filter(kind=Job.Kind.MEASURE, state=Job.State.DONE).order_by("-started").first()
+    if job is not None and job.started is not None:
+        return job.started
+    measurement = visit.measurements.first()
+    return None if measurement is None else measurement.made_at
 
 
 def _has_unmeasured(visit: Visit) -> bool:

@@ -8,28 +8,23 @@ from __future__ import annotations
 import datetime
 import logging
 import threading
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from django.db import DatabaseError, close_old_connections
 from django.db.models import F
 from django.utils import timezone
 
-from mammometry.base.errors import MammometryError, SessionError
+from mammometry.base.errors import MammometryError
 from mammometry.clinic.clinical_facts import clinical_of, operation_words, operations_before
 from mammometry.clinic.config import ClinicConfig
-from mammometry.clinic.confirmations import CHANGED, is_changed
 from mammometry.clinic.models import Delivery, Destination, Patient, Person, Visit, VisitOrder
+from mammometry.clinic.rendered import measured_job
 from mammometry.hospital.exported import Exported, Operation, Order, plain_name
 from mammometry.hospital.exported import Patient as PatientModule
 from mammometry.hospital.extra import MissingLibraryError, missing
 from mammometry.hospital.peers import Peer, Tls
 from mammometry.report.clinical import Clinical
-
-if TYPE_CHECKING:
-    from mammometry.hospital.gather import Part
 
 MOST_TRIES = 8  # with the waits below, for four hours
 _FIRST_WAIT = datetime.timedelta(minutes=1)
@@ -98,7 +93,8 @@ def claim() -> Delivery | None:
     """
     now = timezone.now()
     waiting = (Delivery.State.QUEUED, Delivery.State.SENDING)
-    for due in Delivery.objects.filter(state__in=waiting, next_try__lte=now).order_by("next_try")[:20]:
+    rows = Delivery.objects.filter(state__in=waiting, next_try__lte=now, visit__binned_at=None)
+    for due in rows.order_by("next_try")[:20]:
         # Whoever changes the row first has it.
         taken = Delivery.objects.filter(pk=due.pk, state=due.state, next_try=due.next_try).update(
             state=Delivery.State.SENDING, next_try=now + _LEASE, tries=F("tries") + 1
@@ -148,17 +144,21 @@ def gathered(config: ClinicConfig, visit: Visit, *, whole: bool = True, deidenti
     Raises:
         MammometryError: it is not measured, was changed since, or would have to be measured again.
     """
-    if is_changed(visit):
-        raise SessionError(
-            str(visit), found=CHANGED, expected="a visit whose newest boundaries and landmarks are measured",
-            remedy="Wait until it is measured, or measure it",
-        )  # fmt: skip
+    from mammometry.api.job import Job
+    from mammometry.hospital.gather import PARTS, gather, gather_scan
+
+    job, parts = measured_job(visit), PARTS if whole else ()
+    clinical = Clinical() if deidentify else clinical_of(visit)
+    if isinstance(job, Job):
+        exported = gather(job, clinical=clinical, deidentify=deidentify, parts=parts)
+    else:
+        taken = timezone.localtime(visit.taken_at).date()
+        exported = gather_scan(job, taken=taken, clinical=clinical, deidentify=deidentify, parts=parts)
     if deidentify:
-        return _gathered(config, visit, Clinical(), whole=whole, deidentify=True)
-    exported = _gathered(config, visit, clinical_of(visit), whole=whole, deidentify=False)
+        return exported
     conclusion, measurement = visit.conclusions.first(), visit.measurements.first()
     concluded = conclusion is not None and measurement is not None and conclusion.measurement_id == measurement.pk
-    is_final = concluded and exported.clinical.confirmed is not None
+    is_final = concluded and clinical.confirmed is not None
     return replace(exported, operations=_operations(visit), organization=config.name, is_final=is_final)
 
 
@@ -170,40 +170,6 @@ def _operations(visit: Visit) -> tuple[Operation, ...]:
             sentence=operation_words(row),
         )
         for row in operations_before(visit)
-    )  # fmt: skip
-
-
-def _gathered(config: ClinicConfig, visit: Visit, clinical: Clinical, *, whole: bool, deidentify: bool) -> Exported:
-    from mammometry.api.job import open_session
-    from mammometry.hospital.gather import PARTS, gather
-
-    parts = PARTS if whole else ()
-    if visit.is_scan:
-        return _gathered_scan(config, visit, clinical, parts, deidentify=deidentify)
-    job = open_session(visit.folder, config.measuring())
-    if any(state != "current" for state in job.store.states(job.keys("report"))):
-        raise _not_current(visit)
-    return gather(job, clinical=clinical, deidentify=deidentify, parts=parts)
-
-
-def _gathered_scan(
-    config: ClinicConfig, visit: Visit, clinical: Clinical, parts: Sequence[Part], *, deidentify: bool
-) -> Exported:
-    from mammometry.api.mesh import MeshJob, scan_files
-    from mammometry.hospital.gather import gather_scan
-
-    job = MeshJob(scan_files(visit.folder), visit.folder / "results", config.measuring())
-    keys = [*(product.key for product in job.plan.products()), job.report_key]
-    if any(state != "current" for state in job.store.states(keys)):
-        raise _not_current(visit)
-    taken = timezone.localtime(visit.taken_at).date()
-    return gather_scan(job, taken=taken, clinical=clinical, deidentify=deidentify, parts=parts)
-
-
-def _not_current(visit: Visit) -> SessionError:
-    return SessionError(
-        str(visit), found="a visit whose report is not current", expected="a measured visit",
-        remedy="Measure it again, then send it",
     )  # fmt: skip
 
 

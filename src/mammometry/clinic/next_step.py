@@ -53,15 +53,15 @@ def next_step(visit: Visit, job: Job | None, measurement: Measurement | None, pe
 
 def _judgement(visit: Visit, measurement: Measurement, *, clinician: bool) -> NextStep:
     """What clinicians do with a measured visit, and what others wait for."""
-    if visit.state != Visit.State.CONFIRMED and not visit.is_scan:
+    if visit.state != Visit.State.CONFIRMED:
         if not clinician:
             return NextStep(words="Measured. A clinician looks at the boundaries and confirms them.")
         words = "Measured. Look at the boundaries, and confirm them or draw them better."
         return NextStep(words=words, button="Confirm boundaries", address=reverse("draw", args=[visit.pk]))
     newest = visit.conclusions.first()
     if newest is None or newest.measurement_id != measurement.pk:
-        looked_at = "Measured" if visit.is_scan else "The boundaries are confirmed"
+        confirmed = "The boundaries are confirmed."
         if not clinician:
-            return NextStep(words=f"{looked_at}. A clinician writes the conclusion.")
-        return NextStep(words=f"{looked_at}.", button="Write the conclusion", address="#conclusion")
-    return NextStep(words="Confirmed and concluded." if not visit.is_scan else "Measured and concluded.")
+            return NextStep(words=f"{confirmed} A clinician writes the conclusion.")
+        return NextStep(words=confirmed, button="Write the conclusion", address="#conclusion")
+    return NextStep(words="Confirmed and concluded.")

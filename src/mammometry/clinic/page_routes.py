@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from mammometry.clinic.access import route
-from mammometry.clinic.roles import CARE, CLINICIAN, EVERYBODY, RIGS, STUDY
+from mammometry.clinic.roles import ADMINISTRATOR, CARE, CLINICIAN, EVERYBODY, RIGS, STUDY
 from mammometry.clinic.views import (
     clinical,
     compare,
+    corrections,
     deliveries,
     exports,
     guide,
@@ -19,6 +20,7 @@ from mammometry.clinic.views import (
     visits,
     worklist,
 )
+from mammometry.clinic.views.choose import leads_on
 
 _EDITOR_BYTES = 1 << 20  # of a drawing with all its points
 _SEES_RIGS = RIGS | CLINICIAN
@@ -28,14 +30,23 @@ PAGES = [
     route("help/", guide.guide, name="help", roles=EVERYBODY, audited=False),
     route("patients/", patients.patients, name="patients", roles=CARE),
     route("patients/new/", patients.patient_new, name="patient-new", roles=CARE),
-    route("patients/<uuid:patient>/", patients.patient, name="patient", roles=CARE),
-    route("patients/<uuid:patient>/edit/", patients.patient_edit, name="patient-edit", roles=CARE),
-    route("patients/<uuid:patient>/compare/", compare.compare, name="compare", roles=CLINICIAN),
+    route("patients/<uuid:patient>/", leads_on(patients.patient), name="patient", roles=CARE),
+    route("patients/<uuid:patient>/edit/", leads_on(patients.patient_edit), name="patient-edit", roles=CARE),
+    route("patients/<uuid:patient>/merge/", corrections.patient_merge, name="patient-merge", roles=CARE),
+    route("patients/<uuid:patient>/bin/", corrections.patient_bin, name="patient-bin", roles=CARE),
+    route("patients/<uuid:patient>/compare/", leads_on(compare.compare), name="compare", roles=CLINICIAN),
     route(
         "patients/<uuid:patient>/compare/<uuid:before>/<uuid:after>/",
         compare.compare_page,
         name="compare-page",
         roles=CLINICIAN,
+    ),
+    route(
+        "patients/<uuid:patient>/compare/<uuid:before>/<uuid:after>/scene/",
+        compare.compare_scene,
+        name="compare-scene",
+        roles=CLINICIAN,
+        audited=False,
     ),
     route(
         "patients/<uuid:patient>/changes/",
@@ -53,8 +64,12 @@ PAGES = [
     route("visits/scan/", scans.scan_new, name="scan-new", roles=CARE, body_bytes=scans.BODY_BYTES, atomic=False),
     route("worklist/", worklist.worklist, name="worklist", roles=CARE),
     route("visits/<uuid:visit>/", visits.visit, name="visit", roles=CARE),
+    route("visits/<uuid:visit>/move/", corrections.visit_move, name="visit-move", roles=CARE),
+    route("visits/<uuid:visit>/date/", corrections.visit_date, name="visit-date", roles=CARE),
+    route("visits/<uuid:visit>/bin/", corrections.visit_bin, name="visit-bin", roles=CARE),
+    route("corrections/", corrections.corrections, name="corrections", roles=CARE | ADMINISTRATOR),
+    route("corrections/<uuid:correction>/undo/", corrections.correction_undo, name="correction-undo", roles=CARE),
     route("visits/<uuid:visit>/verdict/", compare.visit_verdict, name="visit-verdict", roles=CARE, audited=False),
-    route("visits/<uuid:visit>/take-back/", visits.visit_delete, name="visit-take-back", roles=CARE),
     route("visits/<uuid:visit>/circumstances/", clinical.circumstances, name="circumstances", roles=CARE),
     route("visits/<uuid:visit>/conclusion/", clinical.conclude, name="conclude", roles=CLINICIAN),
     route("visits/<uuid:visit>/report/", results.report, name="report", roles=CARE),

@@ -9,19 +9,12 @@ from dataclasses import dataclass, replace
 from mammometry.clinic.charts import Reading
 from mammometry.clinic.confirmations import CHANGED, is_changed
 from mammometry.clinic.models import Measurement, Visit, Volume
+from mammometry.report.volume_words import MEANINGS
 
 Interval = tuple[float, float]
 SIDES = ("left", "right", "model")
 _LEADING = ("measured wall", "flat chest", "named wall", "muscle", "closed solid", "any")
 """Meanings of "the breast" in the order in which one leads a page (docs/decisions/0029)."""
-_TITLES = {
-    "measured wall": "before the chest wall that was measured by itself",
-    "flat chest": "above a flat chest",
-    "named wall": "before the named wall, to compare measurements by",
-    "muscle": "down to the muscle, as weighed after a mastectomy",
-    "closed solid": "of the whole model",
-    "any": "",
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +33,7 @@ class SideResult:
     @property
     def meaning(self) -> str:
         """What is called the breast, in words."""
-        return _TITLES.get(self.definition, self.definition)
+        return MEANINGS.get(self.definition, self.definition)
 
 
 @dataclass(frozen=True, slots=True)

@@ -80,6 +80,7 @@ WORK = [
         audited=False,
     ),
     route("uploads/<uuid:upload>/place/", uploads.place, name="upload-place", roles=PHOTOGRAPHS, atomic=False),
+    route("uploads/<uuid:upload>/back/", uploads.back, name="upload-back", roles=PHOTOGRAPHS, atomic=False),
     route(
         "uploads/<uuid:upload>/thumbnail/",
         uploads.thumbnail,
@@ -87,6 +88,7 @@ WORK = [
         roles=PHOTOGRAPHS,
         audited=False,  # the page that shows it is an entry
     ),
+    route("uploads/<uuid:upload>/screen/", uploads.screen, name="upload-screen", roles=CARE),
     route("visits/<uuid:visit>/uploads/", uploads.of_visit, name="visit-uploads", roles=CARE, audited=False),
     route(
         "calibrations/<uuid:calibration>/uploads/",

@@ -92,7 +92,8 @@ class Operation:
     """A key of `codes.OPERATIONS`, or another kind without a code."""
     title: str
     """The kind in words."""
-    side: Literal["left", "right", "both"]
+    side: str
+    """``left``, ``right`` or ``both``."""
     day: datetime.date
     sentence: str
     """All that is known of it, one sentence."""

@@ -55,7 +55,7 @@ def gather(
     job.ensure("report" if plain else "measure")
     made = job.made_at("report" if plain else "measure")
     measured = tuple(job.measure().values())
-    known = clinical or Clinical(confirmed=_confirmed(job.inputs.attributions, measured))
+    known = clinical or Clinical(confirmed=confirmed(job.inputs.attributions, measured))
     atlas = job.plan.surfaced.model() if "models" in parts else None
     shown = "photographs" in parts and not deidentify
     return Exported(
@@ -67,7 +67,7 @@ def gather(
         source=_source(job, deidentify),
         quantities=quantities(measured, job.plan.measured),
         absent=tuple(_absent(side) for side in _absent_sides(job.plan.measured)),
-        report_pdf=_report(job, deidentify) if "pdf" in parts else None,
+        report_pdf=_report(job, clinical, deidentify) if "pdf" in parts else None,
         models=() if atlas is None else tuple(_models(measured, atlas.mesh)),
         covered=None if atlas is None or deidentify else covered(atlas, measured),
         photographs=job.inputs.photographs if shown else {},
@@ -77,7 +77,7 @@ def gather(
     )
 
 
-def _confirmed(attributions: Mapping[str, Attribution], measured: Sequence[VolumeMeasurement]) -> Signed | None:
+def confirmed(attributions: Mapping[str, Attribution], measured: Sequence[VolumeMeasurement]) -> Signed | None:
     """The newest confirmation, if every measured boundary has one that holds."""
     found = {each.name: attributions.get(each.name, Attribution()).confirmation for each in measured}
     holding = [
@@ -115,7 +115,7 @@ def gather_scan(
 
     results = job.run(report="pdf" in parts and not deidentify)
     measured = tuple(results.measurements.values())
-    known = clinical or Clinical(confirmed=_confirmed(job.inputs.attributions, measured))
+    known = clinical or Clinical(confirmed=confirmed(job.inputs.attributions, measured))
     made = results.made_at
     return Exported(
         subject="" if deidentify else job.identity.title,
@@ -126,7 +126,7 @@ def gather_scan(
         source=_source_of_scan(job, measured, deidentify),
         quantities=quantities(measured, job.plan),
         absent=tuple(_absent(side) for side in _absent_sides(job.plan)),
-        report_pdf=job.store.files(job.report_key)[_document()] if "pdf" in parts and not deidentify else None,
+        report_pdf=_report_of_scan(job, clinical) if "pdf" in parts and not deidentify else None,
         models=tuple(_models(measured, job.finished.repaired.mesh)) if "models" in parts else (),
         deidentified=deidentify,
         clinical=Clinical() if deidentify else known,
@@ -139,10 +139,15 @@ def _source_of_scan(job: MeshJob, measured: Sequence[VolumeMeasurement], deident
     return hashlib.sha256(json.dumps([job.files.subject, job.inputs.digests["mesh"]]).encode()).hexdigest()
 
 
-def _document() -> str:
+def _document(job: Job | MeshJob) -> bytes:
+    """The stored report."""
     from mammometry.report.pdf import DOCUMENT
 
-    return DOCUMENT
+    return job.store.files(job.report_key)[DOCUMENT]
+
+
+def _report_of_scan(job: MeshJob, clinical: Clinical | None) -> bytes:
+    return _document(job) if clinical is None else job.rendered(clinical).pdf
 
 
 def _shapes(measured: Sequence[VolumeMeasurement], kind: str) -> str:
@@ -187,13 +192,14 @@ def _source(job: Job, deidentify: bool) -> str:
     return hashlib.sha256(json.dumps(about).encode()).hexdigest()
 
 
-def _report(job: Job, deidentify: bool) -> bytes:
+def _report(job: Job, clinical: Clinical | None, deidentify: bool) -> bytes:
     if not deidentify:
-        return job.store.files(job.report_key)[_document()]
+        return _document(job) if clinical is None else job.rendered(clinical).pdf
     with tempfile.TemporaryDirectory(prefix="mammometry-") as folder:
+        from mammometry.report.pdf import DOCUMENT
         from mammometry.report.privacy import Privacy
 
-        return (job.share(Path(folder), Privacy(deidentify=True, geometry_only=True)).parent / _document()).read_bytes()
+        return (job.share(Path(folder), Privacy(deidentify=True, geometry_only=True)).parent / DOCUMENT).read_bytes()
 
 
 def quantities(measured: Sequence[VolumeMeasurement], plan: MeasuredPlan) -> tuple[Quantity, ...]:

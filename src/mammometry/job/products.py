@@ -56,8 +56,9 @@ VERSIONS: Registry[int] = Registry(
         "landmarks": 4,
         "symmetry": 3,
         "dimensions": 5,
-        "previews": 8,
-        "report": 14,
+        "previews": 10,
+        "content": 2,
+        "report": 15,
     },
 )
 """Kind of product → version of its making. Raise it when the result changes for the same inputs and settings."""
@@ -295,8 +296,8 @@ class Products:
             yield from self._of(name)
 
     def _of(self, name: str) -> Iterator[Product[Any]]:
-        """The products of one field, except those that are remade."""
-        return (product for product in self._made_or_remade(name) if not product.remade)
+        """The products of one field, except those that are remade or passing."""
+        return (product for product in self._made_or_remade(name) if not (product.remade or product.passing))
 
     def _made_or_remade(self, name: str) -> Iterator[Product[Any]]:
         """All products of one field."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 import io
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from PIL import Image
@@ -16,6 +17,7 @@ from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.mesh import TriangleMesh, joined
 from mammometry.geometry.nearest import point_tree
 from mammometry.geometry.transform import Transform
+from mammometry.measure.shape.lengths import LinearMeasure
 from mammometry.measure.shape.symmetry import Symmetry
 from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.report.figures.change import Dated
@@ -45,6 +47,7 @@ def viewer_scene(
     *,
     symmetry: Symmetry | None = None,
     atlas: Atlas | None = None,
+    lengths: Sequence[LinearMeasure] = (),
     triangles: int = TRIANGLES,
 ) -> ViewerScene:
     """Whole surface with boundaries and walls, and both breasts for comparison.
@@ -58,6 +61,7 @@ def viewer_scene(
         measurements: one a breast.
         symmetry: lays the mirrored right breast onto the left one; without it, it is mirrored as it lies.
         atlas: the same surface, thinned and covered with its photographs at full resolution.
+        lengths: between landmarks, world frame.
         triangles: of the whole surface at most; it is thinned for the viewer only.
     """
     centre = repaired.mesh.vertices.mean(axis=0)
@@ -73,7 +77,7 @@ def viewer_scene(
         measurements=measurements,
         atlas=atlas,
     )
-    whole = _whole(surface, seen, triangles=triangles)
+    whole = replace(_whole(surface, seen, triangles=triangles), **_measured_lengths(lengths, seen))
     models = [whole]
     sides = {measured.name: measured for measured in measurements}
     comparisons: tuple[tuple[str, str, str], ...] = ()
@@ -94,7 +98,7 @@ def change_scene(
 ) -> ViewerScene:
     """Two dates of one patient, aligned and side by side.
 
-    The trunks are aligned. Each is coloured by the change.
+    The trunks are aligned. The later one can be coloured by the change.
 
     Args:
         frame: rows right, up and towards the viewer of the front view, world frame of the earlier date.
@@ -107,16 +111,7 @@ def change_scene(
     view_from_world = world_from_view.inverse()
     models = []
     for one in dates:
-        layer = Layer(
-            name="change",
-            title="Change between the dates",
-            help="How far the later skin stands out of the earlier one, the trunks laid on one another: orange where "
-            "there is more now, blue where there is less; grey where either date did not see the skin.",
-            values=one.change_mm.astype(np.float32),
-            kind="diverging",
-            unit="mm",
-            limits=(-limit_mm, limit_mm),
-        )
+        layers = () if one.change_mm is None else (_change_layer(one.change_mm, limit_mm),)
         models.append(
             _whole(
                 _ShownSurface(
@@ -128,7 +123,7 @@ def change_scene(
                 ),
                 view_from_world.apply,
                 own=one.world_from_own.apply,
-                first=(layer,),
+                first=layers,
                 triangles=triangles // 2,
             )
         )
@@ -138,6 +133,19 @@ def change_scene(
         world_from_view=world_from_view,
         comparisons=((title, dates[0].name, dates[1].name),),
         of_patient=True,
+    )
+
+
+def _change_layer(change_mm: Float64[Array, " n"], limit_mm: float) -> Layer:
+    return Layer(
+        name="change",
+        title="Change between the dates",
+        help="How far the later skin stands out of the earlier one, the trunks laid on one another: orange where "
+        "there is more now, blue where there is less; grey where either date did not see the skin.",
+        values=change_mm.astype(np.float32),
+        kind="diverging",
+        unit="mm",
+        limits=(-limit_mm, limit_mm),
     )
 
 
@@ -193,6 +201,20 @@ def _whole(
         ),
         wall=joined(walls).mapped(seen) if walls else None,
     )
+
+
+def _measured_lengths(lengths: Sequence[LinearMeasure], seen: Seen) -> dict[str, Any]:
+    """Lengths as lines with their values, and their ends as landmarks."""
+    lines = tuple((_length_words(length), seen(np.array(length.ends_world))) for length in lengths)
+    ends = {tuple(end.round(3)): end for _, both in lines for end in both}
+    return {"lengths": lines, "landmarks": tuple(("", end) for end in ends.values())}
+
+
+def _length_words(length: LinearMeasure) -> str:
+    """A length as its line in the view says it: to the fold it is measured along the skin."""
+    if length.name.startswith("N-IMF") and length.geodesic_mm is not None:
+        return f"{length.geodesic_mm:.1f} mm along the skin"
+    return f"{length.straight_mm:.1f} mm"
 
 
 def thinned(mesh: TriangleMesh, triangles: int) -> tuple[TriangleMesh, Array]:

@@ -40,7 +40,6 @@ def sample(path: str, pattern: URLPattern) -> str:
         value = {"UUIDConverter": str(uuid.uuid4()), "IntConverter": "7"}.get(type(converter).__name__, "x")
         path = re.sub(rf"<(\w+:)?{name}>", value, path)
     path = re.sub(r"\^account/invitation/.*\$", "account/invitation/1-x/", path)
-    path = re.sub(r"\(\?P<url>.*", "nowhere", path)
     return "/" + path.replace("^", "").replace("$", "").replace("\\Z", "")
 
 
@@ -71,8 +70,8 @@ def test_the_whole_table_for_each_role(clinic: object, client_of: Callable[..., 
             if expected == "in" and method != client.get:
                 continue
             if (found := reached(method(path))) != expected:
-                if (expected, found) == ("in", "refused") and path.startswith("/administration/"):
-                    continue  # the admin lets nobody delete people or change the audit
+                if path == reverse("account_reauthenticate"):
+                    continue  # these people have no password that could be asked
                 wrong.append(f"{method.__name__} {path}: {found}, not {expected}")
     assert wrong == []
 
@@ -167,5 +166,5 @@ def test_somebody_without_a_role_opens_nothing(client_of: Callable[..., Client])
 def test_administration_is_for_administrators(
     client_of: Callable[..., Client], person_of: Callable[..., Person]
 ) -> None:
-    assert client_of(Role.ADMINISTRATOR).get(reverse("admin:index")).status_code == 200
-    assert client_of(Role.CLINICIAN).get(reverse("admin:index")).status_code == 403
+    assert client_of(Role.ADMINISTRATOR).get(reverse("administration")).status_code == 200
+    assert client_of(Role.CLINICIAN).get(reverse("administration")).status_code == 403

@@ -1,6 +1,7 @@
 """What the clinic knows of a visit beside its numbers: operations, postures, consents, conclusions."""
 
 import datetime
+import json
 from collections.abc import Callable
 
 import pytest
@@ -10,7 +11,6 @@ from django.urls import reverse
 from django.utils import timezone
 
 from mammometry.clinic.clinical_facts import clinical_of, operation_words
-from mammometry.clinic.lengths import length_table
 from mammometry.clinic.models import (
     Comparison,
     Conclusion,
@@ -23,9 +23,11 @@ from mammometry.clinic.models import (
     Visit,
     Volume,
 )
-from mammometry.clinic.operations import Retention, phase_of, retentions
+from mammometry.clinic.operations import phase_of
 from mammometry.clinic.results import latest
+from mammometry.clinic.retention import Retention, retentions
 from mammometry.clinic.roles import Role
+from mammometry.report.lengths import length_table
 
 TODAY = timezone.localdate
 
@@ -69,11 +71,12 @@ def test_a_report_is_given_what_the_database_knows(visit: Visit, surgeon: Person
     assert (clinical.occasion, clinical.posture) == ("6 weeks after", "standing")
     assert clinical.confirmed is not None
     assert clinical.confirmed.by == "Dr. Sergio Surgeon"
-    Measurement.objects.create(visit=visit, digest="2", made_at=timezone.now(), software="1")
+    new = Measurement.objects.create(visit=visit, digest="2", made_at=timezone.now(), software="1")
     assert clinical_of(visit).confirmed is None  # the confirmation was of the earlier result
-    for text in ("Symmetrical.", "Not quite symmetrical."):
-        Conclusion.objects.create(visit=visit, measurement=old, text=text, by=surgeon)
-    assert [each.text for each in clinical_of(visit).conclusions] == ["Not quite symmetrical.", "Symmetrical."]
+    for text, result in (("Symmetrical.", old), ("Not quite symmetrical.", new)):
+        Conclusion.objects.create(visit=visit, measurement=result, text=text, by=surgeon)
+    told = [conclusion.text for conclusion in clinical_of(visit).conclusions]
+    assert told == ["Not quite symmetrical.", "Symmetrical.\n(Written before the visit was measured again.)"]
 
 
 def test_operations_after_the_visit_are_not_told(visit: Visit) -> None:
@@ -220,7 +223,7 @@ def test_the_visit_page_shows_lengths_and_sends_a_clinician_to_the_landmarks(
     Measurement.objects.create(visit=visit, digest="1", made_at=timezone.now(), software="1", quantities=quantities)
     address = reverse("visit", args=[visit.pk])
     page = client_of(Role.CLINICIAN).get(address).content.decode()
-    assert "60.2 ± 2.0" in page
+    assert "60.2 ±\u00a02.0" in page
     assert "not measured: mark the nipple" in page
     assert f'href="{reverse("draw", args=[visit.pk])}">Mark the missing landmarks' in page
     page = client_of(Role.TECHNICIAN).get(address).content.decode()
@@ -378,7 +381,7 @@ def test_technicians_read_a_conclusion_and_write_none(visit: Visit, client_of: C
     [
         ("measured", Role.CLINICIAN, "Look at the boundaries", "Confirm boundaries"),
         ("measured", Role.TECHNICIAN, "A clinician looks at the boundaries", None),
-        ("changed", Role.TECHNICIAN, "still those before the change", "Measure"),
+        ("changed", Role.TECHNICIAN, "was changed and is not measured yet", "Measure"),
         ("confirmed", Role.CLINICIAN, "The boundaries are confirmed.", "Write the conclusion"),
         ("confirmed", Role.TECHNICIAN, "A clinician writes the conclusion.", None),
     ],
@@ -407,3 +410,41 @@ def test_occasion_and_posture_are_entered_and_shown(visit: Visit, client_of: Cal
     client.post(reverse("circumstances", args=[visit.pk]), {"occasion": "1 year", "posture": "floating"})
     assert Visit.objects.get(pk=visit.pk).posture == Visit.Posture.STANDING
     assert Visit.objects.create(patient=visit.patient, taken_at=timezone.now()).posture == Visit.Posture.STANDING
+
+
+def test_a_new_visit_says_why_the_patient_came_and_a_model_has_no_posture(
+    visit: Visit, client_of: Callable[..., Client]
+) -> None:
+    entered = {
+        "patient": str(visit.patient_id), "rig": str(visit.rig_id), "taken_at": "2026-03-02T10:00",
+        "subject_kind": "torso", "occasion": "before", "posture": "standing", "anyway": "1",
+    }  # fmt: skip
+    client, address = client_of(Role.TECHNICIAN), reverse("visit-new")
+    client.post(address, entered)
+    client.post(address, {**entered, "subject_kind": "model"})
+    patient, model = Visit.objects.exclude(pk=visit.pk).order_by("created")
+    assert (patient.occasion, patient.posture) == ("before", "standing")
+    assert (model.occasion, model.posture) == ("", "")
+
+
+def test_no_page_of_a_visit_names_a_command(visit: Visit, client_of: Callable[..., Client]) -> None:
+    sentences = [
+        "Nobody has confirmed the automatic boundary of the left breast..",
+        "Boundaries are drawn and confirmed with `mammometry edit`.",
+        "Pair front matched only 40 % of the subject's silhouette.",
+        "Left and right rest on how the cameras are mounted.",
+    ]
+    folder = visit.folder / "results" / "report"
+    folder.mkdir(parents=True)
+    (folder / "warnings.json").write_text(json.dumps(sentences))
+    measurement = Measurement.objects.create(visit=visit, digest="1", made_at=timezone.now(), software="1")
+    why = "Draw its boundary with `mammometry edit`."
+    Volume.objects.create(measurement=measurement, side="left", definition="any", refused=why)
+    page = client_of(Role.TECHNICIAN).get(reverse("visit", args=[visit.pk])).content.decode()
+    assert "mammometry edit" not in page
+    assert "Draw its boundary (a clinician, on the page of boundaries)." in page
+    assert "Nobody has confirmed the automatic boundary" not in page  # the state says it
+    first = page[page.index("Read this first") : page.index("More about this result")]
+    assert sentences[3] in first
+    assert "Pair front" not in first
+    assert "Pair front" in page

@@ -21,7 +21,7 @@ from mammometry.base.errors import StorageError
 from mammometry.clinic import confirmations
 from mammometry.clinic.config import ClinicConfig
 from mammometry.clinic.jobs import queue
-from mammometry.clinic.models import Confirmation, Drawing, Job, Measurement, Visit
+from mammometry.clinic.models import Confirmation, Consent, Drawing, Job, Measurement, Visit
 from mammometry.clinic.roles import Role
 from mammometry.clinic.site import the_clinic
 from mammometry.clinic.views import deliveries as sending
@@ -59,6 +59,7 @@ def measure(visit: Visit, *, digest: str = "d", **curves: str) -> None:
 @pytest.fixture
 def measured(visit: Visit) -> Visit:
     visit.folder.mkdir()
+    Consent.objects.create(patient=visit.patient, purpose="research", given_on="2026-01-01")
     measure(visit)
     assert visit.state == Visit.State.MEASURED
     return visit
@@ -292,10 +293,11 @@ def test_an_unmeasured_change_is_said_everywhere_and_no_number_is_shown(
     client_of: Callable[..., Client], measured: Visit, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     client, researcher = client_of(Role.CLINICIAN), client_of(Role.RESEARCHER)
+    Consent.objects.create(patient=measured.patient, purpose="research", given_on="2026-01-01")
     addresses = [reverse("visit", args=[measured.pk]), reverse("patient", args=[measured.patient_id])]
     finish(client, measured)
     for address in addresses:
-        assert "407" in client.get(address).content.decode()
+        assert "407 cc" in client.get(address).content.decode()
     (row,) = csv.DictReader(io.StringIO(researcher.get(reverse("study-csv")).content.decode()))
     assert (row["volume_cc"], row["state"], row["confirmed"]) == ("407.4", "confirmed", "True")
     assert row["confirmed_on"] == timezone.localdate().isoformat()
@@ -308,14 +310,14 @@ def test_an_unmeasured_change_is_said_everywhere_and_no_number_is_shown(
         for address in addresses:
             shown = client.get(address).content.decode()
             assert confirmations.CHANGED in shown
-            assert "407" not in shown
+            assert "407 cc" not in shown
             assert "✓ confirmed" not in shown
         for name in ("visit-dicom", "visit-fhir"):
             where = reverse(name, args=[measured.pk, *(["r4"] if name == "visit-fhir" else [])])
             assert "changed, not yet measured" in client.get(where, follow=True).content.decode()
         study = researcher.get(reverse("study")).content.decode()
         assert confirmations.CHANGED in study
-        assert "407" not in study
+        assert "407 cc" not in study
         (row,) = csv.DictReader(io.StringIO(researcher.get(reverse("study-csv")).content.decode()))
         assert (row["volume_cc"], row["state"], row["confirmed"]) == ("", confirmations.CHANGED, "False")
         for name in ("study-redcap", "study-table"):

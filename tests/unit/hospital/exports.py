@@ -129,7 +129,7 @@ def signed(folder: Path, *, concluded: bool = True) -> Exported:
     """A session that a clinic confirmed, and concluded of, after an operation."""
     clinical = Clinical(confirmed=CONFIRMED, conclusions=(CONCLUDED,) if concluded else ())
     operations = tuple(
-        Operation(kind=kind, title=title, side=side, day=datetime.date(2025, 5, 6), sentence=f"{title}, 2025-05-06")  # type: ignore[arg-type]
+        Operation(kind=kind, title=title, side=side, day=datetime.date(2025, 5, 6), sentence=f"{title}, 2025-05-06")
         for kind, title, side in (
             ("implant", "Implant inserted", "both"),
             ("conserving", "Breast-conserving surgery", "left"),

@@ -4,8 +4,10 @@ import csv
 import io
 import json
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 from tests.unit.hospital.exports import ANNA, NAMES, deidentified, exported, one_sided, quantities, signed
 
@@ -13,6 +15,8 @@ from mammometry.base.errors import StorageError, TableError
 from mammometry.hospital import redcap, tables
 from mammometry.hospital.extra import require
 from mammometry.hospital.fhir import Release, bundle
+from mammometry.hospital.gather import confirmed
+from mammometry.measure.volume.attribution import Attribution, Confirmation, curve_digest
 
 
 def rows(text: str | bytes) -> list[dict[str, str]]:
@@ -195,3 +199,21 @@ def test_tables_say_whether_and_when_it_was_confirmed_and_not_by_whom(tmp_path: 
         for name in (tables.TABLE, redcap.RECORDS):
             assert {(row["confirmed"], row["confirmed_on"]) for row in rows(made[name])} == {told}
         assert not [name for name in (b"Luchs", b"Dachs", b"Larger on") if name in b"".join(made.values())]
+
+
+def test_a_session_is_confirmed_once_every_measured_boundary_is() -> None:
+    curves = {name: np.full((4, 3), float(number)) for number, name in enumerate(("left", "right"))}
+    measured = [SimpleNamespace(name=name, boundary_world=curve) for name, curve in curves.items()]
+    seen = {
+        name: Attribution(
+            confirmation=Confirmation(by=f"Eye {name}", at=f"2026-11-2{number}T10:00:00Z", curve=curve_digest(curve))
+        )
+        for number, (name, curve) in enumerate(curves.items())
+    }
+    newest = confirmed(seen, measured)  # type: ignore[arg-type]
+    assert newest is not None
+    assert (newest.by, newest.at.isoformat()) == ("Eye right", "2026-11-21T10:00:00+00:00")
+    assert confirmed({"left": seen["left"]}, measured) is None  # type: ignore[arg-type]
+    measured[1].boundary_world = curves["left"]  # another curve than the one that was looked at
+    assert confirmed(seen, measured) is None  # type: ignore[arg-type]
+    assert confirmed(seen, []) is None

@@ -24,7 +24,7 @@ def test_tables_say_values_with_their_uncertainty_and_leave_out_what_is_not_ther
         lengths=(
             LinearMeasure(
                 name="N-midline left", title="left nipple to midline", straight_mm=88.25, straight_sigma_mm=2.04,
-                geodesic_mm=None, geodesic_sigma_mm=None,
+                geodesic_mm=None, geodesic_sigma_mm=None, ends_world=((88.25, 0.0, 0.0), (0.0, 0.0, 0.0)),
             ),
         ),
         ptosis=(

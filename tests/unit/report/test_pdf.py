@@ -10,13 +10,14 @@ import pytest
 import synthetic
 
 from mammometry.base.identity import Identity
-from mammometry.report import content, pdf
+from mammometry.report import content, describe, pdf
 from mammometry.report.anthropometry import comparison
 from mammometry.report.content import ReportContent
 from mammometry.report.figures import previews
 from mammometry.report.figures.catalogue import PREVIEWS
 from mammometry.report.figures.matching import disparity
 from mammometry.report.figures.stage_results import MatchingResult
+from mammometry.report.pictures import all_encoded
 from mammometry.settings import Settings
 
 
@@ -24,7 +25,7 @@ from mammometry.settings import Settings
 def page_content(*names: str) -> ReportContent:
     rig = synthetic.rig()
     measured = [synthetic.measurement(name, interval_cc=(400.0, 500.0)) for name in names]
-    changed, everything = content.settings_facts(Settings())
+    changed, everything = describe.settings_facts(Settings())
     disparities = synthetic.disparities(rig)
     shares = {"one": 0.9, "two": 0.8}
     matched = MatchingResult.thinned(rig, synthetic.photographs(rig), synthetic.foregrounds(rig), disparities)
@@ -35,17 +36,17 @@ def page_content(*names: str) -> ReportContent:
     return ReportContent(
         identity=Identity(name="Case <7> & co"),
         created="2024-01-01 00:00 UTC",
-        subject=content.SUBJECTS["torso"],
+        subject=describe.SUBJECTS["torso"],
         world="The board in pose 00.",
         warnings=("Pair one: only 12 % of the subject's silhouette could be matched.",),
-        breasts=tuple(content.breast_report(each, cautions=("Cameras moved.",)) for each in measured),
+        breasts=tuple(describe.breast_report(each, cautions=("Cameras moved.",)) for each in measured),
         comparison=comparison(measured),
-        stages=(content.matching_report({}, synthetic.matching(rig), shares),),
-        timings=content.timings({"calibrate": 1.25, "match": 2.0}),
+        stages=(describe.matching_report({}, synthetic.matching(rig), shares),),
+        timings=describe.timings({"calibrate": 1.25, "match": 2.0}),
         changed_settings=changed,
         all_settings=everything,
-        versions=content.versions(),
-        pictures=pictures,
+        versions=describe.versions(),
+        pictures=all_encoded(pictures),
     )
 
 

@@ -10,7 +10,7 @@ import synthetic
 from PIL import Image
 
 from mammometry.base.identity import NAMELESS
-from mammometry.report import content, html, pages, pdf
+from mammometry.report import content, describe, html, pages, pdf
 from mammometry.report.figures.catalogue import PREVIEWS
 from mammometry.report.privacy import Privacy, guard, without_photographs
 from mammometry.settings import Settings
@@ -83,20 +83,20 @@ def test_embedded_pictures_carry_no_exif() -> None:
 
 def test_neither_page_nor_paper_tells_name_or_date() -> None:
     measured = [synthetic.measurement("model")]
-    changed, everything = content.settings_facts(Settings())
+    changed, everything = describe.settings_facts(Settings())
     said = content.ReportContent(
         identity=NAMELESS,
         created="",
-        subject=content.SUBJECTS["model"],
+        subject=describe.SUBJECTS["model"],
         world="The board in pose 00.",
         warnings=(),
-        breasts=tuple(content.breast_report(each) for each in measured),
+        breasts=tuple(describe.breast_report(each) for each in measured),
         comparison=(),
         stages=(),
         timings=(),
         changed_settings=changed,
         all_settings=everything,
-        versions=content.versions(),
+        versions=describe.versions(),
         contains="no name",
     )
     page = html.render(said)

@@ -8,6 +8,7 @@ interface Check {
   check: string;
   level: "ok" | "unknown" | "warn" | "refuse";
   sentence: string;
+  url?: string;
 }
 
 interface Upload {
@@ -27,6 +28,7 @@ interface State {
   cameras?: { camera: string; upload: Upload | null }[];
   poses?: Record<string, Record<string, Upload>>;
   unplaced: Upload[];
+  set_aside: Upload[];
   together: Check[];
   ready: boolean;
   missing: string[];
@@ -94,6 +96,8 @@ class Photographs {
     this.root.addEventListener("click", (event) => {
       const away = (event.target as HTMLElement).closest<HTMLElement>("[data-away]");
       if (away !== null) void this.act(() => request(away.dataset.away!, { method: "DELETE" }));
+      const back = (event.target as HTMLElement).closest<HTMLElement>("[data-back]");
+      if (back !== null) void this.act(() => request(`${back.dataset.back!}back/`, { method: "POST" }));
       const go = (event.target as HTMLElement).closest<HTMLElement>("[data-go]");
       if (go !== null) void this.go(go);
     });
@@ -242,8 +246,14 @@ class Photographs {
     const together = this.root.querySelector<HTMLElement>("[data-together]");
     if (together !== null) {
       const warnings = state.together.filter(({ level }) => level === "warn" || level === "refuse");
-      together.replaceChildren(...warnings.map((check) => made("p", "", check.sentence)));
+      together.replaceChildren(...warnings.map(warned));
       together.hidden = warnings.length === 0;
+    }
+    const aside = this.root.querySelector<HTMLElement>("[data-aside]");
+    if (aside !== null) {
+      aside.hidden = state.set_aside.length === 0;
+      aside.querySelector("summary")!.textContent = `Set aside (${state.set_aside.length})`;
+      aside.querySelector("ul")!.replaceChildren(...state.set_aside.map(keptAside));
     }
     this.root.dataset.ready = String(state.ready);
     const go = this.root.querySelector<HTMLButtonElement>("[data-go]");
@@ -274,14 +284,7 @@ class Photographs {
     const head = made("h3", "", title(name));
     head.append(chip(upload, level));
     item.append(head);
-    const shot = made("div", upload === null ? "none" : "shot");
-    if (upload?.thumbnail) {
-      const image = made("img", "") as HTMLImageElement;
-      image.src = upload.thumbnail;
-      image.alt = `Photograph: ${title(name)}`;
-      shot.append(image);
-    }
-    item.append(shot);
+    item.append(shotOf(upload, name));
     if (upload !== null) {
       const wrong = upload.checks.filter((check) => check.level === "warn" || check.level === "refuse");
       if (wrong.length > 0) {
@@ -293,10 +296,9 @@ class Photographs {
     if (upload?.state === "checked") item.append(chooser(upload, cameras));
     if (camera !== null) item.append(picker(camera, upload === null ? "Choose photograph" : "Another photograph"));
     if (upload !== null) {
-      const away = made("button", "button", "Take away") as HTMLButtonElement;
-      away.type = "button";
+      const words = upload.state === "placed" ? "Set aside" : "Take away";
+      const away = button(words, `${words}: the photograph of ${title(name)}`);
       away.dataset.away = upload.url;
-      away.setAttribute("aria-label", `Take away the photograph: ${title(name)}`);
       item.append(away);
     }
     return item;
@@ -376,6 +378,46 @@ function picker(camera: string, words: string): HTMLElement {
   input.setAttribute("aria-label", `${words}: ${title(camera)}`);
   label.append(input);
   return label;
+}
+
+/** The small picture of a photograph, or its empty place. */
+function shotOf(upload: Upload | null, name: string): HTMLElement {
+  const shot = made("div", upload === null ? "none" : "shot");
+  if (upload?.thumbnail) {
+    const image = made("img", "") as HTMLImageElement;
+    image.src = upload.thumbnail;
+    image.alt = `Photograph: ${title(name)}`;
+    shot.append(image);
+  }
+  return shot;
+}
+
+/** A photograph that was set aside, with the button that brings it back. */
+function keptAside(upload: Upload): HTMLElement {
+  const name = [upload.pose === null ? "" : `pose ${upload.pose},`, upload.camera ?? ""].join(" ").trim();
+  const item = made("li", "place");
+  const back = button("Bring back", `Bring back the photograph of ${title(name)}`);
+  back.dataset.back = upload.url;
+  item.append(made("h3", "", title(name)), shotOf(upload, name), back);
+  return item;
+}
+
+/** What photographs say together; one that lies in another visit too leads there. */
+function warned(check: Check): HTMLElement {
+  const line = made("p", "", check.sentence);
+  if (check.url !== undefined) {
+    const link = made("a", "", "Open that visit") as HTMLAnchorElement;
+    link.href = check.url;
+    line.append(" ", link);
+  }
+  return line;
+}
+
+function button(words: string, label: string): HTMLButtonElement {
+  const element = made("button", "button", words) as HTMLButtonElement;
+  element.type = "button";
+  element.setAttribute("aria-label", label);
+  return element;
 }
 
 function chooser(upload: Upload, cameras: string[]): HTMLElement {

@@ -14,7 +14,7 @@ from typing import Any
 from uuid import UUID
 
 from django.db import IntegrityError, transaction
-from django.db.models import F, Q
+from django.db.models import F, Q, QuerySet
 from django.utils import timezone
 
 from mammometry.clinic import comparing
@@ -121,6 +121,13 @@ def cancel(job: Job) -> bool:
             results.cancelled(target_of(job))
     job.refresh_from_db()
     return bool(done)
+
+
+def of_visits_in_use() -> QuerySet[Job]:
+    """Jobs as pages show them: none of a visit in the bin."""
+    return Job.objects.filter(
+        visit__binned_at=None, comparison__before__binned_at=None, comparison__after__binned_at=None
+    )
 
 
 def open_jobs() -> list[Job]:

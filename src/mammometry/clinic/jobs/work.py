@@ -259,12 +259,13 @@ def compare(tell: Tell, before: str, after: str, folder: str, digests: str, sett
     Raises:
         MammometryError: whatever stands in the way, in one sentence.
     """
+    from mammometry.api.dated import measured_keys
     from mammometry.api.dates import compare as compare_dates
 
     chosen = Settings.from_toml(settings)
     tell("compare", 0.0)
     for which, session, digest in zip(("earlier", "later"), (before, after), digests.split(":"), strict=True):
-        if _digest([key.digest for key in open_session(session, chosen).keys("measure")]) != digest:
+        if _digest(measured_keys(session, chosen)) != digest:
             raise SessionError(
                 f"the {which} visit",
                 found="that it was measured with other settings, or that something was drawn since",

@@ -103,15 +103,10 @@ class Visit(Keyed):
 
     @property
     def shown_state(self) -> str:
-        """Its state, as pages say it.
-
-        Nobody can confirm the boundary of a scan.
-        """
+        """Its state, as pages say it."""
         from mammometry.clinic.confirmations import is_changed
 
-        if is_changed(self):
-            return Visit.State.CHANGED
-        return "scanned" if self.is_scan and self.state == Visit.State.MEASURED else self.state
+        return Visit.State.CHANGED if is_changed(self) else self.state
 
     @property
     def is_scan(self) -> bool:

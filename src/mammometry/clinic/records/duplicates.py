@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from django.db.models import Q
@@ -57,6 +58,13 @@ def same_photographs(visit: Visit) -> list[tuple[Visit, list[str]]]:
         assert row.visit is not None
         found.setdefault(row.visit, []).append(own[row.sha256])
     return list(found.items())
+
+
+def elsewhere(other: Visit, cameras: Sequence[str]) -> str:
+    """That photographs are in another visit too, in a sentence."""
+    names = ", ".join(sorted(camera.replace("_", " ") for camera in cameras))
+    which = f"the visit of {_day(other.taken_at)} of {other.patient.pseudonym}"
+    return f"The same photograph{'s are' if len(cameras) > 1 else ' is'} in {which}, too: {names}."
 
 
 def date_questions(taken_at: datetime.datetime, rig: Rig | None) -> list[str]:

@@ -108,6 +108,7 @@ def may_queue(target: Visit | Calibration | DailyCheck | Comparison, *, anyway: 
     """
     from mammometry.clinic.comparing import may_compare
     from mammometry.clinic.intake.uploads import state_of
+    from mammometry.clinic.records.duplicates import elsewhere, same_photographs
     from mammometry.io.scans import is_scan
 
     if isinstance(target, Comparison):
@@ -133,10 +134,10 @@ def may_queue(target: Visit | Calibration | DailyCheck | Comparison, *, anyway: 
     if not state["ready"]:
         said = [each["sentence"] for each in state["together"] if each["level"] == "refuse"]
         missing = f"Photographs are missing: {', '.join(state['missing'])}." if state["missing"] else ""
-        return (
-            " ".join(filter(None, [missing, state.get("needed"), *said]))
-            or "This rig has no cameras. Describe it first."
-        )
+        why = " ".join(filter(None, [missing, state.get("needed"), *said]))
+        return why or "This rig has no cameras. Describe it first."
+    if isinstance(target, Visit) and not anyway:
+        return " ".join(elsewhere(other, cameras) for other, cameras in same_photographs(target)) or None
     return None
 
 

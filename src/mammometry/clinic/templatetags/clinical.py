@@ -7,11 +7,11 @@ from typing import Any
 from django import template
 from django.utils import timezone
 
-from mammometry.clinic.intake.uploads import thumbnail_path
-from mammometry.clinic.lengths import Length
+from mammometry.clinic.intake.thumbnail import thumbnail_path
 from mammometry.clinic.models import Patient, Upload, Visit
 from mammometry.clinic.operations import sides_of
 from mammometry.clinic.results import age
+from mammometry.report.lengths import Length, length_words
 
 register = template.Library()
 
@@ -44,23 +44,16 @@ def camera_words(camera: str) -> str:
 @register.filter
 def length_mm(value: Length | None) -> str:
     """A length in mm with its interval: "212.3 ± 4.1"."""
-    return _words(value, "")
+    return length_words(value)
 
 
 @register.filter
 def signed_length_mm(value: Length | None) -> str:
     """A difference of lengths: "+4.2 ± 5.8"."""
-    return _words(value, "+")
+    return length_words(value, "+")
 
 
 @register.filter
 def whole_percent(value: float) -> str:
     """A per cent without decimals: "62 %"."""
     return f"{value:.0f} %".replace("-", "−")
-
-
-def _words(value: Length | None, sign: str) -> str:
-    if value is None:
-        return "–"
-    half = "" if value.half_mm is None else f" ± {value.half_mm:.1f}"
-    return f"{value.value_mm:{sign}.1f}{half}".replace("-", "−")

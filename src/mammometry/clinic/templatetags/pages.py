@@ -23,15 +23,15 @@ register = template.Library()
 _BYTES = ((1e12, "TB"), (1e9, "GB"), (1e6, "MB"), (1e3, "kB"))
 
 _MENU = {
-    Role.CLINICIAN: ("home", "patients", "worklist", "study", "rigs", "jobs-page"),
-    Role.TECHNICIAN: ("home", "worklist", "patients", "rigs", "jobs-page"),
+    Role.CLINICIAN: ("home", "patients", "worklist", "study", "rigs", "jobs-page", "corrections"),
+    Role.TECHNICIAN: ("home", "patients", "worklist", "rigs", "jobs-page", "corrections"),
     Role.RESEARCHER: ("study",),
     Role.ADMINISTRATOR: ("administration", "rigs"),
 }
 """Role → names of its pages in the menu, those first that it uses most. Somebody with several roles sees all once."""
 _TITLES = {
     "home": "Today", "patients": "Patients", "worklist": "Worklist", "rigs": "Rigs", "jobs-page": "Jobs",
-    "study": "Study", "administration": "Administration", "help": "Help",
+    "study": "Study", "administration": "Administration", "corrections": "Corrections", "help": "Help",
 }  # fmt: skip
 _ADMINISTRATION = (
     ("administration", "Overview"),
@@ -40,6 +40,7 @@ _ADMINISTRATION = (
     ("backups", "Backups"),
     ("disk", "Disk"),
     ("destinations", "Archives"),
+    ("corrections", "Bin"),
     ("erase", "Erase"),
     ("settings", "Settings"),
 )
@@ -52,7 +53,6 @@ _CHIPS = {
     "running": ("busy", "running"),
     "changed": ("care", CHANGED),
     "measured": ("care", "to be confirmed"),
-    "scanned": ("good", "measured"),
     "refused": ("bad", "✕ no volume"),
     "confirmed": ("good", "✓ confirmed"),
     "done": ("good", "✓ done"),

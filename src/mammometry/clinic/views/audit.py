@@ -75,8 +75,9 @@ def audit_csv(request: HttpRequest) -> HttpResponse:
 
 def audit_entry(request: HttpRequest, entry: int) -> HttpResponse:
     """One entry with all that it holds."""
-    row = get_object_or_404(LogEntry.objects.select_related("content_type", "actor"), pk=entry)
-    return render(request, "clinic/audit_entry.html", {"entry": audit_entries.in_words(row)})
+    row = get_object_or_404(LogEntry, pk=entry)
+    names = {person.pk: str(person) for person in Person.objects.all()}
+    return render(request, "clinic/audit_entry.html", {"entry": audit_entries.in_words(row, names)})
 
 
 def _is_number(text: str) -> bool:

@@ -128,7 +128,7 @@ def visit_send(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
 
 def delivery_retry(request: HttpRequest, delivery: uuid.UUID) -> HttpResponse:
     """Try a failed delivery again."""
-    shown = get_object_or_404(Delivery, pk=delivery)
+    shown = get_object_or_404(Delivery, pk=delivery, visit__binned_at=None)
     if request.method == "POST":
         deliveries.again(shown)
     return redirect("visit-send", visit=shown.visit_id)

@@ -19,7 +19,7 @@ from mammometry.clinic.views.who import person_of
 def erase(request: HttpRequest) -> HttpResponse:
     """Ask for a pseudonym, show what goes, and erase it when the pseudonym is typed again."""
     typed = (request.POST if request.method == "POST" else request.GET).get("pseudonym", "").strip().upper()
-    patient = Patient.objects.filter(pseudonym=typed).first() if typed else None
+    patient = Patient.everything.filter(pseudonym=typed, merged_into=None).first() if typed else None
     context: dict[str, Any] = {"typed": typed}
     if patient is not None:
         context |= what_goes(patient)

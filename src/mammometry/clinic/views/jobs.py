@@ -38,9 +38,11 @@ def check(request: HttpRequest, check: UUID) -> HttpResponseBase:
 @answered("GET")
 def many(request: HttpRequest) -> HttpResponseBase:
     """The newest jobs, or all that are open."""
-    rows = Job.objects.select_related(
-        "visit__patient", "comparison__after__patient", "calibration", "check_of_day"
-    ).order_by("-created")
+    rows = (
+        queue.of_visits_in_use()
+        .select_related("visit__patient", "comparison__after__patient", "calibration", "check_of_day")
+        .order_by("-created")
+    )
     if request.GET.get("state") == "open":
         rows = rows.filter(state__in=queue.OPEN)
     waiting = Job.objects.filter(state=Job.State.QUEUED).count()

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import logging
 from typing import Any
 
 from django.http import HttpRequest, HttpResponse, JsonResponse
 from django.shortcuts import render
 from django.template.loader import render_to_string
 
+from mammometry.base.errors import MammometryError, StorageError
 from mammometry.clinic.access import is_program
 from mammometry.clinic.audit import record_refusal
 from mammometry.clinic.site import the_clinic
 from mammometry.hospital.extra import MissingLibraryError
+
+_LOG = logging.getLogger(__name__)
 
 
 def _page(request: HttpRequest, status: int, title: str, sentence: str) -> HttpResponse:
@@ -35,6 +39,14 @@ def forbidden(request: HttpRequest, exception: Exception | None = None) -> HttpR
 def missing(request: HttpRequest, exception: Exception | None = None) -> HttpResponse:
     """404."""
     return _page(request, 404, "Not here", "There is no such page. It may have been erased.")
+
+
+def not_now(request: HttpRequest, error: MammometryError) -> HttpResponse:
+    """409: the visit stands in its own way, or 503: the disk does."""
+    if isinstance(error, StorageError):
+        _LOG.error("%s", error)
+    words = str(error).replace(f"{the_clinic().folder}/", "")
+    return _page(request, 503 if isinstance(error, StorageError) else 409, "Not now", words)
 
 
 def not_installed(request: HttpRequest, error: MissingLibraryError) -> HttpResponse:

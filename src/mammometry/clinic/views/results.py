@@ -14,7 +14,7 @@ from pathlib import Path
 from threading import Lock
 from typing import Any
 
-from django.http import FileResponse, Http404, HttpRequest, HttpResponse, HttpResponseBase, JsonResponse
+from django.http import Http404, HttpRequest, HttpResponse, HttpResponseBase, JsonResponse
 from django.shortcuts import get_object_or_404, render
 from django.urls import reverse
 from pydantic import ValidationError
@@ -22,12 +22,16 @@ from pydantic import ValidationError
 from mammometry.base.errors import MammometryError, StorageError
 from mammometry.clinic import confirmations
 from mammometry.clinic.jobs import queue
-from mammometry.clinic.models import Confirmation, Drawing, Visit
+from mammometry.clinic.jobs.events import table_of
+from mammometry.clinic.models import Confirmation, Drawing, Job, Visit
+from mammometry.clinic.rendered import rendered_report
 from mammometry.clinic.reports import report_file, scene_of
 from mammometry.clinic.rigs.history import may_queue
 from mammometry.clinic.security import report_policy
 from mammometry.clinic.site import the_clinic
+from mammometry.clinic.views.refusals import not_now
 from mammometry.clinic.views.who import person_of
+from mammometry.editor.desk import Drawable
 from mammometry.editor.messages import Base, Breast, Message
 from mammometry.editor.page import EditorPage, read, refusal
 from mammometry.io.drawn_changes import Group, drawn_entries, entry_digest
@@ -70,12 +74,11 @@ class _Desks:
         Raises:
             MammometryError: the session cannot be opened, or has nothing to draw on.
         """
-        from mammometry.api.job import open_session
-
         measurement = visit.measurements.first()
-        key = visit.pk, "" if measurement is None else measurement.digest
+        whose = f"{visit.patient.pseudonym} {visit.taken_at.isoformat()}"  # both can be corrected
+        key = visit.pk, f"{whose} {'' if measurement is None else measurement.digest}"
         with self._lock:
-            page = self._held.pop(key, None) or EditorPage(open_session(visit.folder, the_clinic().measuring()))
+            page = self._held.pop(key, None) or EditorPage(_opened(visit))
             self._held[key] = page
             while len(self._held) > _KEPT:
                 self._held.popitem(last=False)
@@ -85,28 +88,40 @@ class _Desks:
 _DESKS = _Desks()
 
 
+def _opened(visit: Visit) -> Drawable:
+    from mammometry.api.job import open_session
+    from mammometry.api.mesh import scan_job
+
+    settings = the_clinic().measuring()
+    if visit.is_scan:
+        return scan_job(visit.folder, visit.folder / "results", settings)
+    return open_session(visit.folder, settings)
+
+
 def report(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
-    """The report, as the pipeline wrote it.
+    """The report with names, confirmation and conclusion.
 
     Sealed off from the clinic's pages.
     """
-    path = report_file(_visit(visit), "report.html")
-    if path is None:
-        raise Http404
-    page = path.read_bytes()
+    try:
+        page = rendered_report(_measured(visit)).html
+    except MammometryError as error:
+        return not_now(request, error)
     response = HttpResponse(page, content_type="text/html; charset=utf-8")
     response["Content-Security-Policy"] = report_policy(page)
     return response
 
 
-def report_pdf(request: HttpRequest, visit: uuid.UUID) -> FileResponse:
-    """The report on paper."""
-    shown = _visit(visit)
-    path = report_file(shown, "report.pdf")
-    if path is None:
-        raise Http404
-    name = f"{shown.patient.pseudonym}_{shown.taken_at:%Y-%m-%d}.pdf"
-    return FileResponse(path.open("rb"), as_attachment=True, filename=name)
+def report_pdf(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
+    """The same report on paper."""
+    shown = _measured(visit)
+    try:
+        document = rendered_report(shown).pdf
+    except MammometryError as error:
+        return not_now(request, error)
+    response = HttpResponse(document, content_type="application/pdf")
+    response["Content-Disposition"] = f'attachment; filename="{shown.patient.pseudonym}_{shown.taken_at:%Y-%m-%d}.pdf"'
+    return response
 
 
 def scene(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
@@ -158,7 +173,7 @@ def save(request: HttpRequest, visit: uuid.UUID) -> HttpResponseBase:
                     _set_state(locked, Visit.State.QUEUED)
                 except StorageError as error:  # it is saved, and stays to be measured
                     _LOG.error("%s", error)
-        return {"saved": [path.name for path in changed], **_with_visit(locked, page.items())}
+        return {"saved": len(changed), **_with_visit(locked, page.items())}
 
     return _told(visit, saved)
 
@@ -189,18 +204,20 @@ def _with_visit(visit: Visit, state: dict[str, Any]) -> dict[str, Any]:
     """A page's state with what was measured of it and who confirmed it.
 
     ``visit`` has the visit's state, whether its newest drawing is not measured yet (``changed``), and the digests of
-    the measured boundaries (``curves``).
+    the measured boundaries (``curves``); ``job`` is its newest one.
     """
     measurement = visit.measurements.first()
     confirmation = Confirmation.objects.filter(measurement__visit=visit).select_related("by").first()
-    for name, boundary in state["boundaries"].items() if confirmation is not None else ():
-        if "of" in boundary:
+    for name, boundary in state["boundaries"].items():
+        if confirmation is not None and "of" in boundary:
             holds = confirmation.curves.get(name) == boundary["of"]
             at = confirmation.at.isoformat(timespec="seconds")
             boundary["confirmed"] = {"by": str(confirmation.by or ""), "at": at, "holds": holds}
     curves = {} if measurement is None else measurement.curves
+    job = visit.jobs.filter(kind=Job.Kind.MEASURE).order_by("-created").first()
     return {
         **state,
+        "job": None if job is None else table_of(job, queue.place(job)),
         "visit": {"state": visit.state, "changed": confirmations.is_changed(visit), "curves": curves},
     }
 
@@ -234,6 +251,14 @@ def _told(visit: uuid.UUID, answer: Callable[[Visit, EditorPage], dict[str, Any]
         status, words = refusal(error)
         words["error"] = words["error"].replace(f"{the_clinic().folder}/", "")  # where it lies is nobody's business
         return JsonResponse(words, status=status)
+
+
+def _measured(visit: uuid.UUID) -> Visit:
+    """A visit that has a report."""
+    shown = _visit(visit)
+    if report_file(shown, "report.html") is None:
+        raise Http404
+    return shown
 
 
 def _visit(visit: uuid.UUID) -> Visit:

@@ -7,6 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from mammometry.measure.shape.anthropometry import Dimensions
+
 _SIDES = ("left", "right")
 _NOT_MEASURED = "not measured"
 _COVERAGE_95 = 1.96  # standard deviations of a normal distribution on either side that hold 95 %
@@ -78,7 +80,7 @@ def length_table(quantities: Sequence[Mapping[str, Any]]) -> LengthTable | None:
     """Lay out a measurement's quantities. None: none is a torso's length.
 
     Args:
-        quantities: of `clinic.models.Measurement`.
+        quantities: rows with the names of `hospital.exported.Quantity`: of `quantities_of`, or as a clinic keeps them.
     """
     by_code = {(str(row["code"]), str(row.get("side") or "")): row for row in quantities}
     breasts = [side for side in _SIDES if ("projection", side) in by_code]
@@ -96,6 +98,36 @@ def length_table(quantities: Sequence[Mapping[str, Any]]) -> LengthTable | None:
         rows.append(LengthRow(title=title, sides=(lengths[0], lengths[1]), missing=(missing[0], missing[1])))
     between = by_code.get(("n_n_straight", ""))
     return LengthTable(rows=tuple(rows), nipples=None if between is None else _length(between))
+
+
+def quantities_of(dimensions: Dimensions) -> list[dict[str, Any]]:
+    """The lengths that the table shows, with the codes under which they are exported."""
+    rows = []
+    for each in dimensions.lengths:
+        name, _, side = each.name.rpartition(" ")
+        name, side = (name, side) if side in _SIDES else (each.name, "")
+        code = name.lower().replace("-", "_").replace(" ", "_")
+        rows.append(_quantity(f"{code}_straight", side, each.straight_mm, each.straight_sigma_mm))
+        if each.geodesic_mm is not None:
+            rows.append(_quantity(f"{code}_along_skin", side, each.geodesic_mm, each.geodesic_sigma_mm))
+    for shape in dimensions.shapes:
+        rows.append(_quantity("projection", shape.name, shape.projection_mm, shape.projection_sigma_mm))
+        rows.append(_quantity("base_width", shape.name, shape.base_width_mm, shape.base_sigma_mm))
+    for sunk in dimensions.ptosis:
+        rows.append(_quantity("nipple_below_fold", sunk.name, sunk.nipple_below_fold_mm, sunk.sigma_mm))
+    return rows
+
+
+def length_words(value: Length | None, sign: str = "") -> str:
+    """A length in mm with its interval: "212.3 ± 4.1", a difference with its sign: "+4.2 ± 5.8"."""
+    if value is None:
+        return "–"
+    half = "" if value.half_mm is None else f" ± {value.half_mm:.1f}"
+    return f"{value.value_mm:{sign}.1f}{half}".replace("-", "−")
+
+
+def _quantity(code: str, side: str, value: float, sigma: float | None) -> dict[str, Any]:
+    return {"code": code, "side": side, "value": value, "sigma": sigma}
 
 
 def _length(row: Mapping[str, Any]) -> Length:
