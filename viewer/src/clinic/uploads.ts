@@ -64,6 +64,8 @@ class Photographs {
   private refused: string[] = [];
   private working = 0;
   private total = 0;
+  /** The pose was chosen by hand, and nothing was added since. */
+  private typed = false;
   private sent = 0;
 
   constructor(private readonly root: HTMLElement) {
@@ -85,6 +87,7 @@ class Photographs {
         if (event.dataTransfer !== null) void ofDrop(event.dataTransfer).then((gathered) => this.add(gathered, null));
       });
     }
+    this.poseInput?.addEventListener("input", () => (this.typed = true));
     this.root.addEventListener("change", (event) => {
       const target = event.target as HTMLElement;
       if (target instanceof HTMLInputElement && target.type === "file") {
@@ -119,6 +122,7 @@ class Photographs {
     if (this.working === 0) [this.refused, this.total, this.sent] = [[], 0, 0];
     this.refused.push(...refused);
     const current = this.poseInput?.value ?? null;
+    this.typed = false;
     const several = new Set(files.map(({ folders }) => folders.join("/"))).size > 1;
     for (const one of files) {
       const folder = current === null ? undefined : poseOf(one, several);
@@ -175,7 +179,7 @@ class Photographs {
     const listed = names.length > 4 ? `${names.slice(0, 3).join(", ")} and ${names.length - 3} more` : names.join(", ");
     const next = this.nextPose();
     const another = this.poseInput !== null && occupied.every(({ ofFolder }) => !ofFolder);
-    const choices = { replace: "Replace them", ...(another ? { next: `They are of pose ${next}` } : {}), leave: "Keep those that are there" };
+    const choices = { ...(another ? { next: `They are of pose ${next}` } : {}), leave: "Keep those that are there", replace: "Replace them" };
     const chosen = await choose(occupied.length === 1 ? "This photograph is there already" : "These photographs are there already", `There are other photographs in the places of ${listed}.`, choices);
     this.total -= occupied.length;
     this.sent -= occupied.length;
@@ -275,7 +279,7 @@ class Photographs {
       this.poses.set(pose, new Set(Object.entries(shots).flatMap(([camera, { state: now }]) => (now === "placed" ? [camera] : []))));
     const here = this.poses.get(this.poseInput.value);
     const whole = here !== undefined && cameras.every((camera) => here.has(camera));
-    if (whole && this.queue.length === 0 && document.activeElement !== this.poseInput) this.poseInput.value = this.nextPose();
+    if (whole && this.queue.length === 0 && !this.typed) this.poseInput.value = this.nextPose();
   }
 
   private place(name: string, camera: string | null, upload: Upload | null, cameras: string[] = []): HTMLElement {
@@ -324,7 +328,7 @@ function poseOf({ folders }: Dropped, several: boolean): string | undefined {
   return several || /^\d+$/.test(folder) ? folder : undefined;
 }
 
-/** A question with several answers; leaving it is the last one. */
+/** A question with several answers; empty where it was left. */
 function choose(heading: string, words: string, choices: Record<string, string>): Promise<string> {
   const dialog = document.createElement("dialog");
   dialog.className = "again";
@@ -344,7 +348,7 @@ function choose(heading: string, words: string, choices: Record<string, string>)
   return new Promise((done) =>
     dialog.addEventListener("close", () => {
       dialog.remove();
-      done(dialog.returnValue || Object.keys(choices).at(-1)!);
+      done(dialog.returnValue);
     }),
   );
 }
