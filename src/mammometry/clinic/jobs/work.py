@@ -260,7 +260,7 @@ def compare(tell: Tell, before: str, after: str, folder: str, digests: str, sett
         MammometryError: whatever stands in the way, in one sentence.
     """
     from mammometry.api.dated import measured_keys
-    from mammometry.api.dates import compare as compare_dates
+    from mammometry.api.dates import compare_visits
 
     chosen = Settings.from_toml(settings)
     tell("compare", 0.0)
@@ -272,8 +272,8 @@ def compare(tell: Tell, before: str, after: str, folder: str, digests: str, sett
                 expected="results of what is drawn and set now",
                 remedy="Measure that visit again. Both are then compared by themselves",
             )
-    compared = compare_dates(
-        before, after, chosen, out=Path(folder), from_clinic=True, progress=lambda share: tell("compare", share)
+    compared = compare_visits(
+        Path(before), Path(after), chosen, out=Path(folder), progress=lambda share: tell("compare", share)
     )
     return {"digest": _digest(compared.table), "of": digests, "table": _finite(compared.table)}
 
