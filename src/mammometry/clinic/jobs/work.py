@@ -267,8 +267,8 @@ def compare(tell: Tell, before: str, after: str, folder: str, digests: str, sett
     for which, session, digest in zip(("earlier", "later"), (before, after), digests.split(":"), strict=True):
         if _digest(measured_keys(session, chosen)) != digest:
             raise SessionError(
-                f"the {which} visit",
-                found="that it was measured with other settings, or that something was drawn since",
+                f"The {which} visit",
+                found="results of another version of the software, of other settings or of other drawings",
                 expected="results of what is drawn and set now",
                 remedy="Measure that visit again. Both are then compared by themselves",
             )
