@@ -43,7 +43,7 @@ _TITLES = {
     "visit-dicom": "DICOM of a visit",
     "visit-fhir": "FHIR of a visit",
     "visit-send": "Send to an archive",
-    "draw": "Boundary and landmarks",
+    "draw": "Boundaries and landmarks",
     "study-csv": "Study as CSV",
     "study-redcap": "Study for REDCap",
     "study-table": "Study, all numbers",
