@@ -59,8 +59,8 @@ def first_page(
     measured = [breast for breast in content.breasts if not breast.unmeasured]
     confirmation = _confirmation(measured, attributions, clinical, named=named)
     conclusions = known.conclusions
-    born = known.born and _birth_words(known.born, known.taken)
-    taken = known.taken and moment_words(known.taken)
+    born = None if known.born is None else _birth_words(known.born, known.taken)
+    taken = None if known.taken is None else moment_words(known.taken)
     made = content.created and f"measured {content.created}"
     return FirstPage(
         title=known.patient or content.identity.title,

@@ -16,6 +16,7 @@ from mammometry.clinic.config import ClinicConfig
 from mammometry.clinic.models import Consent, Drawing, Measurement, Patient, Person, Rig, Visit, Volume
 from mammometry.clinic.results import age
 from mammometry.clinic.roles import Role
+from mammometry.clinic.views import results as result_pages
 from mammometry.clinic.views.study import cohort, repeated
 from mammometry.report.rendering import RenderedReport
 
@@ -239,7 +240,7 @@ def test_a_report_is_sealed_off_and_its_scene_is_given(
     page = f'<html><script type="application/json" id="mm-scene">{scene}</script><script>let x = 1;</script></html>'
     (folder / "report.html").write_text(page)
     rendered = RenderedReport(html=page.encode(), pdf=b"", warnings=())
-    monkeypatch.setattr("mammometry.clinic.views.results.rendered_report", lambda visit: rendered)
+    monkeypatch.setattr(result_pages, "rendered_report", lambda _: rendered)
     answer = client.get(f"/visits/{visit.pk}/report/")
     policy = answer.headers["Content-Security-Policy"]
     assert "sandbox allow-scripts" in policy
