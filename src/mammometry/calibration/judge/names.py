@@ -149,8 +149,8 @@ def wrong_photographs(names: Names, pairs: Mapping[str, tuple[str, str]]) -> Ite
     if names.another_rig:
         yield WrongPhotographs(
             cameras=tuple(dict.fromkeys(name for pair in names.misfitting for name in pairs[pair])),
-            found="photographs that seem to be of another rig, or of this one before it was changed: most pairs do not fit "
-            "the calibration",
+            found="photographs that seem to be of another rig, or of this one before it was changed: most pairs do not "
+            "fit the calibration",
             remedy="Choose the photographs of this rig, or calibrate it again",
         )
         return
