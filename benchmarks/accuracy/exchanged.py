@@ -93,7 +93,7 @@ def read_capture(folder: Path) -> Capture:
 def judged(rig: Rig, features: Mapping[str, Keypoints], moved: Sequence[str] = (), foreign: str = "") -> str:
     """What comes of a capture in which photographs are exchanged, or one is foreign."""
     names = check_names(rig, features)
-    if (set(names.exchanged), set(names.foreign)) == (set(moved), {foreign} - {""}):
+    if (moved or foreign) and (set(names.exchanged), set(names.foreign)) == (set(moved), {foreign} - {""}):
         return "named"
     if not names.right:
         return "refused"
@@ -123,7 +123,8 @@ def cases(captures: Sequence[Capture]) -> Iterator[tuple[str, str, str]]:
                 for name in in_pairs:
                     yield capture.name, _KINDS[3], judged(rig, {**own, name: guest.features[name]}, foreign=name)
             elif alike and _sizes(rig) == _sizes(guest.rig):
-                yield capture.name, _KINDS[4], judged(rig, guest.features)
+                guests = check_names(rig, guest.features)
+                yield capture.name, _KINDS[4], "named" if guests.another_rig else judged(rig, guest.features)
 
 
 def _sizes(rig: Rig) -> set[tuple[int, int]]:

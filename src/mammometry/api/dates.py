@@ -307,8 +307,8 @@ def _one_protocol(jobs: list[Dated], progress: Progress) -> tuple[list[tuple[Vol
         }
         again = [each for each in own if each.name in both and each.name not in kept]
         measured = _measured_again(job, again, wall, back, part(progress, number / 2, (number + 1) / 2))
-        order = [str(each.name) for each in own]
-        volumes.append(tuple(sorted((*kept.values(), *measured), key=lambda each: order.index(each.name))))
+        order: list[str] = [boundary.name for boundary in own]
+        volumes.append(tuple(sorted((*kept.values(), *measured), key=lambda breast: order.index(breast.name))))
     return volumes, warnings
 
 

@@ -31,7 +31,10 @@ from mammometry.clinic.config import FILE, SETTINGS_FILE, ClinicConfig, new_clin
 if TYPE_CHECKING:
     from mammometry.clinic.models import Calibration, Rig, Visit
 
-_SCALE, _POSES = 0.12, 7  # pictures of 540 × 360, and just enough poses, the last of them for the check: for speed
+_SCALE, _POSES = (
+    0.12,
+    7,
+)  # pictures of 540 × 360, and just enough poses, the first, which all cameras see, for the check: for speed
 _RIG = "reference:front,left,right"
 _RIG_NAME = "Room 1"
 _RIG_FILE = "cameras/rig.toml"  # in the clinic's folder
@@ -245,7 +248,7 @@ def _calibrated(made: Path) -> Calibration:
     calibration = new_calibration(rig, None)
     calibration.taken_at = timezone.now() - datetime.timedelta(days=_CALIBRATED_DAYS)
     calibration.save()
-    for path in _shots(made)[:-1]:
+    for path in _shots(made)[1:]:
         for each in sorted(path.glob("*.jpg")):
             _send(calibration, each, pose=path.name)
     enqueue(calibration, None)
@@ -288,7 +291,7 @@ def _check(rig: Rig, made: Path) -> None:
 
     check = new_check(rig, None)
     assert check is not None
-    for path in sorted(_shots(made)[-1].glob("*.jpg")):
+    for path in sorted(_shots(made)[0].glob("*.jpg")):
         _send(check, path)
     enqueue(check, None)
 

@@ -15,6 +15,7 @@ from mammometry.report.anthropometry import comparison
 from mammometry.report.figures import previews
 from mammometry.report.figures.shading import front_frame
 from mammometry.report.figures.thinning import thinned_ranges
+from mammometry.report.first_page import first_page
 from mammometry.report.models import viewer_scene
 from mammometry.report.pictures import all_encoded
 from mammometry.report.scene import to_json
@@ -125,7 +126,7 @@ def address(tmp_path_factory: pytest.TempPathFactory) -> str:
         scene=to_json(viewer_scene(front_frame(rig), repaired, synthetic.textured(ball), measured)),
     )
     page = tmp_path_factory.mktemp("report") / "report.html"
-    page.write_text(html.render(page_content), encoding="utf-8")
+    page.write_text(html.render(page_content, first_page(page_content, {}, None, named=True)), encoding="utf-8")
     return page.as_uri()
 
 

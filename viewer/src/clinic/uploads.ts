@@ -1,5 +1,6 @@
 /** Photographs on their way to the clinic: in pieces, so that a cut line goes on where it was cut. */
 
+import { type Dropped, type Gathered, ofDrop, ofFiles } from "./dropped";
 import { post } from "./post";
 import { Refused, type Reply, request } from "./request";
 
@@ -31,6 +32,21 @@ interface State {
   together: Check[];
   ready: boolean;
   missing: string[];
+  /** Of a calibration: its cameras, and what is still needed. */
+  known?: string[];
+  needed?: string;
+}
+
+interface Waiting {
+  file: File;
+  camera: string | null;
+  pose: string | null;
+  /** As people know it: with its folders. */
+  title: string;
+  /** Its folder says which pose it is. */
+  ofFolder: boolean;
+  /** It may take the place of another. */
+  replace: boolean;
 }
 
 const PATIENCE_MS = [500, 1000, 2000, 4000, 8000, 15000];
@@ -41,13 +57,20 @@ export function takePhotographs(): void {
 }
 
 class Photographs {
-  private readonly queue: { file: File; camera: string | null; pose: string | null }[] = [];
+  private readonly queue: Waiting[] = [];
   private readonly said: HTMLElement;
+  private readonly poseInput: HTMLInputElement | null;
+  private occupied: Waiting[] = [];
+  private refused: string[] = [];
   private working = 0;
-  private failed = 0;
+  private total = 0;
+  /** The pose was chosen by hand, and nothing was added since. */
+  private typed = false;
+  private sent = 0;
 
   constructor(private readonly root: HTMLElement) {
     this.said = root.querySelector<HTMLElement>("[data-said]")!;
+    this.poseInput = root.querySelector<HTMLInputElement>("[data-pose]");
   }
 
   async start(): Promise<void> {
@@ -61,13 +84,14 @@ class Photographs {
       for (const kind of ["dragleave", "drop"]) drop.addEventListener(kind, () => drop.classList.remove("over"));
       drop.addEventListener("drop", (event) => {
         event.preventDefault();
-        this.add([...(event.dataTransfer?.files ?? [])], null);
+        if (event.dataTransfer !== null) void ofDrop(event.dataTransfer).then((gathered) => this.add(gathered, null));
       });
     }
+    this.poseInput?.addEventListener("input", () => (this.typed = true));
     this.root.addEventListener("change", (event) => {
       const target = event.target as HTMLElement;
       if (target instanceof HTMLInputElement && target.type === "file") {
-        this.add([...(target.files ?? [])], target.dataset.camera ?? null);
+        void ofFiles([...(target.files ?? [])]).then((gathered) => this.add(gathered, target.dataset.camera ?? null));
         target.value = "";
       } else if (target instanceof HTMLSelectElement && target.dataset.place !== undefined && target.value !== "")
         void this.act(() => request(`${target.dataset.place}place/`, { json: { camera: target.value } }));
@@ -94,45 +118,99 @@ class Photographs {
     }
   }
 
-  private add(files: File[], camera: string | null): void {
-    const pose = this.root.querySelector<HTMLInputElement>("[data-pose]")?.value ?? null;
-    for (const file of files) this.queue.push({ file, camera, pose });
-    this.say(files.length === 1 ? "Sending one photograph." : `Sending ${files.length} photographs.`);
+  private add({ files, refused }: Gathered, camera: string | null): void {
+    if (this.working === 0) [this.refused, this.total, this.sent] = [[], 0, 0];
+    this.refused.push(...refused);
+    const current = this.poseInput?.value ?? null;
+    this.typed = false;
+    const several = new Set(files.map(({ folders }) => folders.join("/"))).size > 1;
+    for (const one of files) {
+      const folder = current === null ? undefined : poseOf(one, several);
+      const title = [...one.folders, one.file.name].join("/");
+      // Who chooses another photograph of a camera wants it in the place of the first.
+      this.enqueue({ file: one.file, camera, pose: folder ?? current, title, ofFolder: folder !== undefined, replace: camera !== null });
+    }
+    if (files.length === 0) this.finish(refused.length > 0 ? "" : "There are no photographs in it.");
+  }
+
+  private enqueue(...waiting: Waiting[]): void {
+    this.queue.push(...waiting);
+    this.total += waiting.length;
     while (this.working < AT_ONCE && this.queue.length > 0) void this.work();
   }
 
   private async work(): Promise<void> {
     this.working += 1;
     for (let next = this.queue.shift(); next !== undefined; next = this.queue.shift()) {
+      this.say(this.total === 1 ? "Sending one photograph." : `Sending photograph ${this.sent + 1} of ${this.total}.`);
       try {
-        await this.send(next.file, next.camera, next.pose);
+        const upload = await this.send(next);
+        const wrong = upload.checks.find(({ level }) => level === "refuse");
+        if (upload.state === "refused") this.refused.push(`${next.title}: ${wrong?.sentence ?? "It cannot be used."}`);
       } catch (error) {
-        this.failed += 1;
-        this.say(error instanceof Refused ? `${next.file.name}: ${error.message}` : "The photograph could not be sent. Try again.");
+        if (error instanceof Refused && "occupied" in error.reply) this.occupied.push(next);
+        else this.refused.push(`${next.title}: ${error instanceof Refused ? error.message : "It could not be sent. Try again."}`);
       }
+      this.sent += 1;
       await this.refresh().catch(() => undefined);
     }
     this.working -= 1;
     if (this.working > 0) return;
-    if (this.failed === 0 && this.root.dataset.ready === "true") this.say("All photographs are here.");
-    this.failed = 0;
+    const occupied = this.occupied.splice(0);
+    if (occupied.length > 0) await this.ask(occupied);
+    if (this.working === 0) this.finish();
   }
 
-  private async send(file: File, camera: string | null, pose: string | null): Promise<void> {
+  /** Say how it went; what was refused is named. */
+  private finish(words?: string): void {
+    const arrived = this.total - this.refused.length;
+    const good = arrived === 1 ? "One photograph has arrived." : `${arrived} photographs have arrived.`;
+    const ready = this.root.dataset.ready === "true" && this.refused.length === 0;
+    this.say(words ?? (ready && this.poseInput === null ? "All photographs are here." : arrived > 0 ? good : ""));
+    const list = this.root.querySelector<HTMLElement>("[data-refused]");
+    list?.replaceChildren(...this.refused.map((sentence) => made("li", "", sentence)));
+    if (list) list.parentElement!.hidden = this.refused.length === 0;
+    this.show("", 1);
+  }
+
+  /** Ask what to do with photographs whose places are taken. */
+  private async ask(occupied: Waiting[]): Promise<void> {
+    const names = occupied.map(({ title }) => title);
+    const listed = names.length > 4 ? `${names.slice(0, 3).join(", ")} and ${names.length - 3} more` : names.join(", ");
+    const next = this.nextPose();
+    const another = this.poseInput !== null && occupied.every(({ ofFolder }) => !ofFolder);
+    const choices = { ...(another ? { next: `They are of pose ${next}` } : {}), leave: "Keep those that are there", replace: "Replace them" };
+    const chosen = await choose(occupied.length === 1 ? "This photograph is there already" : "These photographs are there already", `There are other photographs in the places of ${listed}.`, choices);
+    this.total -= occupied.length;
+    this.sent -= occupied.length;
+    if (chosen === "replace") this.enqueue(...occupied.map((one) => ({ ...one, replace: true })));
+    else if (chosen === "next") {
+      this.poseInput!.value = next;
+      this.enqueue(...occupied.map((one) => ({ ...one, pose: next })));
+    }
+  }
+
+  /** The first number after all poses that are there. */
+  private nextPose(): string {
+    const numbers = [...this.poses.keys()].filter((pose) => /^\d+$/.test(pose)).map(Number);
+    return String(Math.max(0, ...numbers) + 1).padStart(2, "0");
+  }
+
+  private async send({ file, camera, pose, title: name, replace }: Waiting): Promise<Upload> {
     const { for: target, id } = this.root.dataset;
     const sha256 = await digest(file);
-    const begin = { for: target, id, name: file.name, camera, size_bytes: file.size, sha256, ...(pose === null ? {} : { pose }) };
+    const begin = { for: target, id, name: file.name, camera, replace, size_bytes: file.size, sha256, ...(pose === null ? {} : { pose }) };
     let upload = await this.patiently(() => request<Upload>("/uploads/", { json: begin }));
     while (upload.state === "receiving" && upload.offset < upload.size_bytes) {
       const { offset, url, chunk_bytes } = upload;
-      this.show(file.name, offset / file.size);
+      this.show(name, (this.sent + offset / file.size) / this.total);
       upload = await this.patiently(async (again) => {
         if (again) return request<Upload>(url);
         const headers = { "Upload-Offset": String(offset), "Content-Type": "application/offset+octet-stream" };
         return request<Upload>(url, { method: "PATCH", headers, body: file.slice(offset, offset + chunk_bytes) });
       });
     }
-    this.show(file.name, 1);
+    return upload;
   }
 
   /** Try until the line is there again; what the server refuses is not tried twice. */
@@ -162,7 +240,8 @@ class Photographs {
   private async refresh(): Promise<void> {
     const state = await request<State>(this.root.dataset.uploads!);
     const list = this.root.querySelector<HTMLElement>("[data-places]")!;
-    const cameras = (state.cameras ?? []).map(({ camera }) => camera);
+    const cameras = state.known ?? (state.cameras ?? []).map(({ camera }) => camera);
+    this.advance(state, cameras);
     const places = state.cameras?.map(({ camera, upload }) => this.place(camera, camera, upload)) ?? [];
     for (const [pose, shots] of Object.entries(state.poses ?? {}))
       for (const [camera, upload] of Object.entries(shots)) places.push(this.place(`Pose ${pose}, ${camera}`, null, upload));
@@ -184,8 +263,23 @@ class Photographs {
     const go = this.root.querySelector<HTMLButtonElement>("[data-go]");
     if (go !== null) go.disabled = !state.ready;
     const missing = this.root.querySelector<HTMLElement>("[data-missing]");
-    if (missing !== null)
-      missing.textContent = state.ready ? "Everything is here." : state.missing.length > 0 ? `Still missing: ${state.missing.map(title).join(", ")}.` : "";
+    if (missing !== null) {
+      const lacking = state.missing.length > 0 ? `Still missing: ${state.missing.map(title).join(", ")}.` : "";
+      missing.textContent = state.ready ? (state.missing.length > 0 ? lacking : "Everything is here.") : [lacking, state.needed ?? ""].join(" ").trim();
+    }
+  }
+
+  private readonly poses = new Map<string, Set<string>>();
+
+  /** Go on to the next pose as soon as every camera has photographed this one. */
+  private advance(state: State, cameras: string[]): void {
+    if (this.poseInput === null) return;
+    this.poses.clear();
+    for (const [pose, shots] of Object.entries(state.poses ?? {}))
+      this.poses.set(pose, new Set(Object.entries(shots).flatMap(([camera, { state: now }]) => (now === "placed" ? [camera] : []))));
+    const here = this.poses.get(this.poseInput.value);
+    const whole = here !== undefined && cameras.every((camera) => here.has(camera));
+    if (whole && this.queue.length === 0 && !this.typed) this.poseInput.value = this.nextPose();
   }
 
   private place(name: string, camera: string | null, upload: Upload | null, cameras: string[] = []): HTMLElement {
@@ -217,7 +311,7 @@ class Photographs {
   private show(name: string, fraction: number): void {
     const bar = this.root.querySelector<HTMLProgressElement>("[data-sent]");
     if (bar === null) return;
-    bar.hidden = fraction >= 1 && this.queue.length === 0;
+    bar.hidden = this.working === 0;
     bar.value = fraction;
     bar.setAttribute("aria-label", `${name} on its way`);
   }
@@ -225,6 +319,38 @@ class Photographs {
   private say(text: string): void {
     this.said.textContent = text;
   }
+}
+
+/** Pose that a photograph's folder names, where several folders came or the folder is a number. */
+function poseOf({ folders }: Dropped, several: boolean): string | undefined {
+  const folder = folders.at(-1);
+  if (folder === undefined || !/^[A-Za-z0-9][A-Za-z0-9_-]{0,31}$/.test(folder)) return undefined;
+  return several || /^\d+$/.test(folder) ? folder : undefined;
+}
+
+/** A question with several answers; empty where it was left. */
+function choose(heading: string, words: string, choices: Record<string, string>): Promise<string> {
+  const dialog = document.createElement("dialog");
+  dialog.className = "again";
+  const head = made("h2", "", heading);
+  head.id = "choose-title";
+  dialog.setAttribute("aria-labelledby", head.id);
+  const acts = made("div", "acts");
+  for (const [value, text] of Object.entries(choices)) {
+    const button = made("button", "button", text) as HTMLButtonElement;
+    button.type = "button";
+    button.addEventListener("click", () => dialog.close(value));
+    acts.append(button);
+  }
+  dialog.append(head, made("p", "", words), acts);
+  document.body.append(dialog);
+  dialog.showModal();
+  return new Promise((done) =>
+    dialog.addEventListener("close", () => {
+      dialog.remove();
+      done(dialog.returnValue);
+    }),
+  );
 }
 
 function title(camera: string): string {

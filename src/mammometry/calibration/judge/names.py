@@ -32,6 +32,7 @@ _MANY = 30  # matches of photographs that show the same; others have 5 to 24 by 
 _RICH = 200  # features of a photograph, from which a sixteenth and more is found again in its partner, likewise
 _BY_CHANCE = 5  # fitting matches; photographs of different things have none to two, likewise
 _WIDER = 1.3  # times the angle at which other pairs share features, up to which a pair must, too
+_ASTRAY_MM = 3.0  # offset from the lines that no touch of a camera explains; what moved less is put right later
 _STILL_MM = 1.0  # offset from the epipolar lines at the subject: a calibrated rig's are below 0.1 mm
 """A pair's own two photographs exchanged fit by 0 to 0.9, the more the better both cameras mirror one another, and are
 then 2 to 20 mm off."""
@@ -108,8 +109,8 @@ class Names:
 
     @property
     def another_rig(self) -> bool:
-        """Whether no pair's photographs fit."""
-        return len(self.misfitting) == len(self.pairs) > 1
+        """Whether most pairs' photographs do not fit."""
+        return len(self.misfitting) > max(1, len(self.pairs) / 2)
 
     @property
     def right(self) -> bool:
@@ -148,8 +149,8 @@ def wrong_photographs(names: Names, pairs: Mapping[str, tuple[str, str]]) -> Ite
     if names.another_rig:
         yield WrongPhotographs(
             cameras=tuple(dict.fromkeys(name for pair in names.misfitting for name in pairs[pair])),
-            found="photographs that seem to be of another rig, or of this one before it was changed: no pair fits the "
-            "calibration",
+            found="photographs that seem to be of another rig, or of this one before it was changed: most pairs do not "
+            "fit the calibration",
             remedy="Choose the photographs of this rig, or calibrate it again",
         )
         return
@@ -203,7 +204,11 @@ def check_names(rig: Rig, seen: Mapping[str, Keypoints]) -> Names:
         exchanged = _best_exchange(suspects, own, agreement) or _best_exchange(pairs, own, agreement)
     unsolved = {pair: both for pair, both in suspects.items() if not set(both) & set(exchanged)}
     poor = {pair: both for pair, both in unsolved.items() if own[pair].fitting < _FOREIGN}
-    misfitting = tuple(pair for pair in poor if own[pair].matches >= _MANY)
+    misfitting = tuple(
+        pair
+        for pair in unsolved
+        if own[pair].matches >= _MANY and (pair in poor or abs(own[pair].offset_mm) > _ASTRAY_MM)
+    )
     rich = {name for name, features in seen.items() if len(features.uv) >= _RICH}
     reach = max((_angle_deg(rig, pairs[pair]) for pair in _plain(own, pairs, rich)), default=0.0)
     unrelated = {

@@ -11,7 +11,8 @@ from __future__ import annotations
 
 import re
 import threading
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 from uuid import UUID
@@ -21,21 +22,20 @@ from django.db.models import QuerySet
 from django.utils import timezone
 from filelock import FileLock, Timeout
 
-from mammometry.base.errors import ImageError, MammometryError
-from mammometry.base.limits import LimitSettings
-from mammometry.capture.checks import cameras, pixels
-from mammometry.capture.checks.cameras import KnownCamera
-from mammometry.capture.checks.content import not_only_a_photograph
+from mammometry.base.errors import MammometryError
+from mammometry.calibration.adjust.initialise import least_views
+from mammometry.calibration.targets.table import target_from_table
+from mammometry.capture.checks import cameras
 from mammometry.capture.checks.found import Found, refuses
 from mammometry.capture.sessions import cameras_of, make_session, manifest_text
+from mammometry.clinic.intake import names
+from mammometry.clinic.intake.look import Target, known_cameras, look
 from mammometry.clinic.intake.set_aside import clear_place, put_back, set_aside
-from mammometry.clinic.intake.thumbnail import thumbnail_path, write_thumbnail
+from mammometry.clinic.intake.thumbnail import thumbnail_path
 from mammometry.clinic.jobs import queue
 from mammometry.clinic.models import Calibration, DailyCheck, Job, Person, Rig, Upload, Visit
 from mammometry.clinic.site import the_clinic
 from mammometry.io.durable import sync_folder
-from mammometry.io.exposure import read_exposure
-from mammometry.io.images import read_header, read_photograph
 from mammometry.io.write import disk_errors, file_digest
 
 CHUNK_BYTES = 4 << 20
@@ -45,7 +45,6 @@ _SHA256 = re.compile(r"[0-9a-f]{64}")
 _ENDINGS = {b"\xff\xd8\xff": ".jpg", b"\x89PNG": ".png", b"II*\x00": ".tif", b"MM\x00*": ".tif"}
 _LOCK_S = 5.0  # that one piece waits for another of the same photograph
 _DECODED_AT_ONCE = threading.BoundedSemaphore(2)  # a photograph of 250 megapixels takes 750 MB as it is looked at
-Target = Visit | Calibration | DailyCheck
 
 
 class UploadError(MammometryError):
@@ -63,8 +62,20 @@ class UploadError(MammometryError):
         self.status = status
 
 
+class OccupiedError(UploadError):
+    """Another photograph has the place, and nobody said that it may be replaced."""
+
+
 def begin(
-    target: Target, by: Person | None, *, name: str, camera: str | None, pose: str, size_bytes: int, sha256: str
+    target: Target,
+    by: Person | None,
+    *,
+    name: str,
+    camera: str | None,
+    pose: str,
+    size_bytes: int,
+    sha256: str,
+    replace: bool = False,
 ) -> Upload:
     """Begin an upload, or find the one that was cut.
 
@@ -76,8 +87,10 @@ def begin(
         pose: of a calibration's photograph.
         size_bytes: of the whole file.
         sha256: of the whole file, hexadecimal; empty: not known.
+        replace: a photograph that has the place already.
 
     Raises:
+        OccupiedError: another photograph has the place.
         UploadError: it is too large, for no camera of the rig, or for a visit that is being measured.
     """
     require_open(target)
@@ -97,6 +110,9 @@ def begin(
         same = _of(target).filter(name=place, sha256=sha256, size_bytes=size_bytes)
         if (earlier := same.exclude(state=Upload.State.REFUSED).first()) is not None:
             return earlier
+    if not replace and (camera or named) and _has_photograph(target, pose, camera or named or ""):
+        of_pose = f"Pose {pose}" if isinstance(target, Calibration) else "This"
+        raise OccupiedError(f"{of_pose} has another photograph of {camera or named} already.")
     checks = [Found(check="name", level="ok", sentence=f"The file is called {named}.").as_table()] if named else []
     with transaction.atomic():
         upload = Upload.objects.create(
@@ -112,6 +128,13 @@ def begin(
             target.state = Visit.State.UPLOADING
             target.save(update_fields=["state"])
     return upload
+
+
+def _has_photograph(target: Target, pose: str, camera: str) -> bool:
+    """Whether a camera's place is taken, or a photograph is on its way there."""
+    there = _of(target).filter(camera=camera, state__in=(Upload.State.PLACED, Upload.State.RECEIVING))
+    of_pose = pose if isinstance(target, Calibration) else ""
+    return any(_pose(each) == of_pose for each in there)
 
 
 def append(upload: Upload, offset: int, data: bytes) -> Upload:
@@ -292,7 +315,11 @@ def state_of(target: Target) -> dict[str, Any]:
             pose: {camera: table_of(each) for (of, camera), each in newest.items() if of == pose} for pose in poses
         }
         missing = [camera for camera in known if camera not in {name for _, name in placed}]
-        return {"poses": shown, "missing": missing, "ready": bool(known) and not missing, "together": [], **common}
+        needed = _poses_needed(target, known, placed)
+        return {
+            "poses": shown, "missing": missing, "needed": needed, "ready": bool(known) and not needed,
+            "together": [], "known": known, **common,
+        }  # fmt: skip
     missing = [camera for camera in known if ("", camera) not in placed]
     rows = [
         {"camera": camera, "upload": table_of(newest["", camera]) if ("", camera) in newest else None}
@@ -308,6 +335,18 @@ def state_of(target: Target) -> dict[str, Any]:
         "ready": ready,
         **common,
     }
+
+
+def _poses_needed(calibration: Calibration, known: Sequence[str], placed: Iterable[tuple[str, str]]) -> str:
+    """How many poses of the board are still needed, in a sentence. Empty: it can be calibrated."""
+    table = rig_of(calibration).definition.get("target")
+    least = least_views(target_from_table(table)) if table else 1
+    of_camera = Counter(camera for _, camera in placed)
+    lacking = max((least - of_camera[camera] for camera in known), default=least)
+    if lacking <= 0:
+        return ""
+    poses = "one more pose" if lacking == 1 else f"{lacking} more poses"
+    return f"Add {poses} of the board: each camera must see it {least} times at least; ten poses are better."
 
 
 # --- when a photograph is whole ---
@@ -327,10 +366,15 @@ def _finish(upload: Upload) -> None:
 def _judge_and_place(upload: Upload) -> None:
     target = target_of(upload)
     with _DECODED_AT_ONCE:
-        found, seen = _look(upload, target)
+        by_serial = not upload.camera
+        found, seen = look(upload, target)
     if refuses(found):
         _refuse(upload, found)
         return
+    if by_serial and upload.camera and _has_photograph(target, _pose(upload), upload.camera):
+        sentence = f"By its serial number {upload.camera} took it, which has another photograph. Choose the camera."
+        found.append(Found(check="camera", level="warn", sentence=sentence))
+        upload.camera = ""
     upload.checks = [{**each.as_table(), **seen} for each in found]
     upload.state = Upload.State.PLACED if upload.camera else Upload.State.CHECKED
     if not upload.camera:
@@ -364,51 +408,6 @@ def _clear_place(upload: Upload, target: Target, goal: Path) -> bool:
     return clear_place(same_pose, upload, folder_of(target), goal)
 
 
-def _look(upload: Upload, target: Target) -> tuple[list[Found], dict[str, Any]]:
-    """All checks of one photograph, and what is kept of its EXIF."""
-    other = not_only_a_photograph(upload.path)
-    if other is not None:
-        what = "no photograph" if other == "no photograph" else f"{other} as well as a photograph"
-        sentence = f"This file is {what}. Send the JPEG, PNG or TIFF as the camera wrote it."
-        return [Found(check="format", level="refuse", sentence=sentence)], {}
-    limits = LimitSettings(megapixels=float(the_clinic().limits.photograph_megapixels))
-    try:
-        header = read_header(upload.path, "The photograph", limits)
-        photograph = read_photograph(upload.path, "The photograph", limits)
-    except ImageError as error:
-        return [Found(check="format", level="refuse", sentence=str(error))], {}
-    except MemoryError:
-        return [Found(check="format", level="refuse", sentence="The photograph is too large for this machine.")], {}
-    exposure = read_exposure(upload.path)
-    known = known_cameras(target)
-    named = next((each.get("named") for each in upload.checks if each.get("named")), None)
-    if not upload.camera:
-        upload.camera = cameras.camera_of_serial(exposure.serial, known) or ""
-    megapixels = header.stored_wh[0] * header.stored_wh[1] / 1e6
-    found = [Found(check="format", level="ok", sentence=f"A photograph of {megapixels:.1f} megapixels.")]
-    if upload.camera:
-        found.append(cameras.right_camera(upload.camera, exposure, named, known))
-        found.append(cameras.right_size(upload.camera, header.stored_wh, header.orientation, known))
-    else:
-        sentence = "Neither the file's name nor its EXIF says which camera took it. Choose the camera."
-        found.append(Found(check="camera", level="unknown", sentence=sentence))
-    if isinstance(target, Visit):
-        found += pixels.judge(pixels.look(photograph), target.subject_kind)
-    write_thumbnail(photograph, thumbnail_path(upload))
-    return found, {"serial": exposure.serial, "taken_s": exposure.taken_s, "named": named}
-
-
-def known_cameras(target: Target) -> dict[str, KnownCamera]:
-    """What the calibration that a target belongs to knows of its cameras.
-
-    Nothing for a new calibration.
-    """
-    if isinstance(target, Calibration):
-        return {}
-    figures = target.calibration.figures if target.calibration is not None else {}
-    return {name: KnownCamera.from_table(table) for name, table in figures.get("cameras", {}).items()}
-
-
 def ready_folder(visit: Visit) -> None:
     """Make a visit's session folder, whose manifest names the patient by pseudonym.
 
@@ -429,7 +428,11 @@ def _together(target: Target, placed: Sequence[Upload]) -> list[Found]:
     taken = {camera: table["taken_s"] for camera, table in facts.items() if table.get("taken_s") is not None}
     known = known_cameras(target)
     clock_s = {camera: about.clock_s for camera, about in known.items() if about.clock_s is not None}
-    return [cameras.together(taken, clock_s), *cameras.twice({each.camera: each.sha256 for each in placed})]
+    found = [cameras.together(taken, clock_s), *cameras.twice({each.camera: each.sha256 for each in placed})]
+    if isinstance(target, Visit) and not refuses(found):
+        folder = folder_of(target)
+        found += names.check(target, tuple((each.camera, each.sha256, folder / each.name) for each in placed))
+    return found
 
 
 def _refuse(upload: Upload, found: Sequence[Found]) -> None:

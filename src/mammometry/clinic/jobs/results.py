@@ -135,8 +135,13 @@ def _checked(check: DailyCheck, figures: Mapping[str, Any]) -> None:
     verdict = str(figures.get("verdict"))
     # That nothing moved is said by the verdict; how well it is known comes after the colon.
     reasons = [str(each).removeprefix("no camera moved: ") for each in figures.get("reasons") or [""]]
-    check.verdict = f"{_VERDICTS.get(verdict, verdict)} {_sentence(reasons[0])}".strip()[:_LONGEST]
-    check.passed = verdict != "refuse"
+    unseen = [str(name) for name in figures.get("unseen") or ()]
+    words = f"{_VERDICTS.get(verdict, verdict)} {_sentence(reasons[0])}".strip()
+    if unseen:
+        which = f"Camera {unseen[0]}" if len(unseen) == 1 else f"Cameras {', '.join(unseen)}"
+        words = f"{which} saw no board: photograph it again, where every camera sees it. {words}"
+    check.verdict = words[:_LONGEST]
+    check.passed = verdict != "refuse" and not unseen
     check.save(update_fields=["figures", "verdict", "passed"])
 
 

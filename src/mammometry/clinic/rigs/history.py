@@ -16,6 +16,7 @@ from mammometry.clinic.rigs.today import Calibrated, Checked, Today, judge
 from mammometry.clinic.site import the_clinic
 from mammometry.io.drift import CameraDrift, Entry
 
+_OF_A_DAY = 20  # newest checks among which those of one day are
 _SHOWN = 60  # newest checks of the chart: two months of days
 
 
@@ -37,7 +38,19 @@ def today(rig: Rig) -> Today:
         reasons=tuple(figures.get("reasons", ())),
     )
     newest = rig.checks.filter(calibration=calibration).order_by("-taken_at").first()
-    checked = None if newest is None else Checked.of(timezone.localdate(newest.taken_at), newest.figures)
+    checked = None
+    if newest is not None:
+        on = timezone.localdate(newest.taken_at)
+        # A camera that missed the board in one photograph may have seen it in another of the same day.
+        others = rig.checks.filter(calibration=calibration).exclude(figures={}).exclude(pk=newest.pk)[:_OF_A_DAY]
+        seen = {
+            name
+            for each in others
+            if timezone.localdate(each.taken_at) == on and each.figures.get("verdict") != "refuse"
+            for name in each.figures.get("cameras", {})
+        }
+        unseen = [name for name in newest.figures.get("unseen", ()) if name not in seen]
+        checked = Checked.of(on, {**newest.figures, "unseen": unseen})
     return judge(day, known, checked)
 
 
@@ -121,7 +134,8 @@ def may_queue(target: Visit | Calibration | DailyCheck | Comparison, *, anyway: 
     if not state["ready"]:
         said = [each["sentence"] for each in state["together"] if each["level"] == "refuse"]
         missing = f"Photographs are missing: {', '.join(state['missing'])}." if state["missing"] else ""
-        return " ".join(filter(None, [missing, *said])) or "This rig has no cameras. Describe it first."
+        why = " ".join(filter(None, [missing, state.get("needed"), *said]))
+        return why or "This rig has no cameras. Describe it first."
     if isinstance(target, Visit) and not anyway:
         return " ".join(elsewhere(other, cameras) for other, cameras in same_photographs(target)) or None
     return None

@@ -45,15 +45,19 @@ def new(request: HttpRequest) -> HttpResponseBase:
     if not isinstance(size, int) or isinstance(size, bool):
         raise Refused("size_bytes is no whole number.", 400)
     before = Upload.objects.count()
-    upload = uploads.begin(
-        target,
-        request.user,  # type: ignore[arg-type]  # logged in
-        name=text_of(table, "name", most=400),
-        camera=text_of(table, "camera") or None,
-        pose=text_of(table, "pose"),
-        size_bytes=size,
-        sha256=text_of(table, "sha256"),
-    )
+    try:
+        upload = uploads.begin(
+            target,
+            request.user,  # type: ignore[arg-type]  # logged in
+            name=text_of(table, "name", most=400),
+            camera=text_of(table, "camera") or None,
+            pose=text_of(table, "pose"),
+            size_bytes=size,
+            sha256=text_of(table, "sha256"),
+            replace=table.get("replace") is True,
+        )
+    except uploads.OccupiedError as error:
+        return JsonResponse({"error": str(error), "occupied": True}, status=error.status)
     return JsonResponse(as_json(uploads.table_of(upload)), status=201 if Upload.objects.count() > before else 200)
 
 
