@@ -106,7 +106,7 @@ def test_the_same_photograph_sent_again_changes_nothing(sender: Sender, rig_visi
     sender.send(photograph(1))
     sender.send(photograph(2), name="front_right.jpg")
     measured(rig_visit)
-    sender.send(photograph(1))
+    sender.send(photograph(1), replace=True)
     rig_visit.refresh_from_db()
     assert not (rig_visit.folder / "set-aside").exists()
     assert rig_visit.uploads.count() == 2
