@@ -85,7 +85,7 @@ def test_a_new_photograph_sets_the_old_one_aside(sender: Sender, rig_visit: Visi
     sender.send(first)
     sender.send(photograph(2), name="front_right.jpg")
     measured(rig_visit)
-    sender.send(second)
+    sender.send(second, replace=True)
     rig_visit.refresh_from_db()
     assert rig_visit.state == Visit.State.CHANGED
     (capture,) = (rig_visit.folder / "capture").glob("front_left.*")
