@@ -62,7 +62,6 @@ def compare(
     *,
     out: Path | None = None,
     privacy: Privacy | None = None,
-    from_clinic: bool = False,
     watches: tuple[Watch, Watch] = (unwatched, unwatched),
     progress: Progress = no_progress,
 ) -> Comparison:
@@ -76,35 +75,81 @@ def compare(
         settings: of all stages, for both; None for the recommended ones.
         out: folder to write; None: ``results/compare/<earlier session>`` in the later one.
         privacy: what to leave out of the page; None: nothing.
-        from_clinic: whether a clinic's database knows that both are one patient's, in this order, and who confirmed
-            which boundary. The manifests are then not asked, and the page says nothing of confirmations.
         watches: called for every product that is made, for each session.
         progress: called with the fraction of the comparison itself.
 
     Raises:
         SessionError: a session is missing or not as documented, both are the same, one is not of a torso, or they
             tell two different subjects.
-        MeasureError: other breasts at one date than at the other, or trunks that are not one body's.
+        MeasureError: no breast has a volume at both dates, or the trunks are not one body's.
         StorageError: the page cannot be written, or somebody else's file is in its way.
     """
-    from mammometry.report import change_page
     from mammometry.report.privacy import Privacy
 
-    privacy = privacy or Privacy()
     settings = settings or Settings()
     jobs = [open_dated(path, settings, watch) for path, watch in zip((before, after), watches, strict=True)]
     _check(jobs)
-    subject = None if from_clinic else _one_subject(jobs)
+    subject = _one_subject(jobs)
     remarks = []
     dates = [job.date for job in jobs]
-    if not from_clinic:
-        if dates[0] is not None and dates[1] is not None and dates[0] > dates[1]:
-            jobs.reverse()
-            dates.reverse()
-            remarks.append("The sessions were named in the other order. The dates in their manifests were used.")
-        if None in dates:
-            remarks.append("A session has no date. The session named first was taken as the earlier one.")
-    folder = out or jobs[1].results / FOLDER / _folder_name(jobs[0], privacy)
+    if dates[0] is not None and dates[1] is not None and dates[0] > dates[1]:
+        jobs.reverse()
+        remarks.append("The sessions were named in the other order. The dates in their manifests were used.")
+    if None in dates:
+        remarks.append("A session has no date. The session named first was taken as the earlier one.")
+    request = _Request(settings=settings, subject=subject, out=out, privacy=privacy or Privacy(), remarks=remarks)
+    return _compare(jobs, request, progress)
+
+
+@one_blas_thread()
+def compare_visits(
+    before: Path, after: Path, settings: Settings, *, out: Path, progress: Progress = no_progress
+) -> Comparison:
+    """Compare two measured visits of a clinic.
+
+    Its database knows that both are one patient's, in this order, and who confirmed which boundary: the manifests are
+    not asked, and the page says nothing of confirmations.
+
+    Args:
+        before: folder of the earlier visit.
+        after: folder of the later visit.
+        settings: of all stages, with which both were measured.
+        out: folder to write.
+        progress: called with the fraction of the comparison.
+
+    Raises:
+        MammometryError: as `compare`.
+    """
+    from mammometry.report.privacy import Privacy
+
+    jobs = [open_dated(path, settings, unwatched) for path in (before, after)]
+    _check(jobs)
+    return _compare(jobs, _Request(settings=settings, out=out, privacy=Privacy(), in_clinic=True), progress)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Request:
+    """How two dates are compared."""
+
+    settings: Settings
+    out: Path | None
+    privacy: Privacy
+    subject: str | None = None
+    """Identifier that both sessions tell."""
+    remarks: Sequence[str] = ()
+    """On how the dates were put in order."""
+    in_clinic: bool = False
+    """Whether somebody else says which boundaries are confirmed."""
+
+
+def _compare(jobs: list[Dated], request: _Request, progress: Progress) -> Comparison:
+    """Compare two dates, the earlier one first."""
+    from mammometry.report import change_page
+
+    settings, privacy = request.settings, request.privacy
+    remarks = list(request.remarks)
+    dates = [job.date for job in jobs]
+    folder = request.out or jobs[1].results / FOLDER / _folder_name(jobs[0], privacy)
     require_apart(folder, [path for job in jobs for path in job.brought])
     require_free(folder, change_page.FILES, command=_COMMAND)
     for which, job in zip(_WHICH, jobs, strict=True):
@@ -114,10 +159,10 @@ def compare(
         job.ensure()
     measured, warnings = _one_protocol(jobs, part(progress, 0.0, 0.4))
 
-    from mammometry.measure.dates.change import compare as compare_visits
+    from mammometry.measure.dates.change import compare as compare_measured
 
     visits = [_visit(job, volumes) for job, volumes in zip(jobs, measured, strict=True)]
-    change = compare_visits(
+    change = compare_measured(
         visits[0],
         visits[1],
         settings.compare,
@@ -125,14 +170,14 @@ def compare(
         common_scale=_common_scale(jobs),
         progress=part(progress, 0.4, 0.8),
     )
-    unconfirmed = [] if from_clinic else _unconfirmed(change)
+    unconfirmed = [] if request.in_clinic else _unconfirmed(change)
     at_one_date = _at_one_date(measured)
     alone = [
         f"The {name} breast has a volume at the {which} date only, and is not compared."
         for name, which in at_one_date.items()
     ]
     warnings = [*_warnings(change, settings), *alone, *unconfirmed, *warnings]
-    heading = _heading(jobs, dates, subject, privacy.deidentify)
+    heading = _heading(jobs, dates, request.subject, privacy.deidentify)
     report = replace(
         _report(jobs, heading, change, visits, warnings, remarks, privacy),
         at_one_date=at_one_date,
@@ -262,8 +307,8 @@ def _one_protocol(jobs: list[Dated], progress: Progress) -> tuple[list[tuple[Vol
         }
         again = [each for each in own if each.name in both and each.name not in kept]
         measured = _measured_again(job, again, wall, back, part(progress, number / 2, (number + 1) / 2))
-        names = [each.name for each in own]
-        volumes.append(tuple(sorted((*kept.values(), *measured), key=lambda each: names.index(each.name))))
+        order: list[str] = [boundary.name for boundary in own]
+        volumes.append(tuple(sorted((*kept.values(), *measured), key=lambda breast: order.index(breast.name))))
     return volumes, warnings
 
 

@@ -43,7 +43,7 @@ _TITLES = {
     "visit-dicom": "DICOM of a visit",
     "visit-fhir": "FHIR of a visit",
     "visit-send": "Send to an archive",
-    "draw": "Boundary and landmarks",
+    "draw": "Boundaries and landmarks",
     "study-csv": "Study as CSV",
     "study-redcap": "Study for REDCap",
     "study-table": "Study, all numbers",
@@ -130,7 +130,7 @@ class Entry:
 
     @property
     def changed(self) -> str:
-        """Names of the changed fields; of a new row, which has all of them, none."""
+        """Names of the changed fields, empty for a new row."""
         return (
             "" if self.title.endswith(_VERBS[LogEntry.Action.CREATE]) else ", ".join(name for name, _, _ in self.fields)
         )
@@ -259,7 +259,8 @@ def _field_changes(changes: Any) -> Iterator[tuple[str, str, str]]:
     """Field, value before and value after; changes of several related rows by their names."""
     for name, change in changes.items() if isinstance(changes, dict) else ():
         if isinstance(change, list) and len(change) == 2:
-            yield str(name), *("" if value in (None, "None") else str(value) for value in change)
+            before, after = ("" if value in (None, "None") else str(value) for value in change)
+            yield str(name), before, after
         elif isinstance(change, dict):
             yield (
                 str(name),

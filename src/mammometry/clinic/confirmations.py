@@ -47,7 +47,7 @@ def _has_unmeasured(visit: Visit) -> bool:
 
 
 def is_changed(visit: Visit) -> bool:
-    """Whether the newest drawing or photographs are not measured, so that the visit's numbers are of earlier ones."""
+    """Whether the visit's numbers are of an earlier drawing or earlier photographs."""
     return visit.state == Visit.State.CHANGED or (visit.state == Visit.State.QUEUED and _has_unmeasured(visit))
 
 

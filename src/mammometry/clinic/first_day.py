@@ -31,7 +31,7 @@ class Step:
 
 
 def steps() -> list[Step]:
-    """The steps; none when the clinic has its first patient and all before that is done."""
+    """Return the steps, or an empty list when all are done."""
     rig = Rig.objects.filter(active=True).order_by("created").first()
     calibrated = Calibration.objects.filter(current=True).exists()
     has_patient = Patient.objects.exists()
@@ -95,7 +95,7 @@ class FirstDay:
 
 
 def first_day_of(person: Person) -> FirstDay | None:
-    """The first day as this person sees it; None when it is over."""
+    """Return the first day as this person sees it, or None when it is over."""
     all_steps = steps()
     waiting = [step for step in all_steps if not step.done]
     if not waiting:

@@ -35,7 +35,7 @@ def is_before(visit: Visit, operation: Operation) -> bool:
 
 
 def phase_of(visit: Visit, operations: Sequence[Operation]) -> str:
-    """When a visit was, told by the operations: "after the second filling".
+    """Say when a visit was by the operations: "after the second filling".
 
     Empty where no operation is entered.
     """
@@ -70,7 +70,7 @@ def _short(operation: Operation) -> str:
 
 
 def sides_of(operations: Sequence[Operation], day: datetime.date) -> str:
-    """Sides of surgery until a day, in words: "left", "both sides"; empty: none is entered."""
+    """Sides of surgery until a day, in words. Empty if none is entered."""
     sides = {operation.side for operation in operations if operation.day <= day}
     if Operation.Side.BOTH in sides or {"left", "right"} <= sides:
         return "both sides"

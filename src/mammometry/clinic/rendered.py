@@ -1,4 +1,7 @@
-"""A visit's report with what the database knows of it. It is rendered when somebody asks for it, and not stored."""
+"""A visit's report with what the database knows of it.
+
+It is rendered when somebody asks for it, and not stored.
+"""
 
 from __future__ import annotations
 

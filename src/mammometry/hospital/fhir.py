@@ -46,7 +46,8 @@ def bundle(exported: Exported, patient: Patient = Patient(), *, release: Release
     elif not patient.id:
         patient = Patient(id=exported.subject, name=patient.name, born=patient.born, sex=patient.sex)
     who = _patient(patient)
-    about = {"subject": {"reference": f"Patient/{who['id']}"}} | _moments(exported)
+    subject = {"reference": f"Patient/{who['id']}"}
+    about = {"subject": subject} | _moments(exported)
     seed = (exported.source, patient.id)
     observations = [_observation(each, exported, about, seed) for each in exported.quantities]
     observations += [_nothing(each, exported, about, seed) for each in exported.absent]
@@ -69,7 +70,7 @@ def bundle(exported: Exported, patient: Patient = Patient(), *, release: Release
         if signed is not None:
             report[field] = [{"display": signed.by}]
             signatures.append(_provenance(role, signed, f"DiagnosticReport/{report['id']}", seed))
-    operations = [_operation(each, about["subject"], seed, release) for each in exported.operations]
+    operations = [_operation(each, subject, seed, release) for each in exported.operations]
     made = {
         "resourceType": "Bundle",
         "id": identifier("bundle", *seed),

@@ -56,7 +56,7 @@ _MIN_POSES = 3  # of a board: fewer do not fix a camera's lens (Zhang 2000)
 _BROUGHT = (
     MANIFEST,
     *("calibration", "capture", "intrinsics", "cameras.json", "prior.json"),
-    *("masks", "boundaries.json", "landmarks.json", "wall.ply"),
+    *("masks", "boundaries.json", "landmarks.json", "wall.ply", "set-aside"),
 )
 
 

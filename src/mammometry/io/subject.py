@@ -59,7 +59,7 @@ def check_mesh(mesh: Path, files: Iterable[Path | None], folder: Path, subject: 
 
 
 def rename_subject(folder: Path, subject: str, taken: datetime.date) -> bool:
-    """Let a session's or scan's folder name another subject and day, and drop results that name the former.
+    """Let a session or scan name another subject and day, and drop results of the former.
 
     Nothing of the photographs, the mesh or the drawn points changes, so the same numbers are measured again.
 

@@ -20,7 +20,7 @@ _AT_ONCE = 4  # photographs in memory; at full size each has 40 MB
 
 
 def right_names(inputs: Inputs, cameras: Product[CameraSet]) -> Product[Names]:
-    """Plan to compare all photographs with the calibration; wrong ones are refused by name.
+    """Plan to compare all photographs with the calibration, which refuses wrong ones by name.
 
     Nothing of it is stored: a run that is refused leaves the results as they were.
     """

@@ -95,7 +95,7 @@ def side_title(name: str) -> str:
 def meanings(measurements: Sequence[VolumeMeasurement]) -> tuple[Meaning, ...]:
     """The volumes in every meaning of the breast."""
     found: dict[str, list[Fact]] = {}
-    walls = {}
+    walls: dict[str, str] = {}
     for measured in measurements:
         for defined in measured.definitions:
             words = Fact(label=side_title(measured.name), value=definition_words(defined))

@@ -59,11 +59,13 @@ def first_page(
     measured = [breast for breast in content.breasts if not breast.unmeasured]
     confirmation = _confirmation(measured, attributions, clinical, named=named)
     conclusions = known.conclusions
+    born = None if known.born is None else _birth_words(known.born, known.taken)
+    taken = None if known.taken is None else moment_words(known.taken)
+    made = content.created and f"measured {content.created}"
     return FirstPage(
         title=known.patient or content.identity.title,
-        who=_joined(known.born and _birth_words(known.born, known.taken), known.record and f"record {known.record}")
-        or content.identity.beside,
-        when=_joined(known.taken and moment_words(known.taken), known.occasion, known.posture) or content.created,
+        who=_joined(born, known.record and f"record {known.record}") or content.identity.beside,
+        when=_joined(taken, known.occasion, known.posture) or made,
         operations=known.operations,
         numbers=(*_volumes(content.breasts), *([content.difference] if content.difference else [])),
         cautions=_cautions(measured),
@@ -100,10 +102,13 @@ def _confirmation(
     *,
     named: bool,
 ) -> str:
-    if not measured:
+    signed = None if clinical is None else clinical.confirmed
+    if signed is not None and measured:
+        return f"confirmed by {signature(signed)}"
+    if all(breast.name == "model" for breast in measured):  # its base needs nobody's eye
         return ""
     if clinical is not None:
-        return f"confirmed by {signature(clinical.confirmed)}" if clinical.confirmed else NOT_CONFIRMED
+        return NOT_CONFIRMED
     words = {}
     for breast in measured:
         seen = attributions.get(breast.name, Attribution()).confirmation

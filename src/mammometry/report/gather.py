@@ -26,7 +26,7 @@ from mammometry.report.anthropometry import (
 from mammometry.report.content import ReportContent
 from mammometry.report.figures.previews import draw_stage
 from mammometry.report.figures.shading import front_of
-from mammometry.report.models import viewer_scene
+from mammometry.report.models import viewer_scene, with_lengths
 from mammometry.report.page_inputs import PageInputs
 from mammometry.report.pictures import all_encoded
 from mammometry.report.privacy import Privacy, guard, without_photographs
@@ -164,7 +164,7 @@ def whole_scene(plan: Plan) -> ViewerScene:
 def _scene(plan: Plan, measurements: tuple[VolumeMeasurement, ...], textured: TexturedMesh) -> ViewerScene:
     finished = plan.surfaced.mesh()
     body = None if plan.measured.body is None else plan.measured.body()
-    return viewer_scene(
+    scene = viewer_scene(
         front_of(plan.calibrated.cameras().rig, body),
         finished.repaired,
         textured,
@@ -172,8 +172,9 @@ def _scene(plan: Plan, measurements: tuple[VolumeMeasurement, ...], textured: Te
         symmetry=None if plan.measured.symmetry is None else plan.measured.symmetry(),
         # Where colours are left out, so are the photographs themselves.
         atlas=plan.surfaced.model() if textured is finished.textured else None,
-        lengths=() if plan.measured.dimensions is None or not measurements else plan.measured.dimensions().lengths,
     )
+    sizes = None if plan.measured.dimensions is None or not measurements else plan.measured.dimensions()
+    return scene if sizes is None else with_lengths(scene, sizes.lengths)
 
 
 def _measurements(plan: Plan) -> tuple[VolumeMeasurement, ...]:

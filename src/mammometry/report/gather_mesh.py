@@ -25,7 +25,7 @@ from mammometry.report.figures import previews
 from mammometry.report.figures.shading import front_of
 from mammometry.report.figures.sides import NAMES
 from mammometry.report.figures.stage_results import MeasureResult
-from mammometry.report.models import viewer_scene
+from mammometry.report.models import viewer_scene, with_lengths
 from mammometry.report.page_inputs import PageInputs
 from mammometry.report.pictures import all_encoded
 from mammometry.report.scene import to_json
@@ -96,8 +96,8 @@ def gather_mesh(
         finished.textured,
         measurements,
         symmetry=sides,
-        lengths=() if sizes is None else sizes.lengths,
     )
+    scene = scene if sizes is None else with_lengths(scene, sizes.lengths)
     progress(0.9)
     return ReportContent(
         identity=page.identity,

@@ -8,7 +8,6 @@ from __future__ import annotations
 import io
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from PIL import Image
@@ -47,7 +46,6 @@ def viewer_scene(
     *,
     symmetry: Symmetry | None = None,
     atlas: Atlas | None = None,
-    lengths: Sequence[LinearMeasure] = (),
     triangles: int = TRIANGLES,
 ) -> ViewerScene:
     """Whole surface with boundaries and walls, and both breasts for comparison.
@@ -61,7 +59,6 @@ def viewer_scene(
         measurements: one a breast.
         symmetry: lays the mirrored right breast onto the left one; without it, it is mirrored as it lies.
         atlas: the same surface, thinned and covered with its photographs at full resolution.
-        lengths: between landmarks, world frame.
         triangles: of the whole surface at most; it is thinned for the viewer only.
     """
     centre = repaired.mesh.vertices.mean(axis=0)
@@ -77,7 +74,7 @@ def viewer_scene(
         measurements=measurements,
         atlas=atlas,
     )
-    whole = replace(_whole(surface, seen, triangles=triangles), **_measured_lengths(lengths, seen))
+    whole = _whole(surface, seen, triangles=triangles)
     models = [whole]
     sides = {measured.name: measured for measured in measurements}
     comparisons: tuple[tuple[str, str, str], ...] = ()
@@ -203,11 +200,14 @@ def _whole(
     )
 
 
-def _measured_lengths(lengths: Sequence[LinearMeasure], seen: Seen) -> dict[str, Any]:
-    """Lengths as lines with their values, and their ends as landmarks."""
+def with_lengths(scene: ViewerScene, lengths: Sequence[LinearMeasure]) -> ViewerScene:
+    """Draw lengths on the whole surface: lines with their values, and their ends as landmarks."""
+    whole, *others = scene.models
+    seen = scene.world_from_view.inverse().apply
     lines = tuple((_length_words(length), seen(np.array(length.ends_world))) for length in lengths)
     ends = {tuple(end.round(3)): end for _, both in lines for end in both}
-    return {"lengths": lines, "landmarks": tuple(("", end) for end in ends.values())}
+    marked = replace(whole, lengths=lines, landmarks=tuple(("", end) for end in ends.values()))
+    return replace(scene, models=(marked, *others))
 
 
 def _length_words(length: LinearMeasure) -> str:

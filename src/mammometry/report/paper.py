@@ -153,7 +153,7 @@ def table(data: Table, width: float, *, size: float = 6.5, first: float | None =
         [
             ("LINEBELOW", (0, 0), (-1, -1), 0.4, _LINE),
             ("VALIGN", (0, 0), (-1, -1), "TOP"),
-            *((f"{side}PADDING", (0, 0), (-1, -1), 1.2) for side in ("TOP", "BOTTOM", "LEFT", "RIGHT")),
+            *((f"{side}PADDING", (0, 0), (-1, -1), 0.18 * size) for side in ("TOP", "BOTTOM", "LEFT", "RIGHT")),
         ]
     )
     count = len(data.columns)
@@ -184,11 +184,11 @@ def line(width: float) -> Any:
     return HRFlowable(width=width, thickness=0.6, color=_LINE, spaceBefore=3, spaceAfter=4)
 
 
-def signature_line(width: float) -> Iterator[Any]:
-    """An empty line to write and sign on."""
+def signature_line(width: float, room: float) -> Iterator[Any]:
+    """An empty line to sign on, with so much room above it to write, points."""
     from reportlab.platypus import HRFlowable, Spacer
 
-    yield Spacer(0, 22)
+    yield Spacer(0, 22 + room)
     yield HRFlowable(width=width, thickness=0.6, color=FAINT, spaceBefore=0, spaceAfter=2)
     yield text("name, date, signature", size=7, colour=FAINT)
 

@@ -13,6 +13,7 @@ from typing import Any
 from mammometry.report import paper
 from mammometry.report.arrangement import breast_pictures, paper_pictures, whole_pictures
 from mammometry.report.content import Fact, LargeNumber, Picture, ReportContent
+from mammometry.report.figures.canvas import INK
 from mammometry.report.first_page import FirstPage, signature
 from mammometry.report.paper import ACCENT, FAINT, WARN, box, facts, fitted, pictures, side_by_side, table, text
 from mammometry.report.volume_words import MEANINGS_INTRODUCTION
@@ -25,6 +26,7 @@ _PICTURE_HEIGHTS = (150.0, 110.0)
 """Heights of the technical pictures, points. The document takes the largest that fits `_MOST_PAGES`."""
 _LEAST_PICTURES, _GAP = 200.0, 6.0  # height of the first page's pictures at least, and between them, points
 _VIEW_NAME = 12.0  # height of a view's name, points
+_WRITING = 80.0  # room to write a conclusion at most, points
 _LONGEST_CONCLUSION = 900  # characters that the first page has room for; a longer one follows on the second
 
 
@@ -50,12 +52,15 @@ def _for_the_surgeon(content: ReportContent, first: FirstPage, width: float, hei
     from reportlab.platypus import PageBreak, Spacer
 
     above, below = [*_heading(content, first, width)], [*_below(content, first, width)]
-    left = height - paper.height_of([*above, *below], width) - 2 * _GAP
-    yield from above
+    signing = [] if first.conclusion else [*paper.signature_line(width, 0.0)]
+    left = height - paper.height_of([*above, *below, *signing], width) - 3 * _GAP
+    middle: list[Any] = []
     if first.pictures:
-        yield Spacer(0, _GAP)
-        yield _views(first, width, max(left, _LEAST_PICTURES))
-    yield from below
+        middle = [Spacer(0, _GAP), _views(first, width, max(left, _LEAST_PICTURES)), Spacer(0, _GAP)]
+    yield from [*above, *middle, *below]
+    if first.conclusion is None:
+        room = left - paper.height_of(middle, width)
+        yield from paper.signature_line(width, min(max(room, 0.0), _WRITING))
     yield PageBreak()
 
 
@@ -106,12 +111,12 @@ def _view_name(picture: Picture) -> Any:
 
 def _below(content: ReportContent, first: FirstPage, width: float) -> Iterator[Any]:
     if content.lengths is not None:
-        yield table(content.lengths, width, size=8, first=0.34)
+        yield table(content.lengths, width, size=9, first=0.4)
         yield text(content.lengths_note, size=7.5, colour=FAINT)
     for sentence in first.change:
         yield text(sentence, size=8.5, before=3)
     if first.confirmation:
-        colour = paper.INK if first.is_confirmed else WARN
+        colour = INK if first.is_confirmed else WARN
         yield text(f"Boundaries: {first.confirmation}.", size=9, colour=colour, before=3)
     yield from _conclusion(first, width)
 
@@ -120,7 +125,6 @@ def _conclusion(first: FirstPage, width: float) -> Iterator[Any]:
     signed = first.conclusion
     yield text("Conclusion", size=9, colour=FAINT, before=4)
     if signed is None:
-        yield from paper.signature_line(width)
         return
     if len(signed.text) > _LONGEST_CONCLUSION:
         yield text(f"It is long and stands on the next page. Signed: {signature(signed)}.", size=9)

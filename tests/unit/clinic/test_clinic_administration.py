@@ -257,12 +257,14 @@ def test_a_rig_without_a_board_says_so(client_of: Callable[..., Client]) -> None
 @pytest.mark.parametrize(
     ("roles", "first"),
     [
-        ((Role.TECHNICIAN,), ["Today", "Patients", "Worklist", "Rigs", "Jobs", "Help"]),
-        ((Role.CLINICIAN, Role.TECHNICIAN), ["Today", "Patients", "Worklist", "Study", "Rigs", "Jobs", "Help"]),
-        ((Role.RESEARCHER,), ["Study", "Help"]),
-        ((Role.ADMINISTRATOR,), ["Administration", "Rigs", "Help"]),
+        ((Role.TECHNICIAN,), ["Today", "Patients", "Worklist", "Rigs", "Jobs"]),
+        ((Role.CLINICIAN, Role.TECHNICIAN), ["Today", "Patients", "Worklist", "Study", "Rigs", "Jobs"]),
+        ((Role.RESEARCHER,), ["Study"]),
+        ((Role.ADMINISTRATOR,), ["Administration", "Rigs"]),
     ],
 )
 def test_the_menu_is_the_roles(client_of: Callable[..., Client], roles: tuple[Role, ...], first: list[str]) -> None:
     answer = client_of(*roles).get(reverse("help"))
-    assert [place.title for place in answer.context["places"]] == first
+    titles = [place.title for place in answer.context["places"]]
+    assert titles[: len(first)] == first
+    assert titles[-1] == "Help"

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 from tests.clinic_browser import AXE, CHROMIUM_FLAGS, cookies, opened, require_accessible, require_fitting
+from tests.clinic_seed import PASSWORD
 from tests.clinic_server import served
 from tests.made_once import made_once
 
@@ -95,6 +96,14 @@ def test_a_technicians_day(opens: Opens, folder: Path) -> None:
     assert page.goto("/settings/").status == 403  # type: ignore[union-attr]
 
 
+def click_surface(page: Page, share: float) -> None:
+    """Click half-way down the picture, at a share of its width."""
+    page.wait_for_timeout(500)  # it is drawn anew
+    box = page.locator("#mm-editor canvas").bounding_box()
+    assert box is not None
+    page.mouse.click(box["x"] + share * box["width"], box["y"] + box["height"] / 2)
+
+
 def test_a_surgeons_day(opens: Opens) -> None:
     page = opens("clinician")
     page.goto("/patients/")
@@ -104,16 +113,31 @@ def test_a_surgeons_day(opens: Opens) -> None:
     address = page.url
     page.get_by_role("main").locator("tbody a").first.click()
     page.locator("#mm-viewer[data-ready]:not([data-ready='0'])").wait_for(timeout=120_000)
-    page.get_by_role("link", name="Boundary and landmarks").click()
-    page.locator(".mm-volumes b").first.wait_for(timeout=MEASURED_MS)
+    visit = page.url
+    volumes = page.locator("p.volume").all_inner_texts()[:2]
+    page.get_by_role("link", name="Confirm boundaries").click()
+    page.locator("#mm-editor[data-ready]").wait_for(timeout=MEASURED_MS)
     assert page.get_by_label("Your name").is_hidden()
-    for side in ("left boundary", "right boundary"):
-        page.get_by_role("combobox", name="Draw").select_option(label=side)
-        page.get_by_role("button", name="Confirm by eye").click()
-        expect(page.locator(".mm-origin")).to_contain_text("confirmed by eye by Clinician One", timeout=60_000)
-    page.go_back()
-    page.reload()
-    expect(page.get_by_text("✓ confirmed")).to_be_visible()
+    for title, volume in zip(("Left breast", "Right breast"), volumes, strict=True):
+        expect(page.locator(".mm-about h2")).to_have_text(title)
+        expect(page.locator(".mm-volume b")).to_have_text(volume)  # exactly the visit's number
+        page.get_by_role("button", name="Looks right").click()
+
+    # The session ends while a landmark is drawn: the password is asked for here, and the drawing is saved.
+    page.get_by_role("button", name="Left nipple").click()
+    click_surface(page, 0.6)
+    page.context.clear_cookies(name="clinic-session")
+    page.get_by_role("button", name="Save").click()
+    dialog = page.get_by_role("dialog", name="Log in again, clinician-1")
+    dialog.get_by_label("Password").fill(PASSWORD)
+    dialog.get_by_role("button", name="Log in").click()
+    expect(page.locator(".mm-readout")).to_contain_text("It is measured.", timeout=MEASURED_MS)
+    require_accessible(page)
+    page.get_by_role("button", name="Confirm and finish").click()
+    page.wait_for_url(lambda url: visit not in url, timeout=60_000)
+    page.goto(visit)
+    expect(page.get_by_text("✓ confirmed").first).to_be_visible()
+    page.get_by_text("History of drawing").click()
     expect(page.get_by_text("Boundary left: confirmed")).to_be_visible()
     expect(page.get_by_role("main").get_by_text("Clinician One, ").first).to_be_visible()
 
@@ -132,12 +156,11 @@ def test_two_people_at_once_on_one_visit(opens: Opens) -> None:
     visit = first.url
     for page, share in ((first, 0.6), (second, 0.62)):  # of the width: two opinions of one place
         page.goto(f"{visit}draw/")
-        page.locator(".mm-volumes b").first.wait_for(timeout=MEASURED_MS)
-        page.get_by_role("combobox", name="Draw").select_option(label="left nipple")
-        box = page.locator("#mm-editor canvas").bounding_box()
-        assert box is not None
-        page.mouse.click(box["x"] + share * box["width"], box["y"] + box["height"] / 2)
-        expect(page.get_by_role("button", name="Save")).to_have_attribute("data-dirty", "true")
+        page.locator("#mm-editor[data-ready]").wait_for(timeout=MEASURED_MS)
+        page.locator(".mm-steps").get_by_role("button", name="Landmarks").click()
+        page.get_by_role("button", name="Left nipple").click()
+        click_surface(page, share)
+        expect(page.get_by_role("button", name="Save")).to_be_visible()
     first.get_by_role("button", name="Save").click()
     expect(first.locator(".mm-readout")).to_contain_text("Saved", timeout=60_000)
     second.get_by_role("button", name="Save").click()

@@ -16,7 +16,9 @@ from mammometry.clinic.config import ClinicConfig
 from mammometry.clinic.models import Consent, Drawing, Measurement, Patient, Person, Rig, Visit, Volume
 from mammometry.clinic.results import age
 from mammometry.clinic.roles import Role
+from mammometry.clinic.views import results as result_pages
 from mammometry.clinic.views.study import cohort, repeated
+from mammometry.report.rendering import RenderedReport
 
 NOON = datetime.datetime(2026, 3, 1, 12, tzinfo=datetime.UTC)
 
@@ -226,7 +228,7 @@ def test_an_administrator_stays_one(client_of: Callable[..., Client], person_of:
 
 
 def test_a_report_is_sealed_off_and_its_scene_is_given(
-    client_of: Callable[..., Client], patient: Patient, rig: Rig
+    client_of: Callable[..., Client], patient: Patient, rig: Rig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     visit = measured(patient, rig, 0, {"left": (400, 5)})
     client = client_of(Role.CLINICIAN)
@@ -237,6 +239,8 @@ def test_a_report_is_sealed_off_and_its_scene_is_given(
     scene = json.dumps({"models": []})
     page = f'<html><script type="application/json" id="mm-scene">{scene}</script><script>let x = 1;</script></html>'
     (folder / "report.html").write_text(page)
+    rendered = RenderedReport(html=page.encode(), pdf=b"", warnings=())
+    monkeypatch.setattr(result_pages, "rendered_report", lambda _: rendered)
     answer = client.get(f"/visits/{visit.pk}/report/")
     policy = answer.headers["Content-Security-Policy"]
     assert "sandbox allow-scripts" in policy

@@ -3,16 +3,18 @@
 import numpy as np
 
 from mammometry.geometry.transform import Transform
+from mammometry.hospital.gather import _sizes
 from mammometry.measure.landmarks.landmarks import Landmark
 from mammometry.measure.shape.anthropometry import Dimensions
 from mammometry.measure.shape.lengths import LinearMeasure, Ptosis
 from mammometry.measure.shape.shape import BreastShape
 from mammometry.measure.shape.symmetry import Symmetry
-from mammometry.report.anthropometry import dimension_tables, symmetry_facts
+from mammometry.report.anthropometry import dimension_tables, planning_lengths, symmetry_facts
+from mammometry.report.lengths import quantities_of
 
 
-def test_tables_say_values_with_their_uncertainty_and_leave_out_what_is_not_there() -> None:
-    sizes = Dimensions(
+def sizes_of_the_left() -> Dimensions:
+    return Dimensions(
         frame=np.eye(3),
         shapes=(
             BreastShape(
@@ -34,6 +36,32 @@ def test_tables_say_values_with_their_uncertainty_and_leave_out_what_is_not_ther
             ),
         ),
     )  # fmt: skip
+
+
+def test_the_first_pages_lengths_are_the_exported_ones() -> None:
+    sizes = sizes_of_the_left()
+    exported = {(each.code, each.side): (each.value, each.sigma) for each in _sizes(sizes)}
+    shown = {(row["code"], row["side"]): (row["value"], row["sigma"]) for row in quantities_of(sizes)}
+    projection = {("projection", "left"): (41.26, 1.2)}  # exported with the volumes
+    assert shown == {key: value for key, value in (exported | projection).items() if key in shown}
+    assert len(shown) == 4
+    table, note = planning_lengths(sizes)
+    assert table is not None
+    assert tuple(tuple(cell.replace("\u00a0", " ") for cell in row) for row in table.rows) == (
+        ("Nipple to midline", "88.2 ± 4.0", "–", "–"),
+        ("Base width", "121.0 ± 8.2", "–", "–"),
+        ("Projection", "41.3 ± 2.4", "–", "–"),
+        ("Nipple below the fold (ptosis)", "−4.5 ± 5.9", "–", "–"),
+        ("Ptosis, grade after Regnault", "I or II", "–", ""),
+    )
+    assert note == (
+        "Not measured, since a landmark is not marked: sternal notch to nipple; nipple to fold, along the skin."
+    )
+    assert planning_lengths(None) == (None, "")
+
+
+def test_tables_say_values_with_their_uncertainty_and_leave_out_what_is_not_there() -> None:
+    sizes = sizes_of_the_left()
     tables = {table.title: table for table in dimension_tables(sizes)}
     assert tables["Lengths, ± standard uncertainty"].rows == (("left nipple to midline", "88.2 ± 2.0", "–"),)
     assert tables["Shape"].rows[0][1:] == ("121 × 133", "41.3", "150 ± 12", "100 ± 12")

@@ -1,6 +1,8 @@
 """What the report says: digits, warnings, sides; and that nothing is claimed that is not known."""
 
+import re
 from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -8,12 +10,12 @@ import synthetic
 
 from mammometry.calibration.judge.quality import assess
 from mammometry.measure.trunk.head import HEAD_NOT_SHOWN
-from mammometry.measure.volume.definitions import DefinedVolume
+from mammometry.measure.volume.definitions import DefinedVolume, Meaning
 from mammometry.report import describe
 from mammometry.report.anthropometry import comparison
 from mammometry.report.cautions import skin_shares
 from mammometry.report.figures.thinning import thinned_ranges
-from mammometry.report.volume_words import interval_words, volume_words
+from mammometry.report.volume_words import MEANINGS, interval_words, meaning_sentences, volume_words
 from mammometry.report.warnings import RunResults, run_cautions, run_concerns, warnings
 from mammometry.settings import Settings
 from mammometry.surface.occluders import Blocked
@@ -48,23 +50,31 @@ def test_the_interval_is_given_or_its_absence_said() -> None:
 
 def test_a_breast_in_words() -> None:
     section = describe.breast_report(synthetic.measurement("left", interval_cc=(440.0, 460.0)))
-    assert section.title == "Patient's left breast"
+    assert section.title == "Left breast"
     assert section.wall == "Plane: the plane through the boundary."
     assert section.boundary == "the equator"
     terms, walls = section.tables
     assert terms.rows[0][0] == "wall"
     assert "membrane" in [row[0] for row in walls.rows]
-    assert {fact.label: fact.value for fact in section.facts}["Chest wall"] == "plane"
     assert {fact.label: fact.value for fact in section.facts}["Projection"] == "60.0 mm"
 
 
 def test_every_meaning_of_the_breast_has_an_interval_of_its_own() -> None:
     measured = synthetic.measurement("left", interval_cc=(300.0, 600.0))
     meant = DefinedVolume(meaning="named wall", volume_cc=450.0, interval_cc=(420.0, 480.0), sentence="To compare by.")
-    section = describe.breast_report(replace(measured, definitions=(meant,)))
-    assert section.facts[0].label == "Before the named wall"
+    (meaning,) = describe.meanings([replace(measured, definitions=(meant,))])
+    assert meaning.title == "In front of one fixed surface, to compare visits"
+    assert "(plane)" in meaning.sentences
     # .97 × 450 g; √((.97 × 30)² + (1.96 × .04 × 450)²) = 45.7 g
-    assert section.facts[0].value == "450 ± 30 cc (± 7 %), 436 ± 46 g at 0.97 g/cc. To compare by."
+    (volume,) = meaning.volumes
+    assert (volume.label, volume.value) == ("Left breast", "450 ± 30 cc (± 7 %), 436 ± 46 g at 0.97 g/cc")
+
+
+def test_every_meaning_is_said_in_plain_words() -> None:
+    for name in get_args(Meaning):
+        words = f"{MEANINGS[name]} {meaning_sentences(name, 'plane')}"
+        assert not re.search(r"lies before|flat chest, whose|named wall|membrane", words), words
+        assert all(len(each) < 160 for each in words.split(". "))
 
 
 def test_what_changes_a_volumes_meaning_stands_beside_it(rig) -> None:

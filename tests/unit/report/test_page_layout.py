@@ -15,6 +15,7 @@ from mammometry.report.anthropometry import comparison
 from mammometry.report.figures import previews
 from mammometry.report.figures.shading import front_frame
 from mammometry.report.figures.thinning import thinned_ranges
+from mammometry.report.first_page import first_page
 from mammometry.report.models import viewer_scene
 from mammometry.report.pictures import all_encoded
 from mammometry.report.scene import to_json
@@ -125,7 +126,7 @@ def address(tmp_path_factory: pytest.TempPathFactory) -> str:
         scene=to_json(viewer_scene(front_frame(rig), repaired, synthetic.textured(ball), measured)),
     )
     page = tmp_path_factory.mktemp("report") / "report.html"
-    page.write_text(html.render(page_content), encoding="utf-8")
+    page.write_text(html.render(page_content, first_page(page_content, {}, None, named=True)), encoding="utf-8")
     return page.as_uri()
 
 
@@ -149,8 +150,9 @@ def opened(browser: Browser, address: str, width: int, scheme: str) -> Page:
 )
 def test_no_words_lie_on_others_and_nothing_runs_off(browser: Browser, address: str, width: int, scheme: str) -> None:
     page = opened(browser, address, width, scheme)
-    for closed in page.locator("details:not([open]) > summary").all():
-        closed.click()
+    closed = page.locator("details:not([open]) > summary")
+    while closed.count():
+        closed.first.click()
     assert page.evaluate(OVERLAPS) == []
     assert page.evaluate(BEYOND) == []
     assert page.evaluate("document.documentElement.scrollWidth") <= width

@@ -12,6 +12,7 @@ from PIL import Image
 from mammometry.base.identity import NAMELESS
 from mammometry.report import content, describe, html, pages, pdf
 from mammometry.report.figures.catalogue import PREVIEWS
+from mammometry.report.first_page import first_page
 from mammometry.report.privacy import Privacy, guard, without_photographs
 from mammometry.settings import Settings
 
@@ -99,10 +100,11 @@ def test_neither_page_nor_paper_tells_name_or_date() -> None:
         versions=describe.versions(),
         contains="no name",
     )
-    page = html.render(said)
+    first = first_page(said, {}, None, named=False)
+    page = html.render(said, first)
     assert "This page contains no name." in page
     dates = r"\b(19|20)\d\d-\d\d-\d\d\b"
     assert not re.search(dates, page)
-    document = pdf.render(said)
+    document = pdf.render(said, first)
     year = re.findall(rb"/CreationDate \(D:(\d{4})", document)
     assert year == [b"2000"]  # a constant, not the moment

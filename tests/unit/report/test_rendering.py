@@ -11,6 +11,7 @@ from mammometry.measure.boundary.confirming import TO_BE_CONFIRMED
 from mammometry.measure.volume.attribution import Attribution, Confirmation
 from mammometry.report.clinical import Clinical, Signed
 from mammometry.report.content import ReportContent
+from mammometry.report.first_page import first_page
 from mammometry.report.rendering import attributed_content, render
 from mammometry.report.stored_content import packed, unpacked
 
@@ -69,4 +70,22 @@ def test_a_clinics_confirmation_stands_for_all_boundaries_and_names_no_command()
     confirmed = attributed_content(content, {}, Clinical(confirmed=Signed(by="Dr. Eye", at=SEEN)), named=True)
     assert not any("confirmed" in each for each in confirmed.warnings)
     assert all(each.boundary.endswith("confirmed by eye by Dr. Eye on 2026-11-22.") for each in confirmed.breasts)
-    assert not any("Nobody has confirmed its boundary." in each.cautions for each in confirmed.breasts)
+
+
+def test_the_first_page_tells_whose_boundary_is_confirmed() -> None:
+    content = automatic()
+    seen = Confirmation(by="C. Eye", at="2026-11-22T10:00:00Z", curve=content.breasts[0].curve)
+    one = {"left": Attribution(confirmation=seen)}
+    both = {**one, "right": Attribution(confirmation=replace(seen, curve=content.breasts[1].curve))}
+
+    def words(attributions: dict[str, Attribution], clinical: Clinical | None = None, *, named: bool = True) -> str:
+        return first_page(content, attributions, clinical, named=named).confirmation
+
+    assert words({}) == words(both, Clinical()) == "not confirmed"
+    assert words(one) == "left breast confirmed by C. Eye, 2026-11-22; right breast not confirmed"
+    assert words(both) == "confirmed by C. Eye, 2026-11-22"
+    assert words(both, named=False) == "confirmed"
+    assert words({"left": Attribution(confirmation=replace(seen, curve="another"))}) == "not confirmed"
+    assert words({}, Clinical(confirmed=Signed(by="Dr. Eye", at=SEEN))) == (
+        "confirmed by Dr. Eye, 22 November 2026, 10:00"
+    )

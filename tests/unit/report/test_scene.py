@@ -14,7 +14,7 @@ from mammometry.geometry.transform import Transform
 from mammometry.measure.shape.lengths import LinearMeasure
 from mammometry.measure.shape.symmetry import Symmetry
 from mammometry.report.figures.shading import front_frame
-from mammometry.report.models import thinned, viewer_scene
+from mammometry.report.models import thinned, viewer_scene, with_lengths
 from mammometry.report.scene import Layer, Model, ViewerScene, to_json
 from mammometry.surface.repair import Provenance
 
@@ -150,10 +150,9 @@ def test_lengths_are_lines_between_their_landmarks_with_their_values() -> None:
         )  # fmt: skip
 
     ball = synthetic.ball(4)
-    scene = viewer_scene(
-        front_frame(synthetic.rig()), synthetic.repaired(ball), synthetic.textured(ball), [],
-        lengths=[length("N-N", 94.2), length("N-IMF left", 94.25), length("N-midline left", None)],
-    )  # fmt: skip
+    bare = viewer_scene(front_frame(synthetic.rig()), synthetic.repaired(ball), synthetic.textured(ball), [])
+    lengths = [length("N-N", 94.2), length("N-IMF left", 94.25), length("N-midline left", None)]
+    scene = with_lengths(bare, lengths)
     whole = json.loads(to_json(scene))["models"][0]
     assert [each["words"] for each in whole["lengths"]] == ["84.8 mm", "94.2 mm along the skin", "84.8 mm"]
     back = scene.world_from_view.apply(np.array(whole["lengths"][0]["ends"]))

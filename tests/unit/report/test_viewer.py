@@ -19,6 +19,7 @@ from mammometry.geometry.mesh import TriangleMesh
 from mammometry.measure.landmarks.geodesic import geodesic
 from mammometry.report import content, describe, html
 from mammometry.report.figures.shading import front_frame
+from mammometry.report.first_page import first_page
 from mammometry.report.models import viewer_scene
 from mammometry.report.scene import Model, to_json
 from mammometry.settings import Settings
@@ -70,7 +71,7 @@ def address(tmp_path_factory: pytest.TempPathFactory) -> str:
         scene=to_json(replace(scene, models=(*scene.models, other))),
     )
     page = tmp_path_factory.mktemp("report") / "report.html"
-    page.write_text(html.render(page_content), encoding="utf-8")
+    page.write_text(html.render(page_content, first_page(page_content, {}, None, named=True)), encoding="utf-8")
     return page.as_uri()
 
 

@@ -1,4 +1,4 @@
-"""The account's forms in the clinic's words. A wrong code of the second factor is entered into the audit."""
+"""The account's forms in the clinic's words."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def _write_labels(form: forms.Form, **labels: tuple[str, str]) -> None:
         field.widget.attrs.pop("placeholder", None)  # it would say the label again
 
 
-class LoginForm(account.LoginForm):  # type: ignore[misc]
+class LoginForm(account.LoginForm):
     """Name and password."""
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
@@ -32,7 +32,7 @@ class LoginForm(account.LoginForm):  # type: ignore[misc]
         _write_labels(self, login=("Name", ""), password=("Password", ""))
 
 
-class FirstPasswordForm(account.ResetPasswordKeyForm):  # type: ignore[misc]
+class FirstPasswordForm(account.ResetPasswordKeyForm):
     """A new password, through a link."""
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
@@ -40,7 +40,7 @@ class FirstPasswordForm(account.ResetPasswordKeyForm):  # type: ignore[misc]
         _write_labels(self, password1=("New password", _PASSWORD), password2=("The same again", ""))
 
 
-class ChangePasswordForm(account.ChangePasswordForm):  # type: ignore[misc]
+class ChangePasswordForm(account.ChangePasswordForm):
     """The password now, and the new one."""
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
@@ -51,7 +51,7 @@ class ChangePasswordForm(account.ChangePasswordForm):  # type: ignore[misc]
         )  # fmt: skip
 
 
-class PasswordAgainForm(account.ReauthenticateForm):  # type: ignore[misc]
+class PasswordAgainForm(account.ReauthenticateForm):
     """The password, before something that needs it."""
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
@@ -59,7 +59,7 @@ class PasswordAgainForm(account.ReauthenticateForm):  # type: ignore[misc]
         _write_labels(self, password=("Password", ""))
 
 
-class CodeForm(mfa.AuthenticateForm):  # type: ignore[misc]
+class CodeForm(mfa.AuthenticateForm):
     """The second factor's code, at the login."""
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
@@ -75,7 +75,7 @@ class CodeForm(mfa.AuthenticateForm):  # type: ignore[misc]
             raise
 
 
-class CodeAgainForm(mfa.ReauthenticateForm):  # type: ignore[misc]
+class CodeAgainForm(mfa.ReauthenticateForm):
     """The second factor's code, before something that needs it."""
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
@@ -83,7 +83,7 @@ class CodeAgainForm(mfa.ReauthenticateForm):  # type: ignore[misc]
         _write_labels(self, code=("Code", _CODE))
 
 
-class SetUpForm(totp.ActivateTOTPForm):  # type: ignore[misc]
+class SetUpForm(totp.ActivateTOTPForm):
     """The first code of a new authenticator."""
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:

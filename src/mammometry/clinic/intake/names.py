@@ -1,4 +1,4 @@
-"""Whether a visit's photographs have the names of their cameras, by the calibration, before they are measured."""
+"""Check by the calibration that a visit's photographs have the names of their cameras."""
 
 from __future__ import annotations
 

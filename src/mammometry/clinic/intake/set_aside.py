@@ -43,7 +43,7 @@ def set_aside(upload: Upload, folder: Path, *, kept_name: str = "") -> None:
 
 
 def clear_place(others: Sequence[Upload], upload: Upload, folder: Path, goal: Path) -> bool:
-    """Make room for a photograph: set aside the one that is there, and forget uploads that never came there.
+    """Set aside the photograph in a place, and forget uploads that never came there.
 
     Args:
         others: the place's uploads, but for this one.
@@ -73,7 +73,7 @@ def clear_place(others: Sequence[Upload], upload: Upload, folder: Path, goal: Pa
 
 def fired_files(folder: Path) -> dict[str, str]:
     """Digest → name below the visit's folder of every picture that was fired, where it lies for good."""
-    names = {}
+    names: dict[str, str] = {}
     for path in sorted((folder / "shots").glob("[0-9]*/shot.json")):
         try:
             cameras = json.loads(path.read_text(encoding="utf-8"))["cameras"]

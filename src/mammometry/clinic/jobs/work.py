@@ -260,20 +260,20 @@ def compare(tell: Tell, before: str, after: str, folder: str, digests: str, sett
         MammometryError: whatever stands in the way, in one sentence.
     """
     from mammometry.api.dated import measured_keys
-    from mammometry.api.dates import compare as compare_dates
+    from mammometry.api.dates import compare_visits
 
     chosen = Settings.from_toml(settings)
     tell("compare", 0.0)
     for which, session, digest in zip(("earlier", "later"), (before, after), digests.split(":"), strict=True):
         if _digest(measured_keys(session, chosen)) != digest:
             raise SessionError(
-                f"the {which} visit",
-                found="that it was measured with other settings, or that something was drawn since",
+                f"The {which} visit",
+                found="results of another version of the software, of other settings or of other drawings",
                 expected="results of what is drawn and set now",
                 remedy="Measure that visit again. Both are then compared by themselves",
             )
-    compared = compare_dates(
-        before, after, chosen, out=Path(folder), from_clinic=True, progress=lambda share: tell("compare", share)
+    compared = compare_visits(
+        Path(before), Path(after), chosen, out=Path(folder), progress=lambda share: tell("compare", share)
     )
     return {"digest": _digest(compared.table), "of": digests, "table": _finite(compared.table)}
 

@@ -105,7 +105,9 @@ def backup_files(config: ClinicConfig) -> list[BackupFile]:
 
 
 def make_kept_backup(config: ClinicConfig) -> Path:
-    """Make a backup in the folder of backups, delete those beyond the number that is kept, and note the outcome.
+    """Make a backup in the folder of backups, and delete the oldest beyond those that are kept.
+
+    The outcome is noted for the page.
 
     Raises:
         ClinicError: one is being made, the disk is too full, or the backup cannot be written.

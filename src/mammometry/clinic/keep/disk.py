@@ -18,8 +18,8 @@ from mammometry.clinic.keep.backups import backup_files
 
 RATE_DAYS = 30
 """Days over which the rate is taken; fewer for a younger clinic."""
-_DAY_S = 86400.0
-_CACHED_S = 600  # a walk over some hundred thousand files takes seconds
+_DAY_S = 86400.0  # seconds in a day
+_CACHED_S = 600  # seconds; a walk over some hundred thousand files takes seconds
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,7 +43,7 @@ class DiskUsage:
 
     @property
     def days_left(self) -> int | None:
-        """Days until the disk is full at this rate; None: nothing came."""
+        """Days until the disk is full at this rate, or None when nothing came."""
         return None if self.per_day <= 0 else int(self.free / self.per_day)
 
     @property
@@ -64,7 +64,10 @@ class DiskUsage:
 
 def cached_usage(config: ClinicConfig) -> DiskUsage:
     """What is used, counted at most ten minutes ago."""
-    usage: DiskUsage = cache.get_or_set("disk-usage", lambda: measure_usage(config), _CACHED_S)
+    usage: DiskUsage | None = cache.get("disk-usage")
+    if usage is None:
+        usage = measure_usage(config)
+        cache.set("disk-usage", usage, _CACHED_S)
     return usage
 
 
@@ -100,7 +103,7 @@ def measure_usage(config: ClinicConfig) -> DiskUsage:
 
 
 def folder_bytes(folder: Path) -> int:
-    """Bytes of all files below a folder; 0 where there is none."""
+    """Bytes of all files below a folder, 0 where there is none."""
     return sum(status.st_size for _, status in _files(folder))
 
 

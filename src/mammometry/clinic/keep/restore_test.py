@@ -1,4 +1,4 @@
-"""A restore, tested: the newest backup as a clinic of its own in a temporary folder, compared with what it holds.
+"""Test a restore: the newest backup becomes a temporary clinic and is compared with the archive.
 
 The rows go into SQLite whatever the clinic's own database is. So the test needs no right to make databases, and shows
 that the backup does not depend on the server that it was made with.

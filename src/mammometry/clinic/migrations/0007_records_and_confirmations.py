@@ -1,6 +1,7 @@
 """Consent, operations, confirmations, conclusions, comparisons and corrections."""
 
 import uuid
+from typing import Any
 
 import django.db.models.deletion
 from django.conf import settings
@@ -9,7 +10,7 @@ from django.db import migrations, models
 from mammometry.clinic.search_words import words_of
 
 
-def fill_search_words(apps, schema_editor):
+def fill_search_words(apps: Any, schema_editor: Any) -> None:
     """Let patients who were entered before be found by a search."""
     for patient in apps.get_model("clinic", "Patient").objects.iterator():
         texts = patient.family_name, patient.given_name, patient.record_number, patient.pseudonym

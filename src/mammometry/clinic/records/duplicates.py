@@ -43,7 +43,10 @@ def duplicates(patient: Patient) -> Duplicates:
 
 
 def of_number(record_number: str) -> list[Patient]:
-    """Patients with a record number, but for case, hyphens and blanks: of merged records, who holds their visits."""
+    """Patients with a record number, but for case, hyphens and blanks.
+
+    A merged record gives the one that holds its visits.
+    """
     number = plain(record_number)
     rows = Patient.everything.filter(search_words__contains=number).select_related("merged_into") if number else ()
     return [row.merged_into or row for row in rows if plain(row.record_number) == number]

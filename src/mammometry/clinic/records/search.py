@@ -51,21 +51,26 @@ def matches(text: str, *, leave_out: Patient | None = None) -> list[Match]:
         text: what was typed.
         leave_out: the patient who is not looked for.
     """
-    return _with_visits(search(text).exclude(pk=None if leave_out is None else leave_out.pk)[: MANY + 1])
+    return _with_visits(_without(search(text), leave_out)[: MANY + 1])
 
 
 def newest(*, leave_out: Patient | None = None) -> list[Match]:
     """The patients who were entered last, offered before anything is typed."""
-    patients = Patient.objects.exclude(pk=None if leave_out is None else leave_out.pk)
-    return _with_visits(patients.order_by("-created")[:_NEWEST])
+    return _with_visits(_without(Patient.objects.order_by("-created"), leave_out)[:_NEWEST])
+
+
+def _without(patients: QuerySet[Patient], leave_out: Patient | None) -> QuerySet[Patient]:
+    return patients if leave_out is None else patients.exclude(pk=leave_out.pk)
 
 
 def _with_visits(patients: Iterable[Patient]) -> list[Match]:
     rows = list(patients)
     visits = Visit.objects.filter(patient__in=rows).order_by().values("patient")
-    counted = {row["patient"]: row for row in visits.annotate(number=Count("pk"), last=Max("taken_at"))}
-    none = {"number": 0, "last": None}
-    return [Match(row, *(counted.get(row.pk, none)[name] for name in ("number", "last"))) for row in rows]
+    counted = {
+        row["patient"]: (row["number"], row["last"])
+        for row in visits.annotate(number=Count("pk"), last=Max("taken_at"))
+    }
+    return [Match(row, *counted.get(row.pk, (0, None))) for row in rows]
 
 
 def _on(days: Iterable[datetime.date]) -> Q:

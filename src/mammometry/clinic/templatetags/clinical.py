@@ -18,7 +18,7 @@ register = template.Library()
 
 @register.inclusion_tag("clinic/banner.html")
 def banner(patient: Patient, visit: Visit | None = None) -> dict[str, Any]:
-    """Who the page is about: name, birthday, numbers, sides of surgery, and the visit's photographs in small."""
+    """Who the page is about, with the visit's photographs in small."""
     shots = () if visit is None else visit.uploads.filter(state=Upload.State.PLACED).order_by("camera")
     return {
         **patient_facts(patient),
@@ -44,13 +44,18 @@ def camera_words(camera: str) -> str:
 @register.filter
 def length_mm(value: Length | None) -> str:
     """A length in mm with its interval: "212.3 ± 4.1"."""
-    return length_words(value)
+    return _breaking_once(length_words(value))
 
 
 @register.filter
 def signed_length_mm(value: Length | None) -> str:
     """A difference of lengths: "+4.2 ± 5.8"."""
-    return length_words(value, "+")
+    return _breaking_once(length_words(value, "+"))
+
+
+def _breaking_once(words: str) -> str:
+    """On a phone the line breaks before the sign and not after it."""
+    return words.replace("± ", "±\u00a0")
 
 
 @register.filter

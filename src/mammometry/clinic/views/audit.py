@@ -34,7 +34,7 @@ class AuditForm(forms.Form):
     until = forms.DateField(label="Until", required=False, widget=forms.DateInput(attrs={"type": "date"}))
 
     def chosen(self) -> AuditFilter:
-        """The filter; fields that cannot be read filter nothing."""
+        """Return the filter. A form that cannot be read filters nothing."""
         if not self.is_valid():
             values: dict[str, Any] = {}
         else:

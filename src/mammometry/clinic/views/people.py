@@ -28,7 +28,7 @@ def people(request: HttpRequest) -> HttpResponse:
 
 
 def person_new(request: HttpRequest) -> HttpResponse:
-    """Enter somebody; the next page shows the link to hand over."""
+    """Enter somebody, and lead to the page that shows the link to hand over."""
     form = PersonForm(request.POST or None)
     if request.method == "POST" and form.is_valid():
         person = form.save(commit=False)
@@ -81,7 +81,7 @@ def let_in(request: HttpRequest, person: uuid.UUID) -> HttpResponse:
 
 
 def own_password(request: HttpRequest) -> HttpResponse:
-    """Change one's own password; who comes by the hospital's login has none here."""
+    """Change one's own password, unless the hospital's own login keeps it."""
     if not person_of(request).has_usable_password():
         about = {"title": "No password here", "sentence": "You log in with the hospital’s own login. Change it there."}
         return render(request, "clinic/refusal.html", about)

@@ -42,7 +42,10 @@ _KEPT = 4  # surfaces in memory, about 300 MB each
 
 
 class ShownItems(Message):
-    """Versions of all that the page shows: name → digest (`entry_digest`), None where nothing stands in the session."""
+    """Versions of all that the page shows.
+
+    Name → digest (`entry_digest`), or None where nothing stands in the session.
+    """
 
     boundaries: dict[Breast, Base]
     landmarks: dict[str, Base]
@@ -179,7 +182,7 @@ def save(request: HttpRequest, visit: uuid.UUID) -> HttpResponseBase:
 
 
 def finish(request: HttpRequest, visit: uuid.UUID) -> HttpResponseBase:
-    """Confirm all boundaries and landmarks of the newest measurement in one step, and lead to the next visit."""
+    """Confirm all boundaries and landmarks in one step, and lead to the next visit."""
     locked = get_object_or_404(Visit.objects.select_for_update(), pk=visit)
     kind: SubjectKind = "model" if locked.subject_kind == Visit.Subject.MODEL else "torso"
     try:

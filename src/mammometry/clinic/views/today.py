@@ -19,7 +19,7 @@ _MANY = 50  # rows that a page shows before it becomes a search
 
 
 def today(request: HttpRequest) -> HttpResponse:
-    """Rigs, visits of the day, what waits; for clinicians first what waits to be confirmed.
+    """Rigs, visits of the day, and what waits, to be confirmed first for clinicians.
 
     People without patients are led to their own first page.
     """

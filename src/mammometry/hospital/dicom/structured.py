@@ -98,7 +98,7 @@ def _conclusions(conclusions: Sequence[Signed]) -> Iterator[Any]:
         item = TextContentItem(
             name=_concept(codes.CONCLUSION), value=conclusion.text, relationship_type=RelationshipTypeValues.CONTAINS
         )
-        item.ObservationDateTime = _moment(conclusion)
+        item.add_new("ObservationDateTime", "DT", _moment(conclusion))
         author = PnameContentItem(
             name=_concept(codes.PERSON), value=person_name(conclusion.by),
             relationship_type=RelationshipTypeValues.HAS_OBS_CONTEXT,
@@ -112,7 +112,10 @@ def _conclusions(conclusions: Sequence[Signed]) -> Iterator[Any]:
 
 
 def person_name(name: str) -> str:
-    """A person's name as DICOM writes it: all of it as the family name, since nobody says which part that is."""
+    """A person's name as DICOM writes it.
+
+    All of it is the family name, since nobody says which part is which.
+    """
     return f"{plain_name(name)}^"
 
 
