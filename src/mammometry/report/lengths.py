@@ -119,10 +119,13 @@ def quantities_of(dimensions: Dimensions) -> list[dict[str, Any]]:
 
 
 def length_words(value: Length | None, sign: str = "") -> str:
-    """A length in mm with its interval: "212.3 ± 4.1", a difference with its sign: "+4.2 ± 5.8"."""
+    """A length in mm with its interval: "212.3 ± 4.1", a difference with its sign: "+4.2 ± 5.8".
+
+    A line may end before ±, not after it.
+    """
     if value is None:
         return "–"
-    half = "" if value.half_mm is None else f" ± {value.half_mm:.1f}"
+    half = "" if value.half_mm is None else f" ±\u00a0{value.half_mm:.1f}"
     return f"{value.value_mm:{sign}.1f}{half}".replace("-", "−")
 
 

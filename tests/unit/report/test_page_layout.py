@@ -150,8 +150,9 @@ def opened(browser: Browser, address: str, width: int, scheme: str) -> Page:
 )
 def test_no_words_lie_on_others_and_nothing_runs_off(browser: Browser, address: str, width: int, scheme: str) -> None:
     page = opened(browser, address, width, scheme)
-    for closed in page.locator("details:not([open]) > summary").all():
-        closed.click()
+    closed = page.locator("details:not([open]) > summary")
+    while closed.count():
+        closed.first.click()
     assert page.evaluate(OVERLAPS) == []
     assert page.evaluate(BEYOND) == []
     assert page.evaluate("document.documentElement.scrollWidth") <= width
