@@ -3,7 +3,10 @@
 import { Matrix4, Vector3 } from "three";
 
 import { Refused, request } from "./clinic/request";
-import { Drawing, type Group, type Handle, type Item, type LiveVolume, type Page, type State, cheapestPlace, points } from "./editor/drawing";
+import { Drawing, type Group, type Handle, type Item, type Job, type LiveVolume, type Page, type State, cheapestPlace, points } from "./editor/drawing";
+import { rememberName, rememberedName } from "./editor/author";
+import { followPointer } from "./editor/pointer";
+import { volumeNote, volumeWords } from "./editor/volume_words";
 import { type Vector, unpackModel } from "./format";
 import { DIRECTIONS, directionTitle, Stage } from "./stage";
 import { button, choose, element } from "./viewer";
@@ -18,10 +21,8 @@ interface Step {
 }
 
 const GRAB_PX = 12;
-const CLICK_PX = 4;
 const PAUSE_MS = 120;
 const POLL_MS = 1500;
-const NAME_DAYS = 365;
 const FROM: Record<string, Vector> = { left: [0.5, 0.1, 0.85], right: [-0.5, 0.1, 0.85], model: [0, 0.3, 1] };
 const AHEAD: Vector = [0, 0.05, 1];
 const LOOK = "Does the line run around the breast where it ends? Turn the surface to look at all of it.";
@@ -190,9 +191,14 @@ class Editor {
     return state.breasts.every((name) => this.stored(name).of === undefined) ? "There is no line to confirm." : "";
   }
 
-  private get isMeasuring(): boolean {
+  /** The visit's job that has not ended. */
+  private get openJob(): Job | null {
     const job = this.drawing.state.job;
-    return job != null && ["queued", "running"].includes(job.state);
+    return job != null && ["queued", "running"].includes(job.state) ? job : null;
+  }
+
+  private get isMeasuring(): boolean {
+    return this.openJob !== null;
   }
 
   private stored(breast: string): State["boundaries"][string] {
@@ -288,8 +294,8 @@ class Editor {
       const { measured, how, of } = this.stored(breast.name);
       const untouched = !drawing.isChanged(breast) && this.isMeasured(breast.name);
       const volume = untouched ? measured : this.live[breast.name];
-      const [value, note] = this.volumeWords(volume, of !== undefined || drawing.isChanged(breast));
-      this.volume.replaceChildren(...value);
+      this.volume.replaceChildren(...(volume === undefined ? [] : volumeWords(volume, this.signed)));
+      const note = volumeNote(volume, of !== undefined || drawing.isChanged(breast), this.openJob);
       const line = drawing.isChanged(breast) ? "Changed, not saved." : of === undefined ? "No line was found here." : `Line: ${how === "automatic" ? "found automatically" : (how ?? "given")}.`;
       this.origin.replaceChildren(note, line);
       if (this.crossings.length > 0) problem = "The line crosses itself at the red mark. Move or remove a point there. It cannot be saved like this.";
@@ -297,30 +303,6 @@ class Editor {
     }
     if (this.problem.textContent !== problem) this.problem.textContent = problem;
     this.problem.hidden = problem === "";
-  }
-
-  private volumeWords(volume: LiveVolume | undefined, drawn: boolean): [(string | HTMLElement)[], HTMLElement] {
-    const note = document.createElement("span");
-    note.className = "mm-note";
-    if (volume === undefined || volume.volumeCc === null) {
-      note.textContent = drawn && volume === undefined ? "…" : "no volume";
-      return [[], note];
-    }
-    const value = document.createElement("b");
-    value.textContent = this.cc(volume.volumeCc, volume.intervalCc);
-    const job = this.drawing.state.job;
-    const part = job?.state === "running" ? ` (${Math.round(100 * (job.fraction ?? 0))} %)` : "";
-    note.textContent = volume.preliminary ? (this.isMeasuring ? `preliminary: being measured${part}` : "preliminary, until it is measured") : "measured";
-    note.dataset.preliminary = String(volume.preliminary);
-    const words: (string | HTMLElement)[] = [value];
-    if (volume.intervalCc !== null) words.push(` 95 %: ${this.cc(volume.intervalCc[0], volume.intervalCc).replace(" cc", "")} to ${this.cc(volume.intervalCc[1], volume.intervalCc)}`);
-    return [words, note];
-  }
-
-  /** A volume with the digits that the visit's page and the report write. */
-  private cc(volume: number, interval: [number, number] | null): string {
-    const coarse = this.signed || (interval !== null && interval[1] - interval[0] >= 10);
-    return `${volume.toFixed(coarse ? 0 : 1)} cc`;
   }
 
   private showMarks(): void {
@@ -515,48 +497,27 @@ class Editor {
   // --- mouse and keys ---
 
   private listen(): void {
-    const { canvas } = this.stage;
-    let grabbed: { index: number; before: Drawing["now"]; moved: boolean } | null = null;
-    let pressed: [number, number] | null = null;
-    // Before the orbit controls hear of it: a grabbed point moves, the model stays.
-    canvas.parentElement!.addEventListener(
-      "pointerdown",
-      (event) => {
-        if (event.button !== 0 || this.busy || (!this.editing && this.place.breast !== null)) return;
-        pressed = [event.clientX, event.clientY];
-        const index = this.handleAt(event.clientX, event.clientY);
-        if (index === null) return;
-        this.stage.holdStill(true);
-        grabbed = { index, before: this.drawing.now, moved: false };
+    let before = this.drawing.now;
+    followPointer(this.stage, {
+      canDraw: () => !this.busy && this.item !== null && (this.editing || this.place.breast === null),
+      handleAt: (x, y) => this.handleAt(x, y),
+      grabbed: (index) => {
+        before = this.drawing.now;
         this.chosen = index;
         this.show();
       },
-      { capture: true },
-    );
-    canvas.addEventListener("pointermove", (event) => {
-      if (grabbed === null || this.item === null) return;
-      const hit = this.stage.pick(event.clientX, event.clientY);
-      if (hit === null) return;
-      const { index } = grabbed;
-      grabbed.moved = true;
-      const moved = { point: this.world(hit.point), at: null };
-      this.drawing.replace(this.item, this.drawing.handles(this.item).map((handle, k) => (k === index ? moved : handle)));
-      this.changed();
+      dragged: (index, to) => {
+        const moved = { point: this.world(to), at: null };
+        const handles = this.drawing.handles(this.item!).map((handle, k) => (k === index ? moved : handle));
+        this.drawing.replace(this.item!, handles);
+        this.changed();
+      },
+      dropped: () => {
+        this.drawing.step(before);
+        this.show();
+      },
+      clicked: (at) => this.add(at),
     });
-    const release = (event: PointerEvent): void => {
-      const held = grabbed;
-      grabbed = null;
-      this.stage.holdStill(false);
-      if (held !== null) {
-        if (held.moved) {
-          this.drawing.step(held.before);
-          this.show();
-        }
-      } else if (pressed !== null && Math.hypot(event.clientX - pressed[0], event.clientY - pressed[1]) < CLICK_PX)
-        this.add(event.clientX, event.clientY);
-      pressed = null;
-    };
-    canvas.addEventListener("pointerup", release);
     document.addEventListener("keydown", (event) => {
       const control = event.ctrlKey || event.metaKey;
       const key = event.key.toLowerCase();
@@ -573,11 +534,10 @@ class Editor {
     });
   }
 
-  private add(clientX: number, clientY: number): void {
+  private add(place: Vector3): void {
     const { item } = this;
-    const hit = this.stage.pick(clientX, clientY);
-    if (hit === null || item === null) return;
-    const handle = { point: this.world(hit.point), at: null };
+    if (item === null) return;
+    const handle = { point: this.world(place), at: null };
     const handles = this.drawing.handles(item);
     if (item.kind === "point") {
       this.chosen = 0;
@@ -615,17 +575,6 @@ class Editor {
 /** Ask the server. The page says where the session is answered. */
 function ask<T>(path: string, json?: object): Promise<T> {
   return request<T>((root.dataset.at ?? "") + path, json === undefined ? {} : { json });
-}
-
-/** A cookie, since every start has another port, and storage is kept by port. */
-function rememberName(name: string): void {
-  const lasting = `max-age=${NAME_DAYS * 86400}; path=/; samesite=strict`;
-  document.cookie = `mammometry-author=${encodeURIComponent(name.trim())}; ${lasting}`;
-}
-
-function rememberedName(): string {
-  const found = /(?:^|; )mammometry-author=([^;]*)/.exec(document.cookie);
-  return found === null ? "" : decodeURIComponent(found[1]!);
 }
 
 function words(error: unknown): string {

@@ -98,8 +98,10 @@ def test_a_technicians_day(opens: Opens, folder: Path) -> None:
 
 def click_surface(page: Page, share: float) -> None:
     """Click half-way down the picture, at a share of its width."""
+    canvas = page.locator("#mm-editor canvas")
+    canvas.evaluate("each => each.scrollIntoView({block: 'center'})")
     page.wait_for_timeout(500)  # it is drawn anew
-    box = page.locator("#mm-editor canvas").bounding_box()
+    box = canvas.bounding_box()
     assert box is not None
     page.mouse.click(box["x"] + share * box["width"], box["y"] + box["height"] / 2)
 

@@ -113,6 +113,10 @@ def begin(target: Target, by: Person | None, file: Announced, *, replace: bool =
         same = _of(target).filter(name=place, sha256=sha256, size_bytes=size_bytes)
         if (earlier := same.exclude(state=Upload.State.REFUSED).first()) is not None:
             return earlier
+        there = _of(target).filter(camera=camera or named or "", sha256=sha256, state=Upload.State.PLACED)
+        of_pose = pose if isinstance(target, Calibration) else ""
+        if (placed := next((row for row in there if _pose(row) == of_pose), None)) is not None:
+            return placed
     if not replace and (camera or named) and _has_photograph(target, pose, camera or named or ""):
         of_pose = f"Pose {pose}" if isinstance(target, Calibration) else "This"
         raise OccupiedError(f"{of_pose} has another photograph of {camera or named} already.")
