@@ -319,7 +319,8 @@ def state_of(target: Target) -> dict[str, Any]:
     if isinstance(target, Calibration):
         poses = sorted({pose for pose, _ in newest})
         shown = {
-            pose: {camera: table_of(each) for (of, camera), each in newest.items() if of == pose} for pose in poses
+            pose: {camera: table_of(newest[pose, camera]) for camera in known if (pose, camera) in newest}
+            for pose in poses
         }
         missing = [camera for camera in known if camera not in {name for _, name in placed}]
         needed = _poses_needed(target, known, placed)
