@@ -118,11 +118,12 @@ def cases(captures: Sequence[Capture]) -> Iterator[tuple[str, str, str]]:
             exchanged = {**own, **{name: own[source] for name, source in both.items()}}
             yield capture.name, _KINDS[2], judged(rig, exchanged, tuple(both))
         for guest in captures:
-            alike = guest.rig.cameras.keys() == rig.cameras.keys()
-            if guest is not capture and guest.name.partition("-")[0] == capture.name.partition("-")[0]:
+            if guest is capture:
+                continue
+            if guest.name.partition("-")[0] == capture.name.partition("-")[0]:
                 for name in in_pairs:
                     yield capture.name, _KINDS[3], judged(rig, {**own, name: guest.features[name]}, foreign=name)
-            elif alike and _sizes(rig) == _sizes(guest.rig):
+            elif guest.rig.cameras.keys() == rig.cameras.keys() and _sizes(rig) == _sizes(guest.rig):
                 guests = check_names(rig, guest.features)
                 yield capture.name, _KINDS[4], "named" if guests.another_rig else judged(rig, guest.features)
 

@@ -398,9 +398,10 @@ def _send(target: object, path: Path, pose: str = "") -> None:
 
     assert isinstance(target, (Visit, Calibration, DailyCheck))
     data = path.read_bytes()
-    upload = uploads.begin(
-        target, None, name=path.name, camera=path.stem, pose=pose, size_bytes=len(data), sha256=file_digest(path)
+    file = uploads.Announced(
+        name=path.name, camera=path.stem, pose=pose, size_bytes=len(data), sha256=file_digest(path)
     )
+    upload = uploads.begin(target, None, file)
     uploads.append(upload, 0, data)
 
 

@@ -9,7 +9,7 @@ from mammometry.base.cores import available_cores
 from mammometry.base.errors import MatchingError
 from mammometry.base.progress import Progress
 from mammometry.job.inputs import Inputs
-from mammometry.job.products import Memo, Product
+from mammometry.job.products import Product, Remade
 from mammometry.job.stage_values import CameraSet
 
 if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a plan alone need not wait for.
@@ -19,8 +19,11 @@ if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a pla
 _AT_ONCE = 4  # photographs in memory; at full size each has 40 MB
 
 
-def right_names(inputs: Inputs, cameras: Product[CameraSet], memo: Memo) -> Product[Names]:
-    """Plan to compare all photographs with the calibration, which refuses wrong ones by name."""
+def right_names(inputs: Inputs, cameras: Product[CameraSet]) -> Product[Names]:
+    """Plan to compare all photographs with the calibration, which refuses wrong ones by name.
+
+    Nothing of it is stored: a run that is refused leaves the results as they were.
+    """
     in_pairs = sorted({name for both in inputs.pair_names.values() for name in both})
 
     def compare(cameras: CameraSet, *, progress: Progress) -> Names:
@@ -47,4 +50,4 @@ def right_names(inputs: Inputs, cameras: Product[CameraSet], memo: Memo) -> Prod
         return names
 
     digests = {f"capture/{camera}": inputs.digests[f"capture/{camera}"] for camera in in_pairs}
-    return Product(memo, "match", "names", compare, parents={"cameras": cameras}, inputs=digests)
+    return Product(Remade(), "match", "names", compare, parents={"cameras": cameras}, inputs=digests)

@@ -227,7 +227,8 @@ class Matched(Products):
 
         Pair by pair, few pictures are held in memory.
         """
-        self.names.ensure()
+        if any(product.missing for product in self.products()):
+            self.names()
 
         def one(pair: str, left: str, right: str) -> None:
             made: tuple[Product[Any], ...] = (
@@ -252,7 +253,7 @@ def match(inputs: Inputs, cameras: Product[CameraSet], settings: MatchSettings, 
 
     Paper 2.3.
     """
-    names = right_names(inputs, cameras, memo)
+    names = right_names(inputs, cameras)
     photographs, foregrounds = find_subjects(inputs, cameras, settings, memo)
 
     def disparity(pair: str, left: str, right: str) -> Product[DisparityMap]:

@@ -183,9 +183,14 @@ class Product(Generic[T]):
                 self._value.append(self._memo.recall(self.key, self._prepare))
             return self._value[0]
 
+    @property
+    def missing(self) -> bool:
+        """Whether the memo lacks the value."""
+        return not self._value and not self._memo.has(self.key)
+
     def ensure(self) -> None:
         """Make the value if the memo lacks it, without loading it otherwise."""
-        if not self._value and not self._memo.has(self.key):
+        if self.missing:
             self()
 
     def release(self) -> None:

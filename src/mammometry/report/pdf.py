@@ -20,9 +20,9 @@ from mammometry.report.volume_words import MEANINGS_INTRODUCTION
 from mammometry.study.tables import Table
 
 DOCUMENT = "report.pdf"
-_MOST_PAGES = 6
+_MOST_PAGES = 5
 _HEIGHT = 150.0  # of a breast's pictures, points; chosen by eye
-_PICTURE_HEIGHTS = (150.0, 110.0)
+_PICTURE_HEIGHTS = (120.0, 95.0)
 """Heights of the technical pictures, points. The document takes the largest that fits `_MOST_PAGES`."""
 _LEAST_PICTURES, _GAP = 200.0, 6.0  # height of the first page's pictures at least, and between them, points
 _VIEW_NAME = 12.0  # height of a view's name, points

@@ -47,6 +47,8 @@ interface Waiting {
   ofFolder: boolean;
   /** It may take the place of another. */
   replace: boolean;
+  /** Its place was taken once; perhaps by one that was then refused. */
+  tried?: boolean;
 }
 
 const PATIENCE_MS = [500, 1000, 2000, 4000, 8000, 15000];
@@ -157,7 +159,12 @@ class Photographs {
     this.working -= 1;
     if (this.working > 0) return;
     const occupied = this.occupied.splice(0);
-    if (occupied.length > 0) await this.ask(occupied);
+    const again = occupied.filter(({ tried }) => tried !== true);
+    const taken = occupied.filter(({ tried }) => tried === true);
+    this.total -= occupied.length;
+    this.sent -= occupied.length;
+    this.enqueue(...again.map((one) => ({ ...one, tried: true })));
+    if (taken.length > 0) await this.ask(taken);
     if (this.working === 0) this.finish();
   }
 
@@ -181,8 +188,6 @@ class Photographs {
     const another = this.poseInput !== null && occupied.every(({ ofFolder }) => !ofFolder);
     const choices = { ...(another ? { next: `They are of pose ${next}` } : {}), leave: "Keep those that are there", replace: "Replace them" };
     const chosen = await choose(occupied.length === 1 ? "This photograph is there already" : "These photographs are there already", `There are other photographs in the places of ${listed}.`, choices);
-    this.total -= occupied.length;
-    this.sent -= occupied.length;
     if (chosen === "replace") this.enqueue(...occupied.map((one) => ({ ...one, replace: true })));
     else if (chosen === "next") {
       this.poseInput!.value = next;
@@ -265,7 +270,7 @@ class Photographs {
     const missing = this.root.querySelector<HTMLElement>("[data-missing]");
     if (missing !== null) {
       const lacking = state.missing.length > 0 ? `Still missing: ${state.missing.map(title).join(", ")}.` : "";
-      missing.textContent = state.ready ? (state.missing.length > 0 ? lacking : "Everything is here.") : [lacking, state.needed ?? ""].join(" ").trim();
+      missing.textContent = state.ready ? (lacking || (state.known ? "These poses can be calibrated; ten are better." : "Everything is here.")) : [lacking, state.needed ?? ""].join(" ").trim();
     }
   }
 

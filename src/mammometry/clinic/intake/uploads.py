@@ -13,6 +13,7 @@ import re
 import threading
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 from uuid import UUID
@@ -66,34 +67,36 @@ class OccupiedError(UploadError):
     """Another photograph has the place, and nobody said that it may be replaced."""
 
 
-def begin(
-    target: Target,
-    by: Person | None,
-    *,
-    name: str,
-    camera: str | None,
-    pose: str,
-    size_bytes: int,
-    sha256: str,
-    replace: bool = False,
-) -> Upload:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Announced:
+    """What a sender says of a file before its bytes come in."""
+
+    name: str
+    """The sender's name of it. Only whether it names a camera is kept."""
+    camera: str | None
+    """In whose place it is put. None: its name or its EXIF says so."""
+    pose: str = ""
+    """Of a calibration's photograph."""
+    size_bytes: int
+    sha256: str
+    """Hexadecimal. Empty: not known."""
+
+
+def begin(target: Target, by: Person | None, file: Announced, *, replace: bool = False) -> Upload:
     """Begin an upload, or find the one that was cut.
 
     Args:
         target: what it is for.
         by: who sends it.
-        name: the sender's name of the file; only whether it names a camera is kept.
-        camera: in whose place it is put; None: its name or its EXIF says so.
-        pose: of a calibration's photograph.
-        size_bytes: of the whole file.
-        sha256: of the whole file, hexadecimal; empty: not known.
-        replace: a photograph that has the place already.
+        file: what is said of it.
+        replace: whether it takes the place of another photograph, which is set aside.
 
     Raises:
         OccupiedError: another photograph has the place.
         UploadError: it is too large, for no camera of the rig, or for a visit that is being measured.
     """
     require_open(target)
+    camera, pose, size_bytes, sha256 = file.camera, file.pose, file.size_bytes, file.sha256
     known = cameras_of(rig_of(target).definition)
     if camera is not None and camera not in known:
         raise UploadError(f"This rig has no camera {camera[:40]!r}, only {', '.join(known)}.", 400)
@@ -104,12 +107,16 @@ def begin(
         raise UploadError(
             f"The file has {size_bytes / 1e6:.0f} MB. A photograph has 1 byte to {most / 1e6:.0f} MB.", 413
         )
-    named = cameras.camera_of_name(name, known)
+    named = cameras.camera_of_name(file.name, known)
     place = _place(target, pose, camera or named or "")
     if sha256:
         same = _of(target).filter(name=place, sha256=sha256, size_bytes=size_bytes)
         if (earlier := same.exclude(state=Upload.State.REFUSED).first()) is not None:
             return earlier
+        there = _of(target).filter(camera=camera or named or "", sha256=sha256, state=Upload.State.PLACED)
+        of_pose = pose if isinstance(target, Calibration) else ""
+        if (placed := next((row for row in there if _pose(row) == of_pose), None)) is not None:
+            return placed
     if not replace and (camera or named) and _has_photograph(target, pose, camera or named or ""):
         of_pose = f"Pose {pose}" if isinstance(target, Calibration) else "This"
         raise OccupiedError(f"{of_pose} has another photograph of {camera or named} already.")
@@ -312,7 +319,8 @@ def state_of(target: Target) -> dict[str, Any]:
     if isinstance(target, Calibration):
         poses = sorted({pose for pose, _ in newest})
         shown = {
-            pose: {camera: table_of(each) for (of, camera), each in newest.items() if of == pose} for pose in poses
+            pose: {camera: table_of(newest[pose, camera]) for camera in known if (pose, camera) in newest}
+            for pose in poses
         }
         missing = [camera for camera in known if camera not in {name for _, name in placed}]
         needed = _poses_needed(target, known, placed)

@@ -49,11 +49,13 @@ def new(request: HttpRequest) -> HttpResponseBase:
         upload = uploads.begin(
             target,
             request.user,  # type: ignore[arg-type]  # logged in
-            name=text_of(table, "name", most=400),
-            camera=text_of(table, "camera") or None,
-            pose=text_of(table, "pose"),
-            size_bytes=size,
-            sha256=text_of(table, "sha256"),
+            uploads.Announced(
+                name=text_of(table, "name", most=400),
+                camera=text_of(table, "camera") or None,
+                pose=text_of(table, "pose"),
+                size_bytes=size,
+                sha256=text_of(table, "sha256"),
+            ),
             replace=table.get("replace") is True,
         )
     except uploads.OccupiedError as error:

@@ -33,8 +33,6 @@ STORED_TYPES: Mapping[str, str] = MappingProxyType(
         "calibration.target:CirclesTarget": "mammometry.calibration.targets.circles:CirclesTarget",
         "calibration.target:DottedCylinderTarget": "mammometry.calibration.targets.cylinder:DottedCylinderTarget",
         "calibration.target:PointsTarget": "mammometry.calibration.targets.points:PointsTarget",
-        "calibration.names:Names": "mammometry.calibration.judge.names:Names",
-        "calibration.names:PairAgreement": "mammometry.calibration.judge.names:PairAgreement",
         "geometry.camera:Camera": "mammometry.geometry.camera:Camera",
         "geometry.camera:Rig": "mammometry.geometry.camera:Rig",
         "geometry.mesh:TriangleMesh": "mammometry.geometry.mesh:TriangleMesh",
