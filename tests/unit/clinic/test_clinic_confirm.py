@@ -283,6 +283,7 @@ def test_a_disk_that_refuses_is_a_sentence_and_in_the_log(
     logger = logging.getLogger("mammometry.editor.page")  # other tests may have cut it off from the root
     monkeypatch.setattr(logger, "disabled", False)
     monkeypatch.setattr(logger, "handlers", [caplog.handler])
+    caplog.set_level(logging.ERROR, logger.name)
     answer = save(client_of(Role.CLINICIAN), measured)
     assert answer.status_code == status
     assert answer.json()["error"] == str(caught.value).replace(f"{the_clinic().folder}/", "")
