@@ -2,18 +2,21 @@
 
 import datetime
 import html
+import io
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 import pytest
 from django.test import Client
 from django.urls import reverse
+from PIL import Image
 
 import mammometry
 from mammometry.clinic import comparing
 from mammometry.clinic.config import ClinicConfig
 from mammometry.clinic.jobs import queue
-from mammometry.clinic.models import Calibration, Comparison, Job, Measurement, Patient, Rig, Visit, Volume
+from mammometry.clinic.models import Calibration, Comparison, Job, Measurement, Patient, Rig, Upload, Visit, Volume
 from mammometry.clinic.roles import Role
 
 pytestmark = pytest.mark.django_db
@@ -224,3 +227,66 @@ def test_only_who_cares_for_patients_sees_and_repeats_comparisons(
     assert client_of(Role.ADMINISTRATOR).post(page, "{}", "application/json").status_code == 403
     assert client_of(Role.CLINICIAN).post(page, "{}", "application/json").status_code == 202
     assert open_pairs() == {(0, 30)}
+
+
+def with_photograph(visit: Visit, camera: str) -> Upload:
+    """A photograph of a visit, as it lies in the folder."""
+    name = f"capture/{camera}.png"
+    (visit.folder / "capture").mkdir(parents=True, exist_ok=True)
+    Image.fromarray(np.full((40, 3300, 3), 128, dtype=np.uint8)).save(visit.folder / name)
+    return Upload.objects.create(visit=visit, camera=camera, name=name, size_bytes=1, state=Upload.State.PLACED)
+
+
+def test_the_page_names_lengths_and_shows_the_photographs_of_both_dates(
+    visits: list[Visit], client_of: Callable[..., Client]
+) -> None:
+    for visit, digest in zip(visits[:2], "ab", strict=True):
+        measure(visit, digest)
+    shots = [with_photograph(visits[0], "front_left"), with_photograph(visits[1], "front_left")]
+    with_photograph(visits[1], "left_left")
+    length = {"name": "SN-N left", "title": "sternal notch to left nipple", "along_the_skin": False}
+    length |= {"before_mm": 210.0, "after_mm": 214.04, "change_mm": 4.04, "sigma_mm": 1.5, "beyond_error": True}
+    do("compare", lambda job: {**compared(job), "table": {**table(), "lengths": [length]}})
+    client = client_of(Role.CLINICIAN)
+    page = html.unescape(client.get(reverse("compare", args=[visits[0].patient_id])).content.decode())
+    assert "Sternal notch to left nipple" in page
+    assert "SN-N" not in page
+    assert "<strong>+4.0 ± 2.9</strong>" in page
+    assert all(reverse("upload-screen", args=[shot.pk]) in page for shot in shots)
+    assert page.count("No photograph") == 1
+    assert page.count("Boundaries that nobody has confirmed yet") == 1
+    larger = client.get(reverse("upload-screen", args=[shots[0].pk]))
+    assert Image.open(io.BytesIO(larger.content)).size == (1600, 19)
+    assert client_of(Role.RESEARCHER).get(reverse("upload-screen", args=[shots[0].pk])).status_code == 403
+
+
+def test_pictures_of_a_comparison_of_the_past_are_not_shown(
+    visits: list[Visit], client_of: Callable[..., Client]
+) -> None:
+    for visit, digest in zip(visits[:2], "ab", strict=True):
+        measure(visit, digest)
+    do("compare", compared)
+    folder = comparing.comparison_folder(visits[0], visits[1])
+    folder.mkdir(parents=True)
+    (folder / "compare.html").write_text('<script type="application/json" id="mm-scene">{"models": []}</script>')
+    client = client_of(Role.CLINICIAN)
+    addresses = [
+        reverse(name, args=[visits[0].patient_id, visits[0].pk, visits[1].pk])
+        for name in ("compare-scene", "compare-page")
+    ]
+    assert client.get(addresses[0]).json() == {"models": []}
+    assert [client.get(address).status_code for address in addresses] == [200, 200]
+    measure(visits[0], "a2")
+    assert [client.get(address).status_code for address in addresses] == [404, 404]
+
+
+def test_a_refused_comparison_says_why_and_can_be_tried_again(
+    visits: list[Visit], client_of: Callable[..., Client]
+) -> None:
+    for visit, digest in zip(visits[:2], "ab", strict=True):
+        measure(visit, digest)
+    job = do("compare", lambda job: "The breasts of both dates: found none before. Draw it with `mammometry edit`.")
+    page = client_of(Role.CLINICIAN).get(reverse("compare", args=[visits[0].patient_id])).content.decode()
+    assert "found none before" in page
+    assert "mammometry edit" not in page
+    assert reverse("job-retry", args=[job.pk]) in page

@@ -323,3 +323,15 @@ def test_an_unmeasured_change_is_said_everywhere_and_no_number_is_shown(
         for name in ("study-redcap", "study-table"):
             with zipfile.ZipFile(io.BytesIO(researcher.get(reverse(name)).content)) as archive:
                 assert confirmations.CHANGED in archive.read("left-out.csv").decode()
+
+
+@pytest.mark.parametrize("state", ["queued", "ready"])
+def test_a_visit_without_a_finished_measurement_is_not_drawn_on(
+    client_of: Callable[..., Client], visit: Visit, state: str
+) -> None:
+    if state == "queued":
+        queue.enqueue(visit, None)
+    answer = client_of(Role.CLINICIAN).get(f"/visits/{visit.pk}/draw/", follow=True)
+    assert answer.redirect_chain == [(f"/visits/{visit.pk}/", 302)]
+    wanted = "is being measured" if state == "queued" else "is not measured yet"
+    assert wanted in answer.content.decode()

@@ -270,7 +270,7 @@ class Photographs {
     const missing = this.root.querySelector<HTMLElement>("[data-missing]");
     if (missing !== null) {
       const lacking = state.missing.length > 0 ? `Still missing: ${state.missing.map(title).join(", ")}.` : "";
-      missing.textContent = state.ready ? (state.missing.length > 0 ? lacking : "Everything is here.") : [lacking, state.needed ?? ""].join(" ").trim();
+      missing.textContent = state.ready ? (lacking || (state.known ? "These poses can be calibrated; ten are better." : "Everything is here.")) : [lacking, state.needed ?? ""].join(" ").trim();
     }
   }
 

@@ -204,11 +204,11 @@ def check_names(rig: Rig, seen: Mapping[str, Keypoints]) -> Names:
         exchanged = _best_exchange(suspects, own, agreement) or _best_exchange(pairs, own, agreement)
     unsolved = {pair: both for pair, both in suspects.items() if not set(both) & set(exchanged)}
     poor = {pair: both for pair, both in unsolved.items() if own[pair].fitting < _FOREIGN}
-    misfitting = tuple(
-        pair
-        for pair in unsolved
-        if own[pair].matches >= _MANY and (pair in poor or abs(own[pair].offset_mm) > _ASTRAY_MM)
-    )
+    shared = [pair for pair in unsolved if own[pair].matches >= _MANY]
+    misfitting = tuple(pair for pair in shared if pair in poor)
+    astray = tuple(pair for pair in shared if pair in poor or abs(own[pair].offset_mm) > _ASTRAY_MM)
+    if len(astray) > max(1, len(pairs) / 2):  # one pair may have moved by so much, most have not
+        misfitting = astray
     rich = {name for name, features in seen.items() if len(features.uv) >= _RICH}
     reach = max((_angle_deg(rig, pairs[pair]) for pair in _plain(own, pairs, rich)), default=0.0)
     unrelated = {

@@ -108,23 +108,20 @@ def begin(target: Target, by: Person | None, file: Announced, *, replace: bool =
             f"The file has {size_bytes / 1e6:.0f} MB. A photograph has 1 byte to {most / 1e6:.0f} MB.", 413
         )
     named = cameras.camera_of_name(file.name, known)
-    place = _place(target, pose, camera or named or "")
-    if sha256:
-        same = _of(target).filter(name=place, sha256=sha256, size_bytes=size_bytes)
-        if (earlier := same.exclude(state=Upload.State.REFUSED).first()) is not None:
-            return earlier
-        there = _of(target).filter(camera=camera or named or "", sha256=sha256, state=Upload.State.PLACED)
-        of_pose = pose if isinstance(target, Calibration) else ""
-        if (placed := next((row for row in there if _pose(row) == of_pose), None)) is not None:
-            return placed
-    if not replace and (camera or named) and _has_photograph(target, pose, camera or named or ""):
+    whose = camera or named or ""
+    place = _place(target, pose, whose)
+    there = [row for row in _there(target, pose) if row.name == place or (whose and row.camera == whose)]
+    same = [row for row in there if sha256 and (row.sha256, row.size_bytes) == (sha256, size_bytes)]
+    if same:
+        return same[0]
+    if there and whose and not replace:
         of_pose = f"Pose {pose}" if isinstance(target, Calibration) else "This"
-        raise OccupiedError(f"{of_pose} has another photograph of {camera or named} already.")
+        raise OccupiedError(f"{of_pose} has another photograph of {whose} already.")
     checks = [Found(check="name", level="ok", sentence=f"The file is called {named}.").as_table()] if named else []
     with transaction.atomic():
         upload = Upload.objects.create(
             **{_field(target): target},
-            camera=camera or named or "",
+            camera=whose,
             name=place,
             size_bytes=size_bytes,
             sha256=sha256,
@@ -137,11 +134,10 @@ def begin(target: Target, by: Person | None, file: Announced, *, replace: bool =
     return upload
 
 
-def _has_photograph(target: Target, pose: str, camera: str) -> bool:
-    """Whether a camera's place is taken, or a photograph is on its way there."""
-    there = _of(target).filter(camera=camera, state__in=(Upload.State.PLACED, Upload.State.RECEIVING))
-    of_pose = pose if isinstance(target, Calibration) else ""
-    return any(_pose(each) == of_pose for each in there)
+def _there(target: Target, pose: str) -> list[Upload]:
+    """Photographs of a pose, or of all, that are in their places or on their way there."""
+    rows = _of(target).exclude(state__in=(Upload.State.REFUSED, Upload.State.SET_ASIDE))
+    return [row for row in rows if not isinstance(target, Calibration) or _pose(row) == pose]
 
 
 def append(upload: Upload, offset: int, data: bytes) -> Upload:
@@ -319,7 +315,8 @@ def state_of(target: Target) -> dict[str, Any]:
     if isinstance(target, Calibration):
         poses = sorted({pose for pose, _ in newest})
         shown = {
-            pose: {camera: table_of(each) for (of, camera), each in newest.items() if of == pose} for pose in poses
+            pose: {camera: table_of(newest[pose, camera]) for camera in known if (pose, camera) in newest}
+            for pose in poses
         }
         missing = [camera for camera in known if camera not in {name for _, name in placed}]
         needed = _poses_needed(target, known, placed)
@@ -378,7 +375,7 @@ def _judge_and_place(upload: Upload) -> None:
     if refuses(found):
         _refuse(upload, found)
         return
-    if by_serial and upload.camera and _has_photograph(target, _pose(upload), upload.camera):
+    if by_serial and upload.camera in {row.camera for row in _there(target, _pose(upload))} - {""}:
         sentence = f"By its serial number {upload.camera} took it, which has another photograph. Choose the camera."
         found.append(Found(check="camera", level="warn", sentence=sentence))
         upload.camera = ""

@@ -14,8 +14,9 @@ from pathlib import Path
 from threading import Lock
 from typing import Any
 
+from django.contrib import messages
 from django.http import Http404, HttpRequest, HttpResponse, HttpResponseBase, JsonResponse
-from django.shortcuts import get_object_or_404, render
+from django.shortcuts import get_object_or_404, redirect, render
 from django.urls import reverse
 from pydantic import ValidationError
 
@@ -136,8 +137,15 @@ def scene(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
 
 
 def draw(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
-    """The page on which boundaries and landmarks are drawn."""
+    """The page on which boundaries and landmarks are drawn. While a visit is measured, nobody draws."""
     shown = _visit(visit)
+    if shown.jobs.filter(state__in=queue.OPEN).exists() or not shown.measurements.exists():
+        busy = shown.state == Visit.State.QUEUED
+        messages.info(
+            request, "This visit is being measured. Its boundaries are shown when that is done."
+            if busy else "This visit is not measured yet, so it has no boundaries.",
+        )  # fmt: skip
+        return redirect("visit", visit=shown.pk)
     drawings = shown.drawings.select_related("by")[:20]
     return render(request, "clinic/draw.html", {"visit": shown, "patient": shown.patient, "drawings": drawings})
 
