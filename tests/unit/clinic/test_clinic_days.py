@@ -63,7 +63,7 @@ class Hospital:
     link: str
     """With which the first administrator sets a password."""
     photographs: Path
-    """A session: the board in several poses, and a patient."""
+    """A session: the board in several poses, and a patient. Beside it lies ``later``, the patient changed."""
     browser: Browser
     cookies: dict[str, str] = field(default_factory=dict)
     """Role → login."""
@@ -74,14 +74,16 @@ class Hospital:
 
 
 def render(folder: Path) -> None:
-    """The demo's photographs: small, of its coarse board, and of its first patient."""
+    """The demo's photographs: small, of its coarse board, and of its first patient at two dates."""
     from mammometry.base.progress import no_progress
     from mammometry.clinic import demo
 
     if "DAYRIG" in os.environ:
         shutil.copytree(os.environ["DAYRIG"], folder / "session")
         return
-    demo.render(folder / "session", demo.PATIENTS[0].subject, "", demo.POSES, no_progress)
+    subject = demo.PATIENTS[0].subject
+    demo.render(folder / "session", subject, "", demo.POSES, no_progress)
+    demo.render(folder / "later", subject, "ratio=1.25", 1, no_progress)
 
 
 @pytest.fixture(scope="module")
@@ -279,6 +281,7 @@ def enter_patient(page: Page) -> None:
     expect(page.get_by_role("link", name="Enter consent")).to_have_count(2)
     for _ in range(2):
         page.get_by_role("link", name="Enter consent").first.click()
+        page.get_by_label("Given on").fill("2026-01-10")
         page.get_by_role("button", name="Save").click()
     expect(page.get_by_text("✓ holds")).to_have_count(2)
     page.get_by_role("link", name="Enter an operation").click()
@@ -441,6 +444,23 @@ def require_same_numbers(page: Page, researcher: Page, visit: str, shown: list[s
         assert (row["volume_cc"], row["low_cc"], row["high_cc"]) == tuple(f"{x:.1f}" for x in (value, low, high))
         assert (row["confirmed"], row["state"]) == ("True", "confirmed")
     assert not {"Müller", "Luchs", "KIS-1"} & set(re.findall(r"[\w-]+", str(rows)))
+
+
+def test_two_dates_are_compared(visit: str, opens: Opens, people: Hospital) -> None:
+    """The comparison is made by itself; patient's page and comparison say the same verdict."""
+    technician = opens("technician")
+    later = photograph(technician, people.photographs.parent / "later")
+    page = opens("clinician")
+    page.goto(later)
+    page.locator(".banner-name a").click()
+    verdict = page.locator("section", has=page.get_by_role("heading", name="Changes")).locator(".verdict")
+    expect(verdict).to_contain_text("measurement error", timeout=MEASURED_MS)
+    text = verdict.inner_text()
+    judge(page, "two-visits")
+    page.get_by_role("link", name="Compare").click()
+    page.locator("#mm-viewer[data-ready]:not([data-ready='0'])").wait_for(timeout=MEASURED_MS)
+    assert page.locator(".verdict").first.inner_text() == text
+    judge(page, "compared")
 
 
 def test_two_people_at_once_on_one_visit(visit: str, opens: Opens) -> None:
