@@ -78,9 +78,6 @@ def render(folder: Path) -> None:
     from mammometry.base.progress import no_progress
     from mammometry.clinic import demo
 
-    if "DAYRIG" in os.environ:
-        shutil.copytree(os.environ["DAYRIG"], folder / "session")
-        return
     subject = demo.PATIENTS[0].subject
     demo.render(folder / "session", subject, "", demo.POSES, no_progress)
     demo.render(folder / "later", subject, "ratio=1.25", 1, no_progress)
@@ -319,8 +316,8 @@ def open_editor(page: Page, visit: str) -> None:
     page.locator("#mm-editor[data-ready]").wait_for(timeout=MEASURED_MS)
 
 
-def drag_lowest_point(page: Page) -> None:
-    """Take hold of the lowest point that is seen, and pull it down a little."""
+def drag_highest_point(page: Page) -> None:
+    """Take hold of the highest point that is seen, and pull it down."""
     canvas = page.locator("#mm-editor canvas")
     canvas.evaluate("canvas => canvas.scrollIntoView({block: 'center'})")
     page.wait_for_timeout(500)  # it is drawn anew
@@ -328,12 +325,12 @@ def drag_lowest_point(page: Page) -> None:
     spots, count = ndimage.label(np.abs(picture - HANDLE_RGB).max(axis=2) < 40)
     areas = ndimage.sum_labels(spots > 0, spots, np.arange(1, count + 1))
     centres = ndimage.center_of_mass(spots > 0, spots, 1 + np.flatnonzero(areas > 30))
-    y, x = max(centres)
+    y, x = min(centres)
     box = canvas.bounding_box()
     assert box is not None
     page.mouse.move(box["x"] + x, box["y"] + y)
     page.mouse.down()
-    page.mouse.move(box["x"] + x, box["y"] + y + 14, steps=4)
+    page.mouse.move(box["x"] + x, box["y"] + y + 40, steps=4)
     page.mouse.up()
 
 
@@ -367,7 +364,7 @@ def test_a_surgeons_day(visit: str, opens: Opens, people: Hospital) -> None:
 
     # The right one is drawn better. The session ends meanwhile: the password is asked for here, and nothing is lost.
     page.get_by_role("button", name="Change the line").click()
-    drag_lowest_point(page)
+    drag_highest_point(page)
     expect(page.locator(".mm-origin")).to_contain_text("Changed, not saved.", timeout=PATIENCE_MS)
     page.context.clear_cookies(name="clinic-session")
     page.get_by_role("button", name="Save").click()
@@ -390,7 +387,7 @@ def test_a_surgeons_day(visit: str, opens: Opens, people: Hospital) -> None:
     assert volumes_of(page) == [before[0], after]
     expect(page.get_by_text("✓ confirmed").first).to_be_visible()
     page.get_by_role("link", name="Write the conclusion").click()
-    page.get_by_label("Conclusion", exact=True).fill(CONCLUSION)
+    page.get_by_role("textbox", name="Conclusion").fill(CONCLUSION)
     page.get_by_role("button", name="Sign").click()
     expect(page.get_by_text("Signed by Dr. Rosa Luchs")).to_be_visible()
     expect(page.get_by_text("Confirmed and concluded.")).to_be_visible()
@@ -482,11 +479,7 @@ def test_two_people_at_once_on_one_visit(visit: str, opens: Opens) -> None:
     expect(second.locator(".mm-readout")).to_contain_text("a change by somebody else meanwhile", timeout=PATIENCE_MS)
     second.get_by_role("button", name="Replace it by mine").click()
     expect(second.locator(".mm-readout")).to_contain_text("Saved", timeout=PATIENCE_MS)
-    second.goto(visit)
-    expect(second.get_by_role("heading", name="Left breast")).to_be_visible(
-        timeout=MEASURED_MS
-    )  # it was measured again
-    second.get_by_text("History of drawing").click()
+    second.reload()
     expect(second.get_by_text("Landmark nipple_left: drawn")).to_have_count(2)
 
 
@@ -511,7 +504,7 @@ def test_every_page_is_accessible_and_fits_every_width(visit: str, opens: Opens,
             kind = "/".join(
                 "*" if len(part) == 36 or part.isdigit() else part for part in link.partition("?")[0].split("/")
             )
-            skipped = ("/static", "/report/")
+            skipped = ("/static", "/report/", "/screen/")  # the last two: a page by itself, and a photograph
             download = "." in kind  # a file's ending
             if download or link in seen or any(each in kind for each in skipped) or kinds.get(kind, 0) >= 2:
                 continue
