@@ -31,7 +31,7 @@ from mammometry.clinic.config import FILE, SETTINGS_FILE, ClinicConfig, new_clin
 if TYPE_CHECKING:
     from mammometry.clinic.models import Calibration, Rig, Visit
 
-_SCALE, _POSES = (
+_SCALE, POSES = (
     0.12,
     7,
 )  # pictures of 540 × 360, and just enough poses, the first, which all cameras see, for the check: for speed
@@ -41,7 +41,7 @@ _RIG_FILE = "cameras/rig.toml"  # in the clinic's folder
 _SEED = 11  # of the rig: all visits must have the same
 _TARGET = {"squares": (9, 7), "square_mm": 42.0, "marker_mm": 32.0, "dictionary": "DICT_4X4_100"}
 """A coarser board than usual, which pictures so small still show."""
-_SETTINGS = """\
+SETTINGS = """\
 # The demo's photographs are small, and its cubes large, so that a visit takes seconds.
 [surface.extract]
 cube_mm = 3.0
@@ -135,7 +135,7 @@ def make_demo(folder: Path, say: Callable[[str], Progress], *, address: str | No
     if address is not None:
         config = config.model_copy(update={"address": address})
     migrate(config)
-    write_text(folder / SETTINGS_FILE, _SETTINGS)
+    write_text(folder / SETTINGS_FILE, SETTINGS)
     from mammometry.clinic.jobs.queue import enqueue
     from mammometry.clinic.models import Job, Visit
 
@@ -143,7 +143,7 @@ def make_demo(folder: Path, say: Callable[[str], Progress], *, address: str | No
     with tempfile.TemporaryDirectory(prefix="mammometry-demo-") as scratch, ExitStack() as working:
         # One rendering gives the photographs of the rig and of the first visit.
         first = PATIENTS[0]
-        made = _render(Path(scratch) / "rig", first.subject, first.dates[0][1], _POSES, say("photographs"))
+        made = render(Path(scratch) / "rig", first.subject, first.dates[0][1], POSES, say("photographs"))
         working.enter_context(_runner(config))
         calibration = _calibrated(made)
         if not whole:
@@ -186,7 +186,7 @@ def finish(say: Callable[[str], Progress]) -> None:
                 ).first()
                 if visit is None:
                     continue
-                made = _render(Path(scratch) / str(visit.pk), patient.subject, other, 1, say(patient.given_name))
+                made = render(Path(scratch) / str(visit.pk), patient.subject, other, 1, say(patient.given_name))
                 _bring(visit, made)
                 enqueue(visit, None)
                 shutil.rmtree(made)
@@ -374,7 +374,7 @@ def _wait_for_calibration(rig: Rig) -> None:
         time.sleep(_LOOK_S)
 
 
-def _render(folder: Path, subject: str, other: str, poses: int, progress: Progress) -> Path:
+def render(folder: Path, subject: str, other: str, poses: int, progress: Progress) -> Path:
     """Photographs of the target or of a subject, by one rig."""
     from mammometry.calibration.targets.charuco import CharucoTarget
     from mammometry.simulate.recipe import SessionRecipe

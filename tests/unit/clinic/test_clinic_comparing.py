@@ -3,6 +3,7 @@
 import datetime
 import html
 import io
+import re
 from collections.abc import Callable
 from typing import Any
 
@@ -227,6 +228,19 @@ def test_only_who_cares_for_patients_sees_and_repeats_comparisons(
     assert client_of(Role.ADMINISTRATOR).post(page, "{}", "application/json").status_code == 403
     assert client_of(Role.CLINICIAN).post(page, "{}", "application/json").status_code == 202
     assert open_pairs() == {(0, 30)}
+
+
+@pytest.mark.parametrize("role", [Role.TECHNICIAN, Role.CLINICIAN])
+def test_the_list_of_jobs_leads_only_to_pages_that_one_may_open(
+    visits: list[Visit], client_of: Callable[..., Client], role: Role
+) -> None:
+    measure(visits[0], "a")
+    measure(visits[1], "b")
+    client = client_of(role)
+    page = client.get(reverse("jobs-page")).content.decode().partition("<main")[2]
+    links = [html.unescape(link) for link in re.findall(r'href="(/[^"]*)"', page)]
+    assert any(str(visits[1].patient_id) in link for link in links)
+    assert {link: client.get(link).status_code for link in links} == dict.fromkeys(links, 200)
 
 
 def with_photograph(visit: Visit, camera: str) -> Upload:

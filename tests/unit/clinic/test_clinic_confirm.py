@@ -247,6 +247,25 @@ def test_what_is_saved_is_measured_at_once(
     assert measured.state == Visit.State.MEASURED
 
 
+def test_who_hears_of_a_jobs_end_hears_its_numbers_too(
+    client_of: Callable[..., Client], page: Page, measured: Visit, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The job ends while the old numbers are read: the page must go on asking, or it waits for the new ones forever."""
+    queue.enqueue(measured, None)
+    (job,) = queue.claim("me", 1)
+    of_before = page.items()
+
+    def items() -> dict[str, Any]:
+        queue.done(job.pk, "me", answer("e"))
+        return of_before
+
+    monkeypatch.setattr(page, "items", items)
+    client, address = client_of(Role.CLINICIAN), reverse("draw-items", args=[measured.pk])
+    assert client.get(address).json()["job"]["state"] == "running"
+    monkeypatch.setattr(page, "items", lambda: of_before)
+    assert client.get(address).json()["job"]["state"] == "done"
+
+
 def test_what_cannot_be_measured_now_stays_changed(
     client_of: Callable[..., Client], page: Page, measured: Visit
 ) -> None:

@@ -139,6 +139,7 @@ class Photographs {
     this.queue.push(...waiting);
     this.total += waiting.length;
     while (this.working < AT_ONCE && this.queue.length > 0) void this.work();
+    this.allowGo();
   }
 
   private async work(): Promise<void> {
@@ -178,6 +179,13 @@ class Photographs {
     list?.replaceChildren(...this.refused.map((sentence) => made("li", "", sentence)));
     if (list) list.parentElement!.hidden = this.refused.length === 0;
     this.show("", 1);
+    this.allowGo();
+  }
+
+  /** Nothing is computed from a part of what somebody sends: the button waits for the last photograph. */
+  private allowGo(): void {
+    const go = this.root.querySelector<HTMLButtonElement>("[data-go]");
+    if (go !== null) go.disabled = this.root.dataset.ready !== "true" || this.working > 0;
   }
 
   /** Ask what to do with photographs whose places are taken. */
@@ -265,8 +273,7 @@ class Photographs {
       aside.querySelector("ul")!.replaceChildren(...state.set_aside.map(keptAside));
     }
     this.root.dataset.ready = String(state.ready);
-    const go = this.root.querySelector<HTMLButtonElement>("[data-go]");
-    if (go !== null) go.disabled = !state.ready;
+    this.allowGo();
     const missing = this.root.querySelector<HTMLElement>("[data-missing]");
     if (missing !== null) {
       const lacking = state.missing.length > 0 ? `Still missing: ${state.missing.map(title).join(", ")}.` : "";

@@ -152,23 +152,23 @@ def draw(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
 
 def drawing(request: HttpRequest, visit: uuid.UUID) -> HttpResponseBase:
     """Everything the page needs."""
-    return _told(visit, lambda shown, page: _with_visit(shown, page.drawing(str(request.user))))
+    return _told(visit, lambda shown, page, job: _with_visit(shown, page.drawing(str(request.user)), job))
 
 
 def items(request: HttpRequest, visit: uuid.UUID) -> HttpResponseBase:
     """State of all boundaries and landmarks."""
-    return _told(visit, lambda shown, page: _with_visit(shown, page.items()))
+    return _told(visit, lambda shown, page, job: _with_visit(shown, page.items(), job))
 
 
 def measure(request: HttpRequest, visit: uuid.UUID) -> HttpResponseBase:
     """Volumes of what is drawn, not kept."""
-    return _told(visit, lambda shown, page: page.measure(request.body))
+    return _told(visit, lambda shown, page, job: page.measure(request.body))
 
 
 def save(request: HttpRequest, visit: uuid.UUID) -> HttpResponseBase:
     """Keep what was drawn, with name and time, and measure it."""
 
-    def saved(shown: Visit, page: EditorPage) -> dict[str, Any]:
+    def saved(shown: Visit, page: EditorPage, _: Job | None) -> dict[str, Any]:
         # A measurement that ends at this moment waits for this, and then sees that it is of an earlier drawing.
         locked = Visit.objects.select_for_update().get(pk=shown.pk)
         sent, changed = page.save(request.body, str(request.user))
@@ -184,7 +184,7 @@ def save(request: HttpRequest, visit: uuid.UUID) -> HttpResponseBase:
                     _set_state(locked, Visit.State.QUEUED)
                 except StorageError as error:  # it is saved, and stays to be measured
                     _LOG.error("%s", error)
-        return {"saved": len(changed), **_with_visit(locked, page.items())}
+        return {"saved": len(changed), **_with_visit(locked, page.items(), _newest_job(locked))}
 
     return _told(visit, saved)
 
@@ -211,11 +211,15 @@ def finish(request: HttpRequest, visit: uuid.UUID) -> HttpResponseBase:
     return JsonResponse({"next": reverse("home") if following is None else reverse("draw", args=[following.pk])})
 
 
-def _with_visit(visit: Visit, state: dict[str, Any]) -> dict[str, Any]:
+def _newest_job(visit: Visit) -> Job | None:
+    return visit.jobs.filter(kind=Job.Kind.MEASURE).order_by("-created").first()
+
+
+def _with_visit(visit: Visit, state: dict[str, Any], job: Job | None) -> dict[str, Any]:
     """A page's state with what was measured of it and who confirmed it.
 
     ``visit`` has the visit's state, whether its newest drawing is not measured yet (``changed``), and the digests of
-    the measured boundaries (``curves``); ``job`` is its newest one.
+    the measured boundaries (``curves``); ``job`` is its newest one, as it was before the state was read.
     """
     measurement = visit.measurements.first()
     confirmation = Confirmation.objects.filter(measurement__visit=visit).select_related("by").first()
@@ -225,7 +229,6 @@ def _with_visit(visit: Visit, state: dict[str, Any]) -> dict[str, Any]:
             at = confirmation.at.isoformat(timespec="seconds")
             boundary["confirmed"] = {"by": str(confirmation.by or ""), "at": at, "holds": holds}
     curves = {} if measurement is None else measurement.curves
-    job = visit.jobs.filter(kind=Job.Kind.MEASURE).order_by("-created").first()
     return {
         **state,
         "job": None if job is None else table_of(job, queue.place(job)),
@@ -250,14 +253,15 @@ def _digest(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else ""
 
 
-def _told(visit: uuid.UUID, answer: Callable[[Visit, EditorPage], dict[str, Any]]) -> HttpResponseBase:
+def _told(visit: uuid.UUID, answer: Callable[[Visit, EditorPage, Job | None], dict[str, Any]]) -> HttpResponseBase:
     """Answer as JSON.
 
     The sentence of a refusal is passed on.
     """
     shown = _visit(visit)
+    job = _newest_job(shown)  # first: a page that hears of a job's end hears its numbers too, and asks no more
     try:
-        return JsonResponse(answer(shown, _DESKS.of(shown)))
+        return JsonResponse(answer(shown, _DESKS.of(shown), job))
     except (MammometryError, ValidationError) as error:
         status, words = refusal(error)
         words["error"] = words["error"].replace(f"{the_clinic().folder}/", "")  # where it lies is nobody's business
