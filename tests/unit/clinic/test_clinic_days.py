@@ -396,18 +396,10 @@ def test_a_surgeons_day(visit: str, opens: Opens, people: Hospital) -> None:
     expect(page.get_by_text("Boundary right: drawn")).to_be_visible()
     expect(page.get_by_text("Boundary left: confirmed")).to_be_visible()
 
-<<<<<<< HEAD
-    page.goto(address)
-    page.get_by_role("button", name="Compare").click()
-    expect(page.get_by_role("heading", name="Both surfaces")).to_be_visible(timeout=MEASURED_MS)
-    expect(page.get_by_text("within the measurement error").first).to_be_visible()
-    require_accessible(page)
-=======
     researcher = opens("researcher")
     researcher.goto("/study/")
     judge(researcher, "study")
     require_same_numbers(page, researcher, visit, [before[0], after])
->>>>>>> day
 
 
 def require_same_numbers(page: Page, researcher: Page, visit: str, shown: list[str]) -> None:
@@ -486,14 +478,10 @@ def test_two_people_at_once_on_one_visit(visit: str, opens: Opens) -> None:
     second.get_by_role("button", name="Save").click()
     expect(second.locator(".mm-readout")).to_contain_text("a change by somebody else meanwhile", timeout=PATIENCE_MS)
     second.get_by_role("button", name="Replace it by mine").click()
-<<<<<<< HEAD
-    expect(second.locator(".mm-readout")).to_contain_text("Saved", timeout=60_000)
-    second.goto(visit)
-    expect(second.get_by_role("heading", name="Left breast")).to_be_visible(timeout=MEASURED_MS)
-=======
     expect(second.locator(".mm-readout")).to_contain_text("Saved", timeout=PATIENCE_MS)
-    second.reload()
->>>>>>> day
+    second.goto(visit)  # which is measured again
+    expect(second.get_by_role("heading", name="Left breast")).to_be_visible(timeout=MEASURED_MS)
+    second.get_by_text("History of drawing").click()
     expect(second.get_by_text("Landmark nipple_left: drawn")).to_have_count(2)
 
 
