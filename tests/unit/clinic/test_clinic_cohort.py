@@ -55,11 +55,11 @@ def measure(visit: Visit, volumes: Iterable[Volume], made_at: datetime.datetime 
 def random_volumes(draw: random.Random) -> list[Volume]:
     """Some meanings of each side, some refused, some without an interval."""
     volumes = []
-    for side in draw.sample(("left", "right", "model", "difference"), draw.randint(0, 4)):
-        usual = {"flat chest"} if draw.random() < 0.6 else set()
+    for side in draw.sample(("left", "right", "model", "difference"), draw.randint(1, 4)):
+        usual = {"flat chest"} if draw.random() < 0.8 else set()
         others = draw.sample((*results.LEADING[2:], "another", "a further one"), draw.randint(0, 4))
         for definition in sorted({*usual, *others} or {"measured wall"}, key=lambda _: draw.random()):
-            value = draw.choice((None, draw.uniform(100, 900)))
+            value = None if draw.random() < 0.2 else draw.uniform(100, 900)
             low = None if value is None or draw.random() < 0.2 else value - 10
             volumes.append(
                 Volume(
