@@ -13,6 +13,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 from django.db.models import Case, CharField, Count, Exists, IntegerField, OuterRef, Q, QuerySet, Subquery, Value, When
+from django.db.models.expressions import Combinable
 from django.db.models.functions import Cast
 from django.utils import timezone
 
@@ -172,11 +173,11 @@ def pooled(visits: QuerySet[Visit]) -> Pooled:
     by_visit, keys = [], []
     zone = timezone.get_current_timezone()
     columns = _text("pk"), "patient__pseudonym", _text("taken_at")
-    for key, changed, visit, pseudonym, taken_at in _with_newest(visits, *columns):
+    for key, is_old, visit, pseudonym, taken_at in _with_newest(visits, *columns):
         keys.append(visit)
         number_of[key] = len(number_of)
-        day = datetime.datetime.fromisoformat(taken_at).replace(tzinfo=datetime.UTC).astimezone(zone).toordinal()
-        by_visit.append((patient_of.setdefault(pseudonym, len(patient_of)), day, changed))
+        ordinal = datetime.datetime.fromisoformat(taken_at).replace(tzinfo=datetime.UTC).astimezone(zone).toordinal()
+        by_visit.append((patient_of.setdefault(pseudonym, len(patient_of)), ordinal, is_old))
     by_volume = [
         (number_of[key], _SIDE_ORDER[side], breast_of.setdefault((side, definition), len(breast_of)), volume_cc)
         for key, side, definition, volume_cc in _leading().values_list(*_VOLUME, "volume_cc")
@@ -197,7 +198,7 @@ def pooled(visits: QuerySet[Visit]) -> Pooled:
     )
 
 
-def _with_newest(visits: QuerySet[Visit], *columns: str) -> QuerySet[Visit, _Values]:
+def _with_newest(visits: QuerySet[Visit], *columns: str | Combinable) -> QuerySet[Visit, _Values]:
     """Of each measured visit: key of its newest measurement, whether its numbers are of an earlier state, columns."""
     queued = visits.filter(state=Visit.State.QUEUED)
     changed = Q(state=Visit.State.CHANGED) | Q(pk__in=[visit.pk for visit in queued if is_changed(visit)])
@@ -212,7 +213,7 @@ def _with_newest(visits: QuerySet[Visit], *columns: str) -> QuerySet[Visit, _Val
 def _leading_volumes(measurements: list[str]) -> dict[tuple[str, str], _Values]:
     """Measurement and side → the volume that leads: definition, volume, low, high (cc), why there is none."""
     columns = ("definition", "volume_cc", "low_cc", "high_cc", "refused")
-    rows = _leading().filter(measurement__in=measurements).values_list(*_VOLUME[:2], *columns)
+    rows = _leading().filter(measurement_id__in=measurements).values_list(*_VOLUME[:2], *columns)
     return {(key, side): tuple(volume) for key, side, *volume in rows}
 
 
@@ -221,15 +222,15 @@ def _leading() -> QuerySet[Volume]:
     same = Volume.objects.filter(measurement=OuterRef("measurement"), side=OuterRef("side"))
     leads = Q()
     for number, definition in enumerate(LEADING):
-        leads |= Q(definition=definition) & ~Exists(same.filter(definition__in=LEADING[:number]))
+        leads |= Q(Q(definition=definition), ~Exists(same.filter(definition__in=LEADING[:number])))
     better = Q(definition__in=LEADING) | Q(definition__lt=OuterRef("definition"))
-    leads |= ~Q(definition__in=LEADING) & ~Exists(same.filter(better))
+    leads |= Q(~Q(definition__in=LEADING), ~Exists(same.filter(better)))
     return Volume.objects.filter(leads, side__in=SIDES).order_by()
 
 
 def _confirmed_at(measurements: list[str]) -> dict[str, datetime.datetime]:
     """Measurement → when the boundaries that were measured were confirmed last."""
-    rows = Confirmation.objects.filter(measurement__in=measurements).order_by("at")
+    rows = Confirmation.objects.filter(measurement_id__in=measurements).order_by("at")
     columns = rows.values_list(_text("measurement_id"), "curves", "measurement__curves", "at")
     return {key: at for key, curves, measured, at in columns if curves == measured}
 
