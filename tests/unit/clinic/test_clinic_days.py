@@ -479,7 +479,9 @@ def test_two_people_at_once_on_one_visit(visit: str, opens: Opens) -> None:
     expect(second.locator(".mm-readout")).to_contain_text("a change by somebody else meanwhile", timeout=PATIENCE_MS)
     second.get_by_role("button", name="Replace it by mine").click()
     expect(second.locator(".mm-readout")).to_contain_text("Saved", timeout=PATIENCE_MS)
-    second.reload()
+    second.goto(visit)  # which is measured again
+    expect(second.get_by_role("heading", name="Left breast")).to_be_visible(timeout=MEASURED_MS)
+    second.get_by_text("History of drawing").click()
     expect(second.get_by_text("Landmark nipple_left: drawn")).to_have_count(2)
 
 
