@@ -135,7 +135,7 @@ class Editor {
 
   static async create(): Promise<Editor> {
     const page = await ask<Page>("drawing");
-    const model = await unpackModel({ ...page.scene.models[0]!, curves: [], landmarks: [] });
+    const model = await unpackModel({ ...page.scene.models[0]!, curves: [], landmarks: [], lengths: [] });
     return new Editor(page, (holder) => new Stage(holder, model));
   }
 

@@ -4,6 +4,7 @@ import csv
 import errno
 import io
 import json
+import logging
 import os
 import zipfile
 from collections.abc import Callable
@@ -291,12 +292,17 @@ def test_a_disk_that_refuses_is_a_sentence_and_in_the_log(
     page: Page,
     measured: Visit,
     caplog: pytest.LogCaptureFixture,
+    monkeypatch: pytest.MonkeyPatch,
     number: int,
     status: int,
 ) -> None:
     with pytest.raises(StorageError) as caught, disk_errors(measured.folder):
         raise OSError(number, os.strerror(number))
     page.error = caught.value
+    logger = logging.getLogger("mammometry.editor.page")  # other tests may have cut it off from the root
+    monkeypatch.setattr(logger, "disabled", False)
+    monkeypatch.setattr(logger, "handlers", [caplog.handler])
+    caplog.set_level(logging.ERROR, logger.name)
     answer = save(client_of(Role.CLINICIAN), measured)
     assert answer.status_code == status
     assert answer.json()["error"] == str(caught.value).replace(f"{the_clinic().folder}/", "")

@@ -75,7 +75,7 @@ def test_who_logs_in_in_another_tab_goes_on_here(page: Page, tmp_path: Path) -> 
     with page.context.expect_page() as opening:
         dialog.get_by_role("link", name="Log in in another tab").click()
     other = opening.value
-    other.get_by_label("Username").fill("technician-1")
+    other.get_by_label("Name").fill("technician-1")
     other.get_by_label("Password").fill(PASSWORD)
     other.get_by_role("button", name="Log in").click()
     expect(other.get_by_role("heading", name="Today", exact=True)).to_be_visible()
