@@ -96,7 +96,7 @@ def guides(browser: Browser, address: str, logins: dict[str, str]) -> None:
     take(page, "study")
     page.context.close()
     page = opened(browser, address, logins["administrator"], width=width, height=height)
-    page.goto("/administration/clinic/person/add/")
+    page.goto("/people/new/")
     take(page, "person")
     page.context.close()
 

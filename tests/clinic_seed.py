@@ -5,6 +5,8 @@ import sys
 from pathlib import Path
 
 PAIR = {"name": "front", "left": "front_left", "right": "front_right"}
+PASSWORD = "nine plain teaspoons"
+"""Of everybody."""
 DEFINITION = {
     "rig": {"name": "pair", "pairs": [PAIR]},
     "target": {
@@ -30,6 +32,8 @@ def logins(folder: Path) -> dict[str, str]:
         person, _ = Person.objects.get_or_create(
             username=f"{role}-1", defaults={"roles": [str(role)], "full_name": f"{role.label} One"}
         )
+        person.set_password(PASSWORD)
+        person.save()
         client = Client()
         client.force_login(person, backend="allauth.account.auth_backends.AuthenticationBackend")
         made[str(role)] = client.cookies[settings.SESSION_COOKIE_NAME].value

@@ -14,7 +14,8 @@ __version__ = "0.1.0"
 
 if TYPE_CHECKING:
     from mammometry.api.dates import Comparison, compare
-    from mammometry.api.job import Job, Results, open_session
+    from mammometry.api.job import Job, open_session
+    from mammometry.api.results import Results
     from mammometry.base.errors import MammometryError
     from mammometry.report.privacy import Privacy
     from mammometry.settings import Settings
@@ -36,7 +37,7 @@ _HOMES = {
     "Job": "mammometry.api.job",
     "MammometryError": "mammometry.base.errors",
     "Privacy": "mammometry.report.privacy",
-    "Results": "mammometry.api.job",
+    "Results": "mammometry.api.results",
     "Settings": "mammometry.settings",
     "compare": "mammometry.api.dates",
     "open_session": "mammometry.api.job",

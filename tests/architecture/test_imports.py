@@ -128,6 +128,7 @@ def test_only_the_editor_and_exports_speak_to_the_network(repository: Path) -> N
         if name.partition(".")[0] in network or name == "urllib.request"
     }
     assert using == {
+        "clinic/server.py imports socket",  # whether the port is free
         "editor/server.py imports socket",
         "clinic/jobs/events.py imports asyncio",  # to wait between two looks at the database
         "clinic/limits.py imports asyncio",  # to stop waiting for a body that does not come

@@ -87,6 +87,13 @@ def swapped_pair(session: Path) -> None:
     change_manifest(session, 'left = "front_left", right = "front_right"', 'left = "front_right", right = "front_left"')
 
 
+def exchanged_photographs(session: Path) -> None:
+    left, right = (session / "capture" / f"{camera}.jpg" for camera in ("front_left", "front_right"))
+    left.rename(session / "other.jpg")
+    right.rename(left)
+    (session / "other.jpg").rename(right)
+
+
 def nothing_in_the_picture(session: Path) -> None:
     for camera in ("front_left", "front_right"):
         replace_by_grey(session / "capture" / f"{camera}.jpg")
@@ -119,6 +126,7 @@ CASES = [
     (unknown_format, 3, "session.toml: format: found 7, expected 1"),
     (unknown_dictionary, 3, "DICT_5X5_251"),
     (swapped_pair, 5, "front"),
+    (exchanged_photographs, 6, "capture, front_left and front_right: found photographs that seem to be exchanged"),
     (nothing_in_the_picture, 6, "no subject"),
 ]
 

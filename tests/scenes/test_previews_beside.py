@@ -13,7 +13,6 @@ from mammometry.api.job import Job, open_session
 from mammometry.base.errors import StorageError
 from mammometry.base.second_process import NotDone, SecondProcess
 from mammometry.report import gather, stage_facts
-from mammometry.report.scene import to_json
 from mammometry.settings import Settings
 
 
@@ -130,7 +129,7 @@ def test_the_scene_that_is_made_meanwhile_is_what_the_report_would_make(
 
     def noted(*arguments: Any, **named: Any) -> Any:
         said = before(*arguments, **named)
-        scenes.append(None if said.scene is None else to_json(said.scene))
+        scenes.append(said.scene)
         return said
 
     monkeypatch.setattr(gather, "gather", noted)

@@ -14,11 +14,11 @@ import pytest
 RUN = """
 import os, sys
 from mammometry.api.job import Job
-from mammometry.report import content
+from mammometry.report import describe
 
 cores, session, settings = int(sys.argv[1]), sys.argv[2], sys.argv[3]
 os.sched_getaffinity = lambda process: set(range(cores))
-content.created_words = lambda moment=None: "then"  # all that a report says of time
+describe.created_words = lambda moment=None: "then"  # all that a report says of time
 Job._all_seconds = lambda self: {}
 
 import cv2

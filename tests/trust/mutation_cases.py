@@ -90,7 +90,8 @@ def _dated(folder: Path, place: int = 2, date: str = "2026-03-01", growth: float
     for key in (*(product.key for product in job.plan.products()), *pictures):
         if not job.store.has(key):  # what no command below reads
             job.store.write_folder(key, _standing_in(key.product))
-    job.store.write_folder(job.report_key, _standing_in("report"))  # last: it tells how long the others took
+    job.store.write_folder(job.report_key, _standing_in("report"))
+    job.store.write_folder(job.content_key, _standing_in("content"))  # last: it tells how long the others took
 
 
 def _standing_in(product: str) -> Callable[[], Callable[[Path, Progress], None]]:

@@ -25,7 +25,7 @@ from mammometry.base.errors import SessionError
 from mammometry.cli import main, simulation
 from mammometry.io.manifest import Manifest
 from mammometry.io.outputs import RECORD
-from mammometry.report.content import settings_facts
+from mammometry.report.describe import settings_facts
 from mammometry.settings import Settings, names
 
 ID, OTHER = "P-7731", "P-8842"
@@ -169,7 +169,7 @@ def test_whatever_a_manifest_tells_is_in_the_reports_key(linked: Path, tmp_path:
             (path / "third.jpg").symlink_to(linked / path.relative_to(changed) / "front_right.jpg")
     job = open_session(changed)
     assert job.identity.name == linked.name
-    assert job.report_key.digest != open_session(linked).report_key.digest
+    assert job.content_key.digest != open_session(linked).content_key.digest
 
 
 def test_every_setting_that_a_page_lists_is_in_its_key(linked: Path) -> None:
@@ -177,7 +177,7 @@ def test_every_setting_that_a_page_lists_is_in_its_key(linked: Path) -> None:
     assert everything == set(names(Settings()))
 
     def digest(*assignments: str) -> str:
-        return open_session(linked, Settings().overridden(assignments)).report_key.digest
+        return open_session(linked, Settings().overridden(assignments)).content_key.digest
 
     # No product depends on these, and the page lists them.
     for assignment in ("compare.doubt_deg=3.0", "calibration.check.refuse_mm=0.9"):

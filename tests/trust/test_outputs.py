@@ -280,7 +280,7 @@ def measure(place: Path, patch: pytest.MonkeyPatch) -> Case:
     rim = 60 * np.stack([np.cos(angles), np.sin(angles), 0 * angles], axis=1)
     boundary = place / "data" / "b.json"
     boundary.write_text(json.dumps({"boundaries": {"model": {"points": rim.tolist()}}}))
-    patch.setattr(mesh_job.MeshJob, "_ensure_report", lambda self: None)
+    patch.setattr(mesh_job.MeshJob, "_stored_report", SimpleNamespace(ensure=lambda gathered: None))
     command: list[object] = ["measure", scan, "--units", "mm", "--boundary", boundary, "--out"]
     return Case(
         [*command, place / "out"], place / "out", (), [[*command, out] for out in (scan.parent, place, boundary)]
@@ -391,7 +391,7 @@ IN_THE_CLINIC = {
     f"clinic {name}"
     for name in (
         "init", "serve", "upgrade", "people add", "people list", "people invite", "backup", "restore", "export",
-        "erase", "audit", "demo", "work",
+        "erase", "audit", "demo", "work", "test-restore",
     )
 }  # fmt: skip
 """They write into the clinic's folder; elsewhere new files and folders only, which `test_clinic_keep` shows."""

@@ -1,5 +1,7 @@
 /** Live pictures of a rig's cameras with their aids, and the button that fires: on the local page and the clinic's. */
 
+import { request } from "./clinic/request";
+
 interface Aids {
   picture: string;
   sharpness: number[][];
@@ -89,14 +91,8 @@ class Capture {
     void this.live();
   }
 
-  private async asked<T>(where: string, body?: object): Promise<T> {
-    const headers: Record<string, string> = { Accept: "application/json" };
-    if (body !== undefined) headers["Content-Type"] = "application/json";
-    if (this.root.dataset.token) headers["X-CSRFToken"] = this.root.dataset.token;
-    const answer = await fetch(this.root.dataset.at + where, body === undefined ? { headers } : { method: "POST", headers, body: JSON.stringify(body) });
-    const reply = (await answer.json().catch(() => ({}))) as T & { detail?: string; error?: string };
-    if (!answer.ok) throw new Error(reply.error ?? reply.detail ?? answer.statusText);
-    return reply;
+  private asked<T>(where: string, json?: object): Promise<T> {
+    return request<T>(this.root.dataset.at + where, json === undefined ? {} : { json });
   }
 
   private add(name: string): void {
@@ -235,7 +231,7 @@ class Capture {
     let anyway = false;
     go.type = "button";
     go.addEventListener("click", () => {
-      void this.posted(address, anyway).then(
+      void request(address, { json: anyway ? { anyway } : {} }).then(
         () => window.location.assign(this.root.dataset.next!),
         (error: unknown) => {
           refused.textContent = words(error);
@@ -248,12 +244,6 @@ class Capture {
     this.verdict.append(acts);
   }
 
-  private async posted(address: string, anyway: boolean): Promise<void> {
-    const headers = { Accept: "application/json", "Content-Type": "application/json", "X-CSRFToken": this.root.dataset.token ?? "" };
-    const answer = await fetch(address, { method: "POST", headers, body: JSON.stringify(anyway ? { anyway } : {}) });
-    const reply = (await answer.json().catch(() => ({}))) as { error?: string };
-    if (!answer.ok) throw new Error(reply.error ?? answer.statusText);
-  }
 }
 
 function made<K extends keyof HTMLElementTagNameMap>(tag: K, name: string, text = ""): HTMLElementTagNameMap[K] {

@@ -1,424 +1,489 @@
-/** The editor: boundaries and landmarks are drawn on the surface with the mouse, and measured as they are drawn. */
+/** One page of boundaries: left, right and landmarks are looked at in steps, changed where needed, and confirmed. */
 
 import { Matrix4, Vector3 } from "three";
 
-import { number } from "./colours";
-import { type PackedScene, type Vector, unpackModel } from "./format";
+import { Refused, request } from "./clinic/request";
+import { Drawing, type Group, type Handle, type Item, type Job, type LiveVolume, type Page, type State, cheapestPlace, points } from "./editor/drawing";
+import { rememberName, rememberedName } from "./editor/author";
+import { followPointer } from "./editor/pointer";
+import { volumeNote, volumeWords } from "./editor/volume_words";
+import { type Vector, unpackModel } from "./format";
 import { DIRECTIONS, directionTitle, Stage } from "./stage";
 import { button, choose, element } from "./viewer";
 
-type Group = "boundaries" | "landmarks";
-
-/** A point to take hold of; `at` says which point of the curve it began from it is, where nobody moved it. */
-interface Handle {
-  point: Vector;
-  at: number | null;
-}
-
-/** What is drawn by one name: the curve it began from, and where its handles are now. */
-interface Sketch {
-  of: string | null;
-  handles: Handle[];
-}
-
-type Drawn = Record<Group, Record<string, Sketch>>;
-
-interface Stored {
-  base: string | null;
-  how: string | null;
-}
-
-interface StoredBoundary extends Stored {
-  of?: string;
-  curve?: Vector[];
-  handles?: Handle[];
-  confirmed?: { by: string; at: string; holds: boolean } | null;
-}
-
-interface StoredPlace extends Stored {
-  points: Vector[];
-}
-
-/** What stands in the session. */
-interface State {
-  breasts: string[];
-  landmarks: { name: string; title: string; kind: "point" | "line" }[];
-  boundaries: Record<string, StoredBoundary>;
-  places: Record<string, StoredPlace>;
-  remark: string;
-}
-
-interface Drawing extends State {
-  scene: PackedScene;
-  author: string;
-  /** The server knows who draws: the page does not ask. */
-  signed: boolean;
-}
-
-interface LiveVolume {
-  curve: Vector[];
-  volumeCc: number | null;
-  intervalCc: [number, number] | null;
-  problem: string | null;
-}
-
-interface Thing {
-  group: Group;
-  name: string;
+/** A part of the page: one breast, or all landmarks. */
+interface Step {
   title: string;
-  kind: "closed" | "line" | "point";
-}
-
-/** What the server refused, in its words. */
-class Refused extends Error {
-  constructor(
-    message: string,
-    readonly late: [Group, string][],
-  ) {
-    super(message);
-  }
+  help: string;
+  /** The boundary; null: the landmarks. */
+  breast: Item | null;
+  from: Vector;
 }
 
 const GRAB_PX = 12;
-const CLICK_PX = 4;
 const PAUSE_MS = 120;
-const NAME_DAYS = 365;
-const TITLES: Record<string, string> = { model: "boundary", left: "left boundary", right: "right boundary" };
+const POLL_MS = 1500;
+const FROM: Record<string, Vector> = { left: [0.5, 0.1, 0.85], right: [-0.5, 0.1, 0.85], model: [0, 0.3, 1] };
+const AHEAD: Vector = [0, 0.05, 1];
+const LOOK = "Does the line run around the breast where it ends? Turn the surface to look at all of it.";
+const DRAW = "Drag a point to move it. Click the surface to add one. Drag beside the points to turn the surface.";
+const MARK = "Choose a landmark, then click its place on the surface. None of them is required.";
+
+const root = document.getElementById("mm-editor")!;
 
 class Editor {
+  private readonly drawing: Drawing;
   private readonly stage: Stage;
   private readonly worldFromView: Matrix4;
   private readonly viewFromWorld: Matrix4;
-  private readonly things: Thing[];
-  private readonly select: HTMLSelectElement;
-  private readonly buttons: Record<"undo" | "redo" | "remove" | "clear" | "save" | "confirm", HTMLButtonElement>;
-  private readonly author: HTMLInputElement;
+  private readonly steps: Step[];
+  private readonly stepButtons: HTMLButtonElement[];
+  private readonly heading: HTMLElement;
+  private readonly volume: HTMLElement;
   private readonly origin: HTMLElement;
-  private readonly late: HTMLElement;
-  private readonly volumes: HTMLElement;
+  private readonly marks: HTMLElement;
+  private readonly tools: HTMLElement;
+  private readonly problem: HTMLElement;
   private readonly readout: HTMLElement;
-  /** What to do after saving or confirming. */
-  private readonly next: string;
-  private drawn: Drawn;
-  private past: Drawn[] = [];
-  private future: Drawn[] = [];
-  /** What of it stands in the session, and the version of each item that this was. */
-  private saved: Drawn;
-  private state: State;
-  private curves: Record<string, Vector[]> = {};
+  private readonly late: HTMLElement;
+  private readonly author: HTMLInputElement;
+  private readonly acts: Record<"edit" | "right" | "save" | "measure" | "finish", HTMLButtonElement>;
+  private readonly buttons: Record<"undo" | "redo" | "remove" | "clear", HTMLButtonElement>;
+  /** Breast → digest of the curve that was looked at and found right. */
+  private readonly right = new Map<string, string>();
+  private readonly signed: boolean;
+  private live: Record<string, LiveVolume> = {};
+  private at = 0;
+  private mark: Item | null = null;
+  private editing = false;
+  private busy = false;
   private chosen: number | null = null;
   private timer = 0;
-  private asked = 0;
+  private polling = 0;
+  private question = 0;
 
-  private constructor(root: HTMLElement, drawing: Drawing, stage: (holder: HTMLElement) => Stage) {
-    this.worldFromView = new Matrix4().fromArray(drawing.scene.worldFromView).transpose();
+  private constructor(page: Page, stage: (holder: HTMLElement) => Stage) {
+    this.worldFromView = new Matrix4().fromArray(page.scene.worldFromView).transpose();
     this.viewFromWorld = this.worldFromView.clone().invert();
-    this.state = drawing;
-    this.drawn = this.saved = { boundaries: {}, landmarks: {} };
-    this.next = drawing.signed
-      ? "When all is drawn: Measure with these boundaries."
-      : "Now run: mammometry run SESSION";
-    this.things = [
-      ...drawing.breasts.map((name): Thing => ({ group: "boundaries", name, title: TITLES[name]!, kind: "closed" })),
-      ...drawing.landmarks.map((mark): Thing => ({ group: "landmarks", ...mark })),
+    this.drawing = new Drawing(page);
+    this.signed = page.signed;
+    const breasts = this.drawing.items.filter(({ group }) => group === "boundaries");
+    this.steps = [
+      ...breasts.map((item): Step => ({ title: item.title, help: LOOK, breast: item, from: FROM[item.name]! })),
+      { title: "Landmarks", help: MARK, breast: null, from: AHEAD },
     ];
+    this.mark = this.drawing.items.find(({ group }) => group === "landmarks") ?? null;
+
     root.replaceChildren();
-    const bar = element(root, "div", "mm-bar-row");
-    this.select = choose(
-      bar,
-      "Draw",
-      this.things.map((thing, k) => [String(k), thing.title]),
+    const list = element(root, "ol", "mm-steps");
+    this.stepButtons = this.steps.map(({ title }, k) =>
+      button(element(list, "li", ""), title, "", () => this.go(k)),
     );
-    this.select.onchange = () => {
-      this.chosen = null;
-      this.show();
-    };
-    this.buttons = {
-      undo: button(bar, "Undo", "Undo (Ctrl+Z)", () => this.back(this.past, this.future)),
-      redo: button(bar, "Redo", "Redo (Ctrl+Shift+Z)", () => this.back(this.future, this.past)),
-      remove: button(bar, "Remove point", "Remove the chosen point (Delete)", () => this.remove()),
-      clear: button(bar, "Start anew", "Remove all points of what is being drawn", () => this.clear()),
-      save: button(bar, "Save", "Save what was changed into the session (Ctrl+S)", () => void this.save()),
-      confirm: button(bar, "Confirm by eye", "Say that you looked at this boundary and found it right", () => {
-        void this.confirm();
-      }),
-    };
-    const label = element(bar, "label", "");
+    const head = element(root, "div", "mm-head");
+    const about = element(head, "div", "mm-about");
+    this.heading = element(about, "h2", "");
+    this.volume = element(about, "p", "mm-volume");
+    this.origin = element(about, "p", "mm-origin");
+    this.marks = element(about, "div", "mm-marks mm-bar-row");
+    const acts = element(head, "div", "mm-acts mm-bar-row");
+    const label = element(acts, "label", "");
     element(label, "span", "").textContent = "Your name";
     this.author = element(label, "input", "");
     this.author.autocomplete = "name";
     this.author.maxLength = 80;
-    this.author.value = drawing.author || rememberedName();
+    this.author.value = page.author || rememberedName();
     this.author.onchange = () => rememberName(this.author.value);
-    if (drawing.signed) {
-      this.author.value = drawing.author;
-      label.hidden = true;
-    }
-    this.buttons.save.classList.add("mm-save");
-    this.origin = element(root, "p", "mm-origin");
-    this.late = element(root, "div", "mm-late mm-bar-row");
-    this.volumes = element(root, "div", "mm-volumes");
+    label.hidden = page.signed;
+    this.acts = {
+      edit: button(acts, "Change the line", "Show the line's points and change them", () => this.edit(!this.editing)),
+      save: button(acts, "Save", "Keep what was changed (Ctrl+S)", () => void this.save()),
+      measure: button(acts, "Measure", "Measure with what was saved", () => void this.measure()),
+      right: button(acts, "Looks right", "Go on to the next step", () => this.approve()),
+      finish: button(acts, "Confirm and finish", "Say that you looked at every line and found it right", () => void this.finish()),
+    };
+    this.tools = element(root, "div", "mm-bar-row");
+    this.buttons = {
+      undo: button(this.tools, "Undo", "Undo (Ctrl+Z)", () => this.step(() => this.drawing.undo())),
+      redo: button(this.tools, "Redo", "Redo (Ctrl+Shift+Z)", () => this.step(() => this.drawing.redo())),
+      remove: button(this.tools, "Remove point", "Remove the chosen point (Delete)", () => this.remove()),
+      clear: button(this.tools, "Start anew", "Remove all points and draw from the beginning", () => this.clear()),
+    };
+    // What changes its length stands over or under the picture, which stays where it is.
+    const picture = element(root, "div", "mm-canvas");
+    this.problem = element(picture, "p", "mm-problem");
+    this.problem.setAttribute("role", "alert");
+    this.stage = stage(picture);
+    this.readout = element(root, "p", "mm-readout");
+    this.readout.setAttribute("role", "status");
+    this.late = element(root, "div", "mm-bar-row");
     const views = element(root, "div", "mm-bar-row");
     for (const name of Object.keys(DIRECTIONS))
-      button(views, directionTitle(name, drawing.scene.ofPatient), "Look from there", () => this.stage.face(name));
+      button(views, directionTitle(name, page.scene.ofPatient), "Look from there", () => this.stage.face(name));
     const looks = choose(views, "Colour", [
       ["photograph", "photograph"],
       ["shaded", "shaded"],
       ["provenance", "where it comes from"],
     ]);
-    this.stage = stage(element(root, "div", "mm-canvas"));
     looks.onchange = () => void this.stage.look(looks.value);
     void this.stage.look("photograph");
-    this.readout = element(root, "p", "mm-readout");
-    this.readout.setAttribute("role", "status");
     this.listen();
-    this.say(drawing.remark);
-    for (const thing of this.things) this.take(thing, drawing);
+    this.go(0);
+    if (page.remark !== "") this.say(page.remark);
+    void this.estimate();
+    this.poll();
+  }
+
+  static async create(): Promise<Editor> {
+    const page = await ask<Page>("drawing");
+    const model = await unpackModel({ ...page.scene.models[0]!, curves: [], landmarks: [], lengths: [] });
+    return new Editor(page, (holder) => new Stage(holder, model));
+  }
+
+  // --- steps ---
+
+  private get place(): Step {
+    return this.steps[this.at]!;
+  }
+
+  /** What is drawn on now. */
+  private get item(): Item | null {
+    return this.place.breast ?? this.mark;
+  }
+
+  private go(to: number): void {
+    this.at = to;
+    this.editing = false;
+    this.chosen = null;
+    const curve = this.place.breast === null ? [] : this.curve(this.place.breast.name);
+    if (curve.length > 2) this.stage.approach(curve.map((point) => this.seen(point)), this.place.from);
+    else this.stage.face("front");
+    this.say("");
     this.show();
-    void this.measure();
   }
 
-  static async create(root: HTMLElement): Promise<Editor> {
-    const drawing = (await asked("drawing")) as Drawing;
-    const model = await unpackModel(drawing.scene.models[0]!);
-    return new Editor(root, drawing, (holder) => new Stage(holder, model));
+  private edit(on: boolean): void {
+    this.editing = on;
+    this.chosen = null;
+    this.say("");
+    this.show();
   }
 
-  private get handles(): Handle[] {
-    return this.drawn[this.thing.group][this.thing.name]?.handles ?? [];
+  /** The line of this step was looked at. */
+  private approve(): void {
+    const { breast } = this.place;
+    if (breast !== null) this.right.set(breast.name, this.stored(breast.name).of ?? "");
+    this.go(Math.min(this.at + 1, this.steps.length - 1));
   }
 
-  private get thing(): Thing {
-    return this.things[Number(this.select.value)]!;
+  private isRight(breast: string): boolean {
+    return this.right.get(breast) === (this.stored(breast).of ?? "");
   }
 
-  /** Take a step: what was there before can be had back. */
-  private change(handles: Handle[]): void {
-    this.past.push(this.drawn);
-    this.future.length = 0;
-    this.replace(handles);
+  /** What still has to be done before all can be confirmed, in a sentence; empty: nothing. */
+  private get missing(): string {
+    const { state, changed } = this.drawing;
+    if (changed.length > 0) return `Save first: ${changed.map(({ title }) => title.toLowerCase()).join(", ")}.`;
+    const unseen = this.steps.filter(({ breast }) => breast !== null && !this.isRight(breast.name));
+    if (unseen.length > 0) return `Look at this first: ${unseen.map(({ title }) => title.toLowerCase()).join(", ")}.`;
+    if (this.isMeasuring) return "What was changed is being measured. You can confirm when that is done.";
+    const open = state.breasts.filter((name) => !this.isMeasured(name));
+    if (open.length > 0) return "What was changed has to be measured first.";
+    return state.breasts.every((name) => this.stored(name).of === undefined) ? "There is no line to confirm." : "";
   }
 
-  /** Show other points without a step, as while a point is dragged. */
-  private replace(handles: Handle[]): void {
-    const { group, name } = this.thing;
-    const of = this.drawn[group][name]?.of ?? null;
-    this.drawn = withItem(this.drawn, this.thing, handles.length === 0 ? undefined : { of, handles });
+  /** The visit's job that has not ended. */
+  private get openJob(): Job | null {
+    const job = this.drawing.state.job;
+    return job != null && ["queued", "running"].includes(job.state) ? job : null;
+  }
+
+  private get isMeasuring(): boolean {
+    return this.openJob !== null;
+  }
+
+  private stored(breast: string): State["boundaries"][string] {
+    return this.drawing.state.boundaries[breast]!;
+  }
+
+  private isMeasured(breast: string): boolean {
+    const { of, measured } = this.stored(breast);
+    return measured?.of === of;
+  }
+
+  private curve(breast: string): Vector[] {
+    const item = this.drawing.items.find(({ group, name }) => group === "boundaries" && name === breast)!;
+    if (this.drawing.isChanged(item)) return this.live[breast]?.curve ?? points(this.drawing.handles(item));
+    return this.stored(breast).curve ?? [];
+  }
+
+  // --- changes ---
+
+  private step(act: () => void): void {
+    act();
+    this.chosen = null;
     this.changed();
   }
 
-  private back(from: Drawn[], to: Drawn[]): void {
-    const other = from.pop();
-    if (other === undefined) return;
-    to.push(this.drawn);
-    this.drawn = other;
-    this.chosen = null;
+  private change(handles: Handle[]): void {
+    if (this.item !== null) this.drawing.change(this.item, handles);
     this.changed();
   }
 
   private remove(): void {
-    if (this.chosen === null) return;
-    const chosen = this.chosen;
+    const { chosen, item } = this;
+    if (chosen === null || item === null) return;
     this.chosen = null;
-    this.change(this.handles.filter((_, k) => k !== chosen));
+    this.change(this.drawing.handles(item).filter((_, k) => k !== chosen));
   }
 
   private clear(): void {
     this.chosen = null;
-    if (this.handles.length > 0) this.change([]);
+    if (this.item !== null && this.drawing.handles(this.item).length > 0) this.change([]);
   }
 
   private changed(): void {
     this.show();
     clearTimeout(this.timer);
-    this.timer = setTimeout(() => void this.measure(), PAUSE_MS);
+    this.timer = setTimeout(() => void this.estimate(), PAUSE_MS);
   }
+
+  // --- what is shown ---
 
   private show(): void {
+    const { drawing, item } = this;
+    const { breast } = this.place;
     const view = (places: Vector[]) => places.map((point) => this.seen(point));
-    const { group, name } = this.thing;
-    const lines = Object.entries(this.drawn.boundaries).map(([breast, { handles }]) => ({
-      points: view(this.curves[breast] ?? points(handles)),
-      closed: handles.length > 2,
-      bold: group === "boundaries" && breast === name,
-    }));
-    const marks: Vector[] = [];
-    for (const [mark, { handles }] of Object.entries(this.drawn.landmarks)) {
-      if (handles.length > 1) lines.push({ points: view(points(handles)), closed: false, bold: mark === name });
-      else if (mark !== name) marks.push(...view(points(handles)));
+    const lines = drawing.state.breasts.map((name) => {
+      const curve = this.curve(name);
+      return { points: view(curve), closed: curve.length > 2, bold: breast?.name === name };
+    });
+    const others: Vector[] = [];
+    for (const mark of drawing.items.filter(({ group }) => group === "landmarks")) {
+      const handles = drawing.handles(mark);
+      if (handles.length > 1) lines.push({ points: view(points(handles)), closed: false, bold: mark === item });
+      else if (mark !== item) others.push(...view(points(handles)));
     }
+    const active = item !== null && (this.editing || breast === null);
     this.stage.drawLines(lines);
-    this.stage.drawHandles(view(points(this.handles)), this.chosen, marks);
-    this.buttons.undo.disabled = this.past.length === 0;
-    this.buttons.redo.disabled = this.future.length === 0;
-    this.buttons.remove.disabled = this.chosen === null;
-    this.buttons.clear.disabled = this.handles.length === 0;
-    this.buttons.save.dataset.dirty = String(this.dirty.length > 0);
-    this.buttons.confirm.disabled =
-      group !== "boundaries" || this.isDirty(this.thing) || this.state.boundaries[name]?.of === undefined;
-    this.origin.textContent = this.originWords(this.thing);
+    this.stage.drawHandles(active ? view(points(drawing.handles(item))) : [], this.chosen, others, view(this.crossings));
+    this.showHead();
+    this.showActs(active);
+    this.stepButtons.forEach((own, k) => {
+      const { title, breast: of } = this.steps[k]!;
+      const done = of !== null && !drawing.isChanged(of) && this.isRight(of.name);
+      own.textContent = `${done ? "✓" : k + 1} ${title}`;
+      if (k === this.at) own.setAttribute("aria-current", "step");
+      else own.removeAttribute("aria-current");
+    });
   }
 
-  private originWords(thing: Thing): string {
-    if (this.isDirty(thing)) return `${thing.title}: changed, not saved`;
-    if (thing.group === "landmarks") {
-      const { how } = this.state.places[thing.name]!;
-      return how === null ? "" : `${thing.title}: ${how}`;
+  private get crossings(): Vector[] {
+    const { breast } = this.place;
+    return breast !== null && this.drawing.isChanged(breast) ? (this.live[breast.name]?.crossings ?? []) : [];
+  }
+
+  private showHead(): void {
+    const { breast, title } = this.place;
+    const { drawing } = this;
+    this.heading.textContent = title;
+    this.volume.hidden = this.origin.hidden = breast === null;
+    this.marks.hidden = breast !== null;
+    let problem = "";
+    if (breast === null) this.showMarks();
+    else {
+      const { measured, how, of } = this.stored(breast.name);
+      const untouched = !drawing.isChanged(breast) && this.isMeasured(breast.name);
+      const volume = untouched ? measured : this.live[breast.name];
+      this.volume.replaceChildren(...(volume === undefined ? [] : volumeWords(volume, this.signed)));
+      const note = volumeNote(volume, of !== undefined || drawing.isChanged(breast), this.openJob);
+      const line = drawing.isChanged(breast) ? "Changed, not saved." : of === undefined ? "No line was found here." : `Line: ${how === "automatic" ? "found automatically" : (how ?? "given")}.`;
+      this.origin.replaceChildren(note, line);
+      if (this.crossings.length > 0) problem = "The line crosses itself at the red mark. Move or remove a point there. It cannot be saved like this.";
+      else if (!untouched && volume?.problem) problem = volume.problem;
     }
-    const { how, confirmed } = this.state.boundaries[thing.name]!;
-    const words = `${thing.title}: ${how ?? "given"}`;
-    if (!confirmed) return `${words}; not confirmed by eye`;
-    const who = `confirmed by eye by ${confirmed.by} on ${confirmed.at.slice(0, 10)}`;
-    return confirmed.holds ? `${words}; ${who}` : `${words}; an earlier curve was ${who}, this one is another`;
+    if (this.problem.textContent !== problem) this.problem.textContent = problem;
+    this.problem.hidden = problem === "";
   }
 
-  private get dirty(): Thing[] {
-    return this.things.filter((thing) => this.isDirty(thing));
+  private showMarks(): void {
+    const marks = this.drawing.items.filter(({ group }) => group === "landmarks");
+    if (this.marks.childElementCount === 0)
+      for (const mark of marks)
+        button(this.marks, mark.title, "Choose it, then click its place", () => {
+          this.mark = mark;
+          this.chosen = null;
+          this.show();
+        });
+    marks.forEach((mark, k) => {
+      const own = this.marks.children[k]!;
+      own.textContent = `${this.drawing.handles(mark).length > 0 ? "✓ " : ""}${mark.title}`;
+      own.setAttribute("aria-pressed", String(mark === this.mark));
+    });
   }
 
-  private isDirty({ group, name }: Thing): boolean {
-    return JSON.stringify(this.drawn[group][name]) !== JSON.stringify(this.saved[group][name]);
+  private showActs(active: boolean): void {
+    const { drawing, acts, buttons } = this;
+    const last = this.at === this.steps.length - 1;
+    const { breast } = this.place;
+    const dirty = drawing.changed.length > 0;
+    const unmeasured = drawing.state.breasts.some((name) => !this.isMeasured(name));
+    acts.edit.hidden = breast === null;
+    acts.edit.textContent = breast !== null && drawing.handles(breast).length === 0 ? "Draw the line" : "Change the line";
+    acts.edit.setAttribute("aria-pressed", String(this.editing));
+    acts.save.hidden = !dirty;
+    acts.save.disabled = this.busy || this.crossings.length > 0;
+    acts.measure.hidden = this.signed || dirty || !unmeasured;
+    acts.measure.disabled = this.busy;
+    acts.right.hidden = breast === null || drawing.isChanged(breast);
+    acts.finish.hidden = !last;
+    acts.finish.disabled = this.busy || this.missing !== "";
+    for (const [own, main] of [[acts.save, dirty], [acts.right, !dirty], [acts.finish, true]] as const) own.classList.toggle("mm-main", main);
+    this.tools.hidden = !active && !drawing.canUndo && !drawing.canRedo;
+    buttons.undo.disabled = !drawing.canUndo || this.busy;
+    buttons.redo.disabled = !drawing.canRedo || this.busy;
+    buttons.remove.disabled = this.chosen === null || this.busy;
+    buttons.clear.disabled = !active || this.item === null || drawing.handles(this.item).length === 0 || this.busy;
+    if (!this.spoken) this.readout.textContent = this.hint;
   }
 
-  /** Show an item as it stands in the session, in every step that may be had back too. */
-  private take(thing: Thing, from: State): void {
-    const { group, name } = thing;
-    let sketch: Sketch | undefined;
-    if (group === "boundaries") {
-      const stored = from.boundaries[name]!;
-      this.state.boundaries[name] = stored;
-      delete this.curves[name];
-      if (stored.curve !== undefined) {
-        this.curves[name] = stored.curve;
-        sketch = { of: stored.of!, handles: stored.handles! };
-      }
-    } else {
-      const stored = from.places[name]!;
-      this.state.places[name] = stored;
-      if (stored.points.length > 0) sketch = { of: null, handles: stored.points.map((point) => ({ point, at: null })) };
-    }
-    this.saved = withItem(this.saved, thing, sketch);
-    this.drawn = withItem(this.drawn, thing, sketch);
-    this.past = this.past.map((step) => withItem(step, thing, sketch));
-    this.future = this.future.map((step) => withItem(step, thing, sketch));
+  /** What is to be done here. */
+  private get hint(): string {
+    if (this.place.breast === null) return this.missing || `${MARK} Then confirm.`;
+    return this.editing ? DRAW : this.place.help;
   }
 
-  private stored({ group, name }: Thing, state: State): Stored {
-    return group === "boundaries" ? state.boundaries[name]! : state.places[name]!;
+  private spoken = false;
+
+  private say(text: string): void {
+    this.spoken = text !== "";
+    this.readout.textContent = text || this.hint;
   }
 
-  /** Hear what stands in the session now. What was just sent is ours; what others changed is shown if it was left alone here. */
-  private hear(state: State, sent: Drawn, ours: Thing[]): void {
-    for (const thing of this.things) {
-      const { group, name } = thing;
-      if (ours.includes(thing)) {
-        this.saved = withItem(this.saved, thing, sent[group][name]);
-        if (group === "boundaries") this.state.boundaries[name] = state.boundaries[name]!;
-        else this.state.places[name] = state.places[name]!;
-      } else if (this.stored(thing, state).base !== this.stored(thing, this.state).base && !this.isDirty(thing))
-        this.take(thing, state);
-    }
-    this.changed();
-  }
+  // --- the server ---
 
   /** Ask what is enclosed; an answer that comes too late is left alone. */
-  private async measure(): Promise<void> {
-    const question = ++this.asked;
-    const boundaries = Object.fromEntries(
-      Object.entries(this.drawn.boundaries).filter(([, { handles }]) => handles.length > 2),
-    );
-    if (Object.keys(boundaries).length === 0) {
-      this.curves = {};
-      this.volumes.replaceChildren();
-      this.show();
-      return;
+  private async estimate(): Promise<void> {
+    const question = ++this.question;
+    const { state, items } = this.drawing;
+    const drawn = items.filter((item) => item.group === "boundaries" && this.drawing.handles(item).length > 2);
+    if (drawn.every((item) => !this.drawing.isChanged(item) && this.isMeasured(item.name))) {
+      this.live = {};
+      return this.show();
     }
+    const boundaries = Object.fromEntries(drawn.map((item) => [item.name, this.drawing.sketch(item)]));
     try {
-      const found = (await asked("measure", { boundaries })) as Record<string, LiveVolume>;
-      if (question !== this.asked) return;
-      this.curves = Object.fromEntries(Object.entries(found).map(([name, live]) => [name, live.curve]));
-      this.volumes.replaceChildren(...Object.entries(found).map(([name, live]) => volumeWords(name, live)));
-      this.volumes.dataset.question = String(question);
+      const live = await ask<Record<string, LiveVolume>>("measure", { boundaries });
+      if (question !== this.question || state !== this.drawing.state) return;
+      this.live = live;
+      root.dataset.question = String(question);
       this.show();
     } catch (error) {
       this.say(`Not measured: ${words(error)}`);
     }
   }
 
+  /** Run a request that changes something; meanwhile nothing else is changed. What fails leaves the drawing as it is. */
+  private async act(failure: string, request: () => Promise<void>): Promise<void> {
+    this.busy = true;
+    this.show();
+    try {
+      await request();
+    } catch (error) {
+      this.say(`${failure}: ${words(error)}`);
+      const late = error instanceof Refused ? (error.reply as { late?: [Group, string][] }).late : undefined;
+      if (late !== undefined) this.offer(late);
+    }
+    this.busy = false;
+    this.show();
+    this.poll();
+  }
+
   /** Send what was changed here, and nothing else. */
   private async save(): Promise<void> {
-    const changed = this.dirty;
+    const { changed } = this.drawing;
     if (changed.length === 0) return this.say("Nothing had changed.");
-    const few = changed.find(
-      ({ group, name }) => group === "boundaries" && (this.drawn[group][name]?.handles.length ?? 3) < 3,
-    );
-    if (few !== undefined) return this.say(`Not saved: the ${few.title} needs three points or more, or none.`);
+    const few = changed.find((item) => item.group === "boundaries" && [1, 2].includes(this.drawing.handles(item).length));
+    if (few !== undefined) return this.say(`Not saved: ${few.title.toLowerCase()} needs three points or more, or none.`);
     const author = this.named();
     if (author === null) return;
-    const sent = this.drawn;
-    const boundaries: Record<string, unknown> = {};
-    const landmarks: Record<string, unknown> = {};
-    for (const thing of changed) {
-      const { group, name } = thing;
-      const { base } = this.stored(thing, this.state);
-      const sketch = sent[group][name];
-      if (group === "boundaries") boundaries[name] = { base, sketch: sketch ?? null };
-      else landmarks[name] = { base, points: sketch === undefined ? null : points(sketch.handles) };
-    }
     this.late.replaceChildren();
-    try {
-      const answer = (await asked("save", { author, boundaries, landmarks })) as State & { saved: string[] };
-      this.hear(answer, sent, changed);
-      const kept = answer.saved.length === 0 ? "Saved already" : `Saved ${answer.saved.join(" and ")}; what was there before is in history/`;
-      this.say(`${kept}. ${this.next}`);
-    } catch (error) {
-      this.say(`Not saved: ${words(error)}`);
-      if (error instanceof Refused && error.late.length > 0) this.offer(error.late);
-    }
+    await this.act("Not saved", async () => {
+      this.hear(await ask<State>("save", { author, ...this.drawing.body(changed) }), changed);
+      this.edit(false);
+      this.say(this.isMeasuring ? "Saved. It is being measured." : this.signed ? "Saved." : "Saved. Press “Measure”.");
+    });
+  }
+
+  /** Measure on this computer, where no clinic does. */
+  private async measure(): Promise<void> {
+    this.say("Measuring. This takes a minute or more.");
+    await this.act("Not measured", async () => {
+      this.hear(await ask<State>("run", {}));
+      this.say("Measured. Look at the lines again.");
+    });
+  }
+
+  private async finish(): Promise<void> {
+    const { state } = this.drawing;
+    const author = this.named();
+    if (author === null) return;
+    const curves = Object.fromEntries(
+      state.breasts.flatMap((name) => (this.stored(name).of === undefined ? [] : [[name, this.stored(name).of]])),
+    );
+    await this.act("Not confirmed", async () => {
+      const reply = await ask<State & { next?: string }>("finish", this.signed ? { curves, base: this.drawing.bases } : { author, curves });
+      if (reply.next !== undefined) return window.location.assign(reply.next);
+      this.hear(reply);
+      this.say("Confirmed. You may close this page.");
+    });
+  }
+
+  private hear(state: State, sent: Item[] = []): void {
+    this.drawing.hear({ ...this.drawing.state, ...state }, sent);
+    this.changed();
+  }
+
+  /** Look until the visit's job has ended. */
+  private poll(): void {
+    clearTimeout(this.polling);
+    if (!this.isMeasuring) return;
+    this.polling = setTimeout(() => {
+      void ask<State>("items").then(
+        (state) => {
+          this.hear(state);
+          const job = state.job;
+          if (!this.isMeasuring && job != null)
+            this.say(job.state === "done" ? "It is measured. Look at the new volumes, then confirm." : `It could not be measured. ${job.message}`);
+          this.poll();
+        },
+        () => this.poll(),
+      );
+    }, POLL_MS);
   }
 
   /** Somebody else was faster: nothing is lost whichever is chosen. */
   private offer(late: [Group, string][]): void {
-    const things = this.things.filter(({ group, name }) => late.some((item) => item[0] === group && item[1] === name));
+    const items = this.drawing.items.filter(({ group, name }) => late.some((item) => item[0] === group && item[1] === name));
     const answer = async (act: (state: State) => void): Promise<void> => {
       try {
-        act((await asked("items")) as State);
+        act(await ask<State>("items"));
         this.late.replaceChildren();
       } catch (error) {
         this.say(`Not loaded: ${words(error)}`);
       }
     };
-    button(this.late, "Load theirs", "Show what the other has saved; yours is kept in history/", () => {
+    button(this.late, "Load theirs", "Show what the other has saved; yours is kept", () => {
       void answer((state) => {
-        for (const thing of things) this.take(thing, state);
-        this.chosen = null;
-        this.changed();
-        this.say("Theirs is shown. Yours is kept in history/.");
+        this.hear(state, items);
+        this.say("Theirs is shown now.");
       });
     });
-    button(this.late, "Replace it by mine", "Save yours; theirs is kept in history/", () => {
+    button(this.late, "Replace it by mine", "Save yours in its place; theirs is kept", () => {
       void answer((state) => {
-        for (const { group, name } of things) {
-          if (group === "boundaries") this.state.boundaries[name] = state.boundaries[name]!;
-          else this.state.places[name] = state.places[name]!;
-        }
+        for (const item of items) this.drawing.stored(item).base = this.drawing.stored(item, state).base;
         void this.save();
       });
     });
-  }
-
-  private async confirm(): Promise<void> {
-    const { thing } = this;
-    const stored = this.state.boundaries[thing.name];
-    const author = this.named();
-    if (author === null || stored?.of === undefined) return;
-    try {
-      const sent = { author, name: thing.name, base: stored.base, curve: stored.of };
-      this.hear((await asked("confirm", sent)) as State, this.drawn, [thing]);
-      this.say(`The ${thing.title} is confirmed. ${this.next}`);
-    } catch (error) {
-      this.say(`Not confirmed: ${words(error)}`);
-    }
   }
 
   private named(): string | null {
@@ -429,49 +494,30 @@ class Editor {
     return null;
   }
 
+  // --- mouse and keys ---
+
   private listen(): void {
-    const { canvas } = this.stage;
-    let grabbed: { index: number; before: Drawn; moved: boolean } | null = null;
-    let pressed: [number, number] | null = null;
-    // Before the orbit controls hear of it: a grabbed point moves, the model stays.
-    canvas.parentElement!.addEventListener(
-      "pointerdown",
-      (event) => {
-        if (event.button !== 0) return;
-        pressed = [event.clientX, event.clientY];
-        const index = this.handleAt(event.clientX, event.clientY);
-        if (index === null) return;
-        this.stage.holdStill(true);
-        grabbed = { index, before: this.drawn, moved: false };
+    let before = this.drawing.now;
+    followPointer(this.stage, {
+      canDraw: () => !this.busy && this.item !== null && (this.editing || this.place.breast === null),
+      handleAt: (x, y) => this.handleAt(x, y),
+      grabbed: (index) => {
+        before = this.drawing.now;
         this.chosen = index;
         this.show();
       },
-      { capture: true },
-    );
-    canvas.addEventListener("pointermove", (event) => {
-      if (grabbed === null) return;
-      const hit = this.stage.pick(event.clientX, event.clientY);
-      if (hit === null) return;
-      const { index } = grabbed;
-      grabbed.moved = true;
-      const moved = { point: this.world(hit.point), at: null };
-      this.replace(this.handles.map((handle, k) => (k === index ? moved : handle)));
+      dragged: (index, to) => {
+        const moved = { point: this.world(to), at: null };
+        const handles = this.drawing.handles(this.item!).map((handle, k) => (k === index ? moved : handle));
+        this.drawing.replace(this.item!, handles);
+        this.changed();
+      },
+      dropped: () => {
+        this.drawing.step(before);
+        this.show();
+      },
+      clicked: (at) => this.add(at),
     });
-    const release = (event: PointerEvent): void => {
-      const held = grabbed;
-      grabbed = null;
-      this.stage.holdStill(false);
-      if (held !== null) {
-        if (held.moved) {
-          this.past.push(held.before);
-          this.future.length = 0;
-          this.show();
-        }
-      } else if (pressed !== null && Math.hypot(event.clientX - pressed[0], event.clientY - pressed[1]) < CLICK_PX)
-        this.add(event.clientX, event.clientY);
-      pressed = null;
-    };
-    canvas.addEventListener("pointerup", release);
     document.addEventListener("keydown", (event) => {
       const control = event.ctrlKey || event.metaKey;
       const key = event.key.toLowerCase();
@@ -479,26 +525,25 @@ class Editor {
       if (control && key === "z") this.buttons[event.shiftKey ? "redo" : "undo"].click();
       else if (control && key === "y") this.buttons.redo.click();
       else if (control && key === "s") void this.save();
-      else if (key === "delete" || key === "backspace") this.remove();
+      else if (key === "delete" || key === "backspace") this.buttons.remove.click();
       else return;
       event.preventDefault();
     });
     window.addEventListener("beforeunload", (event) => {
-      if (this.dirty.length > 0) event.preventDefault();
+      if (this.drawing.changed.length > 0) event.preventDefault();
     });
   }
 
-  private add(clientX: number, clientY: number): void {
-    const hit = this.stage.pick(clientX, clientY);
-    if (hit === null) return;
-    const handle = { point: this.world(hit.point), at: null };
-    const { handles, thing } = this;
-    if (thing.kind === "point") {
+  private add(place: Vector3): void {
+    const { item } = this;
+    if (item === null) return;
+    const handle = { point: this.world(place), at: null };
+    const handles = this.drawing.handles(item);
+    if (item.kind === "point") {
       this.chosen = 0;
-      this.change([handle]);
-      return;
+      return this.change([handle]);
     }
-    const between = thing.kind === "closed" && handles.length > 2;
+    const between = item.kind === "closed" && handles.length > 2;
     const at = between ? cheapestPlace(points(handles), handle.point) : handles.length;
     this.chosen = at;
     this.change([...handles.slice(0, at), handle, ...handles.slice(at)]);
@@ -506,9 +551,10 @@ class Editor {
 
   /** The handle under the pointer, on the side that is seen. */
   private handleAt(clientX: number, clientY: number): number | null {
+    if (this.item === null) return null;
     let best: number | null = null;
     let reach = GRAB_PX;
-    this.handles.forEach(({ point }, k) => {
+    this.drawing.handles(this.item).forEach(({ point }, k) => {
       const place = new Vector3(...this.seen(point));
       const [x, y] = this.stage.onScreen(place);
       const away = Math.hypot(clientX - x, clientY - y);
@@ -524,83 +570,19 @@ class Editor {
   private seen(point: Vector): Vector {
     return new Vector3(...point).applyMatrix4(this.viewFromWorld).toArray();
   }
-
-  private say(text: string): void {
-    this.readout.textContent =
-      text || "Click the surface to add a point, drag a point to move it, drag beside it to turn the model.";
-  }
 }
 
-function points(handles: Handle[]): Vector[] {
-  return handles.map(({ point }) => point);
-}
-
-function withItem(drawn: Drawn, { group, name }: Thing, sketch: Sketch | undefined): Drawn {
-  const items = { ...drawn[group] };
-  if (sketch === undefined) delete items[name];
-  else items[name] = sketch;
-  return { ...drawn, [group]: items };
-}
-
-const root = document.getElementById("mm-editor")!;
-
-/** Ask the server; what it refuses is told in its words. The page says where the session is answered, and its token. */
-async function asked(path: string, body?: unknown): Promise<unknown> {
-  const { at = "", token } = root.dataset;
-  const headers: Record<string, string> = { "Content-Type": "application/json" };
-  if (token !== undefined) headers["X-CSRFToken"] = token;
-  const response = await fetch(
-    at + path,
-    body === undefined ? {} : { method: "POST", headers, body: JSON.stringify(body) },
-  );
-  if (response.ok) return response.json();
-  const reply = (await response.json().catch(() => ({}))) as { detail?: unknown; late?: [Group, string][] };
-  throw new Refused(typeof reply.detail === "string" ? reply.detail : response.statusText, reply.late ?? []);
-}
-
-/** A cookie, since every start has another port, and storage is kept by port. */
-function rememberName(name: string): void {
-  const lasting = `max-age=${NAME_DAYS * 86400}; path=/; samesite=strict`;
-  document.cookie = `mammometry-author=${encodeURIComponent(name.trim())}; ${lasting}`;
-}
-
-function rememberedName(): string {
-  const found = /(?:^|; )mammometry-author=([^;]*)/.exec(document.cookie);
-  return found === null ? "" : decodeURIComponent(found[1]!);
-}
-
-/** Before which point of a closed curve a new one belongs: where it makes the curve longer by least. */
-function cheapestPlace(points: Vector[], point: Vector): number {
-  const away = (a: Vector, b: Vector): number => Math.hypot(a[0] - b[0], a[1] - b[1], a[2] - b[2]);
-  let best = 0;
-  let least = Number.POSITIVE_INFINITY;
-  points.forEach((from, k) => {
-    const to = points[(k + 1) % points.length]!;
-    const longer = away(from, point) + away(point, to) - away(from, to);
-    if (longer < least) [best, least] = [k + 1, longer];
-  });
-  return best;
-}
-
-function volumeWords(name: string, live: LiveVolume): HTMLElement {
-  const line = document.createElement("span");
-  if (live.volumeCc === null) {
-    line.className = "mm-problem";
-    line.textContent = live.problem ?? "No volume.";
-    return line;
-  }
-  const value = document.createElement("b");
-  value.textContent = `${number(live.volumeCc)} cc`;
-  line.append(`${name}: `, value);
-  if (live.intervalCc !== null) line.append(` (95 %: ${number(live.intervalCc[0])} to ${number(live.intervalCc[1])})`);
-  return line;
+/** Ask the server. The page says where the session is answered. */
+function ask<T>(path: string, json?: object): Promise<T> {
+  return request<T>((root.dataset.at ?? "") + path, json === undefined ? {} : { json });
 }
 
 function words(error: unknown): string {
+  if (error instanceof TypeError) return "the server cannot be reached. Try again in a moment.";
   return error instanceof Error ? error.message : String(error);
 }
 
-Editor.create(root).then(
+Editor.create().then(
   () => (root.dataset.ready = "1"),
   (error: unknown) => (root.textContent = `The surface cannot be shown: ${words(error)}`),
 );

@@ -1,5 +1,7 @@
 /** What the page brings along: models as compact buffers, in millimetres, in the viewing frame (x right, y up, z towards the reader). */
 
+import type { Length } from "./lengths";
+
 export type Vector = [number, number, number];
 
 /** Base64 of a zlib stream. */
@@ -57,6 +59,7 @@ export interface PackedModel extends PackedSurface {
   layers: PackedLayer[];
   curves: Curve[];
   landmarks: Landmark[];
+  lengths: Length[];
   wall: PackedSurface | null;
 }
 
@@ -95,6 +98,7 @@ export interface Model extends Surface {
   layers: Layer[];
   curves: Curve[];
   landmarks: Landmark[];
+  lengths: Length[];
   wall: Surface | null;
 }
 
@@ -118,6 +122,7 @@ export async function unpackModel(packed: PackedModel): Promise<Model> {
     layers,
     curves: packed.curves,
     landmarks: packed.landmarks,
+    lengths: packed.lengths ?? [],
     wall,
   };
 }

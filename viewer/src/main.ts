@@ -24,7 +24,7 @@ async function sceneOf(root: HTMLElement): Promise<PackedScene | null> {
     const data = document.getElementById("mm-scene");
     return data === null ? null : (JSON.parse(data.textContent) as PackedScene);
   }
-  const response = await fetch(root.dataset.scene);
+  const response = await fetch(root.dataset.scene, { headers: { Accept: "application/json" } });
   if (!response.ok) throw new Error("the surface could not be loaded");
   return (await response.json()) as PackedScene;
 }

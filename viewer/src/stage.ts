@@ -9,6 +9,7 @@ import {
   type ColorRepresentation,
   DirectionalLight,
   DoubleSide,
+  GreaterDepth,
   Group,
   Mesh,
   MeshBasicMaterial,
@@ -28,11 +29,12 @@ import {
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 import { Line2 } from "three/addons/lines/Line2.js";
 import { LineGeometry } from "three/addons/lines/LineGeometry.js";
-import { LineMaterial } from "three/addons/lines/LineMaterial.js";
+import { LineMaterial, type LineMaterialParameters } from "three/addons/lines/LineMaterial.js";
 
 import { layerColours } from "./colours";
 import type { Layer, Model, Surface, Vector } from "./format";
 import { type Place, Skin, type Way } from "./geodesic";
+import { Lengths } from "./lengths";
 
 export const DIRECTIONS: Record<string, { title: string; from: Vector; up: Vector }> = {
   front: { title: "Front", from: [0, 0, 1], up: [0, 1, 0] },
@@ -73,6 +75,10 @@ const OTHER: ColorRepresentation = "#56b4e9";
 const CHOSEN: ColorRepresentation = "#f0e442";
 const MARGIN = 1.08;
 const SEEN_MM = 4;
+const WRONG: ColorRepresentation = "#d4001a";
+const LIFT_MM = 2; // lines and points stand before the skin that they lie on
+const DASH_MM = 4;
+const CLOSE_UP = 1.6; // extent of the picture over that of what is looked at
 
 export class Stage {
   readonly canvas: HTMLCanvasElement;
@@ -89,6 +95,7 @@ export class Stage {
   private readonly marks = new Group();
   private readonly boundary = new Group();
   private readonly landmarks = new Group();
+  private readonly lengths: Lengths;
   private readonly box = new Box3();
   private readonly lines: Line2[] = [];
   private readonly skin: Mesh<BufferGeometry, MeshBasicMaterial | MeshLambertMaterial>;
@@ -122,9 +129,10 @@ export class Stage {
     for (const curve of model.curves) {
       const points = curve.closed ? [...curve.points, curve.points[0]!] : curve.points;
       // White within black is seen on every ground.
-      this.boundary.add(this.line(points, "#000000", 4.5), this.line(points, "#ffffff", 2));
+      this.boundary.add(...this.line(points, "#000000", 4.5), ...this.line(points, "#ffffff", 2));
     }
     this.landmarks.add(dots(model.landmarks.map((landmark) => landmark.point), MARK, 9));
+    this.lengths = new Lengths(holder, model.lengths);
     this.lamp.position.set(0.3, 0.5, 1);
     this.camera.add(this.lamp);
     this.scene.add(this.camera, new AmbientLight("#ffffff", 0.9), this.skin, this.boundary, this.landmarks, this.marks);
@@ -171,6 +179,10 @@ export class Stage {
     this.draw();
   }
 
+  showLengths(shown: boolean): void {
+    this.lengths.show(shown);
+  }
+
   showWall(shown: boolean): void {
     if (this.wall !== null) this.wall.visible = shown;
     this.draw();
@@ -215,6 +227,28 @@ export class Stage {
     this.controls.update();
     this.camera.updateMatrix();
     this.fit();
+    this.onMoved();
+  }
+
+  /** Look at a few points from a direction, near enough for them to fill the picture. */
+  approach(points: Vector[], from: Vector): void {
+    const box = new Box3().setFromPoints(points.map((point) => new Vector3(...point)));
+    box.getCenter(this.controls.target);
+    this.camera.up.set(0, 1, 0);
+    this.camera.position.set(...from).normalize().multiplyScalar(1000).add(this.controls.target);
+    this.camera.zoom = 1;
+    this.controls.update();
+    this.camera.updateMatrixWorld();
+    this.fit();
+    const half = [0.1, 0.1];
+    for (const point of points) {
+      const seen = new Vector3(...point).applyMatrix4(this.camera.matrixWorldInverse);
+      half[0] = Math.max(half[0]!, Math.abs(seen.x));
+      half[1] = Math.max(half[1]!, Math.abs(seen.y));
+    }
+    this.camera.zoom = Math.max(1, Math.min(this.camera.right / half[0]!, this.camera.top / half[1]!) / CLOSE_UP);
+    this.camera.updateProjectionMatrix();
+    this.draw();
     this.onMoved();
   }
 
@@ -270,9 +304,9 @@ export class Stage {
   mark(points: Vector3[], joined: boolean, way: Vector[] = []): void {
     this.empty(this.marks);
     const places = points.map((point) => point.toArray());
-    if (way.length > 1) this.marks.add(this.line(way, "#ffffff", 4.5), this.line(way, WAY, 2.5));
+    if (way.length > 1) this.marks.add(...this.line(way, "#ffffff", 4.5), ...this.line(way, WAY, 2.5));
     if (points.length > 0) this.marks.add(dots(places, MARK, 10));
-    if (joined && points.length > 1) this.marks.add(this.line(places, MARK, 2.5));
+    if (joined && points.length > 1) this.marks.add(this.through(places, MARK, 2.5));
     this.draw();
   }
 
@@ -285,9 +319,16 @@ export class Stage {
 
   /** Where a point of the model is drawn in the window. */
   onScreen(point: Vector3): [number, number] {
-    const frame = this.canvas.getBoundingClientRect();
+    const { left, top } = this.canvas.getBoundingClientRect();
+    const [x, y] = this.onPicture(point);
+    return [left + x, top + y];
+  }
+
+  /** Where a point of the model is drawn in the picture, px from its upper left corner. */
+  private onPicture(point: Vector3): [number, number] {
+    const { clientWidth, clientHeight } = this.canvas;
     const { x, y } = point.clone().project(this.camera);
-    return [frame.left + ((x + 1) / 2) * frame.width, frame.top + ((1 - y) / 2) * frame.height];
+    return [((x + 1) / 2) * clientWidth, ((1 - y) / 2) * clientHeight];
   }
 
   /** Whether a point on the surface is on the side that is seen. */
@@ -307,17 +348,19 @@ export class Stage {
     for (const { points, closed, bold } of lines) {
       if (points.length < 2) continue;
       const corners = closed ? [...points, points[0]!] : points;
-      this.boundary.add(this.line(corners, "#000000", bold ? 5 : 3), this.line(corners, "#ffffff", bold ? 2.5 : 1.2));
+      this.boundary.add(...this.line(corners, "#000000", bold ? 5 : 3), ...this.line(corners, "#ffffff", bold ? 2.5 : 1.2));
     }
     this.draw();
   }
 
-  /** Draw points to take hold of, one of them chosen, and others that only mark a place. */
-  drawHandles(handles: Vector[], chosen: number | null, others: Vector[]): void {
+  /** Draw points to take hold of, one of them chosen, others that only mark a place, and places that are wrong. */
+  drawHandles(handles: Vector[], chosen: number | null, others: Vector[], wrong: Vector[] = []): void {
     this.empty(this.marks);
-    this.marks.add(dots(others, OTHER, 8), dots(handles, "#000000", 13), dots(handles, MARK, 9));
+    const onSkin = [dots(others, OTHER, 8), dots(handles, "#000000", 13), dots(handles, MARK, 9)];
     const place = chosen === null ? undefined : handles[chosen];
-    if (place !== undefined) this.marks.add(dots([place], CHOSEN, 9));
+    if (place !== undefined) onSkin.push(dots([place], CHOSEN, 9));
+    for (const drawn of onSkin) drawn.material.depthTest = true; // what skin hides cannot be taken hold of
+    this.marks.add(...onSkin, dots(wrong, "#ffffff", 24), dots(wrong, WRONG, 19));
     this.draw();
   }
 
@@ -340,7 +383,11 @@ export class Stage {
     if (this.pending !== 0) return;
     this.pending = requestAnimationFrame(() => {
       this.pending = 0;
+      const lift = this.camera.position.clone().sub(this.controls.target).setLength(LIFT_MM);
+      this.boundary.position.copy(lift);
+      this.marks.position.copy(lift.multiplyScalar(2));
       this.renderer.render(this.scene, this.camera);
+      this.lengths.place((point) => this.onPicture(new Vector3(...point)));
     });
   }
 
@@ -382,13 +429,23 @@ export class Stage {
     this.draw();
   }
 
-  /** A line that is seen through the skin: it lies on it. */
-  private line(points: Vector[], colour: ColorRepresentation, width: number): Line2 {
+  /** A line on the skin: dashed where skin hides it. */
+  private line(points: Vector[], colour: ColorRepresentation, width: number): Line2[] {
+    const hidden = { depthFunc: GreaterDepth, dashed: true, dashSize: DASH_MM, gapSize: DASH_MM };
+    return [this.drawn(points, colour, 0.7 * width, hidden), this.drawn(points, colour, width, {})];
+  }
+
+  /** A line that is seen through the skin. */
+  private through(points: Vector[], colour: ColorRepresentation, width: number): Line2 {
+    return this.drawn(points, colour, width, { depthTest: false });
+  }
+
+  private drawn(points: Vector[], color: ColorRepresentation, linewidth: number, more: LineMaterialParameters): Line2 {
     const geometry = new LineGeometry().setPositions(points.flat());
-    const material = new LineMaterial({ color: colour, linewidth: width, depthTest: false, transparent: true });
+    const material = new LineMaterial({ color, linewidth, depthWrite: false, transparent: true, ...more });
     const { clientWidth, clientHeight } = this.canvas;
     material.resolution.set(clientWidth || 1, clientHeight || 1);
-    const drawn = new Line2(geometry, material);
+    const drawn = new Line2(geometry, material).computeLineDistances();
     drawn.renderOrder = 1;
     this.lines.push(drawn);
     return drawn;
@@ -406,7 +463,7 @@ function geometryOf(surface: Surface): BufferGeometry {
 }
 
 /** Round dots of a fixed size on the screen. */
-function dots(points: Vector[], colour: ColorRepresentation, size: number): Points {
+function dots(points: Vector[], colour: ColorRepresentation, size: number): Points<BufferGeometry, PointsMaterial> {
   const geometry = new BufferGeometry().setFromPoints(points.map((point) => new Vector3(...point)));
   const disc = document.createElement("canvas");
   disc.width = disc.height = 32;

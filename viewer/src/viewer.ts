@@ -22,8 +22,11 @@ export class Viewer {
   private readonly legendBox: HTMLElement;
   private readonly readout: HTMLElement;
   private readonly controls: Record<"model" | "look" | "section", HTMLSelectElement>;
+  /** Buttons in place of the choice of colours, where the page asks for them. */
+  private readonly lookButtons: HTMLElement | null;
+  private readonly captions: string[];
   private readonly slider: HTMLInputElement;
-  private readonly toggles: Record<"boundary" | "wall" | "measure", HTMLButtonElement>;
+  private readonly toggles: Record<"boundary" | "lengths" | "wall" | "measure", HTMLButtonElement>;
   private picked: { stage: Stage; hits: Hit[] } | null = null;
 
   private constructor(
@@ -41,6 +44,14 @@ export class Viewer {
       section: choose(bar, "Section", AXES.map((axis) => [axis, axis])),
     };
     this.controls.model.parentElement!.hidden = this.choices.length < 2;
+    this.captions = root.dataset.captions?.split("|") ?? [];
+    this.lookButtons = root.dataset.buttons === undefined ? null : element(bar, "span", "mm-looks");
+    if (this.lookButtons !== null) {
+      this.lookButtons.dataset.looks = root.dataset.buttons;
+      this.lookButtons.setAttribute("role", "group");
+      this.lookButtons.setAttribute("aria-label", "Colour");
+      this.controls.look.parentElement!.hidden = true;
+    }
     this.slider = bar.appendChild(document.createElement("input"));
     Object.assign(this.slider, { type: "range", min: "0", max: "1", step: "0.002", value: "0.5", hidden: true });
     this.slider.setAttribute("aria-label", "Position of the section");
@@ -51,6 +62,7 @@ export class Viewer {
     const wall = packed.ofPatient ? "Chest wall" : "Back";
     this.toggles = {
       boundary: toggle(views, "Boundary", "Show boundary and landmarks (key B)", true, () => this.apply()),
+      lengths: toggle(views, "Lengths", "Show the measured lengths (key L)", true, () => this.apply()),
       wall: toggle(views, wall, `Show the ${wall.toLowerCase()} (key W)`, false, () => this.apply()),
       measure: toggle(views, "Measure", "Measure between two points (key M)", false, () => this.forget()),
     };
@@ -86,10 +98,10 @@ export class Viewer {
     this.picked = null;
     this.pictures.replaceChildren();
     for (const stage of this.stages.splice(0)) stage.dispose();
-    for (const model of models) {
+    for (const [k, model] of models.entries()) {
       const figure = element(this.pictures, "figure", "mm-picture");
       const holder = element(figure, "div", "mm-canvas");
-      if (models.length > 1) element(figure, "figcaption", "").textContent = model.title;
+      if (models.length > 1) element(figure, "figcaption", "").textContent = this.captions[k] ?? model.title;
       const stage = new Stage(holder, model);
       stage.canvas.addEventListener("click", (event) => this.click(stage, event));
       this.stages.push(stage);
@@ -100,6 +112,7 @@ export class Viewer {
     if (this.stages.length > 1) this.each((stage) => stage.frame(both));
     this.toggles.wall.disabled = models.every((model) => model.wall === null);
     this.toggles.boundary.disabled = models.every((model) => model.curves.length + model.landmarks.length === 0);
+    this.toggles.lengths.hidden = models.every((model) => model.lengths.length === 0);
     this.offerLooks(models);
     await this.colour();
     this.apply();
@@ -123,6 +136,17 @@ export class Viewer {
       if (!looks.some(([name]) => name === layer.name)) looks.push([layer.name, layer.title]);
     this.controls.look.replaceChildren(...looks.map(([name, title]) => new Option(title, name)));
     if (looks.some(([name]) => name === wanted)) this.controls.look.value = wanted;
+    const choose = (name: string): void => {
+      this.controls.look.value = name;
+      void this.colour();
+    };
+    this.lookButtons?.replaceChildren();
+    for (const wished of this.lookButtons?.dataset.looks?.split(" ") ?? []) {
+      const title = looks.find(([name]) => name === wished)?.[1];
+      if (title === undefined) continue;
+      const made = button(this.lookButtons!, capital(title), `Colour: ${title}`, () => choose(wished));
+      made.dataset.look = wished;
+    }
   }
 
   private offers(look: string): boolean {
@@ -131,6 +155,8 @@ export class Viewer {
 
   private async colour(): Promise<void> {
     const look = this.controls.look.value;
+    for (const each of this.lookButtons?.children ?? [])
+      each.setAttribute("aria-pressed", String((each as HTMLElement).dataset.look === look));
     await Promise.all(this.stages.map((stage) => stage.look(look)));
     const layer = this.stages.map((stage) => stage.layer(look)).find((found) => found !== undefined);
     this.legendBox.replaceChildren();
@@ -147,6 +173,7 @@ export class Viewer {
     const section = { axis: axis < 0 ? null : axis, share: Number(this.slider.value) };
     this.each((stage) => {
       stage.showBoundary(pressed(this.toggles.boundary));
+      stage.showLengths(pressed(this.toggles.lengths));
       stage.showWall(pressed(this.toggles.wall));
       const at = stage.cut(section);
       if (axis >= 0) this.say(`Section at ${number(at)} mm (${this.controls.section.value}).`);
@@ -226,6 +253,7 @@ export class Viewer {
       "+": () => stage.turn(0, 0, 1.15),
       "-": () => stage.turn(0, 0, 1 / 1.15),
       b: () => this.toggles.boundary.click(),
+      l: () => this.toggles.lengths.click(),
       w: () => this.toggles.wall.click(),
       m: () => this.toggles.measure.click(),
       s: () => void this.save(),
@@ -269,6 +297,10 @@ function toggle(parent: HTMLElement, text: string, help: string, on: boolean, ac
   });
   made.setAttribute("aria-pressed", String(on));
   return made;
+}
+
+function capital(text: string): string {
+  return text.charAt(0).toUpperCase() + text.slice(1);
 }
 
 function pressed(of: HTMLButtonElement): boolean {

@@ -3,27 +3,28 @@
 from __future__ import annotations
 
 import datetime
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mammometry.api.job import Job, open_session
+from mammometry.api.dated import Dated, open_dated
 from mammometry.base.cores import one_blas_thread
 from mammometry.base.errors import MeasureError, SessionError
 from mammometry.base.identity import NAMELESS, one_subject
 from mammometry.base.progress import Progress, no_progress, part
-from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.transform import Transform
 from mammometry.io.outputs import require_apart, require_free, write_outputs
 from mammometry.io.results.stamp import stamped
 from mammometry.io.results.store import Watch, unwatched
-from mammometry.job.stage_values import earlier_errors
 from mammometry.settings import Settings
 
 if TYPE_CHECKING:
+    from mammometry.geometry.mesh import TriangleMesh
     from mammometry.measure.boundary.boundary import Boundary
     from mammometry.measure.dates.change import Change, Visit
     from mammometry.measure.volume.measurement import VolumeMeasurement
+    from mammometry.measure.volume.uncertainty import Evidence
     from mammometry.report.change_page import ChangeReport
     from mammometry.report.privacy import Privacy
 
@@ -80,38 +81,88 @@ def compare(
     Raises:
         SessionError: a session is missing or not as documented, both are the same, one is not of a torso, or they
             tell two different subjects.
-        MeasureError: other breasts at one date than at the other, or trunks that are not one body's.
+        MeasureError: no breast has a volume at both dates, or the trunks are not one body's.
         StorageError: the page cannot be written, or somebody else's file is in its way.
     """
-    from mammometry.report import change_page
     from mammometry.report.privacy import Privacy
 
-    privacy = privacy or Privacy()
     settings = settings or Settings()
-    jobs = [open_session(path, settings, watch=watch) for path, watch in zip((before, after), watches, strict=True)]
-    subject = _check(jobs)
+    jobs = [open_dated(path, settings, watch) for path, watch in zip((before, after), watches, strict=True)]
+    _check(jobs)
+    subject = _one_subject(jobs)
     remarks = []
-    dates = [job.session.manifest.date for job in jobs]
+    dates = [job.date for job in jobs]
     if dates[0] is not None and dates[1] is not None and dates[0] > dates[1]:
         jobs.reverse()
-        dates.reverse()
         remarks.append("The sessions were named in the other order. The dates in their manifests were used.")
     if None in dates:
         remarks.append("A session has no date. The session named first was taken as the earlier one.")
-    folder = out or jobs[1].session.results / FOLDER / _folder_name(jobs[0], privacy)
-    require_apart(folder, [path for job in jobs for path in job.session.brought])
+    request = _Request(settings=settings, subject=subject, out=out, privacy=privacy or Privacy(), remarks=remarks)
+    return _compare(jobs, request, progress)
+
+
+@one_blas_thread()
+def compare_visits(
+    before: Path, after: Path, settings: Settings, *, out: Path, progress: Progress = no_progress
+) -> Comparison:
+    """Compare two measured visits of a clinic.
+
+    Its database knows that both are one patient's, in this order, and who confirmed which boundary: the manifests are
+    not asked, and the page says nothing of confirmations.
+
+    Args:
+        before: folder of the earlier visit.
+        after: folder of the later visit.
+        settings: of all stages, with which both were measured.
+        out: folder to write.
+        progress: called with the fraction of the comparison.
+
+    Raises:
+        MammometryError: as `compare`.
+    """
+    from mammometry.report.privacy import Privacy
+
+    jobs = [open_dated(path, settings, unwatched) for path in (before, after)]
+    _check(jobs)
+    return _compare(jobs, _Request(settings=settings, out=out, privacy=Privacy(), in_clinic=True), progress)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Request:
+    """How two dates are compared."""
+
+    settings: Settings
+    out: Path | None
+    privacy: Privacy
+    subject: str | None = None
+    """Identifier that both sessions tell."""
+    remarks: Sequence[str] = ()
+    """On how the dates were put in order."""
+    in_clinic: bool = False
+    """Whether somebody else says which boundaries are confirmed."""
+
+
+def _compare(jobs: list[Dated], request: _Request, progress: Progress) -> Comparison:
+    """Compare two dates, the earlier one first."""
+    from mammometry.report import change_page
+
+    settings, privacy = request.settings, request.privacy
+    remarks = list(request.remarks)
+    dates = [job.date for job in jobs]
+    folder = request.out or jobs[1].results / FOLDER / _folder_name(jobs[0], privacy)
+    require_apart(folder, [path for job in jobs for path in job.brought])
     require_free(folder, change_page.FILES, command=_COMMAND)
     for which, job in zip(_WHICH, jobs, strict=True):
-        measurements = job.plan.measured.measurements
+        measurements = job.measured.measurements
         if measurements is not None and job.store.state(measurements.key) == "stale":
             remarks.append(f"The {which} session had been measured with other settings. It was measured again.")
-        job.ensure("measure")
+        job.ensure()
     measured, warnings = _one_protocol(jobs, part(progress, 0.0, 0.4))
 
-    from mammometry.measure.dates.change import compare as compare_visits
+    from mammometry.measure.dates.change import compare as compare_measured
 
     visits = [_visit(job, volumes) for job, volumes in zip(jobs, measured, strict=True)]
-    change = compare_visits(
+    change = compare_measured(
         visits[0],
         visits[1],
         settings.compare,
@@ -119,16 +170,26 @@ def compare(
         common_scale=_common_scale(jobs),
         progress=part(progress, 0.4, 0.8),
     )
-    warnings = [*_warnings(change, settings), *warnings]
-    heading = _heading(jobs, dates, subject, privacy.deidentify)
-    report = _report(jobs, heading, change, visits, warnings, remarks, privacy)
+    unconfirmed = [] if request.in_clinic else _unconfirmed(change)
+    at_one_date = _at_one_date(measured)
+    alone = [
+        f"The {name} breast has a volume at the {which} date only, and is not compared."
+        for name, which in at_one_date.items()
+    ]
+    warnings = [*_warnings(change, settings), *alone, *unconfirmed, *warnings]
+    heading = _heading(jobs, dates, request.subject, privacy.deidentify)
+    report = replace(
+        _report(jobs, heading, change, visits, warnings, remarks, privacy),
+        at_one_date=at_one_date,
+        before=None if privacy.deidentify else dates[0],
+    )
     files = change_page.change_files(report)
     marked = {name: stamped(name, data, heading.subject) for name, data in files.items()}
     write_outputs(folder, marked, command=_COMMAND)
     progress(1.0)
     return Comparison(
-        before=jobs[0].session.path,
-        after=jobs[1].session.path,
+        before=jobs[0].path,
+        after=jobs[1].path,
         change=change,
         warnings=tuple(warnings),
         remarks=tuple(remarks),
@@ -154,7 +215,7 @@ class _Heading:
     """Identifier that both sessions tell."""
 
 
-def _heading(jobs: list[Job], dates: list[datetime.date | None], subject: str | None, deidentify: bool) -> _Heading:
+def _heading(jobs: list[Dated], dates: list[datetime.date | None], subject: str | None, deidentify: bool) -> _Heading:
     if deidentify:
         return _Heading(title=NAMELESS.title, subtitle="two dates of one torso", subject=None)
     known = [job.identity for job in jobs]
@@ -164,49 +225,49 @@ def _heading(jobs: list[Job], dates: list[datetime.date | None], subject: str | 
     return _Heading(title=" → ".join(each.title for each in known), subtitle=_dates_words(dates), subject=None)
 
 
-def _check(jobs: list[Job]) -> str | None:
-    """Return the subject, or refuse two dates that cannot be compared."""
+def _check(jobs: list[Dated]) -> None:
+    """Refuse two dates that cannot be compared."""
     for job in jobs:
         kind = job.inputs.subject_kind
         if kind != "torso":
             raise SessionError(
-                f"{job.session.path}: subject.kind",
+                f"{job.path}: subject.kind",
                 found=repr(kind),
                 expected="'torso' in both sessions: dates are registered on the body beside the breasts",
                 remedy="Compare casts by their volumes: `mammometry run` on each",
             )
     first, second = jobs
-    same = first.session.path.resolve() == second.session.path.resolve()
-    shots = [{job.inputs.digests[f"capture/{camera}"] for camera in job.inputs.photographs} for job in jobs]
-    if same or shots[0] & shots[1]:
+    same = first.path.resolve() == second.path.resolve()
+    if same or first.pictures & second.pictures:
         raise SessionError(
-            str(second.session.path),
-            found="the same session twice" if same else f"photographs that {first.session.path} has too",
+            str(second.path),
+            found="the same session twice" if same else f"photographs that {first.path} has too",
             expected="two sessions with photographs of their own",
             remedy="Name the session of the other date",
         )
+
+
+def _one_subject(jobs: list[Dated]) -> str | None:
+    """Return the subject that the manifests name, or refuse two subjects."""
     return one_subject(
-        [(f"{job.session.path}: subject.id", job.identity.subject) for job in jobs],
+        [(f"{job.path}: subject.id", job.identity.subject) for job in jobs],
         remedy="Name two sessions of one subject, or correct subject.id in the one that is wrong",
     )
 
 
-def _one_protocol(jobs: list[Job], progress: Progress) -> tuple[list[tuple[VolumeMeasurement, ...]], list[str]]:
+def _one_protocol(jobs: list[Dated], progress: Progress) -> tuple[list[tuple[VolumeMeasurement, ...]], list[str]]:
     """Volumes of both dates by the same protocol.
 
     They are measured again where boundaries or walls were made in different ways.
     """
-    from mammometry.measure.volume.uncertainty import Evidence
-    from mammometry.measure.volume.volumes import measure_volumes
-    from mammometry.measure.wall.open_breast import open_breasts
     from mammometry.measure.wall.registry import TORSO_WALLS, in_order
 
     warnings: list[str] = []
-    found = [_measurements(job) for job in jobs]
+    found = [{each.name: each for each in _measurements(job)} for job in jobs]
     boundaries = [_boundaries(job) for job in jobs]
-    both = {each.name for each in found[0]} & {each.name for each in found[1]}
+    both = found[0].keys() & found[1].keys()
     drawn = [frozenset(job.inputs.boundaries) & both for job in jobs]
-    again = False
+    replaced: list[frozenset[str]] = [frozenset(), frozenset()]
     if drawn[0] != drawn[1]:
         by_hand = " and the ".join(which for which, some in zip(_WHICH, drawn, strict=True) if some)
         try:
@@ -220,85 +281,118 @@ def _one_protocol(jobs: list[Job], progress: Progress) -> tuple[list[tuple[Volum
                 f"{error.found}.)"
             )
         else:
-            again = True
+            replaced = drawn
             warnings.append(
-                f"The boundaries of the {by_hand} date were drawn by hand, the others found automatically. Both dates "
-                "were measured again within automatic boundaries. For a better comparison, draw both with "
-                "`mammometry edit`."
+                f"The boundaries of the {by_hand} date were drawn by hand, the others found automatically. They were "
+                "measured again within automatic boundaries. For a better comparison, draw both with `mammometry edit`."
             )
-    kinds = [{each.name: each.wall_kind for each in volumes} for volumes in found]
-    shared = set(kinds[0]) & set(kinds[1])
-    wall = jobs[0].settings.measure.wall
-    if any(kinds[0][name] != kinds[1][name] for name in shared):
-        again = True
+    wall: str | None = None
+    if any(found[0][name].wall_kind != found[1][name].wall_kind for name in both):
         wall = in_order(TORSO_WALLS)[0]
-        names = " and ".join(dict.fromkeys(kind for each in kinds for kind in each.values()))
+        names = " and ".join(dict.fromkeys(each.wall_kind for volumes in found for each in volumes.values()))
         warnings.append(
             f"The dates used different chest walls ({names}). Both were measured again with the wall “{wall}”."
         )
-    if not again:
-        return found, warnings
+    if wall is None and not any(replaced):
+        return [tuple(volumes.values()) for volumes in found], warnings
     backs = [job.inputs.wall for job in jobs]
     if None in backs:
         backs = [None, None]
     volumes = []
     for number, (job, own, back) in enumerate(zip(jobs, boundaries, backs, strict=True)):
-        evidence = Evidence(earlier=earlier_errors(job.calibration()))
-        breasts = open_breasts(
-            own,
-            job.plan.surfaced.mesh().repaired,
-            replace(job.settings.measure, wall=wall),
-            frame=_frame(job),
-            back=back,
-        )
-        volumes.append(measure_volumes(breasts, evidence, progress=part(progress, number / 2, (number + 1) / 2)))
+        kept = {
+            name: measured
+            for name, measured in found[number].items()
+            if name not in replaced[number] and wall in (None, measured.wall_kind)
+        }
+        again = [each for each in own if each.name in both and each.name not in kept]
+        measured = _measured_again(job, again, wall, back, part(progress, number / 2, (number + 1) / 2))
+        order: list[str] = [boundary.name for boundary in own]
+        volumes.append(tuple(sorted((*kept.values(), *measured), key=lambda breast: order.index(breast.name))))
     return volumes, warnings
 
 
-def _measurements(job: Job) -> tuple[VolumeMeasurement, ...]:
+def _at_one_date(measured: Sequence[tuple[VolumeMeasurement, ...]]) -> dict[str, str]:
+    """Breast → the date at which alone it has a volume."""
+    names = [{each.name for each in volumes} for volumes in measured]
+    return {
+        name: _WHICH[number] for number in (0, 1) for name in sorted(names[number]) if name not in names[1 - number]
+    }
+
+
+def _measured_again(
+    job: Dated, boundaries: list[Boundary], wall: str | None, back: TriangleMesh | None, progress: Progress
+) -> tuple[VolumeMeasurement, ...]:
+    """Measure breasts of one date within these boundaries.
+
+    Args:
+        job: the date.
+        boundaries: of the breasts.
+        wall: kind of chest wall; None: as the settings say.
+        back: the measured wall, where there is one at both dates.
+        progress: called with the fraction done.
+    """
+    from mammometry.measure.volume.volumes import measure_volumes
+    from mammometry.measure.wall.open_breast import open_breasts
+
+    if not boundaries:
+        return ()
+    settings = job.settings.measure if wall is None else replace(job.settings.measure, wall=wall)
+    breasts = open_breasts(boundaries, job.finished().repaired, settings, frame=job.frame(), back=back)
+    return measure_volumes(breasts, _evidence(job), progress=progress)
+
+
+def _evidence(job: Dated) -> Evidence:
+    """What the stages before know of a volume's errors."""
+    assert job.measured.evidence is not None  # what has breasts is no open surface
+    return job.measured.evidence()
+
+
+def _measurements(job: Dated) -> tuple[VolumeMeasurement, ...]:
     from mammometry.measure.volume.attribution import attributed
 
-    product = job.plan.measured.measurements
+    product = job.measured.measurements
     return (
         () if product is None else tuple(attributed(each, job.inputs.attributions, named=False) for each in product())
     )
 
 
-def _boundaries(job: Job) -> tuple[Boundary, ...]:
-    product = job.plan.measured.boundaries
+def _boundaries(job: Dated) -> tuple[Boundary, ...]:
+    product = job.measured.boundaries
     return () if product is None else product()
 
 
-def _automatic(job: Job) -> tuple[Boundary, ...]:
+def _automatic(job: Dated) -> tuple[Boundary, ...]:
+    if job.measured.sides is not None:  # found when it was measured
+        return job.measured.sides().boundaries
     from mammometry.measure.boundary.boundary import outline_torso
     from mammometry.measure.trunk.body import rig_frame
 
-    frame = rig_frame(job.plan.calibrated.cameras().rig, job.inputs.mounting)
-    return outline_torso(job.plan.surfaced.mesh().repaired, frame, job.settings.measure).boundaries
+    frame = rig_frame(job.rig(), job.inputs.mounting)
+    return outline_torso(job.finished().repaired, frame, job.settings.measure).boundaries
 
 
-def _visit(job: Job, volumes: tuple[VolumeMeasurement, ...]) -> Visit:
+def _visit(job: Dated, volumes: tuple[VolumeMeasurement, ...]) -> Visit:
     from mammometry.measure.dates.change import Visit
 
-    sizes = job.plan.measured.dimensions
+    sizes = job.measured.dimensions
     return Visit(
-        surface=job.plan.surfaced.mesh().repaired,
+        surface=job.finished().repaired,
         measurements=volumes,
-        frame=_frame(job),
+        frame=job.frame(),
         lengths=() if sizes is None else sizes().lengths,
     )
 
 
-def _common_scale(jobs: list[Job]) -> bool:
+def _common_scale(jobs: list[Dated]) -> bool:
     """Whether both were calibrated with one target, as it was measured once."""
-    first, second = (job.inputs for job in jobs)
-    own = first.cameras is None and second.cameras is None
-    return own and first.digests["target"] == second.digests["target"]
+    if not all(job.has_own_scale for job in jobs):
+        return False
+    first, second = (job.inputs.digests["target"] for job in jobs)
+    return first == second
 
 
 def _warnings(change: Change, settings: Settings) -> list[str]:
-    from mammometry.measure.boundary.confirming import TO_BE_CONFIRMED
-
     warnings = []
     if change.doubtful:
         warnings.append(
@@ -310,6 +404,13 @@ def _warnings(change: Change, settings: Settings) -> list[str]:
             f"The trunk leaned differently by {change.fit.turned_deg:.0f}°. Breasts then hang differently, by more "
             "than the interval includes."
         )
+    return warnings
+
+
+def _unconfirmed(change: Change) -> list[str]:
+    from mammometry.measure.boundary.confirming import TO_BE_CONFIRMED
+
+    warnings = []
     for number, which in enumerate(_WHICH):
         found = [(each.before, each.after)[number] for each in change.breasts]
         if any(TO_BE_CONFIRMED in each.boundary_method for each in found):
@@ -320,15 +421,15 @@ def _warnings(change: Change, settings: Settings) -> list[str]:
     return warnings
 
 
-def _folder_name(before: Job, privacy: Privacy) -> str:
-    name = before.session.path.resolve().name
+def _folder_name(before: Dated, privacy: Privacy) -> str:
+    name = before.path.resolve().name
     if privacy.deidentify:
         return "deidentified"  # a folder's name is a name too
     return f"{name}-geometry-only" if privacy.geometry_only else name
 
 
 def _report(
-    jobs: list[Job],
+    jobs: list[Dated],
     heading: _Heading,
     change: Change,
     visits: list[Visit],
@@ -337,7 +438,7 @@ def _report(
     privacy: Privacy,
 ) -> ChangeReport:
     from mammometry.report.change_page import ChangeReport
-    from mammometry.report.content import settings_facts
+    from mammometry.report.describe import settings_facts
     from mammometry.report.figures.change import Dated
     from mammometry.report.privacy import guard
 
@@ -345,7 +446,7 @@ def _report(
     shown, holds = [], []
     for number, (job, visit) in enumerate(zip(jobs, visits, strict=True)):
         guarded = guard(
-            job.plan.surfaced.mesh().textured,
+            job.finished().textured,
             privacy,
             subject_kind="torso",
             up_world=visit.frame[1],
@@ -361,14 +462,14 @@ def _report(
                 textured=replace(guarded.textured, mesh=mesh),
                 measurements=visit.measurements,
                 world_from_own=motions[number],
-                change_mm=(change.before_mm, change.after_mm)[number],
+                change_mm=(None, change.after_mm)[number],
             )
         )
     return ChangeReport(
         title=heading.title,
         subtitle=heading.subtitle,
         subject=heading.subject,
-        keys=(jobs[0].page_digest(deidentify=privacy.deidentify), jobs[1].page_digest(deidentify=privacy.deidentify)),
+        keys=(jobs[0].page_digest(privacy.deidentify), jobs[1].page_digest(privacy.deidentify)),
         change=change,
         dates=(shown[0], shown[1]),
         frame=visits[0].frame,
@@ -377,14 +478,6 @@ def _report(
         contains="at either date, " + "; and ".join(dict.fromkeys(holds)),
         settings=settings_facts(jobs[0].settings)[0],
     )
-
-
-def _frame(job: Job) -> Float64[Array, "3 3"]:
-    """Rows: the patient's left, the head, straight ahead. World frame."""
-    from mammometry.report.figures.shading import front_of
-
-    body = job.plan.measured.body
-    return front_of(job.plan.calibrated.cameras().rig, None if body is None else body())
 
 
 def _dates_words(dates: list[datetime.date | None]) -> str:

@@ -10,11 +10,10 @@
 
 from __future__ import annotations
 
-import json
 import re
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping
+from dataclasses import replace
 from datetime import datetime
 from functools import partial
 from pathlib import Path
@@ -23,6 +22,8 @@ from typing import TYPE_CHECKING, Any
 
 from mammometry.api.previews import Drawing, Previews
 from mammometry.api.refused import seen, show_refusal, withdraw_refusal
+from mammometry.api.results import Results
+from mammometry.api.stored_report import StoredReport
 from mammometry.base.cores import one_blas_thread
 from mammometry.base.errors import (
     CalibrationError,
@@ -34,14 +35,16 @@ from mammometry.base.errors import (
 from mammometry.base.identity import NAMELESS, Identity
 from mammometry.base.memory import peak_memory_mb, return_freed_arrays
 from mammometry.base.progress import Progress, no_progress
+from mammometry.geometry.camera import Rig
+from mammometry.io.drawn import read_boundaries
 from mammometry.io.outputs import require_apart, require_free, write_output, write_outputs
 from mammometry.io.results.store import State, Store, Watch, unwatched
 from mammometry.io.session import Session
-from mammometry.io.write import write_text
 from mammometry.job.beside import Beside, beside_the_next_stage
+from mammometry.job.measuring import Measured
 from mammometry.job.pipeline import CameraSet, FinishedSurface, Plan, plan
 from mammometry.job.products import STAGES, Key, Product, Stage
-from mammometry.report.page_inputs import PageInputs
+from mammometry.report.page_inputs import PageInputs, report_key
 from mammometry.settings import Settings
 
 if TYPE_CHECKING:
@@ -49,96 +52,15 @@ if TYPE_CHECKING:
     from mammometry.calibration.judge.check import RigCheck
     from mammometry.matching.match import DisparityMap
     from mammometry.measure.volume.measurement import Lacking, VolumeMeasurement
+    from mammometry.report.clinical import Clinical
     from mammometry.report.content import ReportContent
     from mammometry.report.privacy import Privacy
+    from mammometry.report.rendering import RenderedReport
     from mammometry.report.scene import ViewerScene
     from mammometry.report.stage_facts import Facts
 
-WARNINGS = "warnings.json"
-"""The report's warnings, for programs: a list of sentences."""
 _HEAD = 4096  # characters of a page that hold its key: it stands first in the head
 _PAGE_KEY = re.compile(r'<meta name="mammometry-key" content="([0-9a-f,]+)">')
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Results:
-    """What a run came to."""
-
-    measurements: Mapping[str, VolumeMeasurement]
-    """``model``, or the patient's ``left`` and ``right`` → its volume measurement. Empty for a surface."""
-    watertight: bool
-    """Whether every measured solid is closed. False for an open surface."""
-    seconds: float
-    """Wall time, s."""
-    stage_seconds: Mapping[str, float]
-    """Stage → wall time, s. Almost 0 if its results existed already."""
-    peak_memory_mb: float | None
-    """Peak memory of the process or a child, MB. None if the system does not report it (Windows)."""
-    world: str
-    """Which frame the results are in, in words."""
-    folder: Path
-    """Where the results lie."""
-    report: Path | None
-    """The report's page. None if it was not wanted."""
-    no_breast: Mapping[str, str] = field(default_factory=dict)
-    """Side of a torso without a breast → the evidence for that."""
-    lacking: Mapping[str, Lacking] = field(default_factory=dict)
-    """Side of a torso → what it lacks compared with the mirrored other side."""
-    made: tuple[str, ...] = ()
-    """``stage/product`` of everything that this run made. Empty if everything existed already."""
-    made_at: str | None = None
-    """When the newest of the results was made, ISO 8601, UTC."""
-
-    @property
-    def volumes_cc(self) -> dict[str, float]:
-        """Name → volume, cc."""
-        return {name: measured.volume_cc for name, measured in self.measurements.items()}
-
-    @property
-    def intervals_cc(self) -> dict[str, tuple[float, float] | None]:
-        """Name → 95 % interval, cc. None where none is known."""
-        return {name: measured.interval_cc for name, measured in self.measurements.items()}
-
-    def as_table(self) -> dict[str, Any]:
-        """All of it as plain data for JSON, as ``--json`` prints it."""
-        return {
-            "volumes_cc": {name: round(value, 3) for name, value in self.volumes_cc.items()},
-            "intervals_cc": {
-                name: None if interval is None else [round(bound, 3) for bound in interval]
-                for name, interval in self.intervals_cc.items()
-            },
-            "as_defined_cc": {
-                name: None if measured.as_defined_cc is None else [round(bound, 3) for bound in measured.as_defined_cc]
-                for name, measured in self.measurements.items()
-            },
-            "definitions": {
-                name: {
-                    each.meaning: {
-                        "volume_cc": round(each.volume_cc, 3),
-                        "interval_cc": [round(bound, 3) for bound in each.interval_cc],
-                        "weight_g": round(each.weight_g[0], 1),
-                        "weight_half_g": round(each.weight_g[1], 1),
-                    }
-                    for each in measured.definitions
-                }
-                for name, measured in self.measurements.items()
-            },
-            "no_breast": dict(self.no_breast),
-            "lacking_cc": {name: round(found.volume_cc, 3) for name, found in self.lacking.items()},
-            "lacking_interval_cc": {
-                name: None if found.interval_cc is None else [round(bound, 3) for bound in found.interval_cc]
-                for name, found in self.lacking.items()
-            },
-            "watertight": self.watertight,
-            "seconds": round(self.seconds, 3),
-            "stage_seconds": {stage: round(value, 3) for stage, value in self.stage_seconds.items()},
-            "peak_memory_mb": self.peak_memory_mb,
-            "world": self.world,
-            "results": str(self.folder),
-            "report": None if self.report is None else str(self.report),
-            "made": list(self.made),
-            "made_at": self.made_at,
-        }
 
 
 class Job:
@@ -161,6 +83,26 @@ class Job:
     def identity(self) -> Identity:
         """Whose photographs and results these are: what pages call them."""
         return self.session.identity
+
+    @property
+    def folder(self) -> Path:
+        """Where boundaries.json and landmarks.json lie."""
+        return self.session.path
+
+    @property
+    def rig(self) -> Rig:
+        """The cameras in their places at the exposures."""
+        return self.plan.calibrated.cameras().rig
+
+    @property
+    def mesh(self) -> Product[FinishedSurface]:
+        """The surface that is measured, with its colours."""
+        return self.plan.surfaced.mesh
+
+    @property
+    def measured(self) -> Measured:
+        """Products of the measurement."""
+        return self.plan.measured
 
     def products(self, stage: Stage) -> tuple[Product[Any], ...]:
         """Products of one stage, without the report, which has its own record."""
@@ -345,13 +287,18 @@ class Job:
 
     @property
     def report_key(self) -> Key:
-        """What the report depends on: every product, and whatever else it shows."""
-        return self._page_key(self._page_inputs)
+        """What the rendered report depends on: its content, and who drew and confirmed the boundaries."""
+        return report_key(self.content_key, self.inputs.attributions)
+
+    @property
+    def content_key(self) -> Key:
+        """What the report's content depends on: every product, and whatever else it shows."""
+        return self._page_inputs.key(self.plan.products())
 
     def page_digest(self, *, deidentify: bool) -> str:
         """Digest of everything a report would show now, with or without names."""
         page = self._page_inputs
-        return self._page_key(replace(page, identity=NAMELESS) if deidentify else page).digest
+        return (replace(page, identity=NAMELESS) if deidentify else page).key(self.plan.products()).digest
 
     def pages(self) -> dict[str, State]:
         """Pages in results/ for others or of two dates → whether current."""
@@ -364,10 +311,6 @@ class Job:
             if page != self._report_page
         }
 
-    def _page_key(self, page: PageInputs) -> Key:
-        drawn = {"attributions": repr(self.inputs.attributions)} if self.inputs.attributions else {}
-        return page.key(self.plan.products(), drawn)
-
     @property
     def _page_inputs(self) -> PageInputs:
         return PageInputs(
@@ -377,9 +320,12 @@ class Job:
         )
 
     def keys(self, stage: Stage) -> tuple[Key, ...]:
-        """Keys of a stage's products and pictures, or the report's own key."""
+        """Keys of a stage's products and pictures, or of the report's content.
+
+        A confirmation changes no content: the report is rendered again with it, and nothing is stale.
+        """
         if stage == "report":
-            return (self.report_key,)
+            return (self.content_key,)
         return (*(product.key for product in self.products(stage)), self.previews_key(stage))
 
     def made_at(self, stage: Stage) -> str | None:
@@ -400,15 +346,15 @@ class Job:
         Raises:
             MammometryError: whatever stands in the way, in one sentence.
         """
-        from mammometry.report import html, pdf
+        from mammometry.report import html, pdf, rendering
 
         require_apart(folder, self.session.brought)
         require_free(folder, [html.PAGE, pdf.DOCUMENT], command="report")
         self.ensure("measure")
         with one_blas_thread():
-            said = self._report_content(privacy)
-        files = {html.PAGE: html.render(said).encode(), pdf.DOCUMENT: pdf.render(said)}
-        write_outputs(folder, files, command="report")
+            content = self._report_content(privacy)
+        made = rendering.render(content, self.inputs.attributions, named=not privacy.deidentify)
+        write_outputs(folder, {html.PAGE: made.html, pdf.DOCUMENT: made.pdf}, command="report")
         return folder / html.PAGE
 
     def _ensure_report(self, drawing: Drawing) -> None:
@@ -416,22 +362,47 @@ class Job:
         if drawing.waiting:  # the last pictures: meanwhile what needs none of them
             from mammometry.report import gather
 
-            scene = gather.whole_scene(self.plan, self.inputs)
+            scene = gather.whole_scene(self.plan)
         facts = drawing.facts()
 
-        def prepare() -> Callable[[Path, Progress], None]:
-            from mammometry.report import html, pdf  # a run with nothing to do needs neither
+        def gathered(progress: Progress) -> ReportContent:
             from mammometry.report.privacy import Privacy
 
-            def write(folder: Path, progress: Progress) -> None:
-                said = self._report_content(Privacy(), progress, facts, scene)
-                html.write(folder, said)
-                pdf.write(folder, said)
-                write_text(folder / WARNINGS, json.dumps(list(said.warnings), ensure_ascii=False, indent=1) + "\n")
+            return self._report_content(Privacy(), progress, facts, scene)
 
-            return write
+        self._stored_report.ensure(gathered)
 
-        self.store.write_folder(self.report_key, prepare)
+    def rendered(self, clinical: Clinical) -> RenderedReport:
+        """The report with what a clinic knows of the visit, from stored results.
+
+        It is not stored. What is not current is made first.
+
+        Args:
+            clinical: names, operations, the confirmation, the conclusion.
+
+        Raises:
+            MammometryError: whatever stands in the way, in one sentence.
+        """
+        if not self.store.has(self.content_key):
+            self.ensure("report")
+        return self._stored_report.rendered(clinical)
+
+    def render_report(self) -> None:
+        """Render the report again with who drew and confirmed the boundaries by now.
+
+        Nothing is measured. Where the report's content is not current, nothing happens.
+
+        Raises:
+            MammometryError: another run is at work, or boundaries.json is not as documented.
+        """
+        drawn = read_boundaries(self.session.path, self.inputs.subject_kind, self.session.manifest.subject.id)
+        self.inputs = replace(self.inputs, attributions=drawn.attributions)
+        if self.store.has(self.content_key):
+            self._stored_report.render()
+
+    @property
+    def _stored_report(self) -> StoredReport:
+        return StoredReport(store=self.store, content_key=self.content_key, attributions=self.inputs.attributions)
 
     def _report_content(
         self,

@@ -13,40 +13,50 @@ Boundaries, walls, interval, files and report are the same.
 from __future__ import annotations
 
 import hashlib
-import json
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mammometry.api.job import WARNINGS, Results
+from mammometry.api.results import Results
+from mammometry.api.stored_report import StoredReport
 from mammometry.base.cores import one_blas_thread
-from mammometry.base.errors import SessionError
-from mammometry.base.identity import Identity
+from mammometry.base.errors import MeasureError, SessionError
+from mammometry.base.identity import NAMELESS, Identity
 from mammometry.base.memory import peak_memory_mb
 from mammometry.base.progress import Progress
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.nearest import point_tree
-from mammometry.io.drawn import DrawnBoundaries, boundaries_in, landmarks_in
+from mammometry.io.drawn import (
+    BOUNDARIES,
+    LANDMARK_FILE,
+    DrawnBoundaries,
+    boundaries_digest,
+    boundaries_in,
+    landmarks_digest,
+    landmarks_in,
+    read_boundaries,
+)
 from mammometry.io.foreign import ForeignMesh, read_foreign
 from mammometry.io.outputs import require_apart, require_own_folder, take_folder
 from mammometry.io.results.store import Store, Watch, unwatched
 from mammometry.io.scans import MESH, Scan, read_scan
 from mammometry.io.subject import check_mesh
-from mammometry.io.write import write_text
 from mammometry.job.inputs import Inputs, SubjectKind
 from mammometry.job.measuring import Measured, Upstream, measure
 from mammometry.job.products import Forgetful, Key, Product
 from mammometry.job.stage_values import CameraSet, FinishedSurface
-from mammometry.report.page_inputs import PageInputs
+from mammometry.report.page_inputs import PageInputs, report_key
 from mammometry.settings import Settings
 
 if TYPE_CHECKING:
     from mammometry.measure.volume.measurement import VolumeMeasurement
+    from mammometry.report.clinical import Clinical
+    from mammometry.report.content import ReportContent
+    from mammometry.report.rendering import RenderedReport
     from mammometry.surface.dents import ValidPatches
     from mammometry.surface.repair import RepairedSurface
 
@@ -94,21 +104,44 @@ class MeshFiles:
     """What an imported scan's folder says. None: the mesh was not imported."""
 
 
-def scan_files(folder: Path, *, subject: str | None = None) -> MeshFiles:
-    """An imported scan's mesh, measured automatically.
+def scan_files(folder: Path, *, subject: str | None = None, drawn: bool = True) -> MeshFiles:
+    """An imported scan's mesh, with what was drawn on it. Other boundaries are found automatically.
 
     Args:
-        folder: made by ``mammometry import mesh``.
+        folder: made by ``mammometry import mesh``. What was drawn lies in it, as in a session.
         subject: a pseudonym. None: the one that the folder names.
+        drawn: whether drawn boundaries and landmarks count.
 
     Raises:
         SessionError: the folder's description is not as documented.
     """
     scan = read_scan(folder)
+    boundary, landmarks = (
+        path if drawn and path.is_file() else None for path in (folder / BOUNDARIES, folder / LANDMARK_FILE)
+    )
     return MeshFiles(
-        mesh=folder / MESH, units="mm", automatic=True, head=scan.head, ahead=scan.ahead or None,
-        subject=subject or scan.subject, scan=scan,
+        mesh=folder / MESH, units="mm", boundary=boundary, landmarks=landmarks, automatic=True, head=scan.head,
+        ahead=scan.ahead or None, subject=subject or scan.subject, scan=scan,
     )  # fmt: skip
+
+
+def scan_job(folder: Path, results: Path, settings: Settings | None = None) -> MeshJob:
+    """Open an imported scan for drawing on it.
+
+    A drawing that the measurement refuses does not count. It can so be corrected.
+
+    Args:
+        folder: made by ``mammometry import mesh``.
+        results: folder of its results.
+        settings: of the measurement; None for the recommended ones.
+
+    Raises:
+        MammometryError: the scan cannot be opened.
+    """
+    try:
+        return MeshJob(scan_files(folder), results, settings)
+    except MeasureError:
+        return MeshJob(scan_files(folder, drawn=False), results, settings)
 
 
 class MeshJob:
@@ -150,7 +183,7 @@ class MeshJob:
                 expected="where the breast ends on this mesh",
                 remedy="Add --boundary b.json, or --landmarks l.json with the protocol's landmarks, or --automatic",
             )
-        if files.boundary is not None and files.automatic:
+        if files.boundary is not None and files.automatic and files.scan is None:
             raise SessionError(
                 str(files.boundary),
                 found="a boundary file together with --automatic",
@@ -167,7 +200,7 @@ class MeshJob:
         self.store = Store(folder, watch, files.subject)
         self.units = foreign.units if files.scan is None else files.scan.units
         drawn = DrawnBoundaries() if files.boundary is None else boundaries_in(files.boundary, _NAMES)
-        if drawn.automatic:
+        if drawn.automatic and not files.automatic:
             raise SessionError(
                 f"{files.boundary}: {drawn.automatic[0]}",
                 found="a boundary to be found automatically",
@@ -206,10 +239,31 @@ class MeshJob:
         picked_landmarks(places, fine, sides, sigma_mm=own.picked_sigma_mm, middle_world=middle)
         self.rig = scanned.viewer(frame, fine)
         self.inputs = _inputs(files, self.kind, drawn, places)
-        self._lay_out(surface, foreign)
+        by_drawing = {} if self.kind == "torso" and files.automatic else _drawn(self.inputs)
+        self._lay_out(surface, foreign, by_drawing)
 
-    def _lay_out(self, surface: RepairedSurface, foreign: ForeignMesh) -> None:
-        """Plan the measurement as for a session. The earlier products are given."""
+    @property
+    def folder(self) -> Path:
+        """Where boundaries.json and landmarks.json of a scan lie."""
+        return self.files.mesh.parent
+
+    @property
+    def measured(self) -> Measured:
+        """Products of the measurement."""
+        return self.plan
+
+    def surface(self) -> FinishedSurface:
+        """The surface with its colours."""
+        return self.finished
+
+    def _lay_out(self, surface: RepairedSurface, foreign: ForeignMesh, by_drawing: dict[str, str]) -> None:
+        """Plan the measurement as for a session. The earlier products are given.
+
+        Args:
+            surface: to be measured.
+            foreign: the mesh with its colours.
+            by_drawing: digests of the drawing, where it decides the viewer's place.
+        """
         from mammometry.measure.trunk.body import rig_frame
         from mammometry.surface.dents import ValidPatches
         from mammometry.surface.texture import TexturedMesh
@@ -222,13 +276,14 @@ class MeshJob:
         cameras = CameraSet(rig=self.rig, std={}, world=WORLD, rms_px=None)
         digests = {"mesh": self.inputs.digests["mesh"]}
         self.finished = FinishedSurface(repaired=surface, textured=textured)
+        self.mesh: Product[FinishedSurface] = _at_hand("mesh", self.finished, digests)
         valid: Product[ValidPatches] = _at_hand("valid", ValidPatches(range_images=(), angles_rad=()), digests)
         upstream = Upstream(
-            cameras=_at_hand("cameras", cameras, {**digests, **_drawn(self.inputs)}),
+            cameras=_at_hand("cameras", cameras, {**digests, **by_drawing}),
             calibration=None,
             foregrounds={},
             valid=valid,
-            mesh=_at_hand("mesh", self.finished, digests),
+            mesh=self.mesh,
             repaired=_at_hand("repaired", surface, digests),
         )
         self.plan: Measured = measure(self.inputs, upstream, self.settings.measure, self.store)
@@ -251,7 +306,7 @@ class MeshJob:
             no_breast: dict[str, str] = {side.name: side.why for side in absent}
             seconds = time.monotonic() - begun
             if report:
-                self._ensure_report()
+                self._stored_report.ensure(self._gathered)
         return Results(
             measurements=measurements,
             watertight=all(measured.watertight for measured in measurements.values()),
@@ -264,7 +319,7 @@ class MeshJob:
             no_breast=no_breast,
             made=tuple(self.store.made[before:]),
             made_at=self.store.made_at(
-                [*(product.key for product in self.plan.products()), *([self.report_key] if report else [])]
+                [*(product.key for product in self.plan.products()), *([self.content_key] if report else [])]
             ),
         )
 
@@ -273,40 +328,67 @@ class MeshJob:
         """The report's page."""
         return self.store.folder / "report" / "report.html"
 
-    def _ensure_report(self) -> None:
-        def prepare() -> Callable[[Path, Progress], None]:
-            def write(folder: Path, progress: Progress) -> None:
-                from mammometry.report import html, pdf
-                from mammometry.report.gather_mesh import MeshOrigin, gather_mesh
+    def rendered(self, clinical: Clinical) -> RenderedReport:
+        """The report with what a clinic knows of the visit, from stored results.
 
-                said = gather_mesh(
-                    self.plan,
-                    self.finished,
-                    self.rig,
-                    self._page_inputs,
-                    MeshOrigin(
-                        kind=self.kind,
-                        units=self.units,
-                        world=WORLD,
-                        scanner="" if self.files.scan is None else self.files.scan.scanner,
-                    ),
-                    progress=progress,
-                )
-                html.write(folder, said)
-                pdf.write(folder, said)
-                write_text(folder / WARNINGS, json.dumps(list(said.warnings), ensure_ascii=False, indent=1) + "\n")
+        It is not stored. What is not current is made first.
 
-            return write
+        Args:
+            clinical: names, operations, the confirmation, the conclusion.
 
-        self.store.write_folder(self.report_key, prepare)
+        Raises:
+            MammometryError: whatever stands in the way, in one sentence.
+        """
+        if not self.store.has(self.content_key):
+            self.run()
+        return self._stored_report.rendered(clinical)
+
+    def render_report(self) -> None:
+        """Render the report again with who drew and confirmed the boundaries by now, as `api.job.Job` does.
+
+        Raises:
+            MammometryError: another run is at work, or boundaries.json is not as documented.
+        """
+        drawn = read_boundaries(self.folder, self.kind, self.files.subject)
+        self.inputs = replace(self.inputs, attributions=drawn.attributions)
+        if self.store.has(self.content_key):
+            self._stored_report.render()
+
+    def _gathered(self, progress: Progress) -> ReportContent:
+        from mammometry.report.gather_mesh import MeshOrigin, gather_mesh
+
+        origin = MeshOrigin(
+            kind=self.kind,
+            units=self.units,
+            world=WORLD,
+            scanner="" if self.files.scan is None else self.files.scan.scanner,
+        )
+        return gather_mesh(self.plan, self.finished, self.rig, self._page_inputs, origin, progress=progress)
+
+    @property
+    def _stored_report(self) -> StoredReport:
+        return StoredReport(store=self.store, content_key=self.content_key, attributions=self.inputs.attributions)
 
     @property
     def report_key(self) -> Key:
-        """Key of the report: products, the mesh, and the rest it shows."""
+        """Key of the rendered report: its content, and who drew and confirmed the boundaries."""
+        return report_key(self.content_key, self.inputs.attributions)
+
+    @property
+    def content_key(self) -> Key:
+        """Key of the report's content: products, the mesh, and the rest it shows."""
+        return self._content_key(self._page_inputs)
+
+    def page_digest(self, *, deidentify: bool) -> str:
+        """Digest of everything a report would show now, with or without names."""
+        page = self._page_inputs
+        return self._content_key(replace(page, identity=NAMELESS) if deidentify else page).digest
+
+    def _content_key(self, page: PageInputs) -> Key:
         beside = {"mesh": self.inputs.digests["mesh"], "units": self.units}
         if self.files.scan is not None:
             beside["scanner"] = self.files.scan.scanner
-        return self._page_inputs.key(self.plan.products(), beside)
+        return page.key(self.plan.products(), beside)
 
     @property
     def _page_inputs(self) -> PageInputs:
@@ -328,6 +410,7 @@ def _inputs(
         target=None,
         calibration_photographs={},
         boundaries=drawn.curves,
+        automatic=drawn.automatic,
         attributions=drawn.attributions,
         landmarks=places,
         wall=back,
@@ -335,8 +418,8 @@ def _inputs(
         digests={
             "mesh": _digest(files.mesh, files.units, files.largest, files.automatic, files.head, files.ahead),
             "subject": kind,
-            "boundaries": _digest(files.boundary),
-            "landmarks": _digest(files.landmarks),
+            "boundaries": boundaries_digest(drawn),
+            "landmarks": landmarks_digest(places),
             "wall": _digest(files.back, files.units),
         },
     )

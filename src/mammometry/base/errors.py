@@ -101,6 +101,8 @@ class StorageError(MammometryError):
     """
 
     exit_code = 9
+    is_full = False
+    """Whether the disk has no room."""
 
 
 class BatchError(MammometryError):

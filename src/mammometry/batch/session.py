@@ -17,7 +17,8 @@ from typing import Any, TypeVar
 import psutil
 from PIL import Image
 
-from mammometry.api.job import WARNINGS, Job, open_session
+from mammometry.api.job import Job, open_session
+from mammometry.api.stored_report import WARNINGS
 from mammometry.base.each import Tell
 from mammometry.base.errors import StorageError
 from mammometry.base.memory import peak_memory_mb

@@ -13,13 +13,13 @@ from mammometry.api.job import open_session
 from mammometry.base.cores import available_cores
 from mammometry.base.errors import CalibrationError, CaptureError, SessionError
 from mammometry.calibration.detection.detect import Detection, detect_in
+from mammometry.calibration.judge.names import check_board_names
 from mammometry.calibration.settings import DetectSettings
 from mammometry.calibration.targets.board import Board
 from mammometry.calibration.targets.table import target_from_table
 from mammometry.capture.camera import Backend
 from mammometry.capture.guide import Progress, Suggestion, opening, progress, suggest
 from mammometry.capture.holds import Holds
-from mammometry.capture.names import check_board_names
 from mammometry.capture.registry import BACKENDS
 from mammometry.capture.rig_file import RigFile, read_rig_file
 from mammometry.capture.sessions import definition_of, make_session, manifest_text, share_calibration

@@ -14,10 +14,10 @@ from typing import Any
 
 import numpy as np
 
+from mammometry.calibration.judge.names import Names, check_names, wrong_photographs
 from mammometry.capture.checks import cameras, pixels
 from mammometry.capture.checks.cameras import KnownCamera
 from mammometry.capture.checks.found import Found, refuses
-from mammometry.capture.names import Names, check_names
 from mammometry.capture.skew.measured import Skew
 from mammometry.capture.take import Taken
 from mammometry.geometry.camera import Rig
@@ -229,29 +229,21 @@ def _names_and_stillness(taken: Taken, expected: Expected) -> Iterator[tuple[str
         and one.size_wh == expected.rig.cameras[name].size_wh
     }  # fmt: skip
     names = check_names(expected.rig, sizes_fit)
-    yield from (("", each) for each in _named(names))
-    if not (names.swapped or names.wrong):
+    yield from (("", each) for each in _named(names, expected.rig))
+    if names.right:
         yield "", _stillness(names)
 
 
-def _named(names: Names) -> Iterator[Found]:
-    for one, other in names.swapped:
-        yield _refuse(
-            "names",
-            f"{one} and {other} are exchanged: by the calibration, each shows the other's view. Swap their cables.",
-        )
-    for pair in names.wrong:
-        yield _refuse(
-            "names",
-            f"The pictures of pair {pair} do not fit its calibration. A cable is wrong, a camera was turned, or "
-            "something hides the subject.",
-        )
+def _named(names: Names, rig: Rig) -> Iterator[Found]:
+    for wrong in wrong_photographs(names, rig.pair_names):
+        remedy = "Swap their cables" if set(wrong.cameras) <= set(names.exchanged) else "Check cables and cameras"
+        yield _refuse("names", f"{wrong.listed}: {wrong.found}. {remedy}.")
     if names.unknown:
         yield Found(
             check="names", level="unknown",
             sentence=f"Too little texture to compare the names of pair {', '.join(names.unknown)}.",
         )  # fmt: skip
-    if names.pairs and not (names.swapped or names.wrong or names.unknown):
+    if names.pairs and names.right and not names.unknown:
         yield Found(check="names", level="ok", sentence="All names are right, by the calibration.")
 
 

@@ -90,6 +90,7 @@ def serve(
 ) -> Answer:
     """Serve the clinic until Ctrl-C."""
     from mammometry.clinic.config import read_config
+    from mammometry.clinic.server import require_free
     from mammometry.clinic.server import serve as run
 
     changes: dict[str, object] = {} if address is None else {"address": address}
@@ -99,6 +100,7 @@ def serve(
         tls = read_config(folder).tls
         changes["tls"] = tls.model_copy(update={"certificate": str(tls_certificate), "key": str(tls_key)})
     config = opened(folder, **changes)
+    require_free(config.address)
     scheme = "https" if config.tls.used else "http"
     print(f"{scheme}://{config.address}/ (Ctrl-C stops)", file=sys.stderr, flush=True)  # noqa: T201
     run(config, jobs=jobs)
@@ -134,8 +136,11 @@ def demo(
     Each was there at two dates. A demo that is there already is opened as it is.
     """
     from mammometry.clinic.jobs.process import beside
+    from mammometry.clinic.server import require_free
     from mammometry.clinic.server import serve as run
 
+    if serve:
+        require_free(address)
     table: dict[str, object] = {"clinic": str(folder)}
     lines: list[str] = []
     if (folder / "clinic.toml").is_file():
@@ -195,15 +200,30 @@ Who = Annotated[str, typer.Argument(metavar="PATIENT", help="Pseudonym or record
 def backup(folder: Folder, to: Target = None, json: Json = False, verbose: Verbose = 0) -> Answer:
     """Write database, settings, keys and photographs into one file.
 
-    The clinic may be in use.
+    The clinic may be in use. Without --to the file goes to the clinic's backups, of which the newest are kept.
     """
     config = opened(folder)
     from mammometry.clinic.keep.backup import make_backup
+    from mammometry.clinic.keep.backups import make_kept_backup
     from mammometry.clinic.server import require_current
 
     require_current(config)
-    made = make_backup(config, to)
+    made = make_kept_backup(config) if to is None else make_backup(config, to)
     return Answer({"backup": str(made)}, [f"{made}: {made.stat().st_size / 1e6:.1f} MB. It holds names and keys."])
+
+
+@app.command("test-restore", epilog=examples("mammometry clinic test-restore my-clinic"))
+def check_restore(folder: Folder, json: Json = False, verbose: Verbose = 0) -> Answer:
+    """Restore the newest backup into a temporary folder, and compare what came back.
+
+    It needs as much free space as the backup has. The clinic may be in use.
+    """
+    from mammometry.clinic.config import read_config
+    from mammometry.clinic.keep import restore_test
+
+    made = restore_test.run_restore_test(read_config(folder))
+    table = {"backup": made.backup, "rows": made.rows, "files": made.files, "seconds": round(made.seconds, 1)}
+    return Answer(table, [made.sentence])
 
 
 @app.command(epilog=examples("mammometry clinic restore clinic-monday.tar new-clinic"))
@@ -245,6 +265,7 @@ def export(folder: Folder, patient: Who, to: Target = None, json: Json = False, 
 def erase(
     folder: Folder,
     patient: Who,
+    binned: Annotated[bool, typer.Option("--bin", help="Only the patient's visits that lie in the bin.")] = False,
     yes: Annotated[bool, typer.Option("--yes", help="Erase without asking.")] = False,
     json: Json = False,
     verbose: Verbose = 0,
@@ -254,15 +275,22 @@ def erase(
     The audit keeps the pseudonym. Backups made before still hold the patient.
     """
     config = opened(folder)
-    from mammometry.clinic.keep.patient import erase_patient, find_patient
+    from mammometry.clinic.keep.patient import erase_bin, erase_patient, find_patient
+    from mammometry.clinic.models import Visit
 
     found = find_patient(patient)
     name = found.pseudonym
     if not yes:
-        typer.confirm(f"Erase {name} with {found.visits.count()} visits? It cannot be undone.", abort=True, err=True)
-    number = erase_patient(config, found)
-    older = sorted(each.name for each in (config.folder / "backups").glob("*.tar"))
-    lines = [f"{name} is erased, with {number} visits."]
+        visits = Visit.everything.filter(patient=found)
+        words = (
+            f"the {visits.exclude(binned_at=None).count()} visits of {name} in the bin"
+            if binned
+            else f"{name} with {visits.count()} visits"
+        )
+        typer.confirm(f"Erase {words}? It cannot be undone.", abort=True, err=True)
+    number = erase_bin(found) if binned else erase_patient(config, found)
+    older = sorted(path.name for path in config.backups.glob("*.tar"))
+    lines = [f"{number} visits of {name} are erased." if binned else f"{name} is erased, with {number} visits."]
     lines += [f"Still in the backups: {', '.join(older)}"] if older else []
     return Answer({"erased": name, "visits": number, "backups": older}, [*lines])
 
@@ -271,7 +299,7 @@ def erase(
 def audit(folder: Folder, to: Target = None, json: Json = False, verbose: Verbose = 0) -> Answer:
     """Write who saw and changed what, as CSV."""
     opened(folder)
-    from mammometry.clinic.audit import write_audit
+    from mammometry.clinic.audit_entries import write_audit
 
     target = to or Path("audit.csv")
     if target.exists():

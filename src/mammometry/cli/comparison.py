@@ -76,12 +76,8 @@ def compare(
 
 
 def _lines(found: Comparison) -> list[Any]:
-    from mammometry.report.change_page import breast_card
-
     lines: list[Any] = [f"Warning: {warning}" for warning in found.warnings]
-    for breast in found.change.breasts:
-        card = breast_card(breast)
-        lines.append(f"{card.title}: {card.change} ({card.interval}). {card.verdict}")
+    lines += [breast["verdict"] for breast in found.table["breasts"].values()]
     fit = found.change.fit
     lines.append(f"80 % of the trunk fits within {fit.within_mm:.1f} mm. The lean differs by {fit.turned_deg:.0f}°.")
     return [*lines, *found.remarks, f"Page: {found.page}"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import webbrowser
 from contextlib import suppress
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -19,8 +19,12 @@ from mammometry.cli.common import (
     SettingsFile,
     Verbose,
     examples,
+    load_settings,
 )
 from mammometry.cli.stages import opened
+
+if TYPE_CHECKING:
+    from mammometry.editor.desk import Drawable
 
 app = typer.Typer()
 
@@ -36,12 +40,13 @@ def edit(
     json: Json = False,
     verbose: Verbose = 0,
 ) -> Answer:
-    """Draw or confirm boundaries and landmarks in the browser.
+    """Draw or confirm boundaries and landmarks of a session or an imported scan in the browser.
 
     Ctrl-C stops it.
     """
     from mammometry.editor.server import serve
     from mammometry.io.drawn import BOUNDARIES, LANDMARK_FILE
+    from mammometry.io.scans import MESH, is_scan
 
     def ready(address: str, local_page: str) -> None:
         # Standard output belongs to the answer, which comes after the page was closed.
@@ -49,10 +54,19 @@ def edit(
         if browser:
             webbrowser.open(local_page)
 
-    with Bars(quiet or json) as bars:
-        job = opened(session, settings, assignments, bars)
-        job.ensure("surface")
+    def drawable() -> Drawable:
+        from mammometry.api.job import open_session
+        from mammometry.api.mesh import folder_for, scan_job
+
+        chosen = load_settings(settings, assignments)
+        return scan_job(session, folder_for(session / MESH), chosen) if scan else open_session(session, chosen)
+
+    scan = is_scan(session)
+    if not scan:
+        with Bars(quiet or json) as bars:
+            opened(session, settings, assignments, bars).ensure("surface")
     with suppress(KeyboardInterrupt):  # the way to stop it
-        serve(job, ready=ready, author=author)
+        serve(drawable, ready=ready, author=author)
     there = [name for name in (BOUNDARIES, LANDMARK_FILE) if (session / name).is_file()]
-    return Answer({"session": str(session), "drawn": there}, [f"Then: mammometry run {session}"] if there else [])
+    then = f"mammometry measure {session / MESH}" if scan else f"mammometry run {session}"
+    return Answer({"session": str(session), "drawn": there}, [f"Then: {then}"] if there else [])

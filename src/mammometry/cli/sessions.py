@@ -149,13 +149,13 @@ def info(
 
 def _shown_by(job: Job) -> dict[str, Any] | None:
     """Name, subject and date on the report's page. None without a page."""
-    record = job.store.record(job.report_key)
+    record = job.store.record(job.content_key)
     return None if record is None else record.settings.get("identity", {})
 
 
 def _drawn_words(job: Job) -> dict[str, str]:
     """Breast → who drew its boundary and who confirmed it, from boundaries.json."""
-    from mammometry.measure.volume.attribution import confirmed_words
+    from mammometry.measure.volume.attribution import confirmed_words, curve_digest
 
     product, inputs = job.plan.measured.boundaries, job.inputs
     found = product() if inputs.attributions and product is not None and job.store.has(product.key) else ()
@@ -164,7 +164,7 @@ def _drawn_words(job: Job) -> dict[str, str]:
     for name, attribution in inputs.attributions.items():
         how = attribution.origin or ("given" if name in inputs.boundaries else "automatic")
         if name in curves:
-            how = confirmed_words(how, curves[name], attribution.confirmation)
+            how = confirmed_words(how, curve_digest(curves[name]), attribution.confirmation)
         elif attribution.confirmation is not None:
             how += "; a curve was confirmed by eye. Measure to see whether it is still the same"
         words[name] = how

@@ -24,7 +24,8 @@ from mammometry.cli.common import (
 from mammometry.cli.compile_cache import compiled_ahead
 
 if TYPE_CHECKING:
-    from mammometry.api.job import Job, Results
+    from mammometry.api.job import Job
+    from mammometry.api.results import Results
     from mammometry.job.products import Stage
 
 app = typer.Typer()
@@ -270,7 +271,7 @@ def measure(
             job = opened(session, settings, assignments, bars)
             results = job.run(report=False)
         return Answer(results.as_table(), volume_lines(results))
-    from mammometry.api.mesh import SCALE_STD, SURFACE_STD_MM, MeshFiles, MeshJob, folder_for
+    from mammometry.api.mesh import SCALE_STD, SURFACE_STD_MM, MeshFiles, MeshJob, folder_for, scan_files
     from mammometry.io.outputs import require_apart
     from mammometry.io.scans import MESH, is_scan, read_scan
 
@@ -281,7 +282,11 @@ def measure(
             raise typer.BadParameter(f"{option} is a standard uncertainty, 0 or more")
     scan = read_scan(session.parent) if session.name == MESH and is_scan(session.parent) else None
     if scan is not None:
-        head, ahead, subject = head or scan.head, ahead or scan.ahead or None, subject or scan.subject
+        own = scan_files(session.parent, subject=subject)
+        head, ahead, subject = head or own.head, ahead or own.ahead, own.subject
+        if boundary is None and own.boundary is not None:
+            boundary, automatic = own.boundary, True
+        landmarks = landmarks or own.landmarks
     files = MeshFiles(
         mesh=session,
         units=units,
@@ -367,14 +372,14 @@ def named_subject(text: str | None) -> str | None:
 
 def volume_lines(results: Results) -> list[Any]:
     """Volumes in words, and where the report is."""
-    from mammometry.report.volume_words import definition_title, definition_words, interval_words, volume_words
+    from mammometry.report.volume_words import MEANINGS, definition_words, interval_words, volume_words
 
     lines: list[Any] = []
     for name, measured in results.measurements.items():
         volume, interval = volume_words(measured.volume_cc, measured.interval_cc), interval_words(measured.interval_cc)
         lines.append(f"{name}: {volume} {interval}, wall: {measured.wall_kind}")
         for defined in measured.definitions:
-            lines.append(f"    {definition_title(defined).lower()}: {definition_words(defined)}")
+            lines.append(f"    {MEANINGS[defined.meaning]}: {definition_words(defined)}")
     for name, why in results.no_breast.items():
         lines.append(f"{name}: no breast measured. {why}.")
     for name, found in results.lacking.items():

@@ -76,7 +76,7 @@ def _renewed(
         job = open_session(session, loaded)
         keys = [product.key for stage in STAGES for product in job.products(stage)]
         keys += [job.previews_key(stage) for stage in STAGES if job.products(stage)]
-        wanted = {f"{key.stage}/{key.product}" for key in [*keys, job.report_key]}
+        wanted = {f"{key.stage}/{key.product}" for key in [*keys, job.content_key, job.report_key]}
     except MammometryError as error:
         return [], [*damaged, *stages], shown(str(error))
     left = [name for name in damaged if name not in wanted]

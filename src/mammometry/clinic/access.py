@@ -8,7 +8,7 @@ transaction, and enters into the audit who saw which patient's, visit's or rig's
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable, Iterable
+from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from functools import wraps
 from typing import Any
@@ -18,7 +18,7 @@ from asgiref.sync import iscoroutinefunction, sync_to_async
 from django.core.exceptions import PermissionDenied
 from django.db import transaction
 from django.http import HttpRequest, HttpResponseBase, HttpResponseRedirect, JsonResponse
-from django.urls import URLPattern, URLResolver, path, re_path, reverse
+from django.urls import URLPattern, path, re_path, reverse
 
 from mammometry.clinic.roles import Role
 
@@ -84,18 +84,6 @@ def _mounted(where: str, view: View, name: str, access: Access) -> URLPattern:
     return made
 
 
-def mounted(patterns: Iterable[URLPattern | URLResolver], access: Access) -> list[URLPattern | URLResolver]:
-    """Another application's routes, each guarded alike."""
-    made: list[URLPattern | URLResolver] = []
-    for each in patterns:
-        if isinstance(each, URLResolver):
-            within = mounted(each.url_patterns, access)
-            made.append(URLResolver(each.pattern, within, each.default_kwargs, each.app_name, each.namespace))
-        else:
-            made.append(URLPattern(each.pattern, guarded(each.callback, access), each.default_args, each.name))
-    return made
-
-
 def guarded(view: View, access: Access) -> View:
     """A view that refuses whoever may not open it.
 
@@ -149,22 +137,22 @@ def refused(request: HttpRequest, access: Access) -> HttpResponseBase | None:
         return None
     person = request.user
     if not person.is_authenticated:
-        if _is_program(request):
+        if is_program(request):
             return JsonResponse({"error": "Log in first."}, status=401)
         return HttpResponseRedirect(f"{reverse('account_login')}?{urlencode({'next': request.get_full_path()})}")
     if access.roles.isdisjoint(person.roles):
         raise PermissionDenied
     if not access.first_factor and person.lacks_second_factor(request):
-        if _is_program(request):
+        if is_program(request):
             return JsonResponse({"error": "Set up the second factor first."}, status=403)
         return HttpResponseRedirect(reverse("mfa_activate_totp"))
     return None
 
 
-def _is_program(request: HttpRequest) -> bool:
-    """Whether a page's script asks.
+def is_program(request: HttpRequest) -> bool:
+    """Whether a page's script asks: it is answered in JSON, never by a page or the login.
 
-    It can do nothing with a login page.
+    All scripts send this header (``viewer/src/clinic/request.ts``).
     """
     return "HX-Request" in request.headers or request.headers.get("Accept", "").startswith(
         ("application/json", "text/event-stream")

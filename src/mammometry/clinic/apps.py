@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from django.apps import AppConfig
-from django.contrib.admin.apps import AdminConfig
 from django.db.models.signals import post_migrate
 
 
@@ -20,12 +19,6 @@ class ClinicApp(AppConfig):
 
         audit.watch_models()
         post_migrate.connect(_seal_audit, sender=self)
-
-
-class AdminApp(AdminConfig):
-    """Django's admin with our rules of who may come in."""
-
-    default_site = "mammometry.clinic.administration.Administration"
 
 
 def _seal_audit(**_: object) -> None:

@@ -2,29 +2,35 @@
 
 Who saw and who changed what. Entries can be added and read, and never changed.
 
-django-auditlog enters each change of a registered model; `record_view` enters each page that was opened. Entries name a
-patient by pseudonym, and hold no names: what is entered of `MASKED` fields is that they changed.
+django-auditlog enters each change of a registered model. `record_view` enters each page that was opened, and
+`record_refusal` each that was refused; signals of the login enter who came, who left and whose login failed. Entries
+name a patient by pseudonym, and hold no names: what is entered of `MASKED` fields is that they changed. `audit_entries`
+reads them.
 """
 
 from __future__ import annotations
 
 import getpass
-from collections.abc import Iterator, Mapping
-from typing import Any, TextIO
+from collections.abc import Mapping
+from typing import Any
 
 from auditlog.models import LogEntry
 from auditlog.registry import auditlog
+from axes.signals import user_locked_out
 from django.apps import apps
-from django.contrib.auth.signals import user_logged_in, user_logged_out
+from django.contrib.auth import get_user_model
+from django.contrib.auth.signals import user_logged_in, user_logged_out, user_login_failed
 from django.contrib.contenttypes.models import ContentType
 from django.db import connection
 from django.db.models import Model
 from django.dispatch import Signal
 from django.http import HttpRequest, HttpResponseBase
 
-from mammometry.base.csv_cells import CsvWriter
+from mammometry.clinic.accounts.adapters import tried_name
 
 TABLE = "auditlog_logentry"
+OPENED, LOGIN, FAILED_LOGIN, REFUSED, COMMAND = "opened", "login", "failed login", "refused", "command"
+"""Kinds of entries that are no change of a row; `additional_data["kind"]`."""
 _LEFT_OUT = {
     "Patient": ["search_words"],
     "Person": ["password", "last_login"],
@@ -40,7 +46,7 @@ MASKED = {
     "Consent": ["note"],
     "Operation": ["words"],
     "Conclusion": ["text"],
-    "Correction": ["reason"],
+    "Correction": ["reason", "before", "after"],
 }
 """Fields of which the audit holds only that they changed: they tell who somebody is."""
 _ABOUT = {
@@ -49,6 +55,9 @@ _ABOUT = {
     "destination": "Destination", "delivery": "Delivery", "operation": "Operation", "consent": "Consent",
     "correction": "Correction", "comparison": "Comparison",
 }  # fmt: skip
+
+
+_PATH = 300  # characters of an address that are kept; ours are shorter
 
 
 def mask(value: str) -> str:
@@ -68,16 +77,40 @@ def watch_models() -> None:
         )
     for signal in (user_logged_in, user_logged_out):
         signal.connect(record_login, dispatch_uid="clinic audit")
+    for signal in (user_login_failed, user_locked_out):
+        signal.connect(record_failed_login, dispatch_uid="clinic audit")
 
 
 def record_login(sender: object, request: HttpRequest | None, user: Model | None, signal: Signal, **_: object) -> None:
-    """Enter that somebody came or left.
-
-    Wrong passwords are counted by axes.
-    """
+    """Enter that somebody came or left."""
     if user is None:
         return
-    _enter_access(user, user, request, {"page": "login" if signal is user_logged_in else "logout"})
+    _enter_access(user, user, request, LOGIN, {"page": "login" if signal is user_logged_in else "logout"})
+
+
+def record_failed_login(
+    sender: object,
+    signal: Signal,
+    request: HttpRequest | None = None,
+    credentials: dict[str, Any] | None = None,
+    **_: object,
+) -> None:
+    """Enter that a password was wrong, or that somebody was locked out after too many.
+
+    The entry names the person whose name was tried. A name that nobody has is not kept: it may be a password in the
+    wrong field.
+    """
+    if signal is user_login_failed and getattr(request, "axes_locked_out", False):
+        return  # axes says so by its own signal
+    name = (tried_name(request, credentials) or "").replace("\0", "")
+    person = get_user_model()._default_manager.filter(username=name).first()
+    page = "login failed" if signal is user_login_failed else "locked out"
+    _enter_access(person, person, request, FAILED_LOGIN, {"page": page})
+
+
+def record_wrong_code(person: Model, request: HttpRequest | None) -> None:
+    """Enter that the password was right and the second factor's code wrong."""
+    _enter_access(person, person, request, FAILED_LOGIN, {"page": "wrong code"})
 
 
 def record_view(request: HttpRequest, response: HttpResponseBase, parameters: Mapping[str, Any]) -> None:
@@ -87,43 +120,64 @@ def record_view(request: HttpRequest, response: HttpResponseBase, parameters: Ma
 
     A view that shows several objects puts their ids into ``request.shown``.
     """
-    person = getattr(request, "user", None)
-    if person is None or not person.is_authenticated or request.method not in ("GET", "POST"):
+    if request.method not in ("GET", "POST"):
         return
-    if response.status_code >= 400 or (request.method == "POST" and 300 <= response.status_code < 400):
-        return  # what a POST changed is entered by its change
+    if response.status_code >= 300:
+        return  # nothing was shown; what a POST changed is entered by its change
+    _enter_page(request, OPENED, parameters)
+
+
+def record_refusal(request: HttpRequest) -> None:
+    """Enter that somebody who is logged in asked for a page that his or her role does not open."""
+    match = request.resolver_match
+    _enter_page(request, REFUSED, {} if match is None else match.kwargs)
+
+
+def _enter_page(request: HttpRequest, kind: str, parameters: Mapping[str, Any]) -> None:
+    person = getattr(request, "user", None)
+    if person is None or not person.is_authenticated:
+        return
     named = [key for key in _ABOUT if key in parameters]
     match = request.resolver_match
-    additional: dict[str, Any] = {"page": match.view_name if match else "", "method": request.method}
+    additional: dict[str, Any] = {
+        "page": match.view_name if match else "", "method": request.method, "path": request.path[:_PATH],
+    }  # fmt: skip
     additional |= {name: str(parameters[name]) for name in named}
     if shown := getattr(request, "shown", None):
         additional["shown"] = [str(each) for each in shown]
-    if not named:
-        return _enter_access(person, person, request, additional)
-    model: type[Model] = apps.get_model("clinic", _ABOUT[named[-1]])
-    key = parameters[named[-1]]
-    _enter_access(model._default_manager.filter(pk=key).first() or model(pk=key), person, request, additional)
-    return None
+    what: Model = person
+    if named:
+        model: type[Model] = apps.get_model("clinic", _ABOUT[named[-1]])
+        key = parameters[named[-1]]
+        what = model._base_manager.filter(pk=key).first() or model(pk=key)
+    _enter_access(what, person, request, kind, additional)
 
 
-def _enter_access(what: Model, person: Model | None, request: HttpRequest | None, additional: dict[str, Any]) -> None:
+def _enter_access(
+    what: Model | None, person: Model | None, request: HttpRequest | None, kind: str, additional: dict[str, Any]
+) -> None:
+    model = get_user_model() if what is None else what._meta.model  # through a lazy user
     LogEntry.objects.create(
-        content_type=ContentType.objects.get_for_model(what._meta.model),  # through a lazy user
-        object_pk=str(what.pk),
-        object_repr="" if what._state.adding else str(what),
+        content_type=ContentType.objects.get_for_model(model),
+        object_pk="" if what is None else str(what.pk),
+        object_repr="" if what is None or what._state.adding else str(what),
         action=LogEntry.Action.ACCESS,
         changes={},
         actor=person,
         remote_addr=(request.META.get("REMOTE_ADDR") or None) if request is not None else None,
-        additional_data=additional,
+        additional_data={"kind": kind, **additional},
     )
 
 
-def record_command(instance: Model, command: str) -> None:
-    """Enter that a command of the command line was used on something."""
-    _enter_access(instance, None, None, {"page": f"command {command}", "account": getpass.getuser()})
+def record_command(instance: Model, command: str, person: Model | None = None) -> None:
+    """Enter that something was exported or erased: by a person on a page, or by a command."""
+    by = {} if person is not None else {"account": getpass.getuser()}
+    _enter_access(instance, person, None, COMMAND, {"page": f"command {command}", **by})
 
 
+KIND_SQLITE = "json_extract(%s, '$.kind')"
+KIND_POSTGRESQL = "%s ->> 'kind'"
+"""An entry's kind in SQL, of the column of additional data; NULL for a change of a row."""
 _SQLITE = [
     f"CREATE TRIGGER IF NOT EXISTS clinic_audit_no_{verb.lower()} BEFORE {verb} ON {TABLE} "
     "BEGIN SELECT RAISE(ABORT, 'the audit is only added to'); END"
@@ -140,12 +194,17 @@ _POSTGRESQL = [
 
 
 def seal() -> None:
-    """Make the database itself refuse to change or delete entries.
+    """Make the database itself refuse to change or delete entries, and index what pages filter by.
 
     Safe to call again.
     """
+    kind, seals = (KIND_POSTGRESQL, _POSTGRESQL) if connection.vendor == "postgresql" else (KIND_SQLITE, _SQLITE)
+    indexes = [
+        f"CREATE INDEX IF NOT EXISTS clinic_audit_by_kind ON {TABLE} (({kind % 'additional_data'}), id)",
+        f"CREATE INDEX IF NOT EXISTS clinic_audit_by_actor ON {TABLE} (actor_id, id)",
+    ]
     with connection.cursor() as cursor:
-        for statement in _POSTGRESQL if connection.vendor == "postgresql" else _SQLITE:
+        for statement in (*seals, *indexes):
             cursor.execute(statement)
 
 
@@ -160,35 +219,3 @@ def is_sealed() -> bool:
         cursor.execute(query)
         row = cursor.fetchone()
     return row is not None and row[0] == 2
-
-
-COLUMNS = ("id", "time", "who", "action", "what", "which", "pseudonym_or_name", "address", "changes", "page")
-
-
-def rows() -> Iterator[tuple[str, ...]]:
-    """All entries in their order, a row each under `COLUMNS`."""
-    entries = LogEntry.objects.select_related("content_type", "actor").order_by("pk")
-    for entry in entries.iterator(chunk_size=1000):
-        yield (
-            str(entry.pk),
-            entry.timestamp.isoformat(),
-            str(entry.actor or ""),
-            str(entry.get_action_display()),
-            entry.content_type.model if entry.content_type else "",
-            entry.object_pk,
-            entry.object_repr,
-            entry.remote_addr or "",
-            entry.changes_str if entry.changes else "",
-            (entry.additional_data or {}).get("page", ""),
-        )
-
-
-def write_audit(file: TextIO) -> int:
-    """Write the audit as CSV. Return the number of its entries."""
-    writer = CsvWriter(file)
-    writer.row(COLUMNS)
-    number = 0
-    for row in rows():
-        writer.row(row)
-        number += 1
-    return number

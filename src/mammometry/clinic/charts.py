@@ -73,6 +73,23 @@ class Way:
     points: str
 
 
+@dataclass(frozen=True, slots=True)
+class Event:
+    """Something that happened on a day, such as an operation."""
+
+    at: datetime.datetime
+    words: str
+
+
+@dataclass(frozen=True, slots=True)
+class Mark:
+    """An event on the chart: an upright line with a number, which a list below explains."""
+
+    number: int
+    x: float
+    words: str
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TimeLine:
     """Numbers over dates."""
@@ -86,13 +103,18 @@ class TimeLine:
     ways: tuple[Way, ...]
     levels: tuple[Tick, ...]
     dates: tuple[Tick, ...]
+    top: float
+    marks: tuple[Mark, ...] = ()
 
 
-def time_line(readings: Sequence[Reading], *, width: float, height: float) -> TimeLine | None:
+def time_line(
+    readings: Sequence[Reading], *, width: float, height: float, events: Sequence[Event] = ()
+) -> TimeLine | None:
     """Lay out readings over their dates.
 
     Args:
         readings: in any order.
+        events: in any order; those outside the readings' time are left out.
         width: of the chart, px.
         height: of the chart, px.
 
@@ -120,6 +142,7 @@ def time_line(readings: Sequence[Reading], *, width: float, height: float) -> Ti
     def y_of(value: float) -> float:
         return round(float(bottom - (value - low) / (high - low) * (bottom - _TOP)), 1)
 
+    shown = [event for event in events if first <= event.at <= last]
     spots = []
     for each in sorted(readings, key=lambda each: (each.series, each.at)):
         aside = _APART_PX * (names.index(each.series) - (len(names) - 1) / 2)
@@ -140,6 +163,11 @@ def time_line(readings: Sequence[Reading], *, width: float, height: float) -> Ti
         ways=tuple(ways),
         levels=tuple(Tick(y_of(level), f"{level:g}") for level in levels),
         dates=tuple(_date_ticks(sorted({each.at for each in readings}), x_of)),
+        top=_TOP,
+        marks=tuple(
+            Mark(number, x_of(event.at), event.words)
+            for number, event in enumerate(sorted(shown, key=lambda event: event.at), start=1)
+        ),
     )
 
 

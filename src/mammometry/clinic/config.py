@@ -97,6 +97,19 @@ class People(BaseModel):
     """Whether everybody needs a code from an authenticator besides the password."""
 
 
+class Backup(BaseModel):
+    """The daily backup that the server makes by itself."""
+
+    model_config = _STRICT
+
+    daily_at: Annotated[str, StringConstraints(pattern=r"^(([01]\d|2[0-3]):[0-5]\d)?$")] = "02:30"
+    """Time of day in the clinic's zone; empty: none, as something else makes them."""
+    folder: str = ""
+    """Where backups are kept; empty: ``backups`` in the clinic's folder. Another disk survives the first."""
+    keep: Annotated[int, Field(ge=1, le=1000)] = 3
+    """How many are kept; older ones are deleted after a new one is whole."""
+
+
 class OpenId(BaseModel):
     """The hospital's own login, by OpenID Connect.
 
@@ -135,6 +148,7 @@ class ClinicConfig(BaseModel):
     tls: Tls = Tls()
     limits: Limits = Limits()
     people: People = People()
+    backup: Backup = Backup()
     openid: OpenId | None = None
     cameras: dict[Filled, Filled] = {}
     """Rig's name → its rig.toml, relative to the clinic's folder, where its cameras are driven by this computer."""
@@ -151,6 +165,11 @@ class ClinicConfig(BaseModel):
 
         path = self.folder / SETTINGS_FILE
         return Settings.load(path) if path.is_file() else Settings()
+
+    @property
+    def backups(self) -> Path:
+        """Folder of the backups."""
+        return Path(self.backup.folder) if self.backup.folder else self.folder / "backups"
 
     @property
     def secret_key(self) -> str:
@@ -170,11 +189,18 @@ class ClinicConfig(BaseModel):
         """
         return _secret(self.folder / OPENID_SECRET_FILE, least=1)
 
-    @property
-    def listens_on(self) -> tuple[str, int]:
-        """Host and port."""
-        host, _, port = self.address.rpartition(":")
-        return host, int(port)
+
+def host_and_port(address: str) -> tuple[str, int]:
+    """Parts of an address.
+
+    Raises:
+        ClinicError: it is not of the form host:port.
+    """
+    host, _, port = address.rpartition(":")
+    if not host or not port.isdecimal():
+        remedy = "Write it like 127.0.0.1:8000"
+        raise ClinicError("the address", found=repr(address), expected="host:port", remedy=remedy)
+    return host, int(port)
 
 
 def _secret(path: Path, least: int) -> str:
@@ -264,4 +290,9 @@ behind_proxy = false                  # true: a proxy on this machine speaks TLS
 
 [people]
 second_factor = {}            # or "offered"
+
+[backup]
+daily_at = "02:30"                    # in the time zone above; "": none
+folder = ""                           # empty: backups in this folder; better: on another disk
+keep = 3                              # older ones are deleted
 """

@@ -8,19 +8,23 @@ from __future__ import annotations
 import datetime
 import logging
 import threading
+from dataclasses import replace
 from pathlib import Path
 
 from django.db import DatabaseError, close_old_connections
 from django.db.models import F
 from django.utils import timezone
 
-from mammometry.base.errors import MammometryError, SessionError
+from mammometry.base.errors import MammometryError
+from mammometry.clinic.clinical_facts import clinical_of, operation_words, operations_before
 from mammometry.clinic.config import ClinicConfig
 from mammometry.clinic.models import Delivery, Destination, Patient, Person, Visit, VisitOrder
-from mammometry.hospital.exported import Exported, Order
+from mammometry.clinic.rendered import measured_job
+from mammometry.hospital.exported import Exported, Operation, Order, plain_name
 from mammometry.hospital.exported import Patient as PatientModule
-from mammometry.hospital.extra import require
+from mammometry.hospital.extra import MissingLibraryError, missing
 from mammometry.hospital.peers import Peer, Tls
+from mammometry.report.clinical import Clinical
 
 MOST_TRIES = 8  # with the waits below, for four hours
 _FIRST_WAIT = datetime.timedelta(minutes=1)
@@ -29,6 +33,19 @@ _LEASE = datetime.timedelta(minutes=30)  # longer than a whole study takes on a 
 _LOOK_S = 5.0  # between two looks into the queue
 _LOG = logging.getLogger(__name__)
 _LIBRARIES = ("pydicom", "pynetdicom", "highdicom")
+
+
+def require_libraries(*modules: str) -> None:
+    """Refuse where a library is not installed, in words for people who cannot install it.
+
+    Raises:
+        MissingLibraryError: names it.
+    """
+    if absent := missing(*modules):
+        raise MissingLibraryError(
+            "this clinic's server", found=f"no library {', '.join(absent)}", expected="all that exports need",
+            remedy="Ask the administrator to install mammometry with its extra \"clinic\"",
+        )  # fmt: skip
 
 
 def enqueue(visit: Visit, destination: Destination, person: Person | None) -> Delivery:
@@ -58,7 +75,7 @@ def test(destination: Destination) -> None:
     Raises:
         MammometryError: it does not, in one sentence.
     """
-    require(*_LIBRARIES)
+    require_libraries(*_LIBRARIES)
     if destination.kind != Destination.Kind.STOW:
         from mammometry.hospital.dicom.association import echo
 
@@ -76,7 +93,8 @@ def claim() -> Delivery | None:
     """
     now = timezone.now()
     waiting = (Delivery.State.QUEUED, Delivery.State.SENDING)
-    for due in Delivery.objects.filter(state__in=waiting, next_try__lte=now).order_by("next_try")[:20]:
+    rows = Delivery.objects.filter(state__in=waiting, next_try__lte=now, visit__binned_at=None)
+    for due in rows.order_by("next_try")[:20]:
         # Whoever changes the row first has it.
         taken = Delivery.objects.filter(pk=due.pk, state=due.state, next_try=due.next_try).update(
             state=Delivery.State.SENDING, next_try=now + _LEASE, tries=F("tries") + 1
@@ -110,7 +128,7 @@ def deliver(config: ClinicConfig, delivery: Delivery) -> None:
 
 def patient_module(patient: Patient) -> PatientModule:
     """A patient as the hospital's systems call him or her."""
-    name = f"{_plain(patient.family_name)}^{_plain(patient.given_name)}"
+    name = f"{plain_name(patient.family_name)}^{plain_name(patient.given_name)}"
     return PatientModule(id=patient.record_number, name=name, born=patient.born)
 
 
@@ -124,37 +142,34 @@ def gathered(config: ClinicConfig, visit: Visit, *, whole: bool = True, deidenti
         deidentify: for others: no pseudonym, no dates, no photographs.
 
     Raises:
-        MammometryError: it is not measured, or would have to be measured again.
+        MammometryError: it is not measured, was changed since, or would have to be measured again.
     """
-    from mammometry.api.job import open_session
-    from mammometry.hospital.gather import gather
+    from mammometry.api.job import Job
+    from mammometry.hospital.gather import PARTS, gather, gather_scan
 
-    if visit.is_scan:
-        return _gathered_scan(config, visit, whole=whole, deidentify=deidentify)
-    job = open_session(visit.folder, config.measuring())
-    if any(state != "current" for state in job.store.states(job.keys("report"))):
-        raise _not_current(visit)
-    return gather(job, deidentify=deidentify) if whole else gather(job, parts=(), deidentify=deidentify)
-
-
-def _gathered_scan(config: ClinicConfig, visit: Visit, *, whole: bool, deidentify: bool) -> Exported:
-    from mammometry.api.mesh import MeshJob, scan_files
-    from mammometry.hospital.gather import gather_scan
-
-    job = MeshJob(scan_files(visit.folder), visit.folder / "results", config.measuring())
-    keys = [*(product.key for product in job.plan.products()), job.report_key]
-    if any(state != "current" for state in job.store.states(keys)):
-        raise _not_current(visit)
-    taken = timezone.localtime(visit.taken_at).date()
-    if whole:
-        return gather_scan(job, taken=taken, deidentify=deidentify)
-    return gather_scan(job, taken=taken, deidentify=deidentify, parts=())
+    job, parts = measured_job(visit), PARTS if whole else ()
+    clinical = Clinical() if deidentify else clinical_of(visit)
+    if isinstance(job, Job):
+        exported = gather(job, clinical=clinical, deidentify=deidentify, parts=parts)
+    else:
+        taken = timezone.localtime(visit.taken_at).date()
+        exported = gather_scan(job, taken=taken, clinical=clinical, deidentify=deidentify, parts=parts)
+    if deidentify:
+        return exported
+    conclusion, measurement = visit.conclusions.first(), visit.measurements.first()
+    concluded = conclusion is not None and measurement is not None and conclusion.measurement_id == measurement.pk
+    is_final = concluded and clinical.confirmed is not None
+    return replace(exported, operations=_operations(visit), organization=config.name, is_final=is_final)
 
 
-def _not_current(visit: Visit) -> SessionError:
-    return SessionError(
-        str(visit), found="a visit whose report is not current", expected="a measured visit",
-        remedy="Measure it again, then send it",
+def _operations(visit: Visit) -> tuple[Operation, ...]:
+    """Operations before the visit, the newest first."""
+    return tuple(
+        Operation(
+            kind=row.kind, title=str(row.get_kind_display()), side=row.side, day=row.day,
+            sentence=operation_words(row),
+        )
+        for row in operations_before(visit)
     )  # fmt: skip
 
 
@@ -169,7 +184,7 @@ def study_of(config: ClinicConfig, visit: Visit, *, deidentify: bool = False) ->
     Raises:
         MammometryError: it is not measured, or a library is missing.
     """
-    require(*_LIBRARIES)
+    require_libraries(*_LIBRARIES)
     from mammometry.hospital.dicom.objects import files, objects
 
     return files(
@@ -226,7 +241,7 @@ def connection(destination: Destination) -> tuple[Peer, Tls | None]:
 
 def _send(config: ClinicConfig, delivery: Delivery) -> tuple[int, bool | None]:
     """Objects that were sent; whether the archive promised to keep all."""
-    require(*_LIBRARIES)
+    require_libraries(*_LIBRARIES)
     from mammometry.hospital.dicom.commitment import committed
     from mammometry.hospital.dicom.objects import objects
     from mammometry.hospital.dicom.store import send
@@ -252,8 +267,3 @@ def tls_of(destination: Destination) -> Tls | None:
     )
     authorities, certificate, key = files
     return Tls(authorities=authorities, certificate=certificate, key=key)
-
-
-def _plain(name: str) -> str:
-    """A name without what separates parts of a name in DICOM."""
-    return " ".join(name.replace("^", " ").replace("=", " ").replace("\\", " ").split())

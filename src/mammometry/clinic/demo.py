@@ -26,17 +26,22 @@ from typing import TYPE_CHECKING
 
 from mammometry.base.errors import BatchError
 from mammometry.base.progress import Progress
-from mammometry.clinic.config import FILE, SETTINGS_FILE, ClinicConfig, new_clinic, quoted, read_config
+from mammometry.clinic.config import FILE, SETTINGS_FILE, ClinicConfig, new_clinic, quoted, read_config, write_private
 
 if TYPE_CHECKING:
     from mammometry.clinic.models import Calibration, Rig, Visit
 
-_SCALE, _POSES = 0.12, 7  # pictures of 540 × 360, and just enough poses, the last of them for the check: for speed
+_SCALE, POSES = (
+    0.12,
+    7,
+)  # pictures of 540 × 360, and just enough poses, the first, which all cameras see, for the check: for speed
 _RIG = "reference:front,left,right"
+_RIG_NAME = "Room 1"
+_RIG_FILE = "cameras/rig.toml"  # in the clinic's folder
 _SEED = 11  # of the rig: all visits must have the same
 _TARGET = {"squares": (9, 7), "square_mm": 42.0, "marker_mm": 32.0, "dictionary": "DICT_4X4_100"}
 """A coarser board than usual, which pictures so small still show."""
-_SETTINGS = """\
+SETTINGS = """\
 # The demo's photographs are small, and its cubes large, so that a visit takes seconds.
 [surface.extract]
 cube_mm = 3.0
@@ -64,6 +69,8 @@ class VirtualPatient:
     """Of the simulation."""
     dates: tuple[tuple[int, str], ...]
     """Days before today, and what is other at that date: disturbances of the simulation."""
+    operations: tuple[tuple[int, str, str], ...] = ()
+    """Days before today, kind and side."""
 
 
 PATIENTS = (
@@ -80,6 +87,7 @@ PATIENTS = (
         born="1966-10-02",
         subject="torso_2",
         dates=((60, ""), (2, "removed=right")),
+        operations=((44, "mastectomy", "right"),),
     ),
     VirtualPatient(
         family_name="Demo-Celik",
@@ -123,11 +131,11 @@ def make_demo(folder: Path, say: Callable[[str], Progress], *, address: str | No
     from mammometry.io.write import write_text
 
     begun = time.monotonic()
-    config = new_clinic(folder, name="Demo clinic", second_factor="offered")
+    config = _with_cameras(new_clinic(folder, name="Demo clinic", second_factor="offered"))
     if address is not None:
         config = config.model_copy(update={"address": address})
     migrate(config)
-    write_text(folder / SETTINGS_FILE, _SETTINGS)
+    write_text(folder / SETTINGS_FILE, SETTINGS)
     from mammometry.clinic.jobs.queue import enqueue
     from mammometry.clinic.models import Job, Visit
 
@@ -135,7 +143,7 @@ def make_demo(folder: Path, say: Callable[[str], Progress], *, address: str | No
     with tempfile.TemporaryDirectory(prefix="mammometry-demo-") as scratch, ExitStack() as working:
         # One rendering gives the photographs of the rig and of the first visit.
         first = PATIENTS[0]
-        made = _render(Path(scratch) / "rig", first.subject, first.dates[0][1], _POSES, say("photographs"))
+        made = render(Path(scratch) / "rig", first.subject, first.dates[0][1], POSES, say("photographs"))
         working.enter_context(_runner(config))
         calibration = _calibrated(made)
         if not whole:
@@ -152,7 +160,7 @@ def make_demo(folder: Path, say: Callable[[str], Progress], *, address: str | No
         for job in Job.objects.filter(state=Job.State.FAILED).select_related("visit__patient")
     }
     return Demo(
-        config=read_config(folder).model_copy(update={"address": config.address}),
+        config=config,
         passwords=passwords,
         visits=Visit.objects.count(),
         measured=Visit.objects.filter(state=Visit.State.MEASURED).count(),
@@ -178,7 +186,7 @@ def finish(say: Callable[[str], Progress]) -> None:
                 ).first()
                 if visit is None:
                     continue
-                made = _render(Path(scratch) / str(visit.pk), patient.subject, other, 1, say(patient.given_name))
+                made = render(Path(scratch) / str(visit.pk), patient.subject, other, 1, say(patient.given_name))
                 _bring(visit, made)
                 enqueue(visit, None)
                 shutil.rmtree(made)
@@ -236,33 +244,39 @@ def _calibrated(made: Path) -> Calibration:
     from mammometry.clinic.rigs.history import new_calibration
     from mammometry.io.manifest import read_manifest
 
-    rig = Rig.objects.create(name="Room 1", definition=definition_of(read_manifest(made / "session.toml")))
+    rig = Rig.objects.create(name=_RIG_NAME, definition=definition_of(read_manifest(made / "session.toml")))
     calibration = new_calibration(rig, None)
     calibration.taken_at = timezone.now() - datetime.timedelta(days=_CALIBRATED_DAYS)
     calibration.save()
-    for path in _shots(made)[:-1]:
+    for path in _shots(made)[1:]:
         for each in sorted(path.glob("*.jpg")):
             _send(calibration, each, pose=path.name)
     enqueue(calibration, None)
-    _cameras(made, rig)
+    _write_cameras(made, rig)
     _wait_for_calibration(rig)
     calibration.refresh_from_db()
     return calibration
 
 
-def _cameras(made: Path, rig: Rig) -> None:
+def _with_cameras(config: ClinicConfig) -> ClinicConfig:
+    """Name the rig's cameras in the clinic's settings, before a process is configured with them."""
+    path = config.folder / FILE
+    write_private(path, f"{path.read_text(encoding='utf-8')}\n[cameras]\n{quoted(_RIG_NAME)} = {quoted(_RIG_FILE)}\n")
+    return read_config(config.folder)
+
+
+def _write_cameras(made: Path, rig: Rig) -> None:
     """Let the rendered pictures be the rig's cameras, so that the page that fires can be tried."""
     from mammometry.capture.sessions import manifest_text
     from mammometry.clinic.site import the_clinic
     from mammometry.io.write import write_text
 
-    folder = the_clinic().folder / "cameras"
-    shutil.copytree(made / "capture", folder / "pictures" / "capture")
+    path = the_clinic().folder / _RIG_FILE
+    pictures = path.parent / "pictures"
+    shutil.copytree(made / "capture", pictures / "capture")
     text = manifest_text(rig.definition, "torso")
-    capture = f'\n[capture]\nbackend = "virtual"\noptions = {{ session = {quoted(str(folder / "pictures"))} }}\n'
-    write_text(folder / "rig.toml", text + capture)
-    clinic = the_clinic().folder / FILE
-    write_text(clinic, f'{clinic.read_text(encoding="utf-8")}\n[cameras]\n{quoted(rig.name)} = "cameras/rig.toml"\n')
+    capture = f'\n[capture]\nbackend = "virtual"\noptions = {{ session = {quoted(str(pictures))} }}\n'
+    write_text(path, text + capture)
 
 
 def _shots(made: Path) -> list[Path]:
@@ -277,7 +291,7 @@ def _check(rig: Rig, made: Path) -> None:
 
     check = new_check(rig, None)
     assert check is not None
-    for path in sorted(_shots(made)[-1].glob("*.jpg")):
+    for path in sorted(_shots(made)[0].glob("*.jpg")):
         _send(check, path)
     enqueue(check, None)
 
@@ -286,7 +300,7 @@ def _enter_visits(calibration: Calibration) -> list[Visit]:
     """All patients and their visits, which wait for their photographs."""
     from django.utils import timezone
 
-    from mammometry.clinic.models import Patient, Visit
+    from mammometry.clinic.models import Consent, Operation, Patient, Visit
 
     made = []
     for place, each in enumerate(PATIENTS):
@@ -296,6 +310,12 @@ def _enter_visits(calibration: Calibration) -> list[Visit]:
             born=each.born,
             record_number=_record_number(place),
         )
+        first = timezone.localdate() - datetime.timedelta(days=each.dates[0][0])
+        for purpose in Consent.Purpose:
+            Consent.objects.create(patient=patient, purpose=purpose, given_on=first)
+        for days, kind, side in each.operations:
+            day = timezone.localdate() - datetime.timedelta(days=days)
+            Operation.objects.create(patient=patient, kind=kind, side=side, day=day)
         for number, (days, _) in enumerate(each.dates):
             made.append(
                 Visit.objects.create(
@@ -354,7 +374,7 @@ def _wait_for_calibration(rig: Rig) -> None:
         time.sleep(_LOOK_S)
 
 
-def _render(folder: Path, subject: str, other: str, poses: int, progress: Progress) -> Path:
+def render(folder: Path, subject: str, other: str, poses: int, progress: Progress) -> Path:
     """Photographs of the target or of a subject, by one rig."""
     from mammometry.calibration.targets.charuco import CharucoTarget
     from mammometry.simulate.recipe import SessionRecipe
@@ -378,9 +398,10 @@ def _send(target: object, path: Path, pose: str = "") -> None:
 
     assert isinstance(target, (Visit, Calibration, DailyCheck))
     data = path.read_bytes()
-    upload = uploads.begin(
-        target, None, name=path.name, camera=path.stem, pose=pose, size_bytes=len(data), sha256=file_digest(path)
+    file = uploads.Announced(
+        name=path.name, camera=path.stem, pose=pose, size_bytes=len(data), sha256=file_digest(path)
     )
+    upload = uploads.begin(target, None, file)
     uploads.append(upload, 0, data)
 
 

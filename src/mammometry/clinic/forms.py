@@ -4,24 +4,32 @@ from __future__ import annotations
 
 import datetime
 import tomllib
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, Protocol
 
 from django import forms
 from django.utils import timezone
 
 from mammometry.base.errors import MammometryError
 from mammometry.capture.sessions import manifest_text
-from mammometry.clinic.models import Patient, Rig, Visit
+from mammometry.clinic.models import Patient, Person, Rig, Visit
+from mammometry.clinic.records.duplicates import Duplicates, date_questions, duplicates
+from mammometry.clinic.roles import Role
 
 if TYPE_CHECKING:
     _PatientForm = forms.ModelForm[Patient]
     _VisitForm = forms.ModelForm[Visit]
     _RigForm = forms.ModelForm[Rig]
+    _PersonForm = forms.ModelForm[Person]
 else:  # none can be subscripted while the program runs
-    _PatientForm = _VisitForm = _RigForm = forms.ModelForm
+    _PatientForm = _VisitForm = _RigForm = _PersonForm = forms.ModelForm
 
 _RIG_BYTES = 100_000  # a session.toml has a few kB
 _RIG_TABLES = ("rig", "target", "intrinsics")
+
+
+DAY_AND_TIME = forms.DateTimeInput(attrs={"type": "datetime-local"}, format="%Y-%m-%dT%H:%M")
+"""Widget of a visit's day and time."""
 
 
 class PatientForm(_PatientForm):
@@ -39,9 +47,25 @@ class PatientForm(_PatientForm):
             "given_name": forms.TextInput(attrs={"autocomplete": "off"}),
             "record_number": forms.TextInput(attrs={"autocomplete": "off"}),
         }
-        error_messages = {  # noqa: RUF012
-            "record_number": {"unique": "There is a patient with this record number. Search for it instead."}
-        }
+
+    duplicates: Duplicates | None = None
+    """Records that may be of the same patient. None: there are none, or nobody looked yet."""
+
+    def validate_unique(self) -> None:
+        """Show the same patient's record before another one is made.
+
+        The person may go on where it is not the same record number.
+        """
+        if self.errors:
+            return
+        found, changed = duplicates(self.instance), set(self.changed_data)
+        if found.same_number is not None and "record_number" in changed:
+            self.add_error("record_number", "There is a patient with this record number.")
+        elif found.same_person and changed & {"family_name", "given_name", "born"} and "anyway" not in self.data:
+            self.add_error(None, "There is a patient of this name and birthday. Is it the same one?")
+        else:
+            return
+        self.duplicates = found
 
     def clean_born(self) -> datetime.date | None:
         """Refuse days that have not come yet."""
@@ -56,23 +80,45 @@ class VisitForm(_VisitForm):
 
     class Meta:
         model = Visit
-        fields = ("patient", "rig", "taken_at", "subject_kind", "note")
+        fields = ("patient", "rig", "taken_at", "subject_kind", "occasion", "posture", "note")
         labels = {"taken_at": "Day and time", "subject_kind": "What is photographed"}  # noqa: RUF012
         widgets = {  # noqa: RUF012
-            "taken_at": forms.DateTimeInput(attrs={"type": "datetime-local"}, format="%Y-%m-%dT%H:%M"),
+            "patient": forms.HiddenInput(),
+            "taken_at": DAY_AND_TIME,
             "note": forms.Textarea(attrs={"rows": 2}),
         }
 
+    questions: tuple[str, ...] = ()
+
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
-        patient, rig, kind = (self.fields[name] for name in ("patient", "rig", "subject_kind"))
-        assert isinstance(patient, forms.ModelChoiceField)
+        rig, kind = (self.fields[name] for name in ("rig", "subject_kind"))
         assert isinstance(rig, forms.ModelChoiceField)
         assert isinstance(kind, forms.ChoiceField)
-        patient.label_from_instance = patient_words  # type: ignore[assignment]
-        patient.empty_label = rig.empty_label = "Choose"
+        rig.empty_label = "Choose"
+        rigs = list(Rig.objects.filter(active=True)[:2])
         rig.queryset = Rig.objects.filter(active=True)
+        if len(rigs) == 1:
+            rig.initial = rigs[0]
         kind.choices = [("torso", "A patient"), ("model", "A model on a table")]
+        name_empty_choices(self.fields)
+        self.fields["posture"].initial = Visit.Posture.LEANING
+
+    def clean(self) -> dict[str, Any]:
+        """Ask whether a strange day is right. A model has no posture."""
+        values: dict[str, Any] = super().clean() or self.cleaned_data
+        ask_about_day(self, values.get("rig"))
+        if values.get("subject_kind") == Visit.Subject.MODEL:
+            values |= {"occasion": "", "posture": ""}
+        return values
+
+
+def name_empty_choices(fields: Mapping[str, forms.Field]) -> None:
+    """Say of occasion and posture that nothing has to be chosen."""
+    for name, choices in (("occasion", Visit.Occasion.choices), ("posture", Visit.Posture.choices)):
+        field = fields[name]
+        assert isinstance(field, forms.ChoiceField)
+        field.choices = [("", "not entered"), *choices]
 
 
 class RigForm(_RigForm):
@@ -123,6 +169,70 @@ class RigForm(_RigForm):
         return rig
 
 
-def patient_words(patient: Patient) -> str:
-    """A patient in a list to choose from."""
-    return f"{patient.name} ({patient.record_number})"
+class PersonForm(_PersonForm):
+    """Somebody who logs in, with roles to tick."""
+
+    roles = forms.MultipleChoiceField(
+        choices=[
+            (Role.TECHNICIAN, "Technician: photographs and measures"),
+            (Role.CLINICIAN, "Clinician: also draws, confirms and compares"),
+            (Role.RESEARCHER, "Researcher: sees pseudonyms and figures, no names"),
+            (Role.ADMINISTRATOR, "Administrator: keeps people, rigs, backups and the audit; sees no results"),
+        ],
+        widget=forms.CheckboxSelectMultiple,
+        error_messages={"required": "Tick at least one role."},
+    )
+
+    class Meta:
+        model = Person
+        fields = ("username", "full_name", "email", "roles", "is_active")
+        labels = {  # noqa: RUF012
+            "username": "Name for the login",
+            "full_name": "Full name",
+            "email": "E-mail address",
+            "is_active": "May log in",
+        }
+        help_texts = {  # noqa: RUF012
+            "username": "Letters, digits and @ . + - _",
+            "full_name": "As pages and reports say it.",
+            "email": "Only for the hospital’s own login, which knows people by it.",
+            "is_active": "",
+        }
+        error_messages = {"username": {"unique": "Somebody has this name already."}}  # noqa: RUF012
+
+    def __init__(self, *args: Any, own: bool = False, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self._own = own
+        self.fields["email"].required = False
+
+    def clean(self) -> dict[str, Any]:
+        """Refuse that administrators lock themselves out."""
+        values: dict[str, Any] = super().clean() or self.cleaned_data
+        if self._own and (Role.ADMINISTRATOR not in values.get("roles", ()) or not values.get("is_active")):
+            raise forms.ValidationError(
+                "You cannot take the administrator’s role or the login from yourself. Let another administrator do it."
+            )
+        return values
+
+
+class _Asking(Protocol):
+    """A form that asks whether a visit's day is right."""
+
+    questions: tuple[str, ...]
+    data: Any
+    cleaned_data: dict[str, Any]
+
+    def add_error(self, field: str | None, error: Any) -> None: ...
+
+
+def ask_about_day(form: _Asking, rig: Rig | None) -> None:
+    """Ask whether a visit's day is right where it is in the future or before the rig's first calibration.
+
+    A second button says that it is.
+    """
+    taken_at = form.cleaned_data.get("taken_at")
+    if taken_at is None or "anyway" in form.data:
+        return
+    form.questions = tuple(date_questions(taken_at, rig))
+    for question in form.questions:
+        form.add_error("taken_at", question)

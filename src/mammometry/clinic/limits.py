@@ -9,6 +9,7 @@ of routes grants for its path.
 from __future__ import annotations
 
 import asyncio
+import json
 import time
 from collections.abc import Awaitable, Callable, Mapping, MutableMapping
 from importlib import import_module
@@ -64,8 +65,9 @@ class Limited:
         if scope["type"] != "http":
             return  # neither web sockets nor anything else
         scope["headers"] = [(name, value) for name, value in scope["headers"] if name not in _PROXY_HEADERS]
+        as_json = dict(scope["headers"]).get(b"accept", b"").startswith(b"application/json")
         if not self._may_ask((scope.get("client") or ("",))[0]):
-            return await _refuse(send, 429, "Too many requests. Wait a few seconds.", retry_after_s=5)
+            return await _refuse(send, 429, "Too many requests. Wait a few seconds.", as_json, retry_after_s=5)
         most = _granted(scope["path"])
         if most > _ANYBODYS_BYTES and not await sync_to_async(_is_logged_in)(scope["headers"]):
             most = BODY_BYTES
@@ -85,10 +87,10 @@ class Limited:
         except TooLarge:
             if not begun:
                 await body.read_away()
-                await _refuse(send, 413, f"The request is larger than {most} bytes.")
+                await _refuse(send, 413, f"The request is larger than {most} bytes.", as_json)
         except TooSlow:
             if not begun:
-                await _refuse(send, 408, "The request came too slowly. Try again on a better line.")
+                await _refuse(send, 408, "The request came too slowly. Try again on a better line.", as_json)
         return None
 
     def _may_ask(self, address: str) -> bool:
@@ -180,10 +182,10 @@ class _Body:
         return message
 
 
-async def _refuse(send: Send, status: int, sentence: str, retry_after_s: int | None = None) -> None:
-    body = sentence.encode()
+async def _refuse(send: Send, status: int, sentence: str, as_json: bool, retry_after_s: int | None = None) -> None:
+    body = (json.dumps({"error": sentence}) if as_json else sentence).encode()
     headers = [
-        (b"content-type", b"text/plain; charset=utf-8"),
+        (b"content-type", b"application/json" if as_json else b"text/plain; charset=utf-8"),
         (b"content-length", str(len(body)).encode()),
         (b"connection", b"close"),
         (b"x-content-type-options", b"nosniff"),

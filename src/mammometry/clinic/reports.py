@@ -6,13 +6,16 @@ The report, its scene, its warnings.
 from __future__ import annotations
 
 import json
-import re
 from dataclasses import dataclass
 from pathlib import Path
 
 from mammometry.clinic.models import Visit
+from mammometry.report.scene import json_in_page
 
-_SCENE = re.compile(r'<script type="application/json" id="mm-scene">(.*?)</script>', re.DOTALL)
+_OF_THE_STATE = ("Nobody has confirmed the automatic boundary", "Boundaries are drawn and confirmed with")
+"""How warnings begin that the visit's state says already: `report.rendering` writes them."""
+_OF_PHOTOGRAPHS = ("Pose ", "Pair ", "Something hides part", "The subject was not separated")
+"""How warnings begin that concern single photographs: `report.warnings` writes them."""
 _LARGEST = 64 << 20  # bytes of a report; ours have a few MB
 
 
@@ -21,6 +24,9 @@ class Facts:
     """What a reader must know beside the volumes."""
 
     warnings: tuple[str, ...]
+    """What concerns the numbers."""
+    notes: tuple[str, ...] = ()
+    """What concerns single photographs and how they were matched."""
 
 
 def report_file(visit: Visit, name: str) -> Path | None:
@@ -28,18 +34,27 @@ def report_file(visit: Visit, name: str) -> Path | None:
 
     None if there is none.
     """
-    path = visit.folder / "results" / "report" / name
+    return readable(visit.folder / "results" / "report" / name)
+
+
+def readable(path: Path) -> Path | None:
+    """A file of ours that may be shown. None if there is none."""
     return path if path.is_file() and not path.is_symlink() and path.stat().st_size <= _LARGEST else None
 
 
 def facts(visit: Visit) -> Facts:
-    """Warnings of the report."""
+    """Warnings of the report, without what the visit's state says."""
     path = report_file(visit, "warnings.json")
     try:
         warnings = [] if path is None else json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         warnings = []
-    return Facts(tuple(str(each) for each in warnings) if isinstance(warnings, list) else ())
+    sentences = [str(each) for each in warnings] if isinstance(warnings, list) else []
+    sentences = [sentence for sentence in sentences if not sentence.startswith(_OF_THE_STATE)]
+    return Facts(
+        tuple(sentence for sentence in sentences if not sentence.startswith(_OF_PHOTOGRAPHS)),
+        tuple(sentence for sentence in sentences if sentence.startswith(_OF_PHOTOGRAPHS)),
+    )
 
 
 def scene_of(visit: Visit) -> str | None:
@@ -48,5 +63,4 @@ def scene_of(visit: Visit) -> str | None:
     None if there is none.
     """
     path = report_file(visit, "report.html")
-    found = None if path is None else _SCENE.search(path.read_text(encoding="utf-8"))
-    return None if found is None else found[1]
+    return None if path is None else json_in_page(path.read_text(encoding="utf-8"))

@@ -6,23 +6,15 @@ import datetime
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
-from mammometry.clinic.changes import Interval, VolumeChange, volume_change
 from mammometry.clinic.charts import Reading
+from mammometry.clinic.confirmations import CHANGED, is_changed
 from mammometry.clinic.models import Measurement, Visit, Volume
+from mammometry.report.volume_words import MEANINGS
 
+Interval = tuple[float, float]
 SIDES = ("left", "right", "model")
-_LEADING = ("measured wall", "flat chest", "named wall", "muscle", "closed solid", "any")
+LEADING = ("measured wall", "flat chest", "named wall", "muscle", "closed solid", "any")
 """Meanings of "the breast" in the order in which one leads a page (docs/decisions/0029)."""
-_COMPARED = ("measured wall", "named wall", "closed solid")
-"""Meanings to compare measurements by: nothing of an unseen chest is in them."""
-_TITLES = {
-    "measured wall": "before the chest wall that was measured by itself",
-    "flat chest": "above a flat chest",
-    "named wall": "before the named wall, to compare measurements by",
-    "muscle": "down to the muscle, as weighed after a mastectomy",
-    "closed solid": "of the whole model",
-    "any": "",
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,12 +33,7 @@ class SideResult:
     @property
     def meaning(self) -> str:
         """What is called the breast, in words."""
-        return _TITLES.get(self.definition, self.definition)
-
-    @property
-    def compared(self) -> SideResult:
-        """The same breast in the meaning to compare measurements by."""
-        return next((each for name in _COMPARED for each in (self, *self.others) if each.definition == name), self)
+        return MEANINGS.get(self.definition, self.definition)
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,17 +44,6 @@ class VisitResult:
     measurement: Measurement
     sides: tuple[SideResult, ...]
     difference: SideResult | None
-
-
-@dataclass(frozen=True, slots=True)
-class Step:
-    """From one visit to the next, one breast."""
-
-    side: str
-    title: str
-    before: Visit
-    after: Visit
-    change: VolumeChange
 
 
 def latest(visits: Iterable[Visit]) -> list[VisitResult]:
@@ -84,10 +60,15 @@ def latest(visits: Iterable[Visit]) -> list[VisitResult]:
 
 
 def visit_result(visit: Visit, measurement: Measurement) -> VisitResult:
-    """One measurement as pages show it."""
+    """One measurement as pages show it.
+
+    Without its numbers while a boundary or landmark was changed that is not measured: they are of an earlier one.
+    """
+    changed = is_changed(visit)
     by_side: dict[str, list[SideResult]] = {}
     for row in sorted(measurement.volumes.all(), key=_rank):
-        by_side.setdefault(row.side, []).append(_side(row))
+        side = _side(row)
+        by_side.setdefault(row.side, []).append(_without_numbers(side) if changed else side)
     first = {side: replace(rows[0], others=tuple(rows[1:])) for side, rows in by_side.items()}
     return VisitResult(
         visit=visit,
@@ -111,27 +92,6 @@ def readings(results: Iterable[VisitResult]) -> list[Reading]:
     return made
 
 
-def steps(results: Iterable[VisitResult]) -> list[Step]:
-    """Changes from visit to visit, the newest first.
-
-    From each one to the next with a volume of the same breast and definition.
-    """
-    before: dict[tuple[str, str], tuple[Visit, SideResult]] = {}
-    made: list[Step] = []
-    for result in sorted(results, key=lambda each: each.visit.taken_at):
-        for side in (each.compared for each in result.sides):
-            if side.volume_cc is None:
-                continue
-            key = side.side, side.definition
-            if key in before:
-                earlier, was = before[key]
-                assert was.volume_cc is not None
-                change = volume_change(was.volume_cc, was.interval_cc, side.volume_cc, side.interval_cc)
-                made.append(Step(side.side, side.title, earlier, result.visit, change))
-            before[key] = result.visit, side
-    return made[::-1]
-
-
 def age(born: datetime.date | None, at: datetime.date) -> int | None:
     """Full years."""
     if born is None:
@@ -140,7 +100,11 @@ def age(born: datetime.date | None, at: datetime.date) -> int | None:
 
 
 def _rank(volume: Volume) -> int:
-    return _LEADING.index(volume.definition) if volume.definition in _LEADING else len(_LEADING)
+    return LEADING.index(volume.definition) if volume.definition in LEADING else len(LEADING)
+
+
+def _without_numbers(side: SideResult) -> SideResult:
+    return replace(side, volume_cc=None, interval_cc=None, refused=CHANGED)
 
 
 def _side(volume: Volume) -> SideResult:

@@ -11,16 +11,17 @@ from allauth.mfa.recovery_codes import views as recovery
 from allauth.mfa.totp import views as totp
 from allauth.socialaccount import views as social
 from allauth.socialaccount.providers.openid_connect import views as openid
-from django.contrib import admin
-from django.urls import URLPattern, URLResolver, include, path
+from django.urls import URLPattern, URLResolver
 
-from mammometry.clinic.access import Access, mounted, route, set_up_route
+from mammometry.clinic.access import route, set_up_route
+from mammometry.clinic.administration_routes import ADMINISTRATION
 from mammometry.clinic.page_routes import PAGES
-from mammometry.clinic.roles import ADMINISTRATOR, ANYONE, CARE, EVERYBODY, RIGS
-from mammometry.clinic.views import capture, home, jobs, refusals, rigwork, uploads
+from mammometry.clinic.roles import ANYONE, CARE, EVERYBODY, RIGS
+from mammometry.clinic.views import capture, home, jobs, people, refusals, rigwork, uploads, who
 
 ACCOUNTS = [
     route("account/login/", account.login, name="account_login", roles=ANYONE, atomic=False),
+    route("account/token/", who.token, name="account-token", roles=ANYONE, audited=False),
     route("account/logout/", account.logout, name="account_logout", roles=ANYONE),
     route("account/inactive/", account.account_inactive, name="account_inactive", roles=ANYONE),
     route("account/code/", mfa.authenticate, name="mfa_authenticate", roles=ANYONE),
@@ -36,7 +37,7 @@ ACCOUNTS = [
         name="account_reset_password_from_key_done",
         roles=ANYONE,
     ),
-    route("account/password/", account.password_change, name="account_change_password", roles=EVERYBODY),
+    route("account/password/", people.own_password, name="account_change_password", roles=EVERYBODY),
     set_up_route("account/again/", account.reauthenticate, name="account_reauthenticate", roles=EVERYBODY),
     set_up_route("account/again/code/", mfa.reauthenticate, name="mfa_reauthenticate", roles=EVERYBODY),
     set_up_route("account/second/", mfa.index, name="mfa_index", roles=EVERYBODY),
@@ -79,7 +80,15 @@ WORK = [
         audited=False,
     ),
     route("uploads/<uuid:upload>/place/", uploads.place, name="upload-place", roles=PHOTOGRAPHS, atomic=False),
-    route("uploads/<uuid:upload>/thumbnail/", uploads.thumbnail, name="upload-thumbnail", roles=PHOTOGRAPHS),
+    route("uploads/<uuid:upload>/back/", uploads.back, name="upload-back", roles=PHOTOGRAPHS, atomic=False),
+    route(
+        "uploads/<uuid:upload>/thumbnail/",
+        uploads.thumbnail,
+        name="upload-thumbnail",
+        roles=PHOTOGRAPHS,
+        audited=False,  # the page that shows it is an entry
+    ),
+    route("uploads/<uuid:upload>/screen/", uploads.screen, name="upload-screen", roles=CARE),
     route("visits/<uuid:visit>/uploads/", uploads.of_visit, name="visit-uploads", roles=CARE, audited=False),
     route(
         "calibrations/<uuid:calibration>/uploads/",
@@ -115,13 +124,7 @@ WORK = [
 ]
 
 
-def _administration() -> URLResolver:
-    patterns, app_name, namespace = admin.site.urls
-    guarded = mounted(patterns, Access(roles=ADMINISTRATOR))
-    return path("administration/", include((guarded, app_name), namespace=namespace))
-
-
-urlpatterns: list[URLPattern | URLResolver] = [*HOME, *PAGES, *ACCOUNTS, *WORK, _administration()]
+urlpatterns: list[URLPattern | URLResolver] = [*HOME, *PAGES, *ADMINISTRATION, *ACCOUNTS, *WORK]
 handler400 = refusals.bad_request
 handler403 = refusals.forbidden
 handler404 = refusals.missing

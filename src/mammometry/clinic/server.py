@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import errno
 import ipaddress
+import socket
 from contextlib import nullcontext
 from pathlib import Path
 
-from mammometry.clinic.config import ClinicConfig, ClinicError
+from mammometry.clinic.config import ClinicConfig, ClinicError, host_and_port
 from mammometry.clinic.jobs.process import beside
 from mammometry.clinic.site import application
 
@@ -92,7 +94,7 @@ def serve(config: ClinicConfig, *, jobs: bool = True) -> None:
 
     from mammometry.clinic.slow import closing_silent
 
-    host, port = config.listens_on
+    host, port = host_and_port(config.address)
     tls = config.tls
     if not tls.certificate and not _is_loopback(host):
         raise ClinicError(
@@ -125,6 +127,34 @@ def serve(config: ClinicConfig, *, jobs: bool = True) -> None:
             limit_concurrency=1000,
             ws="none",
         )
+
+
+def require_free(address: str) -> None:
+    """Refuse an address on which the server cannot listen, before anything is started for it.
+
+    Raises:
+        ClinicError: another program listens there, the port is the system's, or the host is no address of this machine.
+    """
+    host, port = host_and_port(address)
+    remedy = "Name another address with --address HOST:PORT, or in clinic.toml"
+    try:
+        if port > 65535:
+            raise OSError(errno.EADDRNOTAVAIL, "no such port")  # bind raises OverflowError
+        family, kind, protocol, _, place = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        with socket.socket(family, kind, protocol) as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # as the server: ended connections do not count
+            probe.bind(place)
+    except OSError as error:
+        found = "an address or port that this machine does not have"
+        if error.errno == errno.EADDRINUSE:
+            found = "another program that listens there"
+            remedy = f"Stop that program, perhaps another server of this clinic. Or: {remedy[0].lower()}{remedy[1:]}"
+        elif error.errno == errno.EACCES:
+            found = "a port that only the system may use"
+        raise ClinicError(
+            f"address {address}", found=found, expected="an address on which the clinic can listen",
+            remedy=remedy,
+        ) from None  # fmt: skip
 
 
 def _is_loopback(host: str) -> bool:

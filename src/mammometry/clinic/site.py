@@ -18,6 +18,8 @@ _CONNECTED_S = 60
 def configure(config: ClinicConfig) -> None:
     """Make this process the clinic's. Models can be imported afterwards.
 
+    Settings hold from the first call on: what is changed in clinic.toml afterwards needs a new process.
+
     Raises:
         ClinicError: the process has opened another clinic already.
     """
@@ -25,7 +27,7 @@ def configure(config: ClinicConfig) -> None:
     from django.conf import settings
 
     if settings.configured:
-        if config != the_clinic():
+        if config.folder.resolve() != the_clinic().folder.resolve():
             remedy = "Use a process for each clinic"
             raise ClinicError(str(config.folder), found="another open clinic", expected="none", remedy=remedy)
         return
@@ -128,7 +130,6 @@ def database(config: ClinicConfig) -> dict[str, Any]:
 
 _APPS = [
     f"{_PACKAGE}.apps.ClinicApp",
-    f"{_PACKAGE}.apps.AdminApp",
     "django.contrib.auth",
     "django.contrib.contenttypes",
     "django.contrib.sessions",
@@ -231,6 +232,12 @@ def _logins(config: ClinicConfig) -> dict[str, Any]:
         "PASSWORD_RESET_TIMEOUT": 3 * 24 * 3600,  # an invitation's
         "EMAIL_BACKEND": "django.core.mail.backends.dummy.EmailBackend",  # an invitation is handed over in person
         "ACCOUNT_ADAPTER": f"{_PACKAGE}.accounts.adapters.Accounts",
+        "ACCOUNT_FORMS": {
+            "login": f"{_PACKAGE}.accounts.forms.LoginForm",
+            "reset_password_from_key": f"{_PACKAGE}.accounts.forms.FirstPasswordForm",
+            "change_password": f"{_PACKAGE}.accounts.forms.ChangePasswordForm",
+            "reauthenticate": f"{_PACKAGE}.accounts.forms.PasswordAgainForm",
+        },
         "ACCOUNT_LOGIN_METHODS": {"username"},
         "ACCOUNT_SIGNUP_FIELDS": ["username*", "password1*"],
         "ACCOUNT_EMAIL_VERIFICATION": "none",
@@ -243,6 +250,11 @@ def _logins(config: ClinicConfig) -> dict[str, Any]:
         # Wrong passwords by name are counted by axes; by name alone, anybody could keep somebody out.
         "ACCOUNT_RATE_LIMITS": {"login_failed": "30/m/ip"},
         "MFA_ADAPTER": f"{_PACKAGE}.accounts.adapters.SecondFactor",
+        "MFA_FORMS": {
+            "authenticate": f"{_PACKAGE}.accounts.forms.CodeForm",
+            "reauthenticate": f"{_PACKAGE}.accounts.forms.CodeAgainForm",
+            "activate_totp": f"{_PACKAGE}.accounts.forms.SetUpForm",
+        },
         "MFA_SUPPORTED_TYPES": ["totp", "recovery_codes"],
         "MFA_TOTP_ISSUER": config.name,
         "SOCIALACCOUNT_ADAPTER": f"{_PACKAGE}.accounts.adapters.HospitalLogin",

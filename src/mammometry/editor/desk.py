@@ -5,43 +5,105 @@ What can be drawn on, and what somebody changed or confirmed.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import logging
+from collections.abc import Iterable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime
 from pathlib import Path
 from threading import Lock
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
-from mammometry.api.job import Job
+from mammometry.base.cores import one_blas_thread
 from mammometry.base.errors import MammometryError, SessionError, StorageError
-from mammometry.editor.drawing import Handle, LiveVolume, drawing_board, handle_indices
-from mammometry.editor.messages import Confirm, Measure, Point, Save, Sketch
+from mammometry.base.identity import Identity
+from mammometry.editor.drawing import DrawingBoard, Handle, LiveVolume, drawing_board, handle_indices
+from mammometry.editor.messages import Finish, Measure, Point, Save, Sketch
 from mammometry.geometry.arrays import Array, Float64
+from mammometry.geometry.camera import Rig
 from mammometry.io.drawn import BREASTS, DrawnBoundaries, origin_words, read_boundaries, read_landmarks
 from mammometry.io.drawn_changes import Change, Entry, Item, change_drawn, drawn_entries, drawn_entry, entry_digest
+from mammometry.io.results.store import Store
+from mammometry.job.inputs import Inputs
+from mammometry.job.measuring import Measured
+from mammometry.job.products import Key, Product
+from mammometry.job.stage_values import FinishedSurface
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.landmarks.names import LANDMARKS
 from mammometry.measure.trunk.body import rig_frame
 from mammometry.measure.volume.attribution import curve_digest
+from mammometry.measure.volume.measurement import VolumeMeasurement
+from mammometry.settings import Settings
 
+_LOG = logging.getLogger(__name__)
 DRAWN, EDITED = "drawn by hand", "edited by hand"
 _AUTOMATIC: Entry = {"method": "the automatic boundary"}
 _FARTHEST_MM = 10_000.0  # from the surface: a wrong unit is reported, and nothing overflows
 _LASTING = ("method", "author", "drawn")
 
 
+class Drawable(Protocol):
+    """What can be drawn on: a session (`api.job.Job`) or a scan (`api.mesh.MeshJob`)."""
+
+    inputs: Inputs
+    settings: Settings
+    store: Store
+
+    @property
+    def identity(self) -> Identity:
+        """Whose it is."""
+        ...
+
+    @property
+    def folder(self) -> Path:
+        """Where boundaries.json and landmarks.json lie."""
+        ...
+
+    @property
+    def rig(self) -> Rig:
+        """Cameras that show left, up and ahead."""
+        ...
+
+    @property
+    def mesh(self) -> Product[FinishedSurface]:
+        """The surface that is measured, with its colours."""
+        ...
+
+    @property
+    def measured(self) -> Measured:
+        """Products of the measurement."""
+        ...
+
+    @property
+    def content_key(self) -> Key:
+        """What the report's content depends on."""
+        ...
+
+    def surface(self) -> FinishedSurface:
+        """The surface with its colours, made if it is not current."""
+        ...
+
+    def render_report(self) -> None:
+        """Render the report again with who drew and confirmed the boundaries by now."""
+        ...
+
+    def run(self) -> object:
+        """Measure, and write the report."""
+        ...
+
+
 class Desk:
-    """A session that is drawn on.
+    """A session or a scan that is drawn on.
 
     Its methods may be called from several threads.
     """
 
-    def __init__(self, job: Job, subject: str | None = None) -> None:
+    def __init__(self, job: Drawable, subject: str | None = None) -> None:
         """Prepare the surface for drawing.
 
         Args:
-            job: an open session; its surface is made if it is not current.
+            job: an open session or scan; its surface is made if it is not current.
             subject: identifier of the subject, if it has one. Drawn files of another subject are refused.
 
         Raises:
@@ -55,19 +117,32 @@ class Desk:
                 expected="a model or a torso, which have boundaries",
                 remedy="Correct [subject] kind",
             )
-        job.ensure("surface")
+        surface = job.surface().repaired
         self.job = job
-        self.folder = job.session.path
+        self.folder = job.folder
         self.subject = subject
-        surface = job.plan.surfaced.mesh().repaired
-        frame = rig_frame(job.plan.calibrated.cameras().rig, job.inputs.mounting)
-        self.board = drawing_board(surface, frame, job.settings.measure)
+        frame = rig_frame(job.rig, job.inputs.mounting)
+        pool = ThreadPoolExecutor(1)  # the page opens meanwhile
+        self._board = pool.submit(drawing_board, surface, frame, job.settings.measure)
+        pool.shutdown(wait=False)
         self.low, self.high = surface.mesh.vertices.min(axis=0), surface.mesh.vertices.max(axis=0)
         self._automatic: dict[str, Boundary] | None = None
         self._remark = ""
         self._curves: dict[str, Float64[Array, "n 3"]] = {}
         self._origins: dict[str, Entry] = {}
         self._lock = Lock()
+
+    @property
+    def board(self) -> DrawingBoard:
+        """The thinned surface. Waits until it is ready."""
+        return self._board.result()
+
+    def measured(self) -> dict[str, VolumeMeasurement]:
+        """Breast → what was measured last with the drawing as it was opened. Empty if that is not current."""
+        product = self.job.measured.measurements
+        if product is None or not self.job.store.has(product.key):
+            return {}
+        return {each.name: each for each in product()}
 
     def state(self) -> dict[str, Any]:
         """State of the page as JSON.
@@ -79,16 +154,12 @@ class Desk:
         """
         with self._lock:
             entries = drawn_entries(self.folder, self.kind, self.subject)
-            drawn = read_boundaries(self.folder, self.kind, self.subject)
             marks = read_landmarks(self.folder, self.kind, self.subject)
-            curves = self._shown(drawn)
-        boundaries = {}
-        for name in BREASTS[self.kind]:
-            entry = entries.get(("boundaries", name))
-            if name in curves:
-                boundaries[name] = self._boundary_state(name, curves[name], entry, drawn)
-            else:
-                boundaries[name] = {"base": entry_digest(entry), "how": "to be found automatically"}
+            boundaries = self._boundaries(entries)
+        for name, measurement in self.measured().items():
+            boundaries[name]["measured"] = _as_json(_measured_live(measurement)) | {
+                "of": curve_digest(measurement.boundary_world)
+            }
         return {
             "breasts": list(BREASTS[self.kind]),
             "landmarks": [{"name": mark.name, "title": mark.title, "kind": mark.kind} for mark in LANDMARKS[self.kind]],
@@ -104,18 +175,28 @@ class Desk:
             "remark": self._remark,
         }
 
-    def measured(self, sent: Measure) -> dict[str, Any]:
-        """Measure what is on the page."""
+    def live(self, sent: Measure) -> dict[str, Any]:
+        """Measure what is on the page.
+
+        A curve that was measured already has exactly the measured number.
+        """
         with self._lock:
             curves = {str(name): self._curve(name, sketch) for name, sketch in sent.boundaries.items()}
-            live = self.board.measure(curves, self._automatic)
-        return {name: _as_json(each) for name, each in live.items()}
+            known = {
+                name: _measured_live(measurement)
+                for name, measurement in self.measured().items()
+                if name in curves and curve_digest(curves[name]) == curve_digest(measurement.boundary_world)
+            }
+            wanted = curves.keys() - known.keys()
+            live = self.board.measure(curves, self._automatic, wanted) if wanted else {}
+        return {name: _as_json(volume) for name, volume in (known | live).items()}
 
     def save(self, sent: Save) -> tuple[Path, ...]:
         """Save what somebody changed. Nothing else in the session changes.
 
         Raises:
             LateError: somebody else changed the same item meanwhile.
+            MeasureError: the measurement would refuse the curve, which crosses itself for example.
             SessionError: what was sent, or what the files contain, is not valid.
             StorageError: the session cannot be written to.
         """
@@ -138,31 +219,53 @@ class Desk:
                 changes["landmarks", mark] = Change(entry=entry, base=place.base)
             return change_drawn(self.folder, self.kind, changes, subject=self.subject)
 
-    def confirm(self, sent: Confirm) -> None:
-        """Record that somebody looked at a boundary and found it right.
+    def finish(self, sent: Finish) -> None:
+        """Record that somebody looked at all boundaries and found them right.
 
         Raises:
-            LateError: the boundary was changed meanwhile.
-            SessionError: it is not the curve that stands there.
+            LateError: a boundary was changed meanwhile.
+            MeasureError: a curve crosses itself.
+            SessionError: a boundary is not the one on the page, or was not looked at.
             StorageError: the session cannot be written to.
         """
         with self._lock:
-            _known(sent.name, BREASTS[self.kind])
-            entry = drawn_entries(self.folder, self.kind, self.subject).get(("boundaries", sent.name))
-            curve = self._shown(read_boundaries(self.folder, self.kind, self.subject)).get(sent.name)
-            if curve is None or curve_digest(curve) != sent.curve:
+            entries = drawn_entries(self.folder, self.kind, self.subject)
+            curves = self._shown(read_boundaries(self.folder, self.kind, self.subject))
+            if {name: curve_digest(curve) for name, curve in curves.items()} != sent.curves:
                 raise SessionError(
-                    f"boundary {sent.name}",
-                    found="another curve than the one on the page",
-                    expected="the curve in the session",
-                    remedy="Load the page again and look at it",
+                    "the boundaries",
+                    found="others than those on the page",
+                    expected="the curves in the session",
+                    remedy="Load the page again and look at them",
                 )
             moment = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
-            seen = {"confirmed": {"by": sent.author, "at": moment, "curve": sent.curve}}
-            change = Change(entry={**(entry or {"automatic": True}), **seen}, base=sent.base)
-            change_drawn(self.folder, self.kind, {("boundaries", sent.name): change}, subject=self.subject)
+            changes: dict[Item, Change] = {}
+            for name, digest in sent.curves.items():
+                self.board.check(name, curves[name])
+                entry = entries.get(("boundaries", name))
+                seen = {"confirmed": {"by": sent.author, "at": moment, "curve": digest}}
+                changes["boundaries", name] = Change(
+                    entry={**(entry or {"automatic": True}), **seen}, base=entry_digest(entry)
+                )
+            change_drawn(self.folder, self.kind, changes, subject=self.subject)
+            try:
+                self.job.render_report()
+            except StorageError as error:  # another run is at work: the next one renders the report
+                _LOG.warning("the report does not show the confirmation yet: %s", error)
 
     # --- curves ---
+
+    def _boundaries(self, entries: Mapping[Item, Entry]) -> dict[str, dict[str, Any]]:
+        drawn = read_boundaries(self.folder, self.kind, self.subject)
+        curves = self._shown(drawn)
+        states: dict[str, dict[str, Any]] = {}
+        for name in BREASTS[self.kind]:
+            entry = entries.get(("boundaries", name))
+            if name in curves:
+                states[name] = self._boundary_state(name, curves[name], entry, drawn)
+            else:
+                states[name] = {"base": entry_digest(entry), "how": "to be found automatically"}
+        return states
 
     def _shown(self, drawn: DrawnBoundaries) -> dict[str, Float64[Array, "n 3"]]:
         """Breast → its boundary.
@@ -181,12 +284,12 @@ class Desk:
         Empty if they cannot be found. The page then says why.
         """
         if self._automatic is None:
-            given = self.job.inputs.boundaries
+            measured, given = self.job.measured, self.job.inputs.boundaries
+            assert measured.boundaries is not None  # a model and a torso have boundaries
             try:
-                self.job.ensure("measure")
-                product = self.job.plan.measured.boundaries
-                assert product is not None  # a model and a torso have boundaries
-                found: dict[str, Boundary] = {each.name: each for each in product() if each.name not in given}
+                with one_blas_thread():
+                    boundaries = measured.boundaries() if measured.sides is None else measured.sides().boundaries
+                found: dict[str, Boundary] = {each.name: each for each in boundaries if each.name not in given}
                 self._remark = ""
             except StorageError as error:  # another run may be at work, but not for long
                 self._remark = f"No automatic boundary: {error}"
@@ -228,6 +331,8 @@ class Desk:
         places = self._near(name, [handle.point for handle in sketch.handles])
         if sketch.of is None:
             return self.board.laid(places)
+        if sketch.of not in self._curves:  # the page was loaded from another process, or before a measurement
+            self._boundaries(drawn_entries(self.folder, self.kind, self.subject))
         origin = self._curves.get(sketch.of)
         if origin is None or any(handle.at is not None and handle.at >= len(origin) for handle in sketch.handles):
             raise SessionError(
@@ -241,6 +346,7 @@ class Desk:
 
     def _drawn(self, name: str, sketch: Sketch, author: str, moment: datetime) -> Entry:
         curve = self._curve(name, sketch)
+        self.board.check(name, curve)
         origin = self._origins.get(sketch.of or "")
         kept = origin is not None and any(handle.at is not None for handle in sketch.handles)
         earlier: tuple[Entry, ...] = ()
@@ -279,10 +385,22 @@ def _count(name: str, count: int, *, line: bool) -> None:
         )
 
 
+def _measured_live(measurement: VolumeMeasurement) -> LiveVolume:
+    return LiveVolume(
+        curve_world=measurement.boundary_world,
+        volume_cc=measurement.volume_cc,
+        interval_cc=measurement.interval_cc,
+        problem=None,
+        preliminary=False,
+    )
+
+
 def _as_json(live: LiveVolume) -> dict[str, Any]:
     return {
         "curve": np.round(live.curve_world, 3).tolist(),
         "volumeCc": live.volume_cc,
         "intervalCc": live.interval_cc,
         "problem": live.problem,
+        "crossings": np.round(live.crossings_world, 3).tolist(),
+        "preliminary": live.preliminary,
     }

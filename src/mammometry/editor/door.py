@@ -161,4 +161,4 @@ def _cookie_name(request: HttpRequest) -> str:
 
 
 def _said(status: int, sentence: str) -> HttpResponse:
-    return JsonResponse({"detail": sentence}, status=status)
+    return JsonResponse({"error": sentence}, status=status)

@@ -9,8 +9,8 @@ to the next handle on either side. All other points stay exactly as they are.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import get_args
 
 import numpy as np
@@ -20,6 +20,7 @@ from mammometry.base.errors import MeasureError
 from mammometry.geometry.arrays import Array, Float64, Int64
 from mammometry.geometry.nearest import closest_on_mesh
 from mammometry.measure.boundary.boundary import Boundary, BreastName, given_boundary
+from mammometry.measure.boundary.trace import check_curve, crossing_points
 from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.volume import volume
 from mammometry.measure.volume.measurement import VolumeMeasurement
@@ -46,6 +47,10 @@ class LiveVolume:
     """None where the curve encloses no solid; `problem` says why."""
     interval_cc: tuple[float, float] | None
     problem: str | None
+    crossings_world: Float64[Array, "k 3"] = field(default_factory=lambda: np.empty((0, 3)))
+    """Where the curve crosses itself, mm, world frame. It then encloses no volume."""
+    preliminary: bool = True
+    """False: the number of the full measurement, not of the thinned surface."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -68,13 +73,17 @@ class DrawingBoard:
     settings: MeasureSettings
 
     def measure(
-        self, curves_world: Mapping[str, Float64[Array, "n 3"]], automatic: Mapping[str, Boundary] | None = None
+        self,
+        curves_world: Mapping[str, Float64[Array, "n 3"]],
+        automatic: Mapping[str, Boundary] | None = None,
+        wanted: Collection[str] | None = None,
     ) -> dict[str, LiveVolume]:
         """Measure what closed curves enclose.
 
         Args:
             curves_world: breast → its boundary, mm, world frame.
             automatic: boundaries that were found automatically. A curve equal to one of them is measured as automatic.
+            wanted: breasts whose volume is wanted; None: all of them.
         """
         found = {name: boundary for name, boundary in (automatic or {}).items() if name in curves_world}
         drawn: dict[str, Boundary] = {}
@@ -91,6 +100,8 @@ class DrawingBoard:
                 problems[name] = str(error)
         live = {}
         for name, curve in curves_world.items():
+            if wanted is not None and name not in wanted:
+                continue
             measured = None
             if name in drawn:
                 try:
@@ -102,8 +113,17 @@ class DrawingBoard:
                 volume_cc=None if measured is None else measured.volume_cc,
                 interval_cc=None if measured is None else measured.interval_cc,
                 problem=problems.get(name),
+                crossings_world=crossing_points(curve),
             )
         return live
+
+    def check(self, name: str, curve_world: Float64[Array, "n 3"]) -> None:
+        """Refuse a curve that the measurement would refuse: open, crossing itself or off the surface.
+
+        Raises:
+            MeasureError: says which, and by how much.
+        """
+        check_curve(name, curve_world, self.surface.mesh)
 
     def laid(self, points_world: Float64[Array, "k 3"]) -> Float64[Array, "n 3"]:
         """Smooth closed curve through points, on the surface.

@@ -76,14 +76,12 @@ class Save(Message):
     landmarks: dict[str, PlaceChange] = {}
 
 
-class Confirm(Message):
-    """Confirmation that somebody looked at a boundary and found it right."""
+class Finish(Message):
+    """Confirmation that somebody looked at all boundaries and found them right."""
 
     author: Author
-    name: Breast
-    base: Base
-    curve: Annotated[str, Field(max_length=64)]
-    """Digest of the curve that was looked at."""
+    curves: dict[Breast, Annotated[str, Field(max_length=64)]]
+    """Breast → digest of the curve that was looked at."""
 
 
 def sentence(errors: list[dict[str, Any]]) -> str:

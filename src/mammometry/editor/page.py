@@ -6,39 +6,40 @@ Whoever serves it: the local server or the clinic.
 from __future__ import annotations
 
 import json
+import logging
 from dataclasses import replace
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from pydantic import ValidationError
 
-from mammometry.api.job import Job
 from mammometry.base.errors import MammometryError, StorageError
-from mammometry.editor.desk import Desk
-from mammometry.editor.messages import Confirm, Measure, Message, Save, sentence
+from mammometry.editor.desk import Desk, Drawable
+from mammometry.editor.messages import Finish, Measure, Message, Save, sentence
 from mammometry.io.drawn_changes import LateError
 from mammometry.report.figures.shading import front_frame
 from mammometry.report.models import viewer_scene
-from mammometry.report.scene import to_json
+from mammometry.report.scene import json_in_page, to_json
 
 if TYPE_CHECKING:
     from pathlib import Path
 
 _TRIANGLES = 150_000  # of the surface on the page: fine enough to see the nipple, light enough to load; chosen by eye
+_LOG = logging.getLogger(__name__)
 _Message = TypeVar("_Message", bound=Message)
 
 
 class EditorPage:
-    """One session that is drawn on.
+    """One session or scan that is drawn on.
 
     Its methods may be called from several threads.
     """
 
-    def __init__(self, job: Job, *, author: str | None = None) -> None:
+    def __init__(self, job: Drawable, *, author: str | None = None) -> None:
         """Prepare the surface and the scene of the page.
 
         Args:
-            job: an open session; its surface is made if it is not current.
+            job: an open session or scan; its surface is made if it is not current.
             author: name of the person who draws. Without it the page asks.
 
         Raises:
@@ -47,10 +48,7 @@ class EditorPage:
         self.desk = Desk(job, job.identity.subject)
         self.title = job.identity.title
         self.author = author
-        finished, rig = job.plan.surfaced.mesh(), job.plan.calibrated.cameras().rig
-        frame = front_frame(rig, mounting=job.inputs.mounting)
-        shown = viewer_scene(frame, finished.repaired, finished.textured, triangles=_TRIANGLES)
-        self._scene = json.loads(to_json(replace(shown, of_patient=self.desk.kind == "torso")))
+        self._scene = _scene(job)
 
     def drawing(self, author: str | None = None) -> dict[str, Any]:
         """Everything the page needs when it is opened.
@@ -67,7 +65,7 @@ class EditorPage:
 
     def measure(self, body: bytes) -> dict[str, Any]:
         """Measure the boundaries of a message, as JSON."""
-        return self.desk.measured(read(Measure, body))
+        return self.desk.live(read(Measure, body))
 
     def save(self, body: bytes, author: str | None = None) -> tuple[Save, tuple[Path, ...]]:
         """Save the changes of a message.
@@ -82,14 +80,25 @@ class EditorPage:
         sent = _signed(read(Save, body), author)
         return sent, self.desk.save(sent)
 
-    def confirm(self, body: bytes, author: str | None = None) -> Confirm:
-        """Record the confirmation of a message.
+    def finish(self, body: bytes) -> None:
+        """Record the confirmation of a message."""
+        self.desk.finish(read(Finish, body))
 
-        Arguments as for `save`.
-        """
-        sent = _signed(read(Confirm, body), author)
-        self.desk.confirm(sent)
-        return sent
+
+def _scene(job: Drawable) -> dict[str, Any]:
+    """The surface with its photographs as the report shows it, if that is current; else as it is made here."""
+    record = job.store.record(job.content_key)
+    mesh = job.mesh.key
+    if record is not None and record.inputs.get(f"{mesh.stage}/{mesh.product}", mesh.digest) == mesh.digest:
+        page = job.store.folder / "report" / "report.html"
+        text = json_in_page(page.read_text(encoding="utf-8")) if page.is_file() else None
+        if text is not None:
+            scene: dict[str, Any] = json.loads(text)
+            return {**scene, "models": scene["models"][:1], "comparisons": []}
+    finished, frame = job.surface(), front_frame(job.rig, mounting=job.inputs.mounting)
+    shown = viewer_scene(frame, finished.repaired, finished.textured, triangles=_TRIANGLES)
+    made: dict[str, Any] = json.loads(to_json(replace(shown, of_patient=job.inputs.subject_kind == "torso")))
+    return made
 
 
 def read(kind: type[_Message], body: bytes) -> _Message:
@@ -104,10 +113,13 @@ def read(kind: type[_Message], body: bytes) -> _Message:
 def refusal(error: MammometryError | ValidationError) -> tuple[int, dict[str, Any]]:
     """HTTP status and JSON of an error, for the page."""
     if isinstance(error, ValidationError):
-        return 422, {"detail": sentence([dict(item) for item in error.errors(include_url=False)])}
+        return 422, {"error": sentence([dict(item) for item in error.errors(include_url=False)])}
     if isinstance(error, LateError):
-        return 409, {"detail": str(error), "late": [list(item) for item in error.items]}
-    return (500 if isinstance(error, StorageError) else 422), {"detail": str(error)}
+        return 409, {"error": str(error), "late": [list(item) for item in error.items]}
+    if isinstance(error, StorageError):
+        _LOG.error("%s", error)
+        return (507 if error.is_full else 503), {"error": str(error)}
+    return 422, {"error": str(error)}
 
 
 def resource(package: str, name: str) -> str:

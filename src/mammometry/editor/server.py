@@ -19,8 +19,8 @@ from django.http import HttpRequest, HttpResponse, HttpResponseBase, JsonRespons
 from django.urls import URLPattern, path
 from pydantic import ValidationError
 
-from mammometry.api.job import Job
 from mammometry.base.errors import MammometryError
+from mammometry.editor.desk import Drawable
 from mammometry.editor.door import HOST, Door, entrance, local_page, sealed
 from mammometry.editor.page import EditorPage, refusal, resource
 
@@ -28,18 +28,18 @@ Application = Callable[[Any, Any, Any], Awaitable[None]]
 """What an ASGI server calls: scope, receive, send."""
 
 
-def editor_app(job: Job, door: Door, *, author: str | None = None) -> Application:
-    """Make the server of the page for one session.
+def editor_app(opened: Callable[[], Drawable], door: Door, *, author: str | None = None) -> Application:
+    """Make the server of the page for one session or scan.
 
     Args:
-        job: an open session; its surface is made if it is not current.
+        opened: opens it, at first and again to measure what was drawn. Its surface is made if it is not current.
         door: decides who may enter.
         author: name of the person who draws. Without it the page asks.
 
     Raises:
         MammometryError: the surface cannot be made, or the subject has nothing to draw on.
     """
-    return guarded_app(_routes(EditorPage(job, author=author), door), door)
+    return guarded_app(_routes(_LocalPage(opened, author), door), door)
 
 
 def guarded_app(routes: tuple[URLPattern, ...], door: Door) -> Application:
@@ -66,11 +66,11 @@ def guarded_app(routes: tuple[URLPattern, ...], door: Door) -> Application:
     return application
 
 
-def serve(job: Job, *, ready: Callable[[str, str], None], author: str | None = None) -> None:
+def serve(opened: Callable[[], Drawable], *, ready: Callable[[str, str], None], author: str | None = None) -> None:
     """Serve the page until interrupted.
 
     Args:
-        job: an open session.
+        opened: as for `editor_app`.
         ready: called as soon as the page answers, with the address to type, which works once, and the address of a
             local file that opens the page without showing a key to other users of this computer.
         author: as for `editor_app`.
@@ -79,7 +79,7 @@ def serve(job: Job, *, ready: Callable[[str, str], None], author: str | None = N
         MammometryError: as for `editor_app`.
     """
     door = Door()
-    listen(editor_app(job, door, author=author), door, ready=ready)
+    listen(editor_app(opened, door, author=author), door, ready=ready)
 
 
 def listen(app: Application, door: Door, *, ready: Callable[[str, str], None]) -> None:
@@ -111,23 +111,42 @@ def _handler() -> ASGIHandler:
     return get_asgi_application()
 
 
-def _routes(page: EditorPage, door: Door) -> tuple[URLPattern, ...]:
-    def saved(request: HttpRequest) -> dict[str, Any]:
-        _, changed = page.save(request.body)
-        return {"saved": [each.name for each in changed], **page.items()}
+class _LocalPage:
+    """The page of a session that this computer measures."""
 
-    def confirmed(request: HttpRequest) -> dict[str, Any]:
-        page.confirm(request.body)
-        return page.items()
+    def __init__(self, opened: Callable[[], Drawable], author: str | None) -> None:
+        self._opened, self._author = opened, author
+        self.page = EditorPage(opened(), author=author)
+
+    def measure(self) -> None:
+        """Measure with what is drawn now, and write the report."""
+        job = self._opened()
+        job.run()
+        self.page = EditorPage(job, author=self._author)
+
+
+def _routes(local: _LocalPage, door: Door) -> tuple[URLPattern, ...]:
+    def saved(request: HttpRequest) -> dict[str, Any]:
+        _, changed = local.page.save(request.body)
+        return {"saved": len(changed), **local.page.items()}
+
+    def measured(request: HttpRequest) -> dict[str, Any]:
+        local.measure()
+        return local.page.items()
+
+    def finished(request: HttpRequest) -> dict[str, Any]:
+        local.page.finish(request.body)
+        return local.page.items()
 
     return (
         entrance_route(door),
-        path("", page_view(GET=lambda request: HttpResponse(_document(page.title)))),
-        path("drawing", page_view(GET=lambda request: page.drawing())),
-        path("items", page_view(GET=lambda request: page.items())),
-        path("measure", page_view(POST=lambda request: page.measure(request.body))),
+        path("", page_view(GET=lambda request: HttpResponse(_document(local.page.title)))),
+        path("drawing", page_view(GET=lambda request: local.page.drawing())),
+        path("items", page_view(GET=lambda request: local.page.items())),
+        path("measure", page_view(POST=lambda request: local.page.measure(request.body))),
         path("save", page_view(POST=saved)),
-        path("confirm", page_view(POST=confirmed)),
+        path("run", page_view(POST=measured)),
+        path("finish", page_view(POST=finished)),
     )
 
 
@@ -145,7 +164,7 @@ def page_view(**by_method: Callable[[HttpRequest], HttpResponse | dict[str, Any]
     def view(request: HttpRequest) -> HttpResponseBase:
         answer = by_method.get(request.method or "")
         if answer is None:
-            return sealed(JsonResponse({"detail": f"This address does not answer {request.method}."}, status=405))
+            return sealed(JsonResponse({"error": f"This address does not answer {request.method}."}, status=405))
         try:
             reply = answer(request)
         except (MammometryError, ValidationError) as error:

@@ -5,6 +5,7 @@ Codes of SNOMED CT and DICOM are those in PS3.16, as pydicom lists them. Everyth
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
@@ -37,6 +38,15 @@ SIDES = MappingProxyType(
         "right": Coded(value="24028007", scheme="SCT", meaning="Right"),
     }
 )
+SITES = MappingProxyType(
+    {
+        "left": Coded(value="80248007", scheme="SCT", meaning="Left breast structure"),
+        "right": Coded(value="73056007", scheme="SCT", meaning="Right breast structure"),
+    }
+)
+CONCLUSIONS = Coded(value="121076", scheme="DCM", meaning="Conclusions")
+CONCLUSION = Coded(value="121077", scheme="DCM", meaning="Conclusion")
+PERSON = Coded(value="121008", scheme="DCM", meaning="Person Observer Name")
 UNITS = MappingProxyType(
     {
         "cm3": Coded(value="cm3", scheme="UCUM", meaning="cubic centimeter"),
@@ -69,6 +79,7 @@ METHODS = MappingProxyType(
         "level-cut": "Closed mesh cut at the level of the nipple",
         "mesh-area": "Area of a mesh",
         "plane-distance": "Greatest distance from the boundary's best plane",
+        "extent": "Straight distance between the outermost points of the boundary",
         "straight": "Straight distance between two landmarks",
         "along-skin": "Distance along the skin between two landmarks",
         "height": "Difference in height",
@@ -83,3 +94,18 @@ NO_VOLUMES = MappingProxyType(
     }
 )
 """Code of a reason in our system → what it is."""
+OPERATIONS: Mapping[str, Coded | None] = MappingProxyType(
+    {
+        "mastectomy": Coded(value="5884001", scheme="SCT", meaning="Mastectomy"),
+        "conserving": None,  # a lumpectomy is one way among several
+        "expander": None,
+        "filling": None,
+        "implant": Coded(value="302343007", scheme="SCT", meaning="Insertion of prosthesis for breast"),
+        "flap": Coded(value="33496007", scheme="SCT", meaning="Reconstruction of breast"),
+        "graft": None,
+        "reduction": None,  # or a lift, which is no reduction
+        "augmentation": Coded(value="22890008", scheme="SCT", meaning="Augmentation mammoplasty"),
+        "other": None,
+    }
+)
+"""Kind of operation → its concept. None: PS3.16 has none that says as much and no more."""

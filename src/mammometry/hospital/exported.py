@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Literal, TypeAlias
 
 from mammometry.base.photograph import Photograph
+from mammometry.report.clinical import Clinical
 
 Side: TypeAlias = Literal["left", "right", "model", ""]
 """The patient's left or right breast, a model, or neither."""
@@ -18,6 +19,11 @@ Unit: TypeAlias = Literal["cm3", "cm2", "mm"]
 """As UCUM writes it."""
 Sex: TypeAlias = Literal["", "F", "M", "O"]
 """As DICOM writes it. Empty: not given."""
+
+
+def plain_name(name: str) -> str:
+    """A name without what separates parts of a name in DICOM."""
+    return " ".join(name.replace("^", " ").replace("=", " ").replace("\\", " ").split())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,6 +82,21 @@ class Quantity:
     def name(self) -> str:
         """Code and side: the name of its column in tables."""
         return f"{self.code}_{self.side}" if self.side else self.code
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Operation:
+    """One operation before the visit."""
+
+    kind: str
+    """A key of `codes.OPERATIONS`, or another kind without a code."""
+    title: str
+    """The kind in words."""
+    side: str
+    """``left``, ``right`` or ``both``."""
+    day: datetime.date
+    sentence: str
+    """All that is known of it, one sentence."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -149,6 +170,14 @@ class Exported:
     photograph_files: Mapping[str, Path] = field(default_factory=dict)
     """Camera → its file."""
     deidentified: bool = False
+    clinical: Clinical = field(default_factory=Clinical)
+    """Confirmation and conclusions, with names. Nothing in it if de-identified."""
+    operations: tuple[Operation, ...] = ()
+    """The newest first. Empty if de-identified."""
+    is_final: bool = False
+    """Whether these very numbers were confirmed and concluded of."""
+    organization: str = ""
+    """Where the people in `clinical` work. Empty: nobody said."""
 
     @property
     def digest(self) -> str:

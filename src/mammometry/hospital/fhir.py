@@ -1,6 +1,7 @@
 """Measurements as a FHIR bundle, R4 or R5.
 
-A DiagnosticReport, and an Observation a number. The bundle is a transaction of PUTs under ids
+A DiagnosticReport, an Observation a number, a Procedure an operation, and a Provenance for who confirmed and for who
+concluded. The report is final once both are there. The bundle is a transaction of PUTs under ids
 derived from content: sent twice, it changes nothing.
 """
 
@@ -13,8 +14,9 @@ from typing import Any, Literal
 
 from mammometry.hospital import codes
 from mammometry.hospital.codes import Coded
-from mammometry.hospital.exported import Absent, Exported, Patient, Quantity, Side
+from mammometry.hospital.exported import Absent, Exported, Operation, Patient, Quantity, Side
 from mammometry.hospital.identifiers import identifier
+from mammometry.report.clinical import Signed
 
 Release = Literal["R4", "R5"]
 _PACKAGES = {"R4": "fhir.resources.R4B", "R5": "fhir.resources"}
@@ -26,10 +28,8 @@ _SYSTEMS = {
     "LN": "http://loinc.org",
 }
 _REPORT = Coded(value="18748-4", scheme="LN", meaning="Diagnostic imaging study")
-_SITES = {
-    "left": Coded(value="80248007", scheme="SCT", meaning="Left breast structure"),
-    "right": Coded(value="73056007", scheme="SCT", meaning="Right breast structure"),
-}
+_PARTICIPANTS = "http://terminology.hl7.org/CodeSystem/provenance-participant-type"
+_RESEARCH = "For research use only. mammometry is not a certified medical device."
 _SEXES = {"F": "female", "M": "male", "O": "other"}
 
 
@@ -46,24 +46,36 @@ def bundle(exported: Exported, patient: Patient = Patient(), *, release: Release
     elif not patient.id:
         patient = Patient(id=exported.subject, name=patient.name, born=patient.born, sex=patient.sex)
     who = _patient(patient)
-    about = {"subject": {"reference": f"Patient/{who['id']}"}} | _moments(exported)
+    subject = {"reference": f"Patient/{who['id']}"}
+    about = {"subject": subject} | _moments(exported)
     seed = (exported.source, patient.id)
     observations = [_observation(each, exported, about, seed) for each in exported.quantities]
     observations += [_nothing(each, exported, about, seed) for each in exported.absent]
+    clinical = exported.clinical
+    conclusion = clinical.conclusions[0] if clinical.conclusions else None
     report: dict[str, Any] = {
         "resourceType": "DiagnosticReport",
         "id": identifier("report", *seed),
-        "status": "preliminary",
+        "status": "final" if exported.is_final else "preliminary",
         "code": _concept(_REPORT, codes.PHOTOGRAMMETRY.meaning),
         **about,
         "result": [{"reference": f"Observation/{each['id']}"} for each in observations],
-        "conclusion": "For research use only. mammometry is not a certified medical device.",
+        "conclusion": f"{conclusion.text}\n{_RESEARCH}" if conclusion is not None else _RESEARCH,
     }
+    signatures = []
+    for field, role, signed in (
+        ("performer", "verifier", clinical.confirmed),
+        ("resultsInterpreter", "author", conclusion),
+    ):
+        if signed is not None:
+            report[field] = [{"display": signed.by}]
+            signatures.append(_provenance(role, signed, f"DiagnosticReport/{report['id']}", seed))
+    operations = [_operation(each, subject, seed, release) for each in exported.operations]
     made = {
         "resourceType": "Bundle",
         "id": identifier("bundle", *seed),
         "type": "transaction",
-        "entry": [_entry(each) for each in (who, *observations, report)],
+        "entry": [_entry(each) for each in (who, *operations, *observations, report, *signatures)],
     }
     package = importlib.import_module(f"{_PACKAGES[release]}.bundle")
     package.Bundle.model_validate(made)  # raises on our own defects only
@@ -103,6 +115,39 @@ def _observation(
     return made
 
 
+def _provenance(role: str, signed: Signed, target: str, seed: tuple[str, str]) -> dict[str, Any]:
+    """Who verified or authored the report, and when."""
+    return {
+        "resourceType": "Provenance",
+        "id": identifier("provenance", *seed, role),
+        "target": [{"reference": target}],
+        "recorded": signed.at.isoformat(),
+        "agent": [
+            {
+                "type": {"coding": [{"system": _PARTICIPANTS, "code": role, "display": role.capitalize()}]},
+                "who": {"display": signed.by},
+            }
+        ],
+    }
+
+
+def _operation(
+    operation: Operation, subject: dict[str, str], seed: tuple[str, str], release: Release
+) -> dict[str, Any]:
+    code = codes.OPERATIONS.get(operation.kind)
+    sides = ("left", "right") if operation.side == "both" else (operation.side,)
+    return {
+        "resourceType": "Procedure",
+        "id": identifier("procedure", seed[1], operation.day.isoformat(), operation.sentence),
+        "status": "completed",
+        "code": {"text": operation.title} if code is None else _concept(code, operation.title),
+        "subject": subject,
+        "performedDateTime" if release == "R4" else "occurrenceDateTime": operation.day.isoformat(),
+        "bodySite": [_concept(codes.SITES[side]) for side in sides],
+        "note": [{"text": operation.sentence}],
+    }
+
+
 def _nothing(side: Absent, exported: Exported, about: dict[str, Any], seed: tuple[str, str]) -> dict[str, Any]:
     """A side without a volume: the value is absent, and says why."""
     made = _begun(f"volume_{side.side}", exported, about, seed)
@@ -116,7 +161,7 @@ def _begun(name: str, exported: Exported, about: dict[str, Any], seed: tuple[str
     return {
         "resourceType": "Observation",
         "id": identifier("observation", *seed, name),
-        "status": "preliminary",
+        "status": "preliminary" if exported.clinical.confirmed is None else "final",
         **about,
         "device": {"display": f"mammometry {exported.software}"},
     }
@@ -143,7 +188,7 @@ def _moments(exported: Exported) -> dict[str, str]:
 
 
 def _site(side: Side) -> dict[str, Any]:
-    return {"bodySite": _concept(_SITES[side])} if side in _SITES else {}
+    return {"bodySite": _concept(codes.SITES[side])} if side in codes.SITES else {}
 
 
 def _amount(value: float, unit: str) -> dict[str, Any]:

@@ -6,7 +6,7 @@ import datetime
 import hashlib
 import json
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
@@ -14,6 +14,9 @@ import numpy as np
 
 from mammometry.hospital.exported import Absent, CoveredModel, CoveredModels, Exported, Model, Quantity, Side
 from mammometry.io.images import EXTENSIONS
+from mammometry.measure.volume.attribution import Attribution
+from mammometry.report.clinical import Clinical, Signed
+from mammometry.report.lengths import quantities_of
 
 if TYPE_CHECKING:
     from mammometry.api.job import Job
@@ -27,17 +30,20 @@ if TYPE_CHECKING:
 
 Part: TypeAlias = Literal["pdf", "models", "photographs"]
 """What may be gathered beside the numbers."""
-_PARTS: tuple[Part, ...] = ("pdf", "models", "photographs")
+PARTS: tuple[Part, ...] = ("pdf", "models", "photographs")
 _TITLES = {"left": "Left breast, closed", "right": "Right breast, closed", "model": "Model, closed"}
 _WHOLE = "Whole surface"
 _MTL, _JPEG = "model.mtl", "model.jpg"
 
 
-def gather(job: Job, *, deidentify: bool = False, parts: Sequence[Part] = _PARTS) -> Exported:
+def gather(
+    job: Job, *, clinical: Clinical | None = None, deidentify: bool = False, parts: Sequence[Part] = PARTS
+) -> Exported:
     """Gather what is exported. What is not current is made first.
 
     Args:
         job: an open session.
+        clinical: what a clinic knows of the visit. None: confirmations in the session's own boundaries.json count.
         deidentify: leave out names, dates, photographs and photographic colours.
         parts: what to gather beside the numbers.
 
@@ -50,6 +56,7 @@ def gather(job: Job, *, deidentify: bool = False, parts: Sequence[Part] = _PARTS
     job.ensure("report" if plain else "measure")
     made = job.made_at("report" if plain else "measure")
     measured = tuple(job.measure().values())
+    known = clinical or Clinical(confirmed=confirmed(job.inputs.attributions, measured))
     atlas = job.plan.surfaced.model() if "models" in parts else None
     shown = "photographs" in parts and not deidentify
     return Exported(
@@ -59,25 +66,46 @@ def gather(job: Job, *, deidentify: bool = False, parts: Sequence[Part] = _PARTS
         made=None if deidentify or made is None else datetime.datetime.fromisoformat(made),
         software=mammometry.__version__,
         source=_source(job, deidentify),
-        quantities=(*_volumes(measured), *_sizes(job.plan.measured)),
+        quantities=quantities(measured, job.plan.measured),
         absent=tuple(_absent(side) for side in _absent_sides(job.plan.measured)),
-        report_pdf=_report(job, deidentify) if "pdf" in parts else None,
+        report_pdf=_report(job, clinical, deidentify) if "pdf" in parts else None,
         models=() if atlas is None else tuple(_models(measured, atlas.mesh)),
         covered=None if atlas is None or deidentify else covered(atlas, measured),
         photographs=job.inputs.photographs if shown else {},
         photograph_files=_photograph_files(job) if shown else {},
         deidentified=deidentify,
+        clinical=Clinical() if deidentify else known,
     )
 
 
+def confirmed(attributions: Mapping[str, Attribution], measured: Sequence[VolumeMeasurement]) -> Signed | None:
+    """The newest confirmation, if every measured boundary has one that holds."""
+    found = {each.name: attributions.get(each.name, Attribution()).confirmation for each in measured}
+    holding = [
+        confirmation
+        for each in measured
+        if (confirmation := found[each.name]) is not None and confirmation.holds(each.boundary_world)
+    ]
+    if not measured or len(holding) < len(measured):
+        return None
+    newest = max(holding, key=lambda confirmation: confirmation.at)
+    return Signed(by=newest.by, at=datetime.datetime.fromisoformat(newest.at))
+
+
 def gather_scan(
-    job: MeshJob, *, taken: datetime.date | None = None, deidentify: bool = False, parts: Sequence[Part] = _PARTS
+    job: MeshJob,
+    *,
+    taken: datetime.date | None = None,
+    clinical: Clinical | None = None,
+    deidentify: bool = False,
+    parts: Sequence[Part] = PARTS,
 ) -> Exported:
     """Gather what is exported of another device's scan. It has no photographs.
 
     Args:
         job: a measured scan.
         taken: day of the scan.
+        clinical: what a clinic knows of the visit. None: confirmations in its file of boundaries count.
         deidentify: leave out names, dates and the report, whose pictures show the skin.
         parts: what to gather beside the numbers.
 
@@ -88,6 +116,7 @@ def gather_scan(
 
     results = job.run(report="pdf" in parts and not deidentify)
     measured = tuple(results.measurements.values())
+    known = clinical or Clinical(confirmed=confirmed(job.inputs.attributions, measured))
     made = results.made_at
     return Exported(
         subject="" if deidentify else job.identity.title,
@@ -96,11 +125,12 @@ def gather_scan(
         made=None if deidentify or made is None else datetime.datetime.fromisoformat(made),
         software=mammometry.__version__,
         source=_source_of_scan(job, measured, deidentify),
-        quantities=(*_volumes(measured), *_sizes(job.plan)),
+        quantities=quantities(measured, job.plan),
         absent=tuple(_absent(side) for side in _absent_sides(job.plan)),
-        report_pdf=job.store.files(job.report_key)[_document()] if "pdf" in parts and not deidentify else None,
+        report_pdf=_report_of_scan(job, clinical) if "pdf" in parts and not deidentify else None,
         models=tuple(_models(measured, job.finished.repaired.mesh)) if "models" in parts else (),
         deidentified=deidentify,
+        clinical=Clinical() if deidentify else known,
     )
 
 
@@ -110,10 +140,15 @@ def _source_of_scan(job: MeshJob, measured: Sequence[VolumeMeasurement], deident
     return hashlib.sha256(json.dumps([job.files.subject, job.inputs.digests["mesh"]]).encode()).hexdigest()
 
 
-def _document() -> str:
+def _document(job: Job | MeshJob) -> bytes:
+    """The stored report."""
     from mammometry.report.pdf import DOCUMENT
 
-    return DOCUMENT
+    return job.store.files(job.report_key)[DOCUMENT]
+
+
+def _report_of_scan(job: MeshJob, clinical: Clinical | None) -> bytes:
+    return _document(job) if clinical is None else job.rendered(clinical).pdf
 
 
 def _shapes(measured: Sequence[VolumeMeasurement], kind: str) -> str:
@@ -158,16 +193,25 @@ def _source(job: Job, deidentify: bool) -> str:
     return hashlib.sha256(json.dumps(about).encode()).hexdigest()
 
 
-def _report(job: Job, deidentify: bool) -> bytes:
+def _report(job: Job, clinical: Clinical | None, deidentify: bool) -> bytes:
     if not deidentify:
-        return job.store.files(job.report_key)[_document()]
+        return _document(job) if clinical is None else job.rendered(clinical).pdf
     with tempfile.TemporaryDirectory(prefix="mammometry-") as folder:
+        from mammometry.report.pdf import DOCUMENT
         from mammometry.report.privacy import Privacy
 
-        return (job.share(Path(folder), Privacy(deidentify=True, geometry_only=True)).parent / _document()).read_bytes()
+        return (job.share(Path(folder), Privacy(deidentify=True, geometry_only=True)).parent / DOCUMENT).read_bytes()
 
 
-def _volumes(measured: Sequence[VolumeMeasurement]) -> Iterator[Quantity]:
+def quantities(measured: Sequence[VolumeMeasurement], plan: MeasuredPlan) -> tuple[Quantity, ...]:
+    """All measured numbers, under the names that every export uses."""
+    sizes = None if plan.dimensions is None else plan.dimensions()
+    beside = () if sizes is None else quantities_of(sizes)
+    return (*_volumes(measured, sizes), *(Quantity(**quantity) for quantity in beside))
+
+
+def _volumes(measured: Sequence[VolumeMeasurement], sizes: Dimensions | None) -> Iterator[Quantity]:
+    projection_sigmas = {} if sizes is None else {shape.name: shape.projection_sigma_mm for shape in sizes.shapes}
     for each in measured:
         side: Side = each.name
         about: dict[str, Any] = {"boundary": each.boundary_method}
@@ -184,69 +228,13 @@ def _volumes(measured: Sequence[VolumeMeasurement]) -> Iterator[Quantity]:
             )  # fmt: skip
         yield Quantity(
             code="projection", title="Projection", side=side, value=each.projection_mm, unit="mm",
-            method="plane-distance", boundary=each.boundary_method,
+            sigma=projection_sigmas.get(each.name), method="plane-distance", boundary=each.boundary_method,
         )  # fmt: skip
         for code, title, value in (
             ("skin_area", "Skin within the boundary", each.area_cm2),
             ("base_area", "Base area", each.base_area_cm2),
         ):
             yield Quantity(code=code, title=title, side=side, value=value, unit="cm2", method="mesh-area", **about)
-
-
-def _sizes(plan: MeasuredPlan) -> Iterator[Quantity]:
-    product = plan.dimensions
-    found: Dimensions | None = None if product is None else product()
-    if found is None:
-        return
-    for each in found.lengths:
-        name, side = _sided(each.name)
-        ways = (
-            ("straight", "straight", each.straight_mm, each.straight_sigma_mm),
-            ("along_skin", "along the skin", each.geodesic_mm, each.geodesic_sigma_mm),
-        )
-        for code, words, value, sigma in ways:
-            if value is not None:
-                yield Quantity(
-                    code=f"{_plain(name)}_{code}", title=f"{_without_side(each.title, side)}, {words}", side=side,
-                    value=value, unit="mm", sigma=sigma, method=code.replace("_", "-"),
-                )  # fmt: skip
-    for shape in found.shapes:
-        ways_cc = (
-            ("upper_pole", "Volume above the nipple's level", shape.above_nipple_cc),
-            ("lower_pole", "Volume below the nipple's level", shape.below_nipple_cc),
-        )
-        for code, title, volume in ways_cc:
-            if volume is not None:
-                yield Quantity(
-                    code=code, title=title, side=shape.name, value=volume, unit="cm3", sigma=shape.pole_sigma_cc,
-                    method="level-cut",
-                )  # fmt: skip
-    for sunk in found.ptosis:
-        _, side = _sided(sunk.name)
-        yield Quantity(
-            code="nipple_below_fold", title="Nipple below the fold", side=side, value=sunk.nipple_below_fold_mm,
-            unit="mm", sigma=sunk.sigma_mm, method="height",
-        )  # fmt: skip
-
-
-def _sided(name: str) -> tuple[str, Side]:
-    first, _, last = name.rpartition(" ")
-    if last == "left":
-        return first, "left"
-    if last == "right":
-        return first, "right"
-    if name in ("left", "right"):
-        return "", "left" if name == "left" else "right"
-    return name, ""
-
-
-def _without_side(title: str, side: Side) -> str:
-    """A length's title for both sides: "nipple to fold"."""
-    return title.replace(f"{side} ", "").replace(f", {side}", "") if side else title
-
-
-def _plain(name: str) -> str:
-    return name.lower().replace("-", "_").replace(" ", "_")
 
 
 def _absent_sides(plan: MeasuredPlan) -> tuple[NoBreast, ...]:

@@ -12,7 +12,7 @@ from typing import get_args
 from mammometry.base.csv_cells import csv_text
 from mammometry.base.errors import TableError
 from mammometry.hospital.exported import Exported, Quantity
-from mammometry.hospital.tables import rounded, visit_number
+from mammometry.hospital.tables import confirmation, rounded, visit_number
 from mammometry.measure.volume.definitions import Meaning
 
 DICTIONARY, RECORDS = "data-dictionary.csv", "records.csv"
@@ -43,6 +43,8 @@ _VISIT = {
     "subject": ("Pseudonym of the subject", ""),
     "taken": ("Day of the photographs", "date_ymd"),
     "kind": ("torso, model or surface", ""),
+    "confirmed": ("Whether a person confirmed the measured boundaries: yes or no", ""),
+    "confirmed_on": ("Day of the confirmation", "date_ymd"),
     "software": ("Version of mammometry", ""),
 }
 _WHYS = {"why_left": "Why the left breast has no volume", "why_right": "Why the right breast has no volume"}
@@ -91,7 +93,7 @@ def records(sessions: Sequence[Exported]) -> str:
         whys = {f"why_{side.side}": side.kind for side in each.absent}
         taken = "" if each.taken is None else each.taken.isoformat()
         rows[number] = [
-            *(number, each.subject, taken, each.kind, each.software),
+            *(number, each.subject, taken, each.kind, *confirmation(each), each.software),
             *(rounded(measured.get(name)) for name in numbers),
             *(whys.get(name) for name in _WHYS),
         ]

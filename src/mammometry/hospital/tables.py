@@ -31,6 +31,8 @@ _COLUMNS = {
     "method": ("text", "", "How it was measured; see the rows below"),
     "wall": ("text", "", "Wall behind the breast. Empty for what has none"),
     "why": ("text", "", "Why there is no volume: none, unclear or refused"),
+    "confirmed": ("text", "", "yes: a person looked at the measured boundaries and found them right; no: nobody yet"),
+    "confirmed_on": ("date", "", "Day of that, ISO 8601. Empty: not confirmed, or de-identified"),
     "software": ("text", "", "Version of mammometry"),
 }
 """Column → type, unit, meaning."""
@@ -69,18 +71,25 @@ def rounded(value: float | None) -> float | None:
     return None if value is None else round(value, _DECIMALS)
 
 
+def confirmation(exported: Exported) -> tuple[str, str]:
+    """Whether and when somebody confirmed the boundaries. Tables do not say who."""
+    confirmed = exported.clinical.confirmed
+    return ("no", "") if confirmed is None else ("yes", confirmed.at.date().isoformat())
+
+
 def _rows(exported: Exported) -> list[tuple[Cell, ...]]:
     taken = "" if exported.taken is None else exported.taken.isoformat()
+    end = (*confirmation(exported), exported.software)
     begin = (visit_number(exported), exported.subject, taken, exported.kind)
     rows: list[tuple[Cell, ...]] = []
     for each in exported.quantities:
         low, high = each.interval_95 or (None, None)
         error = (rounded(low), rounded(high), rounded(each.sigma))
         said = (each.side, each.code, each.title, rounded(each.value), each.unit)
-        rows.append((*begin, *said, *error, each.method, each.wall, "", exported.software))
+        rows.append((*begin, *said, *error, each.method, each.wall, "", *end))
     for side in exported.absent:
         nothing = (side.side, "volume", "Volume", None, "cm3", None, None, None)
-        rows.append((*begin, *nothing, "", "", side.kind, exported.software))
+        rows.append((*begin, *nothing, "", "", side.kind, *end))
     return rows
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -47,6 +49,26 @@ def read_landmarks(session: Path, kind: SubjectKind, subject: str | None = None)
     """
     path = session / LANDMARK_FILE
     return landmarks_in(path, kind, subject) if path.is_file() else {}
+
+
+def boundaries_digest(drawn: DrawnBoundaries) -> str:
+    """Digest of what a measurement depends on: curves and methods, not who confirmed them."""
+    parts: dict[str, object] = {name: points.tolist() for name, points in drawn.curves.items()}
+    methods = {name: drawn.attributions[name].method for name in drawn.curves}
+    if any(methods.values()):
+        parts["methods"] = methods
+    if drawn.curves and drawn.automatic:
+        parts["automatic"] = list(drawn.automatic)
+    return _digest(parts)
+
+
+def landmarks_digest(places: Mapping[str, Float64[Array, "k 3"]]) -> str:
+    """Digest of picked landmarks."""
+    return _digest({name: points.tolist() for name, points in places.items()})
+
+
+def _digest(parts: Mapping[str, object]) -> str:
+    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
 
 
 def boundaries_in(path: Path, allowed: tuple[str, ...], subject: str | None = None) -> DrawnBoundaries:

@@ -37,7 +37,7 @@ from mammometry.geometry.arrays import Array
 from mammometry.geometry.camera import Camera
 from mammometry.io.cameras.own import read_cameras, read_priors
 from mammometry.io.csv_tables import read_table
-from mammometry.io.drawn import DrawnBoundaries, read_boundaries, read_landmarks
+from mammometry.io.drawn import boundaries_digest, landmarks_digest, read_boundaries, read_landmarks
 from mammometry.io.images import EXTENSIONS, ImageHeader, check_sizes, read_header, read_mask, read_photograph
 from mammometry.io.manifest import MANIFEST, Manifest, read_manifest
 from mammometry.io.meshes import read_ply
@@ -56,7 +56,7 @@ _MIN_POSES = 3  # of a board: fewer do not fix a camera's lens (Zhang 2000)
 _BROUGHT = (
     MANIFEST,
     *("calibration", "capture", "intrinsics", "cameras.json", "prior.json"),
-    *("masks", "boundaries.json", "landmarks.json", "wall.ply"),
+    *("masks", "boundaries.json", "landmarks.json", "wall.ply", "set-aside"),
 )
 
 
@@ -218,8 +218,8 @@ class Session:
             ),
             "cameras": lambda: _file_digest(self.path / "cameras.json"),
             "prior": lambda: _file_digest(self.path / "prior.json"),
-            "boundaries": lambda: _digest_of(_digested(drawn)),
-            "landmarks": lambda: _digest_of({name: points.tolist() for name, points in landmarks.items()}),
+            "boundaries": lambda: boundaries_digest(drawn),
+            "landmarks": lambda: landmarks_digest(landmarks),
             "wall": lambda: _file_digest(wall) if wall.is_file() else MISSING,
         }
         files = {f"capture/{camera}": path for camera, path in there.items()}
@@ -458,17 +458,6 @@ def _folders(folder: Path) -> list[Path]:
 def _perhaps(name: str, others: list[str]) -> str | None:
     near = difflib.get_close_matches(name, others, n=1, cutoff=0.6)
     return f"Did you mean {near[0]}? Rename the file, or correct session.toml" if near else None
-
-
-def _digested(drawn: DrawnBoundaries) -> dict[str, object]:
-    """What a measurement depends on: curves and methods, not who confirmed them."""
-    parts: dict[str, object] = {name: points.tolist() for name, points in drawn.curves.items()}
-    methods = {name: drawn.attributions[name].method for name in drawn.curves}
-    if any(methods.values()):
-        parts["methods"] = methods
-    if drawn.curves and drawn.automatic:
-        parts["automatic"] = list(drawn.automatic)
-    return parts
 
 
 def _digest_of(value: object) -> str:

@@ -1,10 +1,14 @@
 """Subject of one session's or one mesh's files.
 
-Two different subjects are refused.
+Two different subjects are refused. A session that was entered under a wrong one can be given another.
 """
 
 from __future__ import annotations
 
+import datetime
+import json
+import re
+import shutil
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
@@ -14,8 +18,13 @@ from mammometry.base.identity import one_subject
 from mammometry.base.parse import json_value, read_text
 from mammometry.io.manifest import MANIFEST
 from mammometry.io.results.stamp import subject_of_mesh
+from mammometry.io.scans import ABOUT
+from mammometry.io.write import disk_errors, write_text
 
 _DRAWN = ("boundaries.json", "landmarks.json")
+_IN_MANIFEST = re.compile(r'(?ms)^(\[subject\]\n(?:(?!\[).)*?)(?:^id = "[^"\n]*"\n|\Z)')
+_IN_SCAN = re.compile(r'(?m)^subject = "[^"\n]*"\n')
+_DATE = re.compile(r"(?m)^date = \d{4}-\d{2}-\d{2}\n")
 
 
 def check_session(session: Path, subject: str | None) -> None:
@@ -47,6 +56,47 @@ def check_mesh(mesh: Path, files: Iterable[Path | None], folder: Path, subject: 
         [("--subject", subject), *((str(path), found) for path, found in sources)],
         remedy="If this is another subject's mesh, give its own drawings and another --out; if not, correct --subject",
     )
+
+
+def rename_subject(folder: Path, subject: str, taken: datetime.date) -> bool:
+    """Let a session or scan name another subject and day, and drop results of the former.
+
+    Nothing of the photographs, the mesh or the drawn points changes, so the same numbers are measured again.
+
+    Args:
+        folder: a session as `capture.sessions` makes it, or a scan; nothing happens where it is neither.
+        subject: identifier of the right subject.
+        taken: when the photographs were taken.
+
+    Returns:
+        Whether the folder named another subject or day.
+
+    Raises:
+        StorageError: the disk is full or refuses.
+    """
+    path = folder / (ABOUT if (folder / ABOUT).is_file() else MANIFEST)
+    if not path.is_file():
+        return False
+    with disk_errors(folder):
+        text = path.read_text(encoding="utf-8")
+        if path.name == ABOUT:
+            dated = text
+            named = _IN_SCAN.sub(f'subject = "{subject}"\n', text)
+        else:
+            dated = _DATE.sub(f"date = {taken.isoformat()}\n", text)
+            named = _IN_MANIFEST.sub(rf'\g<1>id = "{subject}"\n', dated, count=1)
+        if named == text:
+            return False
+        # Results go first: what a power cut leaves must not show the former subject.
+        gone = folder / "results" if named != dated else folder / "results" / "report"
+        if gone.exists():
+            shutil.rmtree(gone)
+        for drawn in (*(folder / name for name in _DRAWN), *sorted((folder / "history").glob("*.json"))):
+            table = _table(drawn)
+            if _subject(table) not in (None, subject):
+                write_text(drawn, json.dumps({**table, "subject": subject}, indent=1, ensure_ascii=False) + "\n")
+        write_text(path, named)
+    return True
 
 
 def _drawn(files: Iterable[Path]) -> Iterator[tuple[Path, str | None]]:

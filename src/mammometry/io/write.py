@@ -28,12 +28,14 @@ def disk_errors(path: Path) -> Iterator[None]:
         yield
     except OSError as error:
         if error.errno in _FULL or (error.errno is None and "requested and" in str(error)):  # NumPy's has no number
-            raise StorageError(
+            full = StorageError(
                 str(path),
                 found=f"no room to write ({error.strerror or error})",
                 expected=f"free disk space; {_free_mb(path)} MB are left",
                 remedy="Make room and run the same command again: finished results are kept",
-            ) from None
+            )
+            full.is_full = True
+            raise full from None
         if error.errno in _DENIED:
             raise StorageError(
                 str(error.filename or path),

@@ -75,6 +75,8 @@ class Measured(Products):
     """Left against mirrored right. The value is None if the trunk shows no mid-sagittal plane."""
     dimensions: Product[Dimensions] | None = None
     """Shape, lengths, ptosis."""
+    evidence: Product[Evidence] | None = None
+    """What earlier stages know of a volume's errors. Passing: nothing of it is stored."""
 
 
 def measure(inputs: Inputs, upstream: Upstream, settings: MeasureSettings, memo: Memo) -> Measured:
@@ -84,7 +86,8 @@ def measure(inputs: Inputs, upstream: Upstream, settings: MeasureSettings, memo:
     sides = _sides(inputs, upstream, settings, memo)
     boundaries = _boundaries(inputs, upstream, sides, settings, memo)
     body = _body(inputs, upstream, boundaries, settings, memo)
-    measurements = _measurements(inputs, upstream, boundaries, body, settings, memo)
+    evidence = _evidence(inputs, upstream, settings)
+    measurements = _measurements(inputs, upstream, boundaries, body, evidence, settings, memo)
     landmarks, symmetry, dimensions = _anthropometry(inputs, upstream, measurements, body, settings, memo)
     plan = Measured(
         sides=sides,
@@ -95,6 +98,7 @@ def measure(inputs: Inputs, upstream: Upstream, settings: MeasureSettings, memo:
         landmarks=landmarks,
         symmetry=symmetry,
         dimensions=dimensions,
+        evidence=evidence,
     )
     return replace(plan, absent=_absent(inputs, upstream, plan, settings, memo))
 
@@ -238,15 +242,8 @@ def _body(
     )
 
 
-def _measurements(
-    inputs: Inputs,
-    upstream: Upstream,
-    boundaries: Product[tuple[Boundary, ...]],
-    body: Product[Body] | None,
-    settings: MeasureSettings,
-    memo: Memo,
-) -> Product[tuple[VolumeMeasurement, ...]]:
-    """The volume of each breast with its interval."""
+def _evidence(inputs: Inputs, upstream: Upstream, settings: MeasureSettings) -> Product[Evidence]:
+    """What the earlier stages know of a volume's errors."""
 
     def collect(
         cameras: CameraSet,
@@ -268,6 +265,32 @@ def _measurements(
             else EarlierErrors(scale_std=inputs.scale_std),
             movement=None if stillness is None else movement_of(stillness, cameras.rig),
         )
+
+    return Product(
+        None,
+        "measure",
+        "evidence",
+        collect,
+        parents={
+            "cameras": upstream.cameras,
+            "valid": upstream.valid,
+            "foregrounds": upstream.foregrounds,
+            "calibration": upstream.calibration,
+            "stillness": upstream.stillness,
+        },
+    ).letting_go(upstream.valid, *upstream.foregrounds.values())
+
+
+def _measurements(
+    inputs: Inputs,
+    upstream: Upstream,
+    boundaries: Product[tuple[Boundary, ...]],
+    body: Product[Body] | None,
+    evidence: Product[Evidence],
+    settings: MeasureSettings,
+    memo: Memo,
+) -> Product[tuple[VolumeMeasurement, ...]]:
+    """The volume of each breast with its interval."""
 
     def integrate(
         repaired: RepairedSurface,
@@ -297,19 +320,6 @@ def _measurements(
     digests = {} if inputs.wall is None else {"wall": inputs.digests["wall"]}
     if inputs.scale_std is not None:
         digests["scale"] = repr(inputs.scale_std)
-    evidence = Product(
-        None,
-        "measure",
-        "evidence",
-        collect,
-        parents={
-            "cameras": upstream.cameras,
-            "valid": upstream.valid,
-            "foregrounds": upstream.foregrounds,
-            "calibration": upstream.calibration,
-            "stillness": upstream.stillness,
-        },
-    ).letting_go(upstream.valid, *upstream.foregrounds.values())
     return Product(
         memo,
         "measure",

@@ -20,6 +20,7 @@ from mammometry.geometry.camera import Rig
 from mammometry.job.inputs import Inputs
 from mammometry.job.keeping import kept_data
 from mammometry.job.measuring import Measured, Upstream, measure
+from mammometry.job.names import right_names
 from mammometry.job.products import Memo, Parent, Product, Products, Stage, side_by_side
 from mammometry.job.stage_values import CameraSet, FinishedSurface
 from mammometry.job.standing import rows_of, what_moved, where_they_stood
@@ -29,6 +30,7 @@ from mammometry.settings import Settings
 if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a plan alone need not wait for.
     from mammometry.calibration.adjust.bundle import Calibration
     from mammometry.calibration.detection.detect import Observations
+    from mammometry.calibration.judge.names import Names
     from mammometry.calibration.settings import CalibrateSettings
     from mammometry.calibration.targets.target import Target
     from mammometry.geometry.mesh import TriangleMesh
@@ -209,6 +211,8 @@ def _ready_made(inputs: Inputs) -> CameraSet:
 class Matched(Products):
     """Plan of the matching."""
 
+    names: Product[Names]
+    """Whether each photograph has its camera's name."""
     foregrounds: Mapping[str, Product[Foreground]]
     """Camera → which of its pixels show the subject."""
     disparities: Mapping[str, Product[DisparityMap]]
@@ -223,6 +227,8 @@ class Matched(Products):
 
         Pair by pair, few pictures are held in memory.
         """
+        if any(product.missing for product in self.products()):
+            self.names()
 
         def one(pair: str, left: str, right: str) -> None:
             made: tuple[Product[Any], ...] = (
@@ -243,10 +249,11 @@ class Matched(Products):
 
 
 def match(inputs: Inputs, cameras: Product[CameraSet], settings: MatchSettings, memo: Memo) -> Matched:
-    """Find the subject in every photograph, then match all pairs densely.
+    """Compare names, find the subject in every photograph, then match all pairs densely.
 
     Paper 2.3.
     """
+    names = right_names(inputs, cameras)
     photographs, foregrounds = find_subjects(inputs, cameras, settings, memo)
 
     def disparity(pair: str, left: str, right: str) -> Product[DisparityMap]:
@@ -286,7 +293,7 @@ def match(inputs: Inputs, cameras: Product[CameraSet], settings: MatchSettings, 
     disparities = {pair: disparity(pair, left, right) for pair, (left, right) in inputs.pair_names.items()}
     rows = rows_of(disparities, memo)
     pairs = tuple((pair, left, right) for pair, (left, right) in inputs.pair_names.items())
-    return Matched(foregrounds=foregrounds, disparities=disparities, rows=rows, pairs=pairs)
+    return Matched(names=names, foregrounds=foregrounds, disparities=disparities, rows=rows, pairs=pairs)
 
 
 # --- 2.4 to 2.6 Surface ----------------------------------------------------------------------------------------------

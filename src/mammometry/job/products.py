@@ -33,6 +33,7 @@ VERSIONS: Registry[int] = Registry(
         "observations": 7,
         "calibration": 5,
         "cameras": 5,
+        "names": 1,
         "foreground": 12,
         "disparity": 15,
         "rows": 1,
@@ -54,9 +55,10 @@ VERSIONS: Registry[int] = Registry(
         "lacking": 4,
         "landmarks": 4,
         "symmetry": 3,
-        "dimensions": 4,
-        "previews": 8,
-        "report": 14,
+        "dimensions": 5,
+        "previews": 10,
+        "content": 2,
+        "report": 15,
     },
 )
 """Kind of product → version of its making. Raise it when the result changes for the same inputs and settings."""
@@ -181,9 +183,14 @@ class Product(Generic[T]):
                 self._value.append(self._memo.recall(self.key, self._prepare))
             return self._value[0]
 
+    @property
+    def missing(self) -> bool:
+        """Whether the memo lacks the value."""
+        return not self._value and not self._memo.has(self.key)
+
     def ensure(self) -> None:
         """Make the value if the memo lacks it, without loading it otherwise."""
-        if not self._value and not self._memo.has(self.key):
+        if self.missing:
             self()
 
     def release(self) -> None:
@@ -294,8 +301,8 @@ class Products:
             yield from self._of(name)
 
     def _of(self, name: str) -> Iterator[Product[Any]]:
-        """The products of one field, except those that are remade."""
-        return (product for product in self._made_or_remade(name) if not product.remade)
+        """The products of one field, except those that are remade or passing."""
+        return (product for product in self._made_or_remade(name) if not (product.remade or product.passing))
 
     def _made_or_remade(self, name: str) -> Iterator[Product[Any]]:
         """All products of one field."""

@@ -11,9 +11,11 @@ from mammometry.measure.shape.anthropometry import Dimensions
 from mammometry.measure.shape.symmetry import Symmetry
 from mammometry.measure.volume.difference import difference
 from mammometry.measure.volume.measurement import Lacking, VolumeMeasurement
-from mammometry.report.content import Fact, sentence
+from mammometry.report.change_words import verdict_words
+from mammometry.report.content import Fact, LargeNumber, sentence
 from mammometry.report.figures.sides import NAMES
-from mammometry.report.volume_words import interval_words, volume_words
+from mammometry.report.lengths import length_table, length_words, projections_of, quantities_of
+from mammometry.report.volume_words import interval_words, span_words, volume_words
 from mammometry.study.tables import Table, signed
 
 
@@ -40,6 +42,47 @@ def comparison(
             ),
         )
     return facts + tuple(_lacks(each) for each in lacking)
+
+
+def difference_number(
+    measurements: Sequence[VolumeMeasurement], settings: MeasureSettings = MeasureSettings()
+) -> LargeNumber | None:
+    """Difference of both volumes for the first page. None without two."""
+    sides = {measured.name: measured for measured in measurements}
+    if not {"left", "right"} <= set(sides):
+        return None
+    larger, smaller = sorted((sides["left"], sides["right"]), key=lambda side: side.volume_cc, reverse=True)
+    found = difference(larger, smaller, "sides", settings)
+    note = f"{larger.name} larger"
+    if found.beyond_error is not None:
+        note += f", {verdict_words(found.beyond_error)}"
+    return LargeNumber(
+        title="Difference",
+        value=volume_words(found.difference_cc, found.difference_interval_cc),
+        interval=span_words(found.difference_interval_cc),
+        note=note,
+    )
+
+
+def planning_lengths(dimensions: Dimensions | None) -> tuple[Table | None, str]:
+    """Lengths that surgeons plan with, and what their table leaves out."""
+    if dimensions is None:
+        return None, ""
+    laid_out = length_table([*quantities_of(dimensions), *projections_of(dimensions)])
+    if laid_out is None:
+        return None, ""
+    shown = [row for row in laid_out.rows if row.sides != (None, None)]
+    rows = [(row.title, *map(length_words, row.sides), length_words(row.difference, "+")) for row in shown]
+    grades = {each.name: " or ".join(each.likely) for each in dimensions.ptosis}
+    if grades:
+        rows.append(("Ptosis, grade after Regnault", grades.get("left", "–"), grades.get("right", "–"), ""))
+    table = Table(
+        title="Lengths", columns=("Lengths in mm, ± 95 %", "Left", "Right", "Left less right"), rows=tuple(rows)
+    )
+    lacking = [row.title[0].lower() + row.title[1:] for row in laid_out.rows if row.sides == (None, None)]
+    note = [] if laid_out.nipples is None else [f"Nipple to nipple: {length_words(laid_out.nipples)} mm."]
+    note += [f"Not measured, since a landmark is not marked: {'; '.join(lacking)}."] if lacking else []
+    return table, " ".join(note)
 
 
 def _lacks(found: Lacking) -> Fact:

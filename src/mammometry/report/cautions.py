@@ -9,7 +9,6 @@ import numpy as np
 from mammometry.base.cores import available_cores
 from mammometry.geometry.arrays import bounds
 from mammometry.geometry.nearest import point_tree
-from mammometry.measure.boundary.confirming import TO_BE_CONFIRMED
 from mammometry.measure.trunk.head import HEAD_NOT_SHOWN
 from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.report.figures.sides import wall_faces
@@ -29,8 +28,6 @@ def own_cautions(measured: VolumeMeasurement, shares: Mapping[Provenance, float]
     """
     if not measured.watertight:
         yield "Do not use this volume: its solid is not watertight."
-    if TO_BE_CONFIRMED in measured.boundary_method:
-        yield "Nobody has confirmed its boundary."
     if HEAD_NOT_SHOWN in measured.boundary_method:
         yield "Left and right may be exchanged: the body does not show where its head is. See the warnings."
     if shares is not None and shares[Provenance.MEASURED] < SKIN_MEASURED:

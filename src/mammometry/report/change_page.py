@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+import datetime
 import json
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.measure.dates.change import BreastChange, Change, LengthChange
 from mammometry.report import paper
-from mammometry.report.content import DISCLAIMER, Fact, sentence, versions
+from mammometry.report.change_words import change_sentence
+from mammometry.report.content import DISCLAIMER, Fact, sentence
+from mammometry.report.describe import versions
 from mammometry.report.figures import change as change_figures
 from mammometry.report.figures.change import Dated
 from mammometry.report.figures.sides import NAMES
 from mammometry.report.models import change_scene
 from mammometry.report.pages import STYLE, embed, render, viewer_program
+from mammometry.report.pictures import encoded
 from mammometry.report.scene import to_json
 from mammometry.report.volume_words import interval_words, is_coarse, term_words, volume_words
 from mammometry.study.tables import Table, signed
@@ -49,6 +53,10 @@ class ChangeReport:
     """What the page reveals of the patient."""
     settings: tuple[Fact, ...]
     """Those that differ from the recommended ones."""
+    before: datetime.date | None = None
+    """The earlier date, where the page may name it."""
+    at_one_date: Mapping[str, str] = field(default_factory=dict)
+    """Breast → ``earlier`` or ``later``: the date at which alone it has a volume."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -71,7 +79,7 @@ def change_files(report: ChangeReport) -> dict[str, bytes]:
         "change.png": change_figures.change_map(report.frame, report.dates, change),
         "sections.png": change_figures.change_sections(report.frame, report.dates, change),
     }
-    cards = [breast_card(breast) for breast in change.breasts]
+    cards = [breast_card(breast, report.before) for breast in change.breasts]
     tables = length_tables(change.lengths)
     scene = change_scene(report.frame, report.dates, change_figures.limit_mm(change))
     page = render(
@@ -117,8 +125,10 @@ def as_table(report: ChangeReport) -> dict[str, Any]:
             "doubtful": change.doubtful,
             "pairing": change.pairing,
         },
+        "at_one_date": dict(report.at_one_date),
         "breasts": {
             breast.name: {
+                "verdict": verdict_of(breast, report.before),
                 "before_cc": round(breast.before.volume_cc, 3),
                 "before_interval_cc": _rounded(breast.before.interval_cc),
                 "after_cc": round(breast.after.volume_cc, 3),
@@ -139,6 +149,7 @@ def as_table(report: ChangeReport) -> dict[str, Any]:
         "lengths": [
             {
                 "name": each.name,
+                "title": each.title,
                 "along_the_skin": each.along,
                 "before_mm": round(each.before_mm, 2),
                 "after_mm": round(each.after_mm, 2),
@@ -151,8 +162,21 @@ def as_table(report: ChangeReport) -> dict[str, Any]:
     }
 
 
-def breast_card(breast: BreastChange) -> BreastCard:
-    """Describe the change of one breast: amount, interval and verdict."""
+def verdict_of(breast: BreastChange, before: datetime.date | None) -> str:
+    """A breast's change and verdict, in the sentence that the clinic's pages say too."""
+    volume = breast.volume
+    return change_sentence(
+        breast.name, volume.difference_cc, volume.difference_interval_cc, volume.beyond_error, before
+    )
+
+
+def breast_card(breast: BreastChange, before: datetime.date | None) -> BreastCard:
+    """Describe the change of one breast: amount, interval and verdict.
+
+    Args:
+        breast: at both dates.
+        before: the earlier date; None where it is not to be named.
+    """
     volume = breast.volume
     title = NAMES[breast.name]
     interval = volume.difference_interval_cc
@@ -177,20 +201,9 @@ def breast_card(breast: BreastChange) -> BreastCard:
         title=f"{title[:1].upper()}{title[1:]}",
         change=f"{signed(volume.difference_cc, digits)} cc",
         interval=said,
-        verdict=verdict_words(breast),
+        verdict=verdict_of(breast, before),
         facts=tuple(facts),
     )
-
-
-def verdict_words(breast: BreastChange) -> str:
-    """Say whether the change is larger than the measurement error."""
-    volume = breast.volume
-    if volume.beyond_error is None:
-        return "No verdict: the error of this change is not known."
-    if volume.beyond_error:
-        word = "larger" if volume.difference_cc > 0 else "smaller"
-        return f"Larger than the measurement error: the breast is {word} than before."
-    return "Within measurement error: this measurement neither shows a change nor excludes one of this size."
 
 
 def trunk_facts(change: Change) -> tuple[Fact, ...]:
@@ -272,12 +285,12 @@ def _story(
     ]
     yield paper.side_by_side([*shown, trunk], width)
     yield Spacer(0, 8)
-    yield paper.picture(pictures["change.png"], width, 400)
+    yield paper.picture(encoded(pictures["change.png"]).jpeg, width, 400)
     yield from paper.facts([Fact(label="Remark", value=remark) for remark in report.remarks])
     for table in length_tables(report.change.lengths):
         yield paper.text(table.title, size=11, bold=True, before=6)
         yield paper.table(table, width)
-    yield paper.picture(pictures["sections.png"], width, 180)
+    yield paper.picture(encoded(pictures["sections.png"]).jpeg, width, 180)
     yield paper.text("What was compared", size=11, bold=True, before=6)
     yield from paper.facts(definitions(report.change), size=7.5)
     held = Fact(label="This document contains", value=f"{report.contains}.")

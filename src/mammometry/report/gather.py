@@ -13,19 +13,26 @@ from mammometry.base.progress import Progress, no_progress
 from mammometry.calibration.judge.quality import assess
 from mammometry.job.pipeline import Inputs, Plan
 from mammometry.job.products import Stage
-from mammometry.measure.volume.attribution import attributed
 from mammometry.measure.volume.measurement import VolumeMeasurement
-from mammometry.report import content
-from mammometry.report.anthropometry import comparison, dimension_tables, symmetry_facts, without_nipple
+from mammometry.report import content, describe
+from mammometry.report.anthropometry import (
+    comparison,
+    difference_number,
+    dimension_tables,
+    planning_lengths,
+    symmetry_facts,
+    without_nipple,
+)
 from mammometry.report.content import ReportContent
 from mammometry.report.figures.previews import draw_stage
 from mammometry.report.figures.shading import front_of
-from mammometry.report.models import viewer_scene
+from mammometry.report.models import viewer_scene, with_lengths
 from mammometry.report.page_inputs import PageInputs
+from mammometry.report.pictures import all_encoded
 from mammometry.report.privacy import Privacy, guard, without_photographs
-from mammometry.report.scene import ViewerScene
+from mammometry.report.scene import ViewerScene, to_json
 from mammometry.report.stage_facts import MatchingFacts, Shown, matching_facts, surface_facts
-from mammometry.report.warnings import RunResults, run_cautions, warnings
+from mammometry.report.warnings import RunResults, run_cautions, run_concerns, warnings
 from mammometry.surface.stillness_words import concerns
 from mammometry.surface.texture import TexturedMesh
 
@@ -61,18 +68,18 @@ def gather(
     rig = plan.calibrated.cameras().rig
     calibration = None if plan.calibrated.calibration is None else plan.calibrated.calibration()
     quality = None if calibration is None else assess(calibration, settings.calibration.quality)
-    stages = [content.calibration_report(rig, calibration, quality)]
+    stages = [describe.calibration_report(rig, calibration, quality)]
     progress(0.2)
 
     pictures = shown.pictures
     matched = shown.facts.get("match")
     if not isinstance(matched, MatchingFacts):
         matched = matching_facts(plan, rig)
-    stages.append(content.matching_report(matched.foregrounds, matched.quality, matched.shares))
+    stages.append(describe.matching_report(matched.foregrounds, matched.quality, matched.shares))
     progress(0.4)
 
     finished = plan.surfaced.mesh()
-    measurements = _measurements(plan, inputs, privacy)
+    measurements = _measurements(plan)
     body = None if plan.measured.body is None else plan.measured.body()
     frame = front_of(rig, body)
     guarded = guard(
@@ -95,10 +102,12 @@ def gather(
     absent = () if plan.measured.absent is None else plan.measured.absent()
     less = () if plan.measured.lacking is None else plan.measured.lacking()
     marks = () if plan.measured.landmarks is None else plan.measured.landmarks()
+    sizes = None
     if measurements:
         sizes = None if plan.measured.dimensions is None else plan.measured.dimensions()
-        measured_words = content.measure_report(measurements)
+        measured_words = describe.measure_report(measurements)
         stages.append(replace(measured_words, tables=measured_words.tables + dimension_tables(sizes, marks)))
+    lengths, lengths_note = planning_lengths(sizes)
     progress(0.9)
 
     run = RunResults(
@@ -116,41 +125,46 @@ def gather(
         doubtful=without_nipple(measurements, marks, settings.measure),
     )
     beside = tuple(run_cautions(run))
-    breasts = [content.breast_report(measured, finished.repaired, beside) for measured in measurements]
-    breasts += [content.absent_report(side) for side in absent]
-    changed, everything = content.settings_facts(settings)
+    breasts = [describe.breast_report(measured, finished.repaired, beside) for measured in measurements]
+    breasts += [describe.absent_report(side) for side in absent]
+    changed, everything = describe.settings_facts(settings)
     return ReportContent(
         identity=page.identity,
         key=page.key(plan.products()).digest,
-        created="" if privacy.deidentify else content.created_words(created),
-        subject=content.SUBJECTS[inputs.subject_kind],
+        created="" if privacy.deidentify else describe.created_words(created),
+        subject=describe.SUBJECTS[inputs.subject_kind],
         world=plan.calibrated.cameras().world,
         warnings=tuple(warnings(run)),
+        concerns=tuple(run_concerns(run)),
         breasts=tuple(sorted(breasts, key=lambda breast: breast.name)),
         comparison=comparison(measurements, settings.measure, absent=absent, lacking=less) + symmetry_facts(sides),
+        difference=difference_number(measurements, settings.measure),
+        meanings=describe.meanings(measurements),
+        lengths=lengths,
+        lengths_note=lengths_note,
         stages=tuple(stages),
-        timings=content.timings(page.stage_seconds),
+        timings=describe.timings(page.stage_seconds),
         changed_settings=changed,
         all_settings=everything,
-        versions=content.versions(),
-        pictures=pictures,
+        versions=describe.versions(),
+        pictures=all_encoded(pictures),
         contains=guarded.contains,
-        scene=shown.scene or _scene(plan, measurements, textured),
+        scene=to_json(shown.scene or _scene(plan, measurements, textured)),
     )
 
 
-def whole_scene(plan: Plan, inputs: Inputs) -> ViewerScene:
+def whole_scene(plan: Plan) -> ViewerScene:
     """What the 3D viewer of a session's own report shows.
 
     Nothing is left out. It needs no previews. Products that are missing are made.
     """
-    return _scene(plan, _measurements(plan, inputs, Privacy()), plan.surfaced.mesh().textured)
+    return _scene(plan, _measurements(plan), plan.surfaced.mesh().textured)
 
 
 def _scene(plan: Plan, measurements: tuple[VolumeMeasurement, ...], textured: TexturedMesh) -> ViewerScene:
     finished = plan.surfaced.mesh()
     body = None if plan.measured.body is None else plan.measured.body()
-    return viewer_scene(
+    scene = viewer_scene(
         front_of(plan.calibrated.cameras().rig, body),
         finished.repaired,
         textured,
@@ -159,9 +173,9 @@ def _scene(plan: Plan, measurements: tuple[VolumeMeasurement, ...], textured: Te
         # Where colours are left out, so are the photographs themselves.
         atlas=plan.surfaced.model() if textured is finished.textured else None,
     )
+    sizes = None if plan.measured.dimensions is None or not measurements else plan.measured.dimensions()
+    return scene if sizes is None else with_lengths(scene, sizes.lengths)
 
 
-def _measurements(plan: Plan, inputs: Inputs, privacy: Privacy) -> tuple[VolumeMeasurement, ...]:
-    """The breasts', each with whoever drew what it rests on."""
-    measured = () if plan.measured.measurements is None else plan.measured.measurements()
-    return tuple(attributed(each, inputs.attributions, named=not privacy.deidentify) for each in measured)
+def _measurements(plan: Plan) -> tuple[VolumeMeasurement, ...]:
+    return () if plan.measured.measurements is None else plan.measured.measurements()

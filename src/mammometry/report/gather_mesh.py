@@ -10,20 +10,25 @@ from mammometry.geometry.camera import Rig
 from mammometry.job.inputs import SubjectKind
 from mammometry.job.measuring import Measured
 from mammometry.job.stage_values import FinishedSurface
-from mammometry.measure.boundary.breasts import NoBreast
-from mammometry.measure.boundary.confirming import TO_BE_CONFIRMED
 from mammometry.measure.trunk.body import Body
 from mammometry.measure.volume.measurement import VolumeMeasurement
-from mammometry.report import content
-from mammometry.report.anthropometry import comparison, dimension_tables, symmetry_facts
+from mammometry.report import describe
+from mammometry.report.anthropometry import (
+    comparison,
+    difference_number,
+    dimension_tables,
+    planning_lengths,
+    symmetry_facts,
+)
 from mammometry.report.content import Fact, ReportContent, StageReport
 from mammometry.report.figures import previews
 from mammometry.report.figures.shading import front_of
 from mammometry.report.figures.sides import NAMES
 from mammometry.report.figures.stage_results import MeasureResult
-from mammometry.report.models import viewer_scene
+from mammometry.report.models import viewer_scene, with_lengths
 from mammometry.report.page_inputs import PageInputs
-from mammometry.report.warnings import unmeasured_words
+from mammometry.report.pictures import all_encoded
+from mammometry.report.scene import to_json
 from mammometry.study.tables import thousands
 
 _HUNG_UPWARDS = -0.04
@@ -82,26 +87,38 @@ def gather_mesh(
     )
     pictures = {"measure": previews.draw(shown)}
     progress(0.5)
-    words = content.measure_report(measurements)
-    changed, everything = content.settings_facts(page.settings)
-    scene = viewer_scene(front_of(viewer, body), finished.repaired, finished.textured, measurements, symmetry=sides)
+    words = describe.measure_report(measurements)
+    lengths, lengths_note = planning_lengths(sizes)
+    changed, everything = describe.settings_facts(page.settings)
+    scene = viewer_scene(
+        front_of(viewer, body),
+        finished.repaired,
+        finished.textured,
+        measurements,
+        symmetry=sides,
+    )
+    scene = scene if sizes is None else with_lengths(scene, sizes.lengths)
     progress(0.9)
     return ReportContent(
         identity=page.identity,
-        created=content.created_words(None),
-        subject=f"{content.SUBJECTS[origin.kind]}; a mesh of another scanner",
+        created=describe.created_words(None),
+        subject=f"{describe.SUBJECTS[origin.kind]}; a mesh of another scanner",
         world=origin.world,
-        warnings=tuple(_warnings(measurements, absent, body)),
+        warnings=tuple(_warnings(measurements, body)),
         breasts=tuple(
             sorted(
                 [
-                    *(content.breast_report(each) for each in measurements),
-                    *(content.absent_report(side) for side in absent),
+                    *(describe.breast_report(each) for each in measurements),
+                    *(describe.absent_report(side) for side in absent),
                 ],
                 key=lambda breast: breast.name,
             )
         ),
         comparison=comparison(measurements, page.settings.measure, absent=absent, lacking=less) + symmetry_facts(sides),
+        difference=difference_number(measurements, page.settings.measure),
+        meanings=describe.meanings(measurements),
+        lengths=lengths,
+        lengths_note=lengths_note,
         stages=(
             _mesh_facts(finished, origin),
             replace(words, tables=words.tables + dimension_tables(sizes, marks)),
@@ -109,17 +126,14 @@ def gather_mesh(
         timings=(),
         changed_settings=changed,
         all_settings=everything,
-        versions=content.versions(),
-        pictures=pictures,
+        versions=describe.versions(),
+        pictures=all_encoded(pictures),
         contains="the shape of the subject, in the colours of the mesh file",
-        scene=scene,
+        scene=to_json(scene),
     )
 
 
-def _warnings(
-    measurements: Sequence[VolumeMeasurement], absent: Sequence[NoBreast], body: Body | None
-) -> Iterator[str]:
-    yield from (unmeasured_words(side) for side in absent)
+def _warnings(measurements: Sequence[VolumeMeasurement], body: Body | None) -> Iterator[str]:
     yield (
         "The mesh comes from another scanner, whose accuracy is not known here. The interval uses the uncertainty of "
         "scale and surface that was entered, or 0.1 % and 0.1 mm."
@@ -133,8 +147,6 @@ def _warnings(
     for each in measurements:
         if not each.watertight:
             yield f"The closed solid of the {NAMES[each.name]} is not watertight. Do not use its volume."
-        if TO_BE_CONFIRMED in each.boundary_method:
-            yield f"Nobody has confirmed the automatic boundary of the {NAMES[each.name]}."
 
 
 def _mesh_facts(finished: FinishedSurface, origin: MeshOrigin) -> StageReport:

@@ -6,56 +6,48 @@ Pictures, style and 3D viewer are inside. It needs no network.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 
-from mammometry.base.cores import each_at_once
-from mammometry.io.write import disk_errors, write_text
 from mammometry.report import pages
-from mammometry.report.arrangement import breast_pictures, first_pictures, stage_pictures
-from mammometry.report.content import DISCLAIMER, ReportContent
-from mammometry.report.scene import to_json
+from mammometry.report.arrangement import breast_pictures, stage_pictures, whole_pictures
+from mammometry.report.content import DISCLAIMER, Picture, ReportContent
+from mammometry.report.first_page import FirstPage, signature
+from mammometry.report.volume_words import MEANINGS_INTRODUCTION
 
 PAGE = "report.html"
 
 
-def write(folder: Path, content: ReportContent) -> Path:
-    """Write the page into a folder and return its path.
+def render(content: ReportContent, first: FirstPage) -> str:
+    """The page's text.
 
-    An earlier page is replaced as a whole or not at all.
-
-    Raises:
-        StorageError: the folder cannot be written to.
+    Args:
+        content: what was measured.
+        first: what stands before all else.
     """
-    page = folder / PAGE
-    with disk_errors(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-    write_text(page, render(content))
-    return page
-
-
-def render(content: ReportContent) -> str:
-    """The page's text."""
     from markupsafe import Markup
 
     return pages.render(
         "report.html.j2",
         styles=(pages.STYLE, "viewer.css"),
         content=content,
+        first=first,
+        signature="" if first.conclusion is None else signature(first.conclusion),
         disclaimer=DISCLAIMER,
-        scene=None if content.scene is None else Markup(to_json(content.scene)),
-        viewer=None if content.scene is None else Markup(pages.viewer_program()),
-        pictures=_arranged(content),
+        introduction=MEANINGS_INTRODUCTION,
+        scene=Markup(content.scene) if content.scene else None,
+        viewer=Markup(pages.viewer_program()) if content.scene else None,
+        pictures=_arranged(content, first),
     )
 
 
-def _arranged(content: ReportContent) -> Mapping[str, object]:
+def _arranged(content: ReportContent, first: FirstPage) -> Mapping[str, object]:
     """Pictures where the page wants them, embedded."""
     return {
-        "overview": _embedded(first_pictures(content)),
+        "first": _embedded(first.pictures),
+        "whole": _embedded(whole_pictures(content)),
         "breasts": {breast.name: _embedded(breast_pictures(content, breast.name)) for breast in content.breasts},
         "stages": {stage: _embedded(stage_pictures(content, stage)) for stage in content.pictures},
     }
 
 
-def _embedded(pictures: Sequence[bytes]) -> list[pages.Shown]:
-    return each_at_once(pages.embed, pictures)
+def _embedded(pictures: Sequence[Picture]) -> list[pages.Shown]:
+    return [pages.shown(picture) for picture in pictures]

@@ -16,6 +16,7 @@ from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.mesh import TriangleMesh, joined
 from mammometry.geometry.nearest import point_tree
 from mammometry.geometry.transform import Transform
+from mammometry.measure.shape.lengths import LinearMeasure
 from mammometry.measure.shape.symmetry import Symmetry
 from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.report.figures.change import Dated
@@ -94,7 +95,7 @@ def change_scene(
 ) -> ViewerScene:
     """Two dates of one patient, aligned and side by side.
 
-    The trunks are aligned. Each is coloured by the change.
+    The trunks are aligned. The later one can be coloured by the change.
 
     Args:
         frame: rows right, up and towards the viewer of the front view, world frame of the earlier date.
@@ -107,16 +108,7 @@ def change_scene(
     view_from_world = world_from_view.inverse()
     models = []
     for one in dates:
-        layer = Layer(
-            name="change",
-            title="Change between the dates",
-            help="How far the later skin stands out of the earlier one, the trunks laid on one another: orange where "
-            "there is more now, blue where there is less; grey where either date did not see the skin.",
-            values=one.change_mm.astype(np.float32),
-            kind="diverging",
-            unit="mm",
-            limits=(-limit_mm, limit_mm),
-        )
+        layers = () if one.change_mm is None else (_change_layer(one.change_mm, limit_mm),)
         models.append(
             _whole(
                 _ShownSurface(
@@ -128,7 +120,7 @@ def change_scene(
                 ),
                 view_from_world.apply,
                 own=one.world_from_own.apply,
-                first=(layer,),
+                first=layers,
                 triangles=triangles // 2,
             )
         )
@@ -138,6 +130,19 @@ def change_scene(
         world_from_view=world_from_view,
         comparisons=((title, dates[0].name, dates[1].name),),
         of_patient=True,
+    )
+
+
+def _change_layer(change_mm: Float64[Array, " n"], limit_mm: float) -> Layer:
+    return Layer(
+        name="change",
+        title="Change between the dates",
+        help="How far the later skin stands out of the earlier one, the trunks laid on one another: orange where "
+        "there is more now, blue where there is less; grey where either date did not see the skin.",
+        values=change_mm.astype(np.float32),
+        kind="diverging",
+        unit="mm",
+        limits=(-limit_mm, limit_mm),
     )
 
 
@@ -193,6 +198,23 @@ def _whole(
         ),
         wall=joined(walls).mapped(seen) if walls else None,
     )
+
+
+def with_lengths(scene: ViewerScene, lengths: Sequence[LinearMeasure]) -> ViewerScene:
+    """Draw lengths on the whole surface: lines with their values, and their ends as landmarks."""
+    whole, *others = scene.models
+    seen = scene.world_from_view.inverse().apply
+    lines = tuple((_length_words(length), seen(np.array(length.ends_world))) for length in lengths)
+    ends = {tuple(end.round(3)): end for _, both in lines for end in both}
+    marked = replace(whole, lengths=lines, landmarks=tuple(("", end) for end in ends.values()))
+    return replace(scene, models=(marked, *others))
+
+
+def _length_words(length: LinearMeasure) -> str:
+    """A length as its line in the view says it: to the fold it is measured along the skin."""
+    if length.name.startswith("N-IMF") and length.geodesic_mm is not None:
+        return f"{length.geodesic_mm:.1f} mm along the skin"
+    return f"{length.straight_mm:.1f} mm"
 
 
 def thinned(mesh: TriangleMesh, triangles: int) -> tuple[TriangleMesh, Array]:

@@ -11,6 +11,7 @@ from typing import Any
 
 from mammometry.base.identity import Identity
 from mammometry.job.products import VERSIONS, Key, Product
+from mammometry.measure.volume.attribution import Attribution
 from mammometry.settings import Settings, as_table
 
 
@@ -26,7 +27,7 @@ class PageInputs:
     """Stage → what it took when it was made, s."""
 
     def key(self, products: Iterable[Product[Any]], inputs: Mapping[str, str] | None = None) -> Key:
-        """Key of a page that shows this and these products.
+        """Key of a report's content that shows this and these products.
 
         Args:
             products: all that the page shows.
@@ -35,8 +36,14 @@ class PageInputs:
         made = {f"{product.key.stage}/{product.key.product}": product.key.digest for product in products}
         return Key(
             stage="report",
-            product="report",
-            version=VERSIONS["report"],
+            product="content",
+            version=VERSIONS["content"],
             settings={**as_table(self), "stage_seconds": dict(self.stage_seconds)},
             inputs={**(inputs or {}), **made},
         )
+
+
+def report_key(content: Key, attributions: Mapping[str, Attribution]) -> Key:
+    """Key of a rendered report: its content, and who drew and confirmed the boundaries."""
+    inputs = {"report/content": content.digest, "attributions": repr(dict(attributions))}
+    return Key(stage="report", product="report", version=VERSIONS["report"], settings={}, inputs=inputs)

@@ -3,23 +3,16 @@
 from __future__ import annotations
 
 import base64
-import io
 import re
 from dataclasses import dataclass
 from importlib.resources import files
 from typing import Any
 
-import numpy as np
-from PIL import Image
-
 from mammometry.base.errors import StorageError
-from mammometry.report.figures.canvas import caption_in
+from mammometry.report.content import Picture
+from mammometry.report.pictures import encoded
 
 STYLE = "report.css"
-_QUALITY = 88  # of WebP, 0 to 100: a photograph then takes a third of a JPEG; chosen by eye
-_WEBP_EFFORT = 2  # of its encoder, 0 to 6: half the time of 4 for 4 % more bytes
-_SMALL_BYTES = 60_000
-"""Smaller lossless pictures stay lossless, bytes: their lines and text are sharper."""
 _TORN = re.compile(r"(?<=[\d±<>]) (?=%|± ?\d|\d|(?:cc|cm²|mm|px|ppm|s|CPU s)\b)")
 """Spaces within a quantity, at which no line may end."""
 _COMMAND = re.compile("`([^`]+)`")
@@ -78,25 +71,19 @@ def tied(value: object) -> object:
 
 
 def embed(png: bytes) -> Shown:
-    """A picture as a WebP data URI.
-
-    A drawing is lossless. A photograph takes a third of its JPEG size.
-    """
-    with Image.open(io.BytesIO(png), formats=("PNG",)) as image:
-        caption, (width, height) = caption_in(image), image.size  # the picture is read once for both
-        bare = Image.fromarray(np.asarray(image.convert("RGB")))  # without any metadata
-    # Without loss a picture shrinks to half its PNG at the best: what cannot become small is not tried.
-    data = _webp(bare, lossless=True, quality=60) if len(png) <= 2 * _SMALL_BYTES else None
-    if data is None or len(data) > _SMALL_BYTES:
-        data = _webp(bare, quality=_QUALITY, use_sharp_yuv=True)
-    source = f"data:image/webp;base64,{base64.b64encode(data).decode('ascii')}"
-    return Shown(source=source, width=width, height=height, title=caption.title, text=caption.text)
+    """A picture as a WebP data URI."""
+    return shown(encoded(png, on_paper=False))
 
 
-def _webp(image: Image.Image, **options: float) -> bytes:
-    buffer = io.BytesIO()
-    image.save(buffer, format="WEBP", method=_WEBP_EFFORT, **options)
-    return buffer.getvalue()
+def shown(picture: Picture) -> Shown:
+    """A picture of a report as a WebP data URI."""
+    return Shown(
+        source=f"data:image/webp;base64,{base64.b64encode(picture.webp).decode('ascii')}",
+        width=picture.width,
+        height=picture.height,
+        title=picture.title,
+        text=picture.text,
+    )
 
 
 def viewer_program() -> str:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import base64
 import json
+import re
 import zlib
 from dataclasses import dataclass, field
 from typing import Literal
@@ -20,6 +21,7 @@ from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
 
 FORMAT_VERSION = 1  # of the data that the viewer reads
+_IN_PAGE = re.compile(r'<script type="application/json" id="mm-scene">(.*?)</script>', re.DOTALL)
 _MISSING = 65535  # code of a missing value: the largest 16 bit number
 _STEPS = 65535  # values are stored in 16 bits
 
@@ -80,6 +82,8 @@ class Model:
     """Title, points, and whether closed, of each curve on the surface."""
     landmarks: tuple[tuple[str, Float64[Array, 3]], ...] = ()
     """Title and place."""
+    lengths: tuple[tuple[str, Float64[Array, "2 3"]], ...] = ()
+    """Words such as "114.8 mm" and both ends, of each length."""
     wall: TriangleMesh | None = None
     """The chest wall that closes it."""
 
@@ -103,6 +107,12 @@ class ViewerScene:
         for title, *pair in self.comparisons:
             if not set(pair) <= set(names):
                 raise ValueError(f"comparison {title}: models {names} expected, found {pair}")
+
+
+def json_in_page(page: str) -> str | None:
+    """The scene of a report's page, as `to_json` made it. None if there is none."""
+    found = _IN_PAGE.search(page)
+    return None if found is None else found[1]
 
 
 def to_json(scene: ViewerScene) -> str:
@@ -140,6 +150,7 @@ def _model(model: Model) -> dict[str, object]:
             {"title": title, "points": _places(points), "closed": closed} for title, points, closed in model.curves
         ],
         "landmarks": [{"title": title, "point": _places(place[None])[0]} for title, place in model.landmarks],
+        "lengths": [{"words": words, "ends": _places(ends)} for words, ends in model.lengths],
         "wall": None if model.wall is None else _surface(model.wall, model.wall.vertex_normals()),
     }
 

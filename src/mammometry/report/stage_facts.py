@@ -15,7 +15,8 @@ from mammometry.job.pipeline import Plan
 from mammometry.job.products import Fleeting, Stage, fleeting
 from mammometry.matching.foreground import Foreground
 from mammometry.matching.quality import MatchQuality
-from mammometry.report.content import StageReport, surface_report
+from mammometry.report.content import StageReport
+from mammometry.report.describe import surface_report
 from mammometry.report.figures.previews import draw
 from mammometry.report.figures.stage_results import MatchingResult, SurfaceResult, stage_result
 from mammometry.report.figures.thinning import matched_shares, thinned_foreground, thinned_maps, thinned_ranges

@@ -1,4 +1,4 @@
-"""A volume and its 95 % interval in words.
+"""A volume, its 95 % interval and its meaning in words.
 
 The interval decides the number of digits.
 """
@@ -40,17 +40,53 @@ def interval_words(interval_cc: tuple[float, float] | None) -> str:
     return f"± {(high - low) / 2:.{digits}f} cc (95 %: {low:.{digits}f} to {high:.{digits}f} cc)"
 
 
-_TITLES = {
-    "flat chest": "Above a flat chest",
-    "named wall": "Before the named wall",
-    "muscle": "Down to the muscle",
-    "measured wall": "Before the measured wall",
+def span_words(interval_cc: tuple[float, float] | None) -> str:
+    """The 95 % interval in words, its ends alone: "95 %: 300 to 410 cc"."""
+    if interval_cc is None:
+        return "its error is not known"
+    digits = 0 if is_coarse(interval_cc) else 1
+    low, high = (f"{bound:.{digits}f}".replace("-", "−") for bound in interval_cc)
+    return f"95 %: {low} to {high} cc"
+
+
+MEANINGS = {
+    "flat chest": "what stands out from the chest",
+    "measured wall": "in front of the chest wall, which was measured",
+    "named wall": "in front of one fixed surface, to compare visits",
+    "muscle": "down to the chest muscle, as a mastectomy takes it out",
+    "closed solid": "of the whole model",
+    "any": "",
+}
+"""Meaning of "the breast" (docs/decisions/0029) → a few plain words that follow a volume."""
+MEANINGS_INTRODUCTION = (
+    "No camera sees the back of a breast. How much is counted behind it is a matter of agreement, so one breast has "
+    "several volumes. Compare only volumes of the same kind."
+)
+_EXPLAINED = {
+    "flat chest": "The part of the breast that stands out from the chest. Behind it, the chest is taken to be flat, "
+    "with a layer of fat and skin like that beside the breast.",
+    "measured wall": "All that lies in front of the chest wall. The chest wall was measured by itself.",
+    "named wall": "The part of the breast in front of one fixed surface ({wall}), drawn by the same rule at every "
+    "visit. Visits are compared by this volume. It does not say where the chest really is.",
+    "muscle": "The breast with the layer of fat behind it, down to the chest muscle: what is weighed after a "
+    "mastectomy. No camera sees this layer. Its thickness was entered, or is the mean of other women.",
 }
 
 
-def definition_title(defined: DefinedVolume) -> str:
-    """A few words for one meaning of the breast."""
-    return _TITLES[defined.meaning]
+def meaning_title(meaning: str) -> str:
+    """A few plain words for one meaning of the breast, as a heading."""
+    words = MEANINGS.get(meaning, meaning)
+    return words[:1].upper() + words[1:]
+
+
+def meaning_sentences(meaning: str, wall: str) -> str:
+    """What one meaning of the breast is, for a patient.
+
+    Args:
+        meaning: key of `MEANINGS`.
+        wall: name of the surface that closes the breast.
+    """
+    return _EXPLAINED[meaning].format(wall=wall)
 
 
 def definition_words(defined: DefinedVolume) -> str:

@@ -11,7 +11,6 @@ from mammometry.matching import quality as match_quality
 from mammometry.matching.foreground import Foreground
 from mammometry.matching.quality import MatchQuality
 from mammometry.measure.boundary.breasts import NoBreast
-from mammometry.measure.boundary.confirming import TO_BE_CONFIRMED
 from mammometry.measure.trunk.body import Body
 from mammometry.measure.trunk.head import HEAD_NOT_SHOWN
 from mammometry.measure.volume.measurement import VolumeMeasurement
@@ -56,17 +55,16 @@ class RunResults:
 
 
 def warnings(run: RunResults) -> Iterator[str]:
-    """Warn, the gravest first."""
+    """Warn of what the volumes rest on, the gravest first."""
     for measured in run.measurements:
         if not measured.watertight:
             yield f"The closed solid of the {NAMES[measured.name]} is not watertight. Do not use its volume."
-    yield from (unmeasured_words(side) for side in run.absent)
     if run.body is not None and run.body.plane is None:
         yield f"{sentence(run.body.how)} What depends on left and up is only as exact as the cameras are level."
     if run.doubtful:
         yield (
             f"No nipple was seen on the {' and on the '.join(NAMES[name] for name in run.doubtful)}. What is measured "
-            "from a nipple is left out there: pick it with `mammometry edit` if there is one."
+            "from a nipple is left out there: pick it if there is one."
         )
     yield from run.moved
     if any(HEAD_NOT_SHOWN in measured.boundary_method for measured in run.measurements):
@@ -74,12 +72,10 @@ def warnings(run: RunResults) -> Iterator[str]:
             "The body does not show where its head is: left and right rest on how the cameras are mounted. Check that "
             "none is upside down."
         )
-    unconfirmed = [NAMES[measured.name] for measured in run.measurements if TO_BE_CONFIRMED in measured.boundary_method]
-    if unconfirmed:
-        yield (
-            f"Nobody has confirmed the automatic boundary of the {' and of the '.join(unconfirmed)}. Look at it with "
-            "`mammometry edit`, and confirm it or draw a better one."
-        )
+
+
+def run_concerns(run: RunResults) -> Iterator[str]:
+    """Warn of what went less well in calibration and matching."""
     if run.quality is not None and run.quality.verdict != "pass":
         yield f"Check the calibration. {sentence(run.quality.reasons[0])}"
     for away in run.calibration.set_aside if run.calibration is not None else ():
@@ -121,12 +117,3 @@ def run_cautions(run: RunResults) -> Iterator[str]:
         yield "Cameras or body moved: see the warnings."
     if run.calibration is None:
         yield "The interval does not cover the cameras' errors."
-
-
-def unmeasured_words(side: NoBreast) -> str:
-    """Warn of a side that was not measured."""
-    return (
-        f"{'Nothing was measured' if side.unclear else 'No breast was found'} on the patient's {side.name} side. "
-        f"{sentence(side.why)} Look at the first picture, and draw the boundary with `mammometry edit` if there is "
-        "a breast."
-    )

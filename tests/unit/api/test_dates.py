@@ -7,16 +7,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 from benchmarks.accuracy.dates import TrueVisit, grown, true_visit
 from dated_session import put_results, write_session
 from playwright.sync_api import sync_playwright
 
 import mammometry
+from mammometry.api import dates
 from mammometry.api.dates import Comparison, compare
 from mammometry.api.job import Job, open_session
 from mammometry.base.errors import MeasureError, SessionError, StorageError
 from mammometry.cli.main import run
+from mammometry.io.scans import Scan, import_scan
 from mammometry.measure.volume import boundary_jitter
+from mammometry.measure.volume.uncertainty import Evidence
 from mammometry.report import change_page
 from mammometry.report.change_page import ChangeReport
 from mammometry.report.privacy import Privacy
@@ -54,7 +58,8 @@ def reports(monkeypatch: pytest.MonkeyPatch) -> list[ChangeReport]:
 @pytest.fixture(autouse=True)
 def _nothing_is_matched(monkeypatch: pytest.MonkeyPatch) -> None:
     """The store holds what a comparison reads; no stage is made."""
-    monkeypatch.setattr(Job, "ensure", lambda self, stage: None)
+    monkeypatch.setattr(Job, "ensure", lambda self, stage, *, drawn: None)
+    monkeypatch.setattr(dates, "_evidence", lambda job: Evidence())
     # The slow part of an interval, with tests of its own; its rule of thumb stands in.
     monkeypatch.setattr(boundary_jitter, "boundary_std_cc", lambda *_, **__: None)
 
@@ -74,7 +79,7 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 @pytest.fixture(scope="module")
 def found(folders: tuple[Path, Path]) -> Comparison:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Job, "ensure", lambda self, stage: None)
+        patch.setattr(Job, "ensure", lambda self, stage, *, drawn: None)
         return compare(folders[1], folders[0])
 
 
@@ -119,8 +124,14 @@ def test_the_page_is_led_by_the_change_and_needs_nothing_else(found: Comparison)
     ]
     first = page.index('class="volume"')
     assert page.index("Change of volume") < first < page.index("<figure>")
-    assert "Larger than the measurement error: the breast is larger than before." in page
-    assert "Within measurement error" in page
+    left, right = (breast["verdict"] for breast in found.table["breasts"].values())
+    assert left.startswith("Left breast: ")
+    assert " cc larger than on 1 March 2026 (95 %: " in left
+    assert left.endswith(": more than the measurement error.")
+    assert right.endswith(": within the measurement error.")
+    said = page.replace("\xa0", " ")
+    for sentence in (left, right):
+        assert sentence in said
     assert "% of the trunk within" in page
     assert 'src="http' not in page
     assert "<link" not in page
@@ -142,7 +153,7 @@ def test_the_page_opens_on_both_dates_coloured_by_the_change(found: Comparison) 
         assert page.evaluate("document.documentElement.scrollWidth") == 360
         assert page.locator("#mm-viewer canvas").count() == 2
         assert page.locator("#mm-viewer figcaption").all_inner_texts() == ["Before", "After"]
-        assert page.get_by_label("Colour").input_value() == "change"
+        assert page.get_by_role("button", name="Change between the dates").get_attribute("aria-pressed") == "true"
         assert page.locator(".mm-legend").inner_text().split("mm")[0].split() == ["−15.0", "15.0"]
         assert [url for url in asked if not url.startswith(("file:", "data:", "blob:"))] == []
         browser.close()
@@ -186,8 +197,7 @@ def test_the_command_says_change_and_verdict(
     assert run(["compare", *map(str, folders), "-q"]) == 0
     assert run(["compare", *map(str, folders)]) == 0
     said = capsys.readouterr().out
-    assert "Patient's left breast: +" in said
-    assert "Larger than the measurement error" in said
+    assert all(breast["verdict"] in said for breast in table["breasts"].values())
     assert mammometry.compare is compare
 
 
@@ -226,6 +236,35 @@ def test_walls_of_two_kinds_are_named_and_made_one(
     assert kinds == {"cylinder-membrane"}
 
 
+def scan_of(folder: Path, how: tuple[int, float]) -> Path:
+    """The body's own surface as the scan of another device."""
+    folder.mkdir()
+    mesh = body(*how).torso.solid.mesh
+    trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(folder / "scanner.ply")
+    about = Scan(scanner="Vectra M5", units="mm", head="y", ahead="z")
+    files = import_scan(folder / "scanner.ply", about, units="mm")
+    (folder / "scanner.ply").unlink()
+    for name, content in files.items():
+        (folder / name).write_bytes(content)
+    curves = {each.name: {"points": each.points_world.tolist()} for each in body(*how).torso.boundaries}
+    (folder / "boundaries.json").write_text(json.dumps({"units": "mm", "frame": "world", "boundaries": curves}))
+    return folder
+
+
+def test_scans_are_compared_with_scans_and_with_photographs(
+    folders: tuple[Path, Path], reports: list[ChangeReport], tmp_path: Path
+) -> None:
+    scans = [scan_of(tmp_path / name, how) for name, how in (("before", BEFORE), ("after", AFTER))]
+    true_cc = body(*AFTER).volume_cc("left") - body(*BEFORE).volume_cc("left")
+    for one, other in (scans, (folders[0], scans[1])):
+        compared = compare(one, other)
+        left = compared.change.breasts[0]
+        assert left.volume.difference_cc == pytest.approx(true_cc, abs=0.1 * true_cc)
+        assert left.volume.beyond_error
+        assert "scale" in left.volume.terms_cc  # each device has a scale of its own
+        assert compared.folder.parent == other / "results" / "compare"
+
+
 def session_of(folder: Path, subject: str) -> Path:
     """The folder, made again for a subject."""
     path = folder / "session.toml"
@@ -243,7 +282,7 @@ def test_the_page_is_called_after_the_subject(
         dates.append(session_of(write_session(tmp_path / name, body(*how), how[0]), "P-1"))
         put_results(dates[-1], body(*how))
     found = compare(*dates)
-    assert reports[0].keys == tuple(open_session(date).report_key.digest for date in dates)
+    assert reports[0].keys == tuple(open_session(date).content_key.digest for date in dates)
     assert (found.table["title"], found.table["subject"]) == ("P-1", "P-1")
     assert reports[0].subtitle == "spring → autumn · date not given → date not given"
     compare(*dates, privacy=Privacy(deidentify=True))
@@ -278,16 +317,36 @@ def test_what_are_not_two_dates_of_one_torso_is_refused(
         compare(folders[0], other)
 
 
-def test_one_breast_at_one_date_is_refused(folders: tuple[Path, Path], tmp_path: Path) -> None:
+def one_breast(folder: Path, place: int, name: str) -> Path:
+    """A later session in which one breast alone has a boundary."""
     true = body(*AFTER)
-    later = write_session(tmp_path / "one", true, 13)
+    later = write_session(folder, true, place)
     (later / "boundaries.json").unlink()
-    curve = {"points": true.torso.boundaries[0].points_world.tolist()}
-    table = {"units": "mm", "frame": "world", "boundaries": {"left": curve}}
+    boundary = next(each for each in true.torso.boundaries if each.name == name)
+    table = {"units": "mm", "frame": "world", "boundaries": {name: {"points": boundary.points_world.tolist()}}}
     (later / "boundaries.json").write_text(json.dumps(table))
-    put_results(later, true, true.torso.boundaries[:1])
-    with pytest.raises(MeasureError, match="found left and right before, left after"):
-        compare(folders[0], later)
+    put_results(later, true, (boundary,))
+    return later
+
+
+def test_a_breast_with_a_volume_at_one_date_only_is_named_and_the_other_compared(
+    folders: tuple[Path, Path], found: Comparison, reports: list[ChangeReport], tmp_path: Path
+) -> None:
+    part = compare(folders[0], one_breast(tmp_path / "one", 13, "left"))
+    assert [breast.name for breast in part.change.breasts] == ["left"]
+    assert "The right breast has a volume at the earlier date only, and is not compared." in part.warnings
+    assert part.table["at_one_date"] == {"right": "earlier"}
+    whole = found.change.breasts[0].volume.difference_cc
+    assert part.change.breasts[0].volume.difference_cc == pytest.approx(whole, abs=1e-6)
+    # The breast without a boundary is no part of the trunk by which both dates are laid onto one another.
+    assert part.change.fit.within_mm == pytest.approx(found.change.fit.within_mm, abs=0.1)
+
+
+def test_dates_without_a_breast_in_common_are_refused(folders: tuple[Path, Path], tmp_path: Path) -> None:
+    one = one_breast(tmp_path / "one", 13, "left")
+    other = one_breast(tmp_path / "other", 14, "right")
+    with pytest.raises(MeasureError, match="found left before, right after"):
+        compare(one, other)
 
 
 def test_files_of_somebody_else_are_left_alone(

@@ -46,12 +46,12 @@ def session(folder: Path) -> Iterator[Path]:
         (folder / name).unlink(missing_ok=True)
 
 
-def keys(session: Path) -> tuple[str, str, str]:
+def keys(session: Path) -> tuple[str, ...]:
     job = open_session(session)
     made = job.plan.measured
     assert made.boundaries is not None
     assert made.measurements is not None
-    return made.boundaries.key.digest, made.measurements.key.digest, job.report_key.digest
+    return made.boundaries.key.digest, made.measurements.key.digest, job.report_key.digest, job.content_key.digest
 
 
 def at_hand(name: str, value: Any) -> Product[Any]:
@@ -83,7 +83,8 @@ def test_a_confirmed_automatic_boundary_is_told_and_nothing_is_measured_anew(
     confirm(session, made["left"].boundary_world)
     after = keys(session)
     assert after[:2] == before[:2]
-    assert after[2] != before[2]  # the report says it
+    assert after[2] != before[2]  # the report is rendered again and says it
+    assert after[3] == before[3]  # its content is current
 
     given_attributions = open_session(session).inputs.attributions
     left = attributed(made["left"], given_attributions)

@@ -1,16 +1,23 @@
 """The audit: who saw and who changed what; nobody changes the audit."""
 
 import csv
+import datetime
 import io
+import re
+import uuid
 from collections.abc import Callable
 
 import pytest
 from auditlog.models import LogEntry
 from django.db import DatabaseError, connection, transaction
 from django.test import Client
-from django.urls import reverse
+from django.urls import URLPattern, get_resolver, resolve, reverse
+from django.utils import timezone
 
 from mammometry.clinic import audit
+from mammometry.clinic.audit_entries import COLUMNS, SHOWN, AuditFilter, Entry, entries, title_of, write_audit
+from mammometry.clinic.config import ClinicConfig
+from mammometry.clinic.keep.patient import erase_patient
 from mammometry.clinic.models import Person, Visit
 from mammometry.clinic.roles import Role
 
@@ -52,7 +59,7 @@ def test_changes_in_a_request_name_who_and_from_where(
 ) -> None:
     client = client_of(Role.ADMINISTRATOR)
     data = {"username": "anna", "full_name": "Anna", "email": "", "roles": ["technician"], "is_active": "on"}
-    assert client.post(reverse("admin:clinic_person_add"), data).status_code == 302
+    assert client.post(reverse("person-new"), data).status_code == 302
     entry = LogEntry.objects.filter(object_repr="Anna", action=LogEntry.Action.CREATE).get()
     assert entry.actor == person_of(Role.ADMINISTRATOR)
     assert entry.remote_addr == "127.0.0.1"
@@ -61,18 +68,21 @@ def test_changes_in_a_request_name_who_and_from_where(
 def test_opening_a_page_is_entered(client_of: Callable[..., Client], person_of: Callable[..., Person]) -> None:
     client = client_of(Role.ADMINISTRATOR)
     somebody = person_of(Role.TECHNICIAN)
-    assert client.get(reverse("admin:clinic_person_changelist")).status_code == 200
-    assert client.get(reverse("admin:clinic_person_change", args=[somebody.pk])).status_code == 200
+    assert client.get(reverse("people")).status_code == 200
+    assert client.get(reverse("person", args=[somebody.pk])).status_code == 200
     client.logout()
     seen = LogEntry.objects.filter(action=LogEntry.Action.ACCESS, actor=person_of(Role.ADMINISTRATOR))
     pages = [entry.additional_data["page"] for entry in seen.order_by("pk")]
-    assert pages == ["login", "admin:clinic_person_changelist", "admin:clinic_person_change", "logout"]
+    assert pages == ["login", "people", "person", "logout"]
 
 
-def test_a_refused_page_is_not_entered_as_seen(client_of: Callable[..., Client]) -> None:
-    client_of(Role.TECHNICIAN).get(reverse("admin:index"))
-    entries = LogEntry.objects.filter(action=LogEntry.Action.ACCESS)
-    assert [entry.additional_data["page"] for entry in entries] == ["login"]
+def test_a_refused_page_is_entered_as_refused(client_of: Callable[..., Client], visit: Visit) -> None:
+    client_of(Role.TECHNICIAN).get(reverse("people"))
+    client_of(Role.RESEARCHER).get(reverse("visit", args=[visit.pk]))
+    refused = LogEntry.objects.filter(additional_data__kind=audit.REFUSED).order_by("pk")
+    assert [entry.additional_data["path"] for entry in refused] == ["/people/", f"/visits/{visit.pk}/"]
+    assert refused[1].object_repr == str(visit)
+    assert not LogEntry.objects.filter(additional_data__kind=audit.OPENED).exists()
 
 
 def test_the_export_is_whole_and_no_formula(clinic: object, client_of: Callable[..., Client], visit: Visit) -> None:
@@ -80,8 +90,115 @@ def test_the_export_is_whole_and_no_formula(clinic: object, client_of: Callable[
     rig.name = "=cmd|' /C calc'!A0"
     rig.save()
     file = io.StringIO()
-    number = audit.write_audit(file)
+    number = write_audit(file)
     table = list(csv.reader(io.StringIO(file.getvalue())))
-    assert tuple(table[0]) == audit.COLUMNS
+    assert tuple(table[0]) == COLUMNS
     assert len(table) == number + 1 == LogEntry.objects.count() + 1
     assert not [cell for row in table for cell in row if cell.startswith("=")]
+
+
+def rows_on(client: Client, **query: str) -> list[Entry]:
+    answer = client.get(reverse("audit"), query)
+    assert answer.status_code == 200
+    entries: list[Entry] = answer.context["entries"]
+    return entries
+
+
+def test_the_page_shows_titles_and_addresses(client_of: Callable[..., Client], visit: Visit) -> None:
+    client_of(Role.TECHNICIAN).get(reverse("visit", args=[visit.pk]))
+    page = client_of(Role.ADMINISTRATOR).get(reverse("audit")).content.decode()
+    assert f"/visits/{visit.pk}/" in page
+    entry = next(each for each in rows_on(client_of(Role.ADMINISTRATOR)) if each.path.startswith("/visits/"))
+    assert (entry.title, entry.about, entry.who) == ("Visit", str(visit), "technician")
+
+
+def test_every_audited_page_has_a_title_that_people_read() -> None:
+    names = [
+        pattern.name or ""
+        for pattern in get_resolver().url_patterns
+        if isinstance(pattern, URLPattern) and pattern.callback.access.audited  # type: ignore[attr-defined]
+    ]
+    titles = [title_of(name) for name in names]
+    assert len(titles) > 50
+    assert [title for title in titles if not re.fullmatch(r"[A-Z][A-Za-z, ]+", title)] == []
+    assert title_of("patient-new") == "New patient"
+
+
+def test_it_is_filtered(client_of: Callable[..., Client], person_of: Callable[..., Person], visit: Visit) -> None:
+    technician, administrator = client_of(Role.TECHNICIAN), client_of(Role.ADMINISTRATOR)
+    technician.get(reverse("visit", args=[visit.pk]))
+    technician.get(reverse("patients"))  # a list on which the patient stands
+    technician.get(reverse("rigs"))
+    technician.get(reverse("people"))
+    Client().post(reverse("account_login"), {"login": "technician", "password": "wrong"})
+    visit.note = "x"
+    visit.save()
+
+    def pages(**query: str) -> list[str]:
+        return [entry.title for entry in reversed(rows_on(administrator, **query))]
+
+    who = str(person_of(Role.TECHNICIAN).pk)
+    assert pages(person=who) == ["Login", "Visit", "Patients", "Rigs", "People", "Wrong name or password"]
+    assert pages(kind="refused") == ["People"]
+    assert pages(kind="failed login") == ["Wrong name or password"]
+    assert pages(kind="login") == ["Login", "Login"]
+    assert "Visit changed" in pages(kind="changed")
+    about = pages(patient=visit.patient.pseudonym.lower())
+    assert about[-3:] == ["Visit", "Patients", "Visit changed"]
+    assert "Rigs" not in about
+    today, tomorrow = timezone.localdate(), timezone.localdate() + datetime.timedelta(days=1)
+    assert pages(since=str(today), until=str(today), kind="refused") == ["People"]
+    assert pages(since=str(tomorrow)) == []
+    assert pages(kind="no such kind", person="nobody") != []
+    text = administrator.get(reverse("audit-csv"), {"kind": "refused"}).content.decode()
+    assert len(list(csv.reader(io.StringIO(text)))) == 2
+
+
+def test_an_erased_patients_entries_are_found_by_the_pseudonym(
+    client_of: Callable[..., Client], visit: Visit, clinic: ClinicConfig
+) -> None:
+    pseudonym = visit.patient.pseudonym
+    erase_patient(clinic, visit.patient)
+    titles = [entry.title for entry in rows_on(client_of(Role.ADMINISTRATOR), patient=pseudonym)]
+    assert {"Patient deleted", "Visit deleted", "Erase"} <= set(titles)
+
+
+def test_its_pages_are_turned_by_key(client_of: Callable[..., Client]) -> None:
+    client = client_of(Role.ADMINISTRATOR)
+    for _ in range(2 * SHOWN):
+        client.get(reverse("help"))
+        client.get(reverse("rigs"))
+    first = client.get(reverse("audit"), {"kind": "opened"})
+    older = client.get(f"{reverse('audit')}?{first.context['older']}")
+    numbers = [entry.number for page in (first, older) for entry in page.context["entries"]]
+    assert len(numbers) == 2 * SHOWN == len(set(numbers))
+    assert numbers == sorted(numbers, reverse=True)
+
+
+def test_one_entry_by_its_number_is_a_page_or_is_not_there(client_of: Callable[..., Client], visit: Visit) -> None:
+    client = client_of(Role.ADMINISTRATOR)
+    visit.delete()  # entries about what has gone are pages, too
+    for number in LogEntry.objects.values_list("pk", flat=True):
+        assert client.get(reverse("audit-entry", args=[number])).status_code == 200
+    for number in (0, 10**9, 10**30):
+        assert client.get(f"/audit/{number}/").status_code == 404
+    for text in ("x", "-1", str(10**30), "１"):
+        assert client.get(reverse("audit"), {"before": text}).status_code == 200
+
+
+def test_thumbnails_do_not_flood_it() -> None:
+    access = resolve(reverse("upload-thumbnail", args=[uuid.uuid4()])).func.access  # type: ignore[attr-defined]
+    assert not access.audited
+
+
+def test_what_it_is_filtered_by_is_indexed(clinic: object) -> None:
+    """With 100,000 entries, a kind that is rare would be looked for in all of them."""
+    query = str(entries(AuditFilter(kind="refused"))[:50].query).replace("= refused", "= 'refused'")
+    with connection.cursor() as cursor:
+        if connection.vendor == "postgresql":
+            cursor.execute("SET enable_seqscan = off")
+            cursor.execute(f"EXPLAIN {query}")
+        else:
+            cursor.execute(f"EXPLAIN QUERY PLAN {query}")
+        plan = repr(cursor.fetchall())
+    assert "clinic_audit_by_kind" in plan

@@ -27,7 +27,7 @@ from tests.unit.hospital.exports import NAMES, deidentified, exported
 from mammometry.base.errors import SessionError
 from mammometry.clinic import deliveries
 from mammometry.clinic.config import ClinicConfig
-from mammometry.clinic.models import Delivery, Destination, Visit
+from mammometry.clinic.models import Consent, Delivery, Destination, Visit
 from mammometry.clinic.roles import Role
 from mammometry.clinic.views import deliveries as pages
 from mammometry.clinic.views import exports
@@ -255,6 +255,7 @@ def test_a_researcher_takes_the_study_along_by_pseudonym(
     name: str,
     files: tuple[str, ...],
 ) -> None:
+    Consent.objects.create(patient=visit.patient, purpose="research", given_on="2026-01-01")
     visit.measurements.create(digest="d", made_at=timezone.now(), software="0.1.0")
     stale = Visit.objects.create(patient=visit.patient, rig=visit.rig, taken_at=timezone.now())
     stale.measurements.create(digest="e", made_at=timezone.now(), software="0.1.0")

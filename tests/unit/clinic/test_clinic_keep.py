@@ -1,5 +1,6 @@
 """Backup, restore, export and erase, by doing them."""
 
+import io
 import json
 import os
 import subprocess
@@ -7,13 +8,14 @@ import sys
 import tarfile
 import uuid
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import pytest
 from auditlog.models import LogEntry
 from django.db import connection
+from django.test import Client
 from pytest_django import Settings
 from tests.clinic_server import command
 from tests.postgresql import VARIABLE, new_database
@@ -21,8 +23,11 @@ from tests.postgresql import VARIABLE, new_database
 from mammometry.cli.main import run
 from mammometry.clinic.config import ClinicConfig, ClinicError
 from mammometry.clinic.keep.backup import make_backup
+from mammometry.clinic.keep.backups import make_kept_backup
 from mammometry.clinic.keep.patient import find_patient
+from mammometry.clinic.keep.restore_test import _digests, _require_same
 from mammometry.clinic.models import Drawing, Job, Measurement, Patient, Upload, Visit, Volume
+from mammometry.clinic.roles import Role
 
 MARK = b"photograph of quirina"
 
@@ -81,6 +86,39 @@ def rows(archive: Path) -> list[str]:
         file = tar.extractfile("database.jsonl")
         assert file is not None
         return file.read().decode().splitlines()
+
+
+@pytest.mark.slow
+def test_a_restore_is_tested_and_the_page_says_so(
+    clinic: ClinicConfig, full: Visit, client_of: Callable[..., Client], settings: Settings
+) -> None:
+    """A whole backup comes back the same; one with a changed row is named."""
+    settings.MIGRATION_MODULES = {}
+    made = make_kept_backup(clinic)
+    answer = command("test-restore", str(clinic.folder))
+    assert answer["files"] == 4  # settings, key, a photograph, half an upload
+    page = client_of(Role.ADMINISTRATOR).get("/backups/").content.decode()
+    assert f"✓ {made.name}" in page
+    with tarfile.open(made, "a") as tar:  # a manifest of what was not there
+        manifest = json.dumps({"sha256": {"sessions/lost.jpg": "0" * 64}}).encode()
+        entry = tarfile.TarInfo("manifest.json")
+        entry.size = len(manifest)
+        tar.addfile(entry, io.BytesIO(manifest))
+    assert run(["clinic", "test-restore", str(clinic.folder)]) == ClinicError.exit_code
+    page = client_of(Role.ADMINISTRATOR).get("/backups/").content.decode()
+    assert "no whole backup" in page
+    assert not list(clinic.backups.glob("restore-test-*"))
+
+
+def test_rows_that_differ_are_named() -> None:
+    lines = [b'{"model": "clinic.rig", "pk": 1, "fields": {}}', b'{"model": "clinic.rig", "pk": 2, "fields": {}}']
+    same = _digests(lines)
+    assert same == _digests(reversed(lines))
+    _require_same(same, _digests(lines))
+    with pytest.raises(ClinicError, match=r"1 rows of clinic\.rig"):
+        _require_same(same, _digests(lines[:1]))
+    with pytest.raises(ClinicError, match="with other values"):
+        _require_same(same, _digests([lines[0], lines[1].replace(b"{}", b'{"name": "x"}')]))
 
 
 def test_a_damaged_backup_is_refused(clinic: ClinicConfig, full: Visit, tmp_path: Path) -> None:

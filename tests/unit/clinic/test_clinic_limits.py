@@ -1,6 +1,7 @@
 """Bodies that are too large and callers that ask too often are refused before Django reads anything."""
 
 import asyncio
+import json
 import time
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -174,3 +175,19 @@ def test_a_large_body_has_longer_on_a_slow_line(monkeypatch: pytest.MonkeyPatch)
     scope: Message = {"type": "http", "path": "/", "headers": [], "client": ("10.0.0.1", 4711)}
     asyncio.run(Limited(inner, Limits(request_s=1))(scope, receive, send))
     assert inner.bodies == [100_000]
+
+
+def test_a_script_reads_why_it_was_refused() -> None:
+    sent: list[Message] = []
+
+    async def send(message: Mapping[str, Any]) -> None:
+        sent.append(dict(message))
+
+    async def receive() -> Message:
+        return {"type": "http.request", "body": b"", "more_body": False}
+
+    headers = [(b"accept", b"application/json"), (b"content-length", b"9" * 20)]
+    scope: Message = {"type": "http", "path": "/", "headers": headers, "client": ("10.0.0.1", 4711)}
+    asyncio.run(limited(Inner())(scope, receive, send))
+    assert sent[0]["status"] == 413
+    assert "is larger than" in json.loads(sent[1]["body"])["error"]

@@ -5,7 +5,7 @@ import time
 
 import pytest
 from allauth.mfa.models import Authenticator
-from allauth.mfa.totp.internal.auth import format_hotp_value, hotp_value, yield_hotp_counters_from_time
+from allauth.mfa.totp.internal.auth import TOTP, format_hotp_value, hotp_value, yield_hotp_counters_from_time
 from django.test import Client
 from django.urls import reverse
 from pytest_django import Settings
@@ -167,6 +167,20 @@ def test_the_second_factor_is_set_up_and_then_asked(anna: Person, client: Client
     assert not is_in(fresh)
     assert fresh.post(reverse("mfa_authenticate"), {"code": "000000"}).status_code == 200
     assert not is_in(fresh)
+
+
+def test_a_script_logs_in_with_both_factors(anna: Person, client: Client) -> None:
+    """Answers that `viewer/src/clinic/login.ts` reads."""
+    script = {"Accept": "application/json"}
+    TOTP.activate(anna, "JBSWY3DPEHPK3PXP")
+    first = {"login": "anna", "next": reverse("account-token")}
+    wrong = client.post(reverse("account_login"), {**first, "password": "wrong"}, headers=script)
+    assert wrong.status_code == 400
+    right = client.post(reverse("account_login"), {**first, "password": PASSWORD}, headers=script)
+    assert right.json()["location"].startswith(reverse("mfa_authenticate"))
+    assert client.get(reverse("account-token")).json()["person"] is None
+    client.post(reverse("mfa_authenticate"), {"code": code("JBSWY3DPEHPK3PXP")}, headers=script)
+    assert client.get(reverse("account-token")).json()["person"] == "anna"
 
 
 def test_cookies_are_not_for_scripts(anna: Person, client: Client) -> None:

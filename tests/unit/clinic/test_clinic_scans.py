@@ -19,7 +19,7 @@ from tests.unit.io.scan_files import scanned, texture
 
 from mammometry.clinic.config import ClinicConfig
 from mammometry.clinic.jobs import queue, work
-from mammometry.clinic.models import Job, Patient, Scan, Visit
+from mammometry.clinic.models import Consent, Job, Patient, Scan, Visit
 from mammometry.clinic.roles import Role
 
 
@@ -234,13 +234,22 @@ def test_a_scan_is_measured_shown_and_exported(
     assert "measure" in said
     assert queue.done(job.pk, "me", answer)
     page = client.get(reverse("visit", args=[visit.pk])).content.decode()
-    for words in ("Left breast", "Right breast", "Vectra M5", "cm, as stated", "Read this first", ">measured<"):
+    for words in ("Left breast", "Right breast", "Vectra M5", "cm, as stated", "Read this first", "to be confirmed"):
         assert words in page
     assert client.get(reverse("scene", args=[visit.pk])).json()
     assert "Vectra M5" in client.get(reverse("report", args=[visit.pk])).content.decode()
     assert client.get(reverse("draw", args=[visit.pk])).status_code == 200
-    drawing = client.get(reverse("draw-drawing", args=[visit.pk]))
-    assert drawing.status_code in (409, 422, 400), drawing.content
+    drawing = client.get(reverse("draw-drawing", args=[visit.pk])).json()
+    bases = {"boundaries": {name: each["base"] for name, each in drawing["boundaries"].items()}, "landmarks": {}}
+    curves = {name: each["of"] for name, each in drawing["boundaries"].items()}
+    for name, boundary in drawing["boundaries"].items():
+        assert f"{boundary['measured']['volumeCc']:.0f} cc" in page, name
+    confirmed = client.post(
+        reverse("draw-finish", args=[visit.pk]), {"curves": curves, "base": bases}, content_type="application/json"
+    )
+    assert confirmed.json() == {"next": reverse("home")}
+    visit.refresh_from_db()
+    assert visit.shown_state == Visit.State.CONFIRMED
     for name, arguments in (("visit-dicom", {}), ("visit-dicom", {"deidentify": "1"})):
         made = client.get(reverse(name, args=[visit.pk]), arguments)
         assert made.status_code == 200
@@ -250,6 +259,7 @@ def test_a_scan_is_measured_shown_and_exported(
             assert (b"KIS-4711" in held) is not bool(arguments)
     for release in ("r4", "r5"):
         assert client.get(reverse("visit-fhir", args=[visit.pk, release])).status_code == 200
+    Consent.objects.create(patient=patient, purpose="research", given_on="2026-01-01")
     table = client_of(Role.RESEARCHER).get(reverse("study-table"))
     with zipfile.ZipFile(io.BytesIO(table.content)) as archive:
         assert patient.pseudonym.encode() in archive.read("measurements.csv")

@@ -2,7 +2,10 @@
 
 import datetime
 import http.client
+import socket
 import ssl
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -10,6 +13,7 @@ from tests.clinic_server import command, served
 
 from mammometry.clinic.config import ClinicConfig, ClinicError, Tls, new_clinic, read_config
 from mammometry.clinic.server import require_current, serve
+from mammometry.clinic.site import configure
 
 
 def certificate(folder: Path) -> tuple[Path, Path]:
@@ -137,3 +141,45 @@ def test_addresses_of_no_database_are_refused_without_saying_the_password(tmp_pa
     with pytest.raises(ClinicError) as refused:
         database(config)
     assert "p@ss" not in str(refused.value)
+
+
+def test_an_address_that_is_not_free_is_refused_before_anything_is_started(tmp_path: Path) -> None:
+    from mammometry.clinic.server import require_free
+
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        address = f"127.0.0.1:{taken.getsockname()[1]}"
+        with pytest.raises(ClinicError, match=f"address {address}: found another program that listens there"):
+            require_free(address)
+        folder = tmp_path / "clinic"
+        done = subprocess.run(
+            [sys.executable, "-m", "mammometry", "clinic", "demo", str(folder), "--address", address],
+            capture_output=True, text=True, check=False, timeout=60,
+        )  # fmt: skip
+    assert done.returncode == 3
+    assert "another program that listens there" in done.stderr
+    assert not folder.exists()
+    require_free(address)
+
+
+@pytest.mark.parametrize("address", ["192.0.2.1:8000", "127.0.0.1:99999", "nobody.invalid:8000"])
+def test_an_address_of_another_machine_is_named(address: str) -> None:
+    from mammometry.clinic.server import require_free
+
+    with pytest.raises(ClinicError, match=f"address {address}: found an address or port that this machine does not"):
+        require_free(address)
+
+
+def test_settings_that_change_while_a_clinic_is_open_make_no_other_clinic(clinic: ClinicConfig, tmp_path: Path) -> None:
+    configure(clinic.model_copy(update={"cameras": {"Room 9": "cameras/rig.toml"}, "address": "127.0.0.1:9"}))
+    with pytest.raises(ClinicError, match="another open clinic"):
+        configure(clinic.model_copy(update={"folder": tmp_path}))
+
+
+def test_a_demo_is_configured_with_the_cameras_that_it_will_have(tmp_path: Path) -> None:
+    from mammometry.clinic.demo import _with_cameras
+
+    config = _with_cameras(new_clinic(tmp_path / "clinic", name="Demo"))
+    assert config == read_config(config.folder)
+    assert list(config.cameras) == ["Room 1"]

@@ -265,9 +265,9 @@ def test_the_same_photograph_twice_is_not_ready(sender):
 
 def test_a_second_photograph_takes_the_place_of_the_first_even_of_another_kind(sender, rig_visit):
     sender.send(photograph(1))
-    sender.send(photograph(2, form="PNG"), name="front_left.png")
+    sender.send(photograph(2, form="PNG"), name="front_left.png", replace=True)
     assert [path.name for path in (rig_visit.folder / "capture").iterdir()] == ["front_left.png"]
-    assert Upload.objects.count() == 1
+    assert list(Upload.objects.values_list("state", flat=True)) == ["set aside", "placed"]
 
 
 def test_what_is_asked_for_wrongly_is_one_sentence(sender, rig_visit):
@@ -325,7 +325,7 @@ def test_two_people_send_the_same_place_at_once_and_one_whole_photograph_remains
 
     def send(sender, data):
         try:
-            sender.send(data, pieces=7)
+            sender.send(data, pieces=7, replace=True)
         except BaseException as error:
             errors.append(error)
         finally:
@@ -341,3 +341,54 @@ def test_two_people_send_the_same_place_at_once_and_one_whole_photograph_remains
     assert not errors
     assert (rig_visit.folder / "capture" / "front_left.jpg").read_bytes() in (first, second)
     assert Upload.objects.filter(state=Upload.State.PLACED).count() == 1
+
+
+def test_a_second_photograph_replaces_the_first_only_where_that_is_said(sender, rig_visit):
+    first, second = photograph(1), photograph(2)
+    sender.send(first)
+    answer = sender.begin(second)
+    assert (answer.status_code, answer.json()["occupied"]) == (409, True)
+    assert answer.json()["error"] == "This has another photograph of front_left already."
+    # by its serial number: it is asked which camera took it
+    table = sender.send(photograph(3, serial="A1"), name="IMG_0001.jpg")
+    assert (table["state"], table["camera"]) == ("checked", None)
+    assert "which has another photograph" in table["checks"][-1]["sentence"]
+    assert (rig_visit.folder / "capture" / "front_left.jpg").read_bytes() == first
+    assert sender.send(second, replace=True)["state"] == "placed"
+    assert (rig_visit.folder / "capture" / "front_left.jpg").read_bytes() == second
+
+
+def test_a_calibration_says_how_many_poses_it_still_needs(client_of, rig_visit):
+    from mammometry.clinic.rigs.history import may_queue, new_calibration
+
+    sender = Sender(client_of(Role.ADMINISTRATOR), new_calibration(rig_visit.rig, None), "calibration")
+    for pose in (1, 2):
+        for camera in ("front_left", "front_right"):
+            sender.send(photograph(10 * pose + len(camera)), name=f"{camera}.jpg", pose=f"{pose:02d}")
+    state = sender.state()
+    assert (state["ready"], state["missing"], state["known"]) == (False, [], ["front_left", "front_right"])
+    assert state["needed"].startswith("Add one more pose of the board: each camera must see it 3 times")
+    assert may_queue(sender.target) == state["needed"]
+    occupied = sender.begin(photograph(9), pose="02").json()
+    assert occupied["error"] == "Pose 02 has another photograph of front_left already."
+    for camera in ("front_left", "front_right"):
+        sender.send(photograph(30 + len(camera)), name=f"{camera}.jpg", pose="03")
+    assert sender.state()["ready"]
+    assert may_queue(sender.target) is None
+
+
+def test_exchanged_photographs_are_named_before_they_are_measured(sender, rig_visit, monkeypatch):
+    from mammometry.calibration.judge.names import Names
+    from mammometry.clinic.intake import names
+    from mammometry.clinic.rigs.history import may_queue
+
+    both = {"front_left": "front_right", "front_right": "front_left"}
+    rig = type("AnyRig", (), {"cameras": both, "pair_names": {"front": ("front_left", "front_right")}})
+    monkeypatch.setattr(names, "_rig", lambda calibration: rig)
+    monkeypatch.setattr(names, "check_names", lambda rig, seen: Names(pairs={}, exchanged=both))
+    names._checked.cache_clear()
+    for seed, camera in enumerate(both):
+        sender.send(photograph(seed), name=f"{camera}.jpg")
+    assert "front_left and front_right: photographs that seem to be exchanged" in may_queue(rig_visit)
+    assert not sender.state()["ready"]
+    names._checked.cache_clear()

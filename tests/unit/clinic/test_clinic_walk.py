@@ -24,7 +24,7 @@ def page(tmp_path: Path) -> Iterator[Page]:
     login = cookies(tmp_path / "clinic")["technician"]
     with served(tmp_path / "clinic") as (address, _), sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=CHROMIUM, args=CHROMIUM_FLAGS)
-        page = opened(browser, f"http://{address}", login, width=360)
+        page = opened(browser, f"http://{address}", login, width=390)
         yield page
         browser.close()
         assert page.wrong == []  # type: ignore[attr-defined]
@@ -43,7 +43,8 @@ def test_a_visit_is_begun_on_a_phone(page: Page, tmp_path: Path) -> None:
     expect(page.get_by_text("No visits today yet.")).to_be_visible()
     page.get_by_text("Menu", exact=True).click()
     page.get_by_role("link", name="Patients").click()
-    page.get_by_role("link", name="New patient", exact=True).click()
+    expect(page.get_by_text("No patients are entered yet.")).to_be_visible()
+    page.get_by_role("main").get_by_role("link", name="New patient", exact=True).click()
     page.get_by_label("Family name").fill("Meier")
     page.get_by_label("Given name").fill("Eva")
     page.get_by_label("Date of birth").fill("1980-02-28")
@@ -53,9 +54,12 @@ def test_a_visit_is_begun_on_a_phone(page: Page, tmp_path: Path) -> None:
     page.get_by_role("button", name="Save").click()
     expect(page.get_by_role("heading", name="Meier, Eva")).to_be_visible()
     require_accessible(page)
-    page.get_by_role("main").get_by_role("link", name="New visit", exact=True).click()
-    page.get_by_label("Rig").select_option(label="Room 1")
-    assert page.get_by_label("Patient").locator("option:checked").inner_text() == "Meier, Eva (KIS-1)"
+    page.goto("/visits/new/")
+    page.get_by_label("Who is photographed?").press_sequentially("eva meier")
+    expect(page.locator("#rows li")).to_have_count(1)
+    page.get_by_role("main").get_by_role("link", name="Meier, Eva").click()
+    expect(page.get_by_text("born 28 Feb 1980 · record KIS-1")).to_be_visible()
+    expect(page.get_by_label("Rig").locator("option:checked")).to_have_text("Room 1")  # there is no other
     page.get_by_role("button", name="Go on to the photographs").click()
     expect(page.get_by_text("Still missing: Front left, Front right.")).to_be_visible()
     expect(page.get_by_role("button", name="Measure")).to_be_disabled()
@@ -70,5 +74,6 @@ def test_a_visit_is_begun_on_a_phone(page: Page, tmp_path: Path) -> None:
     assert len(list((tmp_path / "clinic" / "sessions").glob("*/capture/front_*.jpg"))) == 2
     require_accessible(page)
     require_fitting(page)
-    page.get_by_role("button", name="Take away the photograph: Front left").click()
+    page.get_by_role("button", name="Set aside: the photograph of Front left").click()
     expect(page.get_by_text("Still missing: Front left.")).to_be_visible()
+    expect(page.get_by_text("Set aside (1)")).to_be_visible()

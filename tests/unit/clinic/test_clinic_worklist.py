@@ -68,3 +68,22 @@ def test_a_worklist_that_is_down_says_so(
 
     monkeypatch.setattr(worklist, "_asked", down)
     assert "nobody who answers" in client_of(Role.CLINICIAN).get(reverse("worklist")).content.decode()
+
+
+def test_the_same_patient_under_another_number_is_shown_first(
+    client_of: Callable[..., Client], asked: dict[str, str]
+) -> None:
+    table = {"family_name": "MUSTER", "given_name": "Anna", "born": datetime.date(1971, 5, 4)}
+    other = Patient.objects.create(**table, record_number="OLD-1")
+    client = client_of(Role.TECHNICIAN)
+    page = client.post(reverse("worklist"), asked).content.decode()
+    assert reverse("patient", args=[other.pk]) in page
+    assert not Visit.objects.exists()
+    assert client.post(reverse("worklist"), {**asked, "anyway": "1"}).status_code == 302
+    assert Patient.objects.count() == 2
+
+
+def test_a_record_number_is_known_without_its_hyphen(client_of: Callable[..., Client], asked: dict[str, str]) -> None:
+    known = Patient.objects.create(family_name="Muster", given_name="Anna", record_number="kis 4712")
+    client_of(Role.TECHNICIAN).post(reverse("worklist"), asked)
+    assert Visit.objects.get().patient == known

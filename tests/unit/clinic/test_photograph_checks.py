@@ -221,7 +221,12 @@ def calibrated(on=BEFORE, verdict="pass"):
         (calibrated(), Checked(on=TODAY, verdict=None), "care", "Not checked today"),
         (calibrated(), Checked(on=TODAY, verdict="unmoved"), "yes", "no camera has moved"),
         (calibrated(), Checked(on=TODAY, verdict="moved", effect_mm=0.04), "care", "read why"),
-        (calibrated(), Checked(on=TODAY, verdict="unmoved", unseen=("left_left",)), "care", "read why"),
+        (
+            calibrated(),
+            Checked(on=TODAY, verdict="unmoved", unseen=("left_left",)),
+            "care",
+            "Not all cameras are checked",
+        ),
         (calibrated(), Checked(on=TODAY, verdict="refuse"), "no", "has moved"),
         (calibrated(), Checked(on=BEFORE, verdict="refuse"), "no", "has moved"),
         (calibrated(verdict="warn"), Checked(on=TODAY, verdict="unmoved"), "care", "read why"),

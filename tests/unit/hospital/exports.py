@@ -10,7 +10,18 @@ import numpy as np
 from PIL import Image
 
 from mammometry.base.photograph import Photograph
-from mammometry.hospital.exported import Absent, CoveredModel, CoveredModels, Exported, Model, Order, Patient, Quantity
+from mammometry.hospital.exported import (
+    Absent,
+    CoveredModel,
+    CoveredModels,
+    Exported,
+    Model,
+    Operation,
+    Order,
+    Patient,
+    Quantity,
+)
+from mammometry.report.clinical import Clinical, Signed
 
 ANNA = Patient(id="KIS-4711", name="Zypernkatze^Quirina", born=datetime.date(1980, 2, 29), sex="F")
 ORDER = Order(accession="A123", study_uid="1.2.826.0.1.3680043.8.498.1", referring="House^Gregory", procedure_id="P7")
@@ -106,3 +117,22 @@ def one_sided(folder: Path) -> Exported:
     """A patient with one breast."""
     only = tuple(each for each in quantities() if each.side != "right")
     return exported(folder, quantities=only, absent=(Absent(side="right", why="flat there", kind="none"),))
+
+
+CONFIRMED = Signed(by="Dr. Rosa Luchs", at=datetime.datetime(2026, 3, 2, 11, 0, 5, tzinfo=datetime.UTC))
+CONCLUDED = Signed(
+    by="Prof. Egon Dachs", at=datetime.datetime(2026, 3, 3, 8, 30, tzinfo=datetime.UTC), text="Larger on the right."
+)
+
+
+def signed(folder: Path, *, concluded: bool = True) -> Exported:
+    """A session that a clinic confirmed, and concluded of, after an operation."""
+    clinical = Clinical(confirmed=CONFIRMED, conclusions=(CONCLUDED,) if concluded else ())
+    operations = tuple(
+        Operation(kind=kind, title=title, side=side, day=datetime.date(2025, 5, 6), sentence=f"{title}, 2025-05-06")
+        for kind, title, side in (
+            ("implant", "Implant inserted", "both"),
+            ("conserving", "Breast-conserving surgery", "left"),
+        )
+    )
+    return exported(folder, clinical=clinical, operations=operations, organization="Test clinic", is_final=concluded)

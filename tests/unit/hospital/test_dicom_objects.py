@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 from pydicom import Dataset, config, dcmread
 from pydicom.encaps import generate_frames
-from tests.unit.hospital.exports import ANNA, NAMES, ORDER, deidentified, exported, one_sided
+from tests.unit.hospital.exports import ANNA, NAMES, ORDER, deidentified, exported, one_sided, signed
 
 from mammometry.hospital.dicom.frame import encoded
 from mammometry.hospital.dicom.objects import files, objects
@@ -187,3 +187,33 @@ def test_without_a_patient_the_subject_is_the_patient(tmp_path: Path) -> None:
 def test_two_patients_with_the_same_photographs_are_two_studies(tmp_path: Path) -> None:
     one, other = (objects(exported(tmp_path), replace(ANNA, id=number))[0] for number in ("1", "2"))
     assert one.StudyInstanceUID != other.StudyInstanceUID
+
+
+def test_a_confirmed_report_is_verified_and_holds_the_conclusion(tmp_path: Path) -> None:
+    (report,) = of_kind(objects(signed(tmp_path), ANNA, ORDER), "SR")
+    assert (report.VerificationFlag, report.PreliminaryFlag) == ("VERIFIED", "FINAL")
+    (observer,) = report.VerifyingObserverSequence
+    assert str(observer.VerifyingObserverName).rstrip("^") == "Dr. Rosa Luchs"
+    assert (observer.VerifyingOrganization, observer.VerificationDateTime) == ("Test clinic", "20260302110005+0000")
+    (whole,) = [item for item in report.ContentSequence if item.ConceptNameCodeSequence[0].CodeValue == "121076"]
+    (conclusion,) = whole.ContentSequence
+    assert (conclusion.TextValue, conclusion.ObservationDateTime) == ("Larger on the right.", "20260303083000+0000")
+    assert str(conclusion.ContentSequence[0].PersonName).rstrip("^") == "Prof. Egon Dachs"
+    assert numbers(report)["Left breast", "Volume"] == (354.25, "cm3")
+
+
+def test_what_nobody_confirmed_or_concluded_is_not_said_to_be(made: list[Dataset], tmp_path: Path) -> None:
+    (before,) = of_kind(made, "SR")
+    assert (before.VerificationFlag, before.PreliminaryFlag) == ("UNVERIFIED", "PRELIMINARY")
+    (without,) = of_kind(objects(signed(tmp_path, concluded=False), ANNA, ORDER), "SR")
+    assert (without.VerificationFlag, without.PreliminaryFlag) == ("VERIFIED", "PRELIMINARY")
+    assert "121076" not in str(without)
+
+
+@DCMTK
+def test_dcmtk_reads_a_verified_report(tmp_path: Path) -> None:
+    (report,) = of_kind(objects(signed(tmp_path / "in"), ANNA, ORDER), "SR")
+    (tmp_path / "sr.dcm").write_bytes(encoded(report))
+    shown = subprocess.run(["dsrdump", tmp_path / "sr.dcm"], check=True, capture_output=True, text=True).stdout
+    assert "Dr. Rosa Luchs" in shown
+    assert "Larger on the right." in shown

@@ -4,15 +4,19 @@ import csv
 import io
 import json
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
-from tests.unit.hospital.exports import ANNA, NAMES, deidentified, exported, one_sided, quantities
+from tests.unit.hospital.exports import ANNA, NAMES, deidentified, exported, one_sided, quantities, signed
 
 from mammometry.base.errors import StorageError, TableError
 from mammometry.hospital import redcap, tables
 from mammometry.hospital.extra import require
 from mammometry.hospital.fhir import Release, bundle
+from mammometry.hospital.gather import confirmed
+from mammometry.measure.volume.attribution import Attribution, Confirmation, curve_digest
 
 
 def rows(text: str | bytes) -> list[dict[str, str]]:
@@ -76,7 +80,7 @@ def test_codes_that_are_not_ours_are_in_pydicoms_dictionary(tmp_path: Path) -> N
             return [*here, *(each for value in there.values() for each in codings(value))]
         return [each for value in there for each in codings(value)] if isinstance(there, list) else []
 
-    used = [each for each in codings(json.loads(bundle(exported(tmp_path), ANNA))) if each["system"] in systems]
+    used = [each for each in codings(json.loads(bundle(signed(tmp_path), ANNA))) if each["system"] in systems]
     assert {each["system"] for each in used} == set(systems)
     assert all(each["code"] in known[systems[each["system"]]] for each in used)
 
@@ -143,3 +147,73 @@ def test_a_missing_library_is_one_sentence() -> None:
     require("csv")
     with pytest.raises(StorageError, match=r"no library no_such_library.*pip install 'mammometry\[hospital\]'"):
         require("csv", "no_such_library")
+    with pytest.raises(StorageError, match=r"no library no_such_library\.inner"):
+        require("no_such_library.inner")
+
+
+# --- what a clinic knows beside the numbers ---
+
+
+@pytest.mark.parametrize("release", ["R4", "R5"])
+def test_a_confirmed_and_concluded_report_is_final_and_says_by_whom(tmp_path: Path, release: Release) -> None:
+    made = bundle(signed(tmp_path), ANNA, release=release)
+    (report,) = resources(made, "DiagnosticReport")
+    assert report["status"] == "final"
+    assert report["conclusion"].startswith("Larger on the right.\nFor research use only.")
+    assert report["performer"] == [{"display": "Dr. Rosa Luchs"}]
+    assert report["resultsInterpreter"] == [{"display": "Prof. Egon Dachs"}]
+    assert {each["status"] for each in resources(made, "Observation")} == {"final"}
+    told = {
+        each["agent"][0]["type"]["coding"][0]["code"]: (each["agent"][0]["who"]["display"], each["recorded"])
+        for each in resources(made, "Provenance")
+    }
+    assert told == {
+        "verifier": ("Dr. Rosa Luchs", "2026-03-02T11:00:05+00:00"),
+        "author": ("Prof. Egon Dachs", "2026-03-03T08:30:00+00:00"),
+    }
+    assert {each["target"][0]["reference"] for each in resources(made, "Provenance")} == {
+        f"DiagnosticReport/{report['id']}"
+    }
+
+
+def test_without_a_conclusion_it_stays_preliminary(tmp_path: Path) -> None:
+    (report,) = resources(bundle(signed(tmp_path, concluded=False), ANNA), "DiagnosticReport")
+    assert report["status"] == "preliminary"
+    (before,) = resources(bundle(exported(tmp_path), ANNA), "DiagnosticReport")
+    assert before["id"] == report["id"]  # sent again, it replaces what was sent
+    assert not resources(bundle(exported(tmp_path), ANNA), "Provenance")
+
+
+@pytest.mark.parametrize(("release", "moment"), [("R4", "performedDateTime"), ("R5", "occurrenceDateTime")])
+def test_operations_are_coded_only_where_a_code_is_known(tmp_path: Path, release: Release, moment: str) -> None:
+    implant, conserving = resources(bundle(signed(tmp_path), ANNA, release=release), "Procedure")
+    assert implant["code"]["coding"][0]["code"] == "302343007"
+    assert [site["coding"][0]["code"] for site in implant["bodySite"]] == ["80248007", "73056007"]
+    assert conserving["code"] == {"text": "Breast-conserving surgery"}
+    assert implant[moment] == "2025-05-06"
+
+
+def test_tables_say_whether_and_when_it_was_confirmed_and_not_by_whom(tmp_path: Path) -> None:
+    for session, told in ((signed(tmp_path), ("yes", "2026-03-02")), (exported(tmp_path), ("no", ""))):
+        made = tables.tables([session]) | redcap.tables([session])
+        for name in (tables.TABLE, redcap.RECORDS):
+            assert {(row["confirmed"], row["confirmed_on"]) for row in rows(made[name])} == {told}
+        assert not [name for name in (b"Luchs", b"Dachs", b"Larger on") if name in b"".join(made.values())]
+
+
+def test_a_session_is_confirmed_once_every_measured_boundary_is() -> None:
+    curves = {name: np.full((4, 3), float(number)) for number, name in enumerate(("left", "right"))}
+    measured = [SimpleNamespace(name=name, boundary_world=curve) for name, curve in curves.items()]
+    seen = {
+        name: Attribution(
+            confirmation=Confirmation(by=f"Eye {name}", at=f"2026-11-2{number}T10:00:00Z", curve=curve_digest(curve))
+        )
+        for number, (name, curve) in enumerate(curves.items())
+    }
+    newest = confirmed(seen, measured)  # type: ignore[arg-type]
+    assert newest is not None
+    assert (newest.by, newest.at.isoformat()) == ("Eye right", "2026-11-21T10:00:00+00:00")
+    assert confirmed({"left": seen["left"]}, measured) is None  # type: ignore[arg-type]
+    measured[1].boundary_world = curves["left"]  # another curve than the one that was looked at
+    assert confirmed(seen, measured) is None  # type: ignore[arg-type]
+    assert confirmed(seen, []) is None

@@ -119,6 +119,20 @@ def test_shape_of_a_bump() -> None:
     assert shape.pole_sigma_cc == pytest.approx(shape.above_nipple_cc - higher.above_nipple_cc, rel=0.03)
 
 
+def test_the_projection_changes_with_the_boundary_as_its_uncertainty_says() -> None:
+    """Independent: the boundary drawn wider and narrower on the flank of the bump, and measured again."""
+    drawn = {}
+    for further in (-3.0, 0.0, 3.0):
+        edge = edge_of(LEFT, "left", wider=0.6 + further / LEFT[2])
+        wall = chest_wall.fit(OpenBreast(boundary=edge, surface=trunk(), boundaries=(edge,)), "membrane")
+        drawn[further] = volume.measure(edge, wall)
+    wider, narrower = drawn[3.0], drawn[-3.0]
+    moved = np.linalg.norm(wider.boundary_world - narrower.boundary_world, axis=1).mean() / 2
+    sigma = shape_of(drawn[0.0], FRAME, None, boundary_sigma_mm=moved).projection_sigma_mm
+    assert sigma > 1.0  # the flank is steep
+    assert sigma == pytest.approx((wider.projection_mm - narrower.projection_mm) / 2, rel=0.1)
+
+
 # --- lengths
 
 

@@ -333,7 +333,7 @@ def test_limits_of_two_dates() -> None:
 def test_a_trunk_that_leans_otherwise_is_warned_of() -> None:
     change = Change(
         fit=a_fit(0.5, 9.0), doubtful=False, pairing="across poses", breasts=(), lengths=(),
-        before_mm=np.zeros(0), after_mm=np.zeros(0),
+        after_mm=np.zeros(0),
     )  # fmt: skip
     assert _warnings(change, Settings().overridden(["compare.doubt_deg=10"])) == []
     (warning,) = _warnings(change, Settings().overridden(["compare.doubt_deg=8"]))

@@ -16,7 +16,7 @@ from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.heights import TrunkChart, through
 from mammometry.measure.wall.open_breast import OpenBreast
 from mammometry.measure.wall.registry import CAST_WALLS, TORSO_WALLS, add_wall, in_order
-from mammometry.report.content import breast_report
+from mammometry.report.describe import breast_report
 from mammometry.report.figures import measure as figures
 from mammometry.report.figures.stage_results import MeasureResult
 from mammometry.settings import Settings

@@ -3,28 +3,30 @@
 import numpy as np
 
 from mammometry.geometry.transform import Transform
+from mammometry.hospital.exported import Quantity
 from mammometry.measure.landmarks.landmarks import Landmark
 from mammometry.measure.shape.anthropometry import Dimensions
 from mammometry.measure.shape.lengths import LinearMeasure, Ptosis
 from mammometry.measure.shape.shape import BreastShape
 from mammometry.measure.shape.symmetry import Symmetry
-from mammometry.report.anthropometry import dimension_tables, symmetry_facts
+from mammometry.report.anthropometry import dimension_tables, planning_lengths, symmetry_facts
+from mammometry.report.lengths import quantities_of
 
 
-def test_tables_say_values_with_their_uncertainty_and_leave_out_what_is_not_there() -> None:
-    sizes = Dimensions(
+def sizes_of_the_left() -> Dimensions:
+    return Dimensions(
         frame=np.eye(3),
         shapes=(
             BreastShape(
                 name="left", skin_cm2=250.0, base_width_mm=121.0, base_height_mm=133.0, base_sigma_mm=4.2,
-                projection_mm=41.26, quadrants_cc={"upper lateral": 80.0}, above_nipple_cc=150.4, below_nipple_cc=99.6,
-                pole_sigma_cc=12.0,
+                projection_mm=41.26, projection_sigma_mm=1.2, quadrants_cc={"upper lateral": 80.0},
+                above_nipple_cc=150.4, below_nipple_cc=99.6, pole_sigma_cc=12.0,
             ),
         ),
         lengths=(
             LinearMeasure(
                 name="N-midline left", title="left nipple to midline", straight_mm=88.25, straight_sigma_mm=2.04,
-                geodesic_mm=None, geodesic_sigma_mm=None,
+                geodesic_mm=None, geodesic_sigma_mm=None, ends_world=((88.25, 0.0, 0.0), (0.0, 0.0, 0.0)),
             ),
         ),
         ptosis=(
@@ -34,6 +36,36 @@ def test_tables_say_values_with_their_uncertainty_and_leave_out_what_is_not_ther
             ),
         ),
     )  # fmt: skip
+
+
+def test_the_first_pages_lengths_are_the_exported_ones() -> None:
+    sizes = sizes_of_the_left()
+    exported = [Quantity(**row) for row in quantities_of(sizes)]
+    assert [(each.name, each.title, each.value, each.unit, each.sigma, each.method) for each in exported] == [
+        ("n_midline_straight_left", "nipple to midline, straight", 88.25, "mm", 2.04, "straight"),
+        ("base_width_left", "Base width", 121.0, "mm", 4.2, "extent"),
+        ("base_height_left", "Base height", 133.0, "mm", 4.2, "extent"),
+        ("upper_pole_left", "Volume above the nipple's level", 150.4, "cm3", 12.0, "level-cut"),
+        ("lower_pole_left", "Volume below the nipple's level", 99.6, "cm3", 12.0, "level-cut"),
+        ("nipple_below_fold_left", "Nipple below the fold", -4.5, "mm", 3.0, "height"),
+    ]
+    table, note = planning_lengths(sizes)
+    assert table is not None
+    assert tuple(tuple(cell.replace("\u00a0", " ") for cell in row) for row in table.rows) == (
+        ("Nipple to midline", "88.2 ± 4.0", "–", "–"),
+        ("Base width", "121.0 ± 8.2", "–", "–"),
+        ("Projection", "41.3 ± 2.4", "–", "–"),
+        ("Nipple below the fold (ptosis)", "−4.5 ± 5.9", "–", "–"),
+        ("Ptosis, grade after Regnault", "I or II", "–", ""),
+    )
+    assert note == (
+        "Not measured, since a landmark is not marked: sternal notch to nipple; nipple to fold, along the skin."
+    )
+    assert planning_lengths(None) == (None, "")
+
+
+def test_tables_say_values_with_their_uncertainty_and_leave_out_what_is_not_there() -> None:
+    sizes = sizes_of_the_left()
     tables = {table.title: table for table in dimension_tables(sizes)}
     assert tables["Lengths, ± standard uncertainty"].rows == (("left nipple to midline", "88.2 ± 2.0", "–"),)
     assert tables["Shape"].rows[0][1:] == ("121 × 133", "41.3", "150 ± 12", "100 ± 12")

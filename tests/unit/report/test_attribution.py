@@ -2,12 +2,9 @@
 
 from dataclasses import replace
 
-import numpy as np
 import synthetic
 
-from mammometry.measure.boundary.boundary import TO_BE_CONFIRMED
 from mammometry.measure.volume.attribution import Attribution, Confirmation, attributed, curve_digest
-from mammometry.report.warnings import RunResults, warnings
 
 LEFT = replace(synthetic.measurement("left"), boundary_method="given: 9 points, edited by hand")
 SEEN = Confirmation(by="C. Eye", at="2026-11-22T10:00:00Z", curve=curve_digest(LEFT.boundary_world))
@@ -35,28 +32,3 @@ def test_a_report_for_others_names_nobody_and_no_date() -> None:
     assert words({"left": other}, named=False) == (
         "given: 9 points; an earlier curve was confirmed by eye, but not this one"
     )
-
-
-def test_a_confirmed_automatic_boundary_needs_no_warning() -> None:
-    automatic = replace(LEFT, boundary_method=f"automatic: …; {TO_BE_CONFIRMED}")
-    confirmed = attributed(automatic, {"left": Attribution(confirmation=SEEN)})
-    moved = replace(automatic, boundary_world=np.asarray(automatic.boundary_world) + 1.0)
-    changed = attributed(moved, {"left": Attribution(confirmation=SEEN)})
-    warned = [
-        any(
-            "Nobody has confirmed" in each
-            for each in warnings(
-                RunResults(
-                    quality=None,
-                    calibration=None,
-                    shares={},
-                    matching={},
-                    foregrounds={},
-                    measurements=[one],
-                    repaired=synthetic.repaired(synthetic.ball()),
-                )
-            )
-        )
-        for one in (automatic, confirmed, changed)
-    ]
-    assert warned == [True, False, True]

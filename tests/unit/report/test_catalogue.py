@@ -12,7 +12,7 @@ import synthetic
 from mammometry.base.errors import SettingsError
 from mammometry.base.identity import Identity
 from mammometry.base.registry import Registry
-from mammometry.report import content, figures, html
+from mammometry.report import content, describe, figures, html
 from mammometry.report.figures import catalogue, previews
 
 ADDED = """
@@ -103,10 +103,10 @@ def shown(pictures: dict[str, dict[str, bytes]]) -> content.ReportContent:
     return content.ReportContent(
         identity=Identity(name="case"),
         created="",
-        subject=content.SUBJECTS["torso"],
+        subject=describe.SUBJECTS["torso"],
         world="The board in pose 00.",
         warnings=(),
-        breasts=tuple(content.breast_report(each) for each in measured),
+        breasts=tuple(describe.breast_report(each) for each in measured),
         comparison=(),
         stages=(),
         timings=(),

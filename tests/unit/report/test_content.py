@@ -1,21 +1,22 @@
 """What the report says: digits, warnings, sides; and that nothing is claimed that is not known."""
 
+import re
 from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 import pytest
 import synthetic
 
 from mammometry.calibration.judge.quality import assess
-from mammometry.measure.boundary.boundary import TO_BE_CONFIRMED
 from mammometry.measure.trunk.head import HEAD_NOT_SHOWN
-from mammometry.measure.volume.definitions import DefinedVolume
-from mammometry.report import content
+from mammometry.measure.volume.definitions import DefinedVolume, Meaning
+from mammometry.report import describe
 from mammometry.report.anthropometry import comparison
 from mammometry.report.cautions import skin_shares
 from mammometry.report.figures.thinning import thinned_ranges
-from mammometry.report.volume_words import interval_words, volume_words
-from mammometry.report.warnings import RunResults, run_cautions, warnings
+from mammometry.report.volume_words import MEANINGS, interval_words, meaning_sentences, volume_words
+from mammometry.report.warnings import RunResults, run_cautions, run_concerns, warnings
 from mammometry.settings import Settings
 from mammometry.surface.occluders import Blocked
 from mammometry.surface.repair import Provenance
@@ -48,40 +49,47 @@ def test_the_interval_is_given_or_its_absence_said() -> None:
 
 
 def test_a_breast_in_words() -> None:
-    section = content.breast_report(synthetic.measurement("left", interval_cc=(440.0, 460.0)))
-    assert section.title == "Patient's left breast"
+    section = describe.breast_report(synthetic.measurement("left", interval_cc=(440.0, 460.0)))
+    assert section.title == "Left breast"
     assert section.wall == "Plane: the plane through the boundary."
-    assert section.boundary == "The equator."
+    assert section.boundary == "the equator"
     terms, walls = section.tables
     assert terms.rows[0][0] == "wall"
     assert "membrane" in [row[0] for row in walls.rows]
-    assert {fact.label: fact.value for fact in section.facts}["Chest wall"] == "plane"
     assert {fact.label: fact.value for fact in section.facts}["Projection"] == "60.0 mm"
 
 
 def test_every_meaning_of_the_breast_has_an_interval_of_its_own() -> None:
     measured = synthetic.measurement("left", interval_cc=(300.0, 600.0))
     meant = DefinedVolume(meaning="named wall", volume_cc=450.0, interval_cc=(420.0, 480.0), sentence="To compare by.")
-    section = content.breast_report(replace(measured, definitions=(meant,)))
-    assert section.facts[0].label == "Before the named wall"
+    (meaning,) = describe.meanings([replace(measured, definitions=(meant,))])
+    assert meaning.title == "In front of one fixed surface, to compare visits"
+    assert "(plane)" in meaning.sentences
     # .97 × 450 g; √((.97 × 30)² + (1.96 × .04 × 450)²) = 45.7 g
-    assert section.facts[0].value == "450 ± 30 cc (± 7 %), 436 ± 46 g at 0.97 g/cc. To compare by."
+    (volume,) = meaning.volumes
+    assert (volume.label, volume.value) == ("Left breast", "450 ± 30 cc (± 7 %), 436 ± 46 g at 0.97 g/cc")
+
+
+def test_every_meaning_is_said_in_plain_words() -> None:
+    for name in get_args(Meaning):
+        words = f"{MEANINGS[name]} {meaning_sentences(name, 'plane')}"
+        assert not re.search(r"lies before|flat chest, whose|named wall|membrane", words), words
+        assert all(len(each) < 160 for each in words.split(". "))
 
 
 def test_what_changes_a_volumes_meaning_stands_beside_it(rig) -> None:
     sound = synthetic.measurement("left")
-    assert content.breast_report(sound).cautions == ()
-    leaking = replace(sound, watertight=False, boundary_method=f"automatic: …; {TO_BE_CONFIRMED}")
+    assert describe.breast_report(sound).cautions == ()
+    leaking = replace(sound, watertight=False)
     repaired = synthetic.repaired(synthetic.ball())
     unseen = replace(repaired, provenance=repaired.provenance * 0)
-    assert content.breast_report(leaking, unseen, ("Of the run.",)).cautions == (
+    assert describe.breast_report(leaking, unseen, ("Of the run.",)).cautions == (
         "Do not use this volume: its solid is not watertight.",
-        "Nobody has confirmed its boundary.",
         "Only 0 % of its skin was measured.",
         "Of the run.",
     )
     headless = replace(sound, boundary_method=f"automatic: …. The body {HEAD_NOT_SHOWN}: …")
-    assert content.breast_report(headless).cautions == (
+    assert describe.breast_report(headless).cautions == (
         "Left and right may be exchanged: the body does not show where its head is. See the warnings.",
     )
     calibration = synthetic.calibration(rig)
@@ -137,7 +145,8 @@ def warned(rig, **changes) -> str:
         "measurements": [synthetic.measurement()],
         "repaired": synthetic.repaired(synthetic.ball()),
     }
-    return "\n".join(warnings(RunResults(**(values | changes))))
+    run = RunResults(**(values | changes))
+    return "\n".join([*warnings(run), *run_concerns(run)])
 
 
 def test_a_clean_run_warns_of_nothing_but_what_the_calibration_says(rig) -> None:
@@ -177,34 +186,26 @@ def test_a_mostly_invented_breast_is_warned_of(rig) -> None:
 
 
 def test_changed_settings_are_told_from_the_recommended_ones() -> None:
-    changed, everything = content.settings_facts(Settings())
+    changed, everything = describe.settings_facts(Settings())
     assert changed == ()
     assert len(everything) > 20
-    changed, _ = content.settings_facts(Settings().overridden(["surface.repair.rho=3.0"]))
+    changed, _ = describe.settings_facts(Settings().overridden(["surface.repair.rho=3.0"]))
     assert [(line.label, line.value) for line in changed] == [("surface.repair.rho", "3 (recommended: 1)")]
 
 
 def test_reports_of_the_stages_have_one_row_a_pair_or_camera(rig) -> None:
     calibration = synthetic.calibration(rig)
-    section = content.calibration_report(rig, calibration, assess(calibration))
+    section = describe.calibration_report(rig, calibration, assess(calibration))
     assert [len(table.rows) for table in section.tables] == [2, 4]
     assert all(len(row) == len(table.columns) for table in section.tables for row in table.rows)
-    imported = content.calibration_report(rig, None, None)
+    imported = describe.calibration_report(rig, None, None)
     assert "imported" in imported.facts[0].value
     assert all(len(row) == len(table.columns) for table in imported.tables for row in table.rows)
-    matched = content.matching_report(synthetic.foregrounds(rig), synthetic.matching(rig), {"one": 0.5, "two": 1.0})
+    matched = describe.matching_report(synthetic.foregrounds(rig), synthetic.matching(rig), {"one": 0.5, "two": 1.0})
     assert matched.tables[0].rows[0][2] == "50.0"
     images = synthetic.ranges(rig)
-    surfaced = content.surface_report(
+    surfaced = describe.surface_report(
         thinned_ranges(images, synthetic.valid(images)), synthetic.repaired(synthetic.ball())
     )
     assert {fact.label: fact.value for fact in surfaced.facts}["Topology"] == "watertight, Euler number 2"
     assert float(surfaced.tables[0].rows[0][2]) == pytest.approx(50, abs=1)
-
-
-def test_a_boundary_that_nobody_confirmed_is_warned_of(rig) -> None:
-    automatic = replace(synthetic.measurement("left"), boundary_method=f"automatic: …; {TO_BE_CONFIRMED}")
-    said = warned(rig, measurements=[automatic, replace(automatic, name="right")])
-    assert "left breast and of the" in said
-    assert "Nobody has confirmed the automatic boundary" in said
-    assert "Nobody has confirmed" not in warned(rig)

@@ -10,12 +10,15 @@ from playwright.sync_api import Browser, Page, sync_playwright
 
 from mammometry.base.identity import Identity
 from mammometry.calibration.judge.quality import assess
-from mammometry.report import content, html
+from mammometry.report import content, describe, html
 from mammometry.report.anthropometry import comparison
 from mammometry.report.figures import previews
 from mammometry.report.figures.shading import front_frame
 from mammometry.report.figures.thinning import thinned_ranges
+from mammometry.report.first_page import first_page
 from mammometry.report.models import viewer_scene
+from mammometry.report.pictures import all_encoded
+from mammometry.report.scene import to_json
 from mammometry.report.warnings import RunResults, warnings
 from mammometry.settings import Settings
 
@@ -84,13 +87,13 @@ def address(tmp_path_factory: pytest.TempPathFactory) -> str:
         )
         for name in ("left", "right")
     ]
-    changed, everything = content.settings_facts(Settings().overridden(["surface.repair.rho=3.0"]))
+    changed, everything = describe.settings_facts(Settings().overridden(["surface.repair.rho=3.0"]))
     repaired = synthetic.repaired(ball)
     ranges = synthetic.ranges(rig)
     page_content = content.ReportContent(
         identity=Identity(name="a_session_whose_name_is_long_and_has_no_place_to_break_2026-11-22_second_visit"),
         created="2024-01-01 00:00 UTC",
-        subject=content.SUBJECTS["torso"],
+        subject=describe.SUBJECTS["torso"],
         world="The board in pose 00.",
         warnings=tuple(
             warnings(
@@ -105,24 +108,26 @@ def address(tmp_path_factory: pytest.TempPathFactory) -> str:
                 )
             )
         ),
-        breasts=tuple(content.breast_report(each, repaired) for each in measured),
+        breasts=tuple(describe.breast_report(each, repaired) for each in measured),
         comparison=comparison(measured),
         stages=(
-            content.calibration_report(rig, calibration, quality),
-            content.matching_report(
+            describe.calibration_report(rig, calibration, quality),
+            describe.matching_report(
                 synthetic.foregrounds(rig), synthetic.matching(rig, d_v_px=0.5), {"one": 0.4, "two": 0.9}
             ),
-            content.surface_report(thinned_ranges(ranges, synthetic.valid(ranges)), repaired),
-            content.measure_report(measured),
+            describe.surface_report(thinned_ranges(ranges, synthetic.valid(ranges)), repaired),
+            describe.measure_report(measured),
         ),
-        timings=content.timings({"calibrate": 1.25, "match": 2.0}),
+        timings=describe.timings({"calibrate": 1.25, "match": 2.0}),
         changed_settings=changed,
         all_settings=everything,
-        versions=content.versions(),
-        pictures={"measure": previews.draw(synthetic.measured(rig, measured[:1], ball))},
-        scene=viewer_scene(front_frame(rig), repaired, synthetic.textured(ball), measured),
+        versions=describe.versions(),
+        pictures=all_encoded({"measure": previews.draw(synthetic.measured(rig, measured[:1], ball))}),
+        scene=to_json(viewer_scene(front_frame(rig), repaired, synthetic.textured(ball), measured)),
     )
-    return html.write(tmp_path_factory.mktemp("report"), page_content).as_uri()
+    page = tmp_path_factory.mktemp("report") / "report.html"
+    page.write_text(html.render(page_content, first_page(page_content, {}, None, named=True)), encoding="utf-8")
+    return page.as_uri()
 
 
 @pytest.fixture(scope="module")
@@ -145,8 +150,9 @@ def opened(browser: Browser, address: str, width: int, scheme: str) -> Page:
 )
 def test_no_words_lie_on_others_and_nothing_runs_off(browser: Browser, address: str, width: int, scheme: str) -> None:
     page = opened(browser, address, width, scheme)
-    for closed in page.locator("details:not([open]) > summary").all():
-        closed.click()
+    closed = page.locator("details:not([open]) > summary")
+    while closed.count():
+        closed.first.click()
     assert page.evaluate(OVERLAPS) == []
     assert page.evaluate(BEYOND) == []
     assert page.evaluate("document.documentElement.scrollWidth") <= width

@@ -10,8 +10,9 @@ import synthetic
 from PIL import Image
 
 from mammometry.base.identity import NAMELESS
-from mammometry.report import content, html, pages, pdf
+from mammometry.report import content, describe, html, pages, pdf
 from mammometry.report.figures.catalogue import PREVIEWS
+from mammometry.report.first_page import first_page
 from mammometry.report.privacy import Privacy, guard, without_photographs
 from mammometry.settings import Settings
 
@@ -83,26 +84,27 @@ def test_embedded_pictures_carry_no_exif() -> None:
 
 def test_neither_page_nor_paper_tells_name_or_date() -> None:
     measured = [synthetic.measurement("model")]
-    changed, everything = content.settings_facts(Settings())
+    changed, everything = describe.settings_facts(Settings())
     said = content.ReportContent(
         identity=NAMELESS,
         created="",
-        subject=content.SUBJECTS["model"],
+        subject=describe.SUBJECTS["model"],
         world="The board in pose 00.",
         warnings=(),
-        breasts=tuple(content.breast_report(each) for each in measured),
+        breasts=tuple(describe.breast_report(each) for each in measured),
         comparison=(),
         stages=(),
         timings=(),
         changed_settings=changed,
         all_settings=everything,
-        versions=content.versions(),
+        versions=describe.versions(),
         contains="no name",
     )
-    page = html.render(said)
+    first = first_page(said, {}, None, named=False)
+    page = html.render(said, first)
     assert "This page contains no name." in page
     dates = r"\b(19|20)\d\d-\d\d-\d\d\b"
     assert not re.search(dates, page)
-    document = pdf.render(said)
+    document = pdf.render(said, first)
     year = re.findall(rb"/CreationDate \(D:(\d{4})", document)
     assert year == [b"2000"]  # a constant, not the moment

@@ -11,9 +11,10 @@ import synthetic
 
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
+from mammometry.measure.shape.lengths import LinearMeasure
 from mammometry.measure.shape.symmetry import Symmetry
 from mammometry.report.figures.shading import front_frame
-from mammometry.report.models import thinned, viewer_scene
+from mammometry.report.models import thinned, viewer_scene, with_lengths
 from mammometry.report.scene import Layer, Model, ViewerScene, to_json
 from mammometry.surface.repair import Provenance
 
@@ -137,3 +138,23 @@ def test_a_comparison_of_models_that_are_not_there_is_refused() -> None:
     model = Model(name="ball", title="Ball", mesh=ball, normals=ball.vertices)
     with pytest.raises(ValueError, match="comparison"):
         ViewerScene(models=(model,), world_from_view=Transform.identity(), comparisons=(("Both", "ball", "bell"),))
+
+
+def test_lengths_are_lines_between_their_landmarks_with_their_values() -> None:
+    ends = ((60.0, 0.0, 0.0), (0.0, 0.0, 60.0))
+
+    def length(name: str, along: float | None) -> LinearMeasure:
+        return LinearMeasure(
+            name=name, title=name, straight_mm=84.85, straight_sigma_mm=1.0, geodesic_mm=along,
+            geodesic_sigma_mm=None if along is None else 1.4, ends_world=ends,
+        )  # fmt: skip
+
+    ball = synthetic.ball(4)
+    bare = viewer_scene(front_frame(synthetic.rig()), synthetic.repaired(ball), synthetic.textured(ball), [])
+    lengths = [length("N-N", 94.2), length("N-IMF left", 94.25), length("N-midline left", None)]
+    scene = with_lengths(bare, lengths)
+    whole = json.loads(to_json(scene))["models"][0]
+    assert [each["words"] for each in whole["lengths"]] == ["84.8 mm", "94.2 mm along the skin", "84.8 mm"]
+    back = scene.world_from_view.apply(np.array(whole["lengths"][0]["ends"]))
+    assert back == pytest.approx(np.array(ends), abs=1e-3)
+    assert len(whole["landmarks"]) == 2  # the three lengths share their ends

@@ -28,7 +28,7 @@ def body(up: float) -> Body:
 
 
 def said(tip_y_mm: float, up: float, names: tuple[str, ...] = ("left", "right")) -> bool:
-    words = _warnings([pyramid(name, tip_y_mm) for name in names], (), body(up))
+    words = _warnings([pyramid(name, tip_y_mm) for name in names], body(up))
     return any("left and right are not exchanged" in each for each in words)
 
 

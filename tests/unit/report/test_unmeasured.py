@@ -4,7 +4,7 @@ import numpy as np
 import synthetic
 
 from mammometry.geometry.mesh import TriangleMesh
-from mammometry.report.content import surface_report
+from mammometry.report.describe import surface_report
 from mammometry.report.figures.shading import front_frame
 from mammometry.report.models import viewer_scene
 from mammometry.surface.atlas import Atlas

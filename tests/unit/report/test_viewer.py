@@ -17,10 +17,11 @@ from playwright.sync_api import Locator, Page, expect, sync_playwright
 from mammometry.base.identity import Identity
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.measure.landmarks.geodesic import geodesic
-from mammometry.report import content, html
+from mammometry.report import content, describe, html
 from mammometry.report.figures.shading import front_frame
+from mammometry.report.first_page import first_page
 from mammometry.report.models import viewer_scene
-from mammometry.report.scene import Model
+from mammometry.report.scene import Model, to_json
 from mammometry.settings import Settings
 
 CHROMIUM = shutil.which("chromium")
@@ -51,25 +52,27 @@ FURROWED = furrowed()
 def address(tmp_path_factory: pytest.TempPathFactory) -> str:
     ball = synthetic.ball(4)
     measured = [synthetic.measurement("left"), synthetic.measurement("right")]
-    changed, everything = content.settings_facts(Settings())
+    changed, everything = describe.settings_facts(Settings())
     scene = viewer_scene(front_frame(synthetic.rig()), synthetic.repaired(ball), synthetic.textured(ball), measured)
     other = Model(name="furrowed", title="Furrowed", mesh=FURROWED, normals=FURROWED.vertex_normals())
     page_content = content.ReportContent(
         identity=Identity(name="Case"),
         created="2024-01-01 00:00 UTC",
-        subject=content.SUBJECTS["torso"],
+        subject=describe.SUBJECTS["torso"],
         world="The board in pose 00.",
         warnings=(),
-        breasts=tuple(content.breast_report(each) for each in measured),
+        breasts=tuple(describe.breast_report(each) for each in measured),
         comparison=(),
         stages=(),
         timings=(),
         changed_settings=changed,
         all_settings=everything,
-        versions=content.versions(),
-        scene=replace(scene, models=(*scene.models, other)),
+        versions=describe.versions(),
+        scene=to_json(replace(scene, models=(*scene.models, other))),
     )
-    return html.write(tmp_path_factory.mktemp("report"), page_content).as_uri()
+    page = tmp_path_factory.mktemp("report") / "report.html"
+    page.write_text(html.render(page_content, first_page(page_content, {}, None, named=True)), encoding="utf-8")
+    return page.as_uri()
 
 
 @pytest.fixture(scope="module")

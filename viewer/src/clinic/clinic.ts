@@ -3,6 +3,8 @@
 import htmx from "htmx.org";
 
 import { askFirst } from "./ask";
+import { closeMenus } from "./drop_down";
+import { loggedIn } from "./login";
 import { postForms } from "./post";
 import { followJobs } from "./progress";
 import { takePhotographs } from "./uploads";
@@ -13,7 +15,13 @@ htmx.config.includeIndicatorStyles = false;
 htmx.config.selfRequestsOnly = true;
 htmx.config.historyCacheSize = 0; // nothing of a patient stays in the browser
 
+document.addEventListener("htmx:responseError", (event) => {
+  if ((event as CustomEvent<{ xhr: XMLHttpRequest }>).detail.xhr.status === 401)
+    void loggedIn().then((back) => back && window.location.reload());
+});
+
 askFirst();
+closeMenus();
 postForms();
 followJobs();
 takePhotographs();

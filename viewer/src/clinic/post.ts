@@ -1,8 +1,9 @@
 /** Buttons that ask the server for something and then show its page anew. */
 
-interface Answer {
+import { Refused, request } from "./request";
+
+interface Made {
   id?: string;
-  error?: string;
 }
 
 export function postForms(): void {
@@ -10,33 +11,26 @@ export function postForms(): void {
     const form = event.target as HTMLFormElement;
     if (form.dataset.post === undefined || event.defaultPrevented) return;
     event.preventDefault();
-    void post(form.action, form.dataset.token!, form.querySelector<HTMLElement>("[data-said]"), form.dataset);
+    void post(form.action, form.querySelector<HTMLElement>("[data-said]"), form.dataset);
   });
 }
 
-/** Ask; then show the page that comes next, or the page of what was made, or this one anew. What is refused is reply beside the button. */
+/** Ask; then show the page that comes next, or the page of what was made, or this one anew. A refusal is shown beside the button. */
 export async function post(
   address: string,
-  token: string,
   said: HTMLElement | null,
   then: { next?: string; open?: string } = {},
   body: object = {},
 ): Promise<number> {
   try {
-    const response = await fetch(address, {
-      method: "POST",
-      headers: { "X-CSRFToken": token, "Content-Type": "application/json", Accept: "application/json" },
-      body: JSON.stringify(body),
-    });
-    const reply = (await response.json().catch(() => ({}))) as Answer;
-    if (response.ok) {
-      if (then.open !== undefined && reply.id !== undefined) window.location.assign(`${then.open}${reply.id}/`);
-      else if (then.next !== undefined) window.location.assign(then.next);
-      else window.location.reload();
-    } else if (said !== null) said.textContent = reply.error ?? "That did not work. Load the page again.";
-    return response.status;
-  } catch {
-    if (said !== null) said.textContent = "The clinic cannot be reached. Try again in a moment.";
-    return 0;
+    const reply = await request<Made>(address, { json: body });
+    if (then.open !== undefined && reply.id !== undefined) window.location.assign(`${then.open}${reply.id}/`);
+    else if (then.next !== undefined) window.location.assign(then.next);
+    else window.location.reload();
+    return 200;
+  } catch (error) {
+    const refused = error instanceof Refused ? error : null;
+    if (said !== null) said.textContent = refused?.message ?? "The clinic cannot be reached. Try again in a moment.";
+    return refused?.status ?? 0;
   }
 }

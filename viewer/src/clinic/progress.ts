@@ -1,5 +1,9 @@
 /** A job as it goes: the server sends what it does, and the page is loaded again when it has ended. */
 
+import { loggedIn } from "./login";
+
+const AGAIN_MS = 3000;
+
 interface Job {
   id: string;
   state: string;
@@ -23,6 +27,10 @@ function follow(place: HTMLElement): void {
   events.addEventListener("end", () => {
     events.close();
     window.location.reload();
+  });
+  events.addEventListener("error", () => {
+    if (events.readyState !== EventSource.CLOSED) return; // it connects again by itself
+    setTimeout(() => void loggedIn().then((back) => back && follow(place), () => undefined), AGAIN_MS);
   });
   window.addEventListener("pagehide", () => events.close());
 }

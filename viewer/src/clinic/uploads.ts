@@ -1,11 +1,14 @@
 /** Photographs on their way to the clinic: in pieces, so that a cut line goes on where it was cut. */
 
+import { type Dropped, type Gathered, ofDrop, ofFiles } from "./dropped";
 import { post } from "./post";
+import { Refused, type Reply, request } from "./request";
 
 interface Check {
   check: string;
   level: "ok" | "unknown" | "warn" | "refuse";
   sentence: string;
+  url?: string;
 }
 
 interface Upload {
@@ -16,7 +19,7 @@ interface Upload {
   offset: number;
   size_bytes: number;
   chunk_bytes: number;
-  state: "receiving" | "unplaced" | "accepted" | "refused" | "cancelled";
+  state: "receiving" | "checked" | "placed" | "refused" | "set aside";
   checks: Check[];
   thumbnail: string | null;
 }
@@ -25,9 +28,27 @@ interface State {
   cameras?: { camera: string; upload: Upload | null }[];
   poses?: Record<string, Record<string, Upload>>;
   unplaced: Upload[];
+  set_aside: Upload[];
   together: Check[];
   ready: boolean;
   missing: string[];
+  /** Of a calibration: its cameras, and what is still needed. */
+  known?: string[];
+  needed?: string;
+}
+
+interface Waiting {
+  file: File;
+  camera: string | null;
+  pose: string | null;
+  /** As people know it: with its folders. */
+  title: string;
+  /** Its folder says which pose it is. */
+  ofFolder: boolean;
+  /** It may take the place of another. */
+  replace: boolean;
+  /** Its place was taken once; perhaps by one that was then refused. */
+  tried?: boolean;
 }
 
 const PATIENCE_MS = [500, 1000, 2000, 4000, 8000, 15000];
@@ -37,15 +58,21 @@ export function takePhotographs(): void {
   for (const root of document.querySelectorAll<HTMLElement>("[data-uploads]")) void new Photographs(root).start();
 }
 
-class Refused extends Error {}
-
 class Photographs {
-  private readonly queue: { file: File; camera: string | null; pose: string | null }[] = [];
+  private readonly queue: Waiting[] = [];
   private readonly said: HTMLElement;
+  private readonly poseInput: HTMLInputElement | null;
+  private occupied: Waiting[] = [];
+  private refused: string[] = [];
   private working = 0;
+  private total = 0;
+  /** The pose was chosen by hand, and nothing was added since. */
+  private typed = false;
+  private sent = 0;
 
   constructor(private readonly root: HTMLElement) {
     this.said = root.querySelector<HTMLElement>("[data-said]")!;
+    this.poseInput = root.querySelector<HTMLInputElement>("[data-pose]");
   }
 
   async start(): Promise<void> {
@@ -59,20 +86,23 @@ class Photographs {
       for (const kind of ["dragleave", "drop"]) drop.addEventListener(kind, () => drop.classList.remove("over"));
       drop.addEventListener("drop", (event) => {
         event.preventDefault();
-        this.add([...(event.dataTransfer?.files ?? [])], null);
+        if (event.dataTransfer !== null) void ofDrop(event.dataTransfer).then((gathered) => this.add(gathered, null));
       });
     }
+    this.poseInput?.addEventListener("input", () => (this.typed = true));
     this.root.addEventListener("change", (event) => {
       const target = event.target as HTMLElement;
       if (target instanceof HTMLInputElement && target.type === "file") {
-        this.add([...(target.files ?? [])], target.dataset.camera ?? null);
+        void ofFiles([...(target.files ?? [])]).then((gathered) => this.add(gathered, target.dataset.camera ?? null));
         target.value = "";
       } else if (target instanceof HTMLSelectElement && target.dataset.place !== undefined && target.value !== "")
-        void this.act(() => this.asked(`${target.dataset.place}place/`, "POST", JSON.stringify({ camera: target.value })));
+        void this.act(() => request(`${target.dataset.place}place/`, { json: { camera: target.value } }));
     });
     this.root.addEventListener("click", (event) => {
       const away = (event.target as HTMLElement).closest<HTMLElement>("[data-away]");
-      if (away !== null) void this.act(() => this.asked(away.dataset.away!, "DELETE"));
+      if (away !== null) void this.act(() => request(away.dataset.away!, { method: "DELETE" }));
+      const back = (event.target as HTMLElement).closest<HTMLElement>("[data-back]");
+      if (back !== null) void this.act(() => request(`${back.dataset.back!}back/`, { method: "POST" }));
       const go = (event.target as HTMLElement).closest<HTMLElement>("[data-go]");
       if (go !== null) void this.go(go);
     });
@@ -83,48 +113,117 @@ class Photographs {
   private async go(button: HTMLElement): Promise<void> {
     const anyway = button.dataset.anyway === "true";
     const next = { next: window.location.pathname };
-    const status = await post(button.dataset.go!, this.root.dataset.token!, this.said, next, anyway ? { anyway } : {});
+    const status = await post(button.dataset.go!, this.said, next, anyway ? { anyway } : {});
     if (status === 409 && !anyway && this.root.dataset.ready === "true" && this.root.dataset.for === "visit") {
       button.dataset.anyway = "true";
       button.textContent = "Measure anyway";
     }
   }
 
-  private add(files: File[], camera: string | null): void {
-    const pose = this.root.querySelector<HTMLInputElement>("[data-pose]")?.value ?? null;
-    for (const file of files) this.queue.push({ file, camera, pose });
-    this.say(files.length === 1 ? "Sending one photograph." : `Sending ${files.length} photographs.`);
+  private add({ files, refused }: Gathered, camera: string | null): void {
+    if (this.working === 0) [this.refused, this.total, this.sent] = [[], 0, 0];
+    this.refused.push(...refused);
+    const current = this.poseInput?.value ?? null;
+    this.typed = false;
+    const several = new Set(files.map(({ folders }) => folders.join("/"))).size > 1;
+    for (const one of files) {
+      const folder = current === null ? undefined : poseOf(one, several);
+      const title = [...one.folders, one.file.name].join("/");
+      // Who chooses another photograph of a camera wants it in the place of the first.
+      this.enqueue({ file: one.file, camera, pose: folder ?? current, title, ofFolder: folder !== undefined, replace: camera !== null });
+    }
+    if (files.length === 0) this.finish(refused.length > 0 ? "" : "There are no photographs in it.");
+  }
+
+  private enqueue(...waiting: Waiting[]): void {
+    this.queue.push(...waiting);
+    this.total += waiting.length;
     while (this.working < AT_ONCE && this.queue.length > 0) void this.work();
+    this.allowGo();
   }
 
   private async work(): Promise<void> {
     this.working += 1;
     for (let next = this.queue.shift(); next !== undefined; next = this.queue.shift()) {
+      this.say(this.total === 1 ? "Sending one photograph." : `Sending photograph ${this.sent + 1} of ${this.total}.`);
       try {
-        await this.send(next.file, next.camera, next.pose);
+        const upload = await this.send(next);
+        const wrong = upload.checks.find(({ level }) => level === "refuse");
+        if (upload.state === "refused") this.refused.push(`${next.title}: ${wrong?.sentence ?? "It cannot be used."}`);
       } catch (error) {
-        this.say(error instanceof Refused ? `${next.file.name}: ${error.message}` : "The photograph could not be sent. Try again.");
+        if (error instanceof Refused && "occupied" in error.reply) this.occupied.push(next);
+        else this.refused.push(`${next.title}: ${error instanceof Refused ? error.message : "It could not be sent. Try again."}`);
       }
+      this.sent += 1;
       await this.refresh().catch(() => undefined);
     }
     this.working -= 1;
-    if (this.working === 0) this.say(this.root.dataset.ready === "true" ? "All photographs are here." : this.said.textContent ?? "");
+    if (this.working > 0) return;
+    const occupied = this.occupied.splice(0);
+    const again = occupied.filter(({ tried }) => tried !== true);
+    const taken = occupied.filter(({ tried }) => tried === true);
+    this.total -= occupied.length;
+    this.sent -= occupied.length;
+    this.enqueue(...again.map((one) => ({ ...one, tried: true })));
+    if (taken.length > 0) await this.ask(taken);
+    if (this.working === 0) this.finish();
   }
 
-  private async send(file: File, camera: string | null, pose: string | null): Promise<void> {
+  /** Say how it went; what was refused is named. */
+  private finish(words?: string): void {
+    const arrived = this.total - this.refused.length;
+    const good = arrived === 1 ? "One photograph has arrived." : `${arrived} photographs have arrived.`;
+    const ready = this.root.dataset.ready === "true" && this.refused.length === 0;
+    this.say(words ?? (ready && this.poseInput === null ? "All photographs are here." : arrived > 0 ? good : ""));
+    const list = this.root.querySelector<HTMLElement>("[data-refused]");
+    list?.replaceChildren(...this.refused.map((sentence) => made("li", "", sentence)));
+    if (list) list.parentElement!.hidden = this.refused.length === 0;
+    this.show("", 1);
+    this.allowGo();
+  }
+
+  /** Nothing is computed from a part of what somebody sends: the button waits for the last photograph. */
+  private allowGo(): void {
+    const go = this.root.querySelector<HTMLButtonElement>("[data-go]");
+    if (go !== null) go.disabled = this.root.dataset.ready !== "true" || this.working > 0;
+  }
+
+  /** Ask what to do with photographs whose places are taken. */
+  private async ask(occupied: Waiting[]): Promise<void> {
+    const names = occupied.map(({ title }) => title);
+    const listed = names.length > 4 ? `${names.slice(0, 3).join(", ")} and ${names.length - 3} more` : names.join(", ");
+    const next = this.nextPose();
+    const another = this.poseInput !== null && occupied.every(({ ofFolder }) => !ofFolder);
+    const choices = { ...(another ? { next: `They are of pose ${next}` } : {}), leave: "Keep those that are there", replace: "Replace them" };
+    const chosen = await choose(occupied.length === 1 ? "This photograph is there already" : "These photographs are there already", `There are other photographs in the places of ${listed}.`, choices);
+    if (chosen === "replace") this.enqueue(...occupied.map((one) => ({ ...one, replace: true })));
+    else if (chosen === "next") {
+      this.poseInput!.value = next;
+      this.enqueue(...occupied.map((one) => ({ ...one, pose: next })));
+    }
+  }
+
+  /** The first number after all poses that are there. */
+  private nextPose(): string {
+    const numbers = [...this.poses.keys()].filter((pose) => /^\d+$/.test(pose)).map(Number);
+    return String(Math.max(0, ...numbers) + 1).padStart(2, "0");
+  }
+
+  private async send({ file, camera, pose, title: name, replace }: Waiting): Promise<Upload> {
     const { for: target, id } = this.root.dataset;
     const sha256 = await digest(file);
-    const begin = { for: target, id, name: file.name, camera, size_bytes: file.size, sha256, ...(pose === null ? {} : { pose }) };
-    let upload = await this.patiently(() => this.asked("/uploads/", "POST", JSON.stringify(begin)));
+    const begin = { for: target, id, name: file.name, camera, replace, size_bytes: file.size, sha256, ...(pose === null ? {} : { pose }) };
+    let upload = await this.patiently(() => request<Upload>("/uploads/", { json: begin }));
     while (upload.state === "receiving" && upload.offset < upload.size_bytes) {
       const { offset, url, chunk_bytes } = upload;
-      this.show(file.name, offset / file.size);
+      this.show(name, (this.sent + offset / file.size) / this.total);
       upload = await this.patiently(async (again) => {
-        if (again) return this.asked(url, "GET");
-        return this.asked(url, "PATCH", file.slice(offset, offset + chunk_bytes), { "Upload-Offset": String(offset), "Content-Type": "application/offset+octet-stream" });
+        if (again) return request<Upload>(url);
+        const headers = { "Upload-Offset": String(offset), "Content-Type": "application/offset+octet-stream" };
+        return request<Upload>(url, { method: "PATCH", headers, body: file.slice(offset, offset + chunk_bytes) });
       });
     }
-    this.show(file.name, 1);
+    return upload;
   }
 
   /** Try until the line is there again; what the server refuses is not tried twice. */
@@ -133,22 +232,12 @@ class Photographs {
       try {
         return await act(attempt > 0);
       } catch (error) {
-        if (error instanceof Refused || attempt > 40) throw error;
+        if (error instanceof Refused && error.status === 409 && "offset" in error.reply) return error.reply as Reply & Upload;
+        if ((error instanceof Refused && error.status < 500) || attempt > 40) throw error;
         this.say("The connection is gone. The photograph goes on by itself when it is back.");
         await new Promise((done) => setTimeout(done, PATIENCE_MS[Math.min(attempt, PATIENCE_MS.length - 1)]));
       }
     }
-  }
-
-  private async asked<T = Upload>(url: string, method: string, body?: BodyInit, more: Record<string, string> = {}): Promise<T> {
-    const headers: Record<string, string> = { "X-CSRFToken": this.root.dataset.token!, ...more };
-    if (typeof body === "string") headers["Content-Type"] = "application/json";
-    const response = await fetch(url, { method, headers, body: body ?? null });
-    if (response.status === 204) return undefined as T;
-    const reply = (await response.json().catch(() => ({}))) as T & { error?: string; offset?: number };
-    if (response.ok || (response.status === 409 && reply.offset !== undefined)) return reply;
-    if (response.status >= 500) throw new Error(response.statusText);
-    throw new Refused(reply.error ?? response.statusText);
   }
 
   private async act(what: () => Promise<unknown>): Promise<void> {
@@ -162,9 +251,10 @@ class Photographs {
 
   /** Show what the server has. */
   private async refresh(): Promise<void> {
-    const state = await this.asked<State>(this.root.dataset.uploads!, "GET");
+    const state = await request<State>(this.root.dataset.uploads!);
     const list = this.root.querySelector<HTMLElement>("[data-places]")!;
-    const cameras = (state.cameras ?? []).map(({ camera }) => camera);
+    const cameras = state.known ?? (state.cameras ?? []).map(({ camera }) => camera);
+    this.advance(state, cameras);
     const places = state.cameras?.map(({ camera, upload }) => this.place(camera, camera, upload)) ?? [];
     for (const [pose, shots] of Object.entries(state.poses ?? {}))
       for (const [camera, upload] of Object.entries(shots)) places.push(this.place(`Pose ${pose}, ${camera}`, null, upload));
@@ -173,15 +263,35 @@ class Photographs {
     const together = this.root.querySelector<HTMLElement>("[data-together]");
     if (together !== null) {
       const warnings = state.together.filter(({ level }) => level === "warn" || level === "refuse");
-      together.replaceChildren(...warnings.map((check) => made("p", "", check.sentence)));
+      together.replaceChildren(...warnings.map(warned));
       together.hidden = warnings.length === 0;
     }
+    const aside = this.root.querySelector<HTMLElement>("[data-aside]");
+    if (aside !== null) {
+      aside.hidden = state.set_aside.length === 0;
+      aside.querySelector("summary")!.textContent = `Set aside (${state.set_aside.length})`;
+      aside.querySelector("ul")!.replaceChildren(...state.set_aside.map(keptAside));
+    }
     this.root.dataset.ready = String(state.ready);
-    const go = this.root.querySelector<HTMLButtonElement>("[data-go]");
-    if (go !== null) go.disabled = !state.ready;
+    this.allowGo();
     const missing = this.root.querySelector<HTMLElement>("[data-missing]");
-    if (missing !== null)
-      missing.textContent = state.ready ? "Everything is here." : state.missing.length > 0 ? `Still missing: ${state.missing.map(title).join(", ")}.` : "";
+    if (missing !== null) {
+      const lacking = state.missing.length > 0 ? `Still missing: ${state.missing.map(title).join(", ")}.` : "";
+      missing.textContent = state.ready ? (lacking || (state.known ? "These poses can be calibrated; ten are better." : "Everything is here.")) : [lacking, state.needed ?? ""].join(" ").trim();
+    }
+  }
+
+  private readonly poses = new Map<string, Set<string>>();
+
+  /** Go on to the next pose as soon as every camera has photographed this one. */
+  private advance(state: State, cameras: string[]): void {
+    if (this.poseInput === null) return;
+    this.poses.clear();
+    for (const [pose, shots] of Object.entries(state.poses ?? {}))
+      this.poses.set(pose, new Set(Object.entries(shots).flatMap(([camera, { state: now }]) => (now === "placed" ? [camera] : []))));
+    const here = this.poses.get(this.poseInput.value);
+    const whole = here !== undefined && cameras.every((camera) => here.has(camera));
+    if (whole && this.queue.length === 0 && !this.typed) this.poseInput.value = this.nextPose();
   }
 
   private place(name: string, camera: string | null, upload: Upload | null, cameras: string[] = []): HTMLElement {
@@ -190,14 +300,7 @@ class Photographs {
     const head = made("h3", "", title(name));
     head.append(chip(upload, level));
     item.append(head);
-    const shot = made("div", upload === null ? "none" : "shot");
-    if (upload?.thumbnail) {
-      const image = made("img", "") as HTMLImageElement;
-      image.src = upload.thumbnail;
-      image.alt = `Photograph: ${title(name)}`;
-      shot.append(image);
-    }
-    item.append(shot);
+    item.append(shotOf(upload, name));
     if (upload !== null) {
       const wrong = upload.checks.filter((check) => check.level === "warn" || check.level === "refuse");
       if (wrong.length > 0) {
@@ -206,13 +309,12 @@ class Photographs {
         item.append(list);
       }
     }
-    if (upload?.state === "unplaced") item.append(chooser(upload, cameras));
+    if (upload?.state === "checked") item.append(chooser(upload, cameras));
     if (camera !== null) item.append(picker(camera, upload === null ? "Choose photograph" : "Another photograph"));
     if (upload !== null) {
-      const away = made("button", "button", "Take away") as HTMLButtonElement;
-      away.type = "button";
+      const words = upload.state === "placed" ? "Set aside" : "Take away";
+      const away = button(words, `${words}: the photograph of ${title(name)}`);
       away.dataset.away = upload.url;
-      away.setAttribute("aria-label", `Take away the photograph: ${title(name)}`);
       item.append(away);
     }
     return item;
@@ -221,7 +323,7 @@ class Photographs {
   private show(name: string, fraction: number): void {
     const bar = this.root.querySelector<HTMLProgressElement>("[data-sent]");
     if (bar === null) return;
-    bar.hidden = fraction >= 1 && this.queue.length === 0;
+    bar.hidden = this.working === 0;
     bar.value = fraction;
     bar.setAttribute("aria-label", `${name} on its way`);
   }
@@ -229,6 +331,38 @@ class Photographs {
   private say(text: string): void {
     this.said.textContent = text;
   }
+}
+
+/** Pose that a photograph's folder names, where several folders came or the folder is a number. */
+function poseOf({ folders }: Dropped, several: boolean): string | undefined {
+  const folder = folders.at(-1);
+  if (folder === undefined || !/^[A-Za-z0-9][A-Za-z0-9_-]{0,31}$/.test(folder)) return undefined;
+  return several || /^\d+$/.test(folder) ? folder : undefined;
+}
+
+/** A question with several answers; empty where it was left. */
+function choose(heading: string, words: string, choices: Record<string, string>): Promise<string> {
+  const dialog = document.createElement("dialog");
+  dialog.className = "again";
+  const head = made("h2", "", heading);
+  head.id = "choose-title";
+  dialog.setAttribute("aria-labelledby", head.id);
+  const acts = made("div", "acts");
+  for (const [value, text] of Object.entries(choices)) {
+    const button = made("button", "button", text) as HTMLButtonElement;
+    button.type = "button";
+    button.addEventListener("click", () => dialog.close(value));
+    acts.append(button);
+  }
+  dialog.append(head, made("p", "", words), acts);
+  document.body.append(dialog);
+  dialog.showModal();
+  return new Promise((done) =>
+    dialog.addEventListener("close", () => {
+      dialog.remove();
+      done(dialog.returnValue);
+    }),
+  );
 }
 
 function title(camera: string): string {
@@ -239,13 +373,13 @@ function title(camera: string): string {
 function worst(upload: Upload): "ok" | "warn" | "refuse" | "" {
   if (upload.state === "receiving") return "";
   if (upload.state === "refused") return "refuse";
-  return upload.checks.some(({ level }) => level === "warn") ? "warn" : upload.state === "accepted" ? "ok" : "";
+  return upload.checks.some(({ level }) => level === "warn") ? "warn" : upload.state === "placed" ? "ok" : "";
 }
 
 function chip(upload: Upload | null, level: string): HTMLElement {
   if (upload === null) return made("span", "chip", "missing");
   if (upload.state === "receiving") return made("span", "chip busy", `${Math.round((100 * upload.offset) / upload.size_bytes)} %`);
-  if (upload.state === "unplaced") return made("span", "chip care", "? choose");
+  if (upload.state === "checked") return made("span", "chip care", "? choose");
   if (level === "refuse") return made("span", "chip bad", "✕ not usable");
   if (level === "warn") return made("span", "chip care", "! look");
   return made("span", "chip good", "✓ good");
@@ -260,6 +394,46 @@ function picker(camera: string, words: string): HTMLElement {
   input.setAttribute("aria-label", `${words}: ${title(camera)}`);
   label.append(input);
   return label;
+}
+
+/** The small picture of a photograph, or its empty place. */
+function shotOf(upload: Upload | null, name: string): HTMLElement {
+  const shot = made("div", upload === null ? "none" : "shot");
+  if (upload?.thumbnail) {
+    const image = made("img", "") as HTMLImageElement;
+    image.src = upload.thumbnail;
+    image.alt = `Photograph: ${title(name)}`;
+    shot.append(image);
+  }
+  return shot;
+}
+
+/** A photograph that was set aside, with the button that brings it back. */
+function keptAside(upload: Upload): HTMLElement {
+  const name = [upload.pose === null ? "" : `pose ${upload.pose},`, upload.camera ?? ""].join(" ").trim();
+  const item = made("li", "place");
+  const back = button("Bring back", `Bring back the photograph of ${title(name)}`);
+  back.dataset.back = upload.url;
+  item.append(made("h3", "", title(name)), shotOf(upload, name), back);
+  return item;
+}
+
+/** What photographs say together; one that lies in another visit too leads there. */
+function warned(check: Check): HTMLElement {
+  const line = made("p", "", check.sentence);
+  if (check.url !== undefined) {
+    const link = made("a", "", "Open that visit") as HTMLAnchorElement;
+    link.href = check.url;
+    line.append(" ", link);
+  }
+  return line;
+}
+
+function button(words: string, label: string): HTMLButtonElement {
+  const element = made("button", "button", words) as HTMLButtonElement;
+  element.type = "button";
+  element.setAttribute("aria-label", label);
+  return element;
 }
 
 function chooser(upload: Upload, cameras: string[]): HTMLElement {

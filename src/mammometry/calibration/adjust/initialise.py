@@ -19,6 +19,7 @@ from mammometry.calibration.adjust.averaging import average_network, components
 from mammometry.calibration.adjust.prior import CameraPrior
 from mammometry.calibration.detection.detect import Detection, Observations
 from mammometry.calibration.settings import BundleSettings
+from mammometry.calibration.targets.target import Target
 from mammometry.geometry.arrays import Array, Bool, Float64
 from mammometry.geometry.lens import undistort
 from mammometry.geometry.transform import Transform
@@ -171,6 +172,11 @@ def _usable(observations: Observations) -> list[Detection]:
     return usable
 
 
+def least_views(target: Target) -> int:
+    """Fewest views of a target by which a camera's own parameters are found."""
+    return _LEAST_VIEWS if _is_flat(target.points_target) else 1
+
+
 def _is_flat(points: Float64[Array, "n 3"]) -> bool:
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     return bool(spread[2] < _FLAT * spread[0])
@@ -179,7 +185,7 @@ def _is_flat(points: Float64[Array, "n 3"]) -> bool:
 def _intrinsics(camera: str, source: Observations, views: Sequence[Detection], most: int) -> Float64[Array, 10]:
     points = source.target.points_target
     flat = _is_flat(points)
-    least = _LEAST_VIEWS if flat else 1
+    least = least_views(source.target)
     if len(views) < least:
         raise CalibrationError(
             f"camera {camera}",

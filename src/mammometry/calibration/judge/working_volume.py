@@ -56,9 +56,7 @@ def working_volume(calibration: Calibration, *, steps: int = 9) -> WorkingVolume
     rig = calibration.rig
     placed = [placed.apply(calibration.target_points) for placed in calibration.world_from_target.values()]
     places = np.concatenate(placed)
-    axes = np.stack([camera.axis_world for camera in rig.cameras.values()])
-    parallel = (axes @ axes.T).min() > _PARALLEL_COSINE
-    centre = places.mean(axis=0) if parallel else meeting_point(rig)
+    centre = places.mean(axis=0) if axes_are_parallel(rig) else meeting_point(rig)
     reach = float(np.median([_half_height_mm(camera, centre) for camera in rig.cameras.values()]))
     ticks = np.linspace(-reach, reach, steps)
     grid = centre + np.stack(np.meshgrid(ticks, ticks, ticks, indexing="ij"), axis=-1)
@@ -67,6 +65,12 @@ def working_volume(calibration: Calibration, *, steps: int = 9) -> WorkingVolume
         seen |= sees(pair.left, grid) & sees(pair.right, grid)
     shown = np.asarray(cKDTree(places).query(grid)[0] <= 2 * reach / (steps - 1))
     return WorkingVolume(grid_world=grid, seen=seen, shown=shown)
+
+
+def axes_are_parallel(rig: Rig) -> bool:
+    """Whether all optical axes are parallel to within 5°: they meet nowhere."""
+    axes = np.stack([camera.axis_world for camera in rig.cameras.values()])
+    return bool((axes @ axes.T).min() > _PARALLEL_COSINE)
 
 
 def meeting_point(rig: Rig) -> Float64[Array, 3]:

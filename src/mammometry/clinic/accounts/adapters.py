@@ -18,6 +18,13 @@ from cryptography.fernet import Fernet
 from django.conf import settings
 from django.http import HttpRequest
 
+_MESSAGES = {
+    "account/messages/password_changed.txt": "Your password is changed. Log in with the new one.",
+    "mfa/messages/recovery_codes_generated.txt": "New codes are made. The old ones do not work any more.",
+    "mfa/messages/totp_activated.txt": "The second factor is set up.",
+    "mfa/messages/totp_deactivated.txt": "The second factor is removed.",
+}
+"""Template of allauth's message → our sentence. All other messages are left out: the page itself says it."""
 FRESH_S = 600
 """How long after a login the password is not asked again, s."""
 
@@ -25,9 +32,26 @@ FRESH_S = 600
 class Accounts(DefaultAccountAdapter):
     """Accounts are made by an administrator."""
 
+    error_messages = {  # noqa: RUF012
+        **DefaultAccountAdapter.error_messages,
+        "username_password_mismatch": "The name or the password is wrong.",
+        "incorrect_password": "The password is wrong.",
+        "enter_current_password": "This is not your password now.",
+        "too_many_login_attempts": "Too many tries. Wait a minute, then try again.",
+        "rate_limited": "Too many tries. Wait a minute, then try again.",
+    }
+
     def is_open_for_signup(self, request: HttpRequest) -> bool:
         """No."""
         return False
+
+    def add_message(
+        self, request: HttpRequest, level: int, message_template: str | None = None, *args: Any, **kwargs: Any
+    ) -> None:
+        """Show our sentence in place of allauth's."""
+        sentence = _MESSAGES.get(message_template or "")
+        if sentence is not None:
+            super().add_message(request, level, message=sentence)
 
     def is_reauthentication_required(self, *, app: str, **kwargs: Any) -> bool:
         """Whether the password is asked again.
@@ -60,6 +84,12 @@ class SecondFactor(DefaultMFAAdapter):
 
     A copy of the database alone opens nothing.
     """
+
+    error_messages = {  # noqa: RUF012
+        **DefaultMFAAdapter.error_messages,
+        "incorrect_code": "The code is wrong. It changes every 30 seconds: enter the one that is shown now.",
+        "cannot_delete_authenticator": "The second factor cannot be removed: this clinic requires it.",
+    }
 
     def encrypt(self, text: str) -> str:
         """Under a key made of the clinic's."""

@@ -14,7 +14,8 @@ from mammometry.capture.checks.found import Found
 from mammometry.capture.loop import Fired
 from mammometry.capture.shots import last_record
 from mammometry.clinic.intake import uploads
-from mammometry.clinic.intake.thumbnail import small_picture
+from mammometry.clinic.intake.set_aside import fired_files
+from mammometry.clinic.intake.thumbnail import small_picture, thumbnail_path
 from mammometry.clinic.models import Person, Upload, Visit
 from mammometry.io.images import FORMATS
 
@@ -22,7 +23,7 @@ from mammometry.io.images import FORMATS
 def take_in(visit: Visit, fired: Fired, by: Person | None) -> None:
     """Enter an accepted firing as the visit's photographs.
 
-    They take the place of an earlier firing's.
+    They take the place of an earlier firing's, which are set aside.
 
     Args:
         visit: whose session folder it was fired into.
@@ -31,9 +32,14 @@ def take_in(visit: Visit, fired: Fired, by: Person | None) -> None:
     """
     record: dict[str, Any] = last_record(visit.folder) or {}
     with transaction.atomic():
-        for old in visit.uploads.all():
-            uploads.thumbnail_path(old).unlink(missing_ok=True)
-            old.delete()
+        names = fired_files(visit.folder)
+        for old in visit.uploads.exclude(state=Upload.State.SET_ASIDE):
+            if old.state == Upload.State.PLACED and old.sha256 in names:
+                old.name, old.state = names[old.sha256], Upload.State.SET_ASIDE
+                old.save()
+            else:
+                thumbnail_path(old).unlink(missing_ok=True)
+                old.delete()
         for camera, about in record["cameras"].items():
             path = visit.folder / "capture" / about["file"]
             upload = Upload.objects.create(
@@ -48,8 +54,8 @@ def take_in(visit: Visit, fired: Fired, by: Person | None) -> None:
                 created_by=by,
             )
             with Image.open(path, formats=FORMATS) as picture:
-                small_picture(picture, uploads.thumbnail_path(upload))
-        uploads.note_ready(visit)
+                small_picture(picture, thumbnail_path(upload))
+        uploads.note_ready(visit, changed=True)
 
 
 def _checks(fired: Fired, camera: str, about: dict[str, Any]) -> list[dict[str, Any]]:

@@ -12,28 +12,29 @@ from __future__ import annotations
 import re
 import threading
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 from uuid import UUID
 
 from django.db import transaction
 from django.db.models import QuerySet
+from django.utils import timezone
 from filelock import FileLock, Timeout
 
-from mammometry.base.errors import ImageError, MammometryError
-from mammometry.base.limits import LimitSettings
-from mammometry.capture.checks import cameras, pixels
-from mammometry.capture.checks.cameras import KnownCamera
-from mammometry.capture.checks.content import not_only_a_photograph
+from mammometry.base.errors import MammometryError
+from mammometry.capture.checks import cameras
 from mammometry.capture.checks.found import Found, refuses
 from mammometry.capture.sessions import cameras_of, make_session, manifest_text
-from mammometry.clinic.intake.thumbnail import write_thumbnail
+from mammometry.clinic.intake import names
+from mammometry.clinic.intake.look import Target, known_cameras, look
+from mammometry.clinic.intake.poses import poses_needed
+from mammometry.clinic.intake.set_aside import clear_place, put_back, set_aside
+from mammometry.clinic.intake.thumbnail import thumbnail_path
 from mammometry.clinic.jobs import queue
 from mammometry.clinic.models import Calibration, DailyCheck, Job, Person, Rig, Upload, Visit
 from mammometry.clinic.site import the_clinic
 from mammometry.io.durable import sync_folder
-from mammometry.io.exposure import read_exposure
-from mammometry.io.images import read_header, read_photograph
 from mammometry.io.write import disk_errors, file_digest
 
 CHUNK_BYTES = 4 << 20
@@ -43,7 +44,6 @@ _SHA256 = re.compile(r"[0-9a-f]{64}")
 _ENDINGS = {b"\xff\xd8\xff": ".jpg", b"\x89PNG": ".png", b"II*\x00": ".tif", b"MM\x00*": ".tif"}
 _LOCK_S = 5.0  # that one piece waits for another of the same photograph
 _DECODED_AT_ONCE = threading.BoundedSemaphore(2)  # a photograph of 250 megapixels takes 750 MB as it is looked at
-Target = Visit | Calibration | DailyCheck
 
 
 class UploadError(MammometryError):
@@ -61,24 +61,40 @@ class UploadError(MammometryError):
         self.status = status
 
 
-def begin(
-    target: Target, by: Person | None, *, name: str, camera: str | None, pose: str, size_bytes: int, sha256: str
-) -> Upload:
+class OccupiedError(UploadError):
+    """Another photograph has the place, and nobody said that it may be replaced."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Announced:
+    """What a sender says of a file before its bytes come in."""
+
+    name: str
+    """The sender's name of it. Only whether it names a camera is kept."""
+    camera: str | None
+    """In whose place it is put. None: its name or its EXIF says so."""
+    pose: str = ""
+    """Of a calibration's photograph."""
+    size_bytes: int
+    sha256: str
+    """Hexadecimal. Empty: not known."""
+
+
+def begin(target: Target, by: Person | None, file: Announced, *, replace: bool = False) -> Upload:
     """Begin an upload, or find the one that was cut.
 
     Args:
         target: what it is for.
         by: who sends it.
-        name: the sender's name of the file; only whether it names a camera is kept.
-        camera: in whose place it is put; None: its name or its EXIF says so.
-        pose: of a calibration's photograph.
-        size_bytes: of the whole file.
-        sha256: of the whole file, hexadecimal; empty: not known.
+        file: what is said of it.
+        replace: whether it takes the place of another photograph, which is set aside.
 
     Raises:
+        OccupiedError: another photograph has the place.
         UploadError: it is too large, for no camera of the rig, or for a visit that is being measured.
     """
     require_open(target)
+    camera, pose, size_bytes, sha256 = file.camera, file.pose, file.size_bytes, file.sha256
     known = cameras_of(rig_of(target).definition)
     if camera is not None and camera not in known:
         raise UploadError(f"This rig has no camera {camera[:40]!r}, only {', '.join(known)}.", 400)
@@ -89,12 +105,18 @@ def begin(
         raise UploadError(
             f"The file has {size_bytes / 1e6:.0f} MB. A photograph has 1 byte to {most / 1e6:.0f} MB.", 413
         )
-    named = cameras.camera_of_name(name, known)
+    named = cameras.camera_of_name(file.name, known)
     place = _place(target, pose, camera or named or "")
+    of_pose = pose if isinstance(target, Calibration) else ""
     if sha256:
-        same = _of(target).filter(name=place, sha256=sha256, size_bytes=size_bytes)
-        if (earlier := same.exclude(state=Upload.State.REFUSED).first()) is not None:
+        gone = (Upload.State.REFUSED, Upload.State.SET_ASIDE)
+        same = _of(target).filter(camera=camera or named or "", sha256=sha256).exclude(state__in=gone)
+        if (earlier := next((row for row in same if _pose(row) == of_pose), None)) is not None:
             return earlier
+    if not replace and (camera or named) and _has_photograph(target, pose, camera or named or ""):
+        raise OccupiedError(
+            f"{f'Pose {pose}' if of_pose else 'This'} has another photograph of {camera or named} already."
+        )
     checks = [Found(check="name", level="ok", sentence=f"The file is called {named}.").as_table()] if named else []
     with transaction.atomic():
         upload = Upload.objects.create(
@@ -110,6 +132,13 @@ def begin(
             target.state = Visit.State.UPLOADING
             target.save(update_fields=["state"])
     return upload
+
+
+def _has_photograph(target: Target, pose: str, camera: str) -> bool:
+    """Whether a camera's place is taken, or a photograph is on its way there."""
+    there = _of(target).filter(camera=camera, state__in=(Upload.State.PLACED, Upload.State.RECEIVING))
+    of_pose = pose if isinstance(target, Calibration) else ""
+    return any(_pose(each) == of_pose for each in there)
 
 
 def append(upload: Upload, offset: int, data: bytes) -> Upload:
@@ -180,19 +209,46 @@ def place(upload: Upload, camera: str) -> Upload:
 
 
 def remove(upload: Upload) -> None:
-    """Take a photograph away again, wherever it is.
+    """Set a photograph aside, or forget an upload that never came into its place.
 
     Raises:
-        UploadError: the visit is being measured.
+        UploadError: the visit is being measured, or it is set aside already.
+        StorageError: the disk is full or refuses.
     """
     target = target_of(upload)
     require_open(target)
+    if upload.state == Upload.State.SET_ASIDE:
+        raise UploadError("This photograph is set aside already.")
     if upload.state == Upload.State.PLACED:
-        (folder_of(target) / upload.name).unlink(missing_ok=True)
+        with transaction.atomic():
+            set_aside(upload, folder_of(target))
+            note_ready(target, changed=True)
+        return
     for path in _files(upload):
         path.unlink(missing_ok=True)
     upload.delete()
     note_ready(target)
+
+
+def bring_back(upload: Upload) -> None:
+    """Put a photograph that was set aside into its place. One that is there is set aside.
+
+    Raises:
+        UploadError: it is not set aside, or the visit is being measured.
+        StorageError: the disk is full or refuses.
+    """
+    target = target_of(upload)
+    require_open(target)
+    if upload.state != Upload.State.SET_ASIDE:
+        raise UploadError("This photograph is not set aside.")
+    folder = folder_of(target)
+    name = f"{_place(target, _pose(upload), upload.camera)}{Path(upload.name).suffix}"
+    with transaction.atomic():
+        _clear_place(upload, target, folder / name)
+        put_back(upload, folder, folder / name)
+        upload.name, upload.state, upload.created = name, Upload.State.PLACED, timezone.now()
+        upload.save()
+        note_ready(target, changed=True)
 
 
 def target_of(upload: Upload) -> Target:
@@ -228,11 +284,6 @@ def require_open(target: Target) -> None:
         raise UploadError("This is being measured. Wait until it is done, or cancel it first.")
 
 
-def thumbnail_path(upload: Upload) -> Path:
-    """Where its small picture lies."""
-    return upload.path.with_suffix(".webp")
-
-
 def table_of(upload: Upload) -> dict[str, Any]:
     """An upload as JSON, less the addresses."""
     field = "visit" if upload.visit_id else "calibration" if upload.calibration_id else "check"
@@ -253,21 +304,27 @@ def table_of(upload: Upload) -> dict[str, Any]:
 
 def state_of(target: Target) -> dict[str, Any]:
     """Every camera's photograph, what is missing, and what the photographs say together."""
-    uploads = list(_of(target))
+    uploads = list(_of(target).exclude(state=Upload.State.SET_ASIDE))
     newest = {(_pose(each), each.camera): each for each in uploads if each.camera}
     placed = {shot: each for shot, each in newest.items() if each.state == Upload.State.PLACED}
     known = cameras_of(rig_of(target).definition)
     common: dict[str, Any] = {
         "unplaced": [table_of(each) for each in uploads if not each.camera],
+        "set_aside": [table_of(each) for each in _of(target).filter(state=Upload.State.SET_ASIDE).order_by("camera")],
         "busy": Job.objects.filter(**{_field(target): target}, state__in=queue.OPEN).exists(),
     }
     if isinstance(target, Calibration):
         poses = sorted({pose for pose, _ in newest})
         shown = {
-            pose: {camera: table_of(each) for (of, camera), each in newest.items() if of == pose} for pose in poses
+            pose: {camera: table_of(newest[pose, camera]) for camera in known if (pose, camera) in newest}
+            for pose in poses
         }
         missing = [camera for camera in known if camera not in {name for _, name in placed}]
-        return {"poses": shown, "missing": missing, "ready": bool(known) and not missing, "together": [], **common}
+        needed = poses_needed(rig_of(target).definition, known, placed)
+        return {
+            "poses": shown, "missing": missing, "needed": needed, "ready": bool(known) and not needed,
+            "together": [], "known": known, **common,
+        }  # fmt: skip
     missing = [camera for camera in known if ("", camera) not in placed]
     rows = [
         {"camera": camera, "upload": table_of(newest["", camera]) if ("", camera) in newest else None}
@@ -302,10 +359,15 @@ def _finish(upload: Upload) -> None:
 def _judge_and_place(upload: Upload) -> None:
     target = target_of(upload)
     with _DECODED_AT_ONCE:
-        found, seen = _look(upload, target)
+        by_serial = not upload.camera
+        found, seen = look(upload, target)
     if refuses(found):
         _refuse(upload, found)
         return
+    if by_serial and upload.camera and _has_photograph(target, _pose(upload), upload.camera):
+        sentence = f"By its serial number {upload.camera} took it, which has another photograph. Choose the camera."
+        found.append(Found(check="camera", level="warn", sentence=sentence))
+        upload.camera = ""
     upload.checks = [{**each.as_table(), **seen} for each in found]
     upload.state = Upload.State.PLACED if upload.camera else Upload.State.CHECKED
     if not upload.camera:
@@ -322,66 +384,21 @@ def _judge_and_place(upload: Upload) -> None:
         # One at a time for each target, so that the file that stays is the one of the row that stays. SQLite has one
         # writer anyhow.
         type(target)._default_manager.select_for_update().get(pk=target.pk)
+        changed = _clear_place(upload, target, goal)
         with disk_errors(goal):
             goal.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
             upload.path.replace(goal)  # from here on it is in the session; the row follows
-            for other in goal.parent.glob(f"{upload.camera}.*"):
-                if other != goal:
-                    other.unlink()
             sync_folder(goal.parent)
-        replaced = _of(target).filter(camera=upload.camera).exclude(pk=upload.pk)
-        for each in replaced:
-            if _pose(each) == _pose(upload) and each.state != Upload.State.RECEIVING:
-                thumbnail_path(each).unlink(missing_ok=True)
-                each.delete()
         upload.name = goal.relative_to(folder).as_posix()
         upload.save()
-        note_ready(target)
+        note_ready(target, changed=changed)
 
 
-def _look(upload: Upload, target: Target) -> tuple[list[Found], dict[str, Any]]:
-    """All checks of one photograph, and what is kept of its EXIF."""
-    other = not_only_a_photograph(upload.path)
-    if other is not None:
-        what = "no photograph" if other == "no photograph" else f"{other} as well as a photograph"
-        sentence = f"This file is {what}. Send the JPEG, PNG or TIFF as the camera wrote it."
-        return [Found(check="format", level="refuse", sentence=sentence)], {}
-    limits = LimitSettings(megapixels=float(the_clinic().limits.photograph_megapixels))
-    try:
-        header = read_header(upload.path, "The photograph", limits)
-        photograph = read_photograph(upload.path, "The photograph", limits)
-    except ImageError as error:
-        return [Found(check="format", level="refuse", sentence=str(error))], {}
-    except MemoryError:
-        return [Found(check="format", level="refuse", sentence="The photograph is too large for this machine.")], {}
-    exposure = read_exposure(upload.path)
-    known = known_cameras(target)
-    named = next((each.get("named") for each in upload.checks if each.get("named")), None)
-    if not upload.camera:
-        upload.camera = cameras.camera_of_serial(exposure.serial, known) or ""
-    megapixels = header.stored_wh[0] * header.stored_wh[1] / 1e6
-    found = [Found(check="format", level="ok", sentence=f"A photograph of {megapixels:.1f} megapixels.")]
-    if upload.camera:
-        found.append(cameras.right_camera(upload.camera, exposure, named, known))
-        found.append(cameras.right_size(upload.camera, header.stored_wh, header.orientation, known))
-    else:
-        sentence = "Neither the file's name nor its EXIF says which camera took it. Choose the camera."
-        found.append(Found(check="camera", level="unknown", sentence=sentence))
-    if isinstance(target, Visit):
-        found += pixels.judge(pixels.look(photograph), target.subject_kind)
-    write_thumbnail(photograph, thumbnail_path(upload))
-    return found, {"serial": exposure.serial, "taken_s": exposure.taken_s, "named": named}
-
-
-def known_cameras(target: Target) -> dict[str, KnownCamera]:
-    """What the calibration that a target belongs to knows of its cameras.
-
-    Nothing for a new calibration.
-    """
-    if isinstance(target, Calibration):
-        return {}
-    figures = target.calibration.figures if target.calibration is not None else {}
-    return {name: KnownCamera.from_table(table) for name, table in figures.get("cameras", {}).items()}
+def _clear_place(upload: Upload, target: Target, goal: Path) -> bool:
+    others = _of(target).filter(camera=upload.camera).exclude(pk=upload.pk)
+    left = (Upload.State.RECEIVING, Upload.State.SET_ASIDE)
+    same_pose = [other for other in others.exclude(state__in=left) if _pose(other) == _pose(upload)]
+    return clear_place(same_pose, upload, folder_of(target), goal)
 
 
 def ready_folder(visit: Visit) -> None:
@@ -392,15 +409,9 @@ def ready_folder(visit: Visit) -> None:
         StorageError: the disk is full or refuses.
     """
     text = manifest_text(
-        rig_of(visit).definition, visit.subject_kind, visit.patient.pseudonym, _local(visit.taken_at).date()
+        rig_of(visit).definition, visit.subject_kind, visit.patient.pseudonym, timezone.localdate(visit.taken_at)
     )
     make_session(visit.folder, text)
-
-
-def _local(moment: Any) -> Any:
-    from django.utils import timezone
-
-    return timezone.localtime(moment)
 
 
 def _together(target: Target, placed: Sequence[Upload]) -> list[Found]:
@@ -410,7 +421,11 @@ def _together(target: Target, placed: Sequence[Upload]) -> list[Found]:
     taken = {camera: table["taken_s"] for camera, table in facts.items() if table.get("taken_s") is not None}
     known = known_cameras(target)
     clock_s = {camera: about.clock_s for camera, about in known.items() if about.clock_s is not None}
-    return [cameras.together(taken, clock_s), *cameras.twice({each.camera: each.sha256 for each in placed})]
+    found = [cameras.together(taken, clock_s), *cameras.twice({each.camera: each.sha256 for each in placed})]
+    if isinstance(target, Visit) and not refuses(found):
+        folder = folder_of(target)
+        found += names.check(target, tuple((each.camera, each.sha256, folder / each.name) for each in placed))
+    return found
 
 
 def _refuse(upload: Upload, found: Sequence[Found]) -> None:
@@ -420,11 +435,14 @@ def _refuse(upload: Upload, found: Sequence[Found]) -> None:
     upload.save()
 
 
-def note_ready(target: Target) -> None:
-    """A visit whose photographs are all there is ready."""
+def note_ready(target: Target, *, changed: bool = False) -> None:
+    """A visit whose photographs are all there is ready. A measured one whose photographs changed says so."""
     if not isinstance(target, Visit):
         return
-    state = Visit.State.READY if state_of(target)["ready"] else Visit.State.UPLOADING
+    if target.measurements.exists():
+        state = Visit.State.CHANGED if changed else Visit.State(target.state)
+    else:
+        state = Visit.State.READY if state_of(target)["ready"] else Visit.State.UPLOADING
     if target.state != state:
         target.state = state
         target.save(update_fields=["state"])

@@ -23,19 +23,23 @@ from mammometry.clinic.models import Job
 _LOOK_S = 0.5  # between two looks at the rows
 _STILL_S = 15.0  # without an event, after which a line keeps the connection open
 _ENDED_S = 60.0  # for so long an ended job is still sent
+OF_PATIENTS = ("visit", "comparison")
+"""What a job is about, where a patient is behind it."""
 _RETRY_MS = 2000  # a browser that lost the connection waits this long
 
 
 def table_of(job: Job, place: int | None = None) -> dict[str, Any]:
     """A job as JSON. It names a patient by pseudonym."""
     target = queue.target_of(job)
-    field = "visit" if job.visit_id else "calibration" if job.calibration_id else "check"
+    fields = {"visit": job.visit_id, "calibration": job.calibration_id, "comparison": job.comparison_id}
+    field = next((name for name, key in fields.items() if key), "check")
+    visit = job.comparison.after if job.comparison is not None else job.visit
     return {
         "id": str(job.pk),
         "kind": job.kind,
         "for": field,
         "target": str(target.pk),
-        "patient": job.visit.patient.pseudonym if job.visit is not None else None,
+        "patient": None if visit is None else visit.patient.pseudonym,
         "state": job.state,
         "place": place,
         "attempt": job.attempt,
@@ -64,7 +68,7 @@ def newest() -> dict[str, dict[str, Any]]:
     since = timezone.now() - timedelta(seconds=_ENDED_S)
     found = (
         Job.objects.filter(Q(state__in=queue.OPEN) | Q(ended__gt=since))
-        .select_related("visit__patient", "calibration", "check_of_day")
+        .select_related("visit__patient", "comparison__after__patient", "calibration", "check_of_day")
         .order_by("created", "pk")
     )
     return {table["id"]: table for table in tables(list(found))}
@@ -135,7 +139,7 @@ async def stream(about: Mapping[str, str], *, visits: bool = True) -> AsyncItera
 
     Args:
         about: field of a job's JSON → the value that it must have; empty: all.
-        visits: whether jobs of visits are sent, too.
+        visits: whether jobs of visits and of their comparisons are sent, too.
     """
     sent: dict[str, dict[str, Any]] = {}
     number = 0
@@ -144,7 +148,7 @@ async def stream(about: Mapping[str, str], *, visits: bool = True) -> AsyncItera
         mine = {
             key: job
             for key, job in jobs.items()
-            if (visits or job["for"] != "visit") and all(job[name] == value for name, value in about.items())
+            if (visits or job["for"] not in OF_PATIENTS) and all(job[name] == value for name, value in about.items())
         }
         news = [job for key, job in mine.items() if sent.get(key) != job]
         for job in news:

@@ -30,8 +30,10 @@ def run_here(config: ClinicConfig) -> None:
     configure(config)
     from mammometry.clinic.deliveries import Deliverer
     from mammometry.clinic.jobs.runner import Runner
+    from mammometry.clinic.keep.backups import DailyBackup
 
     Deliverer(config).start()
+    DailyBackup(config).start()
     runner = Runner(config)
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: runner.stop())

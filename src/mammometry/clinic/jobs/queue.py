@@ -14,22 +14,25 @@ from typing import Any
 from uuid import UUID
 
 from django.db import IntegrityError, transaction
-from django.db.models import F, Q
+from django.db.models import F, Q, QuerySet
 from django.utils import timezone
 
+from mammometry.clinic import comparing
 from mammometry.clinic.jobs import results
-from mammometry.clinic.models import Calibration, DailyCheck, Job, Person, Visit
+from mammometry.clinic.jobs.results import Target
+from mammometry.clinic.models import Calibration, Comparison, DailyCheck, Job, Person, Visit
+from mammometry.io.subject import rename_subject
 
 LEASE_S = 45.0
 """A runner that says nothing for so long is taken for dead. It renews every third of it."""
 _ATTEMPTS = 3  # times that a job may take its runner down, before it is blamed
 _STOPPED_S = 10.0  # for so long a cancelled job's process is looked for
 OPEN = (Job.State.QUEUED, Job.State.RUNNING)
-Target = Visit | Calibration | DailyCheck
 _KINDS: Mapping[type, tuple[str, str]] = {
     Visit: (Job.Kind.MEASURE, "visit"),
     Calibration: (Job.Kind.CALIBRATE, "calibration"),
     DailyCheck: (Job.Kind.CHECK, "check_of_day"),
+    Comparison: (Job.Kind.COMPARE, "comparison"),
 }
 _WORDS = {
     "": "Waiting",
@@ -42,6 +45,7 @@ _WORDS = {
     "measure": "Measuring",
     "report": "Writing the report",
     "check": "Looking for the board",
+    "compare": "Comparing both dates",
 }
 
 
@@ -52,21 +56,26 @@ def stage_words(stage: str) -> str:
 
 def target_of(job: Job) -> Target:
     """What a job is about."""
-    found = job.visit or job.calibration or job.check_of_day
+    found = job.visit or job.calibration or job.check_of_day or job.comparison
     assert found is not None
     return found
 
 
 def enqueue(target: Target, by: Person | None) -> Job:
-    """Queue a computation for a visit, calibration or daily check.
+    """Queue a computation for a visit, calibration, daily check or comparison.
 
     One that is open already is returned.
+
+    Raises:
+        StorageError: the disk is full or refuses.
     """
     kind, field = _KINDS[type(target)]
     about: dict[str, Any] = {field: target}
     open_one = Job.objects.filter(**about, state__in=OPEN).first()
     if open_one is not None:
         return open_one
+    if isinstance(target, Visit):
+        carry_subject(target)
     try:
         with transaction.atomic():
             job = Job.objects.create(**about, kind=kind, created_by=by)
@@ -74,6 +83,26 @@ def enqueue(target: Target, by: Person | None) -> Job:
     except IntegrityError:  # somebody else queued it at this moment
         return Job.objects.get(**about, state__in=OPEN)
     return job
+
+
+def compare(before: Visit, after: Visit, by: Person | None) -> None:
+    """Queue the comparison of two visits where none of their newest measurements is there."""
+    if not comparing.may_compare(before, after):
+        return
+    comparison, _ = Comparison.objects.get_or_create(before=before, after=after)
+    if not comparing.is_current(comparison):
+        enqueue(comparison, by)
+
+
+def carry_subject(visit: Visit) -> None:
+    """Let a visit's folder name its patient by pseudonym, and its day, after either was corrected.
+
+    Results that name another patient are dropped.
+
+    Raises:
+        StorageError: the disk is full or refuses.
+    """
+    rename_subject(visit.folder, visit.patient.pseudonym, timezone.localdate(visit.taken_at))
 
 
 def retry(job: Job, by: Person | None) -> Job:
@@ -92,6 +121,13 @@ def cancel(job: Job) -> bool:
             results.cancelled(target_of(job))
     job.refresh_from_db()
     return bool(done)
+
+
+def of_visits_in_use() -> QuerySet[Job]:
+    """Jobs as pages show them: none of a visit in the bin."""
+    return Job.objects.filter(
+        visit__binned_at=None, comparison__before__binned_at=None, comparison__after__binned_at=None
+    )
 
 
 def open_jobs() -> list[Job]:
@@ -211,7 +247,11 @@ def done(key: UUID, owner: str, answer: Mapping[str, Any]) -> bool:
             state=Job.State.DONE, fraction=1.0, stage="", digest=answer["digest"], ended=timezone.now(), exit_code=0
         ):
             return False
-        results.enter(Job.objects.get(pk=key), answer)
+        job = Job.objects.get(pk=key)
+        results.enter(job, answer)
+        if job.visit is not None and job.visit.state == Visit.State.CHANGED:  # drawn while this was at work
+            enqueue(job.visit, job.created_by)
+        _compare_after(job)
     return True
 
 
@@ -223,8 +263,22 @@ def failed(key: UUID, owner: str, message: str, exit_code: int) -> bool:
             state=Job.State.FAILED, message=message[:1500], exit_code=exit_code, ended=timezone.now(), stage=""
         ):
             return False
-        results.failed(target_of(Job.objects.get(pk=key)), message)
+        job = Job.objects.get(pk=key)
+        results.failed(target_of(job), message)
+        _compare_after(job)
     return True
+
+
+def _compare_after(job: Job) -> None:
+    """Queue the comparisons that are due now that a job has ended.
+
+    A comparison is due again when one of its visits was measured while it was made.
+    """
+    pairs = [(job.comparison.before, job.comparison.after)] if job.comparison is not None else []
+    if job.visit is not None:
+        pairs = comparing.neighbours(job.visit)
+    for before, after in pairs:
+        compare(before, after, None)
 
 
 def unwanted(owner: str) -> list[str]:

@@ -13,7 +13,11 @@ from typing import Any
 
 from django.utils import timezone
 
-from mammometry.clinic.models import Calibration, DailyCheck, Job, Measurement, Visit, Volume
+from mammometry.clinic.comparing import measured_digests, refusal_of
+from mammometry.clinic.confirmations import has_unmeasured_drawing, settled_state
+from mammometry.clinic.models import Calibration, Comparison, DailyCheck, Job, Measurement, Visit, Volume
+
+Target = Visit | Calibration | DailyCheck | Comparison
 
 _VERDICTS = {
     "unmoved": "No camera has moved.",
@@ -23,7 +27,7 @@ _VERDICTS = {
 _LONGEST = 500  # characters of a verdict
 
 
-def queued(target: Visit | Calibration | DailyCheck) -> None:
+def queued(target: Target) -> None:
     """A job of it waits."""
     if isinstance(target, Visit):
         target.state = Visit.State.QUEUED
@@ -31,34 +35,43 @@ def queued(target: Visit | Calibration | DailyCheck) -> None:
     elif isinstance(target, Calibration):
         target.state = Calibration.State.QUEUED
         target.save(update_fields=["state"])
+    elif isinstance(target, Comparison):
+        target.state = Comparison.State.QUEUED
+        target.save(update_fields=["state"])
 
 
-def begun(target: Visit | Calibration | DailyCheck) -> None:
+def begun(target: Target) -> None:
     """A job of it is at work."""
     if isinstance(target, Calibration):
         target.state = Calibration.State.RUNNING
         target.save(update_fields=["state"])
+    elif isinstance(target, Comparison):
+        target.of = measured_digests(target.before, target.after)
+        target.save(update_fields=["of"])
 
 
-def cancelled(target: Visit | Calibration | DailyCheck) -> None:
+def cancelled(target: Target) -> None:
     """Its job was cancelled: it is as before."""
     if isinstance(target, Visit):
-        measured = target.measurements.exists()
-        target.state = Visit.State.MEASURED if measured else Visit.State.READY
+        target.state = settled_state(target)
         target.save(update_fields=["state"])
     elif isinstance(target, Calibration):
         target.state = Calibration.State.UPLOADING
         target.save(update_fields=["state"])
+    elif isinstance(target, Comparison):
+        _refuse(target, measured_digests(target.before, target.after), "The comparison was cancelled.")
 
 
-def failed(target: Visit | Calibration | DailyCheck, message: str) -> None:
+def failed(target: Target, message: str) -> None:
     """Its job failed."""
     if isinstance(target, Visit):
-        target.state = Visit.State.REFUSED
+        target.state = Visit.State.CHANGED if has_unmeasured_drawing(target) else Visit.State.REFUSED
         target.save(update_fields=["state"])
     elif isinstance(target, Calibration):
         target.state, target.verdict = Calibration.State.FAILED, message[:_LONGEST]
         target.save(update_fields=["state", "verdict"])
+    elif isinstance(target, Comparison):
+        _refuse(target, target.of, message)
     else:
         target.verdict, target.passed = message[:_LONGEST], None
         target.save(update_fields=["verdict", "passed"])
@@ -72,18 +85,34 @@ def enter(job: Job, answer: Mapping[str, Any]) -> None:
         _calibrated(job.calibration, answer["figures"])
     elif job.check_of_day is not None:
         _checked(job.check_of_day, answer["figures"])
+    elif job.comparison is not None:
+        _compared(job.comparison, answer)
+
+
+def _compared(comparison: Comparison, answer: Mapping[str, Any]) -> None:
+    comparison.of, comparison.table = answer["of"], dict(answer["table"])
+    comparison.state, comparison.message, comparison.made_at = Comparison.State.DONE, "", timezone.now()
+    comparison.save()
+
+
+def _refuse(comparison: Comparison, digests: str, message: str) -> None:
+    comparison.state, comparison.message, comparison.made_at = Comparison.State.REFUSED, message[:1500], timezone.now()
+    comparison.of = refusal_of(digests)
+    comparison.save()
 
 
 def _measured(job: Job, visit: Visit, answer: Mapping[str, Any]) -> None:
-    """Add a measurement, unless the visit's newest one is the same."""
+    """Add a measurement, unless the visit's newest one is the same, whose confirmation then stays."""
+    Visit.objects.select_for_update().get(pk=visit.pk)  # what is drawn at this moment is seen, or sees this
     newest = visit.measurements.order_by("-made_at").first()
     if newest is None or newest.digest != answer["digest"]:
         made_at = datetime.datetime.fromisoformat(answer["made_at"]) if answer.get("made_at") else timezone.now()
         measurement = Measurement.objects.create(
-            visit=visit, job=job, digest=answer["digest"], made_at=made_at, software=answer["software"]
-        )
+            visit=visit, job=job, digest=answer["digest"], made_at=made_at, software=answer["software"],
+            curves=answer.get("curves", {}), quantities=answer.get("quantities", []),
+        )  # fmt: skip
         Volume.objects.bulk_create(Volume(measurement=measurement, **row) for row in answer["volumes"])
-    visit.state = Visit.State.MEASURED
+    visit.state = settled_state(visit)
     visit.save(update_fields=["state"])
 
 
@@ -106,8 +135,13 @@ def _checked(check: DailyCheck, figures: Mapping[str, Any]) -> None:
     verdict = str(figures.get("verdict"))
     # That nothing moved is said by the verdict; how well it is known comes after the colon.
     reasons = [str(each).removeprefix("no camera moved: ") for each in figures.get("reasons") or [""]]
-    check.verdict = f"{_VERDICTS.get(verdict, verdict)} {_sentence(reasons[0])}".strip()[:_LONGEST]
-    check.passed = verdict != "refuse"
+    unseen = [str(name) for name in figures.get("unseen") or ()]
+    words = f"{_VERDICTS.get(verdict, verdict)} {_sentence(reasons[0])}".strip()
+    if unseen:
+        which = f"Camera {unseen[0]}" if len(unseen) == 1 else f"Cameras {', '.join(unseen)}"
+        words = f"{which} saw no board: photograph it again, where every camera sees it. {words}"
+    check.verdict = words[:_LONGEST]
+    check.passed = verdict != "refuse" and not unseen
     check.save(update_fields=["figures", "verdict", "passed"])
 
 

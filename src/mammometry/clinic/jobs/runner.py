@@ -21,6 +21,7 @@ from mammometry.batch.child import Order
 from mammometry.batch.cluster import Machines, machines
 from mammometry.batch.engine import Began, Ended, Engine, Task, Wish
 from mammometry.batch.record import RECORD, read_record
+from mammometry.clinic.comparing import comparison_folder
 from mammometry.clinic.config import ClinicConfig
 from mammometry.clinic.jobs import queue, work
 from mammometry.clinic.models import Job, Visit
@@ -127,6 +128,10 @@ class Runner:
             function, arguments = work.measure, (str(job.visit.folder), str(folder / job.visit.calibration.folder))
         elif job.calibration is not None:
             function, arguments = work.calibrate, (str(folder / job.calibration.folder),)
+        elif job.comparison is not None:
+            before, after = job.comparison.before, job.comparison.after
+            kept = str(comparison_folder(before, after))
+            function, arguments = work.compare, (str(before.folder), str(after.folder), kept, job.comparison.of)
         else:
             check = job.check_of_day
             assert check is not None
@@ -155,7 +160,7 @@ def whole(stage: str, fraction: float) -> float:
     """Share of a whole measurement at a fraction of a stage."""
     names = list(_SHARES)
     if stage not in _SHARES:
-        return fraction if stage == "check" else 0.0
+        return fraction if stage in ("check", "compare") else 0.0
     before = 0.0 if stage == names[0] else _SHARES[names[names.index(stage) - 1]]
     return before + (_SHARES[stage] - before) * min(max(fraction, 0.0), 1.0)
 

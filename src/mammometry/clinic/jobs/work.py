@@ -12,26 +12,31 @@ import hashlib
 import json
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import mammometry
 from mammometry.api.job import open_session
 from mammometry.base.each import Tell
+from mammometry.base.errors import SessionError
 from mammometry.base.progress import Progress
 from mammometry.batch.entry import Entry
 from mammometry.batch.session import measure_entry
 from mammometry.calibration.judge.quality import assess
 from mammometry.capture.checks.cameras import KnownCamera, clocks
 from mammometry.capture.sessions import share_calibration, take_over
+from mammometry.hospital.gather import quantities
 from mammometry.io import drift
 from mammometry.io.exposure import read_exposure
 from mammometry.io.images import EXTENSIONS, read_header
 from mammometry.job.products import Key
+from mammometry.measure.volume.attribution import curve_digest
 from mammometry.measure.volume.difference import difference
 from mammometry.settings import Settings
 
 if TYPE_CHECKING:
+    from mammometry.job.measuring import Measured
     from mammometry.measure.volume.measurement import VolumeMeasurement
 
 RESULTS = "results"
@@ -52,7 +57,8 @@ def measure(tell: Tell, session: str, calibration: str, settings: str) -> dict[s
         settings: TOML.
 
     Returns:
-        ``digest`` of the results, ``volumes`` as rows, ``megapixels``.
+        ``digest`` of the results, ``volumes`` as rows, ``curves`` (breast → digest of its boundary), ``quantities``
+        as rows of `hospital.exported.Quantity`, ``megapixels``.
 
     Raises:
         MammometryError: whatever stands in the way, in one sentence.
@@ -64,12 +70,14 @@ def measure(tell: Tell, session: str, calibration: str, settings: str) -> dict[s
     take_over(job, open_session(calibration, chosen))
     measured = measure_entry(tell, Entry(address=session), settings)
     job = open_session(session, chosen)
-    rows = volume_rows(job.measure(), job.no_breast(), job.settings)
+    measurements = job.measure()
+    rows = volume_rows(measurements, job.no_breast(), job.settings)
     return {
         "digest": _digest([key.digest for key in job.keys("measure")]),
         "made_at": job.made_at("measure"),
         "software": mammometry.__version__,
         "volumes": rows,
+        **_numbers(measurements, job.plan.measured),
         "megapixels": measured["megapixels"],
     }
 
@@ -101,6 +109,7 @@ def measure_scan(tell: Tell, folder: str, settings: str) -> dict[str, Any]:
         "made_at": results.made_at,
         "software": mammometry.__version__,
         "volumes": volume_rows(results.measurements, results.no_breast, job.settings),
+        **_numbers(results.measurements, job.plan),
         "megapixels": 0.0,
     }
 
@@ -109,6 +118,15 @@ def measure_scan(tell: Tell, folder: str, settings: str) -> dict[str, Any]:
 def _watched(key: Key, tell: Tell) -> Iterator[Progress]:
     tell(key.stage, 0.0)
     yield lambda fraction: tell(key.stage, fraction)
+
+
+def _numbers(measured: Mapping[str, VolumeMeasurement], plan: Measured) -> dict[str, Any]:
+    """Digests of the measured boundaries, and every number under the name that exports use."""
+    curves = () if plan.boundaries is None else plan.boundaries()
+    return {
+        "curves": {curve.name: curve_digest(curve.points_world) for curve in curves},
+        "quantities": [_finite(asdict(quantity)) for quantity in quantities(tuple(measured.values()), plan)],
+    }
 
 
 def volume_rows(
@@ -222,6 +240,42 @@ def check(tell: Tell, calibration: str, folder: str, settings: str) -> dict[str,
     figures = {**drift.entry_table(entry), "image_set": Path(folder).name, "unseen": unseen}
     figures["limit_mm"] = job.settings.calibration.check.refuse_mm
     return {"digest": _digest(figures), "figures": _finite(figures)}
+
+
+def compare(tell: Tell, before: str, after: str, folder: str, digests: str, settings: str) -> dict[str, Any]:
+    """Compare two measured visits of one patient.
+
+    Args:
+        tell: called with stage and fraction.
+        before: folder of the earlier visit.
+        after: folder of the later visit.
+        folder: for the comparison's page and pictures.
+        digests: of both measurements, between them a colon.
+        settings: TOML.
+
+    Returns:
+        ``digest``, ``of`` and ``table``, the content of compare.json.
+
+    Raises:
+        MammometryError: whatever stands in the way, in one sentence.
+    """
+    from mammometry.api.dated import measured_keys
+    from mammometry.api.dates import compare_visits
+
+    chosen = Settings.from_toml(settings)
+    tell("compare", 0.0)
+    for which, session, digest in zip(("earlier", "later"), (before, after), digests.split(":"), strict=True):
+        if _digest(measured_keys(session, chosen)) != digest:
+            raise SessionError(
+                f"The {which} visit",
+                found="results of another version of the software, of other settings or of other drawings",
+                expected="results of what is drawn and set now",
+                remedy="Measure that visit again. Both are then compared by themselves",
+            )
+    compared = compare_visits(
+        Path(before), Path(after), chosen, out=Path(folder), progress=lambda share: tell("compare", share)
+    )
+    return {"digest": _digest(compared.table), "of": digests, "table": _finite(compared.table)}
 
 
 def _digest(value: object) -> str:

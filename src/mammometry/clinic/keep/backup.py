@@ -32,7 +32,7 @@ from mammometry.clinic.keep.format import DATABASE, FORMAT, MANIFEST
 
 SMALL_FILES = (FILE, KEY_FILE, OPENID_SECRET_FILE)
 KEPT_FOLDERS = ("sessions", "rigs", "uploads")
-_LEFT_OUT = ("sessions", "contenttypes", "admin", "axes")
+_LEFT_OUT = ("sessions", "contenttypes", "axes")
 """Applications whose rows belong to the running server: logins, wrong passwords."""
 
 
@@ -43,13 +43,13 @@ def make_backup(config: ClinicConfig, target: Path | None = None) -> Path:
 
     Args:
         config: the open clinic.
-        target: the archive to make; by default in the clinic's folder ``backups``, named by the time.
+        target: the archive to make; by default in the folder of backups, named by the time.
 
     Raises:
         ClinicError: there is such a file already.
     """
     now = datetime.now(UTC)
-    target = target or config.folder / "backups" / f"clinic-{now:%Y%m%d-%H%M%S}.tar"
+    target = target or config.backups / f"clinic-{now:%Y%m%d-%H%M%S}.tar"
     if target.exists():
         raise ClinicError(str(target), found="a file", expected="none", remedy="Name another file with --to")
     part = target.with_name(target.name + ".part")
@@ -94,7 +94,7 @@ def write_database(file: BinaryIO) -> None:
     text = io.TextIOWrapper(file, encoding="utf-8", write_through=True)
     with _snapshot():
         for model in _kept_models():
-            rows = model._default_manager.order_by("pk").iterator(chunk_size=500)
+            rows = model._base_manager.order_by("pk").iterator(chunk_size=500)
             serializers.serialize("jsonl", rows, stream=text, use_natural_foreign_keys=True)
     text.detach()
 

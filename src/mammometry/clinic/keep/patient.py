@@ -31,6 +31,7 @@ from mammometry.clinic.models import (
     Measurement,
     Operation,
     Patient,
+    Person,
     Scan,
     Upload,
     Visit,
@@ -40,21 +41,25 @@ from mammometry.clinic.models import (
 
 
 def find_patient(word: str) -> Patient:
-    """The patient of this pseudonym or record number.
+    """The patient of this pseudonym or record number, from the bin too.
+
+    A merged record leads to the one that holds its visits.
 
     Raises:
         ClinicError: there is none.
     """
-    found = Patient.objects.filter(Q(pseudonym=word) | Q(record_number=word)).first()
+    rows = Patient.everything.select_related("merged_into")
+    found = rows.filter(Q(pseudonym=word) | Q(record_number=word)).first()
     if found is None:
         remedy = "Look for the patient in the clinic; the page says the pseudonym"
         raise ClinicError("patient", found="none of this word", expected="a pseudonym or record number", remedy=remedy)
-    return found
+    return found.merged_into or found
 
 
 def rows_of(patient: Patient) -> list[Model]:
     """All rows about a patient, each after what it refers to."""
-    visits = list(Visit.objects.filter(patient=patient).order_by("taken_at"))
+    visits = list(Visit.everything.filter(patient=patient).order_by("taken_at"))
+    records = [patient, *Patient.everything.filter(merged_into=patient)]
     queries: list[Any] = [
         Consent.objects.filter(patient=patient),
         Operation.objects.filter(patient=patient),
@@ -65,13 +70,13 @@ def rows_of(patient: Patient) -> list[Model]:
         Volume.objects.filter(measurement__visit__in=visits),
         Confirmation.objects.filter(measurement__visit__in=visits),
         Conclusion.objects.filter(visit__in=visits),
-        Correction.objects.filter(Q(visit__in=visits) | Q(patient=patient)),
+        Correction.objects.filter(Q(visit__in=visits) | Q(patient__in=records)),
         Drawing.objects.filter(visit__in=visits),
         Delivery.objects.filter(visit__in=visits),
         VisitOrder.objects.filter(visit__in=visits),
         Scan.objects.filter(visit__in=visits),
     ]
-    return [patient, *visits, *(row for query in queries for row in query)]
+    return [*records, *visits, *(row for query in queries for row in query)]
 
 
 def export_patient(config: ClinicConfig, patient: Patient, target: Path) -> int:
@@ -106,12 +111,17 @@ def export_patient(config: ClinicConfig, patient: Patient, target: Path) -> int:
     return number
 
 
-def erase_patient(config: ClinicConfig, patient: Patient) -> int:
+def erase_patient(config: ClinicConfig, patient: Patient, by: Person | None = None) -> int:
     """Erase one patient.
 
     Files, then rows. Killed in between, the same command goes on.
 
     What stays are the audit's entries, which hold the pseudonym and no name, and backups made before.
+
+    Args:
+        config: the open clinic.
+        patient: who is erased.
+        by: who does it on a page; None: a command.
 
     Returns:
         Number of visits erased.
@@ -119,13 +129,37 @@ def erase_patient(config: ClinicConfig, patient: Patient) -> int:
     Raises:
         ClinicError: one of the patient's visits is being measured.
     """
-    visits = list(patient.visits.all())
-    Job.objects.filter(visit__in=visits, state=Job.State.QUEUED).update(state=Job.State.CANCELLED)
-    running = Job.objects.filter(visit__in=visits, state=Job.State.RUNNING, lease_until__gt=timezone.now())
+    visits = list(Visit.everything.filter(patient=patient))
+    _erase_visits(patient, visits, by)
+    with transaction.atomic():
+        patient.delete()
+    _overwrite()
+    return len(visits)
+
+
+def erase_bin(patient: Patient) -> int:
+    """Erase those of a patient's visits that lie in the bin, as `erase_patient` does.
+
+    Returns:
+        Number of visits erased.
+
+    Raises:
+        ClinicError: one of them is being measured.
+    """
+    visits = list(Visit.everything.filter(patient=patient).exclude(binned_at=None))
+    _erase_visits(patient, visits)
+    _overwrite()
+    return len(visits)
+
+
+def _erase_visits(patient: Patient, visits: list[Visit], by: Person | None = None) -> None:
+    jobs = Job.objects.filter(Q(visit__in=visits) | Q(comparison__after__in=visits) | Q(comparison__before__in=visits))
+    jobs.filter(state=Job.State.QUEUED).update(state=Job.State.CANCELLED)
+    running = jobs.filter(state=Job.State.RUNNING, lease_until__gt=timezone.now())
     if running.exists():
         remedy = "Cancel the job or wait until it ends, then repeat the command"
         raise ClinicError(patient.pseudonym, found="a visit that is being measured", expected="none", remedy=remedy)
-    audit.record_command(patient, "erase")
+    audit.record_command(patient, "erase", by)
     for upload in Upload.objects.filter(visit__in=visits):
         for path in upload.path.parent.glob(f"{upload.id}*"):
             path.unlink(missing_ok=True)
@@ -135,9 +169,6 @@ def erase_patient(config: ClinicConfig, patient: Patient) -> int:
     with transaction.atomic():
         for visit in visits:
             visit.delete()
-        patient.delete()
-    _overwrite()
-    return len(visits)
 
 
 def _overwrite() -> None:

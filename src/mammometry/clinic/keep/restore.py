@@ -74,8 +74,28 @@ def fill(config: ClinicConfig, manifest: dict[str, Any], folder: Path) -> int:
     Raises:
         ClinicError: the backup is of another version, or the database is not empty.
     """
-    from django.core.management import call_command
     from django.db import connections
+
+    from mammometry.clinic.models import Person
+
+    load(config, manifest)
+    number = Person.objects.count()
+    connections.close_all()
+    (config.folder / DATABASE).unlink()
+    (config.folder / MANIFEST).unlink()
+    if folder.exists():
+        folder.rmdir()  # empty, as was looked at
+    config.folder.rename(folder)
+    return number
+
+
+def load(config: ClinicConfig, manifest: dict[str, Any]) -> None:
+    """Load the rows of an unpacked backup into its empty database.
+
+    Raises:
+        ClinicError: the backup is of another version, or the database is not empty.
+    """
+    from django.core.management import call_command
 
     from mammometry.clinic.keep.backup import known_migrations
     from mammometry.clinic.models import Person
@@ -91,14 +111,6 @@ def fill(config: ClinicConfig, manifest: dict[str, Any], folder: Path) -> int:
         remedy = f"Restore it with version {manifest['software']}, then upgrade"
         raise ClinicError("the backup", found=found, expected=expected, remedy=remedy)
     call_command("loaddata", str(config.folder / DATABASE), verbosity=0)
-    number = Person.objects.count()
-    connections.close_all()
-    (config.folder / DATABASE).unlink()
-    (config.folder / MANIFEST).unlink()
-    if folder.exists():
-        folder.rmdir()  # empty, as was looked at
-    config.folder.rename(folder)
-    return number
 
 
 def _digest(path: Path) -> str:

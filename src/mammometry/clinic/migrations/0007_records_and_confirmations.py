@@ -1,10 +1,21 @@
 """Consent, operations, confirmations, conclusions, comparisons and corrections."""
 
 import uuid
+from typing import Any
 
 import django.db.models.deletion
 from django.conf import settings
 from django.db import migrations, models
+
+from mammometry.clinic.search_words import words_of
+
+
+def fill_search_words(apps: Any, schema_editor: Any) -> None:
+    """Let patients who were entered before be found by a search."""
+    for patient in apps.get_model("clinic", "Patient").objects.iterator():
+        texts = patient.family_name, patient.given_name, patient.record_number, patient.pseudonym
+        patient.search_words = words_of(texts)
+        patient.save(update_fields=["search_words"])
 
 
 class Migration(migrations.Migration):
@@ -146,8 +157,9 @@ class Migration(migrations.Migration):
         migrations.AddField(
             model_name="patient",
             name="search_words",
-            field=models.CharField(blank=True, default="", editable=False, max_length=600),
+            field=models.TextField(blank=True, default="", editable=False),
         ),
+        migrations.RunPython(fill_search_words, migrations.RunPython.noop),
         migrations.AddField(
             model_name="visit",
             name="binned_at",

@@ -26,7 +26,7 @@ class Correction(Keyed):
     patient = models.ForeignKey(Patient, null=True, on_delete=models.CASCADE, related_name="corrections")
     """The patient who was merged or put into the bin, or whose visit was moved."""
     before = models.JSONField(default=dict)
-    """Field → value before, by keys and not by names."""
+    """What was there before, patients by their keys. The audit does not hold it, since notes may hold names."""
     after = models.JSONField(default=dict)
     reason = models.CharField(max_length=500)
     at = models.DateTimeField(auto_now_add=True)

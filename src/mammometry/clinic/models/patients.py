@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import secrets
+from collections.abc import Iterable
+from typing import Any
 
 from django.conf import settings
 from django.db import models
 
-from mammometry.clinic.models.keyed import Keyed
+from mammometry.clinic.models.keyed import InUse, Keyed
+from mammometry.clinic.search_words import words_of
 
 ALPHABET = "ACDEFGHJKLMNPQRTUVWXY34679"
 """Letters and digits that are not taken for one another: no B and 8, I and 1, O and 0, S and 5, Z and 2."""
@@ -20,8 +23,23 @@ def new_pseudonym() -> str:
     """
     while True:
         drawn = "P-" + "".join(secrets.choice(ALPHABET) for _ in range(6))
-        if not Patient.objects.filter(pseudonym=drawn).exists():
+        if not Patient.everything.filter(pseudonym=drawn).exists():
             return drawn
+
+
+class PatientsInUse(InUse["Patient"]):
+    """Patients who are neither in the bin nor merged into another record."""
+
+    def get_queryset(self) -> models.QuerySet[Patient]:
+        """Leave out the bin and merged records."""
+        return super().get_queryset().filter(merged_into=None)
+
+    def bulk_create(self, objs: Iterable[Patient], *args: Any, **options: Any) -> list[Patient]:
+        """Enter many, each with its words for the search."""
+        patients = list(objs)
+        for patient in patients:
+            patient.search_words = words_of(patient.own_words)
+        return super().bulk_create(patients, *args, **options)
 
 
 class Patient(Keyed):
@@ -35,19 +53,38 @@ class Patient(Keyed):
     pseudonym = models.CharField(max_length=8, unique=True, default=new_pseudonym, editable=False)
     """As everything outside this table calls this patient."""
     note = models.TextField(max_length=2000, blank=True)
-    search_words = models.CharField(max_length=600, default="", blank=True, editable=False)
-    """Names and numbers as a search compares them: without case, accents and hyphens."""
+    search_words = models.TextField(default="", blank=True, editable=False)
+    """Names and numbers as a search compares them, those of merged records too: `search_words.words_of`."""
     merged_into = models.ForeignKey("self", null=True, on_delete=models.CASCADE, related_name="merged", editable=False)
     """The record that holds this patient's visits now. None: this one."""
     binned_at = models.DateTimeField(null=True, editable=False)
     """When it was put into the bin. None: it is in use."""
     created = models.DateTimeField(auto_now_add=True)
 
+    objects = PatientsInUse()
+    everything = models.Manager()
+    """Those in the bin and merged ones, too."""
+
     class Meta:
         ordering = ("family_name", "given_name", "record_number")
 
     def __str__(self) -> str:
         return self.pseudonym
+
+    def save(self, *args: Any, **options: Any) -> None:
+        """Save, with the words for the search."""
+        texts = list(self.own_words)
+        if not self._state.adding:
+            texts += [word for other in Patient.everything.filter(merged_into=self) for word in other.own_words]
+        self.search_words = words_of(texts)
+        if options.get("update_fields") is not None:
+            options["update_fields"] = {*options["update_fields"], "search_words"}
+        super().save(*args, **options)
+
+    @property
+    def own_words(self) -> tuple[str, ...]:
+        """What a search finds this record by."""
+        return self.family_name, self.given_name, self.record_number, self.pseudonym
 
     @property
     def name(self) -> str:

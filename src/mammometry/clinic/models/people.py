@@ -47,6 +47,11 @@ class Person(AbstractUser):
         """Whether this person has one of the roles."""
         return not set(self.roles).isdisjoint(roles)
 
+    @property
+    def waits_for_password(self) -> bool:
+        """Whether this person has not used the link that sets a password, and never came in otherwise."""
+        return not self.has_usable_password() and self.last_login is None
+
     def lacks_second_factor(self, request: HttpRequest) -> bool:
         """Whether a second factor is required and missing.
 
@@ -60,12 +65,3 @@ class Person(AbstractUser):
         if any(record.get("method") == "socialaccount" for record in get_authentication_records(request, self)):
             return False
         return not Authenticator.objects.filter(user=self, type=Authenticator.Type.TOTP).exists()
-
-    # Django's admin asks these: an administrator may do there what the admin's own pages allow.
-    def has_perm(self, perm: str, obj: Any = None) -> bool:
-        """Whether this person is an active administrator."""
-        return self.is_active and self.has_role(Role.ADMINISTRATOR)
-
-    def has_module_perms(self, app_label: str) -> bool:
-        """Whether this person is an active administrator."""
-        return self.has_perm("")

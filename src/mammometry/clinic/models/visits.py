@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 from django.conf import settings
 from django.db import models
 
-from mammometry.clinic.models.keyed import Keyed
+from mammometry.clinic.models.keyed import InUse, Keyed
 from mammometry.clinic.models.patients import Patient
 from mammometry.clinic.models.rigs import Calibration, DailyCheck, Rig
 from mammometry.clinic.site import the_clinic
@@ -71,11 +72,21 @@ class Visit(Keyed):
     created = models.DateTimeField(auto_now_add=True)
     created_by = models.ForeignKey(settings.AUTH_USER_MODEL, null=True, on_delete=models.PROTECT, related_name="+")
 
+    objects = InUse["Visit"]()
+    everything = models.Manager()
+    """Those in the bin, too."""
+
     class Meta:
         ordering = ("-taken_at",)
 
     def __str__(self) -> str:
         return f"{self.patient.pseudonym}, {self.taken_at:%Y-%m-%d}"
+
+    def save(self, *args: Any, **options: Any) -> None:
+        """Save. A new visit of a patient has the posture of its device, where nobody said another."""
+        if self._state.adding and not self.posture and self.subject_kind == Visit.Subject.TORSO:
+            self.posture = Visit.Posture.STANDING if self.rig_id is None else Visit.Posture.LEANING
+        super().save(*args, **options)
 
     @property
     def folder(self) -> Path:
@@ -92,11 +103,10 @@ class Visit(Keyed):
 
     @property
     def shown_state(self) -> str:
-        """Its state, as pages say it.
+        """Its state, as pages say it."""
+        from mammometry.clinic.confirmations import is_changed
 
-        Nobody can confirm the boundary of a scan.
-        """
-        return "scanned" if self.is_scan and self.state == Visit.State.MEASURED else self.state
+        return Visit.State.CHANGED if is_changed(self) else self.state
 
     @property
     def is_scan(self) -> bool:

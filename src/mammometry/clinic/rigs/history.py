@@ -11,11 +11,12 @@ from typing import Any
 from django.utils import timezone
 
 from mammometry.capture.sessions import make_session, manifest_text
-from mammometry.clinic.models import Calibration, DailyCheck, Job, Rig, Visit
+from mammometry.clinic.models import Calibration, Comparison, DailyCheck, Job, Rig, Visit
 from mammometry.clinic.rigs.today import Calibrated, Checked, Today, judge
 from mammometry.clinic.site import the_clinic
 from mammometry.io.drift import CameraDrift, Entry
 
+_OF_A_DAY = 20  # newest checks among which those of one day are
 _SHOWN = 60  # newest checks of the chart: two months of days
 
 
@@ -37,7 +38,19 @@ def today(rig: Rig) -> Today:
         reasons=tuple(figures.get("reasons", ())),
     )
     newest = rig.checks.filter(calibration=calibration).order_by("-taken_at").first()
-    checked = None if newest is None else Checked.of(timezone.localdate(newest.taken_at), newest.figures)
+    checked = None
+    if newest is not None:
+        on = timezone.localdate(newest.taken_at)
+        # A camera that missed the board in one photograph may have seen it in another of the same day.
+        others = rig.checks.filter(calibration=calibration).exclude(figures={}).exclude(pk=newest.pk)[:_OF_A_DAY]
+        seen = {
+            name
+            for each in others
+            if timezone.localdate(each.taken_at) == on and each.figures.get("verdict") != "refuse"
+            for name in each.figures.get("cameras", {})
+        }
+        unseen = [name for name in newest.figures.get("unseen", ()) if name not in seen]
+        checked = Checked.of(on, {**newest.figures, "unseen": unseen})
     return judge(day, known, checked)
 
 
@@ -86,16 +99,21 @@ def new_check(rig: Rig, by: Any) -> DailyCheck | None:
     return made
 
 
-def may_queue(target: Visit | Calibration | DailyCheck, *, anyway: bool = False) -> str | None:
+def may_queue(target: Visit | Calibration | DailyCheck | Comparison, *, anyway: bool = False) -> str | None:
     """Why something cannot be computed now, in a sentence.
 
     None where it can.
 
     A visit takes its rig's current calibration when it is queued first, and keeps it.
     """
+    from mammometry.clinic.comparing import may_compare
     from mammometry.clinic.intake.uploads import state_of
+    from mammometry.clinic.records.duplicates import elsewhere, same_photographs
     from mammometry.io.scans import is_scan
 
+    if isinstance(target, Comparison):
+        ready = may_compare(target.before, target.after)
+        return None if ready else "One of both visits is not measured as it stands. Measure it first."
     if Job.objects.filter(_about(target), state__in=(Job.State.QUEUED, Job.State.RUNNING)).exists():
         return None  # the one that is open is answered
     if isinstance(target, Visit):
@@ -116,7 +134,10 @@ def may_queue(target: Visit | Calibration | DailyCheck, *, anyway: bool = False)
     if not state["ready"]:
         said = [each["sentence"] for each in state["together"] if each["level"] == "refuse"]
         missing = f"Photographs are missing: {', '.join(state['missing'])}." if state["missing"] else ""
-        return " ".join(filter(None, [missing, *said])) or "This rig has no cameras. Describe it first."
+        why = " ".join(filter(None, [missing, state.get("needed"), *said]))
+        return why or "This rig has no cameras. Describe it first."
+    if isinstance(target, Visit) and not anyway:
+        return " ".join(elsewhere(other, cameras) for other, cameras in same_photographs(target)) or None
     return None
 
 

@@ -112,8 +112,10 @@ def judge(day: datetime.date, calibrated: Calibrated | None, checked: Checked | 
         reasons.append(f"The calibration is {age} days old.")
     if checked is not None and checked.unseen and checked.on == day:
         if not reasons:
-            remedy = "Take another photograph of the board, where these cameras see it."
-        reasons.append(f"Not checked, as the board was not seen: {', '.join(checked.unseen)}.")
+            remedy = "Photograph the board again, where these cameras see it."
+        reasons.insert(0, f"Not checked, as they saw no board: {', '.join(checked.unseen)}.")
+        if not fresh:
+            return Today(verdict="care", sentence="Not all cameras are checked.", reasons=tuple(reasons), remedy=remedy)
     if reasons:
         return Today(verdict="care", sentence="Yes, with care: read why.", reasons=tuple(reasons), remedy=remedy)
     how = "it was calibrated today" if fresh else "no camera has moved"

@@ -6,41 +6,53 @@ Its ways, its name, numbers in clinical words.
 from __future__ import annotations
 
 import datetime
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from django import template
 from django.http import HttpRequest
-from django.urls import NoReverseMatch, resolve, reverse
+from django.urls import resolve, reverse
 from django.utils import timezone
 
 import mammometry
-from mammometry.clinic.charts import Reading, time_line
+from mammometry.clinic.charts import Event, Reading, time_line
+from mammometry.clinic.confirmations import CHANGED
+from mammometry.clinic.roles import Role
 
 register = template.Library()
+_BYTES = ((1e12, "TB"), (1e9, "GB"), (1e6, "MB"), (1e3, "kB"))
 
-_WAYS = (
-    ("home", "Today"),
-    ("patients", "Patients"),
-    ("worklist", "Worklist"),
-    ("rigs", "Rigs"),
-    ("jobs-page", "Jobs"),
-    ("study", "Study"),
-    ("admin:clinic_person_changelist", "People"),
+_MENU = {
+    Role.CLINICIAN: ("home", "patients", "worklist", "study", "rigs", "jobs-page", "corrections"),
+    Role.TECHNICIAN: ("home", "patients", "worklist", "rigs", "jobs-page", "corrections"),
+    Role.RESEARCHER: ("study",),
+    Role.ADMINISTRATOR: ("administration", "rigs"),
+}
+"""Role → names of its pages in the menu, those first that it uses most. Somebody with several roles sees all once."""
+_TITLES = {
+    "home": "Today", "patients": "Patients", "worklist": "Worklist", "rigs": "Rigs", "jobs-page": "Jobs",
+    "study": "Study", "administration": "Administration", "corrections": "Corrections", "help": "Help",
+}  # fmt: skip
+_ADMINISTRATION = (
+    ("administration", "Overview"),
+    ("people", "People"),
+    ("audit", "Audit"),
+    ("backups", "Backups"),
+    ("disk", "Disk"),
     ("destinations", "Archives"),
+    ("corrections", "Bin"),
+    ("erase", "Erase"),
     ("settings", "Settings"),
-    ("admin:index", "Administration"),
-    ("help", "Help"),
 )
-_OWN = (("mfa_index", "Second factor"), ("account_change_password", "Password"))
+"""Name → title of the administrators' pages, which are tabs of one another."""
 _CHIPS = {
     "new": ("", "photographs missing"),
     "uploading": ("", "photographs missing"),
     "ready": ("care", "ready to measure"),
     "queued": ("busy", "being measured"),
     "running": ("busy", "running"),
+    "changed": ("care", CHANGED),
     "measured": ("care", "to be confirmed"),
-    "scanned": ("good", "measured"),
     "refused": ("bad", "✕ no volume"),
     "confirmed": ("good", "✓ confirmed"),
     "done": ("good", "✓ done"),
@@ -63,16 +75,19 @@ class Place:
 
 @register.simple_tag(takes_context=True)
 def ways(context: Any) -> list[Place]:
-    """The pages that this person may open."""
+    """The pages that this person may open, those first that the role uses most."""
     request: HttpRequest = context["request"]
-    # Who sees no patients has no day: the first page leads such a person to a page that has a way of its own.
-    return _places(request, _WAYS if allowed(request, reverse("patients")) else _WAYS[1:])
+    person: Any = request.user
+    names = dict.fromkeys(name for role, pages in _MENU.items() if person.has_role(role) for name in pages)
+    places = _places(request, tuple((name, _TITLES[name]) for name in (*names, "help")))
+    within = any(place.here for place in _places(request, _ADMINISTRATION))
+    return [replace(place, here=place.here or (within and place.title == "Administration")) for place in places]
 
 
 @register.simple_tag(takes_context=True)
-def account_ways(context: Any) -> list[Place]:
-    """The pages of one's own account."""
-    return _places(context["request"], _OWN)
+def administration_ways(context: Any) -> list[Place]:
+    """The administrators' pages."""
+    return _places(context["request"], _ADMINISTRATION)
 
 
 @register.simple_tag(takes_context=True)
@@ -99,11 +114,8 @@ def chip(state: str) -> dict[str, str]:
 
 @register.filter
 def on_pages(sentence: str) -> str:
-    """A sentence of the report, as the clinic's pages say it.
-
-    The clinic's page stands in place of a command.
-    """
-    return sentence.replace("`mammometry edit`", "“Boundary and landmarks”")
+    """A sentence of the report with the clinic's page in place of a command, and who opens it."""
+    return sentence.replace("with `mammometry edit`", "(a clinician, on the page of boundaries)")
 
 
 @register.filter
@@ -139,6 +151,23 @@ def percent(fraction: float | None) -> str:
 
 
 @register.filter
+def size(number: float | None) -> str:
+    """Bytes as people read them."""
+    if number is None:
+        return "–"
+    for unit, name in _BYTES:
+        if number >= unit:
+            return f"{number / unit:.{0 if number >= 100 * unit else 1}f} {name}"
+    return f"{number:.0f} bytes"
+
+
+@register.filter
+def role_names(values: list[str]) -> str:
+    """Roles in words."""
+    return ", ".join(Role(value).label.lower() for value in values if value in set(Role))
+
+
+@register.filter
 def day(at: datetime.datetime | datetime.date | None) -> str:
     """A date as everybody reads it alike: 3 Nov 2026."""
     if at is None:
@@ -153,14 +182,11 @@ def moment(at: datetime.datetime | None) -> str:
 
 
 @register.inclusion_tag("clinic/time_line.html")
-def volumes_over_time(readings: list[Reading], words: str) -> dict[str, Any]:
-    """Volumes with their intervals over dates.
-
-    Once for narrow and once for wide screens.
-    """
+def volumes_over_time(readings: list[Reading], events: list[Event], words: str) -> dict[str, Any]:
+    """Volumes with their intervals over dates, once for narrow and once for wide screens."""
     charts = [
-        ("narrow", time_line(readings, width=340, height=250)),
-        ("broad", time_line(readings, width=760, height=300)),
+        ("narrow", time_line(readings, width=340, height=250, events=events)),
+        ("broad", time_line(readings, width=760, height=300, events=events)),
     ]
     return {"charts": charts, "words": words, "sides": sorted({each.series for each in readings})}
 
@@ -174,12 +200,10 @@ def allowed(request: HttpRequest, address: str) -> bool:
 
 
 def _places(request: HttpRequest, named: tuple[tuple[str, str], ...]) -> list[Place]:
-    found = []
+    places = []
     for name, title in named:
-        try:
-            address = reverse(name)
-        except NoReverseMatch:  # a clinic may leave a part out
-            continue
+        address = reverse(name)
         if allowed(request, address):
-            found.append(Place(title=title, address=address, here=request.path == address))
-    return found
+            here = request.path == address or (address.count("/") > 1 and request.path.startswith(address))
+            places.append(Place(title=title, address=address, here=here))
+    return places

@@ -15,7 +15,7 @@ from django.http import Http404, HttpRequest, HttpResponseBase, JsonResponse
 
 from mammometry.base.errors import MammometryError
 from mammometry.clinic.intake.uploads import UploadError
-from mammometry.clinic.models import Visit
+from mammometry.clinic.models import Comparison, Visit
 from mammometry.clinic.models.keyed import Keyed
 from mammometry.clinic.roles import CARE
 
@@ -88,13 +88,16 @@ def text_of(table: dict[str, Any], name: str, *, most: int = 200) -> str:
 
 
 def require_care(request: HttpRequest, target: object) -> None:
-    """Refuse what is of a patient to those who only keep rigs.
+    """Refuse what is of a patient to those who only keep rigs, and what lies in the bin to everybody.
 
     Raises:
-        PermissionDenied: it is a visit, and this person cares for no patients.
+        PermissionDenied: it is a visit or a comparison, and this person cares for no patients.
+        Http404: it is a visit in the bin.
     """
-    if isinstance(target, Visit) and not request.user.has_role(*CARE):  # type: ignore[union-attr]  # logged in
+    if isinstance(target, Visit | Comparison) and not request.user.has_role(*CARE):  # type: ignore[union-attr]  # logged in
         raise PermissionDenied
+    if isinstance(target, Visit) and target.binned_at is not None:
+        raise Http404
 
 
 def found(row: Row | None) -> Row:

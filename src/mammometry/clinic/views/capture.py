@@ -55,7 +55,7 @@ def visit_fire(request: HttpRequest, visit: UUID) -> HttpResponseBase:
     try:
         require_replaceable(row.folder)
     except SessionError:
-        raise Refused("This visit has photographs that were sent. Take them away first, then fire.") from None
+        raise Refused("This visit has photographs that were sent. Set them aside first, then fire.") from None
     fired = stand.fire(row.folder, subject_id=row.patient.pseudonym)
     if fired.accepted:
         take_in(row, fired, person_of(request))

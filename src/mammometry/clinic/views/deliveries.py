@@ -12,6 +12,7 @@ from django.shortcuts import get_object_or_404, redirect, render
 
 from mammometry.base.errors import MammometryError
 from mammometry.clinic import deliveries
+from mammometry.clinic.confirmations import CHANGED_SENTENCE, is_changed
 from mammometry.clinic.models import Delivery, Destination, Visit
 from mammometry.clinic.reports import report_file
 from mammometry.clinic.views.who import person_of
@@ -108,6 +109,8 @@ def visit_send(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
         chosen = get_object_or_404(there, pk=_key(request.POST.get("destination", "")))
         if report_file(shown, "report.pdf") is None:
             messages.error(request, "This visit is not measured yet.")
+        elif is_changed(shown):
+            messages.error(request, CHANGED_SENTENCE)
         else:
             deliveries.enqueue(shown, chosen, person_of(request))
             messages.success(request, f"The results are on their way to {chosen}.")
@@ -118,13 +121,14 @@ def visit_send(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
         "destinations": there,
         "deliveries": shown.deliveries.select_related("destination", "created_by")[:_SHOWN],
         "measured": report_file(shown, "report.pdf") is not None,
+        "changed": CHANGED_SENTENCE if is_changed(shown) else "",
     }
     return render(request, "clinic/visit_send.html", context)
 
 
 def delivery_retry(request: HttpRequest, delivery: uuid.UUID) -> HttpResponse:
     """Try a failed delivery again."""
-    shown = get_object_or_404(Delivery, pk=delivery)
+    shown = get_object_or_404(Delivery, pk=delivery, visit__binned_at=None)
     if request.method == "POST":
         deliveries.again(shown)
     return redirect("visit-send", visit=shown.visit_id)

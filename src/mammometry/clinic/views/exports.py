@@ -19,7 +19,9 @@ from mammometry.clinic import deliveries
 from mammometry.clinic.models import Visit
 from mammometry.clinic.reports import report_file
 from mammometry.clinic.site import the_clinic
-from mammometry.clinic.views.study import asked_visits
+from mammometry.clinic.views.refusals import not_installed
+from mammometry.clinic.views.study import asked_visits, visits_left_out
+from mammometry.hospital.extra import MissingLibraryError
 
 if TYPE_CHECKING:
     from mammometry.hospital.fhir import Release
@@ -38,6 +40,8 @@ def visit_dicom(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
     shown = _measured(visit)
     try:
         made = deliveries.study_of(the_clinic(), shown, deidentify=deidentify)
+    except MissingLibraryError as error:
+        return not_installed(request, error)
     except MammometryError as error:
         messages.error(request, str(error))
         return redirect("visit-send", visit=visit)
@@ -47,17 +51,17 @@ def visit_dicom(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
 
 def visit_fhir(request: HttpRequest, visit: uuid.UUID, release: str) -> HttpResponse:
     """The visit's measurements as a FHIR bundle, R4 or R5."""
-    from mammometry.hospital.extra import require
-
     if release not in _RELEASES:
         raise Http404
     shown = _measured(visit)
     try:
-        require("fhir.resources")
+        deliveries.require_libraries("fhir.resources")
         from mammometry.hospital.fhir import bundle
 
         exported = deliveries.gathered(the_clinic(), shown, whole=False)
         made = bundle(exported, deliveries.patient_module(shown.patient), release=_RELEASES[release])
+    except MissingLibraryError as error:
+        return not_installed(request, error)
     except MammometryError as error:
         messages.error(request, str(error))
         return redirect("visit-send", visit=visit)
@@ -87,6 +91,9 @@ def _study(request: HttpRequest, tables: Callable[[Any], dict[str, bytes]], kind
         except MammometryError as error:
             day = timezone.localtime(visit.taken_at).date().isoformat()
             left_out.append((visit.patient.pseudonym, day, error.found))
+    visits, patients = visits_left_out(request)
+    if visits:
+        left_out.append(("", "", f"no consent to research holds: {visits} visits of {patients} patients"))
     try:
         made = tables(sessions)
     except MammometryError as error:

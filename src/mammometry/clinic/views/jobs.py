@@ -8,6 +8,7 @@ from uuid import UUID
 from django.http import HttpRequest, HttpResponseBase, JsonResponse, StreamingHttpResponse
 
 from mammometry.clinic.jobs import events, queue
+from mammometry.clinic.jobs.results import Target
 from mammometry.clinic.models import Calibration, DailyCheck, Job, Person, Visit
 from mammometry.clinic.rigs.history import may_queue
 from mammometry.clinic.roles import CARE
@@ -38,7 +39,11 @@ def check(request: HttpRequest, check: UUID) -> HttpResponseBase:
 @answered("GET")
 def many(request: HttpRequest) -> HttpResponseBase:
     """The newest jobs, or all that are open."""
-    rows = Job.objects.select_related("visit__patient", "calibration", "check_of_day").order_by("-created")
+    rows = (
+        queue.of_visits_in_use()
+        .select_related("visit__patient", "comparison__after__patient", "calibration", "check_of_day")
+        .order_by("-created")
+    )
     if request.GET.get("state") == "open":
         rows = rows.filter(state__in=queue.OPEN)
     waiting = Job.objects.filter(state=Job.State.QUEUED).count()
@@ -93,7 +98,7 @@ def _find(request: HttpRequest, key: UUID) -> Job:
     return row
 
 
-def _queued(request: HttpRequest, target: queue.Target, *, anyway: bool = False) -> JsonResponse:
+def _queued(request: HttpRequest, target: Target, *, anyway: bool = False) -> JsonResponse:
     why = may_queue(target, anyway=anyway)
     if why is not None:
         raise Refused(why)

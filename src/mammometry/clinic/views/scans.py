@@ -12,11 +12,12 @@ from django.shortcuts import redirect, render
 from django.utils import timezone
 
 from mammometry.base.errors import MammometryError
-from mammometry.clinic.forms import patient_words
+from mammometry.clinic.forms import DAY_AND_TIME, ask_about_day
 from mammometry.clinic.intake.scans import taken_in
 from mammometry.clinic.jobs import queue
 from mammometry.clinic.models import Patient, Scan, Visit
 from mammometry.clinic.site import the_clinic
+from mammometry.clinic.views.choose import chosen_patient, is_part, search_context
 from mammometry.clinic.views.who import person_of
 from mammometry.io.foreign import MM_PER_UNIT
 from mammometry.io.outputs import write_outputs
@@ -74,23 +75,29 @@ class ScanForm(_ScanForm):
         fields = ("patient", "taken_at", "note")
         labels = {"taken_at": "Day and time"}  # noqa: RUF012
         widgets = {  # noqa: RUF012
-            "taken_at": forms.DateTimeInput(attrs={"type": "datetime-local"}, format="%Y-%m-%dT%H:%M"),
+            "patient": forms.HiddenInput(),
+            "taken_at": DAY_AND_TIME,
             "note": forms.Textarea(attrs={"rows": 2}),
         }
 
     field_order = ("patient", "scanner", "sent", "units", "head", "ahead", "shape_alone", "taken_at", "note")
 
-    def __init__(self, *args: Any, **kwargs: Any) -> None:
-        super().__init__(*args, **kwargs)
-        patient = self.fields["patient"]
-        assert isinstance(patient, forms.ModelChoiceField)
-        patient.label_from_instance = patient_words  # type: ignore[assignment]
-        patient.empty_label = "Choose"
+    questions: tuple[str, ...] = ()
+
+    def clean(self) -> dict[str, Any]:
+        """Ask whether a day in the future is right."""
+        values: dict[str, Any] = super().clean() or self.cleaned_data
+        ask_about_day(self, None)
+        return values
 
 
 def scan_new(request: HttpRequest) -> HttpResponse:
-    """Begin a visit with a scan, and have it measured."""
-    first = {"taken_at": timezone.localtime(), "patient": request.GET.get("patient")}
+    """Begin a visit with a scan of a patient, who is searched for first, and have it measured."""
+    patient = chosen_patient(request)
+    if patient is None:
+        page = "clinic/patients_rows.html" if is_part(request) else "clinic/scan_new.html"
+        return render(request, page, search_context(request, choosing=True))
+    first = {"taken_at": timezone.localtime(), "patient": patient}
     form = ScanForm(request.POST or None, request.FILES or None, initial=first)
     if request.method == "POST" and form.is_valid():
         given = form.cleaned_data
@@ -101,7 +108,7 @@ def scan_new(request: HttpRequest) -> HttpResponse:
             form.add_error("sent", str(error).replace(f"{the_clinic().folder}/", ""))
         else:
             return redirect("visit", visit=visit.pk)
-    context = {"form": form, "limit_mb": the_clinic().limits.scan_mb}
+    context = {"form": form, "chosen": patient, "limit_mb": the_clinic().limits.scan_mb}
     return render(request, "clinic/scan_new.html", context)
 
 

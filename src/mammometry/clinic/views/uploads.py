@@ -1,4 +1,4 @@
-"""Uploads: begin, go on, place, take away, look."""
+"""Uploads: begin, go on, place, set aside, bring back, look."""
 
 from __future__ import annotations
 
@@ -8,9 +8,13 @@ from uuid import UUID
 from django.http import Http404, HttpRequest, HttpResponse, HttpResponseBase, JsonResponse
 from django.urls import reverse
 
+from mammometry.base.errors import MammometryError
 from mammometry.clinic.intake import uploads
+from mammometry.clinic.intake.thumbnail import screen_picture, thumbnail_path
 from mammometry.clinic.models import Calibration, DailyCheck, Upload, Visit
+from mammometry.clinic.records.duplicates import elsewhere, same_photographs
 from mammometry.clinic.views.answers import Refused, answered, asked, found, require_care, text_of
+from mammometry.io.images import read_photograph
 
 BODY_BYTES = uploads.CHUNK_BYTES + 4096
 _TARGETS: dict[str, Any] = {"visit": Visit, "calibration": Calibration, "check": DailyCheck}
@@ -41,15 +45,21 @@ def new(request: HttpRequest) -> HttpResponseBase:
     if not isinstance(size, int) or isinstance(size, bool):
         raise Refused("size_bytes is no whole number.", 400)
     before = Upload.objects.count()
-    upload = uploads.begin(
-        target,
-        request.user,  # type: ignore[arg-type]  # logged in
-        name=text_of(table, "name", most=400),
-        camera=text_of(table, "camera") or None,
-        pose=text_of(table, "pose"),
-        size_bytes=size,
-        sha256=text_of(table, "sha256"),
-    )
+    try:
+        upload = uploads.begin(
+            target,
+            request.user,  # type: ignore[arg-type]  # logged in
+            uploads.Announced(
+                name=text_of(table, "name", most=400),
+                camera=text_of(table, "camera") or None,
+                pose=text_of(table, "pose"),
+                size_bytes=size,
+                sha256=text_of(table, "sha256"),
+            ),
+            replace=table.get("replace") is True,
+        )
+    except uploads.OccupiedError as error:
+        return JsonResponse({"error": str(error), "occupied": True}, status=error.status)
     return JsonResponse(as_json(uploads.table_of(upload)), status=201 if Upload.objects.count() > before else 200)
 
 
@@ -57,7 +67,7 @@ def new(request: HttpRequest) -> HttpResponseBase:
 def one(request: HttpRequest, upload: UUID) -> HttpResponseBase:
     """Ask where to go on.
 
-    Send the next piece. Take it away.
+    Send the next piece. Set it aside.
     """
     row = _find(request, upload)
     if request.method == "DELETE":
@@ -84,13 +94,35 @@ def place(request: HttpRequest, upload: UUID) -> HttpResponseBase:
     return JsonResponse(as_json(uploads.table_of(row)))
 
 
+@answered("POST")
+def back(request: HttpRequest, upload: UUID) -> HttpResponseBase:
+    """Bring a photograph back that was set aside."""
+    row = _find(request, upload)
+    uploads.bring_back(row)
+    return JsonResponse(as_json(uploads.table_of(row)))
+
+
 @answered("GET")
 def thumbnail(request: HttpRequest, upload: UUID) -> HttpResponseBase:
     """A small picture of it."""
-    path = uploads.thumbnail_path(_find(request, upload))
+    path = thumbnail_path(_find(request, upload))
     if not path.is_file():
         raise Http404
     return HttpResponse(path.read_bytes(), content_type="image/webp", headers={"Cache-Control": "private, no-store"})
+
+
+@answered("GET")
+def screen(request: HttpRequest, upload: UUID) -> HttpResponseBase:
+    """A picture of a visit's photograph that fills a screen."""
+    row = _find(request, upload)
+    if row.visit is None or row.state != Upload.State.PLACED:
+        raise Http404
+    try:
+        photograph = read_photograph(row.visit.folder / row.name, row.camera)
+    except MammometryError:
+        raise Http404 from None
+    headers = {"Cache-Control": "private, no-store"}
+    return HttpResponse(screen_picture(photograph), content_type="image/webp", headers=headers)
 
 
 @answered("GET")
@@ -119,7 +151,14 @@ def _find(request: HttpRequest, key: UUID) -> Upload:
 
 def _state(target: Visit | Calibration | DailyCheck) -> JsonResponse:
     table = uploads.state_of(target)
-    table["unplaced"] = [as_json(each) for each in table["unplaced"]]
+    for name in ("unplaced", "set_aside"):
+        table[name] = [as_json(each) for each in table[name]]
+    if isinstance(target, Visit):
+        table["together"] += [
+            {"check": "elsewhere", "level": "warn", "sentence": elsewhere(other, cameras),
+             "url": reverse("visit", kwargs={"visit": other.pk})}
+            for other, cameras in same_photographs(target)
+        ]  # fmt: skip
     for row in table.get("cameras", ()):
         row["upload"] = None if row["upload"] is None else as_json(row["upload"])
     if "poses" in table:

@@ -1,8 +1,9 @@
-"""Who asks."""
+"""Who is logged in."""
 
 from __future__ import annotations
 
-from django.http import HttpRequest
+from django.http import HttpRequest, JsonResponse
+from django.middleware.csrf import get_token
 
 from mammometry.clinic.models import Person
 
@@ -14,3 +15,9 @@ def person_of(request: HttpRequest) -> Person:
     """
     assert isinstance(request.user, Person)
     return request.user
+
+
+def token(request: HttpRequest) -> JsonResponse:
+    """Token for the next request of a page's script, and who is logged in: None after the session's end."""
+    person = request.user.get_username() if request.user.is_authenticated else None
+    return JsonResponse({"token": get_token(request), "person": person})

@@ -14,10 +14,11 @@ from django.shortcuts import get_object_or_404, redirect, render
 from django.utils import timezone
 
 from mammometry.base.errors import MammometryError
-from mammometry.clinic.deliveries import connection
+from mammometry.clinic.deliveries import connection, require_libraries
 from mammometry.clinic.models import Calibration, Destination, Patient, Rig, Visit, VisitOrder
+from mammometry.clinic.records.duplicates import duplicates
+from mammometry.clinic.search_words import plain_name
 from mammometry.clinic.views.who import person_of
-from mammometry.hospital.extra import require
 
 if TYPE_CHECKING:
     from mammometry.hospital.dicom.worklist import Entry
@@ -73,13 +74,25 @@ def _begun(request: HttpRequest) -> HttpResponse:
         return redirect("worklist")
     (entry,) = found
     patient = _patient(entry)
-    if patient is None:
-        messages.error(
-            request,
-            "The clinic knows this record number under another name or date of birth. Ask who is right, correct the "
-            "entry, then choose again.",
-        )
-        return redirect("worklist")
+    alike = duplicates(patient)
+    if alike.same_number is not None:
+        known = alike.same_number
+        if known.binned_at is not None:
+            messages.error(request, "This record number is in the bin. Take it out first, then choose again.")
+            return redirect("worklist")
+        if not _is_same(known, patient):
+            messages.error(
+                request,
+                "The clinic knows this record number under another name or date of birth. Ask who is right, correct "
+                "the entry, then choose again.",
+            )
+            return redirect("worklist")
+        patient = known
+    elif alike.same_person and "anyway" not in request.POST:
+        context = {"duplicates": alike, "patient": patient, "sent": request.POST}
+        return render(request, "clinic/worklist_duplicates.html", context)
+    else:
+        patient.save()
     visit = Visit.objects.create(
         patient=patient, rig=rig, taken_at=timezone.now(), created_by=person_of(request),
         calibration=Calibration.objects.filter(rig=rig, current=True).first(),
@@ -92,21 +105,17 @@ def _begun(request: HttpRequest) -> HttpResponse:
     return redirect("visit", visit=visit.pk)
 
 
-def _patient(entry: Entry) -> Patient | None:
-    """The patient of this record number, entered if new.
-
-    None if the clinic knows somebody else under it.
-    """
+def _patient(entry: Entry) -> Patient:
+    """The entry's patient, not kept yet."""
     family, given = _names(entry)
     listed = entry.patient
-    known = Patient.objects.filter(record_number=listed.id).first()
-    if known is None:
-        return Patient.objects.create(
-            family_name=family[:100], given_name=given[:100], born=listed.born, record_number=listed.id[:64]
-        )
-    same_name = known.family_name.casefold() == family.casefold()
+    return Patient(family_name=family[:100], given_name=given[:100], born=listed.born, record_number=listed.id[:64])
+
+
+def _is_same(known: Patient, listed: Patient) -> bool:
+    """Whether the clinic knows this record number under the same name and birthday."""
     same_day = None in (known.born, listed.born) or known.born == listed.born
-    return known if same_name and same_day else None
+    return same_day and plain_name(known.family_name) == plain_name(listed.family_name)
 
 
 def _names(entry: Entry) -> tuple[str, str]:
@@ -117,7 +126,7 @@ def _names(entry: Entry) -> tuple[str, str]:
 def _asked(
     source: Destination, *, day: datetime.date | None = None, accession: str = "", patient_id: str = ""
 ) -> list[Entry]:
-    require("pydicom", "pynetdicom")
+    require_libraries("pydicom", "pynetdicom")
     from mammometry.hospital.dicom.worklist import entries
 
     peer, tls = connection(source)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -10,8 +11,9 @@ from pydicom import Dataset
 from mammometry.hospital import codes
 from mammometry.hospital.codes import Coded
 from mammometry.hospital.dicom.frame import Study, coded, describe, finished
-from mammometry.hospital.exported import Quantity, Side
+from mammometry.hospital.exported import Quantity, Side, plain_name
 from mammometry.hospital.identifiers import uid
+from mammometry.report.clinical import Signed
 
 if TYPE_CHECKING:
     from highdicom.sr import CodedConcept
@@ -54,6 +56,9 @@ def report(study: Study, evidence: Sequence[Dataset], *, series: int) -> list[Da
         title=dicom.DCM.ImagingMeasurementReport,
         language_of_content_item_and_descendants=LanguageOfContentItemAndDescendants(_english()),
     )
+    conclusions = exported.clinical.conclusions[:1]
+    content[0].ContentSequence.extend(_conclusions(conclusions))
+    confirmed = exported.clinical.confirmed
     made = Comprehensive3DSR(
         evidence=evidence,
         content=content,
@@ -63,15 +68,59 @@ def report(study: Study, evidence: Sequence[Dataset], *, series: int) -> list[Da
         instance_number=1,
         manufacturer="mammometry",
         is_complete=True,
-        is_final=False,
+        is_final=exported.is_final,
+        is_verified=confirmed is not None,
+        verifying_observer_name=None if confirmed is None else person_name(confirmed.by),
+        verifying_organization=None if confirmed is None else exported.organization or "not stated",
         series_description="Measurements",
     )
     describe(made, study)
     # highdicom dates it by the clock.
     for equipment in made.get("ContributingEquipmentSequence", ()):
         del equipment.ContributionDateTime
+    if confirmed is not None:
+        made.VerifyingObserverSequence[0].VerificationDateTime = _moment(confirmed)
     made.SeriesDate, made.SeriesTime = made.ContentDate, made.ContentTime
     return [finished(made)]
+
+
+def _conclusions(conclusions: Sequence[Signed]) -> Iterator[Any]:
+    """What was concluded, by whom and when. Empty where nobody did."""
+    from highdicom.sr import (
+        ContainerContentItem,
+        ContentSequence,
+        PnameContentItem,
+        RelationshipTypeValues,
+        TextContentItem,
+    )
+
+    for conclusion in conclusions:
+        item = TextContentItem(
+            name=_concept(codes.CONCLUSION), value=conclusion.text, relationship_type=RelationshipTypeValues.CONTAINS
+        )
+        item.add_new("ObservationDateTime", "DT", _moment(conclusion))
+        author = PnameContentItem(
+            name=_concept(codes.PERSON), value=person_name(conclusion.by),
+            relationship_type=RelationshipTypeValues.HAS_OBS_CONTEXT,
+        )  # fmt: skip
+        item.ContentSequence = ContentSequence([author])
+        whole = ContainerContentItem(
+            name=_concept(codes.CONCLUSIONS), relationship_type=RelationshipTypeValues.CONTAINS
+        )
+        whole.ContentSequence = ContentSequence([item])
+        yield whole
+
+
+def person_name(name: str) -> str:
+    """A person's name as DICOM writes it.
+
+    All of it is the family name, since nobody says which part is which.
+    """
+    return f"{plain_name(name)}^"
+
+
+def _moment(signed: Signed) -> str:
+    return f"{signed.at.astimezone(datetime.UTC):%Y%m%d%H%M%S}+0000"
 
 
 def _groups(study: Study) -> Iterator[Any]:

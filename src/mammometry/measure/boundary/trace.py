@@ -40,7 +40,7 @@ def check_curve(name: str, points_world: Float64[Array, "n 3"], mesh: TriangleMe
             expected="a closed curve",
             remedy="Draw the boundary all the way round",
         )
-    crossings = _crossings(points_world)
+    crossings = len(crossing_points(points_world))
     if crossings:
         raise CrossingError(
             f"boundary {name!r}",
@@ -62,8 +62,8 @@ def check_curve(name: str, points_world: Float64[Array, "n 3"], mesh: TriangleMe
         )
 
 
-def _crossings(points: Float64[Array, "n 3"]) -> int:
-    """Number of times a closed curve crosses itself.
+def crossing_points(points: Float64[Array, "n 3"]) -> Float64[Array, "k 3"]:
+    """Places where a closed curve crosses itself.
 
     In its best plane, and less than 5 mm apart in depth.
     """
@@ -79,7 +79,8 @@ def _crossings(points: Float64[Array, "n 3"]) -> int:
     depth = np.abs(start[i, 2] + s * step[i, 2] - start[j, 2] - t * step[j, 2])
     neighbours = (i == 0) & (j == len(points) - 1)
     meet = (s > 0) & (s < 1) & (t > 0) & (t < 1) & (depth < _OFF_MESH_MM) & ~neighbours & np.isfinite(turn)
-    return int(meet.sum())
+    i, s = i[meet], s[meet, None]
+    return np.asarray(points[i] + s * (np.roll(points, -1, axis=0)[i] - points[i]))
 
 
 def edge_loop(name: str, points_world: Float64[Array, "n 3"], mesh: TriangleMesh) -> Int64[Array, " k"]:

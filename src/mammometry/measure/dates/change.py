@@ -17,7 +17,7 @@ from mammometry.base.progress import Progress, no_progress
 from mammometry.geometry.arrays import Array, Float64, read_only
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.nearest import point_tree
-from mammometry.measure.dates.trunk_fit import TrunkFit, TrunkSkin, fit_trunks, trunk_of
+from mammometry.measure.dates.trunk_fit import TrunkFit, fit_trunks, trunk_of
 from mammometry.measure.settings import CompareSettings, MeasureSettings, ThoraxSettings
 from mammometry.measure.shape.lengths import LinearMeasure
 from mammometry.measure.shape.symmetry import rms_mm, signed_mm
@@ -99,16 +99,13 @@ class Change:
     breasts: tuple[BreastChange, ...]
     lengths: tuple[LengthChange, ...]
     """Lengths that were measured at both dates."""
-    before_mm: Float64[Array, " n"]
-    """For each vertex of the earlier surface, distance by which the later skin stands out, mm. NaN if a date did not
-    see it.
-    """
     after_mm: Float64[Array, " m"]
-    """For each vertex of the later surface, distance by which it stands out of the earlier skin, mm."""
+    """For each vertex of the later surface, distance by which it stands out of the earlier skin, mm. NaN if a date did
+    not see it.
+    """
 
     def __post_init__(self) -> None:
-        for name in ("before_mm", "after_mm"):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
+        object.__setattr__(self, "after_mm", read_only(self.after_mm))
 
 
 def compare(
@@ -131,17 +128,14 @@ def compare(
         progress: called with the fraction done.
 
     Raises:
-        MeasureError: other breasts at one date than at the other, walls of different kinds, or trunks that are not one
-            body's.
+        MeasureError: no breast has a volume at both dates, walls of different kinds, or trunks that are not one body's.
     """
     pairs = _paired(before, after)
-    fit = fit_trunks(_trunk(before, measure.thorax), _trunk(after, measure.thorax))
+    fit = _fit(before, after, measure.thorax)
     pairing, doubtful = judged(fit, settings)
     progress(0.3)
     laid = after.surface.mesh.transformed(fit.before_from_after)
     after_mm = _standing_out(laid, after.surface, _seen(before.surface, before.surface.mesh))
-    progress(0.6)
-    before_mm = -_standing_out(before.surface.mesh, before.surface, _seen(after.surface, laid))
     progress(0.9)
     return Change(
         fit=fit,
@@ -158,7 +152,6 @@ def compare(
             for one, other in pairs
         ),
         lengths=tuple(length_changes(before.lengths, after.lengths)),
-        before_mm=before_mm,
         after_mm=after_mm,
     )
 
@@ -218,19 +211,20 @@ def length_changes(before: Sequence[LinearMeasure], after: Sequence[LinearMeasur
 
 
 def _paired(before: Visit, after: Visit) -> list[tuple[VolumeMeasurement, VolumeMeasurement]]:
-    """Each breast at both dates.
+    """Each breast that has a volume at both dates.
 
     Raises:
-        MeasureError: one date has breasts that the other has not, or a wall of another kind.
+        MeasureError: there is none, or one date has a wall of another kind.
     """
     earlier, later = ({each.name: each for each in visit.measurements} for visit in (before, after))
-    if not earlier or set(earlier) != set(later) or "model" in earlier:
+    if not earlier.keys() & later.keys() or "model" in earlier:
         raise MeasureError(
             "the breasts of both dates",
             found=f"{_listed(earlier)} before, {_listed(later)} after",
-            expected="the same breasts of a torso at both dates",
+            expected="a breast of a torso at both dates",
             remedy="Draw the missing boundary with `mammometry edit`, or remove the one too many at the other date",
         )
+    earlier = {name: one for name, one in earlier.items() if name in later}
     for name, one in earlier.items():
         if one.wall_kind != later[name].wall_kind:
             raise MeasureError(
@@ -246,9 +240,22 @@ def _listed(names: Iterable[str]) -> str:
     return " and ".join(names) or "none"
 
 
-def _trunk(visit: Visit, settings: ThoraxSettings) -> TrunkSkin:
-    boundaries = [measured.boundary_world for measured in visit.measurements]
-    return trunk_of(visit.surface, boundaries, visit.frame, settings)
+def _fit(before: Visit, after: Visit, settings: ThoraxSettings) -> TrunkFit:
+    """Lay the later trunk onto the earlier one, without what is a breast at either date."""
+    curves = [{each.name: each.boundary_world for each in visit.measurements} for visit in (before, after)]
+    fit = fit_trunks(
+        trunk_of(before.surface, list(curves[0].values()), before.frame, settings),
+        trunk_of(after.surface, list(curves[1].values()), after.frame, settings),
+    )
+    motion = fit.before_from_after
+    gone = {name: motion.inverse().apply(curve) for name, curve in curves[0].items() if name not in curves[1]}
+    new = {name: motion.apply(curve) for name, curve in curves[1].items() if name not in curves[0]}
+    if not gone and not new:
+        return fit
+    return fit_trunks(
+        trunk_of(before.surface, [*curves[0].values(), *new.values()], before.frame, settings),
+        trunk_of(after.surface, [*curves[1].values(), *gone.values()], after.frame, settings),
+    )
 
 
 def _seen(surface: RepairedSurface, mesh: TriangleMesh) -> TriangleMesh:

@@ -21,6 +21,7 @@ from mammometry.measure.landmarks.geodesic import geodesic
 from mammometry.measure.landmarks.landmarks import Landmark
 from mammometry.measure.volume.measurement import VolumeMeasurement
 
+Place = tuple[float, float, float]
 PtosisGrade = Literal["none", "I", "II", "III", "pseudoptosis"]
 _SIDES = ("left", "right")
 _GRADE_II_MM, _GRADE_III_MM, _AT_CONTOUR_MM, _PSEUDO_MM = 10.0, 30.0, 5.0, 20.0  # after Regnault, see `Ptosis`
@@ -44,6 +45,8 @@ class LinearMeasure:
     """Distance along the skin, mm. None if one end does not lie on the skin."""
     geodesic_sigma_mm: float | None
     """Standard uncertainty of the distance along the skin, mm."""
+    ends_world: tuple[Place, Place]
+    """Both ends, mm, world frame."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -108,16 +111,18 @@ def linear_measures(
             found.append(_between(name, title, nipple, there, mesh, skin))
         elif midline is not None:
             point, normal, sigma = midline
-            away = abs(float((nipple.points_world[0] - point) @ normal))
+            from_plane = float((nipple.points_world[0] - point) @ normal)
+            foot = nipple.points_world[0] - from_plane * normal
             along = np.hypot(sigma, nipple.sigma_mm * _tangential(nipple, normal, skin))
             found.append(
                 LinearMeasure(
                     name=name,
                     title=f"{title} (mid-sagittal plane)",
-                    straight_mm=away,
+                    straight_mm=abs(from_plane),
                     straight_sigma_mm=float(along),
                     geodesic_mm=None,
                     geodesic_sigma_mm=None,
+                    ends_world=(_place(nipple.points_world[0]), _place(foot)),
                 )
             )
     return tuple(sorted(found, key=lambda measure: measure.name))
@@ -178,7 +183,12 @@ def _between(
         straight_sigma_mm=float(np.hypot(moved[0], moved[1])),
         geodesic_mm=geodesic(mesh, a, b).length_mm,
         geodesic_sigma_mm=float(np.hypot(first.sigma_mm, second.sigma_mm)),
+        ends_world=(_place(a), _place(b)),
     )
+
+
+def _place(point: Float64[Array, 3]) -> Place:
+    return float(point[0]), float(point[1]), float(point[2])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

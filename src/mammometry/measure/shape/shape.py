@@ -9,6 +9,7 @@ from types import MappingProxyType
 import numpy as np
 
 from mammometry.geometry.arrays import Array, Float64
+from mammometry.geometry.nearest import point_tree
 from mammometry.measure.boundary.boundary import BreastName
 from mammometry.measure.landmarks.landmarks import Landmark
 from mammometry.measure.solid.clip import volume_within_mm3
@@ -34,6 +35,8 @@ class BreastShape:
     """Standard uncertainty of base width and height, from the boundary curve's, mm."""
     projection_mm: float
     """Greatest distance of the skin from the boundary's best plane, mm."""
+    projection_sigma_mm: float
+    """Standard uncertainty of the projection, from the boundary curve's, mm."""
     quadrants_cc: Mapping[str, float]
     """Volume of each quadrant about the nipple, cc: upper or lower, and medial or lateral (for a model: left or right,
     as for a patient facing the cameras). They add up to the volume. Empty without a nipple.
@@ -79,11 +82,26 @@ def shape_of(
         base_height_mm=float(extent[1]),
         base_sigma_mm=float(np.sqrt(2.0) * boundary_sigma_mm),
         projection_mm=measured.projection_mm,
+        projection_sigma_mm=_projection_sigma_mm(measured, boundary_sigma_mm),
         quadrants_cc=quadrants,
         above_nipple_cc=above,
         below_nipple_cc=below,
         pole_sigma_cc=sigma,
     )
+
+
+def _projection_sigma_mm(measured: VolumeMeasurement, boundary_sigma_mm: float) -> float:
+    """How far the boundary's best plane moves when the whole boundary lies one sigma further out on the skin, mm.
+
+    An observer who draws wider does so all around: errors along the curve are taken as one.
+    """
+    points, skin = measured.boundary_world, measured.skin
+    plane_normal = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2][2]
+    skin_normals = skin.vertex_normals()[point_tree(skin.vertices).query(points)[1]]
+    along = np.roll(points, -1, axis=0) - np.roll(points, 1, axis=0)
+    outward = np.cross(along, skin_normals)
+    rise = (outward @ plane_normal) / np.linalg.norm(outward, axis=1)
+    return float(abs(np.average(rise, weights=np.linalg.norm(along, axis=1))) * boundary_sigma_mm)
 
 
 def _cc(measured: VolumeMeasurement, place: Float64[Array, 3], *normals: Float64[Array, 3]) -> float:

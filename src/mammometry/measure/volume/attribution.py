@@ -62,25 +62,39 @@ def attributed(
         named: whether names, dates and people's own words are said, which a de-identified report must not do.
     """
     attribution = attributions.get(measured.name, Attribution())
-    method = measured.boundary_method
-    given = method.startswith("given:")
-    if given and not named:
-        method = method.split(",")[0]
-    elif given and attribution.origin:
-        method = f"{method.split(',')[0]}, {attribution.origin}"
-    return replace(
-        measured,
-        boundary_method=confirmed_words(method, measured.boundary_world, attribution.confirmation, named=named),
-    )
+    words = attributed_words(measured.boundary_method, curve_digest(measured.boundary_world), attribution, named=named)
+    return replace(measured, boundary_method=words)
 
 
-def confirmed_words(
-    method: str, curve_world: Float64[Array, "n 3"], confirmation: Confirmation | None, *, named: bool = True
-) -> str:
-    """A boundary's method with what is known of its confirmation."""
+def attributed_words(method: str, curve: str, attribution: Attribution, *, named: bool = True) -> str:
+    """A boundary's method with who drew and who confirmed it.
+
+    Args:
+        method: how it was found or given.
+        curve: its digest.
+        attribution: what boundaries.json tells.
+        named: as of `attributed`.
+    """
+    if method.startswith("given:"):
+        if not named:
+            method = method.split(",")[0]
+        elif attribution.origin:
+            method = f"{method.split(',')[0]}, {attribution.origin}"
+    return confirmed_words(method, curve, attribution.confirmation, named=named)
+
+
+def confirmed_words(method: str, curve: str, confirmation: Confirmation | None, *, named: bool = True) -> str:
+    """A boundary's method with what is known of its confirmation.
+
+    Args:
+        method: how it was found or drawn.
+        curve: its digest.
+        confirmation: of this curve or of an earlier one.
+        named: whether name and date are said.
+    """
     if confirmation is None:
         return method
     who = f" by {confirmation.by} on {confirmation.at[:10]}" if named else ""
-    if confirmation.holds(curve_world):
+    if confirmation.curve == curve:
         return f"{method.removesuffix(TO_BE_CONFIRMED).rstrip(',; ')}; confirmed by eye{who}"
     return f"{method}; an earlier curve was confirmed by eye{who}, but not this one"

@@ -69,6 +69,7 @@ class Sheet:
         bars: whether each row has room for a colour bar at its right.
         axes_room: room for tick labels and axis titles at the left of and below each panel, pixels.
         header: room at the top, pixels, for one legend.
+        bare: whether the panels fill the sheet, without a margin and without titles.
     """
 
     def __init__(
@@ -80,6 +81,7 @@ class Sheet:
         bars: bool = False,
         axes_room: tuple[int, int] = (0, 0),
         header: int = 0,
+        bare: bool = False,
     ) -> None:
         from matplotlib.figure import Figure
 
@@ -88,10 +90,11 @@ class Sheet:
         self._room = axes_room
         self._bars = bars
         self._header = header
+        self._margin, self._title = (0, 0) if bare else (_MARGIN, _TITLE)
         width, height = panel_wh
-        self._step = width + axes_room[0] + _GAP, height + axes_room[1] + _TITLE + _GAP
-        self.width = 2 * _MARGIN + columns * self._step[0] - _GAP + (_BAR if bars else 0)
-        self.height = 2 * _MARGIN + rows * self._step[1] - _GAP + header
+        self._step = width + axes_room[0] + _GAP, height + axes_room[1] + self._title + _GAP
+        self.width = 2 * self._margin + columns * self._step[0] - _GAP + (_BAR if bars else 0)
+        self.height = 2 * self._margin + rows * self._step[1] - _GAP + header
         self.figure: Figure = Figure(figsize=(self.width / _DPI, self.height / _DPI), dpi=_DPI, facecolor="white")
 
     def panel(self, index: int, title: str = "", *, plain: bool = True) -> Axes:
@@ -100,8 +103,8 @@ class Sheet:
         `plain` ones have a thin frame and no ticks.
         """
         row, column = divmod(index, self.columns)
-        left = _MARGIN + column * self._step[0] + self._room[0]
-        top = _MARGIN + self._header + row * self._step[1] + _TITLE
+        left = self._margin + column * self._step[0] + self._room[0]
+        top = self._margin + self._header + row * self._step[1] + self._title
         axes: Axes = self.figure.add_axes(self._box(left, top, *self._panel))
         if title:
             self.figure.text(
@@ -127,9 +130,9 @@ class Sheet:
 
         Its label says what and the unit.
         """
-        top = _MARGIN + self._header + row * self._step[1] + _TITLE
+        top = self._margin + self._header + row * self._step[1] + self._title
         inset = min(18, self._panel[1] // 10)
-        place = self._box(self.width - _MARGIN - _BAR + 10, top + inset, 12, self._panel[1] - 2 * inset)
+        place = self._box(self.width - self._margin - _BAR + 10, top + inset, 12, self._panel[1] - 2 * inset)
         axes = self.figure.add_axes(place)
         bar = self.figure.colorbar(mappable, cax=axes, **options)
         bar.outline.set_linewidth(0.5)
@@ -144,8 +147,8 @@ class Sheet:
         """
         from matplotlib.patches import Rectangle
 
-        x = float(_MARGIN)
-        y = 1 - (_MARGIN + self._header / 2) / self.height
+        x = float(self._margin)
+        y = 1 - (self._margin + self._header / 2) / self.height
         for colour, meaning in entries:
             self.figure.add_artist(
                 Rectangle(

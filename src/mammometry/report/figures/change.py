@@ -53,8 +53,8 @@ class Dated:
     """World frame of its own date."""
     world_from_own: Transform
     """That frame to the earlier date's."""
-    change_mm: Float64[Array, " n"]
-    """Per vertex: distance by which the later skin stands out of the earlier, mm."""
+    change_mm: Float64[Array, " n"] | None = None
+    """Per vertex of the later date: distance by which it stands out of the earlier skin, mm."""
 
 
 def change_map(frame: Float64[Array, "3 3"], dates: tuple[Dated, Dated], change: Change) -> bytes:
@@ -83,7 +83,8 @@ def change_map(frame: Float64[Array, "3 3"], dates: tuple[Dated, Dated], change:
     for row, one in enumerate((*dates, dates[1])):
         scene = Scene(one.repaired.mesh)
         mapped = row == 2
-        colours = canvas.coloured(one.change_mm, scale) if mapped else shown_colours(one.textured.colours, one.repaired)
+        photographed = shown_colours(one.textured.colours, one.repaired)
+        colours = canvas.coloured(change.after_mm, scale) if mapped else photographed
         for column, view in enumerate(views):
             axes = sheet.panel(3 * row + column, f"{'Change' if mapped else one.title}, {view.name}")
             show(axes, scene.render(view, size_px=_VIEW_PX, colours=colours, lit=0.5 if mapped else 0.0), view)

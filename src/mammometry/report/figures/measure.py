@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from mammometry.geometry.arrays import Array, Float64
+from mammometry.geometry.arrays import Array, Float64, bounds
 from mammometry.measure.boundary.breasts import NoBreast
 from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.report.figures import canvas
@@ -18,7 +19,6 @@ from mammometry.report.figures.shading import (
     join_segments,
     picture_wh,
     section,
-    standard_views,
     views_of,
     visible,
 )
@@ -29,6 +29,9 @@ from mammometry.surface.unmeasured import WORDS, shown_colours
 
 _PANEL_PX = 330  # width of a panel, px; chosen by eye
 _OVERVIEW_PX = 470  # size of an overview's view, px; chosen by eye
+_FRONT_PX, _OBLIQUE_PX = 860, 560  # longer sides of the first page's pictures, px: about 190 dpi there
+_AROUND, _ABOVE = 1.6, 2.0  # picture's side over width and height of all boundaries; chosen by eye
+_LEAST_MM = 200.0  # side of such a picture at least; chosen by eye
 _SKIN = (0.90, 0.78, 0.70)  # colour, red green blue, 0 to 1; chosen by eye
 _WALL = (0.45, 0.66, 0.84)  # colour, red green blue, 0 to 1; chosen by eye
 _MIRRORED, _NONE = canvas.SKY, canvas.VERMILION  # a curve that was mirrored, and a place that is no breast's
@@ -43,14 +46,14 @@ def overview(result: MeasureResult) -> bytes | None:
     if not (measurements or result.absent):
         return None
     evidence = {each.name: each.evidence_world for each in result.boundaries if len(each.evidence_world)}
-    views = standard_views(painted.mesh, result.frame, of_patient=result.body is not None)
+    views = result.views
     sheet = Sheet(2, 2, picture_wh(views[0], _OVERVIEW_PX), header=26)
     entries = [(canvas.CYCLE[k], f"boundary, {NAMES[measured.name]}") for k, measured in enumerate(measurements)]
     mirrored = [each for each in result.lacking if each.curves == 1]
     entries += [(_MIRRORED, f"the same, mirrored to the {each.name}") for each in mirrored]
     entries += [(_NONE, f"{side.name} side: {_not(side)}") for side in result.absent]
     sheet.legend([*entries, *([(canvas.SKY, "rim seen in the photographs")] if evidence else [])])
-    scene = Scene(painted.mesh)
+    scene = result.scene
     colours = painted.colours if result.repaired is None else shown_colours(painted.colours, result.repaired)
     for index, view in enumerate(views):
         axes = sheet.panel(index, view.name)
@@ -77,6 +80,59 @@ def overview(result: MeasureResult) -> bytes | None:
             f"boundary, which is dashed where it is hidden. {WORDS}.{absent}",
         )
     )
+
+
+@preview("front", stage="measure", place=0, photographs=False)
+def front(result: MeasureResult) -> bytes | None:
+    """Both breasts with their boundaries, from the front."""
+    return _near(result, 0, _FRONT_PX)
+
+
+@preview("from_right", stage="measure", place=0, photographs=False)
+def from_right(result: MeasureResult) -> bytes | None:
+    """Both breasts with their boundaries, obliquely from the patient's right."""
+    return _near(result, 1, _OBLIQUE_PX)
+
+
+@preview("from_left", stage="measure", place=0, photographs=False)
+def from_left(result: MeasureResult) -> bytes | None:
+    """Both breasts with their boundaries, obliquely from the patient's left."""
+    return _near(result, 2, _OBLIQUE_PX)
+
+
+def _near(result: MeasureResult, index: int, size_px: int) -> bytes | None:
+    """One standard view of the breasts alone, without frame and legend."""
+    if not (result.measurements or result.absent):
+        return None
+    view = _close_views(result)[index]
+    scene = result.scene
+    painted = result.textured
+    colours = painted.colours if result.repaired is None else shown_colours(painted.colours, result.repaired)
+    width, height = picture_wh(view, size_px)
+    sheet = Sheet(1, 1, (width, height), bare=True)
+    axes = sheet.panel(0)
+    show(axes, scene.render(view, size_px=size_px, colours=colours, lit=False), view, bar=not index)
+    for k, measured in enumerate(result.measurements):
+        curve(axes, scene, view, measured.boundary_world, canvas.CYCLE[k], size_px=size_px, width=2.4)
+    for side in result.absent:
+        place = side.place_world[None]
+        if visible(place, view, scene.cast(view, 2 * size_px), slack_mm=4.0)[0]:
+            axes.plot(*view.project(place)[0, :2], "x", color=_NONE, markersize=13, markeredgewidth=3)
+    name = view.name[:1].upper() + view.name[1:]
+    return sheet.png(Caption(title=name, text=f"The boundary is dashed where it is hidden. {WORDS}."))
+
+
+def _close_views(result: MeasureResult) -> tuple[View, ...]:
+    """Front and both oblique views, close to the breasts, all at one scale."""
+    whole = result.views[:3]
+    points = np.concatenate(
+        [*(each.boundary_world for each in result.measurements), *(side.place_world[None] for side in result.absent)]
+    )
+    low, high = bounds(points @ result.frame.T)
+    around = max(_AROUND * float(high[0] - low[0]), _ABOVE * float(high[1] - low[1]), _LEAST_MM)
+    span = min(around, whole[0].span_mm[0]), min(around, whole[0].span_mm[1])
+    centre = (low + high) / 2 @ result.frame
+    return tuple(replace(view, centre_world=centre, span_mm=span) for view in whole)
 
 
 @preview("closed", stage="measure", place=3, photographs=False, per_breast=True)

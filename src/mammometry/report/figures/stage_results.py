@@ -144,6 +144,16 @@ class MeasureResult:
     """What a side lacks to the other one."""
 
     @cached_property
+    def scene(self) -> Scene:
+        """The whole surface, ready to be rendered."""
+        return Scene(self.textured.mesh)
+
+    @cached_property
+    def views(self) -> tuple[View, ...]:
+        """Standard views of the whole surface."""
+        return standard_views(self.textured.mesh, self.frame, of_patient=self.body is not None)
+
+    @cached_property
     def frame(self) -> Float64[Array, "3 3"]:
         """Right, up and towards the viewer of the front view, world frame.
 

@@ -1,0 +1,138 @@
+"""One date of a comparison: a session of photographs, or the scan of another device."""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from mammometry.api.job import open_session
+from mammometry.base.identity import Identity
+from mammometry.geometry.arrays import Array, Float64
+from mammometry.io.results.store import Store, Watch
+from mammometry.io.scans import is_scan
+from mammometry.job.inputs import Inputs
+from mammometry.job.measuring import Measured
+from mammometry.job.stage_values import FinishedSurface
+from mammometry.settings import Settings
+
+if TYPE_CHECKING:
+    from mammometry.geometry.camera import Rig
+
+RESULTS = "results"
+"""Folder of a scan's results in its folder."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Dated:
+    """A measured torso at one date."""
+
+    path: Path
+    """Its folder."""
+    date: datetime.date | None
+    """None where its folder gives none."""
+    identity: Identity
+    brought: tuple[Path, ...]
+    """Files and folders in it that are not ours."""
+    inputs: Inputs
+    settings: Settings
+    store: Store
+    measured: Measured
+    """Plan of its measurement."""
+    finished: Callable[[], FinishedSurface]
+    """Gives the surface with its colours."""
+    rig: Callable[[], Rig]
+    """Gives the cameras, or a scan's viewer."""
+    ensure: Callable[[], object]
+    """Measures it where its results are not current."""
+    page_digest: Callable[[bool], str]
+    """Digest of all that its report shows; given True, without names."""
+
+    @property
+    def results(self) -> Path:
+        """The folder of its results."""
+        return self.store.folder
+
+    @property
+    def pictures(self) -> frozenset[str]:
+        """Digests of its photographs, or of its mesh."""
+        names = [f"capture/{camera}" for camera in self.inputs.photographs] or ["mesh"]
+        return frozenset(self.inputs.digests[name] for name in names)
+
+    @property
+    def has_own_scale(self) -> bool:
+        """Whether its scale comes from a target that it brought."""
+        return "target" in self.inputs.digests and self.inputs.cameras is None
+
+    def frame(self) -> Float64[Array, "3 3"]:
+        """Rows: the patient's left, the head, straight ahead. World frame."""
+        from mammometry.report.figures.shading import front_of
+
+        return front_of(self.rig(), None if self.measured.body is None else self.measured.body())
+
+
+def open_dated(path: Path | str, settings: Settings, watch: Watch) -> Dated:
+    """Open a session's or an imported scan's folder.
+
+    Raises:
+        SessionError: the folder is not as documented.
+        MeasureError: a scan's mesh is no surface to be measured.
+    """
+    folder = Path(path)
+    return _scan(folder, settings, watch) if is_scan(folder) else _session(folder, settings, watch)
+
+
+def measured_keys(path: Path | str, settings: Settings) -> tuple[str, ...]:
+    """Digests of the products that a folder's measurement has with these settings.
+
+    Raises:
+        SessionError: the folder is not as documented.
+    """
+    folder = Path(path)
+    if not is_scan(folder):
+        return tuple(key.digest for key in open_session(folder, settings).keys("measure"))
+    from mammometry.api.mesh import MeshJob, scan_files
+
+    job = MeshJob(scan_files(folder), folder / RESULTS, settings)
+    return tuple(product.key.digest for product in job.plan.products())
+
+
+def _session(folder: Path, settings: Settings, watch: Watch) -> Dated:
+    job = open_session(folder, settings, watch=watch)
+    return Dated(
+        path=job.session.path,
+        date=job.session.manifest.date,
+        identity=job.identity,
+        brought=tuple(job.session.brought),
+        inputs=job.inputs,
+        settings=job.settings,
+        store=job.store,
+        measured=job.plan.measured,
+        finished=job.plan.surfaced.mesh,
+        rig=lambda: job.plan.calibrated.cameras().rig,
+        ensure=lambda: job.ensure("measure", drawn=False),
+        page_digest=lambda deidentify: job.page_digest(deidentify=deidentify),
+    )
+
+
+def _scan(folder: Path, settings: Settings, watch: Watch) -> Dated:
+    from mammometry.api.mesh import MeshJob, scan_files
+
+    files = scan_files(folder)
+    job = MeshJob(files, folder / RESULTS, settings, watch=watch)
+    return Dated(
+        path=folder,
+        date=None,
+        identity=job.identity,
+        brought=(files.mesh,),
+        inputs=job.inputs,
+        settings=job.settings,
+        store=job.store,
+        measured=job.plan,
+        finished=lambda: job.finished,
+        rig=lambda: job.rig,
+        ensure=lambda: job.run(report=False),
+        page_digest=lambda deidentify: job.page_digest(deidentify=deidentify),
+    )

@@ -1,0 +1,149 @@
+"""The first page of a report, for a surgeon in thirty seconds: in the browser and on paper."""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from mammometry.measure.volume.attribution import Attribution, Confirmation
+from mammometry.report.change_words import date_words
+from mammometry.report.clinical import Clinical, Signed
+from mammometry.report.content import BreastReport, LargeNumber, Picture, ReportContent
+from mammometry.report.figures.canvas import CYCLE
+
+NOT_CONFIRMED = "not confirmed"
+FIRST_PICTURES = ("front", "from_right", "from_left")
+_WITHOUT_A_BREAST = "views"  # of the surface, where nothing was measured
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FirstPage:
+    """The first page before layout."""
+
+    title: str
+    """Who: the patient's name, else the session's title."""
+    who: str
+    """Birth date, record number; else what the session tells beside its title."""
+    when: str
+    """Day, occasion, posture."""
+    operations: tuple[str, ...]
+    numbers: tuple[LargeNumber, ...]
+    """Both volumes and their difference."""
+    cautions: tuple[str, ...]
+    """What changes the meaning of these numbers, one line each."""
+    pictures: tuple[Picture, ...]
+    """The front view, then both oblique ones."""
+    change: tuple[str, ...]
+    """Against the visit before."""
+    confirmation: str
+    """Who found the boundaries right, and when. Empty where nothing was measured."""
+    is_confirmed: bool
+    conclusion: Signed | None
+    amended: str
+    """Which earlier conclusion the newest one replaces. Empty: none."""
+
+
+def first_page(
+    content: ReportContent, attributions: Mapping[str, Attribution], clinical: Clinical | None, *, named: bool
+) -> FirstPage:
+    """Put the first page together.
+
+    Args:
+        content: what was measured.
+        attributions: breast → who confirmed its boundary.
+        clinical: what a clinic knows, whose confirmation then stands for all boundaries.
+        named: whether names and dates are said.
+    """
+    known = clinical or Clinical()
+    measured = [breast for breast in content.breasts if not breast.unmeasured]
+    confirmation = _confirmation(measured, attributions, clinical, named=named)
+    conclusions = known.conclusions
+    born = None if known.born is None else _birth_words(known.born, known.taken)
+    taken = None if known.taken is None else moment_words(known.taken)
+    made = content.created and f"measured {content.created}"
+    return FirstPage(
+        title=known.patient or content.identity.title,
+        who=_joined(born, known.record and f"record {known.record}") or content.identity.beside,
+        when=_joined(taken, known.occasion, known.posture) or made,
+        operations=known.operations,
+        numbers=(*_volumes(content.breasts), *([content.difference] if content.difference else [])),
+        cautions=_cautions(measured),
+        pictures=_pictures(content),
+        change=known.change,
+        confirmation=confirmation,
+        is_confirmed=NOT_CONFIRMED not in confirmation,
+        conclusion=conclusions[0] if conclusions else None,
+        amended=f"It replaces that of {signature(conclusions[1])}." if len(conclusions) > 1 else "",
+    )
+
+
+def signature(signed: Signed) -> str:
+    """Name and time: "Dr. B, 22 November 2026, 10:30"."""
+    return _joined(signed.by, moment_words(signed.at), between=", ")
+
+
+def moment_words(moment: datetime.datetime) -> str:
+    """A moment in words, to the minute: "22 November 2026, 10:30"."""
+    return f"{date_words(moment)}, {moment:%H:%M}"
+
+
+def _birth_words(born: datetime.date, taken: datetime.datetime | None) -> str:
+    if taken is None:
+        return f"born {date_words(born)}"
+    years = taken.year - born.year - ((taken.month, taken.day) < (born.month, born.day))
+    return f"born {date_words(born)}, {years} years old"
+
+
+def _confirmation(
+    measured: Sequence[BreastReport],
+    attributions: Mapping[str, Attribution],
+    clinical: Clinical | None,
+    *,
+    named: bool,
+) -> str:
+    signed = None if clinical is None else clinical.confirmed
+    if signed is not None and measured:
+        return f"confirmed by {signature(signed)}"
+    if all(breast.name == "model" for breast in measured):  # its base needs nobody's eye
+        return ""
+    if clinical is not None:
+        return NOT_CONFIRMED
+    words = {}
+    for breast in measured:
+        seen = attributions.get(breast.name, Attribution()).confirmation
+        holds = seen is not None and seen.curve == breast.curve
+        words[breast.number.title] = _confirmed_words(seen, named=named) if seen and holds else NOT_CONFIRMED
+    if len(set(words.values())) == 1:
+        return next(iter(words.values()))
+    return "; ".join(f"{title[0].lower()}{title[1:]} {how}" for title, how in words.items())
+
+
+def _confirmed_words(seen: Confirmation, *, named: bool) -> str:
+    return f"confirmed by {seen.by}, {seen.at[:10]}" if named else "confirmed"
+
+
+def _volumes(breasts: Sequence[BreastReport]) -> list[LargeNumber]:
+    """Volumes in the colours that `figures.measure` gives to the boundaries."""
+    colours = iter(CYCLE)
+    return [each.number if each.unmeasured else replace(each.number, colour=next(colours)) for each in breasts]
+
+
+def _cautions(measured: Sequence[BreastReport]) -> tuple[str, ...]:
+    """Each caution once: of all breasts, or with the breast's name before it."""
+    lines = []
+    for caution in dict.fromkeys(caution for breast in measured for caution in breast.cautions):
+        of = [breast.number.title for breast in measured if caution in breast.cautions]
+        lines.append(caution if len(of) == len(measured) else f"{of[0]}: {caution[0].lower()}{caution[1:]}")
+    return tuple(lines)
+
+
+def _pictures(content: ReportContent) -> tuple[Picture, ...]:
+    drawn = content.pictures.get("measure", {})
+    found = tuple(drawn[name] for name in FIRST_PICTURES if name in drawn)
+    surface = content.pictures.get("surface", {})
+    return found or tuple(surface[name] for name in (_WITHOUT_A_BREAST,) if name in surface)
+
+
+def _joined(*words: str | None, between: str = " · ") -> str:
+    return between.join(filter(None, words))

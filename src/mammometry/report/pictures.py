@@ -1,0 +1,73 @@
+"""Pictures of a report as its page and its paper show them, each encoded once."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping
+
+import numpy as np
+from PIL import Image
+
+from mammometry.base.cores import each_at_once
+from mammometry.report.content import Picture
+from mammometry.report.figures.canvas import caption_in
+from mammometry.report.figures.catalogue import is_on_paper
+
+_PAPER_PX = 1400  # longer side of a picture on paper: about 190 dpi over the text width of A4
+_QUALITY = 88  # of WebP and JPEG, 0 to 100: a photograph as WebP then takes a third of a JPEG; chosen by eye
+_WEBP_EFFORT = 2  # of its encoder, 0 to 6: half the time of 4 for 4 % more bytes
+_SMALL_BYTES = 60_000
+"""Smaller lossless pictures stay lossless, bytes: their lines and text are sharper."""
+
+
+def encoded(png: bytes, *, on_paper: bool = True) -> Picture:
+    """Encode a PNG with its caption for the page, and for paper."""
+    with Image.open(io.BytesIO(png), formats=("PNG",)) as image:
+        caption, (width, height) = caption_in(image), image.size  # the picture is read once for all
+        bare = Image.fromarray(np.asarray(image.convert("RGB")))  # without any metadata
+    return Picture(
+        title=caption.title,
+        text=caption.text,
+        width=width,
+        height=height,
+        webp=webp_of(bare, len(png)),
+        jpeg=jpeg_of(bare) if on_paper else b"",
+    )
+
+
+def all_encoded(pictures: Mapping[str, Mapping[str, bytes]]) -> dict[str, dict[str, Picture]]:
+    """Stage → name → picture, from PNGs. Paper gets those of the measurement and those meant for it."""
+    names = [(stage, name) for stage, drawn in pictures.items() for name in drawn]
+
+    def one(place: tuple[str, str]) -> Picture:
+        stage, name = place
+        return encoded(pictures[stage][name], on_paper=stage == "measure" or is_on_paper(name))
+
+    made: dict[str, dict[str, Picture]] = {stage: {} for stage in pictures}
+    for (stage, name), picture in zip(names, each_at_once(one, names), strict=True):
+        made[stage][name] = picture
+    return made
+
+
+def webp_of(image: Image.Image, png_bytes: int) -> bytes:
+    """WebP of a picture: lossless where that is small. A photograph takes a third of its JPEG size."""
+    # Without loss a picture shrinks to half its PNG at the best: what cannot become small is not tried.
+    data = _webp(image, lossless=True, quality=60) if png_bytes <= 2 * _SMALL_BYTES else None
+    if data is None or len(data) > _SMALL_BYTES:
+        data = _webp(image, quality=_QUALITY, use_sharp_yuv=True)
+    return data
+
+
+def jpeg_of(image: Image.Image) -> bytes:
+    """JPEG of a picture at printing resolution."""
+    small = image.copy()
+    small.thumbnail((_PAPER_PX, _PAPER_PX))
+    buffer = io.BytesIO()
+    small.save(buffer, format="JPEG", quality=_QUALITY, subsampling=0)
+    return buffer.getvalue()
+
+
+def _webp(image: Image.Image, **options: float) -> bytes:
+    buffer = io.BytesIO()
+    image.save(buffer, format="WEBP", method=_WEBP_EFFORT, **options)
+    return buffer.getvalue()

@@ -1,0 +1,76 @@
+"""README's commands, run one after another in one folder as they stand there, with a small session."""
+
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from tests.clinic_day_one import spend
+from tests.clinic_server import free_port, served
+
+_COARSE = "--set surface.extract.cube_mm=4"
+OPTIONS = {
+    "simulate SESSION --subject torso_2 --seed 7": "--scale 0.15 --poses 8",
+    "run SESSION": _COARSE,
+    "evaluate SESSION": _COARSE,
+    "info SESSION": _COARSE,
+    "figure 5 SESSION": _COARSE,
+}
+"""Command → what makes it quick."""
+ELSEWHERE = {
+    "make demo": ".ci/run",
+    "make test": ".ci/run",
+    "make clinic": ".ci/run",  # and test_a_demo_clinic_is_made_and_served_by_one_command
+    "capture SESSION --rig rig.toml": "tests/scenes/test_capture_measured.py",
+    "edit SESSION": "tests/unit/editor/test_server.py",
+    "clinic serve my-clinic": "tests/unit/clinic/test_clinic_server.py",
+    "study observers curves --mesh front.ply": "tests/unit/cli/test_study.py",
+    "study phantoms STUDY": "tests/unit/cli/test_study.py",
+}
+"""Command → who runs it: it needs cameras, does not end by itself, or takes many captures."""
+
+
+def readme_commands(repository: Path) -> list[str]:
+    """All of README's commands, less the word mammometry."""
+    text = (repository / "README.md").read_text(encoding="utf-8")
+    lines = [line for block in re.findall(r"```console\n(.*?)```", text, re.DOTALL) for line in block.splitlines()]
+    found = [line.partition("#")[0].removeprefix("$ ").strip() for line in lines if line.startswith("$ ")]
+    return list(dict.fromkeys(command.removeprefix("mammometry ") for command in found))
+
+
+def test_every_command_of_the_readme_is_run_by_a_test(repository: Path) -> None:
+    listed = readme_commands(repository)
+    assert len(listed) > 15
+    assert (set(OPTIONS) | set(ELSEWHERE)) - set(listed) == set()
+    assert [where for where in ELSEWHERE.values() if not (repository / where).is_file()] == []
+
+
+@pytest.mark.slow
+def test_the_commands_of_the_readme_work_as_they_stand(repository: Path, tmp_path: Path) -> None:
+    (tmp_path / "table.csv").write_text(
+        "subject,reference_cc,measured_cc\n"
+        + "".join(f"s{n},{100 + 30 * n},{101 + 30 * n + n % 3}\n" for n in range(8))
+    )
+    commands = [command for command in readme_commands(repository) if command not in ELSEWHERE]
+    # The session is simulated first: the others look at it.
+    commands.sort(key=lambda command: not command.startswith("simulate"))
+    for command in commands:
+        words = shlex.split(f"{command} {OPTIONS.get(command, '')}".replace("DIR", "SESSION/calibration/01"))
+        if words[0] == "new":
+            words[1] = "ANOTHER"
+        done = subprocess.run(
+            [sys.executable, "-m", "mammometry", *words],
+            cwd=tmp_path, capture_output=True, text=True, timeout=1200, check=False,
+        )  # fmt: skip
+        assert done.returncode == 0, (command, done.stdout[-500:], done.stderr[-2000:])
+    assert (tmp_path / "SESSION/results/report/report.html").is_file()
+    with served(tmp_path / "my-clinic"):
+        pass
+
+
+@pytest.mark.slow
+def test_a_demo_clinic_is_made_and_served_by_one_command(repository: Path, tmp_path: Path) -> None:
+    address = f"127.0.0.1:{free_port()}"
+    spend([sys.executable, "-m", "mammometry", "clinic", "demo", str(tmp_path / "demo"), "--address", address])

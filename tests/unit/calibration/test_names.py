@@ -1,0 +1,112 @@
+"""Photographs under wrong names, of another patient or rig, by features of known points."""
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+
+from mammometry.calibration.features.keypoints import Keypoints
+from mammometry.calibration.judge.names import check_names, wrong_photographs
+from mammometry.calibration.judge.working_volume import meeting_point
+from mammometry.geometry.camera import Rig
+from mammometry.simulate.rigs.build import build_rig
+from mammometry.simulate.rigs.plan import REFERENCE
+
+POINTS, NOISE_PX = 250, 0.3  # of a subject; of a feature's place
+
+
+def photographs(rig, seed=1, *, points=POINTS, strangers=100):
+    """Camera → features of one subject that its pair's cameras share, and of things that nobody else sees."""
+    rng = np.random.default_rng(seed)
+    seen = {}
+    for both in rig.pair_names.values():
+        skin = meeting_point(rig) + rng.normal(0.0, 45.0, (points, 3))
+        words = rng.normal(size=(points, 128))
+        for name in both:
+            camera = rig.cameras[name]
+            uv = camera.project(skin) + rng.normal(0.0, NOISE_PX, (points, 2))
+            other = rng.uniform((0, 0), camera.size_wh, (strangers, 2))
+            descriptors = np.concatenate([words, rng.normal(size=(strangers, 128))])
+            if name not in seen:
+                seen[name] = Keypoints(uv=np.concatenate([uv, other]), descriptors=descriptors.astype(np.float32))
+    return seen
+
+
+@pytest.fixture(scope="module")
+def rig():
+    return build_rig(REFERENCE, 0.25, 3)
+
+
+@pytest.fixture(scope="module")
+def seen(rig):
+    return photographs(rig)
+
+
+def test_right_names_are_left_alone(rig, seen):
+    names = check_names(rig, seen)
+    assert names.right
+    assert not names.unknown
+    assert list(wrong_photographs(names, rig.pair_names)) == []
+
+
+def test_any_two_photographs_that_are_exchanged_are_named(rig, seen):
+    for one, other in list(combinations(rig.cameras, 2))[::4]:
+        names = check_names(rig, {**seen, one: seen[other], other: seen[one]})
+        assert names.exchanged == {one: other, other: one}, (one, other)
+        (wrong,) = wrong_photographs(names, rig.pair_names)
+        assert set(wrong.cameras) == {one, other}
+        assert "exchanged" in wrong.found
+
+
+def test_two_pairs_that_are_exchanged_are_named(rig, seen):
+    (one, other), (third, fourth) = (rig.pair_names[pair] for pair in ("front", "left"))
+    mixed = {**seen, one: seen[third], other: seen[fourth], third: seen[one], fourth: seen[other]}
+    names = check_names(rig, mixed)
+    assert names.exchanged == {one: third, third: one, other: fourth, fourth: other}
+    assert {frozenset(cycle) for cycle in names.cycles} == {frozenset((one, third)), frozenset((other, fourth))}
+
+
+def test_a_photograph_of_another_patient_is_found_with_its_pair(rig, seen):
+    name = rig.pair_names["front"][0]
+    names = check_names(rig, {**seen, name: photographs(rig, seed=2)[name]})
+    assert names.unrelated == ("front",)
+    (wrong,) = wrong_photographs(names, rig.pair_names)
+    assert set(wrong.cameras) <= set(rig.pair_names["front"])
+    assert name in wrong.cameras
+
+
+def test_a_shared_camera_tells_which_photograph_is_the_foreign_one(rig, seen):
+    """Two pairs with one camera in common, as cheap rigs have them."""
+    left, middle = rig.pair_names["front"]
+    third = rig.pair_names["floor"][0]
+    shared = Rig(
+        name="three",
+        cameras={name: rig.cameras[name] for name in (left, middle, third)},
+        pair_names={"a": (left, middle), "b": (middle, third)},
+    )
+    rng = np.random.default_rng(5)
+    skin, words = meeting_point(shared) + rng.normal(0.0, 45.0, (POINTS, 3)), rng.normal(size=(POINTS, 128))
+    own = {
+        name: Keypoints(uv=camera.project(skin), descriptors=words.astype(np.float32))
+        for name, camera in shared.cameras.items()
+    }
+    assert check_names(shared, own).right
+    names = check_names(shared, {**own, left: seen[left]})
+    assert names.exchanged == {}
+    if names.unrelated:  # pairs of this rig are seen under angles that differ
+        assert names.foreign == (left,)
+    exchanged = check_names(shared, {**own, left: own[third], third: own[left]})
+    assert exchanged.exchanged == {left: third, third: left}
+
+
+def test_photographs_of_another_rig_are_one_sentence(rig):
+    names = check_names(rig, photographs(build_rig(REFERENCE, 0.25, 8)))
+    assert names.another_rig
+    (wrong,) = wrong_photographs(names, rig.pair_names)
+    assert "another rig" in wrong.found
+
+
+def test_too_little_texture_is_said_and_refuses_nothing(rig):
+    names = check_names(rig, photographs(rig, points=6, strangers=20))
+    assert names.right
+    assert set(names.unknown) == set(rig.pair_names)

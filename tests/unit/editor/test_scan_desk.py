@@ -1,0 +1,67 @@
+"""A scan of another device is drawn on as a session is."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.unit.io.scan_files import scanned
+
+from mammometry.api.mesh import MeshJob, scan_files, scan_job
+from mammometry.base.errors import CrossingError
+from mammometry.editor.desk import Desk
+from mammometry.editor.messages import PlaceChange, Save, SentHandle, Sketch, SketchChange
+from mammometry.editor.page import EditorPage
+from mammometry.io.outputs import write_outputs
+from mammometry.io.scans import Scan, import_scan
+from mammometry.measure.volume.attribution import curve_digest
+
+
+@pytest.fixture
+def scan(tmp_path: Path) -> Path:
+    """An imported scan of a torso."""
+    mesh = scanned(tmp_path / "in", step_mm=2.0)
+    folder = tmp_path / "scan"
+    write_outputs(folder, import_scan(mesh, Scan(scanner="Vectra", units=""), units="cm"), command="import mesh")
+    return folder
+
+
+@pytest.mark.slow
+def test_a_scan_is_drawn_on_measured_and_shown(scan: Path) -> None:
+    results = scan / "results"
+    first = MeshJob(scan_files(scan), results).run()
+    page = EditorPage(scan_job(scan, results))
+    drawing = page.drawing("C. Eye")
+    (model,) = drawing["scene"]["models"]
+    assert model["texture"] or model["colours"]  # the report's, with the scanner's picture
+    left = drawing["boundaries"]["left"]
+    assert left["measured"]["volumeCc"] == first.volumes_cc["left"]
+    assert left["measured"]["of"] == left["of"]
+
+    # One breast is changed: the other stays automatic, and its number the same.
+    sketch = Sketch(of=left["of"], handles=[SentHandle.model_validate(each) for each in left["handles"]])
+    moved = np.add(sketch.handles[0].point, [0.0, 12.0, 0.0])
+    sketch.handles[0] = SentHandle(point=tuple(moved.tolist()))
+    page.desk.save(Save(author="A", boundaries={"left": SketchChange(base=left["base"], sketch=sketch)}))
+    assert set(json.loads((scan / "boundaries.json").read_text())["boundaries"]) == {"left", "right"}
+    again = MeshJob(scan_files(scan), results)
+    second = again.run()
+    assert second.volumes_cc["left"] != first.volumes_cc["left"]
+    assert second.volumes_cc["right"] == pytest.approx(first.volumes_cc["right"], rel=1e-3)
+    state = Desk(scan_job(scan, results)).state()["boundaries"]
+    assert state["left"]["measured"]["of"] == state["left"]["of"] != left["of"]
+    assert state["right"]["automatic"]
+
+    # A line that crosses itself is refused; a landmark that the measurement refuses can be corrected.
+    desk = Desk(scan_job(scan, results))
+    places = np.array([handle["point"] for handle in state["left"]["handles"]])
+    places[[1, 5]] = places[[5, 1]]
+    crossed = Sketch(handles=[SentHandle(point=tuple(point)) for point in places.tolist()])
+    with pytest.raises(CrossingError):
+        desk.save(Save(author="A", boundaries={"left": SketchChange(base=state["left"]["base"], sketch=crossed)}))
+    right = np.array(state["right"]["curve"]).mean(axis=0)
+    wrong = Save(author="A", landmarks={"nipple_left": PlaceChange(base=None, points=[tuple(right.tolist())])})
+    desk.save(wrong)
+    opened = Desk(scan_job(scan, results)).state()
+    assert opened["places"]["nipple_left"]["points"]
+    assert curve_digest(np.array(opened["boundaries"]["left"]["curve"])) == state["left"]["of"]

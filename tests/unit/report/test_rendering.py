@@ -1,0 +1,100 @@
+"""A report is rendered again from its stored content, with a confirmation or with what a clinic knows."""
+
+import datetime
+import time
+from dataclasses import asdict, replace
+
+import pytest
+import test_pdf
+
+from mammometry.base.errors import StorageError
+from mammometry.measure.boundary.confirming import TO_BE_CONFIRMED
+from mammometry.measure.volume.attribution import Attribution, Confirmation
+from mammometry.report.clinical import Clinical, Signed
+from mammometry.report.content import ReportContent
+from mammometry.report.first_page import first_page
+from mammometry.report.rendering import attributed_content, render
+from mammometry.report.stored_content import packed, unpacked
+
+SEEN = datetime.datetime(2026, 11, 22, 10, 0, tzinfo=datetime.UTC)
+
+
+def automatic() -> ReportContent:
+    made = test_pdf.page_content("left", "right")
+    found = tuple(replace(each, boundary=f"automatic: the fold; {TO_BE_CONFIRMED}") for each in made.breasts)
+    return replace(made, breasts=found, scene="[]", concerns=("Look at pair one.",))
+
+
+def test_content_is_stored_and_read_back_whole() -> None:
+    content = automatic()
+    assert asdict(unpacked(packed(content))) == asdict(content)
+    assert packed(content) == packed(unpacked(packed(content)))
+    with pytest.raises(StorageError, match=r"content\.zip"):
+        unpacked(packed(content)[:-30])
+
+
+def test_a_scene_from_elsewhere_cannot_leave_its_script_element() -> None:
+    assert "<" not in unpacked(packed(replace(automatic(), scene='["</script>"]'))).scene
+
+
+def test_equal_arguments_give_equal_bytes() -> None:
+    content, clinical = automatic(), Clinical(patient="Moser, Anna")
+    assert render(content, {}, clinical) == render(unpacked(packed(content)), {}, clinical)
+
+
+def test_a_boundary_that_nobody_confirmed_is_warned_of() -> None:
+    content = automatic()
+    warnings = attributed_content(content, {}, None, named=True).warnings
+    assert warnings == (
+        *content.warnings,
+        "Nobody has confirmed the automatic boundary of the patient's left breast and of the patient's right breast. "
+        "Look at it, and confirm it or draw a better one.",
+        "Boundaries are drawn and confirmed with `mammometry edit`.",
+        "Look at pair one.",
+    )
+    seen = Attribution(
+        confirmation=Confirmation(by="C. Eye", at="2026-11-22T10:00:00Z", curve=content.breasts[0].curve)
+    )
+    told = attributed_content(content, {"left": seen}, None, named=True)
+    assert told.breasts[0].boundary == "Automatic: the fold; confirmed by eye by C. Eye on 2026-11-22."
+    assert "boundary of the patient's right breast." in told.warnings[1]
+    assert "C. Eye" not in repr(attributed_content(content, {"left": seen}, None, named=False))
+    moved = replace(seen, confirmation=replace(seen.confirmation, curve="another"))
+    assert "left breast and of" in attributed_content(content, {"left": moved}, None, named=True).warnings[1]
+
+
+def test_a_clinics_confirmation_stands_for_all_boundaries_and_names_no_command() -> None:
+    content = automatic()
+    asked = attributed_content(content, {}, Clinical(), named=True)
+    assert any("Nobody has confirmed" in each for each in asked.warnings)
+    assert not any("mammometry edit" in each for each in asked.warnings)
+    confirmed = attributed_content(content, {}, Clinical(confirmed=Signed(by="Dr. Eye", at=SEEN)), named=True)
+    assert not any("confirmed" in each for each in confirmed.warnings)
+    assert all(each.boundary.endswith("confirmed by eye by Dr. Eye on 2026-11-22.") for each in confirmed.breasts)
+
+
+def test_the_first_page_tells_whose_boundary_is_confirmed() -> None:
+    content = automatic()
+    seen = Confirmation(by="C. Eye", at="2026-11-22T10:00:00Z", curve=content.breasts[0].curve)
+    one = {"left": Attribution(confirmation=seen)}
+    both = {**one, "right": Attribution(confirmation=replace(seen, curve=content.breasts[1].curve))}
+
+    def words(attributions: dict[str, Attribution], clinical: Clinical | None = None, *, named: bool = True) -> str:
+        return first_page(content, attributions, clinical, named=named).confirmation
+
+    assert words({}) == words(both, Clinical()) == "not confirmed"
+    assert words(one) == "left breast confirmed by C. Eye, 2026-11-22; right breast not confirmed"
+    assert words(both) == "confirmed by C. Eye, 2026-11-22"
+    assert words(both, named=False) == "confirmed"
+    assert words({"left": Attribution(confirmation=replace(seen, curve="another"))}) == "not confirmed"
+    assert words({}, Clinical(confirmed=Signed(by="Dr. Eye", at=SEEN))) == (
+        "confirmed by Dr. Eye, 22 November 2026, 10:00"
+    )
+
+
+def test_it_is_rendered_in_a_moment() -> None:
+    stored = packed(automatic())
+    render(unpacked(stored), {}, Clinical())  # imports
+    begun = time.process_time()
+    render(unpacked(stored), {}, Clinical(patient="Moser, Anna"))
+    assert time.process_time() - begun < 1.0

@@ -1,0 +1,69 @@
+/** Photographs out of what was dropped or chosen: files, folders, ZIPs. */
+
+import { unzipped } from "./zip";
+
+export interface Dropped {
+  file: File;
+  /** Names of the folders in which it lay; empty for a file by itself. */
+  folders: string[];
+}
+
+export interface Gathered {
+  files: Dropped[];
+  /** Sentences about what could not be opened. */
+  refused: string[];
+}
+
+const PICTURE = /\.(jpe?g|png|tiff?)$/i;
+const HIDDEN = /^(\.|__MACOSX)/;
+
+/** All photographs of a drop. It must be called while the drop is being answered. */
+export async function ofDrop(transfer: DataTransfer): Promise<Gathered> {
+  const entries = [...transfer.items].map((item) => item.webkitGetAsEntry()).filter((entry) => entry !== null);
+  if (entries.length === 0) return ofFiles([...transfer.files]);
+  const found: Dropped[] = [];
+  for (const entry of entries) found.push(...(await walked(entry, [])));
+  return opened(found);
+}
+
+/** All photographs of an input's files, whole folders and ZIPs too. */
+export function ofFiles(files: File[]): Promise<Gathered> {
+  return opened(files.map((file) => ({ file, folders: file.webkitRelativePath.split("/").slice(0, -1) })));
+}
+
+async function walked(entry: FileSystemEntry, folders: string[]): Promise<Dropped[]> {
+  if (entry.isFile) {
+    const file = await new Promise<File>((done, failed) => (entry as FileSystemFileEntry).file(done, failed));
+    return [{ file, folders }];
+  }
+  const reader = (entry as FileSystemDirectoryEntry).createReader();
+  const found: Dropped[] = [];
+  for (;;) {
+    const some = await new Promise<FileSystemEntry[]>((done, failed) => reader.readEntries(done, failed));
+    if (some.length === 0) return found; // a reader gives a hundred at a time
+    for (const inner of some) found.push(...(await walked(inner, [...folders, entry.name])));
+  }
+}
+
+async function opened(dropped: Dropped[]): Promise<Gathered> {
+  const files: Dropped[] = [];
+  const refused: string[] = [];
+  for (const { file, folders } of dropped) {
+    const path = [...folders, file.name];
+    if (path.some((part) => HIDDEN.test(part))) continue;
+    if (/\.zip$/i.test(file.name)) {
+      try {
+        for (const inner of await unzipped(file)) files.push(...kept(inner, true));
+      } catch (error) {
+        refused.push(`${file.name}: ${error instanceof Error ? error.message : String(error)}`);
+      }
+    } else files.push(...kept({ file, folders }, folders.length > 0));
+  }
+  return { files, refused };
+}
+
+/** Of a folder only the photographs are taken; a file that was chosen by itself is sent, so that the server says what it is. */
+function kept(one: Dropped, ofFolder: boolean): Dropped[] {
+  const hidden = [...one.folders, one.file.name].some((part) => HIDDEN.test(part));
+  return hidden || (ofFolder && !PICTURE.test(one.file.name)) ? [] : [one];
+}
