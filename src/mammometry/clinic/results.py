@@ -13,7 +13,7 @@ from mammometry.report.volume_words import MEANINGS
 
 Interval = tuple[float, float]
 SIDES = ("left", "right", "model")
-_LEADING = ("measured wall", "flat chest", "named wall", "muscle", "closed solid", "any")
+LEADING = ("measured wall", "flat chest", "named wall", "muscle", "closed solid", "any")
 """Meanings of "the breast" in the order in which one leads a page (docs/decisions/0029)."""
 
 
@@ -100,7 +100,7 @@ def age(born: datetime.date | None, at: datetime.date) -> int | None:
 
 
 def _rank(volume: Volume) -> int:
-    return _LEADING.index(volume.definition) if volume.definition in _LEADING else len(_LEADING)
+    return LEADING.index(volume.definition) if volume.definition in LEADING else len(LEADING)
 
 
 def _without_numbers(side: SideResult) -> SideResult:

@@ -16,6 +16,7 @@ from mammometry.hospital.exported import Absent, CoveredModel, CoveredModels, Ex
 from mammometry.io.images import EXTENSIONS
 from mammometry.measure.volume.attribution import Attribution
 from mammometry.report.clinical import Clinical, Signed
+from mammometry.report.lengths import quantities_of
 
 if TYPE_CHECKING:
     from mammometry.api.job import Job
@@ -205,7 +206,8 @@ def _report(job: Job, clinical: Clinical | None, deidentify: bool) -> bytes:
 def quantities(measured: Sequence[VolumeMeasurement], plan: MeasuredPlan) -> tuple[Quantity, ...]:
     """All measured numbers, under the names that every export uses."""
     sizes = None if plan.dimensions is None else plan.dimensions()
-    return (*_volumes(measured, sizes), *_sizes(sizes))
+    beside = () if sizes is None else quantities_of(sizes)
+    return (*_volumes(measured, sizes), *(Quantity(**quantity) for quantity in beside))
 
 
 def _volumes(measured: Sequence[VolumeMeasurement], sizes: Dimensions | None) -> Iterator[Quantity]:
@@ -233,68 +235,6 @@ def _volumes(measured: Sequence[VolumeMeasurement], sizes: Dimensions | None) ->
             ("base_area", "Base area", each.base_area_cm2),
         ):
             yield Quantity(code=code, title=title, side=side, value=value, unit="cm2", method="mesh-area", **about)
-
-
-def _sizes(sizes: Dimensions | None) -> Iterator[Quantity]:
-    if sizes is None:
-        return
-    for each in sizes.lengths:
-        name, side = _sided(each.name)
-        ways = (
-            ("straight", "straight", each.straight_mm, each.straight_sigma_mm),
-            ("along_skin", "along the skin", each.geodesic_mm, each.geodesic_sigma_mm),
-        )
-        for code, words, value, sigma in ways:
-            if value is not None:
-                yield Quantity(
-                    code=f"{_plain(name)}_{code}", title=f"{_without_side(each.title, side)}, {words}", side=side,
-                    value=value, unit="mm", sigma=sigma, method=code.replace("_", "-"),
-                )  # fmt: skip
-    for shape in sizes.shapes:
-        for code, title, value in (
-            ("base_width", "Base width", shape.base_width_mm),
-            ("base_height", "Base height", shape.base_height_mm),
-        ):
-            yield Quantity(
-                code=code, title=title, side=shape.name, value=value, unit="mm", sigma=shape.base_sigma_mm,
-                method="extent",
-            )  # fmt: skip
-        ways_cc = (
-            ("upper_pole", "Volume above the nipple's level", shape.above_nipple_cc),
-            ("lower_pole", "Volume below the nipple's level", shape.below_nipple_cc),
-        )
-        for code, title, volume in ways_cc:
-            if volume is not None:
-                yield Quantity(
-                    code=code, title=title, side=shape.name, value=volume, unit="cm3", sigma=shape.pole_sigma_cc,
-                    method="level-cut",
-                )  # fmt: skip
-    for sunk in sizes.ptosis:
-        _, side = _sided(sunk.name)
-        yield Quantity(
-            code="nipple_below_fold", title="Nipple below the fold", side=side, value=sunk.nipple_below_fold_mm,
-            unit="mm", sigma=sunk.sigma_mm, method="height",
-        )  # fmt: skip
-
-
-def _sided(name: str) -> tuple[str, Side]:
-    first, _, last = name.rpartition(" ")
-    if last == "left":
-        return first, "left"
-    if last == "right":
-        return first, "right"
-    if name in ("left", "right"):
-        return "", "left" if name == "left" else "right"
-    return name, ""
-
-
-def _without_side(title: str, side: Side) -> str:
-    """A length's title for both sides: "nipple to fold"."""
-    return title.replace(f"{side} ", "").replace(f", {side}", "") if side else title
-
-
-def _plain(name: str) -> str:
-    return name.lower().replace("-", "_").replace(" ", "_")
 
 
 def _absent_sides(plan: MeasuredPlan) -> tuple[NoBreast, ...]:

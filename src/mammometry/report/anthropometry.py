@@ -14,7 +14,7 @@ from mammometry.measure.volume.measurement import Lacking, VolumeMeasurement
 from mammometry.report.change_words import verdict_words
 from mammometry.report.content import Fact, LargeNumber, sentence
 from mammometry.report.figures.sides import NAMES
-from mammometry.report.lengths import length_table, length_words, quantities_of
+from mammometry.report.lengths import length_table, length_words, projections_of, quantities_of
 from mammometry.report.volume_words import interval_words, span_words, volume_words
 from mammometry.study.tables import Table, signed
 
@@ -66,8 +66,10 @@ def difference_number(
 
 def planning_lengths(dimensions: Dimensions | None) -> tuple[Table | None, str]:
     """Lengths that surgeons plan with, and what their table leaves out."""
-    laid_out = None if dimensions is None else length_table(quantities_of(dimensions))
-    if dimensions is None or laid_out is None:
+    if dimensions is None:
+        return None, ""
+    laid_out = length_table([*quantities_of(dimensions), *projections_of(dimensions)])
+    if laid_out is None:
         return None, ""
     shown = [row for row in laid_out.rows if row.sides != (None, None)]
     rows = [(row.title, *map(length_words, row.sides), length_words(row.difference, "+")) for row in shown]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -100,22 +100,41 @@ def length_table(quantities: Sequence[Mapping[str, Any]]) -> LengthTable | None:
     return LengthTable(rows=tuple(rows), nipples=None if between is None else _length(between))
 
 
-def quantities_of(dimensions: Dimensions) -> list[dict[str, Any]]:
-    """The lengths that the table shows, with the codes under which they are exported."""
-    rows = []
+def quantities_of(dimensions: Dimensions) -> Iterator[dict[str, Any]]:
+    """Sizes beside the volumes, with the names and values of `hospital.exported.Quantity`."""
     for each in dimensions.lengths:
-        name, _, side = each.name.rpartition(" ")
-        name, side = (name, side) if side in _SIDES else (each.name, "")
-        code = name.lower().replace("-", "_").replace(" ", "_")
-        rows.append(_quantity(f"{code}_straight", side, each.straight_mm, each.straight_sigma_mm))
-        if each.geodesic_mm is not None:
-            rows.append(_quantity(f"{code}_along_skin", side, each.geodesic_mm, each.geodesic_sigma_mm))
+        name, side = _sided(each.name)
+        ways = (
+            ("straight", "straight", each.straight_mm, each.straight_sigma_mm),
+            ("along_skin", "along the skin", each.geodesic_mm, each.geodesic_sigma_mm),
+        )
+        for way, words, value, sigma in ways:
+            if value is not None:
+                code = f"{name.lower().replace('-', '_').replace(' ', '_')}_{way}"
+                title = f"{_without_side(each.title, side)}, {words}"
+                yield _quantity(code, title, side, value, sigma, method=way.replace("_", "-"))
     for shape in dimensions.shapes:
-        rows.append(_quantity("projection", shape.name, shape.projection_mm, shape.projection_sigma_mm))
-        rows.append(_quantity("base_width", shape.name, shape.base_width_mm, shape.base_sigma_mm))
+        for code, title, value in (
+            ("base_width", "Base width", shape.base_width_mm),
+            ("base_height", "Base height", shape.base_height_mm),
+        ):
+            yield _quantity(code, title, shape.name, value, shape.base_sigma_mm, method="extent")
+        for code, title, volume in (
+            ("upper_pole", "Volume above the nipple's level", shape.above_nipple_cc),
+            ("lower_pole", "Volume below the nipple's level", shape.below_nipple_cc),
+        ):
+            if volume is not None:
+                yield _quantity(code, title, shape.name, volume, shape.pole_sigma_cc, method="level-cut", unit="cm3")
     for sunk in dimensions.ptosis:
-        rows.append(_quantity("nipple_below_fold", sunk.name, sunk.nipple_below_fold_mm, sunk.sigma_mm))
-    return rows
+        title, value = "Nipple below the fold", sunk.nipple_below_fold_mm
+        yield _quantity("nipple_below_fold", title, sunk.name, value, sunk.sigma_mm, method="height")
+
+
+def projections_of(dimensions: Dimensions) -> Iterator[dict[str, Any]]:
+    """How far each breast stands out, for the table. Exports have it beside the volume, with its boundary."""
+    for shape in dimensions.shapes:
+        value, sigma = shape.projection_mm, shape.projection_sigma_mm
+        yield _quantity("projection", "Projection", shape.name, value, sigma, method="plane-distance")
 
 
 def length_words(value: Length | None, sign: str = "") -> str:
@@ -129,8 +148,22 @@ def length_words(value: Length | None, sign: str = "") -> str:
     return f"{value.value_mm:{sign}.1f}{half}".replace("-", "−")
 
 
-def _quantity(code: str, side: str, value: float, sigma: float | None) -> dict[str, Any]:
-    return {"code": code, "side": side, "value": value, "sigma": sigma}
+def _sided(name: str) -> tuple[str, str]:
+    """A length's name without its side, and the side. Empty: it has none."""
+    first, _, last = name.rpartition(" ")
+    return (first, last) if last in _SIDES else (name, "")
+
+
+def _without_side(title: str, side: str) -> str:
+    """A length's title for both sides: "nipple to fold"."""
+    return title.replace(f"{side} ", "").replace(f", {side}", "") if side else title
+
+
+def _quantity(
+    code: str, title: str, side: str, value: float, sigma: float | None, *, method: str, unit: str = "mm"
+) -> dict[str, Any]:
+    about = {"title": title, "unit": unit, "method": method}
+    return {"code": code, "side": side, "value": value, "sigma": sigma, **about}
 
 
 def _length(row: Mapping[str, Any]) -> Length:

@@ -13,6 +13,7 @@ from django.utils import timezone
 from tests.clinic_seed import DEFINITION
 
 from mammometry.base.errors import SessionError
+from mammometry.clinic.cohort import study_rows, visits_between
 from mammometry.clinic.config import ClinicConfig
 from mammometry.clinic.intake.uploads import ready_folder
 from mammometry.clinic.keep.patient import erase_bin, erase_patient, find_patient, rows_of
@@ -37,7 +38,6 @@ from mammometry.clinic.records import corrections
 from mammometry.clinic.records.corrections import CorrectionError
 from mammometry.clinic.records.search import search
 from mammometry.clinic.roles import Role
-from mammometry.clinic.views.study import cohort
 from mammometry.io.session import Session
 
 NOON = datetime.datetime(2026, 3, 1, 12, tzinfo=datetime.UTC)
@@ -259,7 +259,7 @@ def test_what_is_in_the_bin_is_nowhere_else(
     client = client_of(*Role)
     shown = client.get("/patients/").content.decode()
     assert "2 visits" in shown
-    assert len(list(cohort(None, None, confirmed=False))) == 2
+    assert len(list(study_rows(visits_between(None, None, confirmed=False)))) == 2
     done = corrections.put_into_bin(visit, "of a dummy", None)
 
     everywhere = "".join(
@@ -278,7 +278,9 @@ def test_what_is_in_the_bin_is_nowhere_else(
         assert str(job.pk) not in client.get(path).content.decode()
         assert str(visit.pk) not in client.get(path).content.decode()
     assert "1 visit," in client.get("/patients/").content.decode()
-    assert [row.day.isoformat() for row in cohort(None, None, confirmed=False)] == [other.taken_at.date().isoformat()]
+    assert [row.day.isoformat() for row in study_rows(visits_between(None, None, confirmed=False))] == [
+        other.taken_at.date().isoformat()
+    ]
     assert not search("1 March 2026").exists()
     for path in pages_of(visit):
         assert client.get(path).status_code == 404, path

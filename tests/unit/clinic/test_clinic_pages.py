@@ -17,7 +17,6 @@ from mammometry.clinic.models import Consent, Drawing, Measurement, Patient, Per
 from mammometry.clinic.results import age
 from mammometry.clinic.roles import Role
 from mammometry.clinic.views import results as result_pages
-from mammometry.clinic.views.study import cohort, repeated
 from mammometry.report.rendering import RenderedReport
 
 NOON = datetime.datetime(2026, 3, 1, 12, tzinfo=datetime.UTC)
@@ -91,19 +90,6 @@ def test_full_years_are_counted_to_the_birthday() -> None:
     assert age(born, datetime.date(2026, 2, 28)) == 45
     assert age(born, datetime.date(2026, 3, 1)) == 46
     assert age(None, datetime.date(2026, 3, 1)) is None
-
-
-# --- rows ---
-
-
-def test_agreement_takes_one_pair_a_breast_within_the_days(patient: Patient, rig: Rig) -> None:
-    for days, left in ((0, 400.0), (1, 410.0), (2, 420.0), (90, 500.0)):
-        measured(patient, rig, days, {"left": (left, 5)})
-    rows = list(cohort(None, None, confirmed=False))
-    assert len(rows) == 4
-    assert repeated(rows, 1) == [(f"{patient.pseudonym} left", 400.0, 410.0)]
-    assert list(cohort(datetime.date(2026, 3, 2), datetime.date(2026, 3, 3), confirmed=False)) == rows[1:3]
-    assert list(cohort(None, None, confirmed=True)) == []
 
 
 # --- pages ---

@@ -126,6 +126,7 @@ def test_photographs_of_the_board_are_set_aside_too(
     sent = sender.send(data, **pose)
     assert sender.client.delete(sent["url"]).status_code == 204
     (aside,) = sender.state()["set_aside"]
+    assert "data-aside" in sender.client.get(f"/{kind}s/{target.pk}/").content.decode()
     assert aside["pose"] == pose.get("pose")
     assert sender.client.post(f"{aside['url']}back/").status_code == 200
     row = Upload.objects.get()

@@ -3,7 +3,7 @@
 import numpy as np
 
 from mammometry.geometry.transform import Transform
-from mammometry.hospital.gather import _sizes
+from mammometry.hospital.exported import Quantity
 from mammometry.measure.landmarks.landmarks import Landmark
 from mammometry.measure.shape.anthropometry import Dimensions
 from mammometry.measure.shape.lengths import LinearMeasure, Ptosis
@@ -40,11 +40,15 @@ def sizes_of_the_left() -> Dimensions:
 
 def test_the_first_pages_lengths_are_the_exported_ones() -> None:
     sizes = sizes_of_the_left()
-    exported = {(each.code, each.side): (each.value, each.sigma) for each in _sizes(sizes)}
-    shown = {(row["code"], row["side"]): (row["value"], row["sigma"]) for row in quantities_of(sizes)}
-    projection = {("projection", "left"): (41.26, 1.2)}  # exported with the volumes
-    assert shown == {key: value for key, value in (exported | projection).items() if key in shown}
-    assert len(shown) == 4
+    exported = [Quantity(**row) for row in quantities_of(sizes)]
+    assert [(each.name, each.title, each.value, each.unit, each.sigma, each.method) for each in exported] == [
+        ("n_midline_straight_left", "nipple to midline, straight", 88.25, "mm", 2.04, "straight"),
+        ("base_width_left", "Base width", 121.0, "mm", 4.2, "extent"),
+        ("base_height_left", "Base height", 133.0, "mm", 4.2, "extent"),
+        ("upper_pole_left", "Volume above the nipple's level", 150.4, "cm3", 12.0, "level-cut"),
+        ("lower_pole_left", "Volume below the nipple's level", 99.6, "cm3", 12.0, "level-cut"),
+        ("nipple_below_fold_left", "Nipple below the fold", -4.5, "mm", 3.0, "height"),
+    ]
     table, note = planning_lengths(sizes)
     assert table is not None
     assert tuple(tuple(cell.replace("\u00a0", " ") for cell in row) for row in table.rows) == (

@@ -11,8 +11,7 @@ from __future__ import annotations
 
 import re
 import threading
-from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,13 +23,12 @@ from django.utils import timezone
 from filelock import FileLock, Timeout
 
 from mammometry.base.errors import MammometryError
-from mammometry.calibration.adjust.initialise import least_views
-from mammometry.calibration.targets.table import target_from_table
 from mammometry.capture.checks import cameras
 from mammometry.capture.checks.found import Found, refuses
 from mammometry.capture.sessions import cameras_of, make_session, manifest_text
 from mammometry.clinic.intake import names
 from mammometry.clinic.intake.look import Target, known_cameras, look
+from mammometry.clinic.intake.poses import poses_needed
 from mammometry.clinic.intake.set_aside import clear_place, put_back, set_aside
 from mammometry.clinic.intake.thumbnail import thumbnail_path
 from mammometry.clinic.jobs import queue
@@ -108,20 +106,22 @@ def begin(target: Target, by: Person | None, file: Announced, *, replace: bool =
             f"The file has {size_bytes / 1e6:.0f} MB. A photograph has 1 byte to {most / 1e6:.0f} MB.", 413
         )
     named = cameras.camera_of_name(file.name, known)
-    whose = camera or named or ""
-    place = _place(target, pose, whose)
-    there = [row for row in _there(target, pose) if row.name == place or (whose and row.camera == whose)]
-    same = [row for row in there if sha256 and (row.sha256, row.size_bytes) == (sha256, size_bytes)]
-    if same:
-        return same[0]
-    if there and whose and not replace:
-        of_pose = f"Pose {pose}" if isinstance(target, Calibration) else "This"
-        raise OccupiedError(f"{of_pose} has another photograph of {whose} already.")
+    place = _place(target, pose, camera or named or "")
+    of_pose = pose if isinstance(target, Calibration) else ""
+    if sha256:
+        gone = (Upload.State.REFUSED, Upload.State.SET_ASIDE)
+        same = _of(target).filter(camera=camera or named or "", sha256=sha256).exclude(state__in=gone)
+        if (earlier := next((row for row in same if _pose(row) == of_pose), None)) is not None:
+            return earlier
+    if not replace and (camera or named) and _has_photograph(target, pose, camera or named or ""):
+        raise OccupiedError(
+            f"{f'Pose {pose}' if of_pose else 'This'} has another photograph of {camera or named} already."
+        )
     checks = [Found(check="name", level="ok", sentence=f"The file is called {named}.").as_table()] if named else []
     with transaction.atomic():
         upload = Upload.objects.create(
             **{_field(target): target},
-            camera=whose,
+            camera=camera or named or "",
             name=place,
             size_bytes=size_bytes,
             sha256=sha256,
@@ -134,10 +134,11 @@ def begin(target: Target, by: Person | None, file: Announced, *, replace: bool =
     return upload
 
 
-def _there(target: Target, pose: str) -> list[Upload]:
-    """Photographs of a pose, or of all, that are in their places or on their way there."""
-    rows = _of(target).exclude(state__in=(Upload.State.REFUSED, Upload.State.SET_ASIDE))
-    return [row for row in rows if not isinstance(target, Calibration) or _pose(row) == pose]
+def _has_photograph(target: Target, pose: str, camera: str) -> bool:
+    """Whether a camera's place is taken, or a photograph is on its way there."""
+    there = _of(target).filter(camera=camera, state__in=(Upload.State.PLACED, Upload.State.RECEIVING))
+    of_pose = pose if isinstance(target, Calibration) else ""
+    return any(_pose(each) == of_pose for each in there)
 
 
 def append(upload: Upload, offset: int, data: bytes) -> Upload:
@@ -319,7 +320,7 @@ def state_of(target: Target) -> dict[str, Any]:
             for pose in poses
         }
         missing = [camera for camera in known if camera not in {name for _, name in placed}]
-        needed = _poses_needed(target, known, placed)
+        needed = poses_needed(rig_of(target).definition, known, placed)
         return {
             "poses": shown, "missing": missing, "needed": needed, "ready": bool(known) and not needed,
             "together": [], "known": known, **common,
@@ -339,18 +340,6 @@ def state_of(target: Target) -> dict[str, Any]:
         "ready": ready,
         **common,
     }
-
-
-def _poses_needed(calibration: Calibration, known: Sequence[str], placed: Iterable[tuple[str, str]]) -> str:
-    """How many poses of the board are still needed, in a sentence. Empty: it can be calibrated."""
-    table = rig_of(calibration).definition.get("target")
-    least = least_views(target_from_table(table)) if table else 1
-    of_camera = Counter(camera for _, camera in placed)
-    lacking = max((least - of_camera[camera] for camera in known), default=least)
-    if lacking <= 0:
-        return ""
-    poses = "one more pose" if lacking == 1 else f"{lacking} more poses"
-    return f"Add {poses} of the board: each camera must see it {least} times at least; ten poses are better."
 
 
 # --- when a photograph is whole ---
@@ -375,7 +364,7 @@ def _judge_and_place(upload: Upload) -> None:
     if refuses(found):
         _refuse(upload, found)
         return
-    if by_serial and upload.camera in {row.camera for row in _there(target, _pose(upload))} - {""}:
+    if by_serial and upload.camera and _has_photograph(target, _pose(upload), upload.camera):
         sentence = f"By its serial number {upload.camera} took it, which has another photograph. Choose the camera."
         found.append(Found(check="camera", level="warn", sentence=sentence))
         upload.camera = ""

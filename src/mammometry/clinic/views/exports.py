@@ -20,7 +20,7 @@ from mammometry.clinic.models import Visit
 from mammometry.clinic.reports import report_file
 from mammometry.clinic.site import the_clinic
 from mammometry.clinic.views.refusals import not_installed
-from mammometry.clinic.views.study import asked_visits, without_consent
+from mammometry.clinic.views.study import asked_visits, visits_left_out
 from mammometry.hospital.extra import MissingLibraryError
 
 if TYPE_CHECKING:
@@ -91,9 +91,8 @@ def _study(request: HttpRequest, tables: Callable[[Any], dict[str, bytes]], kind
         except MammometryError as error:
             day = timezone.localtime(visit.taken_at).date().isoformat()
             left_out.append((visit.patient.pseudonym, day, error.found))
-    refused = without_consent(request)
-    if visits := refused.count():
-        patients = refused.values("patient").distinct().count()
+    visits, patients = visits_left_out(request)
+    if visits:
         left_out.append(("", "", f"no consent to research holds: {visits} visits of {patients} patients"))
     try:
         made = tables(sessions)
