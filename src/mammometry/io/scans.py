@@ -46,7 +46,7 @@ _MAP_OPTION = re.compile(r"-(?:blendu|blendv|cc|clamp|texres|bm|boost|type|imfch
 """An option before the name of a map's picture (the format's specification, "Texture map statements")."""
 _OPTION_VALUE = re.compile(r"\s+(?:on|off|[-+]?[0-9.]+)(?=\s)")
 _JPEG_MARK, _BMP_MARK = b"\xff\xd8", b"BM"
-_MARK_BYTES = 4
+_MARK_BYTES = 4  # the longest of the marks
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
