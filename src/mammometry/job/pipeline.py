@@ -126,13 +126,13 @@ def calibrate(inputs: Inputs, settings: CalibrateSettings, memo: Memo) -> Calibr
         poses: Mapping[str, Observations], lenses: Mapping[str, Observations], *, progress: Progress
     ) -> Calibration:
         from mammometry.calibration.adjust import bundle
-        from mammometry.calibration.detection import no_target
         from mammometry.calibration.detection.detect import merged
         from mammometry.calibration.detection.duplicates import set_duplicates_aside
+        from mammometry.calibration.judge import no_target
 
         seen = tuple(poses.values())
         if not any(part.detections for part in seen):
-            raise no_target.no_target(target.kind, (*seen, *lenses.values()))
+            raise no_target.no_target(target, seen, inputs.calibration_photographs, settings.detect)
         usable = set_duplicates_aside(merged(seen))
         try:
             return bundle.calibrate(
@@ -145,7 +145,8 @@ def calibrate(inputs: Inputs, settings: CalibrateSettings, memo: Memo) -> Calibr
                 progress=progress,
             )
         except CalibrationError as error:
-            raise no_target.with_causes(error, usable) from None
+            parts = (usable, *lenses.values())
+            raise no_target.with_causes(error, parts, inputs.calibration_photographs, settings.detect) from None
 
     calibration: Product[Calibration] = Product(
         memo,

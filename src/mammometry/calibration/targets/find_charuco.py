@@ -19,6 +19,7 @@ from mammometry.calibration.features.found_points import Cause, FoundPoints
 from mammometry.calibration.features.pixels import enlarge, grey_bytes, linear_luma, reduced
 from mammometry.calibration.targets.charuco import CharucoTarget
 from mammometry.calibration.targets.charuco_board import charuco_board
+from mammometry.calibration.targets.marker_layout import FITTING_SHARE, TOLERANCE_SQUARES
 from mammometry.geometry.arrays import Array, Bool, Float64, UInt8
 
 DOUBLED_MARKERS = 4
@@ -75,6 +76,9 @@ def find_charuco(
     if found is None:
         return None
     board_map, used = found
+    off_mm = np.linalg.norm(board_map.board(uv) - board_mm, axis=1)
+    if (off_mm < TOLERANCE_SQUARES * target.square_mm).mean() < FITTING_SHARE:
+        return None  # on a board of the other pattern every second row fits
     return refine_corners(
         linear_luma(photograph),
         board_map,
