@@ -7,7 +7,7 @@ and knows what is stale.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Executor, Future
 from dataclasses import dataclass
 from functools import partial
@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from mammometry.base.errors import CalibrationError
 from mammometry.base.photograph import Photograph
-from mammometry.base.progress import Progress
+from mammometry.base.progress import Progress, no_progress
 from mammometry.geometry.camera import Rig
 from mammometry.job.inputs import Inputs
 from mammometry.job.keeping import kept_data
@@ -122,10 +122,24 @@ def calibrate(inputs: Inputs, settings: CalibrateSettings, memo: Memo) -> Calibr
         digests["target"] = inputs.digests["intrinsics-target"]
         intrinsics[camera] = detected(f"intrinsics-{camera}", digests, own_shots, inputs.intrinsics_target)
 
+    def adjusted(
+        usable: Observations, lenses: Mapping[str, Observations], progress: Progress = no_progress
+    ) -> Calibration:
+        from mammometry.calibration.adjust import bundle
+
+        return bundle.calibrate(
+            usable,
+            inputs.pair_names,
+            inputs.rig_name,
+            settings,
+            intrinsics_observations=lenses or None,
+            priors=inputs.priors,
+            progress=progress,
+        )
+
     def adjust(
         poses: Mapping[str, Observations], lenses: Mapping[str, Observations], *, progress: Progress
     ) -> Calibration:
-        from mammometry.calibration.adjust import bundle
         from mammometry.calibration.detection.detect import merged
         from mammometry.calibration.detection.duplicates import set_duplicates_aside
         from mammometry.calibration.judge import no_target
@@ -135,15 +149,7 @@ def calibrate(inputs: Inputs, settings: CalibrateSettings, memo: Memo) -> Calibr
             raise no_target.no_target(target, seen, inputs.calibration_photographs, settings.detect)
         usable = set_duplicates_aside(merged(seen))
         try:
-            return bundle.calibrate(
-                usable,
-                inputs.pair_names,
-                inputs.rig_name,
-                settings,
-                intrinsics_observations=lenses or None,
-                priors=inputs.priors,
-                progress=progress,
-            )
+            return adjusted(usable, lenses, progress)
         except CalibrationError as error:
             parts = (usable, *lenses.values())
             raise no_target.with_causes(error, parts, inputs.calibration_photographs, settings.detect) from None
@@ -159,7 +165,7 @@ def calibrate(inputs: Inputs, settings: CalibrateSettings, memo: Memo) -> Calibr
     )
 
     def trust(calibration: Calibration, *, progress: Progress) -> CameraSet:
-        return _trusted(calibration, settings)
+        return _trusted(calibration, settings, partial(adjusted, lenses=calibration.intrinsics_observations))
 
     cameras = Product(
         memo, "calibrate", "cameras", trust, parents={"calibration": calibration}, settings=settings.quality
@@ -167,17 +173,14 @@ def calibrate(inputs: Inputs, settings: CalibrateSettings, memo: Memo) -> Calibr
     return Calibrated(observations=observations, intrinsics=intrinsics, calibration=calibration, cameras=cameras)
 
 
-def _trusted(calibration: Calibration, settings: CalibrateSettings) -> CameraSet:
-    from mammometry.calibration.judge import quality
+def _trusted(
+    calibration: Calibration, settings: CalibrateSettings, recalibrate: Callable[[Observations], Calibration]
+) -> CameraSet:
+    from mammometry.calibration.judge import quality, suspects
 
     assessed = quality.assess(calibration, settings.quality)
     if assessed.verdict == "refuse":
-        raise CalibrationError(
-            "calibration",
-            found=f"that {assessed.reasons[0].rstrip('.')}",
-            expected="a calibration fit to measure with",
-            remedy="Retake the calibration photographs, or set the suspect ones aside, and run it again",
-        )
+        raise suspects.refusal(calibration, assessed, recalibrate, settings.quality)
     return CameraSet(
         rig=calibration.rig,
         std={name: dict(values) for name, values in calibration.parameter_std.items()},

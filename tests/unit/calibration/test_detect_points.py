@@ -8,8 +8,9 @@ from printed import BRIGHT, DARK, SURROUND, _rays, camera, develop, distance_mm
 
 from mammometry.base.photograph import Photograph
 from mammometry.calibration.detection.detect import detect, detect_in
-from mammometry.calibration.judge.no_target import no_target
 from mammometry.calibration.features.constellation import read_constellation
+from mammometry.calibration.judge.no_target import no_target
+from mammometry.calibration.settings import DetectSettings
 from mammometry.calibration.targets.points import PointsTarget
 
 DIAMETER_MM = 8.0

@@ -134,7 +134,7 @@ def _light_in(
     height, width = linear.shape
     inside = np.all((uv >= 0) & (uv < (width, height)), axis=-1)
     u, v = np.where(inside, uv[..., 0], 0), np.where(inside, uv[..., 1], 0)
-    return np.where(inside, linear[v, u], np.nan)
+    return np.where(inside, linear[v, u].astype(np.float64), np.nan)
 
 
 def _starts_dark(linear: Float32[Array, "h w"], board_map: BoardMap, target: ChessboardTarget) -> bool:

@@ -103,7 +103,7 @@ def _changes(
     columns, rows = target.squares
     # The picture may not show the last rows. They are as stated, or what was stated as columns, or were counted
     # between squares. A bright first square means an even number.
-    likely = (rows, columns if layout.columns == rows else 0, rows + 1 if layout.columns == columns + 1 else 0)
+    likely = {columns: (rows,), rows: (columns,), columns + 1: (rows, rows + 1)}.get(layout.columns, ())
     even = 2 if layout.starts_bright else 1
     fitting = [count for count in likely if count >= rows_seen and count % even == 0]
     squares = layout.columns, min(fitting, default=rows_seen + rows_seen % even)
