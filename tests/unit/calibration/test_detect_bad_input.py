@@ -117,14 +117,14 @@ CASES = {
     "other dictionary": (
         lambda r: shoot(light(OTHER)),
         BOARD,
-        'dictionary = "DICT_4X4_100" and squares = [8, 6]',
-        'Write dictionary = "DICT_4X4_100" and squares',
+        'dictionary = "DICT_4X4_50" and squares = [8, 6]',
+        'Write dictionary = "DICT_4X4_50" and squares',
     ),
     "smaller board": (
         lambda r: shoot(light(SMALL)),
         BOARD,
-        "a board with squares = [8, 10]",
-        "Write squares = [8, 10] in [target]",
+        "a board with squares = [8, 6]",
+        "Write squares = [8, 6] in [target]",
     ),
     "larger board": (
         lambda r: shoot(light(LARGE)),
