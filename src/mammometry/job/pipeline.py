@@ -9,9 +9,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Executor, Future
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from mammometry.base.errors import CalibrationError
 from mammometry.base.photograph import Photograph
@@ -123,15 +123,20 @@ def calibrate(inputs: Inputs, settings: CalibrateSettings, memo: Memo) -> Calibr
         intrinsics[camera] = detected(f"intrinsics-{camera}", digests, own_shots, inputs.intrinsics_target)
 
     def adjusted(
-        usable: Observations, lenses: Mapping[str, Observations], progress: Progress = no_progress
+        usable: Observations,
+        lenses: Mapping[str, Observations],
+        progress: Progress = no_progress,
+        *,
+        free_target: Literal["always"] | None = None,
     ) -> Calibration:
         from mammometry.calibration.adjust import bundle
 
+        how = settings.bundle if free_target is None else replace(settings.bundle, free_target=free_target)
         return bundle.calibrate(
             usable,
             inputs.pair_names,
             inputs.rig_name,
-            settings,
+            replace(settings, bundle=how),
             intrinsics_observations=lenses or None,
             priors=inputs.priors,
             progress=progress,
@@ -165,7 +170,11 @@ def calibrate(inputs: Inputs, settings: CalibrateSettings, memo: Memo) -> Calibr
     )
 
     def trust(calibration: Calibration, *, progress: Progress) -> CameraSet:
-        return _trusted(calibration, settings, partial(adjusted, lenses=calibration.intrinsics_observations))
+        def recalibrate(observations: Observations, free_target: bool) -> Calibration:
+            lenses = calibration.intrinsics_observations
+            return adjusted(observations, lenses, free_target="always" if free_target else None)
+
+        return _trusted(calibration, settings, recalibrate)
 
     cameras = Product(
         memo, "calibrate", "cameras", trust, parents={"calibration": calibration}, settings=settings.quality
@@ -174,7 +183,7 @@ def calibrate(inputs: Inputs, settings: CalibrateSettings, memo: Memo) -> Calibr
 
 
 def _trusted(
-    calibration: Calibration, settings: CalibrateSettings, recalibrate: Callable[[Observations], Calibration]
+    calibration: Calibration, settings: CalibrateSettings, recalibrate: Callable[[Observations, bool], Calibration]
 ) -> CameraSet:
     from mammometry.calibration.judge import quality, suspects
 

@@ -33,6 +33,7 @@ from mammometry.calibration.judge.findings import (
 from mammometry.calibration.judge.reconstruction import PairQuality, reconstruct
 from mammometry.calibration.judge.sighting import sightings
 from mammometry.calibration.judge.stillness import Movement, movements
+from mammometry.calibration.judge.target_shape import about_target
 from mammometry.calibration.judge.view_quality import ViewQuality, pooled_rms, view_qualities
 from mammometry.calibration.settings import QualitySettings
 
@@ -97,6 +98,7 @@ def assess(calibration: Calibration, settings: QualitySettings = QualitySettings
     findings: list[Finding] = [
         *about_names(calibration),
         *about_missed(calibration),
+        *about_target(calibration),
         *about_movements(moved, settings),
         *(() if moved else about_bias(calibration, views, settings)),
         *about_fit(calibration, views, settings),

@@ -9,11 +9,16 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from typing import TypeAlias
+
+import numpy as np
 
 from mammometry.base.errors import CalibrationError
 from mammometry.calibration.adjust.bundle import Calibration
 from mammometry.calibration.detection.detect import Observations
+from mammometry.calibration.features.found_points import Cause
 from mammometry.calibration.judge.quality import CalibrationQuality, assess
+from mammometry.calibration.judge.target_shape import board_faults
 from mammometry.calibration.settings import QualitySettings
 
 _ROUNDS = 6
@@ -23,8 +28,10 @@ _MOST = 1 / 3
 _WORST = 0.5
 """Share of the largest bias from which a view is suspect as well: a bad view biases its neighbours, but by less."""
 
-Shot = tuple[str, str]
+Shot: TypeAlias = tuple[str, str]
 """Pose and camera of a photograph."""
+Recalibrate: TypeAlias = Callable[[Observations, bool], Calibration]
+"""Adjust observations. True: the board's points as well, however few the poses."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -80,7 +87,7 @@ class SuspectPhotographsError(CalibrationError):
 def refusal(
     calibration: Calibration,
     quality: CalibrationQuality,
-    recalibrate: Callable[[Observations], Calibration],
+    recalibrate: Recalibrate,
     settings: QualitySettings,
 ) -> CalibrationError:
     """Return the error of a calibration that is not fit to measure with.
@@ -88,26 +95,50 @@ def refusal(
     Args:
         calibration: that is refused.
         quality: its judgement.
-        recalibrate: the adjustment, of other observations.
+        recalibrate: the adjustment of other observations, with or without the board's shape.
         settings: limits.
     """
-    suspects = find_suspects(calibration, quality, recalibrate, settings)
+    fault = _board_fault(calibration, recalibrate)
+    suspects = None if fault else find_suspects(calibration, quality, recalibrate, settings)
     if suspects is not None:
         return SuspectPhotographsError(suspects)
-    error = CalibrationError(
-        "calibration",
-        found=f"that {quality.refusals[0].rstrip('.')}",
-        expected="a calibration fit to measure with",
-        remedy="Take the calibration photographs again",
+    error = (
+        CalibrationError(
+            "calibration target",
+            found=fault.found,
+            expected="a flat board, printed the same both ways, as [target] describes it",
+            remedy=fault.remedy,
+        )
+        if fault
+        else CalibrationError(
+            "calibration",
+            found=f"that {quality.refusals[0].rstrip('.')}",
+            expected="a calibration fit to measure with",
+            remedy="Take the calibration photographs again",
+        )
     )
     error.details = quality.reasons[1:]
     return error
 
 
+def _board_fault(calibration: Calibration, recalibrate: Recalibrate) -> Cause | None:
+    """Find out whether it is the board that does not fit, where its shape was not adjusted.
+
+    Few poses do not separate it from the cameras well, but show how much better they fit with it.
+    """
+    if np.ptp(calibration.target_points - calibration.observations.target.points_target) > 0:
+        return next((fault for sizes_are_lost, fault in board_faults(calibration) if sizes_are_lost), None)
+    try:
+        freed = recalibrate(calibration.observations, True)
+    except CalibrationError:
+        return None
+    return next((fault for _, fault in board_faults(freed)), None) if freed.rms_px < calibration.rms_px / 2 else None
+
+
 def find_suspects(
     calibration: Calibration,
     quality: CalibrationQuality,
-    recalibrate: Callable[[Observations], Calibration],
+    recalibrate: Recalibrate,
     settings: QualitySettings,
 ) -> Suspects | None:
     """Find all photographs without which the rest is fit to measure with.
@@ -117,7 +148,7 @@ def find_suspects(
     Args:
         calibration: that is refused.
         quality: its judgement.
-        recalibrate: the adjustment, of other observations.
+        recalibrate: the adjustment of other observations, with or without the board's shape.
         settings: limits.
     """
     reasons: dict[Shot, str] = {}
@@ -136,7 +167,7 @@ def find_suspects(
             detections=tuple(seen for seen in observations.detections if (seen.pose, seen.camera) not in new),
         )
         try:
-            calibration = recalibrate(observations)
+            calibration = recalibrate(observations, False)
             rest = assess(calibration, settings)
         except CalibrationError:
             rest = None
