@@ -7,11 +7,11 @@ and knows what is stale.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from concurrent.futures import Executor, Future
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from mammometry.base.errors import CalibrationError
 from mammometry.base.photograph import Photograph
@@ -31,6 +31,7 @@ if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a pla
     from mammometry.calibration.adjust.bundle import Calibration
     from mammometry.calibration.detection.detect import Observations
     from mammometry.calibration.judge.names import Names
+    from mammometry.calibration.judge.suspects import Recalibrate
     from mammometry.calibration.settings import CalibrateSettings
     from mammometry.calibration.targets.target import Target
     from mammometry.geometry.mesh import TriangleMesh
@@ -127,11 +128,15 @@ def calibrate(inputs: Inputs, settings: CalibrateSettings, memo: Memo) -> Calibr
         lenses: Mapping[str, Observations],
         progress: Progress = no_progress,
         *,
-        free_target: Literal["always"] | None = None,
+        target_prior_mm: tuple[float, float, float] | None = None,
     ) -> Calibration:
         from mammometry.calibration.adjust import bundle
 
-        how = settings.bundle if free_target is None else replace(settings.bundle, free_target=free_target)
+        how = (
+            settings.bundle
+            if target_prior_mm is None
+            else replace(settings.bundle, free_target="always", target_prior_mm=target_prior_mm)
+        )
         return bundle.calibrate(
             usable,
             inputs.pair_names,
@@ -170,9 +175,8 @@ def calibrate(inputs: Inputs, settings: CalibrateSettings, memo: Memo) -> Calibr
     )
 
     def trust(calibration: Calibration, *, progress: Progress) -> CameraSet:
-        def recalibrate(observations: Observations, free_target: bool) -> Calibration:
-            lenses = calibration.intrinsics_observations
-            return adjusted(observations, lenses, free_target="always" if free_target else None)
+        def recalibrate(observations: Observations, target_prior_mm: tuple[float, float, float] | None) -> Calibration:
+            return adjusted(observations, calibration.intrinsics_observations, target_prior_mm=target_prior_mm)
 
         return _trusted(calibration, settings, recalibrate)
 
@@ -182,9 +186,7 @@ def calibrate(inputs: Inputs, settings: CalibrateSettings, memo: Memo) -> Calibr
     return Calibrated(observations=observations, intrinsics=intrinsics, calibration=calibration, cameras=cameras)
 
 
-def _trusted(
-    calibration: Calibration, settings: CalibrateSettings, recalibrate: Callable[[Observations, bool], Calibration]
-) -> CameraSet:
+def _trusted(calibration: Calibration, settings: CalibrateSettings, recalibrate: Recalibrate) -> CameraSet:
     from mammometry.calibration.judge import quality, suspects
 
     assessed = quality.assess(calibration, settings.quality)

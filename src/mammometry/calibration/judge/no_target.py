@@ -44,7 +44,7 @@ def no_target(
         settings: those of the detection.
     """
     missed = [view for part in parts for view in part.missed]
-    shown = _fitting_reading(missed, target, photographs, sorted(photographs), settings) or _common_cause(missed)
+    shown = _fitting_reading(target, photographs, sorted(photographs), settings) or _common_cause(missed)
     words, remedy = shown or ("", "Compare [target] in session.toml with the target that was photographed")
     error = CalibrationError(
         "calibration photographs",
@@ -77,7 +77,7 @@ def with_causes(
     shown = None
     if too_few or len(missed) > sum(len(part.detections) for part in parts):
         keys = [(view.pose, view.camera) for view in missed if (view.pose, view.camera) in photographs]
-        shown = _fitting_reading(missed, parts[0].target, photographs, keys, settings)
+        shown = _fitting_reading(parts[0].target, photographs, keys, settings)
     if too_few:
         shown = shown or _common_cause(missed)
     if shown is not None:
@@ -103,7 +103,6 @@ def _common_cause(missed: Sequence[MissedView]) -> tuple[str, str] | None:
 
 
 def _fitting_reading(
-    missed: Sequence[MissedView],
     target: Target,
     photographs: Photographs,
     keys: Sequence[tuple[str, str]],
@@ -111,8 +110,7 @@ def _fitting_reading(
 ) -> tuple[str, str] | None:
     """Return the common mistake that explains most of some missed photographs, in words, and its remedy."""
     some = [photographs[keys[k]] for k in np.unique(np.linspace(0, len(keys) - 1, _TRIED).astype(int)) if keys]
-    causes = any(view.remedy for view in missed)
-    for reading in (*_other_targets(target), *([] if causes else [_as_negative(target)])):
+    for reading in (*_other_targets(target), _as_negative(target)):
         fitting = sum(_fits(reading, photograph, settings) for photograph in some[:2])
         if fitting:
             fitting += sum(_fits(reading, photograph, settings) for photograph in some[2:])

@@ -30,8 +30,10 @@ _WORST = 0.5
 
 Shot: TypeAlias = tuple[str, str]
 """Pose and camera of a photograph."""
-Recalibrate: TypeAlias = Callable[[Observations, bool], Calibration]
-"""Adjust observations. True: the board's points as well, however few the poses."""
+Recalibrate: TypeAlias = Callable[[Observations, tuple[float, float, float] | None], Calibration]
+"""Adjust observations. If standard deviations in x, y and z, mm, are given, the board's points with them as well."""
+_ANY_SHAPE_MM = (10.0, 10.0, 10.0)
+"""Standard deviations of a board's points that let it have any shape."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -117,7 +119,7 @@ def refusal(
             remedy="Take the calibration photographs again",
         )
     )
-    error.details = quality.reasons[1:]
+    error.details = quality.reasons if fault else quality.reasons[1:]
     return error
 
 
@@ -129,7 +131,7 @@ def _board_fault(calibration: Calibration, recalibrate: Recalibrate) -> Cause | 
     if np.ptp(calibration.target_points - calibration.observations.target.points_target) > 0:
         return next((fault for sizes_are_lost, fault in board_faults(calibration) if sizes_are_lost), None)
     try:
-        freed = recalibrate(calibration.observations, True)
+        freed = recalibrate(calibration.observations, _ANY_SHAPE_MM)
     except CalibrationError:
         return None
     return next((fault for _, fault in board_faults(freed)), None) if freed.rms_px < calibration.rms_px / 2 else None
@@ -167,7 +169,7 @@ def find_suspects(
             detections=tuple(seen for seen in observations.detections if (seen.pose, seen.camera) not in new),
         )
         try:
-            calibration = recalibrate(observations, False)
+            calibration = recalibrate(observations, None)
             rest = assess(calibration, settings)
         except CalibrationError:
             rest = None
