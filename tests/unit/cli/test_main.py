@@ -195,7 +195,7 @@ def test_new_makes_a_session_that_opens(tmp_path: Path, capsys: pytest.CaptureFi
     assert json.loads(capsys.readouterr().out)["missing"] == ["capture/front_left", "capture/front_right"]
     assert main.run(["info", str(folder)]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert [line for line in lines if line.startswith("cameras calibrated")][0].split()[2:] == ["not", "yet"]
+    assert next(line for line in lines if line.startswith("cameras calibrated")).split()[2:] == ["not", "yet"]
     assert lines[-1] == "Next: put the missing photographs there"
     assert not any("observations" in line for line in lines)
     assert main.run(["info", str(folder), "-v"]) == 0
