@@ -35,9 +35,8 @@ def _on_one_line(text: str) -> str:
 
     Names from files may hold characters that control a terminal.
     """
-    plain = "".join(
-        letter if letter.isprintable() else " " if letter.isspace() else "�" for letter in text[: 2 * _LONGEST]
-    )
+    text = text if len(text) <= 2 * _LONGEST else text[:_LONGEST] + text[-_LONGEST:]
+    plain = "".join(letter if letter.isprintable() else " " if letter.isspace() else "�" for letter in text)
     if len(plain) <= _LONGEST:
         return plain
     first, last = plain[: _LONGEST // 2], plain[-_LONGEST // 2 :]

@@ -48,11 +48,11 @@ def no_target(
     words, remedy = shown or ("", "Compare [target] in session.toml with the target that was photographed")
     error = CalibrationError(
         "calibration photographs",
-        found=f"no {target.kind} target in any of {len(missed)} photographs{words}",
+        found=f"no {target.kind} target in any of {len(missed)} photographs" + (f": {words}" if words else ""),
         expected="the target of session.toml, upright and not mirrored, in most of them",
         remedy=remedy,
     )
-    error.details = _lines(missed)
+    error.details = _lines(missed, remedy)
     return error
 
 
@@ -69,26 +69,34 @@ def with_causes(
         photographs: (pose, camera) → photograph of the rig's target; read only where nothing else tells the cause.
         settings: those of the detection.
     """
-    missed = [view for part in parts for view in part.missed]
-    details = _lines(missed)
-    too_few = isinstance(error, TooFewViewsError)
-    if isinstance(error, TooFewViewsError):
-        missed = [view for view in missed if view.camera in error.cameras]
+    every = [view for part in parts for view in part.missed]
+    cameras = error.cameras if isinstance(error, TooFewViewsError) else ()
+    missed = [view for view in every if not cameras or view.camera in cameras]
     shown = None
-    if too_few or len(missed) > sum(len(part.detections) for part in parts):
+    if cameras or len(missed) > sum(len(part.detections) for part in parts):
         keys = [(view.pose, view.camera) for view in missed if (view.pose, view.camera) in photographs]
         shown = _fitting_reading(parts[0].target, photographs, keys, settings)
-    if too_few:
+    if cameras:
         shown = shown or _common_cause(missed)
     if shown is not None:
         words, remedy = shown
-        error = CalibrationError(error.subject, found=f"{error.found}{words}", expected=error.expected, remedy=remedy)
-    error.details = details
+        found = f"{error.found}: where it is missing, {words}"
+        error = CalibrationError(error.subject, found=found, expected=error.expected, remedy=remedy)
+    error.details = _lines(every, error.remedy)
     return error
 
 
-def _lines(missed: Sequence[MissedView]) -> tuple[str, ...]:
-    return tuple(str(view) for view in missed if view.remedy)
+def _lines(missed: Sequence[MissedView], remedy: str) -> tuple[str, ...]:
+    """One line a camera and cause. The error's own remedy is not repeated."""
+    poses: dict[tuple[str, str, str], list[str]] = {}
+    for view in missed:
+        if view.remedy:
+            poses.setdefault((view.camera, view.found, view.remedy), []).append(view.pose)
+    return tuple(
+        f"{camera}, {'pose' if len(names) == 1 else 'poses'} {', '.join(names)}: {found}"
+        + (f". {own}" if own != remedy else "")
+        for (camera, found, own), names in sorted(poses.items())
+    )
 
 
 def _common_cause(missed: Sequence[MissedView]) -> tuple[str, str] | None:
@@ -99,7 +107,7 @@ def _common_cause(missed: Sequence[MissedView]) -> tuple[str, str] | None:
     remedies = [view.remedy for view in causes]
     remedy = max(remedies, key=remedies.count)
     shown = [view.found for view in causes if view.remedy == remedy]
-    return f": {len(shown)} of {len(missed)} photographs without it show {max(shown, key=shown.count)}", remedy
+    return f"{len(shown)} of {len(missed)} photographs show {max(shown, key=shown.count)}", remedy
 
 
 def _fitting_reading(
@@ -116,7 +124,7 @@ def _fitting_reading(
             fitting += sum(_fits(reading, photograph, settings) for photograph in some[2:])
         if 2 * fitting > len(some):
             return (
-                f": {fitting} of {len(some)} photographs that were looked at again show {reading.cause.found}",
+                f"{fitting} of {len(some)} photographs that were looked at again show {reading.cause.found}",
                 reading.cause.remedy,
             )
     return None
