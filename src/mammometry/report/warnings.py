@@ -33,7 +33,7 @@ class RunResults:
     calibration: Calibration | None
     """With what was left out of it. None for imported cameras."""
     shares: Mapping[str, float]
-    """Pair → share of the subject's silhouette that was matched, where one is known."""
+    """Pair → share of the subject's silhouette that was matched. It lacks pairs without silhouettes."""
     matching: Mapping[str, MatchQuality]
     """Pair → how well it was matched."""
     foregrounds: Mapping[str, Foreground]

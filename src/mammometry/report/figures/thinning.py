@@ -125,7 +125,7 @@ def matched_shares(
 ) -> dict[str, float]:
     """Pair → matched share of the subject in its left picture.
 
-    Counted on a thinned grid. Pairs whose left picture has no silhouette are left out.
+    Counted on a thinned grid. It lacks pairs without silhouettes.
     """
     shares = {}
     for pair, found in disparities.items():
