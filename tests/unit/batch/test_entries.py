@@ -59,7 +59,7 @@ def test_a_table_names_sessions_settings_and_references(archive):
         ("name\na-1\n", "one column session"),
         ("session\nnone\n", "row 2.*no session.toml|row 2: found 'none'"),
         ("session,reference_cc\na-1,much\n", "column reference_cc: found 'much'"),
-        ("session,reference_cc\na-1,-5\n", "column reference_cc: found '-5'"),
+        ("session,reference_cc\na-1,-5\n", "column reference_cc: found -5"),
         ("session,reference_cc\na-1,nan\n", "column reference_cc: found 'nan'"),
         ("session,reference_leg_cc\na-1,5\n", "references for 'leg'"),
         ("session,set\na-1,\na-1,measure.wall=plane\n", "the same session twice, with other settings"),
