@@ -45,8 +45,8 @@ def worklist(request: HttpRequest) -> HttpResponse:
         except MammometryError as error:
             messages.error(request, str(error))
             continue
-        for error in found.refused:
-            messages.error(request, str(error))
+        for refusal in found.refused:
+            messages.error(request, str(refusal))
         lines += [Line(source, entry, ", ".join(_names(entry))) for entry in found.entries]
     context = {"lines": lines, "sources": _sources(), "rigs": Rig.objects.filter(active=True)}
     return render(request, "clinic/worklist.html", context)
