@@ -110,10 +110,12 @@ def _of_table(path: Path) -> Iterator[Entry]:
     assignments = table.texts(_SET) if _SET in table.columns else ("",) * len(addresses)
     columns = {column: _REFERENCE.fullmatch(column) for column in table.columns}
     references = {column: match[1] or "model" for column, match in columns.items() if match is not None}
-    if wrong := [name for name in references.values() if name not in _NAMES]:
+    wrong = [column for column, name in references.items() if name not in _NAMES]
+    wrong += [column for column in columns if column.startswith("reference") and column not in references]
+    if wrong:
         raise TableError(
             str(path),
-            found=f"a column of references for {wrong[0]!r}",
+            found=f"a column {wrong[0]}",
             expected="reference_cc, reference_left_cc or reference_right_cc",
             remedy="Rename the column",
         )

@@ -120,6 +120,7 @@ def read_table(path: Path, name: str, expected: str, *, refusal: type[Mammometry
     stated = _STATED.fullmatch(head)
     if stated is not None:
         text = text.replace(head, "", 1)  # its line stays empty, so that lines are counted rightly
+    text = re.sub(" +$", "", text, flags=re.MULTILINE)  # after a quote they are a mistake to the reader
     separator = stated[1] if stated is not None else max(_SEPARATORS, key=head.count)
     reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator, strict=True)
     lines: list[int] = []

@@ -61,7 +61,7 @@ def test_a_table_names_sessions_settings_and_references(archive):
         ("session,reference_cc\na-1,much\n", "column reference_cc: found 'much'"),
         ("session,reference_cc\na-1,-5\n", "column reference_cc: found -5"),
         ("session,reference_cc\na-1,nan\n", "column reference_cc: found 'nan'"),
-        ("session,reference_leg_cc\na-1,5\n", "references for 'leg'"),
+        ("session,reference_leg_cc\na-1,5\n", "a column reference_leg_cc, expected reference_cc"),
         ("session,set\na-1,\na-1,measure.wall=plane\n", "the same session twice, with other settings"),
         ("", "an empty file"),
     ],

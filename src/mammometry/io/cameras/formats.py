@@ -107,4 +107,5 @@ def _read_marked(path: Path, pair_names: Mapping[str, tuple[str, str]], known: S
         start = file.read(_HEAD_BYTES).removeprefix(b"\xef\xbb\xbf").lstrip()
     if b"<document" in start:
         return read_agisoft(path, known)
-    return read_opencv(path, pair_names) if start.startswith((b"%YAML", b"<?xml")) else read_kalibr(path, known)
+    is_opencv = path.suffix.lower() == ".xml" or start.startswith((b"%YAML", b"<?xml"))
+    return read_opencv(path, pair_names) if is_opencv else read_kalibr(path, known)

@@ -89,7 +89,9 @@ def _storage(path: Path) -> dict[str, Any]:
         return _xml_storage(path)
     body = text.partition("\n")[2] if text.startswith("%YAML") else text
     table = yaml_value(body, path.name, "OpenCV YAML", tags=dict.fromkeys(_MATRICES, _matrix))
-    return table if isinstance(table, dict) else {}
+    if not isinstance(table, dict):
+        raise unfit(path.name, "no names with values", "OpenCV YAML, such as camera_matrix: …")
+    return table
 
 
 def _xml_storage(path: Path) -> dict[str, Any]:
