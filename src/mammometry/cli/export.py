@@ -125,14 +125,14 @@ def dicom(
     One study: report (PDF), measurements (structured report), models (STL, OBJ), photographs. What an archive has
     already is not sent again.
     """
-    from mammometry.hospital.extra import require
+    from mammometry.base.extras import require
     from mammometry.hospital.peers import Peer, Tls, web_address
     from mammometry.hospital.representations import require_text
     from mammometry.io.outputs import require_apart, require_free, write_outputs
 
     if out is None and send is None and stow is None:
         raise typer.BadParameter("one of --out, --send and --stow says where the objects go")
-    require("pydicom", "pynetdicom", "highdicom")
+    require("hospital", "pydicom", "pynetdicom", "highdicom")
     require_text(own_title, "AE", "--own-title")
     patient, order = _who(patient_id, patient_name, born, sex, accession, study_uid, referring)
     peer = None if send is None else Peer.parse(send)
@@ -211,10 +211,10 @@ def fhir(
 
     A report and an observation a number, with the interval as components. Sent twice, the bundle changes nothing.
     """
-    from mammometry.hospital.extra import require
+    from mammometry.base.extras import require
     from mammometry.io.outputs import require_apart, require_free, write_outputs
 
-    require("fhir.resources")
+    require("hospital", "fhir.resources")
     patient, _ = _who(patient_id, patient_name, born, sex)
     names = ("bundle.json",)
     require_apart(out, [session, settings])
