@@ -5,6 +5,7 @@ The user or the file gives the unit.
 
 from __future__ import annotations
 
+import codecs
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -59,13 +60,13 @@ def read_foreign(path: Path, units: str | None = None) -> ForeignMesh:
     if path.suffix.lower() not in SUFFIXES:
         raise _refused(path, "another kind of file", "a mesh as PLY, OBJ, STL or GLB", "Export the mesh as one of them")
     unit, who = (units, "as stated") if units is not None else _stated_unit(path)
+    if unit is not None and unit not in MM_PER_UNIT:
+        raise _refused(path, f"the unit {unit!r}", f"one of {', '.join(MM_PER_UNIT)}", "Correct --units")
+    vertices, faces, colours = read_triangles(path)
     if unit is None:
         raise _refused(
             path, "no unit", "the unit of its coordinates, which such files do not state", "Add --units mm, cm or m"
         )
-    if unit not in MM_PER_UNIT:
-        raise _refused(path, f"the unit {unit!r}", f"one of {', '.join(MM_PER_UNIT)}", "Correct --units")
-    vertices, faces, colours = read_triangles(path)
     step_mm = _step(vertices) * MM_PER_UNIT[unit]
     vertices = vertices * MM_PER_UNIT[unit]
     extent = float(np.ptp(vertices, axis=0).max())
@@ -109,7 +110,7 @@ def _stated_unit(path: Path) -> tuple[str | None, str]:
                 head = file.read(_HEADER_BYTES)
         except OSError as error:
             raise _refused(path, error.strerror or str(error), "a mesh file", "Check the path") from None
-        stated = _STATED.search(head.partition(b"end_header")[0])
+        stated = _STATED.search(head.removeprefix(codecs.BOM_UTF8).partition(b"end_header")[0])
         if stated is not None:
             return (stated["unit"] or stated["ours"]).decode().lower(), "as the file says"
     return None, ""
