@@ -85,7 +85,7 @@ def calibrate(inputs: Inputs, settings: CalibrateSettings, memo: Memo) -> Calibr
             "calibrate",
             "cameras",
             ready_made,
-            inputs={name: inputs.digests[name] for name in ("cameras", "rig")},
+            inputs={name: inputs.digests[name] for name in ("cameras", "rig", "subject")},
         )
         return Calibrated(observations={}, intrinsics={}, calibration=None, cameras=given)
 
@@ -142,6 +142,7 @@ def calibrate(inputs: Inputs, settings: CalibrateSettings, memo: Memo) -> Calibr
                 settings,
                 intrinsics_observations=lenses or None,
                 priors=inputs.priors,
+                upside_down=[name for name, mounting in inputs.mounting.items() if mounting == "upside-down"],
                 progress=progress,
             )
         except CalibrationError as error:
@@ -154,21 +155,29 @@ def calibrate(inputs: Inputs, settings: CalibrateSettings, memo: Memo) -> Calibr
         adjust,
         parents={"poses": observations, "lenses": intrinsics},
         settings=settings.bundle,
-        inputs={name: inputs.digests[name] for name in (("rig", "prior") if inputs.priors else ("rig",))},
+        inputs={name: inputs.digests[name] for name in (("rig", "prior") if inputs.priors else ("rig",))}
+        | inputs.mounting_digest,
     )
 
     def trust(calibration: Calibration, *, progress: Progress) -> CameraSet:
-        return _trusted(calibration, settings)
+        return _trusted(calibration, inputs.subject_kind, settings)
 
     cameras = Product(
-        memo, "calibrate", "cameras", trust, parents={"calibration": calibration}, settings=settings.quality
+        memo,
+        "calibrate",
+        "cameras",
+        trust,
+        parents={"calibration": calibration},
+        settings=settings.quality,
+        inputs={"subject": inputs.digests["subject"]},
     )
     return Calibrated(observations=observations, intrinsics=intrinsics, calibration=calibration, cameras=cameras)
 
 
-def _trusted(calibration: Calibration, settings: CalibrateSettings) -> CameraSet:
-    from mammometry.calibration.judge import quality
+def _trusted(calibration: Calibration, subject_kind: str, settings: CalibrateSettings) -> CameraSet:
+    from mammometry.calibration.judge import quality, scale
 
+    scale.require_scale(calibration, subject_kind)
     assessed = quality.assess(calibration, settings.quality)
     if assessed.verdict == "refuse":
         raise CalibrationError(
@@ -188,6 +197,8 @@ def _trusted(calibration: Calibration, settings: CalibrateSettings) -> CameraSet
 
 
 def _ready_made(inputs: Inputs) -> CameraSet:
+    from mammometry.calibration.judge.scale import require_camera_scale
+
     assert inputs.cameras is not None
     wanted = sorted({name for pair in inputs.pair_names.values() for name in pair} | set(inputs.photographs))
     missing = [name for name in wanted if name not in inputs.cameras]
@@ -201,7 +212,9 @@ def _ready_made(inputs: Inputs) -> CameraSet:
     rig = Rig(
         name=inputs.rig_name, cameras={name: inputs.cameras[name] for name in wanted}, pair_names=inputs.pair_names
     )
-    return CameraSet(rig=rig, std={}, world="The world frame of the cameras that were imported.", rms_px=None)
+    doubts = require_camera_scale("cameras.json: t", rig, inputs.subject_kind)
+    world = "The world frame of the cameras that were imported."
+    return CameraSet(rig=rig, std={}, world=world, rms_px=None, reasons=doubts)
 
 
 # --- 2.3 Matching ----------------------------------------------------------------------------------------------------

@@ -7,8 +7,10 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
+from mammometry.base.sizes import fitting
 from mammometry.calibration.adjust.bundle import Calibration
 from mammometry.calibration.judge.reconstruction import PairQuality
+from mammometry.calibration.judge.scale import calibrated_sizes
 from mammometry.calibration.judge.stillness import Movement
 from mammometry.calibration.judge.view_quality import ViewQuality, sees_badly
 from mammometry.calibration.judge.wrong_camera import Shot, true_shot
@@ -207,6 +209,14 @@ def about_scale(calibration: Calibration) -> Iterator[Finding]:
 
     No residual shows a print of another scale.
     """
+    name, stated_mm = calibration.observations.target.stated_size
+    sizes = calibrated_sizes(calibration)
+    if rare := [size for size in sizes if not size.is_usual()]:
+        yield (
+            "warn",
+            f"by target.{name} = {stated_mm:g} mm, {' and '.join(map(str, rare))}, which is rare. Measure the target, "
+            f"and check that its sizes are in millimetres{fitting(stated_mm, sizes)}",
+        )
     std = calibration.scale_std
     if std is None:
         yield (

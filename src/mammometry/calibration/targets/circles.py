@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -29,6 +30,8 @@ class CirclesTarget(Board):
     Raises:
         ValueError: fewer than 2 × 2 circles, or circles that would touch.
     """
+
+    size_key: ClassVar[str] = "pitch_mm"
 
     grid: tuple[int, int]
     """Circles in a row, and rows."""

@@ -42,6 +42,7 @@ class DottedCylinderTarget(Target):
     """
 
     is_surveyed: ClassVar[bool] = True
+    size_key: ClassVar[str] = "radius_mm"
 
     dots: tuple[int, int]
     """Rows along the axis, and all columns around it."""
