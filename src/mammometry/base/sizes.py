@@ -50,19 +50,15 @@ class Size:
 
 
 def likely_units(sizes: Sequence[Size]) -> dict[str, float]:
-    """Units in which all sizes would be usual, likeliest first → their millimetres."""
+    """Units in which all sizes would be usual, the likeliest first → their millimetres."""
     return {unit: factor for unit, factor in UNITS.items() if all(size.is_usual(factor) for size in sizes)}
 
 
 def fitting(stated_mm: float, sizes: Sequence[Size]) -> str:
-    """Say which values would make all sizes usual, if the stated one is in another unit than mm.
+    """Say which value would make all sizes usual, if the stated one is in another unit than mm.
 
     Returns:
         The end of a sentence, such as ``: 25 mm would fit``. Empty where no unit fits.
     """
-    units = likely_units(sizes)
-    named = [
-        f"{stated_mm * factor:.4g} mm" + (f" (if it was in {unit})" if len(units) > 1 else "")
-        for unit, factor in units.items()
-    ]
-    return f": {' or '.join(named)} would fit" if named else ""
+    values = [f"{stated_mm * factor:.4g} mm" for factor in likely_units(sizes).values()]
+    return f": {' or '.join(values)} would fit" if values else ""
