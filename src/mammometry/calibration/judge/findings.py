@@ -21,6 +21,11 @@ Finding: TypeAlias = tuple[Verdict, str]
 _PRINT_SCALE = 1e-3
 """Relative scale error of a print in the message's example. Chosen by eye."""
 
+_SQUARE_PIXELS, _SURE_SIGMA = 0.01, 5.0
+"""Share by which pixels may differ from squares, and standard deviations by which they then must. Real cameras are
+below .001; prints are stretched by up to .005.
+"""
+
 
 def about_names(calibration: Calibration) -> Iterator[Finding]:
     """Report pictures under the wrong name."""
@@ -145,6 +150,22 @@ def about_cameras(
             f"the target was shown in only {100 * volume_coverage:.0f} % of the space that the pairs see. Hold it also "
             "nearer, farther and to the sides, where skin will be",
         )
+
+
+def about_pixels(calibration: Calibration) -> Iterator[Finding]:
+    """Report pixels that are not square: sizes of the target that contradict one another, or stretched pictures."""
+    for name, camera in calibration.rig.cameras.items():
+        std = calibration.independent_std[name]
+        ratio = float(camera.matrix[0, 0] / camera.matrix[1, 1])
+        ratio_std = float(np.hypot(std["fx_px"], std["fy_px"]) / camera.matrix[1, 1])
+        if abs(ratio - 1.0) > max(_SQUARE_PIXELS, _SURE_SIGMA * ratio_std):
+            solid = calibration.observations.target.is_surveyed
+            yield (
+                "refuse" if solid else "warn",
+                f"the pixels of {name} are {ratio:.3f} times as high as wide, where cameras have square ones. "
+                + ("Two sizes in [target] contradict one another, or" if solid else "The board or")
+                + " the photographs were stretched",
+            )
 
 
 def about_pairs(pairs: Sequence[PairQuality], settings: QualitySettings) -> Iterator[Finding]:
