@@ -269,13 +269,15 @@ def _parameter_std(network: Network, covariance: Float64[Array, "p p"]) -> dict[
 
 
 def _check_baselines(rig: Rig, upside_down: Collection[str]) -> None:
-    """Refuse a pair whose right camera stands left of the left one.
+    """Refuse a pair whose right camera stands left of the left one, as seen from behind or in their pictures.
 
-    As the left camera's picture shows it. If one camera of a pair is mounted upside down, as its upright fellow's does.
+    Both ways are alike but for cameras that are upside down. No result depends on which one is called left.
     """
     for pair in rig.pairs:
         x_mm, y_mm, _ = pair.left.camera_from_world.apply(pair.right.centre_world)
-        if pair.left.name in upside_down and pair.right.name not in upside_down:
+        if pair.left.name in upside_down:
+            if pair.right.name in upside_down:
+                continue  # left in the pictures is right from behind: either is meant
             x_mm = -x_mm
         if x_mm < 0 and abs(x_mm) > abs(y_mm):
             opposed = pair.left.camera_from_world.rotation[0] @ pair.right.camera_from_world.rotation[0] < 0
