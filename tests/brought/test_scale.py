@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tests.unit.calibration.virtual_rig import PAIRS, cameras_in_rig, observe
+from tests.unit.measure.solids import dome
 from tests.unit.report import synthetic
 
 from mammometry.base.errors import CalibrationError, MammometryError, SessionError
@@ -19,6 +20,8 @@ from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.transform import Transform
 from mammometry.io.cameras.formats import CameraFormat, camera_texts
 from mammometry.io.cameras.rig import require_rig
+from mammometry.io.foreign import read_foreign
+from mammometry.io.meshes import write_ply
 
 # Rigs by how far their cameras stand from the subject, mm, the distance of a pair's cameras, and the width of the
 # shorter side of a picture as a share of its distance.
@@ -226,3 +229,21 @@ def test_edited_cameras_json_is_refused_before_matching(tmp_path: Path) -> None:
     (folder / "cameras.json").write_text(camera_texts(cameras_of(1e-3), "json")["cameras.json"])
     with pytest.raises(MammometryError, match=r"cameras.json: t: found translations by which .*: they seem to be in m"):
         open_session(folder).plan.calibrated.cameras()
+
+
+@pytest.mark.parametrize(("factor", "fits"), [(1e-3, "m"), (0.1, "cm")])
+def test_a_mesh_in_another_unit_is_refused_with_the_one_that_fits(tmp_path: Path, factor: float, fits: str) -> None:
+    trunk = dome(sink_mm=10.0, rings=6, around=20)
+    write_ply(tmp_path / "scan.ply", replace(trunk, vertices=trunk.vertices * factor * 0.9))
+    with pytest.raises(SessionError, match=rf"its unit being mm.*Check --units: .*\b{fits} \(\d+ mm\)"):
+        read_foreign(tmp_path / "scan.ply", "mm")
+
+
+def test_a_measured_wall_in_metres_is_refused(tmp_path: Path) -> None:
+    from mammometry.io.session import Session
+
+    folder = session(tmp_path / "s")
+    wall = dome(sink_mm=10.0, rings=6, around=20)
+    write_ply(folder / "wall.ply", replace(wall, vertices=wall.vertices * 1e-3))
+    with pytest.raises(SessionError, match=r"wall.ply: found a wall of which its longest side is .*would fit"):
+        Session.open(folder).inputs()

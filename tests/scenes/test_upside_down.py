@@ -19,7 +19,7 @@ def test_a_pair_with_one_camera_upside_down_is_measured(
             picture.transpose(Image.Transpose.ROTATE_180).save(path, quality=98, subsampling=0)
     arguments = [str(tiny), "--settings", str(tiny_settings), "--json"]
     assert main.run(["calibrate", *arguments]) == 5
-    assert 'rig.mounting = { front_left = "upside-down" }' in capsys.readouterr().err
+    assert 'rig.mounting = { front_left = "upside-down" }' in json.loads(capsys.readouterr().out)["error"]
     manifest = tiny / "session.toml"
     manifest.write_text(manifest.read_text().replace("[rig]\n", '[rig]\nmounting = { front_left = "upside-down" }\n'))
     assert main.run(["run", *arguments]) == 0

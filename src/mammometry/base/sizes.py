@@ -10,6 +10,8 @@ Range: TypeAlias = tuple[float, float]
 
 SUBJECT_MM: Range = (40.0, 2500.0)
 """Longest side of what can be a small cast, or a whole body."""
+_USUAL_SUBJECT_MM: Range = (60.0, 1500.0)
+"""The same of casts of one breast to trunks with arms."""
 UNITS: Mapping[str, float] = {
     "cm": 10.0,
     "m": 1000.0,
@@ -47,6 +49,11 @@ class Size:
     def expected(self) -> str:
         """The possible lengths, in words."""
         return f"{self.possible_mm[0]:,g} to {self.possible_mm[1]:,g} mm"
+
+
+def subject_extent(mm: float) -> Size:
+    """Longest side of a surface to be measured."""
+    return Size(mm=mm, possible_mm=SUBJECT_MM, usual_mm=_USUAL_SUBJECT_MM, words="its longest side is {}")
 
 
 def likely_units(sizes: Sequence[Size]) -> dict[str, float]:

@@ -13,7 +13,7 @@ import numpy as np
 
 from mammometry.base.errors import SessionError
 from mammometry.base.parse import require_file
-from mammometry.base.sizes import SUBJECT_MM
+from mammometry.base.sizes import subject_extent
 from mammometry.geometry.arrays import Array, Float64, UInt8, read_only
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.mesh_file import SUFFIXES, read_triangles
@@ -68,13 +68,15 @@ def read_foreign(path: Path, units: str | None = None) -> ForeignMesh:
     vertices, faces, colours = read_triangles(path)
     step_mm = _step(vertices) * MM_PER_UNIT[unit]
     vertices = vertices * MM_PER_UNIT[unit]
-    extent = float(np.ptp(vertices, axis=0).max())
-    if not SUBJECT_MM[0] <= extent <= SUBJECT_MM[1]:
+    extent = subject_extent(float(np.ptp(vertices, axis=0).max()))
+    if not extent.is_possible:
+        others = {name: subject_extent(extent.mm / MM_PER_UNIT[unit] * mm) for name, mm in MM_PER_UNIT.items()}
+        fits = [f"{name} ({size.mm:.0f} mm)" for name, size in others.items() if size.is_usual()]
         raise _refused(
             path,
-            f"a mesh {extent:.3g} mm long, its unit being {unit} ({who})",
-            f"a cast or a torso, {SUBJECT_MM[0]:g} to {SUBJECT_MM[1]:g} mm",
-            "Check --units",
+            f"a mesh {extent.mm:.3g} mm long, its unit being {unit} ({who})",
+            f"a cast or a torso, {extent.expected}",
+            "Check --units" + (f": {' or '.join(fits)} would fit" if fits else ""),
         )
     if step_mm > _COARSEST_STEP_MM:
         raise _refused(

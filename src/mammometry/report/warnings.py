@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from mammometry.base.sizes import SUBJECT_MM, Size
+from mammometry.base.sizes import subject_extent
 from mammometry.calibration.adjust.bundle import Calibration
 from mammometry.calibration.judge.quality import CalibrationQuality
 from mammometry.matching import quality as match_quality
@@ -24,7 +24,6 @@ from mammometry.surface.occluders import Blocked
 from mammometry.surface.repair import Provenance, RepairedSurface
 
 _MATCHED = 0.6  # of a silhouette that a pair should match; flanks seen obliquely cost up to a third
-_USUAL_SUBJECT_MM = (60.0, 1500.0)  # longest side of a surface: casts of one breast to trunks with arms
 _BLOCKED = 0.005  # of the subject in a photograph, hidden: less is a strap or a shadow; chosen by eye
 
 
@@ -92,14 +91,9 @@ def run_concerns(run: RunResults) -> Iterator[str]:
     if run.calibration is None:
         yield "The cameras were imported. Their errors are not known, and the interval does not cover them."
         yield from map(sentence, run.camera_doubts)
-    extent = Size(
-        mm=float(np.ptp(run.repaired.mesh.vertices, axis=0).max()),
-        possible_mm=SUBJECT_MM,
-        usual_mm=_USUAL_SUBJECT_MM,
-        words="The surface is {} long",
-    )
+    extent = subject_extent(float(np.ptp(run.repaired.mesh.vertices, axis=0).max()))
     if not extent.is_usual():
-        yield f"{extent}, which is rare. Check that the sizes of target or cameras are in millimetres."
+        yield f"The surface is rare: {extent}. Check that the sizes of target or cameras are in millimetres."
     for name, judged in run.matching.items():
         yield from match_quality.concerns(name, judged)
     for name, share in run.shares.items():
