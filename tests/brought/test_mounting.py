@@ -10,6 +10,7 @@ from tests.unit.calibration.virtual_rig import cameras_in_rig, observe, placemen
 from mammometry.base.errors import CalibrationError
 from mammometry.calibration.adjust.bundle import calibrate
 from mammometry.calibration.detection.detect import Observations
+from mammometry.calibration.judge.sides import require_sides
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.transform import Transform
 from mammometry.measure.trunk.body import rig_frame
@@ -44,7 +45,8 @@ def seen_by(cameras: Mapping[str, Camera]) -> Observations:
 @pytest.mark.parametrize("name", ["front_left", "front_right"])
 def test_a_pair_with_one_camera_upside_down_is_calibrated_as_it_stands(name: str) -> None:
     cameras = with_turned(name)
-    rig = calibrate(seen_by(cameras), PAIR, "rig", upside_down=[name]).rig
+    rig = calibrate(seen_by(cameras), PAIR, "rig").rig
+    require_sides(rig, [name])
     pair = rig.pair("front")
     apart = np.linalg.norm(pair.right.centre_world - pair.left.centre_world)
     true_mm = np.linalg.norm(cameras["front_right"].centre_world - cameras["front_left"].centre_world)
@@ -63,8 +65,9 @@ def test_a_pair_with_one_camera_upside_down_is_calibrated_as_it_stands(name: str
 def test_what_is_refused_has_a_way_out(
     turned: tuple[str, ...], told: tuple[str, ...], pairs: dict[str, tuple[str, str]], remedy: str
 ) -> None:
+    rig = Rig(name="rig", cameras=with_turned(*turned), pair_names=pairs)
     with pytest.raises(CalibrationError, match=remedy):
-        calibrate(seen_by(with_turned(*turned)), pairs, "rig", upside_down=told)
+        require_sides(rig, told)
 
 
 @pytest.mark.parametrize("pairs", [PAIR, EXCHANGED], ids=["from behind", "in the pictures"])
@@ -72,8 +75,7 @@ def test_a_whole_rig_upside_down_is_named_from_behind_or_as_its_pictures_show(
     pairs: dict[str, tuple[str, str]],
 ) -> None:
     both = ("front_left", "front_right")
-    rig = calibrate(seen_by(with_turned(*both)), pairs, "rig", upside_down=both).rig
-    assert rig.pair_names == pairs
+    require_sides(Rig(name="rig", cameras=with_turned(*both), pair_names=pairs), both)
 
 
 @pytest.mark.parametrize("name", ["front_left", "front_right"])

@@ -80,3 +80,8 @@ class Inputs:
     def mounting_digest(self) -> dict[str, str]:
         """What the cameras' mounting adds to a product's key. Empty where all are upright."""
         return {"mounting": repr(sorted(self.mounting.items()))} if self.mounting else {}
+
+    @property
+    def upside_down(self) -> tuple[str, ...]:
+        """Cameras that are mounted with their tops down."""
+        return tuple(name for name, mounting in self.mounting.items() if mounting == "upside-down")

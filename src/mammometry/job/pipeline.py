@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from mammometry.base.errors import CalibrationError
 from mammometry.base.photograph import Photograph
 from mammometry.base.progress import Progress
-from mammometry.geometry.camera import Rig
+from mammometry.job.camera_sets import imported_cameras, trusted_cameras
 from mammometry.job.inputs import Inputs
 from mammometry.job.keeping import kept_data
 from mammometry.job.measuring import Measured, Upstream, measure
@@ -78,7 +78,7 @@ def calibrate(inputs: Inputs, settings: CalibrateSettings, memo: Memo) -> Calibr
     if inputs.cameras is not None:
 
         def ready_made(*, progress: Progress) -> CameraSet:
-            return _ready_made(inputs)
+            return imported_cameras(inputs)
 
         given = Product(
             memo,
@@ -142,7 +142,6 @@ def calibrate(inputs: Inputs, settings: CalibrateSettings, memo: Memo) -> Calibr
                 settings,
                 intrinsics_observations=lenses or None,
                 priors=inputs.priors,
-                upside_down=[name for name, mounting in inputs.mounting.items() if mounting == "upside-down"],
                 progress=progress,
             )
         except CalibrationError as error:
@@ -155,12 +154,11 @@ def calibrate(inputs: Inputs, settings: CalibrateSettings, memo: Memo) -> Calibr
         adjust,
         parents={"poses": observations, "lenses": intrinsics},
         settings=settings.bundle,
-        inputs={name: inputs.digests[name] for name in (("rig", "prior") if inputs.priors else ("rig",))}
-        | inputs.mounting_digest,
+        inputs={name: inputs.digests[name] for name in (("rig", "prior") if inputs.priors else ("rig",))},
     )
 
     def trust(calibration: Calibration, *, progress: Progress) -> CameraSet:
-        return _trusted(calibration, inputs.subject_kind, settings)
+        return trusted_cameras(calibration, inputs, settings)
 
     cameras = Product(
         memo,
@@ -169,52 +167,9 @@ def calibrate(inputs: Inputs, settings: CalibrateSettings, memo: Memo) -> Calibr
         trust,
         parents={"calibration": calibration},
         settings=settings.quality,
-        inputs={"subject": inputs.digests["subject"]},
+        inputs={"subject": inputs.digests["subject"], **inputs.mounting_digest},
     )
     return Calibrated(observations=observations, intrinsics=intrinsics, calibration=calibration, cameras=cameras)
-
-
-def _trusted(calibration: Calibration, subject_kind: str, settings: CalibrateSettings) -> CameraSet:
-    from mammometry.calibration.judge import quality, scale
-
-    scale.require_scale(calibration, subject_kind)
-    assessed = quality.assess(calibration, settings.quality)
-    if assessed.verdict == "refuse":
-        raise CalibrationError(
-            "calibration",
-            found=f"that {assessed.reasons[0].rstrip('.')}",
-            expected="a calibration fit to measure with",
-            remedy="Retake the calibration photographs, or set the suspect ones aside, and run it again",
-        )
-    return CameraSet(
-        rig=calibration.rig,
-        std={name: dict(values) for name, values in calibration.parameter_std.items()},
-        world=calibration.world,
-        rms_px=float(calibration.rms_px),
-        verdict=assessed.verdict,
-        reasons=assessed.reasons,
-    )
-
-
-def _ready_made(inputs: Inputs) -> CameraSet:
-    from mammometry.calibration.judge.scale import require_camera_scale
-
-    assert inputs.cameras is not None
-    wanted = sorted({name for pair in inputs.pair_names.values() for name in pair} | set(inputs.photographs))
-    missing = [name for name in wanted if name not in inputs.cameras]
-    if missing:
-        raise CalibrationError(
-            "cameras.json",
-            found=f"cameras {', '.join(inputs.cameras)}",
-            expected=f"also {', '.join(missing)}",
-            remedy="Import every camera of the rig, under the names that session.toml uses",
-        )
-    rig = Rig(
-        name=inputs.rig_name, cameras={name: inputs.cameras[name] for name in wanted}, pair_names=inputs.pair_names
-    )
-    doubts = require_camera_scale("cameras.json: t", rig, inputs.subject_kind)
-    world = "The world frame of the cameras that were imported."
-    return CameraSet(rig=rig, std={}, world=world, rms_px=None, reasons=doubts)
 
 
 # --- 2.3 Matching ----------------------------------------------------------------------------------------------------

@@ -5,7 +5,7 @@ All cameras and all target placements are adjusted at once.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -49,7 +49,6 @@ def calibrate(
     *,
     intrinsics_observations: Mapping[str, Observations] | None = None,
     priors: Mapping[str, CameraPrior] | None = None,
-    upside_down: Collection[str] = (),
     progress: Progress = no_progress,
 ) -> Calibration:
     """Adjust all cameras and target placements to the observations (paper 2.2).
@@ -66,12 +65,11 @@ def calibrate(
         intrinsics_observations: camera → separate photographs of any target that only this camera took; they take part
             in the adjustment, each with a placement of its own.
         priors: camera → its lens as known beforehand; with one, a single view of a camera suffices.
-        upside_down: cameras that are mounted with their tops down.
         progress: called with the fraction done.
 
     Raises:
-        CalibrationError: too few views, cameras that share no pose with the rest, a pair whose left and right are
-            swapped, image sizes that differ, or parameters that the observations do not determine.
+        CalibrationError: too few views, cameras that share no pose with the rest, image sizes that differ, or
+            parameters that the observations do not determine.
     """
     own, priors = dict(intrinsics_observations or {}), dict(priors or {})
     _check_pairs(pair_names, observations)
@@ -104,7 +102,6 @@ def calibrate(
     solved = _with_needed_k3(solved, priors, settings.bundle)
     progress(0.8)
     calibration = _as_calibration(solved, views, observations, own, pair_names, rig_name, tuple(set_aside))
-    _check_baselines(calibration.rig, upside_down)
     progress(1.0)
     return calibration
 
@@ -266,28 +263,3 @@ def _parameter_std(network: Network, covariance: Float64[Array, "p p"]) -> dict[
         names = [name for name in INTRINSIC_NAMES if name != "skew_px"]
         std[camera] = dict(zip((*names, *POSE_NAMES_CAMERA), values, strict=True))
     return std
-
-
-def _check_baselines(rig: Rig, upside_down: Collection[str]) -> None:
-    """Refuse a pair whose right camera stands left of the left one, as seen from behind or in their pictures.
-
-    Both ways are alike but for cameras that are upside down. No result depends on which one is called left.
-    """
-    for pair in rig.pairs:
-        x_mm, y_mm, _ = pair.left.camera_from_world.apply(pair.right.centre_world)
-        if pair.left.name in upside_down:
-            if pair.right.name in upside_down:
-                continue  # left in the pictures is right from behind: either is meant
-            x_mm = -x_mm
-        if x_mm < 0 and abs(x_mm) > abs(y_mm):
-            opposed = pair.left.camera_from_world.rotation[0] @ pair.right.camera_from_world.rotation[0] < 0
-            told = pair.left.name in upside_down or pair.right.name in upside_down
-            raise CalibrationError(
-                f"pair {pair.name}",
-                found=f"{pair.right.name} standing {-x_mm:.0f} mm to the left of {pair.left.name}",
-                expected="the right camera to the right of the left one, as their pictures show it",
-                remedy="Say in session.toml which of the two is mounted upside down, such as "
-                f'rig.mounting = {{ {pair.left.name} = "upside-down" }}'
-                if opposed and not told
-                else "Exchange left and right in the pair, or the two cameras' files if those are swapped",
-            )

@@ -1,4 +1,4 @@
-"""Size of printed marks by where their dark ends: the ratio to their distance shows a target described wrongly.
+"""Size of printed marks by where their dark ends, to find targets that are described wrongly.
 
 The light along lines from the marks' middles outward is taken together to one profile. Its step from dark to bright is
 measured at half its height, which blur does not move.

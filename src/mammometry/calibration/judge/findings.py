@@ -153,7 +153,7 @@ def about_cameras(
 
 
 def about_pixels(calibration: Calibration) -> Iterator[Finding]:
-    """Report pixels that are not square: sizes of the target that contradict one another, or stretched pictures."""
+    """Report pixels that are not square: two of the target's sizes, or the pictures, are stretched."""
     for name, camera in calibration.rig.cameras.items():
         std = calibration.independent_std[name]
         ratio = float(camera.matrix[0, 0] / camera.matrix[1, 1])

@@ -11,7 +11,7 @@ from mammometry.base.errors import SessionError
 from mammometry.calibration.judge.scale import require_camera_scale
 from mammometry.geometry.camera import Camera, Rig
 
-_ONE_PLACE_MM = 1e-6
+_ONE_PLACE_MM = 1e-6  # cameras nearer to each other stand in one place, but for rounding
 
 
 def require_rig(
