@@ -14,12 +14,12 @@ import numpy as np
 
 from mammometry.base.errors import SessionError
 from mammometry.base.parse import require_file
+from mammometry.base.sizes import subject_extent
 from mammometry.geometry.arrays import Array, Float64, UInt8, read_only
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.mesh_file import SUFFIXES, read_triangles
 
 MM_PER_UNIT = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
-_SMALLEST_MM, _LARGEST_MM = 40.0, 2500.0  # longest side of what can be a small cast, or a whole body
 _COARSEST_STEP_MM = 0.1  # as the standard uncertainty of a scanner's surface (`api.mesh.SURFACE_STD_MM`)
 _HEADER_BYTES = 65_536  # in which a file's comments may state its unit
 _STATED = re.compile(
@@ -69,13 +69,15 @@ def read_foreign(path: Path, units: str | None = None) -> ForeignMesh:
         )
     step_mm = _step(vertices) * MM_PER_UNIT[unit]
     vertices = vertices * MM_PER_UNIT[unit]
-    extent = float(np.ptp(vertices, axis=0).max())
-    if not _SMALLEST_MM <= extent <= _LARGEST_MM:
+    extent = subject_extent(float(np.ptp(vertices, axis=0).max()))
+    if not extent.is_possible:
+        others = {name: subject_extent(extent.mm / MM_PER_UNIT[unit] * mm) for name, mm in MM_PER_UNIT.items()}
+        fits = [f"{name} ({size.mm:.0f} mm)" for name, size in others.items() if size.is_usual()]
         raise _refused(
             path,
-            f"a mesh {extent:.3g} mm long, its unit being {unit} ({who})",
-            f"a cast or a torso, {_SMALLEST_MM:g} to {_LARGEST_MM:g} mm",
-            "Check --units",
+            f"a mesh {extent.mm:.3g} mm long, its unit being {unit} ({who})",
+            f"a cast or a torso, {extent.expected}",
+            "Check --units" + (f": {' or '.join(fits)} would fit" if fits else ""),
         )
     if step_mm > _COARSEST_STEP_MM:
         raise _refused(

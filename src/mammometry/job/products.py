@@ -30,7 +30,7 @@ STAGES: tuple[Stage, ...] = ("calibrate", "match", "surface", "measure", "report
 VERSIONS: Registry[int] = Registry(
     "kind of product",
     entries={
-        "observations": 7,
+        "observations": 8,
         "calibration": 5,
         "cameras": 5,
         "names": 1,
