@@ -171,6 +171,7 @@ class MeshJob:
         from mammometry.measure import scanned
         from mammometry.measure.boundary.trace import check_curve
         from mammometry.measure.landmarks.landmarks import picked_landmarks
+        from mammometry.measure.scan_repair import repair_scan
 
         require_apart(folder, (files.mesh, files.boundary, files.landmarks, files.back))
         require_own_folder(folder, command=_COMMAND)
@@ -217,18 +218,19 @@ class MeshJob:
             )
         self.kind: SubjectKind = "model" if "model" in curves else "torso"
         places = {} if files.landmarks is None else landmarks_in(files.landmarks, self.kind)
-        mesh = scanned.largest_part(foreign.mesh) if files.largest else foreign.mesh
-        scanned.check_mesh(mesh)
+        scan = repair_scan(foreign.mesh, largest=files.largest)
+        self.notes: tuple[str, ...] = scan.notes
+        mesh = scan.mesh
         curves = {name: scanned.in_mesh_unit(curve, mesh, foreign.mm_per_unit) for name, curve in curves.items()}
         drawn = replace(drawn, curves=curves)
         for name, curve in curves.items():
             check_curve(name, curve, mesh)
         near = [mesh.vertices] if files.automatic else [*curves.values(), *places.values()]
-        fine = scanned.finer_along(mesh, near)
+        scan = scanned.finer_along(scan, near)
+        surface, fine = scanned.as_scanned(scan), scan.mesh
         for name, curve in curves.items():
             if self.kind == "torso":  # a cast is cut by its base, not along the curve
                 scanned.check_cut(name, curve, fine)
-        surface = scanned.as_scanned(fine)
         frame = (
             scanned.frame_from_axes(fine, files.head, files.ahead)
             if self.kind == "torso" and (files.automatic or files.head is not None)
@@ -317,6 +319,7 @@ class MeshJob:
             folder=self.store.folder,
             report=self.page if report else None,
             no_breast=no_breast,
+            notes=self.notes,
             made=tuple(self.store.made[before:]),
             made_at=self.store.made_at(
                 [*(product.key for product in self.plan.products()), *([self.content_key] if report else [])]
@@ -362,6 +365,7 @@ class MeshJob:
             units=self.units,
             world=WORLD,
             scanner="" if self.files.scan is None else self.files.scan.scanner,
+            notes=self.notes,
         )
         return gather_mesh(self.plan, self.finished, self.rig, self._page_inputs, origin, progress=progress)
 

@@ -6,16 +6,16 @@ from solids import ball, dome
 from trunks import LEFT, RADIUS_MM, RIGHT, edge_of, radius_mm, trunk_mesh
 
 from mammometry.base.errors import MeasureError
-from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry.mesh import TriangleMesh, joined
 from mammometry.measure.scanned import (
     as_scanned,
     check_cut,
     check_mesh,
     finer_along,
-    largest_part,
     viewer,
     viewing_frame,
 )
+from mammometry.measure.scan_repair import RepairedScan, largest_part, repair_scan
 from mammometry.measure.trunk.body import rig_frame
 from mammometry.surface.repair import Provenance
 
@@ -26,8 +26,12 @@ def with_faces(mesh: TriangleMesh, faces: np.ndarray) -> TriangleMesh:
     return TriangleMesh(vertices=mesh.vertices, faces=np.ascontiguousarray(faces, dtype=np.int32))
 
 
+def untouched(mesh: TriangleMesh) -> RepairedScan:
+    return RepairedScan(mesh=mesh, invented=np.zeros(len(mesh.vertices), dtype=bool), notes=())
+
+
 def test_a_whole_mesh_is_taken_as_measured_everywhere() -> None:
-    surface = as_scanned(ball(50.0, 3))
+    surface = as_scanned(untouched(ball(50.0, 3)))
     assert (surface.provenance == Provenance.MEASURED).all()
     assert surface.pair_names == ()
     assert np.isnan(surface.sigma_mm).all()
@@ -43,10 +47,8 @@ def test_what_is_no_surface_is_named() -> None:
     turned[7] = turned[7, ::-1]
     with pytest.raises(MeasureError, match="3 edges at which neighbouring faces look to opposite sides"):
         check_mesh(with_faces(mesh, turned))
-    with pytest.raises(MeasureError, match="a closed surface that is inside out"):
-        check_mesh(with_faces(mesh, mesh.faces[:, ::-1]))
     with pytest.raises(MeasureError, match="no triangles"):
-        check_mesh(with_faces(mesh, mesh.faces[:0]))
+        repair_scan(with_faces(mesh, mesh.faces[:0]))
 
 
 def test_pieces_are_counted_and_the_largest_can_be_taken() -> None:
@@ -55,15 +57,20 @@ def test_pieces_are_counted_and_the_largest_can_be_taken() -> None:
         vertices=np.concatenate([small.vertices + 100, large.vertices]),
         faces=np.concatenate([small.faces, large.faces + len(small.vertices)]),
     )
-    with pytest.raises(MeasureError, match=r"2 separate pieces, the largest with 99\.\d % of the area.*--largest"):
-        check_mesh(both)
     assert largest_part(both).volume_mm3() == pytest.approx(large.volume_mm3(), rel=1e-12)
+    scan = repair_scan(both)
+    assert scan.mesh.volume_mm3() == pytest.approx(large.volume_mm3(), rel=1e-12)
+    assert scan.notes == ("1 piece beside the body, 0.94 % of the area, was left out.",)
+    twins = joined([large, ball(40.0, 2).mapped(lambda points: points + 200)])
+    with pytest.raises(MeasureError, match=r"2 separate pieces, .* 61%, 39% of the area.*--largest"):
+        repair_scan(twins)
+    assert repair_scan(twins, largest=True).mesh.volume_mm3() == pytest.approx(large.volume_mm3(), rel=1e-12)
 
 
 @pytest.mark.slow
 def test_a_finer_mesh_has_the_same_shape() -> None:
     coarse = trunk_mesh(9.0)
-    fine = finer_along(coarse, list(EDGES.values()))
+    fine = finer_along(untouched(coarse), list(EDGES.values())).mesh
     assert fine.is_watertight()
     assert fine.volume_mm3() == pytest.approx(coarse.volume_mm3(), rel=1e-12)
     assert fine.area_mm2() == pytest.approx(coarse.area_mm2(), rel=1e-12)
@@ -72,7 +79,8 @@ def test_a_finer_mesh_has_the_same_shape() -> None:
     middle = ends.mean(axis=1)
     near = np.linalg.norm(middle[:, None] - EDGES["left"][None, ::4], axis=2).min(axis=1) < 10
     assert length[near].max() <= 2.0
-    assert finer_along(coarse, []) is coarse
+    scan = untouched(coarse)
+    assert finer_along(scan, []) is scan
 
 
 def test_a_hole_or_a_hollow_within_the_boundary_is_named() -> None:
@@ -80,7 +88,7 @@ def test_a_hole_or_a_hollow_within_the_boundary_is_named() -> None:
     top = np.array([np.sin(LEFT[0]), 0, np.cos(LEFT[0])]) * (RADIUS_MM + LEFT[3]) + [0, LEFT[1], 0]
     check_cut("left", EDGES["left"], mesh)
     holed = mesh.submesh(np.linalg.norm(mesh.corners().mean(axis=1) - top, axis=1) > 8)
-    with pytest.raises(MeasureError, match="boundary 'left': found a hole or an edge of the mesh within it"):
+    with pytest.raises(MeasureError, match="boundary 'left': found a hole or an edge of the surface within it"):
         check_cut("left", EDGES["left"], holed)
     front = mesh.submesh(mesh.corners().mean(axis=1)[:, 2] > -20)  # open, as scanners give it
     check_cut("left", EDGES["left"], front)
@@ -99,7 +107,7 @@ def test_the_viewer_stands_upright_before_the_patient() -> None:
 
 
 def test_the_frame_comes_from_both_boundaries_or_from_landmarks_of_one_side() -> None:
-    surface = as_scanned(trunk_mesh(4.0))
+    surface = as_scanned(untouched(trunk_mesh(4.0)))
     both = viewing_frame(surface, EDGES, {})
     assert np.abs(both - np.eye(3)).max() < 0.1
 
@@ -121,7 +129,7 @@ def test_the_frame_comes_from_both_boundaries_or_from_landmarks_of_one_side() ->
 
 
 def test_exchanged_sides_are_told_by_the_notch() -> None:
-    surface = as_scanned(trunk_mesh(4.0))
+    surface = as_scanned(untouched(trunk_mesh(4.0)))
     notch = {"sternal_notch": np.array([[0.0, 130.0, RADIUS_MM]])}
     assert viewing_frame(surface, EDGES, notch)[1, 1] > 0.9
     exchanged = {"left": EDGES["right"], "right": EDGES["left"]}
@@ -131,5 +139,5 @@ def test_exchanged_sides_are_told_by_the_notch() -> None:
 
 def test_a_cast_is_looked_at_from_where_it_stands_out() -> None:
     rim = 60 * np.stack([np.cos(t := np.linspace(0, 2 * np.pi, 90, endpoint=False)), np.sin(t), 0 * t], axis=1)
-    frame = viewing_frame(as_scanned(dome()), {"model": rim}, {})
+    frame = viewing_frame(as_scanned(untouched(dome())), {"model": rim}, {})
     assert np.allclose(frame, np.eye(3), atol=1e-9)
