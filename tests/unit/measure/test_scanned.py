@@ -7,6 +7,7 @@ from trunks import LEFT, RADIUS_MM, RIGHT, edge_of, radius_mm, trunk_mesh
 
 from mammometry.base.errors import MeasureError
 from mammometry.geometry.mesh import TriangleMesh, joined
+from mammometry.measure.scan_repair import RepairedScan, largest_part, repair_scan
 from mammometry.measure.scanned import (
     as_scanned,
     check_cut,
@@ -15,7 +16,6 @@ from mammometry.measure.scanned import (
     viewer,
     viewing_frame,
 )
-from mammometry.measure.scan_repair import RepairedScan, largest_part, repair_scan
 from mammometry.measure.trunk.body import rig_frame
 from mammometry.surface.repair import Provenance
 
