@@ -138,7 +138,7 @@ def test_pieces_that_touch_are_joined() -> None:
         assert len(scan.mesh.faces) == len(FRONT.faces)
         assert not scan.invented.any()
     with pytest.raises(MeasureError, match="2 separate pieces"):
-        repair_scan(joined([left, right.mapped(lambda points: points + [-0.5, 0.3, 1.0])]))
+        repair_scan(joined([left, right.mapped(lambda points: points + np.array([-0.5, 0.3, 1.0]))]))
 
 
 def test_edges_that_one_side_alone_has_split_are_joined() -> None:
