@@ -107,8 +107,8 @@ def _on_one(
                 remedy="Let this person draw, or take the file out",
             )
         files.append({name: scanned.in_mesh_unit(one, scan.mesh, foreign.mm_per_unit) for name, one in curves.items()})
-    surface = scanned.as_scanned(scanned.finer_along(scan, [one for curves in files for one in curves.values()]))
-    fine = surface.mesh
+    scan = scanned.finer_scan(scan, [one for curves in files for one in curves.values()])
+    surface, fine = scanned.as_scanned(scan.mesh, scan.invented), scan.mesh
     frame = _frame(surface, files, axes)
     found = []
     for number, (each, curves) in enumerate(zip(drawn, files, strict=True)):
@@ -133,7 +133,7 @@ def _on_one(
         progress((number + 1) / len(drawn))
     flat = [(each.observer, one) for each, curves in zip(drawn, files, strict=True) for one in curves.values()]
     name = shown_name(path.with_suffix(""))
-    return DrawnSurface(name=name, mesh=scan.mesh, frame=frame, curves=tuple(flat)), found
+    return DrawnSurface(name=name, mesh=foreign.mesh, frame=frame, curves=tuple(flat)), found
 
 
 def _frame(

@@ -206,7 +206,7 @@ def measure(
     ],
     units: Annotated[
         str | None,
-        _mesh_option(help="Unit of the mesh: mm, cm or m.", show_default="as the file states, else required"),
+        _mesh_option(help="Unit of the mesh: mm, cm or m.", show_default="as the file states, or a torso's size shows"),
     ] = None,
     boundary: Annotated[Path | None, _mesh_option(help="A boundaries.json: closed curves on the mesh.")] = None,
     landmarks: Annotated[

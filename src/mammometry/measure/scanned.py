@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from mammometry.base.errors import MeasureError
-from mammometry.geometry.arrays import Array, Float64
+from mammometry.geometry.arrays import Array, Bool, Float64
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.nearest import point_tree
@@ -31,23 +31,32 @@ _FACES_AT_MOST = 4_000_000  # of a refined mesh; chosen for memory
 _VIEWER_MM, _EYES_MM = 1500.0, 200.0  # distance and eye distance of the viewer; only directions matter
 _VIEWER_PX = 1000  # size and focal length of the viewer's pictures; they are never rendered
 _ONE_SIDED = 0.05  # mean of the normals of a mesh that shows one side; chosen by eye
+_ALONG_AXIS = np.cos(np.deg2rad(20.0))  # a front that looks this near to an axis stands along it; chosen by eye
+_SQUARE = 1e-6  # cosine of the angle between head and straight ahead
 _ON_MESH_MM = 15.0  # median distance from the vertices at which a curve lies on a mesh, however coarse; chosen by eye
 
 Places = Mapping[str, Float64[Array, "_ 3"]]
 """Landmark → its points, mm, world frame."""
 
 
-def as_scanned(scan: RepairedScan) -> RepairedSurface:
+def as_scanned(mesh: TriangleMesh, invented: Bool[Array, " n"] | None = None) -> RepairedSurface:
     """Take a mesh as measured all over, but for closed holes.
 
+    Args:
+        mesh: mm.
+        invented: vertices of closed holes. None: there are none.
+
     Raises:
-        MeasureError: it is empty, in several pieces, not a surface everywhere, or not one with an outside.
+        MeasureError: it is empty, or not a surface everywhere.
     """
-    check_mesh(scan.mesh)
-    n = len(scan.mesh.vertices)
+    check_mesh(mesh)
+    n = len(mesh.vertices)
+    provenance = np.full(n, Provenance.MEASURED, dtype=np.uint8)
+    if invented is not None:
+        provenance[invented] = Provenance.INVENTED
     return RepairedSurface(
-        mesh=scan.mesh,
-        provenance=np.where(scan.invented, Provenance.INVENTED, Provenance.MEASURED).astype(np.uint8),
+        mesh=mesh,
+        provenance=provenance,
         sigma_mm=np.full(n, np.nan, dtype=np.float32),
         pair_bits=np.zeros(n, dtype=np.int32),
         pair_names=(),
@@ -81,14 +90,30 @@ def check_mesh(mesh: TriangleMesh) -> None:
         )
 
 
-def finer_along(scan: RepairedScan, curves: Sequence[Float64[Array, "_ 3"]]) -> RepairedScan:
+def finer_scan(scan: RepairedScan, curves: Sequence[Float64[Array, "_ 3"]]) -> RepairedScan:
+    """Shorten a scan's edges near the curves, as `finer_along`.
+
+    What lies on an edge of invented skin is invented.
+    """
+    mesh, invented = _finer(scan.mesh, scan.invented, curves)
+    return replace(scan, mesh=mesh, invented=invented)
+
+
+def finer_along(mesh: TriangleMesh, curves: Sequence[Float64[Array, "_ 3"]]) -> TriangleMesh:
     """Shorten edges near the curves, so that the mesh can be cut.
 
     New vertices come last.
     """
-    vertices, faces, invented = scan.mesh.vertices, scan.mesh.faces, scan.invented
+    return _finer(mesh, np.zeros(len(mesh.vertices), dtype=bool), curves)[0]
+
+
+def _finer(
+    mesh: TriangleMesh, marked: Bool[Array, " n"], curves: Sequence[Float64[Array, "_ 3"]]
+) -> tuple[TriangleMesh, Bool[Array, " m"]]:
+    """A mesh with shorter edges near the curves. New vertices are marked where an end of their edge is."""
     if not curves:
-        return scan
+        return mesh, marked
+    vertices, faces = mesh.vertices, mesh.faces
     low = np.min([curve.min(axis=0) for curve in curves], axis=0) - _MARGIN_MM
     high = np.max([curve.max(axis=0) for curve in curves], axis=0) + _MARGIN_MM
     while len(faces) < _FACES_AT_MOST:
@@ -100,8 +125,8 @@ def finer_along(scan: RepairedScan, curves: Sequence[Float64[Array, "_ 3"]]) -> 
             break
         faces = split_edges(faces, of_face, split, len(vertices))
         vertices = np.concatenate([vertices, (a[split] + b[split]) / 2])
-        invented = np.concatenate([invented, invented[edges[split]].any(axis=1)])
-    return replace(scan, mesh=TriangleMesh(vertices=vertices, faces=faces), invented=invented)
+        marked = np.concatenate([marked, marked[edges[split]].any(axis=1)])
+    return TriangleMesh(vertices=vertices, faces=faces), marked
 
 
 def check_cut(name: str, points_world: Float64[Array, "n 3"], mesh: TriangleMesh) -> None:
@@ -165,7 +190,7 @@ def frame_from_axes(mesh: TriangleMesh, head: str | None = None, ahead: str | No
     Args:
         mesh: the torso, mm.
         head: the file's axis towards the head: ``x``, ``-x``, ``y`` … None: ``y``, or ``z`` where that is ahead.
-        ahead: the axis straight ahead. None: the one to which an open mesh's skin looks on average.
+        ahead: the axis straight ahead. None: where an open mesh's skin looks on average, an axis or between two.
 
     Raises:
         MeasureError: no such axis, both along one line, or a mesh that looks to all sides alike.
@@ -179,12 +204,15 @@ def frame_from_axes(mesh: TriangleMesh, head: str | None = None, ahead: str | No
                 expected="the side that is the patient's front",
                 remedy="Say which of the file's axes points straight ahead: --ahead z, for example",
             )
-        forward = np.zeros(3)
-        forward[np.argmax(np.abs(looks))] = np.sign(looks[np.argmax(np.abs(looks))])
+        up = _axis(head or ("z" if np.argmax(np.abs(looks)) == 1 else "y"), "--head")
+        forward = looks - up * (looks @ up)
+        forward /= max(float(np.linalg.norm(forward)), 1e-12)
+        axis = np.sign(forward) * (np.abs(forward) == np.abs(forward).max())
+        forward = axis if forward @ axis > _ALONG_AXIS else forward
     else:
         forward = _axis(ahead, "--ahead")
-    up = _axis(head or ("z" if abs(forward[1]) > 0 else "y"), "--head")
-    if abs(up @ forward) > 0:
+        up = _axis(head or ("z" if abs(forward[1]) > 0 else "y"), "--head")
+    if abs(up @ forward) > _SQUARE:
         raise MeasureError(
             "mesh",
             found="the head and straight ahead along one axis",

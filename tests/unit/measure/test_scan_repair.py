@@ -12,12 +12,13 @@ from mammometry.geometry.mesh import TriangleMesh, joined
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.boundary.trace import edge_loop
 from mammometry.measure.scan_repair import WIDEST_HOLE_MM, RepairedScan, repair_scan
-from mammometry.measure.scanned import as_scanned, finer_along
+from mammometry.measure.scanned import as_scanned, finer_scan
 from mammometry.measure.solid.cut import inside_curve
 from mammometry.measure.volume.uncertainty import Evidence
 from mammometry.measure.volume.volumes import measured_or_refused
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.open_breast import OpenBreast, open_breasts
+from mammometry.surface.repair import RepairedSurface
 
 TRUNK = trunk_mesh(3.0)
 FRONT = TRUNK.submesh(TRUNK.corners().mean(axis=1)[:, 2] > -20)
@@ -36,9 +37,14 @@ def off_mm(scan: RepairedScan) -> np.ndarray:
     return np.hypot(x, z) - radius_mm(np.arctan2(x, z), y)
 
 
+def surface_of(scan: RepairedScan, curves: dict[str, Boundary] = CURVES) -> RepairedSurface:
+    fine = finer_scan(scan, [curve.points_world for curve in curves.values()])
+    return as_scanned(fine.mesh, fine.invented)
+
+
 def cc(scan: RepairedScan, curves: dict[str, Boundary] = CURVES) -> dict[str, float]:
     """Volumes within drawn curves."""
-    surface = as_scanned(finer_along(scan, [curve.points_world for curve in curves.values()]))
+    surface = surface_of(scan, curves)
     return {
         breast.boundary.name: chest_wall.fit(breast).closed.volume_mm3() / 1000
         for breast in open_breasts(list(curves.values()), surface)
@@ -60,7 +66,7 @@ def test_a_small_hole_is_closed_as_the_skin_around_it_curves(width_mm: float) ->
 def test_a_wide_hole_stays_and_the_volume_is_refused_on_every_road() -> None:
     scan = repair_scan(holed(TRUNK, 1.3 * WIDEST_HOLE_MM))
     assert scan.notes == ()
-    surface = as_scanned(finer_along(scan, [CURVES["left"].points_world]))
+    surface = surface_of(scan)
     (left,) = open_breasts([CURVES["left"]], surface, frame=np.eye(3))
     (refusal,) = measured_or_refused([left])
     assert isinstance(refusal, MeasureError)
@@ -86,9 +92,7 @@ def test_a_casts_hole_is_refused_too() -> None:
 def test_a_closed_holes_uncertainty_is_in_the_interval() -> None:
     whole, mended = (
         measured_or_refused(
-            open_breasts(
-                [CURVES["left"]], as_scanned(finer_along(scan, [CURVES["left"].points_world])), frame=np.eye(3)
-            ),
+            open_breasts([CURVES["left"]], surface_of(scan), frame=np.eye(3)),
             Evidence(),
         )[0]
         for scan in (repair_scan(FRONT), repair_scan(holed(FRONT, 24.0)))

@@ -7,7 +7,7 @@ from trunks import LEFT, RADIUS_MM, RIGHT, edge_of, radius_mm, trunk_mesh
 
 from mammometry.base.errors import MeasureError
 from mammometry.geometry.mesh import TriangleMesh, joined
-from mammometry.measure.scan_repair import RepairedScan, largest_part, repair_scan
+from mammometry.measure.scan_repair import largest_part, repair_scan
 from mammometry.measure.scanned import (
     as_scanned,
     check_cut,
@@ -26,12 +26,8 @@ def with_faces(mesh: TriangleMesh, faces: np.ndarray) -> TriangleMesh:
     return TriangleMesh(vertices=mesh.vertices, faces=np.ascontiguousarray(faces, dtype=np.int32))
 
 
-def untouched(mesh: TriangleMesh) -> RepairedScan:
-    return RepairedScan(mesh=mesh, invented=np.zeros(len(mesh.vertices), dtype=bool), notes=())
-
-
 def test_a_whole_mesh_is_taken_as_measured_everywhere() -> None:
-    surface = as_scanned(untouched(ball(50.0, 3)))
+    surface = as_scanned(ball(50.0, 3))
     assert (surface.provenance == Provenance.MEASURED).all()
     assert surface.pair_names == ()
     assert np.isnan(surface.sigma_mm).all()
@@ -70,7 +66,7 @@ def test_pieces_are_counted_and_the_largest_can_be_taken() -> None:
 @pytest.mark.slow
 def test_a_finer_mesh_has_the_same_shape() -> None:
     coarse = trunk_mesh(9.0)
-    fine = finer_along(untouched(coarse), list(EDGES.values())).mesh
+    fine = finer_along(coarse, list(EDGES.values()))
     assert fine.is_watertight()
     assert fine.volume_mm3() == pytest.approx(coarse.volume_mm3(), rel=1e-12)
     assert fine.area_mm2() == pytest.approx(coarse.area_mm2(), rel=1e-12)
@@ -79,8 +75,7 @@ def test_a_finer_mesh_has_the_same_shape() -> None:
     middle = ends.mean(axis=1)
     near = np.linalg.norm(middle[:, None] - EDGES["left"][None, ::4], axis=2).min(axis=1) < 10
     assert length[near].max() <= 2.0
-    scan = untouched(coarse)
-    assert finer_along(scan, []) is scan
+    assert finer_along(coarse, []) is coarse
 
 
 def test_a_hole_or_a_hollow_within_the_boundary_is_named() -> None:
@@ -107,7 +102,7 @@ def test_the_viewer_stands_upright_before_the_patient() -> None:
 
 
 def test_the_frame_comes_from_both_boundaries_or_from_landmarks_of_one_side() -> None:
-    surface = as_scanned(untouched(trunk_mesh(4.0)))
+    surface = as_scanned(trunk_mesh(4.0))
     both = viewing_frame(surface, EDGES, {})
     assert np.abs(both - np.eye(3)).max() < 0.1
 
@@ -129,7 +124,7 @@ def test_the_frame_comes_from_both_boundaries_or_from_landmarks_of_one_side() ->
 
 
 def test_exchanged_sides_are_told_by_the_notch() -> None:
-    surface = as_scanned(untouched(trunk_mesh(4.0)))
+    surface = as_scanned(trunk_mesh(4.0))
     notch = {"sternal_notch": np.array([[0.0, 130.0, RADIUS_MM]])}
     assert viewing_frame(surface, EDGES, notch)[1, 1] > 0.9
     exchanged = {"left": EDGES["right"], "right": EDGES["left"]}
@@ -139,5 +134,5 @@ def test_exchanged_sides_are_told_by_the_notch() -> None:
 
 def test_a_cast_is_looked_at_from_where_it_stands_out() -> None:
     rim = 60 * np.stack([np.cos(t := np.linspace(0, 2 * np.pi, 90, endpoint=False)), np.sin(t), 0 * t], axis=1)
-    frame = viewing_frame(as_scanned(untouched(dome())), {"model": rim}, {})
+    frame = viewing_frame(as_scanned(dome()), {"model": rim}, {})
     assert np.allclose(frame, np.eye(3), atol=1e-9)

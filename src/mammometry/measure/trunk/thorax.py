@@ -367,6 +367,7 @@ def fit_thorax(
             found=f"{len(radius)} points of skin around the breasts",
             expected=f"at least {4 * design.shape[1]}",
             remedy="Photograph the trunk beside, above and below the breasts too",
+            mesh_remedy="Scan the trunk beside, above and below the breasts too",
         )
     for _ in range(_FIT_ROUNDS):
         weighted = design * weights[:, None]

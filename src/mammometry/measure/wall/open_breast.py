@@ -142,8 +142,8 @@ class OpenBreast:
         if frame is None:
             raise MeasureError(
                 "chest wall",
-                found="neither cameras nor a boundary on each side",
-                expected="one of the two, to tell the patient's left from right and head from foot",
+                found="no boundary on each side",
+                expected="both, or the body's directions, to tell the patient's left from right and head from foot",
                 remedy="Give both boundaries, or choose --set measure.wall=membrane",
             )
         height_of = self.boundary.points_world.mean(axis=0)
