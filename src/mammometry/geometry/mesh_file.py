@@ -17,6 +17,7 @@ from mammometry.base.errors import MammometryError, SessionError
 from mammometry.base.parse import LARGEST, json_value, read_bytes, said
 from mammometry.geometry.arrays import Array, Float64, Int32, Int64, UInt8
 from mammometry.geometry.obj_file import decimal_commas, parse_obj
+from mammometry.geometry.ply_file import parse_ply
 
 SUFFIXES = (".ply", ".obj", ".stl", ".glb")
 _KINDS = "a mesh as PLY, OBJ, STL or GLB"
@@ -65,7 +66,14 @@ def read_triangles(path: Path) -> tuple[Float64[Array, "n 3"], Int32[Array, "m 3
     if not len(faces):
         raise _refused(path, "no triangle with an area", "a triangulated surface", "Export it again")
     used, compact = np.unique(faces, return_inverse=True)
-    return vertices[first[used]], compact.reshape(-1, 3).astype(np.int32), colours[first[used]]
+    return vertices[first[used]], _in_order(compact.reshape(-1, 3)).astype(np.int32), colours[first[used]]
+
+
+def _in_order(faces: Int64[Array, "m 3"]) -> Int64[Array, "m 3"]:
+    """Faces in the order of their corners, each with its smallest first: no result hangs on a file's order."""
+    start = np.argmin(faces, axis=1)
+    turned = np.take_along_axis(faces, (start[:, None] + np.arange(3)) % 3, axis=1)
+    return turned[np.lexsort(turned.T[::-1])]
 
 
 def _parsed(path: Path, content: bytes) -> tuple[Float64[Array, "n 3"], Int64[Array, "m 3"], UInt8[Array, "n 3"]]:
@@ -73,8 +81,8 @@ def _parsed(path: Path, content: bytes) -> tuple[Float64[Array, "n 3"], Int64[Ar
         obj = parse_obj(content, str(path))
         grey = np.full((len(obj.points), 3), _GREY, dtype=np.uint8)
         return obj.points, obj.faces, grey if obj.colours is None else obj.colours
-    if path.suffix.lower() == ".ply" and b"element tristrips" in content[:_HEAD_BYTES]:
-        raise _refused(path, "triangle strips", "single triangles (element face)", "Export it without strips")
+    if path.suffix.lower() == ".ply":
+        return parse_ply(content, str(path))
     loaded = _loaded(path, content)
     vertices = np.asarray(loaded.vertices, dtype=np.float64).reshape(-1, 3)
     return vertices, np.asarray(loaded.faces, dtype=np.int64).reshape(-1, 3), _colours(loaded, len(vertices))

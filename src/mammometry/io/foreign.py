@@ -45,13 +45,14 @@ class ForeignMesh:
         object.__setattr__(self, "colours", read_only(self.colours))
 
 
-def read_foreign(path: Path, units: str | None = None) -> ForeignMesh:
+def read_foreign(path: Path, units: str | None = None, *, of_torso: bool = False) -> ForeignMesh:
     """Read a mesh file.
 
     Args:
         path: a PLY, OBJ, STL or GLB.
         units: ``mm``, ``cm`` or ``m``; None where the file states it: GLB by its standard (metres), PLY and OBJ in a
             comment (``comment units: mm``).
+        of_torso: whether it is known to be a torso, or a whole body. Its size then shows a unit that nobody states.
 
     Raises:
         SessionError: the file cannot be read or holds no triangles; nobody says its unit, or in that unit it is no
@@ -63,10 +64,18 @@ def read_foreign(path: Path, units: str | None = None) -> ForeignMesh:
     if unit is not None and unit not in MM_PER_UNIT:
         raise _refused(path, f"the unit {unit!r}", f"one of {', '.join(MM_PER_UNIT)}", "Correct --units")
     vertices, faces, colours = read_triangles(path)
+    if unit is None and of_torso:
+        unit, who = _unit_of_torso(float(np.ptp(vertices, axis=0).max())), SHOWN_BY_SIZE
     if unit is None:
         raise _refused(
             path, "no unit", "the unit of its coordinates, which such files do not state", "Add --units mm, cm or m"
         )
+<<<<<<< HEAD
+=======
+    if unit not in MM_PER_UNIT:
+        raise _refused(path, f"the unit {unit!r}", f"one of {', '.join(MM_PER_UNIT)}", "Correct --units")
+    vertices, faces, colours = triangles or read_triangles(path)
+>>>>>>> meshes
     step_mm = _step(vertices) * MM_PER_UNIT[unit]
     vertices = vertices * MM_PER_UNIT[unit]
     extent = subject_extent(float(np.ptp(vertices, axis=0).max()))
@@ -88,6 +97,14 @@ def read_foreign(path: Path, units: str | None = None) -> ForeignMesh:
         )
     mesh = TriangleMesh(vertices=vertices, faces=faces)
     return ForeignMesh(mesh=mesh, colours=colours, units=f"{unit}, {who}", mm_per_unit=MM_PER_UNIT[unit])
+
+
+def _unit_of_torso(extent: float) -> str | None:
+    """The one unit in which this is the length of a torso or of a whole body."""
+    for unit, factor in MM_PER_UNIT.items():
+        if _TORSO_MM[0] <= extent * factor < _TORSO_MM[1]:
+            return unit
+    return None
 
 
 def _step(vertices: Float64[Array, "n 3"]) -> float:
