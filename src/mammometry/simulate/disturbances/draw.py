@@ -97,9 +97,7 @@ def _faults(rng: np.random.Generator, difficulty: int) -> Iterable[Disturbance]:
 
 
 def _of(stage: Stage) -> list[str]:
-    return [
-        name for name, kind in DISTURBANCES.items() if kind.stage == stage and name not in _OF_OTHER_CAPTURES
-    ]
+    return [name for name, kind in DISTURBANCES.items() if kind.stage == stage and name not in _OF_OTHER_CAPTURES]
 
 
 def _sized(kind: DisturbanceKind, rng: np.random.Generator, share: float = 1.0) -> Disturbance:
