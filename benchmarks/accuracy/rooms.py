@@ -66,7 +66,7 @@ def case(seed: int) -> Case:
     """The capture of a seed."""
     rng = np.random.default_rng([seed, 98])
     family = seed // 3 % 4
-    pale, blur = rng.uniform(0.45, 0.85), rng.choice([0.0, rng.uniform(4.0, 14.0)])
+    pale, blur = rng.uniform(0.45, 0.85), rng.choice([0.0, rng.uniform(3.0, 8.0)])
     grey = ",grey" if rng.random() < 0.5 else ""
     soft = f",soft-focus={blur:.1f}" if blur else ""
     rig = str(rng.choice(["three", "three_far"]))

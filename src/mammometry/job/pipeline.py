@@ -304,7 +304,9 @@ def match(inputs: Inputs, cameras: Product[CameraSet], settings: MatchSettings, 
     disparities = {pair: disparity(pair, left, right) for pair, (left, right) in inputs.pair_names.items()}
     rows = rows_of(disparities, memo)
     pairs = tuple((pair, left, right) for pair, (left, right) in inputs.pair_names.items())
-    return Matched(names=names, subjects=subjects, foregrounds=foregrounds, disparities=disparities, rows=rows, pairs=pairs)
+    return Matched(
+        names=names, subjects=subjects, foregrounds=foregrounds, disparities=disparities, rows=rows, pairs=pairs
+    )
 
 
 # --- 2.4 to 2.6 Surface ----------------------------------------------------------------------------------------------
@@ -412,13 +414,14 @@ def surface(
     ranges = {pair: ranged(pair) for pair in matched.disparities}
     stillness = what_moved(calibrated.cameras, calibrated.calibration, ranges, matched.rows, settings.stillness, memo)
     cameras = where_they_stood(calibrated.cameras, stillness, memo)
-    kept, valid = kept_data(calibrated.cameras, stillness, ranges, settings, memo)
+    given = {"subject": inputs.digests["subject"]}
+    of_subject = matched.subjects, inputs.subject_kind
+    kept, valid = kept_data(calibrated.cameras, stillness, ranges, *of_subject, settings, memo, inputs=given)
     seen: dict[str, Parent] = {"cameras": cameras, "valid": valid, "foregrounds": matched.foregrounds}
     blocked: Product[Mapping[str, Blocked]] = Product(memo, "surface", "blocked", find_blocked, parents=seen)
     solid: Product[Solid | None] = Product(
         None, "surface", "solid", enclose, parents={**seen, "blocked": blocked}
     ).letting_go(*matched.foregrounds.values())
-    given = {"subject": inputs.digests["subject"]}
     body: dict[str, Parent] = {"valid": valid, "solid": solid}
     first: Product[TriangleMesh] = Product(
         memo, "surface", "first", build, parents=body, settings=extraction, inputs=given

@@ -41,7 +41,7 @@ VERSIONS: Registry[int] = Registry(
         "range": 3,
         "stillness": 4,
         "stood": 2,
-        "valid": 4,
+        "valid": 5,
         "data": 1,
         "blocked": 6,
         "first": 10,

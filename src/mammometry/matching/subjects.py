@@ -32,8 +32,10 @@ class Subjects:
     """Point about which it stands, world frame, mm. None where no pair sees anything."""
     blocks: Mapping[str, Bool[Array, "h w"]]
     """Camera → the subject's blocks. It lacks cameras whose silhouette is not known."""
+    blind: tuple[str, ...]
+    """Cameras whose silhouette is not known: all that they see may be the subject."""
     doubts: Mapping[str, str]
-    """Camera → why its silhouette is not known."""
+    """Camera → why its silhouette was sought and is not known."""
 
     def __post_init__(self) -> None:
         object.__setattr__(
@@ -63,7 +65,8 @@ def find_subjects(
     depths = _depths(rig, photographs)
     middle = subject_middle(rig, depths)
     if settings.mode == "all":
-        return Subjects(middle_world=middle, blocks={}, doubts={})
+        blind = tuple(name for name in photographs if name not in given)
+        return Subjects(middle_world=middle, blocks={}, blind=blind, doubts={})
     seeds = [one for pair in depths if middle is not None for one in depth_seeds(pair, middle)]
 
     def search(camera: str) -> tuple[Blocks, Bool[Array, "h w"] | None]:
@@ -89,7 +92,10 @@ def find_subjects(
     for name in _partners(rig, set(doubts)) - set(given) - set(doubts):
         doubts[name] = "its partner's silhouette is not known"
     return Subjects(
-        middle_world=middle, blocks={name: mask for name, mask in masks.items() if name not in doubts}, doubts=doubts
+        middle_world=middle,
+        blocks={name: mask for name, mask in masks.items() if name not in doubts},
+        blind=tuple(doubts),
+        doubts=doubts,
     )
 
 
