@@ -69,6 +69,35 @@ for about in Calibration.objects.order_by("taken_at"):
     print(*Job.objects.filter(calibration=about).order_by("created").values_list("state", flat=True))
 """
 
+# Enters volumes with the tables of the version before they were marked, and migrates on.
+_VOLUMES = """
+import sys
+from pathlib import Path
+from mammometry.clinic.config import read_config
+from mammometry.clinic.site import configure
+config = read_config(Path(sys.argv[1]))
+configure(config)
+from django.core.management import call_command
+from django.db import connection
+from django.db.migrations.executor import MigrationExecutor
+from django.utils import timezone
+call_command("migrate", "clinic", "0006_scans", verbosity=0)
+apps = MigrationExecutor(connection).loader.project_state([("clinic", "0006_scans")]).apps
+Patient, Visit, Measurement, Volume = (
+    apps.get_model("clinic", name) for name in ("Patient", "Visit", "Measurement", "Volume")
+)
+patient = Patient.objects.create(family_name="A", given_name="B", record_number="1", pseudonym="P-AAAAAA")
+visit = Visit.objects.create(patient=patient, taken_at=timezone.now())
+measurement = Measurement.objects.create(visit=visit, digest="d", made_at=timezone.now(), software="1")
+for side, definition in (
+    ("left", "any"), ("left", "flat chest"), ("left", "another"), ("right", "b"), ("right", "a"), ("difference", "any")
+):
+    Volume.objects.create(measurement=measurement, side=side, definition=definition)
+call_command("migrate", verbosity=0)
+from mammometry.clinic.models import Volume
+print(*sorted(map(" ".join, Volume.objects.filter(leads=True).values_list("side", "definition"))), sep=", ")
+"""
+
 
 def migrated(folder: Path, stops: list[int]) -> list[int]:
     """Migrate once for each stop; the signals that ended them."""
@@ -111,3 +140,12 @@ def test_jobs_that_were_open_twice_are_cancelled_but_for_one(tmp_path: Path) -> 
     assert done.returncode == 0, done.stderr
     # The older one stays of two that wait; the one at work stays; what has ended was never open.
     assert done.stdout.split("\n")[:3] == ["queued cancelled", "cancelled running", "done queued"]
+
+
+@pytest.mark.slow
+def test_which_volume_leads_is_marked_in_earlier_results(tmp_path: Path) -> None:
+    new_clinic(tmp_path / "clinic", name="Clinic")
+    words = [sys.executable, "-c", _VOLUMES, str(tmp_path / "clinic")]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=300, check=False, env=os.environ)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split("\n")[0] == "difference any, left flat chest, right a"

@@ -9,6 +9,8 @@ from django.db import migrations, models
 
 from mammometry.clinic.search_words import words_of
 
+LEADING = ("measured wall", "flat chest", "named wall", "muscle", "closed solid", "any")
+
 
 def fill_search_words(apps: Any, schema_editor: Any) -> None:
     """Let patients who were entered before be found by a search."""
@@ -16,6 +18,20 @@ def fill_search_words(apps: Any, schema_editor: Any) -> None:
         texts = patient.family_name, patient.given_name, patient.record_number, patient.pseudonym
         patient.search_words = words_of(texts)
         patient.save(update_fields=["search_words"])
+
+
+def mark_leading_volumes(apps: Any, schema_editor: Any) -> None:
+    """Mark which volume of each side leads, of measurements that were entered before."""
+    volumes = apps.get_model("clinic", "Volume").objects
+    leaders: dict[tuple[Any, str], tuple[tuple[int, str], Any]] = {}
+    columns = "measurement_id", "side", "definition", "pk"
+    for measurement, side, definition, key in volumes.order_by().values_list(*columns).iterator():
+        rank = LEADING.index(definition) if definition in LEADING else len(LEADING)
+        candidate = (rank, definition), key
+        leaders[measurement, side] = min(leaders.get((measurement, side), candidate), candidate)
+    keys = [key for _, key in leaders.values()]
+    for first in range(0, len(keys), 500):
+        volumes.filter(pk__in=keys[first : first + 500]).update(leads=True)
 
 
 class Migration(migrations.Migration):
@@ -160,6 +176,12 @@ class Migration(migrations.Migration):
             field=models.TextField(blank=True, default="", editable=False),
         ),
         migrations.RunPython(fill_search_words, migrations.RunPython.noop),
+        migrations.AddField(
+            model_name="volume",
+            name="leads",
+            field=models.BooleanField(default=False),
+        ),
+        migrations.RunPython(mark_leading_volumes, migrations.RunPython.noop),
         migrations.AddField(
             model_name="visit",
             name="binned_at",
@@ -392,5 +414,13 @@ class Migration(migrations.Migration):
         migrations.AddConstraint(
             model_name="comparison",
             constraint=models.UniqueConstraint(fields=("before", "after"), name="one_comparison_each"),
+        ),
+        migrations.AddIndex(
+            model_name="volume",
+            index=models.Index(
+                condition=models.Q(("leads", True)),
+                fields=["measurement", "side", "definition", "volume_cc"],
+                name="leading_volumes",
+            ),
         ),
     ]
