@@ -42,6 +42,7 @@ _POINTS = 20_000  # at which surfaces are judged, at most
 _RIGHT_MM, _STRAY_MM = 1.0, 3.0  # from the truth: right; beside the subject
 _COMPLETE, _STRAY = 0.6, 0.1  # of the skin that pairs see, at least; of the measured surface, at most
 _CUBE_MM = 1.0
+_FIGURE_CONTRAST = 0.12  # of a figure's paint: skin of a few centimetres has no texture that 640 pixels show
 _PIXELS_WIDE = 0.2, 0.5
 """Scales of the rigs of three cameras and of twelve: 800 and 640 pixels."""
 
@@ -96,7 +97,7 @@ def photographed(one: Case, session: Path) -> None:
             poses=1 if one.given else 9,
             situation=parse_situation(one.situation),
         ),
-        Studio(skin=make_skin(one.skin)),
+        Studio(skin=make_skin(one.skin, contrast=_FIGURE_CONTRAST if one.given else None)),
     )
     if one.given:
         shutil.copy(session / "truth" / "cameras.json", session / "cameras.json")

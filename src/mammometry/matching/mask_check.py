@@ -8,6 +8,7 @@ others.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence, Set
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import ndimage
@@ -23,14 +24,24 @@ _GRID = 48  # of the hull, along each side
 _REACH = 0.7  # half the grid's side, of the pictures' height at the subject's middle
 
 
-def contradicted(
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Checked:
+    """Silhouettes that fit one another, and those that do not."""
+
+    masks: Mapping[str, Bool[Array, "h w"]]
+    """Camera → the subject's blocks, without parts that the others contradict."""
+    doubts: Mapping[str, str]
+    """Camera → why its silhouette is not one of them."""
+
+
+def check_masks(
     rig: Rig,
     masks: Mapping[str, Bool[Array, "h w"]],
     steps: Mapping[str, int],
     seen: Sequence[tuple[Set[str], Float64[Array, "n 3"]]],
     middle_world: Float64[Array, 3],
-) -> dict[str, str]:
-    """Cameras whose silhouettes others contradict, each with the reason.
+) -> Checked:
+    """Compare the cameras' silhouettes.
 
     Args:
         rig: calibrated cameras.
@@ -47,22 +58,18 @@ def contradicted(
         if len(within) >= _FEWEST and within.mean() < _WITHIN:
             doubts[name] = f"only {100 * within.mean():.0f} % of what the pairs see near lies within its silhouette"
     left = {name: mask for name, mask in masks.items() if name not in doubts}
-    if len(left) < 2:
-        return doubts
     grid = _grid(rig, middle_world)
     places = {name: _in_blocks(rig.cameras[name], grid, steps[name]) for name in left}
     while len(left) > 1:
-        filled = _filled(left, places)
-        if min(filled.values()) >= _FILLED:
+        hull = _hull(left, places)
+        filled = [_filled(mask, places[name], hull) for name, mask in left.items()]
+        if min(float(cells[part].mean()) if part.any() else 0.0 for part, cells, _ in filled) >= _FILLED:
+            left = {name: _parts(mask, *cells) for (name, mask), cells in zip(left.items(), filled, strict=True)}
             break
-        without = {
-            name: min(_filled({other: mask for other, mask in left.items() if other != name}, places).values())
-            for name in left
-        }
-        worst = max(without, key=lambda name: without[name])
+        worst = max(left, key=lambda name: _least_filled({k: v for k, v in left.items() if k != name}, places))
         share = 100 * left.pop(worst).mean()
         doubts[worst] = f"its silhouette of {share:.0f} % of the picture does not fit the other cameras'"
-    return doubts
+    return Checked(masks=left, doubts=doubts)
 
 
 def _grid(rig: Rig, middle_world: Float64[Array, 3]) -> Float64[Array, "n 3"]:
@@ -88,25 +95,52 @@ def _in_blocks(
     return places[:, 1], places[:, 0], inside
 
 
-def _filled(
-    masks: Mapping[str, Bool[Array, "h w"]], places: Mapping[str, tuple[Array, Array, Bool[Array, " n"]]]
-) -> dict[str, float]:
-    """Camera → share of its silhouette, within the grid's picture, that the hull of all fills."""
+_Places = Mapping[str, tuple[Array, Array, Bool[Array, " n"]]]
+
+
+def _hull(masks: Mapping[str, Bool[Array, "h w"]], places: _Places) -> Bool[Array, " n"]:
+    """Points of the grid that no silhouette excludes."""
     hull = np.ones(_GRID**3, dtype=bool)
     for name, mask in masks.items():
         rows, columns, inside = places[name]
         hull &= ~inside | mask[rows, columns]
-    found = {}
+    return hull
+
+
+def _least_filled(masks: Mapping[str, Bool[Array, "h w"]], places: _Places) -> float:
+    hull = _hull(masks, places)
+    shares = []
     for name, mask in masks.items():
-        rows, columns, inside = places[name]
-        cell = max(1, round(np.hypot(*mask.shape) / _GRID))
-        size = tuple(length // cell + 1 for length in mask.shape)
-        counts = [np.zeros(size, dtype=bool) for _ in range(2)]
-        for picture, chosen in zip(counts, (inside, inside & hull), strict=True):
-            picture[rows[chosen] // cell, columns[chosen] // cell] = True
-        anywhere, filled = (ndimage.binary_dilation(picture, iterations=1) for picture in counts)
-        of_mask = np.zeros(size, dtype=bool)
-        of_mask[tuple(np.array(np.nonzero(mask)) // cell)] = True
-        of_mask &= anywhere
-        found[name] = float(filled[of_mask].mean()) if of_mask.any() else 0.0
-    return found
+        part, cells, _ = _filled(mask, places[name], hull)
+        shares.append(float(cells[part].mean()) if part.any() else 0.0)
+    return min(shares)
+
+
+def _filled(
+    mask: Bool[Array, "h w"], places: tuple[Array, Array, Bool[Array, " n"]], hull: Bool[Array, " n"]
+) -> tuple[Bool[Array, "H W"], Bool[Array, "H W"], int]:
+    """A silhouette's cells in the grid's picture, cells that the hull fills, and blocks to a cell."""
+    rows, columns, inside = places
+    cell = max(1, round(float(np.hypot(*mask.shape)) / _GRID))
+    pictures = np.zeros((3, *(length // cell + 1 for length in mask.shape)), dtype=bool)
+    for picture, chosen in zip(pictures, (inside, inside & hull), strict=False):
+        picture[rows[chosen] // cell, columns[chosen] // cell] = True
+    pictures[2][tuple(np.array(np.nonzero(mask)) // cell)] = True
+    anywhere, filled = (ndimage.binary_dilation(picture) for picture in pictures[:2])
+    return pictures[2] & anywhere, filled, cell
+
+
+def _parts(
+    mask: Bool[Array, "h w"], part: Bool[Array, "H W"], filled: Bool[Array, "H W"], cell: int
+) -> Bool[Array, "h w"]:
+    """The silhouette without connected parts that the hull hardly fills."""
+    labels, count = ndimage.label(mask)
+    if count < 2:
+        return mask
+    rows, columns = (np.arange(length) // cell for length in mask.shape)
+    judged, kept = part[np.ix_(rows, columns)], filled[np.ix_(rows, columns)]
+    numbers = np.arange(count + 1)
+    sizes = np.maximum(ndimage.sum_labels(judged, labels, numbers), 1)
+    alone = ndimage.sum_labels(judged & ~kept, labels, numbers) > (1 - _FILLED) * sizes
+    alone[0] = False
+    return mask & ~alone[labels]

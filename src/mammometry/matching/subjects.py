@@ -18,7 +18,7 @@ from mammometry.geometry.arrays import Array, Bool, Float64, read_only
 from mammometry.geometry.camera import Rig
 from mammometry.matching.coarse_depth import CoarseDepths, coarse_depths, depth_seeds, near_points, subject_middle
 from mammometry.matching.foreground import Blocks, blocks_of, subject_blocks
-from mammometry.matching.mask_check import contradicted
+from mammometry.matching.mask_check import check_masks
 from mammometry.matching.settings import ForegroundSettings
 
 _AT_ONCE = 4  # photographs in memory; at full size each has 40 MB
@@ -88,7 +88,8 @@ def find_subjects(
         points = [(pair, near_points(pair, middle)) for pair in depths]
         steps = {name: searched[name][0].step for name in masks}
         seen = [({camera.name for camera in pair.cameras}, found) for pair, found in points if len(found)]
-        doubts |= contradicted(rig, masks, steps, seen, middle)
+        checked = check_masks(rig, masks, steps, seen, middle)
+        masks, doubts = dict(checked.masks), doubts | dict(checked.doubts)
     for name in _partners(rig, set(doubts)) - set(given) - set(doubts):
         doubts[name] = "its partner's silhouette is not known"
     return Subjects(
