@@ -21,7 +21,7 @@ _FEWEST_PX = 400  # of a level; fewer tell nothing
 _SOFT = 0.5
 """Power of the steps between pixels, on the level after the one judged over that on the next, below which a level is
 empty: sharp plaster has .73 to .80, torsos .85, a head .58; with a blur of .8, 1.4 and 3.6 px .46, .36 and .32
-(docs/decisions/0043)."""
+(docs/decisions/0015)."""
 
 
 def empty_levels(image: Float32[Array, "h w"], mask: Bool[Array, "h w"]) -> int:
