@@ -72,9 +72,8 @@ def seen(stage: Stage, plan: Plan, inputs: Inputs, store: Store, previews: Calla
         return {"targets": refused.targets_seen(inputs.calibration_photographs, looked)} if looked else {}
     if stage == "match":
         subjects = there(plan.matched.subjects)
-        return {
-            "photographs": refused.photographs_seen(inputs.photographs, {} if subjects is None else subjects.blocks)
-        }
+        outlines = None if subjects is None else subjects.blocks
+        return {"photographs": refused.photographs_seen(inputs.photographs, outlines)}
     if stage == "surface":
         return previews("match")
     body, boundaries = there(plan.measured.body), there(plan.measured.boundaries)

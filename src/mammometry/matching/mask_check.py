@@ -21,6 +21,7 @@ _WITHIN = 0.4  # of the pairs' points in the picture, that a silhouette must hol
 _FEWEST = 150  # of them, fewer tell nothing
 _FILLED = 0.5  # of a silhouette, that the hull must fill at least
 _GRID = 48  # of the hull, along each side
+_MOST = 0.5  # of a cell, that makes it the silhouette's
 _REACH = 0.7  # half the grid's side, of the pictures' height at the subject's middle
 
 
@@ -61,10 +62,9 @@ def check_masks(
     grid = _grid(rig, middle_world)
     places = {name: _in_blocks(rig.cameras[name], grid, steps[name]) for name in left}
     while len(left) > 1:
-        hull = _hull(left, places)
-        filled = [_filled(mask, places[name], hull) for name, mask in left.items()]
-        if min(float(cells[part].mean()) if part.any() else 0.0 for part, cells, _ in filled) >= _FILLED:
-            left = {name: _parts(mask, *cells) for (name, mask), cells in zip(left.items(), filled, strict=True)}
+        filled = _filled(left, places)
+        if min(float(cells[part].mean()) if part.any() else 0.0 for part, cells, _ in filled.values()) >= _FILLED:
+            left = {name: _parts(mask, *filled[name]) for name, mask in left.items()}
             break
         worst = max(left, key=lambda name: _least_filled({k: v for k, v in left.items() if k != name}, places))
         share = 100 * left.pop(worst).mean()
@@ -98,36 +98,33 @@ def _in_blocks(
 _Places = Mapping[str, tuple[Array, Array, Bool[Array, " n"]]]
 
 
-def _hull(masks: Mapping[str, Bool[Array, "h w"]], places: _Places) -> Bool[Array, " n"]:
-    """Points of the grid that no silhouette excludes."""
-    hull = np.ones(_GRID**3, dtype=bool)
-    for name, mask in masks.items():
-        rows, columns, inside = places[name]
-        hull &= ~inside | mask[rows, columns]
-    return hull
-
-
 def _least_filled(masks: Mapping[str, Bool[Array, "h w"]], places: _Places) -> float:
-    hull = _hull(masks, places)
-    shares = []
-    for name, mask in masks.items():
-        part, cells, _ = _filled(mask, places[name], hull)
-        shares.append(float(cells[part].mean()) if part.any() else 0.0)
+    shares = [float(cells[part].mean()) if part.any() else 0.0 for part, cells, _ in _filled(masks, places).values()]
     return min(shares)
 
 
 def _filled(
-    mask: Bool[Array, "h w"], places: tuple[Array, Array, Bool[Array, " n"]], hull: Bool[Array, " n"]
-) -> tuple[Bool[Array, "H W"], Bool[Array, "H W"], int]:
-    """A silhouette's cells in the grid's picture, cells that the hull fills, and blocks to a cell."""
-    rows, columns, inside = places
-    cell = max(1, round(float(np.hypot(*mask.shape)) / _GRID))
-    pictures = np.zeros((3, *(length // cell + 1 for length in mask.shape)), dtype=bool)
-    for picture, chosen in zip(pictures, (inside, inside & hull), strict=False):
-        picture[rows[chosen] // cell, columns[chosen] // cell] = True
-    pictures[2][tuple(np.array(np.nonzero(mask)) // cell)] = True
-    anywhere, filled = (ndimage.binary_dilation(picture) for picture in pictures[:2])
-    return pictures[2] & anywhere, filled, cell
+    masks: Mapping[str, Bool[Array, "h w"]], places: _Places
+) -> dict[str, tuple[Bool[Array, "H W"], Bool[Array, "H W"], int]]:
+    """Camera → its silhouette's cells before what other cameras see, cells that the hull fills, blocks to a cell."""
+    hull, seen = np.ones(_GRID**3, dtype=bool), np.zeros(_GRID**3, dtype=np.int16)
+    for name, mask in masks.items():
+        rows, columns, inside = places[name]
+        hull &= ~inside | mask[rows, columns]
+        seen += inside
+    found = {}
+    for name, mask in masks.items():
+        rows, columns, inside = places[name]
+        by_others = inside & (seen > 1)
+        cell = max(1, round(float(np.hypot(*mask.shape)) / _GRID))
+        size = tuple(length // cell + 1 for length in mask.shape)
+        pictures = np.zeros((2, *size), dtype=bool)
+        for picture, chosen in zip(pictures, (by_others, by_others & hull), strict=True):
+            picture[rows[chosen] // cell, columns[chosen] // cell] = True
+        padded = np.pad(mask, [(0, count * cell - length) for count, length in zip(size, mask.shape, strict=True)])
+        most = padded.reshape(size[0], cell, size[1], cell).mean(axis=(1, 3)) >= _MOST
+        found[name] = most & pictures[0], pictures[1], cell
+    return found
 
 
 def _parts(

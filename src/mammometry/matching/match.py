@@ -331,8 +331,8 @@ def _believed(name: str, found: Finest, settings: MatchSettings, pool: Executor)
             f"pair {name}",
             found="no point that both pictures show alike",
             expected="the same textured skin in both",
-            remedy="Look at the subject's outlines in both: give a mask where one is wrong. If both are right, check that "
-            "the photographs are sharp, of one moment, and of the cameras named",
+            remedy="Look at the subject's outlines in both, and give a mask where one is wrong. If both are right, "
+            "check that the photographs are sharp, of one moment, and of the cameras named",
         )
     np.sqrt(sigma, out=sigma)
     steep *= np.float32(_SIGMA_SLOPE)

@@ -24,12 +24,14 @@ _TARGETS = 12  # views of the target that are shown; more are too small to see
 _VIEW_PX = 470  # size of a view, px; chosen by eye
 
 
-def photographs_seen(photographs: Mapping[str, Photograph], blocks: Mapping[str, Bool[Array, "h w"]]) -> bytes:
+def photographs_seen(
+    photographs: Mapping[str, Photograph], blocks: Mapping[str, Bool[Array, "h w"]] | None = None
+) -> bytes:
     """The photographs as they were brought, each under its camera's name, with the outlines that were found.
 
     Args:
         photographs: camera → photograph.
-        blocks: camera → the subject's blocks; empty where it was not yet sought.
+        blocks: camera → the subject's blocks. None: it was not yet sought.
     """
     small = {camera: canvas.reduced(photographs[camera], _PHOTOGRAPH_PX) for camera in photographs}
     columns, rows = canvas.grid(len(small))
@@ -37,17 +39,16 @@ def photographs_seen(photographs: Mapping[str, Photograph], blocks: Mapping[str,
     for index, (camera, pixels) in enumerate(small.items()):
         axes = sheet.panel(index, camera)
         axes.imshow(pixels, interpolation="antialiased")
-        if camera in blocks:
-            height, width = pixels.shape[:2]
-            across, down = (
-                np.linspace(0, width, blocks[camera].shape[1]),
-                np.linspace(0, height, blocks[camera].shape[0]),
+        if blocks is not None and camera in blocks:
+            down, across = (
+                np.linspace(0, size - 1, count)
+                for size, count in zip(pixels.shape[:2], blocks[camera].shape, strict=True)
             )
             axes.contour(across, down, blocks[camera], levels=[0.5], colors=canvas.ORANGE, linewidths=1.1)
-        elif blocks:
+        elif blocks is not None:
             canvas.note(axes, "no outline: everything was matched")
-    text = "With the outlines of the subject that were found: only what lies inside is matched." if blocks else ""
-    return sheet.png(Caption(title="The photographs", text=text or "As they were brought."))
+    text = "With the outlines of the subject that were found: only what lies inside is matched."
+    return sheet.png(Caption(title="The photographs", text="As they were brought." if blocks is None else text))
 
 
 def targets_seen(photographs: Mapping[tuple[str, str], Photograph], looked: Mapping[str, Observations]) -> bytes:
