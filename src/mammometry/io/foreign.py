@@ -70,12 +70,6 @@ def read_foreign(path: Path, units: str | None = None, *, of_torso: bool = False
         raise _refused(
             path, "no unit", "the unit of its coordinates, which such files do not state", "Add --units mm, cm or m"
         )
-<<<<<<< HEAD
-=======
-    if unit not in MM_PER_UNIT:
-        raise _refused(path, f"the unit {unit!r}", f"one of {', '.join(MM_PER_UNIT)}", "Correct --units")
-    vertices, faces, colours = triangles or read_triangles(path)
->>>>>>> meshes
     step_mm = _step(vertices) * MM_PER_UNIT[unit]
     vertices = vertices * MM_PER_UNIT[unit]
     extent = subject_extent(float(np.ptp(vertices, axis=0).max()))
