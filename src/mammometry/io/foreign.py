@@ -20,6 +20,11 @@ from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.mesh_file import SUFFIXES, read_triangles
 
 MM_PER_UNIT = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
+SHOWN_BY_SIZE = "as the body's size shows"
+"""End of the words of a unit that nobody stated."""
+_TORSO_MM = (230.0, 2300.0)
+"""Longest side of a torso's front, at least, and of a whole body, arms raised or held out. Not more than ten times as
+long, so that one unit alone fits."""
 _COARSEST_STEP_MM = 0.1  # as the standard uncertainty of a scanner's surface (`api.mesh.SURFACE_STD_MM`)
 _HEADER_BYTES = 65_536  # in which a file's comments may state its unit
 _STATED = re.compile(
