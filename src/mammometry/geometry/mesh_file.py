@@ -91,10 +91,12 @@ def _parsed(path: Path, content: bytes) -> tuple[Float64[Array, "n 3"], Int64[Ar
 def _other_content(path: Path, head: bytes) -> str | None:
     """What a file holds that its ending does not say. None where they fit, or nothing is known."""
     letters, between = head[:_SIGN:2], head[1:_SIGN:2]
-    is_utf_16 = len(between) > 0 and not any(between) and all(letters)
-    if is_utf_16 or head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        return "a text in UTF-16"
-    head, kind = head.removeprefix(codecs.BOM_UTF8).lstrip(), path.suffix.lower()
+    kind = path.suffix.lower()
+    if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return None if kind == ".obj" else "a text in UTF-16"
+    if len(between) > 0 and not any(between) and all(letters):
+        return "a text in UTF-16 that does not say so"
+    head = head.removeprefix(codecs.BOM_UTF8).lstrip()
     if kind != ".ply" and re.match(rb"ply[ \t]*[\r\n]", head):
         return "a PLY"
     if kind != ".glb" and head.startswith(b"glTF"):
@@ -103,7 +105,8 @@ def _other_content(path: Path, head: bytes) -> str | None:
         return "an STL"
     if kind in (".ply", ".stl") and re.search(rb"[\r\n]v +\S+ +\S+ +\S+[^\r\n]*[\r\n]+v ", head):
         return "an OBJ"
-    return "numbers in binary" if kind == ".obj" and b"\0" in head else None
+    is_text = re.search(rb"(?:^|[\r\n])v[ \t]", head) is not None  # whose comments may hold anything
+    return "numbers in binary" if kind == ".obj" and b"\0" in head and not is_text else None
 
 
 def _with_plain_lines(path: Path, content: bytes) -> bytes:
