@@ -81,7 +81,9 @@ def seen(
         suspects = error.suspects.reasons if isinstance(error, SuspectPhotographsError) else ()
         return {"targets": refused.targets_seen(inputs.calibration_photographs, looked, suspects)} if looked else {}
     if stage == "match":
-        return {"photographs": refused.photographs_seen(inputs.photographs)}
+        subjects = there(plan.matched.subjects)
+        outlines = None if subjects is None else subjects.blocks
+        return {"photographs": refused.photographs_seen(inputs.photographs, outlines)}
     if stage == "surface":
         return previews("match")
     body, boundaries = there(plan.measured.body), there(plan.measured.boundaries)
