@@ -14,16 +14,27 @@ if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a pla
     from mammometry.calibration.settings import CalibrateSettings
 
 
-def trusted_cameras(calibration: Calibration, inputs: Inputs, settings: CalibrateSettings) -> CameraSet:
+def require_fit(calibration: Calibration, inputs: Inputs) -> None:
+    """Refuse a calibration that contradicts what the session says of its rig.
+
+    Raises:
+        CalibrationError: a pair's sides or the target's size are wrong.
+    """
+    from mammometry.calibration.judge.scale import require_scale
+    from mammometry.calibration.judge.sides import require_sides
+
+    require_sides(calibration.rig, inputs.upside_down)
+    require_scale(calibration, inputs.subject_kind)
+
+
+def trusted_cameras(calibration: Calibration, settings: CalibrateSettings) -> CameraSet:
     """Take the cameras of a calibration that is fit to measure with.
 
     Raises:
-        CalibrationError: a pair's sides or the target's size are wrong, or its quality does not suffice.
+        CalibrationError: its quality does not suffice.
     """
-    from mammometry.calibration.judge import quality, scale, sides
+    from mammometry.calibration.judge import quality
 
-    sides.require_sides(calibration.rig, inputs.upside_down)
-    scale.require_scale(calibration, inputs.subject_kind)
     assessed = quality.assess(calibration, settings.quality)
     if assessed.verdict == "refuse":
         raise CalibrationError(
