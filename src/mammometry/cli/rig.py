@@ -133,8 +133,8 @@ def import_cameras(
         list[Path],
         typer.Argument(
             metavar="FILE...",
-            help="OpenCV YAML or XML (one file per camera, or one for a stereo rig), a camchain of Kalibr, "
-            "cameras.txt and images.txt of COLMAP, or a cameras.json.",
+            help="Files of OpenCV (YAML, XML), COLMAP (cameras.txt, images.txt), Kalibr (YAML), Agisoft (XML), "
+            "MATLAB (.mat), HALCON (.cal, .dat), or a cameras.json.",
             show_default=False,
         ),
     ],

@@ -38,6 +38,7 @@ if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a pla
     from mammometry.matching.match import DisparityMap
     from mammometry.matching.rectify import RectifiedPair
     from mammometry.matching.settings import MatchSettings
+    from mammometry.matching.subjects import Subjects
     from mammometry.surface.agreement import RowErrors
     from mammometry.surface.atlas import Atlas
     from mammometry.surface.dents import Kept, ValidPatches
@@ -178,6 +179,8 @@ class Matched(Products):
 
     names: Product[Names]
     """Whether each photograph has its camera's name."""
+    subjects: Product[Subjects] | None
+    """Where the subject stands, and its blocks in each photograph. None where all masks are given."""
     foregrounds: Mapping[str, Product[Foreground]]
     """Camera → which of its pixels show the subject."""
     disparities: Mapping[str, Product[DisparityMap]]
@@ -219,21 +222,28 @@ def match(inputs: Inputs, cameras: Product[CameraSet], settings: MatchSettings, 
     Paper 2.3.
     """
     names = right_names(inputs, cameras)
-    photographs, foregrounds = find_subjects(inputs, cameras, settings, memo)
+    photographs, subjects, foregrounds = find_subjects(inputs, cameras, settings, memo)
 
     def disparity(pair: str, left: str, right: str) -> Product[DisparityMap]:
         def resample(
             cameras: CameraSet,
             photographs: Mapping[str, Photograph],
             foregrounds: Mapping[str, Foreground],
+            subjects: Subjects | None,
             *,
             progress: Progress,
         ) -> RectifiedPair:
             from mammometry.matching.rectify import rectify
 
-            shots = photographs[left], photographs[right]
-            subjects = foregrounds[left], foregrounds[right]
-            return rectify(cameras.rig.pair(pair), *shots, *subjects, settings.rectify)
+            return rectify(
+                cameras.rig.pair(pair),
+                photographs[left],
+                photographs[right],
+                foregrounds[left],
+                foregrounds[right],
+                settings.rectify,
+                middle_world=None if subjects is None else subjects.middle_world,
+            )
 
         def matched(rectified: RectifiedPair, *, progress: Progress) -> DisparityMap:
             from mammometry.matching.match import match
@@ -250,6 +260,7 @@ def match(inputs: Inputs, cameras: Product[CameraSet], settings: MatchSettings, 
                 # The photographs come first: the foregrounds are then made of the same ones, each decoded once.
                 "photographs": {camera: photographs[camera] for camera in (left, right)},
                 "foregrounds": {camera: foregrounds[camera] for camera in (left, right)},
+                "subjects": subjects,
             },
         )
         parents = {"rectified": rectified}
@@ -258,7 +269,9 @@ def match(inputs: Inputs, cameras: Product[CameraSet], settings: MatchSettings, 
     disparities = {pair: disparity(pair, left, right) for pair, (left, right) in inputs.pair_names.items()}
     rows = rows_of(disparities, memo)
     pairs = tuple((pair, left, right) for pair, (left, right) in inputs.pair_names.items())
-    return Matched(names=names, foregrounds=foregrounds, disparities=disparities, rows=rows, pairs=pairs)
+    return Matched(
+        names=names, subjects=subjects, foregrounds=foregrounds, disparities=disparities, rows=rows, pairs=pairs
+    )
 
 
 # --- 2.4 to 2.6 Surface ----------------------------------------------------------------------------------------------
@@ -366,13 +379,14 @@ def surface(
     ranges = {pair: ranged(pair) for pair in matched.disparities}
     stillness = what_moved(calibrated.cameras, calibrated.calibration, ranges, matched.rows, settings.stillness, memo)
     cameras = where_they_stood(calibrated.cameras, stillness, memo)
-    kept, valid = kept_data(calibrated.cameras, stillness, ranges, settings, memo)
+    given = {"subject": inputs.digests["subject"]}
+    of_subject = matched.subjects, inputs.subject_kind
+    kept, valid = kept_data(calibrated.cameras, stillness, ranges, *of_subject, settings, memo, inputs=given)
     seen: dict[str, Parent] = {"cameras": cameras, "valid": valid, "foregrounds": matched.foregrounds}
     blocked: Product[Mapping[str, Blocked]] = Product(memo, "surface", "blocked", find_blocked, parents=seen)
     solid: Product[Solid | None] = Product(
         None, "surface", "solid", enclose, parents={**seen, "blocked": blocked}
     ).letting_go(*matched.foregrounds.values())
-    given = {"subject": inputs.digests["subject"]}
     body: dict[str, Parent] = {"valid": valid, "solid": solid}
     first: Product[TriangleMesh] = Product(
         memo, "surface", "first", build, parents=body, settings=extraction, inputs=given

@@ -125,6 +125,7 @@ def gather(
         absent=absent,
         body=body,
         doubtful=without_nipple(measurements, marks, settings.measure),
+        unseparated={} if plan.matched.subjects is None else plan.matched.subjects().doubts,
     )
     beside = tuple(run_cautions(run))
     breasts = [describe.breast_report(measured, finished.repaired, beside) for measured in measurements]

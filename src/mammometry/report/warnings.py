@@ -38,7 +38,7 @@ class RunResults:
     camera_doubts: Sequence[str] = ()
     """Sentences on what makes imported cameras doubtful."""
     shares: Mapping[str, float]
-    """Pair → share of the subject's silhouette that was matched."""
+    """Pair → share of the subject's silhouette that was matched. It lacks pairs without silhouettes."""
     matching: Mapping[str, MatchQuality]
     """Pair → how well it was matched."""
     foregrounds: Mapping[str, Foreground]
@@ -57,6 +57,8 @@ class RunResults:
     """The body's frame."""
     doubtful: Sequence[str] = ()
     """Breasts on which no nipple was seen."""
+    unseparated: Mapping[str, str] = field(default_factory=dict)
+    """Camera → why its silhouette was sought and is not used."""
 
 
 def warnings(run: RunResults) -> Iterator[str]:
@@ -72,6 +74,13 @@ def warnings(run: RunResults) -> Iterator[str]:
             "from a nipple is left out there: pick it if there is one."
         )
     yield from run.moved
+    if run.unseparated:
+        reasons = "; ".join(dict.fromkeys(run.unseparated.values()))
+        yield (
+            f"No outline of the subject is used in the photographs of {', '.join(run.unseparated)}: {reasons}. "
+            "Everything near was matched there, and the largest connected surface was taken. What else was near may be "
+            "part of it. Look at the surface, or give masks."
+        )
     if any(HEAD_NOT_SHOWN in measured.boundary_method for measured in run.measurements):
         yield (
             "The body does not show where its head is: left and right rest on how the cameras are mounted. Check that "
@@ -105,7 +114,7 @@ def run_concerns(run: RunResults) -> Iterator[str]:
             f"Something hides part of the subject in the photographs of {', '.join(hidden)}. The skin there was kept "
             "where other pairs saw it. Skin that no pair saw is closed by the repair."
         )
-    blind = [name for name, known in run.foregrounds.items() if known.everything]
+    blind = [name for name, known in run.foregrounds.items() if known.everything and name not in run.unseparated]
     if blind:
         yield (
             f"The subject was not separated from the background in {', '.join(blind)}. Nothing limits the surface "

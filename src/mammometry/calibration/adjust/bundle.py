@@ -204,8 +204,19 @@ def _as_calibration(
     target, first = observations.target, network.stations[0]
     what = f"the surveyed {target.kind} target" if target.is_surveyed else f"the {target.kind} board"
     shared = {view.pose for view in views if not view.own}
+    target_points = state.points[: len(target.points_target)].copy()
+    middles = [
+        state.station_rotation[i] @ target_points.mean(axis=0) + state.station_translation[i]
+        for i, pose in enumerate(network.stations)
+        if pose in shared
+    ]
     return Calibration(
-        rig=Rig(name=rig_name, cameras=cameras, pair_names=pair_names),
+        rig=Rig(
+            name=rig_name,
+            cameras=cameras,
+            pair_names=pair_names,
+            target_middle_world=np.median(middles, axis=0),
+        ),
         world=f"frame of {what} in pose {first}, mm",
         world_from_target={
             pose: Transform(
@@ -214,7 +225,7 @@ def _as_calibration(
             for i, pose in enumerate(network.stations)
             if pose in shared
         },
-        target_points=state.points[: len(target.points_target)].copy(),
+        target_points=target_points,
         observations=observations,
         residuals_px=tuple(rig_residuals),
         intrinsics_observations=own,

@@ -13,7 +13,7 @@ import numpy as np
 from mammometry.base.errors import CalibrationError, SessionError
 from mammometry.base.sizes import SUBJECT_MM, Range, Size, fitting, likely_units
 from mammometry.calibration.adjust.calibrated import Calibration
-from mammometry.calibration.judge.working_volume import axes_are_parallel, meeting_point
+from mammometry.calibration.judge.working_volume import meeting_point
 from mammometry.geometry.camera import Rig
 
 _MARGIN = 1.25
@@ -26,6 +26,8 @@ _BASELINE_MM: Range = (10.0, 2500.0)
 """Possible distance of a pair's cameras: the smallest stereo modules have 18 mm."""
 _USUAL_BASELINE_MM: Range = (30.0, 1500.0)
 """Usual distance of a pair's cameras. The simulated rigs and real ones that we know have 100 to 450 mm."""
+_PARALLEL_COSINE = float(np.cos(np.radians(5.0)))
+"""Optical axes within 5° of each other are called parallel: they meet nowhere."""
 
 
 def require_scale(calibration: Calibration, subject_kind: str) -> None:
@@ -100,7 +102,8 @@ def calibrated_sizes(calibration: Calibration, subject_kind: str = "surface") ->
 def _rig_sizes(rig: Rig, subject_kind: str) -> tuple[Size, ...]:
     """Sizes of a rig whose cameras alone are known, with the subject where their axes meet."""
     depths_mm = {}
-    if not axes_are_parallel(rig):
+    axes = np.stack([camera.axis_world for camera in rig.cameras.values()])
+    if (axes @ axes.T).min() <= _PARALLEL_COSINE:
         middle = meeting_point(rig)
         depths_mm = {
             name: float(camera.camera_from_world.apply(middle[None])[0, 2]) for name, camera in rig.cameras.items()
