@@ -9,14 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from concurrent.futures import Executor, Future
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from mammometry.base.errors import CalibrationError
 from mammometry.base.photograph import Photograph
-from mammometry.base.progress import Progress, no_progress
-from mammometry.job.camera_sets import imported_cameras, trusted_cameras
+from mammometry.base.progress import Progress
+from mammometry.job.camera_sets import adjust_rig, imported_cameras, trusted_cameras
 from mammometry.job.inputs import Inputs
 from mammometry.job.keeping import kept_data
 from mammometry.job.measuring import Measured, Upstream, measure
@@ -123,46 +123,10 @@ def calibrate(inputs: Inputs, settings: CalibrateSettings, memo: Memo) -> Calibr
         digests["target"] = inputs.digests["intrinsics-target"]
         intrinsics[camera] = detected(f"intrinsics-{camera}", digests, own_shots, inputs.intrinsics_target)
 
-    def adjusted(
-        usable: Observations,
-        lenses: Mapping[str, Observations],
-        progress: Progress = no_progress,
-        *,
-        target_prior_mm: tuple[float, float, float] | None = None,
-    ) -> Calibration:
-        from mammometry.calibration.adjust import bundle
-
-        how = (
-            settings.bundle
-            if target_prior_mm is None
-            else replace(settings.bundle, free_target="always", target_prior_mm=target_prior_mm)
-        )
-        return bundle.calibrate(
-            usable,
-            inputs.pair_names,
-            inputs.rig_name,
-            replace(settings, bundle=how),
-            intrinsics_observations=lenses or None,
-            priors=inputs.priors,
-            progress=progress,
-        )
-
     def adjust(
         poses: Mapping[str, Observations], lenses: Mapping[str, Observations], *, progress: Progress
     ) -> Calibration:
-        from mammometry.calibration.detection.detect import merged
-        from mammometry.calibration.detection.duplicates import set_duplicates_aside
-        from mammometry.calibration.judge import no_target
-
-        seen = tuple(poses.values())
-        if not any(part.detections for part in seen):
-            raise no_target.no_target(target, seen, inputs.calibration_photographs, settings.detect)
-        usable = set_duplicates_aside(merged(seen))
-        try:
-            return adjusted(usable, lenses, progress)
-        except CalibrationError as error:
-            parts = (usable, *lenses.values())
-            raise no_target.with_causes(error, parts, inputs.calibration_photographs, settings.detect) from None
+        return adjust_rig(inputs, tuple(poses.values()), lenses, settings, progress=progress)
 
     calibration: Product[Calibration] = Product(
         memo,
@@ -171,23 +135,15 @@ def calibrate(inputs: Inputs, settings: CalibrateSettings, memo: Memo) -> Calibr
         adjust,
         parents={"poses": observations, "lenses": intrinsics},
         settings=settings.bundle,
-        inputs={name: inputs.digests[name] for name in (("rig", "prior") if inputs.priors else ("rig",))},
+        inputs={name: inputs.digests[name] for name in ("rig", "subject", *(("prior",) if inputs.priors else ()))}
+        | inputs.mounting_digest,
     )
 
     def trust(calibration: Calibration, *, progress: Progress) -> CameraSet:
-        def recalibrate(observations: Observations, target_prior_mm: tuple[float, float, float] | None) -> Calibration:
-            return adjusted(observations, calibration.intrinsics_observations, target_prior_mm=target_prior_mm)
-
-        return trusted_cameras(calibration, inputs, settings, recalibrate)
+        return trusted_cameras(calibration, inputs, settings)
 
     cameras = Product(
-        memo,
-        "calibrate",
-        "cameras",
-        trust,
-        parents={"calibration": calibration},
-        settings=settings.quality,
-        inputs={"subject": inputs.digests["subject"], **inputs.mounting_digest},
+        memo, "calibrate", "cameras", trust, parents={"calibration": calibration}, settings=settings.quality
     )
     return Calibrated(observations=observations, intrinsics=intrinsics, calibration=calibration, cameras=cameras)
 

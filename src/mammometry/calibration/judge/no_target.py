@@ -1,4 +1,4 @@
-"""Refusals of photographs without the target: first the cause and the remedy, the single photographs as details."""
+"""Refusals for photographs without the target: the cause and the remedy first, then details."""
 
 from __future__ import annotations
 
