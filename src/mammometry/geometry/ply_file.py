@@ -11,7 +11,8 @@ from mammometry.base.errors import SessionError
 from mammometry.geometry.arrays import Array, Float64, Int64, UInt8
 
 _TYPES = {
-    "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4", "double": "f8",
+    "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4",
+    "double": "f8",
     "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4", "float32": "f4",
     "float64": "f8", "int64": "i8", "uint64": "u8",
 }  # fmt: skip
