@@ -208,7 +208,7 @@ class MeshJob:
         self.settings = replace(settings, measure=own)
         self.files = files
         self.identity = Identity.of(files.mesh, files.subject)
-        self.store = _StoreOfMesh(folder, watch, files.subject)
+        self.store: Store = _StoreOfMesh(folder, watch, files.subject)
         self.units = foreign.units if files.scan is None else files.scan.units
         if drawn.automatic and not files.automatic:
             raise SessionError(

@@ -84,3 +84,13 @@ class Inputs:
     def all_removed(self) -> bool:
         """Whether both breasts of a torso are said to be removed."""
         return len(set(self.removed)) == 2
+
+    @property
+    def mounting_digest(self) -> dict[str, str]:
+        """What the cameras' mounting adds to a product's key. Empty where all are upright."""
+        return {"mounting": repr(sorted(self.mounting.items()))} if self.mounting else {}
+
+    @property
+    def upside_down(self) -> tuple[str, ...]:
+        """Cameras that are mounted with their tops down."""
+        return tuple(name for name, mounting in self.mounting.items() if mounting == "upside-down")
