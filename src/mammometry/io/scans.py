@@ -32,6 +32,7 @@ from mammometry.io.images import read_photograph, read_plain_picture
 from mammometry.io.jpeg import without_tags
 from mammometry.io.meshes import read_ply, write_ply
 from mammometry.io.obj_texture import CoveredObj, read_covered_obj
+from mammometry.io.scene_files import covered_parts
 from mammometry.measure.scan_repair import repair_scan
 from mammometry.measure.scanned import check_mesh
 
@@ -86,7 +87,7 @@ def import_scan(
         mesh: OBJ, PLY, STL or GLB. The material file and the pictures of an OBJ lie beside it.
         about: what is known; its unit and digest are set here.
         units: ``mm``, ``cm`` or ``m``. None where the file states it.
-        texture: whether an OBJ's pictures are taken too.
+        texture: whether the pictures of an OBJ or a GLB are taken too.
         limits: size that a picture may have.
 
     Raises:
@@ -95,13 +96,17 @@ def import_scan(
     """
     _check(about)
     foreign = read_foreign(mesh, units, of_torso=True)
-    covered = read_covered_obj(mesh) if mesh.suffix.lower() == ".obj" else None
     files: dict[str, bytes] = {}
     colours = foreign.colours
-    if covered is not None and texture and covered.libraries:
-        files, colours = _covered(mesh, covered, foreign, limits)
-    elif covered is not None:
-        files[OBJ] = covered.text(None).encode()
+    with tempfile.TemporaryDirectory(prefix="mammometry-") as folder:
+        source: Path | None = mesh
+        if mesh.suffix.lower() == ".glb":
+            source = covered_parts(mesh, Path(folder), limits) if texture else None
+        covered = read_covered_obj(source) if source is not None and source.suffix.lower() == ".obj" else None
+        if source is not None and covered is not None and texture and covered.libraries:
+            files, colours = _covered(source, covered, foreign, limits)
+        elif covered is not None:
+            files[OBJ] = covered.text(None).encode()
     files[MESH] = _ply(foreign, colours)
     _check_written(mesh, files, foreign)
     made = {
