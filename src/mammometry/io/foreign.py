@@ -19,6 +19,11 @@ from mammometry.geometry.mesh_file import SUFFIXES, read_triangles
 
 MM_PER_UNIT = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 _SMALLEST_MM, _LARGEST_MM = 40.0, 2500.0  # longest side of what can be a small cast, or a whole body
+SHOWN_BY_SIZE = "as the body's size shows"
+"""End of the words of a unit that nobody stated."""
+_TORSO_MM = (230.0, 2300.0)
+"""Longest side of a torso's front, at least, and of a whole body, arms raised or held out. Not more than ten times as
+long, so that one unit alone fits."""
 _COARSEST_STEP_MM = 0.1  # as the standard uncertainty of a scanner's surface (`api.mesh.SURFACE_STD_MM`)
 _HEADER_BYTES = 65_536  # in which a file's comments may state its unit
 _STATED = re.compile(
@@ -44,13 +49,14 @@ class ForeignMesh:
         object.__setattr__(self, "colours", read_only(self.colours))
 
 
-def read_foreign(path: Path, units: str | None = None) -> ForeignMesh:
+def read_foreign(path: Path, units: str | None = None, *, of_torso: bool = False) -> ForeignMesh:
     """Read a mesh file.
 
     Args:
         path: a PLY, OBJ, STL or GLB.
         units: ``mm``, ``cm`` or ``m``; None where the file states it: GLB by its standard (metres), PLY and OBJ in a
             comment (``comment units: mm``).
+        of_torso: whether it is known to be a torso, or a whole body. Its size then shows a unit that nobody states.
 
     Raises:
         SessionError: the file cannot be read or holds no triangles; nobody says its unit, or in that unit it is no
@@ -59,13 +65,17 @@ def read_foreign(path: Path, units: str | None = None) -> ForeignMesh:
     if path.suffix.lower() not in SUFFIXES:
         raise _refused(path, "another kind of file", "a mesh as PLY, OBJ, STL or GLB", "Export the mesh as one of them")
     unit, who = (units, "as stated") if units is not None else _stated_unit(path)
+    triangles = None
+    if unit is None and of_torso:
+        triangles = read_triangles(path)
+        unit, who = _unit_of_torso(float(np.ptp(triangles[0], axis=0).max())), SHOWN_BY_SIZE
     if unit is None:
         raise _refused(
             path, "no unit", "the unit of its coordinates, which such files do not state", "Add --units mm, cm or m"
         )
     if unit not in MM_PER_UNIT:
         raise _refused(path, f"the unit {unit!r}", f"one of {', '.join(MM_PER_UNIT)}", "Correct --units")
-    vertices, faces, colours = read_triangles(path)
+    vertices, faces, colours = triangles or read_triangles(path)
     step_mm = _step(vertices) * MM_PER_UNIT[unit]
     vertices = vertices * MM_PER_UNIT[unit]
     extent = float(np.ptp(vertices, axis=0).max())
@@ -85,6 +95,14 @@ def read_foreign(path: Path, units: str | None = None) -> ForeignMesh:
         )
     mesh = TriangleMesh(vertices=vertices, faces=faces)
     return ForeignMesh(mesh=mesh, colours=colours, units=f"{unit}, {who}", mm_per_unit=MM_PER_UNIT[unit])
+
+
+def _unit_of_torso(extent: float) -> str | None:
+    """The one unit in which this is the length of a torso or of a whole body."""
+    for unit, factor in MM_PER_UNIT.items():
+        if _TORSO_MM[0] <= extent * factor < _TORSO_MM[1]:
+            return unit
+    return None
 
 
 def _step(vertices: Float64[Array, "n 3"]) -> float:

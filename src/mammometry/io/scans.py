@@ -57,8 +57,8 @@ class Scan:
     """Name of the device, as entered."""
     units: str
     """Unit of the scanner's own file, and who says so, in words. The folder's mesh is in mm."""
-    head: str = "y"
-    """The file's axis towards the head."""
+    head: str = ""
+    """The file's axis towards the head. Empty: nobody said."""
     ahead: str = ""
     """The axis straight ahead. Empty: where an open mesh faces."""
     subject: str | None = None
@@ -89,7 +89,7 @@ def import_scan(
         ImageError: a picture cannot be read or is too large.
     """
     _check(about)
-    foreign = read_foreign(mesh, units)
+    foreign = read_foreign(mesh, units, of_torso=True)
     covered = read_covered_obj(mesh) if mesh.suffix.lower() == ".obj" else None
     files: dict[str, bytes] = {}
     colours = foreign.colours
@@ -148,8 +148,8 @@ def _check(about: Scan) -> None:
         raise SessionError(
             "the scan's subject", found=f"{about.subject!r:.40}", expected=str(error), remedy="Correct --subject"
         ) from None  # fmt: skip
-    for axis, given, allowed in (("head", about.head, AXES), ("ahead", about.ahead, ("", *AXES))):
-        if given not in allowed:
+    for axis, given in (("head", about.head), ("ahead", about.ahead)):
+        if given not in ("", *AXES):
             raise SessionError(
                 f"the axis {'towards the head' if axis == 'head' else 'straight ahead'}", found=f"{given[:20]!r}",
                 expected=f"one of {', '.join(AXES)}", remedy=f"Correct --{axis}",

@@ -253,6 +253,7 @@ class Session:
             masks=_Lazy(masks, lambda camera, path: self._checked_mask(camera, path, capture[camera])),
             boundaries=drawn.curves,
             automatic=drawn.automatic,
+            removed=drawn.removed,
             attributions=drawn.attributions,
             landmarks=landmarks,
             wall=read_ply(wall)[0] if wall.is_file() else None,

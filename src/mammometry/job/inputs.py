@@ -62,6 +62,10 @@ class Inputs:
     """Breast → closed boundary curve given by the user, world frame, mm. Empty: found automatically."""
     automatic: tuple[str, ...] = ()
     """Breasts whose boundary is found automatically beside those that are given."""
+    removed: tuple[str, ...] = ()
+    """Breasts that are said to be removed. They are not looked for."""
+    head_stated: bool = False
+    """Whether the user said where a mesh's head is. Then no sign of the body contradicts it."""
     attributions: Mapping[str, Attribution] = field(default_factory=dict)
     """Breast → who drew its boundary, and who confirmed it by eye."""
     landmarks: Mapping[str, Float64[Array, "k 3"]] = field(default_factory=dict)
