@@ -77,4 +77,4 @@ def _scanned(woman: Solid) -> dict[str, bytes]:
     with tempfile.TemporaryDirectory(prefix="mammometry-") as place:
         path = Path(place) / "scan.ply"
         write_ply(path, made.mesh, made.ply_colours, comments=())
-        return import_scan(path, Scan(scanner=_SCANNER, units=""), units=_UNITS)
+        return import_scan(path, Scan(scanner=_SCANNER, units="", posture="standing"), units=_UNITS)

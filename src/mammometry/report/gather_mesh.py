@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
+from mammometry.base.posture import NOT_TO_BE_COMPARED
 from mammometry.base.progress import Progress, no_progress
 from mammometry.geometry.camera import Rig
 from mammometry.job.inputs import SubjectKind
@@ -48,6 +49,8 @@ class MeshOrigin:
     """What the frame is, one sentence."""
     scanner: str = ""
     """Name of the device. Empty: not given."""
+    posture: str = ""
+    """How the patient held herself, as was said. Empty: nobody said."""
     notes: tuple[str, ...] = ()
     """What was changed in the mesh, and what was taken for granted, one sentence each."""
 
@@ -156,6 +159,7 @@ def _mesh_facts(finished: FinishedSurface, origin: MeshOrigin) -> StageReport:
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     facts = (
         *([Fact(label="Scanner", value=origin.scanner)] if origin.scanner else []),
+        *([Fact(label="Posture", value=_posture_words(origin.posture))] if origin.kind == "torso" else []),
         Fact(label="Unit in the file", value=origin.units),
         Fact(
             label="Mesh",
@@ -166,3 +170,8 @@ def _mesh_facts(finished: FinishedSurface, origin: MeshOrigin) -> StageReport:
         Fact(label="Topology", value="watertight" if mesh.is_watertight() else "open"),
     )
     return StageReport(stage="surface", title="Mesh", facts=facts)
+
+
+def _posture_words(posture: str) -> str:
+    said = posture or "not said: give --posture standing, leaning or lying when the scan is taken over"
+    return f"{said}. {NOT_TO_BE_COMPARED}"
