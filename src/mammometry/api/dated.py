@@ -99,7 +99,7 @@ def check_posture(before: Dated, after: Dated) -> None:
             f"{before.path}, {after.path}",
             found=f"the patient {before.posture} at one date and {after.posture} at the other",
             expected="one posture, since volumes of different ones are not to be compared",
-            remedy="Compare dates of one posture, or add --other-posture to see the change of shape all the same",
+            remedy="Compare dates of one posture, or add --set compare.other_posture=true",
         )
 
 

@@ -62,7 +62,6 @@ def compare(
     *,
     out: Path | None = None,
     privacy: Privacy | None = None,
-    other_posture: bool = False,
     watches: tuple[Watch, Watch] = (unwatched, unwatched),
     progress: Progress = no_progress,
 ) -> Comparison:
@@ -76,7 +75,6 @@ def compare(
         settings: of all stages, for both; None for the recommended ones.
         out: folder to write; None: ``results/compare/<earlier session>`` in the later one.
         privacy: what to leave out of the page; None: nothing.
-        other_posture: whether dates of different postures are compared, with a warning.
         watches: called for every product that is made, for each session.
         progress: called with the fraction of the comparison itself.
 
@@ -92,7 +90,7 @@ def compare(
     jobs = [open_dated(path, settings, watch) for path, watch in zip((before, after), watches, strict=True)]
     _check(jobs)
     subject = _one_subject(jobs)
-    if not other_posture:
+    if not settings.compare.other_posture:
         check_posture(*jobs)
     remarks = []
     dates = [job.date for job in jobs]

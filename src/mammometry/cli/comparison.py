@@ -42,9 +42,6 @@ def compare(
     geometry_only: Annotated[
         bool, typer.Option("--geometry-only", help="For others: no photographic colours.")
     ] = False,
-    other_posture: Annotated[
-        bool, typer.Option("--other-posture", help="Compare although the postures differ. The page warns of it.")
-    ] = False,
     assignments: Assignments = None,
     settings: SettingsFile = None,
     quiet: Quiet = False,
@@ -71,7 +68,6 @@ def compare(
                 chosen,
                 out=out,
                 privacy=Privacy(deidentify=deidentify, geometry_only=geometry_only),
-                other_posture=other_posture,
                 watches=(watches[0], watches[1]),
                 progress=progress,
             )

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 FOLDER = Path("demo-scan")
 _COMMAND = "demo"
 _SCANNER, _UNITS = "Virtual telephone", "mm"
-_WOMAN, _SITUATION, _QUALITY, _SEED = "torso_1", "posture=standing", "telephone", 1
-_EDGE_MM = 1.5  # of the woman's triangles, on the breasts
+_WOMAN, _SITUATION, _QUALITY, _SEED = "torso_2", "posture=standing", "telephone", 2
+_EDGE_MM = 2.0  # of the woman's triangles, on the breasts
 
 
 def scan_demo(folder: Path, settings: SettingsFile, assignments: Assignments, *, quiet: bool, json: bool) -> Answer:

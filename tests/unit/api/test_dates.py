@@ -24,6 +24,7 @@ from mammometry.measure.volume.uncertainty import Evidence
 from mammometry.report import change_page
 from mammometry.report.change_page import ChangeReport
 from mammometry.report.privacy import Privacy
+from mammometry.settings import Settings
 from mammometry.simulate.subjects.torso import torso_shape
 
 pytestmark = pytest.mark.slow
@@ -271,8 +272,8 @@ def test_a_standing_scan_is_compared_with_photographs_only_on_request(
 ) -> None:
     scan = scan_of(tmp_path / "after", AFTER, posture="standing")
     assert run(["compare", str(folders[0]), str(scan)]) == 3
-    assert "--other-posture" in capsys.readouterr().err
-    found = compare(folders[0], scan, other_posture=True)
+    assert "compare.other_posture=true" in capsys.readouterr().err
+    found = compare(folders[0], scan, Settings().overridden(["compare.other_posture=true"]))
     assert found.warnings[0].startswith("The patient was leaning at the earlier date and standing later.")
 
 

@@ -16,7 +16,7 @@ def dated(path: str, posture: str) -> Any:
 
 def test_dates_of_two_postures_are_refused_unless_somebody_wants_them() -> None:
     standing, leaning, unknown = dated("a", "standing"), dated("b", "leaning"), dated("c", "")
-    with pytest.raises(SessionError, match=r"standing at one date and leaning at the other.*--other-posture"):
+    with pytest.raises(SessionError, match=r"standing at one date and leaning at the other.*other_posture"):
         check_posture(standing, leaning)
     assert "not to be compared" in next(posture_warnings(standing, leaning))
     for other in (standing, unknown):
