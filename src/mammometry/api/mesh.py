@@ -182,6 +182,7 @@ class MeshJob:
         from mammometry.measure import scanned
         from mammometry.measure.boundary.trace import check_curve
         from mammometry.measure.landmarks.landmarks import picked_landmarks
+        from mammometry.measure.scan_front import front_of_body
         from mammometry.measure.scan_repair import repair_scan
 
         require_apart(folder, (files.mesh, files.boundary, files.landmarks, files.back))
@@ -231,6 +232,11 @@ class MeshJob:
         self.kind: SubjectKind = "model" if "model" in curves else "torso"
         places = {} if files.landmarks is None else landmarks_in(files.landmarks, self.kind)
         scan = repair_scan(foreign.mesh, largest=files.largest)
+        by_axes = self.kind == "torso" and (files.automatic or files.head is not None)
+        frame = None
+        if by_axes:
+            frame = scanned.frame_from_axes(scan.mesh, files.head, files.ahead)
+            scan = front_of_body(scan, frame)
         self.notes: tuple[str, ...] = (*_unit_note(foreign, files), *scan.notes)
         mesh = scan.mesh
         curves = {name: scanned.in_mesh_unit(curve, mesh, foreign.mm_per_unit) for name, curve in curves.items()}
@@ -243,11 +249,8 @@ class MeshJob:
         for name, curve in curves.items():
             if self.kind == "torso":  # a cast is cut by its base, not along the curve
                 scanned.check_cut(name, curve, fine)
-        frame = (
-            scanned.frame_from_axes(fine, files.head, files.ahead)
-            if self.kind == "torso" and (files.automatic or files.head is not None)
-            else scanned.viewing_frame(surface, curves, places)
-        )
+        if frame is None:
+            frame = scanned.viewing_frame(surface, curves, places)
         middle = np.mean([curve.mean(axis=0) for curve in curves.values()], axis=0) if len(curves) == 2 else None
         sides = frame if self.kind == "torso" else None
         picked_landmarks(places, fine, sides, sigma_mm=own.picked_sigma_mm, middle_world=middle)

@@ -58,7 +58,14 @@ def read_triangles(path: Path) -> tuple[Float64[Array, "n 3"], Int32[Array, "m 3
     if not len(faces):
         raise _refused(path, "no triangle with an area", "a triangulated surface", "Export it again")
     used, compact = np.unique(faces, return_inverse=True)
-    return vertices[first[used]], compact.reshape(-1, 3).astype(np.int32), colours[first[used]]
+    return vertices[first[used]], _in_order(compact.reshape(-1, 3)).astype(np.int32), colours[first[used]]
+
+
+def _in_order(faces: Int64[Array, "m 3"]) -> Int64[Array, "m 3"]:
+    """Faces in the order of their corners, each with its smallest first: no result hangs on a file's order."""
+    start = np.argmin(faces, axis=1)
+    turned = np.take_along_axis(faces, (start[:, None] + np.arange(3)) % 3, axis=1)
+    return turned[np.lexsort(turned.T[::-1])]
 
 
 def _parsed(path: Path, content: bytes) -> tuple[Float64[Array, "n 3"], Int64[Array, "m 3"], UInt8[Array, "n 3"]]:

@@ -20,6 +20,7 @@ from mammometry.geometry.refine import edge_table, split_edges
 from mammometry.geometry.transform import Transform
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.boundary.trace import edge_loop
+from mammometry.measure.scan_front import ahead_by_feet
 from mammometry.measure.scan_repair import RepairedScan
 from mammometry.measure.solid.cut import check_whole, inside_curve
 from mammometry.measure.trunk.thorax import frame_from_sides, orthonormal, seen_skin
@@ -198,6 +199,10 @@ def frame_from_axes(mesh: TriangleMesh, head: str | None = None, ahead: str | No
     if ahead is None:
         looks = mesh.face_vectors().sum(axis=0)
         if np.linalg.norm(looks) < _ONE_SIDED * mesh.area_mm2():
+            up = _axis(head or ("z" if np.argmin(np.ptp(mesh.vertices, axis=0)) == 1 else "y"), "--head")
+            forward = ahead_by_feet(mesh, up)
+            if forward is not None:
+                return orthonormal(up, _along_axis(forward))
             raise MeasureError(
                 "mesh",
                 found="a mesh that looks to all sides alike",
@@ -206,9 +211,7 @@ def frame_from_axes(mesh: TriangleMesh, head: str | None = None, ahead: str | No
             )
         up = _axis(head or ("z" if np.argmax(np.abs(looks)) == 1 else "y"), "--head")
         forward = looks - up * (looks @ up)
-        forward /= max(float(np.linalg.norm(forward)), 1e-12)
-        axis = np.sign(forward) * (np.abs(forward) == np.abs(forward).max())
-        forward = axis if forward @ axis > _ALONG_AXIS else forward
+        forward = _along_axis(forward / max(float(np.linalg.norm(forward)), 1e-12))
     else:
         forward = _axis(ahead, "--ahead")
         up = _axis(head or ("z" if abs(forward[1]) > 0 else "y"), "--head")
@@ -220,6 +223,12 @@ def frame_from_axes(mesh: TriangleMesh, head: str | None = None, ahead: str | No
             remedy="Correct --head or --ahead",
         )
     return orthonormal(up, forward)
+
+
+def _along_axis(direction: Float64[Array, 3]) -> Float64[Array, 3]:
+    """The axis of the file that is near to a direction, else the direction."""
+    axis = np.sign(direction) * (np.abs(direction) == np.abs(direction).max())
+    return axis if direction @ axis > _ALONG_AXIS else direction
 
 
 def _axis(name: str, option: str) -> Float64[Array, 3]:
