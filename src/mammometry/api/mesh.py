@@ -209,7 +209,7 @@ class MeshJob:
             own = replace(own, boundary="landmarks")
         self.settings = replace(settings, measure=own)
         self.files = files
-        self.identity = Identity.of(files.mesh, files.subject)
+        self.identity = Identity.of(files.mesh if files.scan is None else self.folder, files.subject)
         self.store = _StoreOfMesh(folder, watch, files.subject)
         self.units = foreign.units if files.scan is None else files.scan.units
         self.posture = files.posture or ("" if files.scan is None else files.scan.posture)

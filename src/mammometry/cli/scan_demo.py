@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 FOLDER = Path("demo-scan")
 _COMMAND = "demo"
 _SCANNER, _UNITS = "Virtual telephone", "mm"
-_WOMAN, _SITUATION, _QUALITY, _SEED = "torso_2", "posture=standing", "telephone", 2
+_WOMAN, _SITUATION, _QUALITY, _SEED = "torso_2", "posture=standing", "telephone", 0
 _EDGE_MM = 2.0  # of the woman's triangles, on the breasts
 
 

@@ -157,9 +157,10 @@ def _warnings(measurements: Sequence[VolumeMeasurement], body: Body | None) -> I
 def _mesh_facts(finished: FinishedSurface, origin: MeshOrigin) -> StageReport:
     mesh = finished.repaired.mesh
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    posture = ". ".join(filter(None, (origin.posture, NOT_TO_BE_COMPARED)))
     facts = (
         *([Fact(label="Scanner", value=origin.scanner)] if origin.scanner else []),
-        *([Fact(label="Posture", value=_posture_words(origin.posture))] if origin.kind == "torso" else []),
+        *([Fact(label="Posture", value=posture)] if origin.kind == "torso" else []),
         Fact(label="Unit in the file", value=origin.units),
         Fact(
             label="Mesh",
@@ -170,8 +171,3 @@ def _mesh_facts(finished: FinishedSurface, origin: MeshOrigin) -> StageReport:
         Fact(label="Topology", value="watertight" if mesh.is_watertight() else "open"),
     )
     return StageReport(stage="surface", title="Mesh", facts=facts)
-
-
-def _posture_words(posture: str) -> str:
-    said = posture or "not said: give --posture standing, leaning or lying when the scan is taken over"
-    return f"{said}. {NOT_TO_BE_COMPARED}"
