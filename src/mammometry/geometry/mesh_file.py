@@ -16,6 +16,7 @@ from mammometry.base.errors import MammometryError, SessionError
 from mammometry.base.parse import LARGEST, json_value, read_bytes, said
 from mammometry.geometry.arrays import Array, Float64, Int32, Int64, UInt8
 from mammometry.geometry.obj_file import decimal_commas, parse_obj
+from mammometry.geometry.ply_file import parse_ply
 
 SUFFIXES = (".ply", ".obj", ".stl", ".glb")
 _KINDS = "a mesh as PLY, OBJ, STL or GLB"
@@ -73,8 +74,8 @@ def _parsed(path: Path, content: bytes) -> tuple[Float64[Array, "n 3"], Int64[Ar
         obj = parse_obj(content, str(path))
         grey = np.full((len(obj.points), 3), _GREY, dtype=np.uint8)
         return obj.points, obj.faces, grey if obj.colours is None else obj.colours
-    if path.suffix.lower() == ".ply" and b"element tristrips" in content[:_HEAD_BYTES]:
-        raise _refused(path, "triangle strips", "single triangles (element face)", "Export it without strips")
+    if path.suffix.lower() == ".ply":
+        return parse_ply(content, str(path))
     loaded = _loaded(path, content)
     vertices = np.asarray(loaded.vertices, dtype=np.float64).reshape(-1, 3)
     return vertices, np.asarray(loaded.faces, dtype=np.int64).reshape(-1, 3), _colours(loaded, len(vertices))
@@ -102,7 +103,7 @@ def _loaded(path: Path, content: bytes) -> Any:
 
     kind = path.suffix.lower()[1:]
     if kind == "glb":
-        _check_glb(path, content)
+        check_glb(path, content)
     scene: Any = trimesh.load_scene(io.BytesIO(content), file_type=kind, process=False, skip_materials=True)
     placed = (scene.geometry[scene.graph[node][1]] for node in scene.graph.nodes_geometry)
     count = sum(len(getattr(mesh, "faces", ())) for mesh in placed)
@@ -111,7 +112,7 @@ def _loaded(path: Path, content: bytes) -> Any:
     return scene.to_mesh()
 
 
-def _check_glb(path: Path, content: bytes) -> None:
+def check_glb(path: Path, content: bytes) -> None:
     """Check a GLB's counts and buffers before memory is allocated.
 
     The counts must fit the file, and the file must hold its buffers itself.

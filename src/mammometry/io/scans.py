@@ -26,11 +26,16 @@ from mammometry.base.limits import LimitSettings
 from mammometry.base.parse import read_bytes, read_text, toml_table
 from mammometry.base.posture import POSTURES
 from mammometry.geometry.arrays import Array, UInt8
+from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry.obj_file import parse_obj
 from mammometry.io.foreign import ForeignMesh, read_foreign
 from mammometry.io.images import read_photograph, read_plain_picture
 from mammometry.io.jpeg import without_tags
-from mammometry.io.meshes import write_ply
+from mammometry.io.meshes import read_ply, write_ply
 from mammometry.io.obj_texture import CoveredObj, read_covered_obj
+from mammometry.io.scene_files import covered_parts
+from mammometry.measure.scan_repair import repair_scan
+from mammometry.measure.scanned import check_mesh
 
 ABOUT, MESH = "scan.toml", "scan.ply"
 OBJ, MTL = "scan.obj", "scan.mtl"
@@ -41,6 +46,7 @@ FILES = (ABOUT, MESH, OBJ, MTL, *(f"texture-{n}.{end}" for n in range(1, MOST_PI
 AXES = ("y", "-y", "z", "-z", "x", "-x")
 """Axes of a file, of which one points to the head."""
 _MOST_MTL_MIB = 1  # of a material file; real ones have a few hundred bytes
+_SAME_AREA = 1e-3  # by which the area of what was written may differ: faces without area are left out
 _LONGEST = 100  # characters of a scanner's name
 _KEYS = {"format", "scanner", "units", "head", "ahead", "subject", "posture", "sha256"}
 _MAP_OPTION = re.compile(r"-(?:blendu|blendv|cc|clamp|texres|bm|boost|type|imfchan|mm|o|s|t)(?=\s)", re.IGNORECASE)
@@ -84,7 +90,7 @@ def import_scan(
         mesh: OBJ, PLY, STL or GLB. The material file and the pictures of an OBJ lie beside it.
         about: what is known; its unit and digest are set here.
         units: ``mm``, ``cm`` or ``m``. None where the file states it.
-        texture: whether an OBJ's pictures are taken too.
+        texture: whether the pictures of an OBJ or a GLB are taken too.
         limits: size that a picture may have.
 
     Raises:
@@ -93,14 +99,19 @@ def import_scan(
     """
     _check(about)
     foreign = read_foreign(mesh, units, of_torso=True)
-    covered = read_covered_obj(mesh) if mesh.suffix.lower() == ".obj" else None
     files: dict[str, bytes] = {}
     colours = foreign.colours
-    if covered is not None and texture and covered.libraries:
-        files, colours = _covered(mesh, covered, foreign, limits)
-    elif covered is not None:
-        files[OBJ] = covered.text(None).encode()
+    with tempfile.TemporaryDirectory(prefix="mammometry-") as folder:
+        source: Path | None = mesh
+        if mesh.suffix.lower() == ".glb":
+            source = covered_parts(mesh, Path(folder), limits) if texture else None
+        covered = read_covered_obj(source) if source is not None and source.suffix.lower() == ".obj" else None
+        if source is not None and covered is not None and texture and covered.libraries:
+            files, colours = _covered(source, covered, foreign, limits)
+        elif covered is not None:
+            files[OBJ] = covered.text(None).encode()
     files[MESH] = _ply(foreign, colours)
+    _check_written(mesh, files, foreign)
     made = {
         "format": 1, "scanner": about.scanner.strip(), "units": foreign.units, "head": about.head, "ahead": about.ahead,
         **({} if about.subject is None else {"subject": about.subject}),
@@ -110,6 +121,30 @@ def import_scan(
     lines = [f"{name} = {json.dumps(value, ensure_ascii=False)}" for name, value in made.items()]
     files[ABOUT] = ("# A scan of another device. scan.ply is in mm.\n" + "\n".join(lines) + "\n").encode()
     return files
+
+
+def _check_written(mesh: Path, files: Mapping[str, bytes], foreign: ForeignMesh) -> None:
+    """Read back what was made, and refuse at the door what no measurement takes.
+
+    Raises:
+        SessionError: the files hold another surface than was read.
+        MeasureError: it is no surface that can be measured.
+    """
+    check_mesh(repair_scan(foreign.mesh).mesh)
+    with tempfile.TemporaryDirectory(prefix="mammometry-") as folder:
+        path = Path(folder) / MESH
+        path.write_bytes(files[MESH])
+        surfaces = [read_ply(path)[0]]
+    if OBJ in files:
+        obj = parse_obj(files[OBJ], OBJ)
+        surfaces.append(TriangleMesh(vertices=obj.points * foreign.mm_per_unit, faces=obj.faces.astype(np.int32)))
+    expected_mm2 = foreign.mesh.area_mm2()
+    for surface in surfaces:
+        if abs(surface.area_mm2() - expected_mm2) > _SAME_AREA * expected_mm2:
+            raise _refused(
+                mesh, f"{surface.area_mm2() / 100:.1f} cm² in the imported files",
+                f"{expected_mm2 / 100:.1f} cm², as in the scanner's file", "Export it as PLY and import that",
+            )  # fmt: skip
 
 
 def is_scan(folder: Path) -> bool:
