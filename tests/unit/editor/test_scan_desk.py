@@ -52,7 +52,7 @@ def test_a_scan_is_drawn_on_measured_and_shown(scan: Path) -> None:
 
     # What is proposed is offered until somebody picks it.
     places = drawing["places"]
-    assert {name for name, place in places.items() if place["proposed"]} >= {"medial_left", "lateral_right", "midline"}
+    assert {name for name, place in places.items() if place["proposed"]} >= {"medial_left", "lateral_right"}
     assert not any(place["points"] for place in places.values())
 
     # One breast is changed: the other stays automatic, and its number the same.
