@@ -109,7 +109,8 @@ def _height_map(places: Float64[Array, "n 3"], bottom_mm: float) -> Float64[Arra
 def _hollows(height: Float64[Array, "h w"]) -> Float64[Array, "h w"]:
     """Depth of each place below the ring around it, along or across the body, whichever is less. −∞ where not seen."""
     reach = int(_RING_MM[1] / _STEP_MM) + 1
-    y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1] * _STEP_MM
+    at = np.arange(-reach, reach + 1) * _STEP_MM
+    x, y = np.meshgrid(at, at)
     radius = np.hypot(x, y)
     ring = (radius >= _RING_MM[0]) & (radius <= _RING_MM[1])
     seen = np.isfinite(height).astype(np.float64)
