@@ -93,7 +93,7 @@ def gather_mesh(
     pictures = {"measure": previews.draw(shown)}
     progress(0.5)
     words = describe.measure_report(measurements)
-    lengths, lengths_note = planning_lengths(sizes)
+    lengths, lengths_note = planning_lengths(sizes, marks)
     changed, everything = describe.settings_facts(page.settings)
     scene = viewer_scene(
         front_of(viewer, body),

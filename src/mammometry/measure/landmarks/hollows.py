@@ -100,9 +100,11 @@ def _height_map(places: Float64[Array, "n 3"], bottom_mm: float) -> Float64[Arra
     cell = np.round((places[:, :2] + [_ASIDE_MM, -bottom_mm]) / _STEP_MM).astype(np.int64)
     shape = (int(cell[:, 1].max()) + 1, int(2 * _ASIDE_MM / _STEP_MM) + 1)
     number = cell[:, 1] * shape[1] + cell[:, 0]
-    total = np.bincount(number, places[:, 2], shape[0] * shape[1]).reshape(shape)
-    count = np.bincount(number, minlength=shape[0] * shape[1]).reshape(shape).astype(np.float64)
-    total, count = (ndimage.gaussian_filter(each, _SMOOTH_CELLS, mode="constant") for each in (total, count))
+    cells = shape[0] * shape[1]
+    total, count = (
+        ndimage.gaussian_filter(np.bincount(number, of, cells).reshape(shape), _SMOOTH_CELLS, mode="constant")
+        for of in (places[:, 2], np.ones(len(places)))
+    )
     return np.where(count > _LEAST_CELL, total / np.maximum(count, _LEAST_CELL), np.nan)
 
 
