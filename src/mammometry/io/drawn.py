@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import unicodedata
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -144,6 +145,8 @@ def read_table(path: Path, key: str, subject: str | None = None) -> dict[str, An
             path.name, f"units {shown(units)} and frame {shown(frame)}", "'mm' and 'world'", "Convert the points"
         )
     theirs = table.get("subject")
+    if isinstance(theirs, str):
+        theirs = unicodedata.normalize("NFC", theirs)  # as `subject_id` gives it
     if subject is not None and theirs is not None and theirs != subject:
         raise _wrong(
             path.name,

@@ -5,6 +5,7 @@ The user or the file gives the unit.
 
 from __future__ import annotations
 
+import codecs
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,12 +14,12 @@ import numpy as np
 
 from mammometry.base.errors import SessionError
 from mammometry.base.parse import require_file
+from mammometry.base.sizes import subject_extent
 from mammometry.geometry.arrays import Array, Float64, UInt8, read_only
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.mesh_file import SUFFIXES, read_triangles
 
 MM_PER_UNIT = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
-_SMALLEST_MM, _LARGEST_MM = 40.0, 2500.0  # longest side of what can be a small cast, or a whole body
 SHOWN_BY_SIZE = "as the body's size shows"
 """End of the words of a unit that nobody stated."""
 _TORSO_MM = (230.0, 2300.0)
@@ -65,26 +66,26 @@ def read_foreign(path: Path, units: str | None = None, *, of_torso: bool = False
     if path.suffix.lower() not in SUFFIXES:
         raise _refused(path, "another kind of file", "a mesh as PLY, OBJ, STL or GLB", "Export the mesh as one of them")
     unit, who = (units, "as stated") if units is not None else _stated_unit(path)
-    triangles = None
+    if unit is not None and unit not in MM_PER_UNIT:
+        raise _refused(path, f"the unit {unit!r}", f"one of {', '.join(MM_PER_UNIT)}", "Correct --units")
+    vertices, faces, colours = read_triangles(path)
     if unit is None and of_torso:
-        triangles = read_triangles(path)
-        unit, who = _unit_of_torso(float(np.ptp(triangles[0], axis=0).max())), SHOWN_BY_SIZE
+        unit, who = _unit_of_torso(float(np.ptp(vertices, axis=0).max())), SHOWN_BY_SIZE
     if unit is None:
         raise _refused(
             path, "no unit", "the unit of its coordinates, which such files do not state", "Add --units mm, cm or m"
         )
-    if unit not in MM_PER_UNIT:
-        raise _refused(path, f"the unit {unit!r}", f"one of {', '.join(MM_PER_UNIT)}", "Correct --units")
-    vertices, faces, colours = triangles or read_triangles(path)
     step_mm = _step(vertices) * MM_PER_UNIT[unit]
     vertices = vertices * MM_PER_UNIT[unit]
-    extent = float(np.ptp(vertices, axis=0).max())
-    if not _SMALLEST_MM <= extent <= _LARGEST_MM:
+    extent = subject_extent(float(np.ptp(vertices, axis=0).max()))
+    if not extent.is_possible:
+        others = {name: subject_extent(extent.mm / MM_PER_UNIT[unit] * mm) for name, mm in MM_PER_UNIT.items()}
+        fits = [f"{name} ({size.mm:.0f} mm)" for name, size in others.items() if size.is_usual()]
         raise _refused(
             path,
-            f"a mesh {extent:.3g} mm long, its unit being {unit} ({who})",
-            f"a cast or a torso, {_SMALLEST_MM:g} to {_LARGEST_MM:g} mm",
-            "Check --units",
+            f"a mesh {extent.mm:.3g} mm long, its unit being {unit} ({who})",
+            f"a cast or a torso, {extent.expected}",
+            "Check --units" + (f": {' or '.join(fits)} would fit" if fits else ""),
         )
     if step_mm > _COARSEST_STEP_MM:
         raise _refused(
@@ -127,7 +128,7 @@ def _stated_unit(path: Path) -> tuple[str | None, str]:
                 head = file.read(_HEADER_BYTES)
         except OSError as error:
             raise _refused(path, error.strerror or str(error), "a mesh file", "Check the path") from None
-        stated = _STATED.search(head.partition(b"end_header")[0])
+        stated = _STATED.search(head.removeprefix(codecs.BOM_UTF8).partition(b"end_header")[0])
         if stated is not None:
             return (stated["unit"] or stated["ours"]).decode().lower(), "as the file says"
     return None, ""

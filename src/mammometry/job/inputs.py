@@ -79,3 +79,13 @@ class Inputs:
     ``points/POSE/CAMERA``, ``intrinsics/CAMERA/EXPOSURE``, ``masks/CAMERA``, ``cameras``, ``prior``, ``target``,
     ``intrinsics-target``, ``rig``, ``subject``, ``boundaries``, ``landmarks``, ``wall``. Computed when looked up.
     """
+
+    @property
+    def mounting_digest(self) -> dict[str, str]:
+        """What the cameras' mounting adds to a product's key. Empty where all are upright."""
+        return {"mounting": repr(sorted(self.mounting.items()))} if self.mounting else {}
+
+    @property
+    def upside_down(self) -> tuple[str, ...]:
+        """Cameras that are mounted with their tops down."""
+        return tuple(name for name, mounting in self.mounting.items() if mounting == "upside-down")

@@ -106,11 +106,6 @@ def measure(inputs: Inputs, upstream: Upstream, settings: MeasureSettings, memo:
     return replace(plan, absent=_absent(inputs, upstream, plan, settings, memo))
 
 
-def _mounted(inputs: Inputs) -> dict[str, str]:
-    """Digest of how the cameras are mounted. Empty where all are upright."""
-    return {"mounting": repr(sorted(inputs.mounting.items()))} if inputs.mounting else {}
-
-
 def _sides(inputs: Inputs, upstream: Upstream, settings: MeasureSettings, memo: Memo) -> Product[TorsoSides] | None:
     """A torso's breasts as they are found, or that there is none."""
     wanted = inputs.automatic or not (inputs.boundaries or set(_SIDES) <= set(inputs.removed))
@@ -132,7 +127,7 @@ def _sides(inputs: Inputs, upstream: Upstream, settings: MeasureSettings, memo: 
         outline,
         parents={"cameras": upstream.cameras, "repaired": upstream.repaired},
         settings=settings,
-        inputs={"subject": inputs.digests["subject"], **_mounted(inputs)},
+        inputs={"subject": inputs.digests["subject"], **inputs.mounting_digest},
     )
 
 
@@ -200,7 +195,7 @@ def _boundaries(
         )
 
     names = ("subject", "boundaries", *(("landmarks",) if settings.boundary == "landmarks" else ()))
-    digests = {name: inputs.digests[name] for name in names} | _mounted(inputs)
+    digests = {name: inputs.digests[name] for name in names} | inputs.mounting_digest
     if inputs.rim_radius_mm is not None:
         digests["rim"] = repr(inputs.rim_radius_mm)
     return Product(
@@ -251,7 +246,7 @@ def _body(
         find,
         parents={"cameras": upstream.cameras, "repaired": upstream.repaired, "boundaries": boundaries},
         settings=settings.thorax,
-        inputs=_mounted(inputs),
+        inputs=inputs.mounting_digest,
     )
 
 
@@ -517,7 +512,7 @@ def _anthropometry(
         "measurements": measurements,
         "body": body,
     }
-    picked = {"landmarks": inputs.digests["landmarks"], **_mounted(inputs)}
+    picked = {"landmarks": inputs.digests["landmarks"], **inputs.mounting_digest}
     landmarks: Product[tuple[Landmark, ...]] = Product(
         memo, "measure", "landmarks", mark, parents=measured, settings=settings, inputs=picked
     )
@@ -529,6 +524,6 @@ def _anthropometry(
         extend,
         parents={**measured, "landmarks": landmarks},
         settings=settings,
-        inputs=_mounted(inputs),
+        inputs=inputs.mounting_digest,
     )
     return landmarks, symmetry, dimensions
