@@ -74,9 +74,9 @@ class Boundary:
     """Points seen in the photographs that the curve follows (a cast's rim), mm, world frame. For figures."""
     sigma_mm: float | None = None
     """Standard uncertainty of the whole curve along the wall's normal, mm. None if not known."""
-    across_mm: float = 0.0
-    """Standard uncertainty of a torso's curve across itself beyond what any drawn curve has, mm: how softly a mound
-    without a fold ends."""
+    across_mm: Float64[Array, " n"] | None = None
+    """Standard uncertainty of each point across a torso's curve beyond what any drawn curve has, mm: how little the
+    skin shows of the border there. None: nothing beyond."""
 
     def __post_init__(self) -> None:
         if len(self.points_world) < 3 or not np.isfinite(self.points_world).all():
@@ -309,8 +309,7 @@ def _creased(name: BreastName, outline: Outline, head: str) -> Boundary:
         f"{100 * outline.creased:.0f} % of the breast{bridged}. {100 * outline.seen:.0f} % of the curve "
         f"lies on measured skin. {fold}{head[:1].upper()}{head[1:]}; {TO_BE_CONFIRMED}"
     )
-    across_mm = 0.0 if outline.folded > _FOLDED else outline.sigma_mm
-    return Boundary(name=name, points_world=outline.points_world, method=method, across_mm=across_mm)
+    return Boundary(name=name, points_world=outline.points_world, method=method, across_mm=outline.sigma_mm)
 
 
 def landmark_boundaries(
