@@ -14,7 +14,8 @@ from mammometry.base.errors import MeasureError
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.nearest import closest_on_mesh
 from mammometry.measure.boundary.breasts import _check_base, find_breasts
-from mammometry.measure.boundary.crease import _best_way, _own, follow_crease
+from mammometry.measure.boundary.closed_path import best_paths, spread_steps
+from mammometry.measure.boundary.crease import _own, follow_crease
 from mammometry.measure.trunk.skin_map import PIXEL_MM, Relief, dense_samples
 from mammometry.measure.trunk.thorax import Trunk
 
@@ -119,7 +120,7 @@ def test_the_best_way_is_the_best_of_all_ways(worth: list[list[float]], stiffnes
         moves = np.diff(np.concatenate([ways, ways[:, :1]], axis=1), axis=1)
         return np.asarray(table[np.arange(5), ways].sum(axis=1) - stiffness * (moves**2).sum(axis=1))
 
-    found = _best_way(table, stiffness)
+    found = best_paths(table[None], stiffness)[0]
     # The middle one of three turns may differ from the best closed one by what closing it once would cost, no more.
     assert value(found[None])[0] >= value(EVERY_WAY).max() - stiffness * 9
 

@@ -166,8 +166,9 @@ def _trunk_beside(
     outside = np.ones(len(skin.points_world), dtype=bool)
     height_of: Float64[Array, 3] | None = None
     between_mm: float | None = None
+    frame = body.frame
     for _ in range(_ROUNDS):
-        trunk = find_trunk(skin, body.frame, settings, height_of=height_of, middle_of=middle_of)
+        trunk = find_trunk(skin, frame, settings, height_of=height_of, middle_of=middle_of)
         thorax = fit_thorax(
             trunk,
             skin.chosen(outside),
@@ -181,6 +182,7 @@ def _trunk_beside(
         if not domes:
             break
         between_mm = 0.0 if body.plane is not None else _between_mm(middles)
+        frame = trunk.facing(between_mm / trunk.half_width_mm)  # straight ahead is between both breasts
         flat = trunk.cylindrical(skin.points_world)[:, :2]
         outside = np.ones(len(flat), dtype=bool)
         for dome in domes:
@@ -218,7 +220,9 @@ def _sides(
             found[name] = _Side(middle=place, crease=empty, standing=None, verdict="none")
             continue
         ends = sorted((between_mm + sign * _MIDLINE_MM, between_mm + sign * widest_mm))
-        crease = follow_crease(relief, middle.flat, settings, side=name, between_mm=(ends[0], ends[1]))
+        crease = follow_crease(
+            relief, middle.flat, settings, side=name, base_mm=middle.base_mm, between_mm=(ends[0], ends[1])
+        )
         creased = float((crease.concavity_per_mm > CREASE_PER_MM).mean())
         standing = standing_out(relief, _pixels_within(relief, crease.flat), creased)
         found[name] = _Side(middle=middle.flat, crease=crease, standing=standing, verdict=standing.verdict(settings))

@@ -47,10 +47,11 @@ _SHAPE_SCATTER, _UNLIKE_COST = 0.12, 0.03
 the border against four."""
 _SIZES_MM = np.geomspace(80.0, 180.0, 11)
 """Roots of a base's area that are tried, mm: 64 to 324 cm²."""
-_USUAL_SIZE_MM, _SIZE_SCATTER, _SIZE_COST = 130.0, 0.2, 5.0
-"""Root of the usual area (real women: 170 ± 28 cm²), its relative scatter, and what one scatter costs in all."""
+_SIZE_SCATTER, _SIZE_COST = 0.12, 5.0
+"""Relative scatter of that root about what the breast's dome tells, and what one scatter costs in all."""
 _CENTRINGS = 3  # times that the border is looked for about its own middle; chosen by eye
 _NATS = 0.2  # log of how much more probable a curve is that gathers 1 more; calibrated on virtual women (decision 43)
+_FALLEN = 0.9  # share of the height to which a breast has fallen before it may end; chosen by eye
 _RISE_MM = 6.0  # skin that rises again by this much belongs to something else (arm, belly, other breast)
 _SUNK_MM = 12.0
 """Skin this far behind the thorax fit is no trunk: it has ended there. The fit itself takes skin beyond 12 mm (three
@@ -86,6 +87,7 @@ def follow_crease(
     settings: BreastSettings = BreastSettings(),
     *,
     side: Literal["left", "right"] = "left",
+    base_mm: float = 130.0,
     between_mm: tuple[float, float] = (-np.inf, np.inf),
 ) -> Crease:
     """Follow the border of a breast: its crease, and where there is none, what breasts are like.
@@ -93,7 +95,7 @@ def follow_crease(
     Each distance from the middle is worth log(1 + κ/κ₀) for the concavity κ of the relief, smoothed over σ, where that
     is positive, and less where skin rises outside it more than it falls to it from the breast: that is the foot of
     something else. Skin that stands higher than the level at which a breast ends costs, and so does a curve that is
-    unlike real women's boundaries; how large it is, is free. The curve is then drawn on the crease's outer flank, where
+    unlike real women's boundaries, or larger or smaller than the breast's dome tells. The curve is then drawn on the crease's outer flank, where
     κ has fallen to half, less what smoothing has put outside: nothing where curved skin joins straight skin, up to 2 σ
     at a fold.
 
@@ -102,13 +104,14 @@ def follow_crease(
         middle: the breast's middle on it, mm.
         settings: how far out the border may lie.
         side: of the patient.
+        base_mm: root of the area of its base, roughly, mm.
         between_mm: the border lies between these places around the trunk, half width × θ.
     """
     angles = np.arange(DIRECTIONS) * 2 * np.pi / DIRECTIONS
     rays = np.stack([np.cos(angles), np.sin(angles)], axis=1)
     steps = np.arange(_STEP_MM, settings.reach_mm, _STEP_MM)
     unlike = _unlike(steps, angles if side == "left" else np.pi - angles)
-    size_cost = _SIZE_COST * (np.log(_SIZES_MM / _USUAL_SIZE_MM) / _SIZE_SCATTER) ** 2
+    size_cost = _SIZE_COST * (np.log(_SIZES_MM / base_mm) / _SIZE_SCATTER) ** 2
     bulge_mm, concavity_per_mm = relief.smooth_mm(_SIGMA_MM), relief.concavity_per_mm(_SIGMA_MM)
     for last in range(_CENTRINGS):
         places = middle + rays[:, None] * steps[:, None]
@@ -178,7 +181,7 @@ def _beyond_the_top(bulge: Float64[Array, "d s"]) -> Bool[Array, "d s"]:
     From where it has fallen to half its height until the skin rises again for good, or the trunk ends.
     """
     top = np.maximum.accumulate(bulge, axis=1)
-    low = bulge < np.maximum(top / 2, _VANISH_MM)
+    low = bulge < np.maximum(_FALLEN * top, _VANISH_MM)
     begun = np.maximum.accumulate(low, axis=1)
     lowest = np.minimum.accumulate(np.where(begun, bulge, np.inf), axis=1)
     risen = begun & (bulge > np.maximum(lowest, 0.0) + _RISE_MM)
