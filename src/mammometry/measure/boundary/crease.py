@@ -1,9 +1,8 @@
-"""The crease around a breast.
+"""The border of a breast: its crease, and where there is none, what breasts are like.
 
-It is the closed curve along which the breast's skin turns most sharply into the trunk's. Every curve s(φ) around the
-breast's middle is a path through a table of directions and distances. Dynamic programming finds the smooth one that
-gathers most concavity, exactly. So a stretch without a fold (the upper pole of many breasts) is bridged by its
-neighbours, and not by whatever is deepest there.
+The crease is where the breast's skin turns most sharply into the trunk's. Every curve s(φ) around the breast's middle
+is a path through a table of directions and distances (`closed_path`). Where no crease is (the upper pole of many
+breasts), the neighbours, the skin's height and the shape of real women's boundaries decide, and not whatever is deepest.
 """
 
 from __future__ import annotations
@@ -94,10 +93,10 @@ def follow_crease(
 
     Each distance from the middle is worth log(1 + κ/κ₀) for the concavity κ of the relief, smoothed over σ, where that
     is positive, and less where skin rises outside it more than it falls to it from the breast: that is the foot of
-    something else. Skin that stands higher than the level at which a breast ends costs, and so does a curve that is
-    unlike real women's boundaries, or larger or smaller than the breast's dome tells. The curve is then drawn on the crease's outer flank, where
-    κ has fallen to half, less what smoothing has put outside: nothing where curved skin joins straight skin, up to 2 σ
-    at a fold.
+    something else. Skin that stands higher than the level at which a breast ends costs. So does a curve that is unlike
+    real women's boundaries, or larger or smaller than the breast's dome tells. The curve is then drawn on the crease's
+    outer flank, where κ has fallen to half, less what smoothing has put outside: nothing where curved skin joins
+    straight skin, up to 2 σ at a fold.
 
     Args:
         relief: the skin laid flat.

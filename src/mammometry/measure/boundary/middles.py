@@ -84,7 +84,7 @@ def roundness_per_mm(relief: Relief) -> Float64[Array, "h w"]:
     (down_down, _), (across_down, across_across) = np.gradient(down, PIXEL_MM), np.gradient(across, PIXEL_MM)
     half = (down_down + across_across) / 2
     flattest = half + np.sqrt(((down_down - across_across) / 2) ** 2 + across_down**2)
-    return np.where(relief.known, np.clip(-flattest, 0.0, None), 0.0)
+    return np.where(relief.known, np.clip(-flattest, 0.0, None) * relief.within_its_end(2 * _ROUND_MM), 0.0)
 
 
 def _middle(relief: Relief, dome: Float64[Array, "h w"], peak: Float64[Array, 2], worth: float) -> Middle:

@@ -69,14 +69,14 @@ class Relief:
         """
         shallow = np.minimum(self.bulge_mm, _STEEP_MM)  # how high a breast stands over its fold makes no fold deeper
         laplacian = gaussian_laplace(shallow, sigma_mm / PIXEL_MM) / PIXEL_MM**2
-        return np.where(self.known, laplacian * self._within_its_end(), 0.0)
+        return np.where(self.known, laplacian * self.within_its_end(_EDGE_MM), 0.0)
 
-    def _within_its_end(self) -> Float64[Array, "h w"]:
-        """0 at the outer end of the skin that was seen, 1 from `_EDGE_MM` inwards."""
+    def within_its_end(self, reach_mm: float) -> Float64[Array, "h w"]:
+        """0 at the outer end of the skin that was seen, 1 from `reach_mm` inwards."""
         around = np.pad(~self.known, 1, constant_values=True)
         parts, _ = label(around)
         away_mm = distance_transform_edt(parts != parts[0, 0])[1:-1, 1:-1] * PIXEL_MM
-        return np.clip((away_mm - _KNOWN_MM) / (_EDGE_MM - _KNOWN_MM), 0.0, 1.0)
+        return np.clip((away_mm - _KNOWN_MM) / (reach_mm - _KNOWN_MM), 0.0, 1.0)
 
     def at(self, flat: Float64[Array, "*n 2"], values: Float64[Array, "h w"]) -> Float64[Array, "*n"]:
         """Sample a picture at (half width × θ, y), mm, bilinearly.
