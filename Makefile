@@ -26,7 +26,6 @@ wheel: $(VENV)/.installed
 	MAMMOMETRY_KERNELS=1 $(BIN)/python -m pip wheel --quiet --disable-pip-version-check --no-deps --no-build-isolation --wheel-dir dist .
 
 clinic: $(VENV)/.installed
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[clinic]'
 	$(BIN)/mammometry clinic demo demo-clinic
 
 test: $(VENV)/.installed-dev
@@ -77,7 +76,7 @@ $(VENV)/.installed: pyproject.toml constraints.txt hatch_build.py $(shell find v
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt $(COMPILER)
 	@PYTHONPATH=src $(BIN)/python -P -m mammometry.cli.compile_cache >/dev/null 2>&1 &
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e .
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[all]'
 	touch $@
 
 $(VENV)/.installed-dev: $(VENV)/.installed

@@ -39,7 +39,7 @@ def make(folder: Path, database: str, patients: int) -> None:
         [
             Patient(
                 family_name=_FAMILIES[number % len(_FAMILIES)], given_name=f"Given{number}",
-                record_number=f"KIS-{number:05d}",
+                record_number=f"KIS-{number:05d}", pseudonym=f"P-{number:06d}",
                 born=datetime.date(1940, 1, 1) + datetime.timedelta(days=7 * (number % 3000)),
             )
             for number in range(patients)
@@ -67,7 +67,7 @@ def make(folder: Path, database: str, patients: int) -> None:
     rows = (
         Volume(
             measurement=measurement, side=side, definition=definition, volume_cc=400.0 + number % 90,
-            low_cc=390.0 + number % 90, high_cc=410.0 + number % 90,
+            low_cc=390.0 + number % 90, high_cc=410.0 + number % 90, leads=definition == "flat chest",
         )
         for number, measurement in enumerate(measurements)
         for side in ("left", "right")

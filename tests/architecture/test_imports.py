@@ -117,10 +117,10 @@ def test_pyplot_with_its_global_state_is_not_used(repository: Path) -> None:
     assert using == []
 
 
-def test_only_the_editor_and_exports_speak_to_the_network(repository: Path) -> None:
+def test_only_what_serves_pages_exports_and_batches_speaks_to_the_network(repository: Path) -> None:
     """Nothing of a patient is sent anywhere but where somebody says: no other module has anything to send it with."""
     network = {"socket", "ssl", "http", "ftplib", "smtplib", "requests", "httpx", "aiohttp", "urllib3", "asyncio"}
-    network |= {"pynetdicom"}
+    network |= {"pynetdicom", "distributed", "fsspec", "uvicorn"}
     using = {
         f"{path.relative_to(repository / PACKAGE)} imports {name}"
         for path in modules(repository)
@@ -128,6 +128,18 @@ def test_only_the_editor_and_exports_speak_to_the_network(repository: Path) -> N
         if name.partition(".")[0] in network or name == "urllib.request"
     }
     assert using == {
+        # Shares of a batch go to the cluster, and sessions come from the store, that the command names:
+        "batch/cluster.py imports distributed",
+        "batch/engine.py imports distributed",
+        "batch/offer.py imports distributed",
+        "batch/offer.py imports distributed.system",
+        "batch/supervise.py imports distributed",
+        "batch/storage.py imports fsspec",
+        "batch/storage.py imports fsspec.core",
+        # Pages are served at the address that the command names:
+        "clinic/server.py imports uvicorn",
+        "clinic/slow.py imports uvicorn.protocols.http.h11_impl",
+        "editor/server.py imports uvicorn",
         "clinic/server.py imports socket",  # whether the port is free
         "editor/server.py imports socket",
         "clinic/jobs/events.py imports asyncio",  # to wait between two looks at the database
@@ -239,3 +251,13 @@ def test_truth_is_read_by_evaluation_alone(repository: Path) -> None:
             found.append(str(path.relative_to(repository / PACKAGE)))
     assert "simulate/session.py" in found, "has this test lost its object?"
     assert [name for name in found if not any(fnmatch(name, allowed) for allowed in names)] == []
+
+
+def test_only_what_serves_pages_imports_django(repository: Path) -> None:
+    using = {
+        path.relative_to(repository / PACKAGE).parts[0]
+        for path in modules(repository)
+        for name in imports(syntax(path))
+        if name.partition(".")[0] == "django"
+    }
+    assert using == {"capture", "clinic", "editor"}

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from mammometry.base.cores import available_cores
 from mammometry.base.errors import BatchError
+from mammometry.base.extras import require
 from mammometry.batch.names import CORES, MEMORY
 
 if TYPE_CHECKING:
@@ -71,8 +72,10 @@ def machines(scheduler: str | None, cores: int | None = None, memory_mb: float |
         memory_mb: that tasks take together on this machine; None: nearly all.
 
     Raises:
+        MissingLibraryError: Dask is not installed.
         BatchError: the scheduler does not answer, has no worker, or one without mammometry or with another version.
     """
+    require("batch", "distributed")
     import dask
     from distributed import Client, LocalCluster
 

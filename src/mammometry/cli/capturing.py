@@ -104,6 +104,9 @@ def _pose(session: Path, rig: Path, backend: str | None, silent: bool) -> Answer
 def _on_a_page(
     session: Path, rig: Path, backend: str | None, subject_id: str | None, *, browser: bool, posing: bool
 ) -> Answer:
+    from mammometry.base.extras import WEB, require
+
+    require("edit", *WEB)
     from mammometry.capture.loop import Rigged
     from mammometry.capture.page import Goal, serve
 

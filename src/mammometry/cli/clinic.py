@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from mammometry.base.extras import WEB, require
 from mammometry.cli.common import Answer, Bars, Json, Quiet, Verbose, examples
 
 if TYPE_CHECKING:
@@ -19,6 +20,7 @@ app = typer.Typer(name="clinic", help="Patients, visits, rigs and people in one 
 people = typer.Typer(name="people", help="Who may log in.")
 app.add_typer(people, no_args_is_help=True)
 
+_LIBRARIES = (*WEB, "allauth", "argon2", "axes", "auditlog", "whitenoise", "distributed")
 Folder = Annotated[Path, typer.Argument(metavar="DIR", help="The clinic's folder.", show_default=False)]
 RoleNames = Annotated[
     list[str],
@@ -26,22 +28,19 @@ RoleNames = Annotated[
 ]
 
 
+@app.callback()
+def installed() -> None:
+    """Refuse where the clinic's libraries are not installed."""
+    require("clinic", *_LIBRARIES)
+
+
 def opened(folder: Path, **changes: object) -> ClinicConfig:
     """Read a clinic's settings and make this process the clinic's."""
     from mammometry.clinic.config import read_config
+    from mammometry.clinic.site import configure
 
-    try:
-        from mammometry.clinic.site import configure
-
-        config = read_config(folder).model_copy(update=changes)
-        configure(config)
-    except ModuleNotFoundError as error:
-        from mammometry.base.errors import SettingsError
-
-        remedy = "pip install 'mammometry[clinic]'"
-        raise SettingsError(
-            "clinic", found=f"no {error.name}", expected="the clinic's libraries", remedy=remedy
-        ) from None
+    config = read_config(folder).model_copy(update=changes)
+    configure(config)
     return config
 
 

@@ -44,6 +44,9 @@ def edit(
 
     Ctrl-C stops it.
     """
+    from mammometry.base.extras import WEB, require
+
+    require("edit", *WEB)
     from mammometry.editor.server import serve
     from mammometry.io.drawn import BOUNDARIES, LANDMARK_FILE
     from mammometry.io.scans import MESH, is_scan

@@ -125,13 +125,13 @@ def dicom(
     One study: report (PDF), measurements (structured report), models (STL, OBJ), photographs. What an archive has
     already is not sent again.
     """
-    from mammometry.hospital.extra import require
+    from mammometry.base.extras import require
     from mammometry.hospital.peers import Peer, Tls, web_address
     from mammometry.io.outputs import require_apart, require_free, write_outputs
 
     if out is None and send is None and stow is None:
         raise typer.BadParameter("one of --out, --send and --stow says where the objects go")
-    require("pydicom", "pynetdicom", "highdicom")
+    require("hospital", "pydicom", "pynetdicom", "highdicom")
     peer = None if send is None else Peer.parse(send)
     asked = None if worklist is None else Peer.parse(worklist)
     encrypted = Tls(authorities=tls_ca, certificate=tls_certificate, key=tls_key)
@@ -209,10 +209,10 @@ def fhir(
 
     A report and an observation a number, with the interval as components. Sent twice, the bundle changes nothing.
     """
-    from mammometry.hospital.extra import require
+    from mammometry.base.extras import require
     from mammometry.io.outputs import require_apart, require_free, write_outputs
 
-    require("fhir.resources")
+    require("hospital", "fhir.resources")
     names = ("bundle.json",)
     require_apart(out, [session, settings])
     require_free(out, names, command="export fhir")

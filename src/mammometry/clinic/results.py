@@ -59,6 +59,16 @@ def latest(visits: Iterable[Visit]) -> list[VisitResult]:
     return found
 
 
+def add_volumes(measurement: Measurement, volumes: Iterable[Volume]) -> None:
+    """Store the volumes of a measurement, and which of each side leads: of many, that is too slow to find again."""
+    leaders: dict[str, Volume] = {}
+    ordered = sorted(volumes, key=lambda volume: (_rank(volume), volume.definition))
+    for volume in ordered:
+        volume.measurement = measurement
+        volume.leads = leaders.setdefault(volume.side, volume) is volume
+    Volume.objects.bulk_create(ordered)
+
+
 def visit_result(visit: Visit, measurement: Measurement) -> VisitResult:
     """One measurement as pages show it.
 

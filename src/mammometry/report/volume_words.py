@@ -23,7 +23,7 @@ def term_words(half_cc: float) -> str:
 
 def volume_words(volume_cc: float, interval_cc: tuple[float, float] | None = None) -> str:
     """A volume in whole cc if coarse, else in tenths."""
-    return f"{volume_cc:.0f} cc" if is_coarse(interval_cc) else f"{volume_cc:.1f} cc"
+    return f"{volume_cc:z.0f} cc" if is_coarse(interval_cc) else f"{volume_cc:z.1f} cc"
 
 
 def interval_words(interval_cc: tuple[float, float] | None) -> str:
@@ -45,7 +45,7 @@ def span_words(interval_cc: tuple[float, float] | None) -> str:
     if interval_cc is None:
         return "its error is not known"
     digits = 0 if is_coarse(interval_cc) else 1
-    low, high = (f"{bound:.{digits}f}".replace("-", "−") for bound in interval_cc)
+    low, high = (f"{bound:z.{digits}f}".replace("-", "−") for bound in interval_cc)
     return f"95 %: {low} to {high} cc"
 
 

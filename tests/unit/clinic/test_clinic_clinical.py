@@ -51,7 +51,7 @@ def measured(visit: Visit, days: int, left: tuple[float, float] | None, **of_vis
     measurement = Measurement.objects.create(visit=later, digest=f"d{days}", made_at=timezone.now(), software="1")
     if left is not None:
         Volume.objects.create(
-            measurement=measurement, side="left", definition="named wall", volume_cc=left[0],
+            measurement=measurement, side="left", definition="named wall", leads=True, volume_cc=left[0],
             low_cc=left[0] - left[1], high_cc=left[0] + left[1],
         )  # fmt: skip
     return later
@@ -450,3 +450,8 @@ def test_no_page_of_a_visit_names_a_command(visit: Visit, client_of: Callable[..
     assert sentences[3] in first
     assert "Pair front" not in first
     assert "Pair front" in page
+
+
+def test_a_new_consent_proposes_today(visit: Visit, client_of: Callable[..., Client]) -> None:
+    page = client_of(Role.TECHNICIAN).get(reverse("consent-new", args=[visit.patient.pk])).content.decode()
+    assert f'value="{timezone.localdate():%Y-%m-%d}"' in page

@@ -46,9 +46,7 @@ def measure(visit: Visit, volumes: Iterable[Volume], made_at: datetime.datetime 
     measurement = Measurement.objects.create(
         visit=visit, digest="d", made_at=made_at, software="1", curves={"left": "curve"}
     )
-    for volume in volumes:
-        volume.measurement = measurement
-        volume.save()
+    results.add_volumes(measurement, volumes)
     return measurement
 
 

@@ -76,7 +76,7 @@ def measured(patient: Patient, rig: Rig, days: int = 0) -> Visit:
             sha256=f"{camera}{visit.pk.hex}"[:64],
         )  # fmt: skip
     measurement = Measurement.objects.create(visit=visit, digest=visit.pk.hex, made_at=timezone.now(), software="1")
-    Volume.objects.create(measurement=measurement, side="left", definition="named wall", volume_cc=400.0)
+    Volume.objects.create(measurement=measurement, side="left", definition="named wall", leads=True, volume_cc=400.0)
     ready_folder(visit)
     folder = visit.folder
     (folder / "results/measure").mkdir(parents=True)

@@ -141,7 +141,13 @@ def test_no_page_and_no_form_does_harm(client_of: Callable[..., Client], visit: 
         result = Measurement.objects.create(visit=other, digest=f"{days:064d}", made_at=other.taken_at, software="1")
         for side in ("left", "right"):
             Volume.objects.create(
-                measurement=result, side=side, definition="named wall", volume_cc=300 + days, low_cc=290, high_cc=400
+                measurement=result,
+                side=side,
+                definition="named wall",
+                leads=True,
+                volume_cc=300 + days,
+                low_cc=290,
+                high_cc=400,
             )
     secrets = (patient.family_name, patient.given_name, patient.record_number, str(patient.born))
     by_name = role is not None and role in CARE

@@ -33,7 +33,13 @@ def measured(
     for side, (volume, half) in volumes.items():
         low, high = volume - half, volume + half
         Volume.objects.create(
-            measurement=measurement, side=side, definition="named wall", volume_cc=volume, low_cc=low, high_cc=high
+            measurement=measurement,
+            side=side,
+            definition="named wall",
+            leads=True,
+            volume_cc=volume,
+            low_cc=low,
+            high_cc=high,
         )
     return visit
 

@@ -12,8 +12,8 @@ import pytest
 from tests.unit.hospital.exports import ANNA, NAMES, deidentified, exported, one_sided, quantities, signed
 
 from mammometry.base.errors import StorageError, TableError
+from mammometry.base.extras import require
 from mammometry.hospital import redcap, tables
-from mammometry.hospital.extra import require
 from mammometry.hospital.fhir import Release, bundle
 from mammometry.hospital.gather import confirmed
 from mammometry.measure.volume.attribution import Attribution, Confirmation, curve_digest
@@ -144,11 +144,11 @@ def test_parquet_says_the_same_as_csv(tmp_path: Path) -> None:
 
 
 def test_a_missing_library_is_one_sentence() -> None:
-    require("csv")
+    require("hospital", "csv")
     with pytest.raises(StorageError, match=r"no library no_such_library.*pip install 'mammometry\[hospital\]'"):
-        require("csv", "no_such_library")
+        require("hospital", "csv", "no_such_library")
     with pytest.raises(StorageError, match=r"no library no_such_library\.inner"):
-        require("no_such_library.inner")
+        require("hospital", "no_such_library.inner")
 
 
 # --- what a clinic knows beside the numbers ---

@@ -33,6 +33,7 @@ def rig():
         (354.44, None, "354.4 cc"),
         (354.44, (352.0, 357.0), "354.4 cc"),
         (354.44, (300.0, 410.0), "354 cc"),
+        (-0.3, (-60.0, 60.0), "0 cc"),
     ],
 )
 def test_a_volume_has_no_more_digits_than_its_interval_justifies(

@@ -332,7 +332,7 @@ def test_every_disturbance_is_drawn_by_some_seed_for_development():
     names = {
         one.name for seed in range(400) if not is_held_out(seed) for d in (2, 3) for one in draw(seed, d).disturbances
     }
-    assert names == set(_NAMES)
+    assert names == set(_NAMES) - {"posture"}  # before a rig everybody leans: scans have other postures
 
 
 def test_the_page_lists_every_disturbance(repository):

@@ -16,6 +16,7 @@ from django.utils import timezone
 from mammometry.clinic.comparing import measured_digests, refusal_of
 from mammometry.clinic.confirmations import has_unmeasured_drawing, settled_state
 from mammometry.clinic.models import Calibration, Comparison, DailyCheck, Job, Measurement, Visit, Volume
+from mammometry.clinic.results import add_volumes
 
 Target = Visit | Calibration | DailyCheck | Comparison
 
@@ -111,7 +112,7 @@ def _measured(job: Job, visit: Visit, answer: Mapping[str, Any]) -> None:
             visit=visit, job=job, digest=answer["digest"], made_at=made_at, software=answer["software"],
             curves=answer.get("curves", {}), quantities=answer.get("quantities", []),
         )  # fmt: skip
-        Volume.objects.bulk_create(Volume(measurement=measurement, **row) for row in answer["volumes"])
+        add_volumes(measurement, [Volume(**row) for row in answer["volumes"]])
     visit.state = settled_state(visit)
     visit.save(update_fields=["state"])
 

@@ -53,10 +53,19 @@ class Volume(Keyed):
     """Upper end of the 95 % interval, cc."""
     refused = models.CharField(max_length=1500, blank=True)
     """Why there is no volume; empty: there is one."""
+    leads = models.BooleanField(default=False)
+    """Its meaning leads the page among those of its side (`clinic.results.add_volumes`)."""
 
     class Meta:
         ordering = ("definition", "side")
         constraints = (models.UniqueConstraint(fields=("measurement", "side", "definition"), name="one_volume_each"),)
+        indexes = (
+            models.Index(
+                fields=("measurement", "side", "definition", "volume_cc"),
+                condition=models.Q(leads=True),
+                name="leading_volumes",
+            ),
+        )
 
     def __str__(self) -> str:
         return f"{self.side}, {self.definition}"

@@ -7,6 +7,7 @@ import uuid
 from django.contrib import messages
 from django.http import HttpRequest, HttpResponse
 from django.shortcuts import get_object_or_404, redirect, render
+from django.utils import timezone
 
 from mammometry.clinic.clinical_forms import (
     CircumstancesForm,
@@ -56,7 +57,7 @@ def consent_new(request: HttpRequest, patient: uuid.UUID) -> HttpResponse:
     """Enter a consent."""
     person = get_object_or_404(Patient, pk=patient)
     consent = Consent(patient=person, entered_by=person_of(request))
-    first = {"purpose": request.GET.get("purpose")}
+    first = {"purpose": request.GET.get("purpose"), "given_on": timezone.localdate()}
     form = ConsentForm(request.POST or None, instance=consent, initial=first)
     return _edited(request, form, person, heading="New consent", about="consent", done="The consent is entered.")
 

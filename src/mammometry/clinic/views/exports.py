@@ -15,13 +15,13 @@ from django.utils import timezone
 
 from mammometry.base.csv_cells import csv_text
 from mammometry.base.errors import MammometryError
+from mammometry.base.extras import MissingLibraryError
 from mammometry.clinic import deliveries
 from mammometry.clinic.models import Visit
 from mammometry.clinic.reports import report_file
 from mammometry.clinic.site import the_clinic
 from mammometry.clinic.views.refusals import not_installed
 from mammometry.clinic.views.study import asked_visits, visits_left_out
-from mammometry.hospital.extra import MissingLibraryError
 
 if TYPE_CHECKING:
     from mammometry.hospital.fhir import Release

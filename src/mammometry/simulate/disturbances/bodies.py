@@ -192,6 +192,33 @@ def _build(shape: TorsoShape, build: str, rng: np.random.Generator) -> TorsoShap
     return replace(shape, body=changed)
 
 
+_POSTURES = ("leaning", "standing", "lying")
+_SPREAD = (1.06, 0.8)  # growth of a lying breast's base, and what is left of its fall; chosen by eye
+
+
+@disturbance("posture", "patient", "how she holds herself", Word(usual="standing", words=_POSTURES), turn=-1)
+def _posture(shape: TorsoShape, posture: str, rng: np.random.Generator) -> TorsoShape:
+    if posture == "leaning":
+        return shape
+    out_deg, back_deg = rng.uniform(18.0, 40.0), rng.uniform(0.0, 12.0)
+    body = replace(shape.body, arm_out_rad=math.radians(out_deg), arm_back_rad=math.radians(back_deg))
+    if posture == "standing":
+        return replace(shape, body=body, lean_rad=math.radians(rng.uniform(0.0, 6.0)))
+    grown, left = _SPREAD
+    breasts = {}
+    for side, breast in shape.breasts.items():
+        aside, height = breast.apex_mm
+        limits = (aside - 3.0, body.half_width_mm + 4.0 - aside, 94.0 - height)
+        inner, outer, upper = (
+            min(grown * length, limit) for length, limit in zip(breast.radii_mm, limits, strict=False)
+        )
+        breasts[side] = replace(
+            breast, radii_mm=(inner, outer, upper, grown * breast.radii_mm[3]), hang_mm=left * breast.hang_mm,
+            fullness=0.6 * breast.fullness,
+        )  # fmt: skip
+    return replace(shape, body=body, breasts=breasts, lean_rad=math.radians(rng.uniform(-90.0, -80.0)))
+
+
 def operated(shape: TorsoShape) -> list[str]:
     """Sides that are removed, mounds without fold, or without nipple."""
     return [side for side, one in shape.breasts.items() if one.removed or one.bare or one.fullness == 0.0]

@@ -73,7 +73,7 @@ class TorsoShape:
     breasts: Mapping[str, BreastShape]
     """"left" and "right", the patient's own."""
     lean_rad: float = math.radians(35.0)
-    """How far it leans forward."""
+    """How far it leans forward: 0 stands, −π/2 lies on the back."""
     marks: tuple[Mark, ...] = ()
     """Scars, folds, tattoos and whatever else is on its skin."""
 
@@ -155,8 +155,9 @@ class _Mound:
         up = np.array([0.0, 1.0, 0.0]) - self.ahead[1] * self.ahead
         self.up = up / np.linalg.norm(up)
         self.aside = self.sign * np.cross(self.up, self.ahead)
-        # Along gravity, and down the chest by what stretched skin has let go for good.
-        pull = np.array([0.0, -math.cos(lean_rad) - _SLACK, math.sin(lean_rad)])
+        # Along gravity, and down the chest by what stretched skin has let go. A lying one's slides aside on the chest.
+        pull = np.array([0.0, -math.cos(lean_rad) - _SLACK * (lean_rad >= 0), math.sin(lean_rad)])
+        pull -= min(float(pull @ self.ahead), 0.0) * (lean_rad < 0) * self.ahead
         self._pull = pull / np.linalg.norm(pull)
         # The nipple, and which way it points, on the mound without it.
         radii = np.array(shape.radii_mm)

@@ -1,10 +1,13 @@
-"""The libraries of the extra `hospital`, or one plain sentence."""
+"""Libraries that an extra of the package brings, or one plain sentence."""
 
 from __future__ import annotations
 
 from importlib.util import find_spec
 
 from mammometry.base.errors import StorageError
+
+WEB = ("django", "uvicorn")
+"""What pages are served by: extra `edit`."""
 
 
 class MissingLibraryError(StorageError):
@@ -16,20 +19,21 @@ def missing(*modules: str) -> list[str]:
     return [name for name in modules if not _is_installed(name)]
 
 
-def require(*modules: str) -> None:
+def require(extra: str, *modules: str) -> None:
     """Refuse where a library is not installed.
+
+    Args:
+        extra: what brings them.
+        modules: that are needed now.
 
     Raises:
         MissingLibraryError: names it, and how to install it.
     """
-    absent = missing(*modules)
-    if absent:
+    if absent := missing(*modules):
         raise MissingLibraryError(
-            "mammometry export",
-            found=f"no library {', '.join(absent)}",
-            expected="the libraries for hospitals' systems",
-            remedy="Install them: pip install 'mammometry[hospital]'",
-        )
+            "this command", found=f"no library {', '.join(absent)}", expected=f"mammometry's extra {extra}",
+            remedy=f"Run pip install 'mammometry[{extra}]'",
+        )  # fmt: skip
 
 
 def _is_installed(module: str) -> bool:

@@ -1,0 +1,72 @@
+"""Measuring and reporting need no extra; what needs one says which, in a sentence."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+_EXTRAS = (
+    *("django", "uvicorn", "asgiref", "distributed", "dask", "bokeh", "pyarrow", "fsspec", "s3fs", "sshfs"),
+    *("allauth", "argon2", "axes", "auditlog", "whitenoise", "psycopg", "pydicom", "pynetdicom", "highdicom", "fhir"),
+    *("pypylon", "gi", "gphoto2", "mitsuba"),
+)
+_WITHOUT = f"""
+import importlib.abc, sys
+
+class Absent(importlib.abc.MetaPathFinder):
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in {_EXTRAS!r}:
+            raise ModuleNotFoundError(f"No module named {{name!r}}", name=name)
+
+sys.meta_path.insert(0, Absent())
+"""
+_IMPORT_ALL = """
+import importlib, pkgutil
+import mammometry
+for module in pkgutil.walk_packages(mammometry.__path__, "mammometry.", onerror=lambda name: None):
+    if module.name.endswith("__main__"):
+        continue
+    try:
+        importlib.import_module(module.name)
+    except ModuleNotFoundError:
+        print(module.name)
+"""
+_MAY_NEED_ONE = (
+    *("mammometry.clinic", "mammometry.hospital", "mammometry.editor.server", "mammometry.editor.door"),
+    *("mammometry.capture.page", "mammometry.batch.offer"),
+)
+
+
+def without_extras(code: str) -> "subprocess.CompletedProcess[str]":
+    """Run Python code where no library of an extra can be imported."""
+    return subprocess.run(
+        [sys.executable, "-c", _WITHOUT + code], capture_output=True, text=True, timeout=120, check=False
+    )
+
+
+def test_what_measures_and_reports_imports_no_extra() -> None:
+    done = without_extras(_IMPORT_ALL)
+    assert done.returncode == 0, done.stderr
+    failed = done.stdout.split()
+    assert any(name.startswith("mammometry.clinic") for name in failed), "has this test lost its object?"
+    assert [name for name in failed if not name.startswith(_MAY_NEED_ONE)] == []
+
+
+@pytest.mark.parametrize(
+    ("words", "extra"),
+    [
+        (["edit", "session"], "edit"),
+        (["batch", "session", "--out", "out"], "batch"),
+        (["clinic", "init", "clinic"], "clinic"),
+        (["export", "fhir", "session", "--out", "out"], "hospital"),
+    ],
+)
+def test_what_needs_an_extra_names_it(words: list[str], extra: str, tmp_path: Path) -> None:
+    (tmp_path / "session").mkdir()
+    (tmp_path / "session" / "session.toml").touch()
+    run = "from mammometry.cli.main import main; main()"
+    done = without_extras(f"import os; os.chdir({str(tmp_path)!r}); sys.argv[1:] = {words!r}\n{run}")
+    assert done.returncode != 0
+    assert f"Run pip install 'mammometry[{extra}]'" in " ".join(done.stderr.split()), done.stderr
+    assert "Traceback" not in done.stderr
