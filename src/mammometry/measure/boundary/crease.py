@@ -2,7 +2,7 @@
 
 The crease is where the breast's skin turns most sharply into the trunk's. Every curve s(φ) around the breast's middle
 is a path through a table of directions and distances (`closed_path`). Where no crease is (the upper pole of many
-breasts), the neighbours, the skin's height and the shape of real women's boundaries decide, and not whatever is deepest.
+breasts), the neighbours, the skin's height and the shape of real women's boundaries decide, and not what is deepest.
 """
 
 from __future__ import annotations
@@ -121,15 +121,20 @@ def follow_crease(
         worth = worth - np.minimum(np.clip(bulge / _VANISH_MM - 1, 0.0, None) * _HEIGHT_COST, _MOST_HEIGHT_COST)
         tables = np.maximum(np.where(allowed, worth, _FORBIDDEN) - unlike, 4 * _FORBIDDEN)
         ways = best_paths(tables, _STIFFNESS)
-        size = int(np.argmax(gathered(tables, ways, _STIFFNESS) - size_cost))
-        way = ways[size]
+        score = gathered(tables, ways, _STIFFNESS) - size_cost
+        share = np.exp(_NATS * (score - score.max()))
+        share /= share.sum()
+        way = share @ ways  # where evidence is sharp all sizes agree; elsewhere none of them alone is right
         if last < _CENTRINGS - 1:
-            middle = _centroid(middle + rays * steps[way][:, None])
+            middle = _centroid(middle + rays * (_STEP_MM * (1 + way))[:, None])
+    likeliest = int(np.argmax(score))
+    spread = np.hypot(spread_steps(tables[likeliest], _STIFFNESS, _NATS), np.sqrt(share @ (ways - way) ** 2))
+    reach, way = _STEP_MM * (1 + way), np.round(way).astype(np.int64)
     row = np.arange(DIRECTIONS)
     flank_mm = _outer_flank_mm(concavity, allowed, way)
     fine = relief.at(places, relief.concavity_per_mm(_FINE_MM))
     # Each pixel has its innermost skin, which is that of its outer edge: half a pixel too far in.
-    reach = steps[way] + flank_mm - _smeared_mm(concavity, fine, way) + PIXEL_MM / 2
+    reach = reach + flank_mm - _smeared_mm(concavity, fine, way) + PIXEL_MM / 2
     # Smooth as the directions' own distances are, in mm along the curve.
     apart = float(np.mean(reach)) * 2 * np.pi / DIRECTIONS
     reach = np.asarray(gaussian_filter1d(reach, _SIGMA_MM / apart, mode="wrap"))
@@ -138,7 +143,7 @@ def follow_crease(
         flat=flat,
         concavity_per_mm=concavity[row, way],
         seen=relief.at(flat, relief.known.astype(np.float64)) > 0.5,
-        sigma_mm=_STEP_MM * spread_steps(tables[size], _STIFFNESS, _NATS),
+        sigma_mm=_STEP_MM * spread,
     )
 
 
