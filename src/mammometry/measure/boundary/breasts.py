@@ -1,7 +1,4 @@
-"""Outline each breast of a torso along its crease, if any.
-
-The crease is between breast and trunk.
-"""
+"""Outline the breast of each side of a torso, or say that there is none."""
 
 from __future__ import annotations
 
@@ -56,7 +53,7 @@ class Outline:
     points_world: Float64[Array, "n 3"]
     """Closed curve on the surface, mm, world frame."""
     creased: float
-    """Share of the curve that follows a crease. Elsewhere its neighbours decided."""
+    """Share of the curve that follows a crease. Elsewhere the shape of other breasts decided."""
     folded: float
     """Share of the curve's lower quarter that follows a crease as sharp as a fold: it shows whether there is a fold."""
     seen: float

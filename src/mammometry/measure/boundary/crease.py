@@ -19,7 +19,7 @@ from mammometry.measure.settings import BreastSettings
 from mammometry.measure.trunk.skin_map import PIXEL_MM, Relief
 
 CREASE_PER_MM = 0.01
-"""Concavity that counts half as a crease, 1/mm, twice a mean curvature. A chest has below .005, a fold .1 to 1."""
+"""Concavity from which the skin has a crease, 1/mm, twice a mean curvature. A chest has below .005, a fold .1 to 1."""
 DIRECTIONS = 144  # from the breast's middle in which its end is looked for, 2.5° apart
 _SIGMA_MM = 4.0
 """Scale at which the skin's curvature is looked at, mm: wider than the matcher's and the skin's unevenness, narrower
@@ -168,15 +168,6 @@ def _centroid(flat: Float64[Array, "n 2"]) -> Float64[Array, 2]:
     following = np.roll(flat, -1, axis=0)
     twice = flat[:, 0] * following[:, 1] - following[:, 0] * flat[:, 1]
     return np.asarray(((flat + following) * twice[:, None]).sum(axis=0) / (3 * twice.sum()))
-
-
-def crease_worth(concavity_per_mm: Float64[Array, "*n"]) -> Float64[Array, "*n"]:
-    """How far places are a crease, 0 to 1.
-
-    By their concavity κ, 1/mm: κ/(κ + κ₀) where it is positive.
-    """
-    concave = np.clip(concavity_per_mm, 0.0, None)
-    return np.asarray(concave / (concave + CREASE_PER_MM))
 
 
 def _beyond_the_top(bulge: Float64[Array, "d s"]) -> Bool[Array, "d s"]:
