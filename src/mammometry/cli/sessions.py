@@ -103,9 +103,9 @@ def info(
     json: Json = False,
     verbose: Verbose = 0,
 ) -> Answer:
-    """Show what a session holds and which results are current.
+    """Show what a session holds, which results are current, and what to do next.
 
-    The others are stale or damaged. A stale result was made from other photographs or settings than the present ones.
+    A stale result was made from other photographs or settings than the present ones. -v lists every result.
     All result files are read, which takes a second or two per gigabyte.
     """
     from mammometry.api.job import open_session
@@ -144,7 +144,7 @@ def info(
         "report_shows": _shown_by(job),
         "pages": job.pages(),
     }
-    return Answer(table, _info_lines(table))
+    return Answer(table, _info_lines(table, every_product=verbose > 0))
 
 
 def _shown_by(job: Job) -> dict[str, Any] | None:
@@ -180,18 +180,65 @@ def _overall(states: list[str]) -> str:
     return next((state for state in ("damaged", "stale") if state in states), "partial")
 
 
-def _info_lines(table: dict[str, Any]) -> list[Any]:
+_STAGES = {
+    "calibrate": "cameras calibrated",
+    "match": "pairs matched",
+    "surface": "surface built",
+    "measure": "breasts measured",
+    "report": "report written",
+}
+_STATES = {
+    "current": "yes",
+    "absent": "not yet",
+    "partial": "in part",
+    "stale": "to be done again: a photograph, a drawing or a setting was changed",
+    "damaged": "to be done again: a file of it is damaged",
+    "not needed": "not needed",
+}
+
+
+def _stages_table(stages: dict[str, Any]) -> Any:
+    """A line a stage."""
     from rich.table import Table
 
-    calibration = "ready-made cameras" if table["ready_made_cameras"] else f"{len(table['poses'])} calibration poses"
-    pairs = ", ".join(f"{name} ({left} + {right})" for name, (left, right) in table["pairs"].items())
+    shown = Table.grid(padding=(0, 3))
+    for stage, about in stages.items():
+        made = [product["made"] for product in about["products"].values() if product["made"]]
+        seconds = sum(product["seconds"] or 0.0 for product in about["products"].values())
+        when = (
+            f"{max(made)[:16].replace('T', ' ')} UTC, {seconds:.0f} s" if about["state"] == "current" and made else ""
+        )
+        shown.add_row(_STAGES[stage], _STATES[about["state"]], when)
+    return shown
+
+
+def _products_table(stages: dict[str, Any]) -> Any:
+    """A line a product."""
+    from rich.table import Table
+
     shown = Table("stage", "product", "state", "made", "seconds", box=None, pad_edge=False)
-    for stage, about in table["stages"].items():
+    for stage, about in stages.items():
         if not about["products"]:
             shown.add_row(stage, "", about["state"], "", "")
         for number, (name, product) in enumerate(about["products"].items()):
             seconds = "" if product["seconds"] is None else f"{product['seconds']:.1f}"
             shown.add_row("" if number else stage, name, product["state"], product["made"] or "", seconds)
+    return shown
+
+
+def _next_words(table: dict[str, Any]) -> str:
+    """What to do next."""
+    if table["missing"]:
+        return "Next: put the missing photographs there"
+    states = [about["state"] for about in table["stages"].values()]
+    if all(state in ("current", "not needed") for state in states):
+        return "Next: open results/report/report.html"
+    return f"Next: mammometry run {table['session']}"
+
+
+def _info_lines(table: dict[str, Any], *, every_product: bool) -> list[Any]:
+    calibration = "ready-made cameras" if table["ready_made_cameras"] else f"{len(table['poses'])} calibration poses"
+    pairs = ", ".join(f"{name} ({left} + {right})" for name, (left, right) in table["pairs"].items())
     subject = table["subject"] if table["subject_id"] is None else f"{table['subject']} {table['subject_id']}"
     missing = [f"missing: {', '.join(table['missing'])}"] if table["missing"] else []
     drawn = [f"boundary {name}: {how}" for name, how in table["drawn"].items()]
@@ -202,7 +249,8 @@ def _info_lines(table: dict[str, Any]) -> list[Any]:
     stale = [page for page, state in table["pages"].items() if state == "stale"]
     warned += [f"results/{page} shows other results or another name. Make it again or delete it" for page in stale]
     first = f"rig {table['rig']}, subject {subject}, {calibration}"
-    return [first, f"pairs: {pairs}", *drawn, *missing, *warned, "", shown]
+    shown = _products_table(table["stages"]) if every_product else _stages_table(table["stages"])
+    return [first, f"pairs: {pairs}", *drawn, *missing, *warned, "", shown, "", _next_words(table)]
 
 
 @app.command(

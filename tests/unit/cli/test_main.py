@@ -193,6 +193,13 @@ def test_new_makes_a_session_that_opens(tmp_path: Path, capsys: pytest.CaptureFi
     assert "a folder with files in it" in capsys.readouterr().err
     assert main.run(["info", str(folder), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["missing"] == ["capture/front_left", "capture/front_right"]
+    assert main.run(["info", str(folder)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert next(line for line in lines if line.startswith("cameras calibrated")).split()[2:] == ["not", "yet"]
+    assert lines[-1] == "Next: put the missing photographs there"
+    assert not any("observations" in line for line in lines)
+    assert main.run(["info", str(folder), "-v"]) == 0
+    assert "calibration" in capsys.readouterr().out
     assert main.run(["calibrate", str(folder)]) == 3
     assert capsys.readouterr().err.startswith("mammometry: calibration: found 0 poses")
 

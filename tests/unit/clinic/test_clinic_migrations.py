@@ -41,63 +41,6 @@ for number in map(int, sys.argv[2].split(",")):
     print(os.WTERMSIG(status) if os.WIFSIGNALED(status) else 0)
 """
 
-# Brings the tables to the migration before the constraint, opens jobs twice, and migrates on.
-_DOUBLES = """
-import sys
-from datetime import timedelta
-from pathlib import Path
-from mammometry.clinic.config import read_config
-from mammometry.clinic.site import configure
-config = read_config(Path(sys.argv[1]))
-configure(config)
-from django.core.management import call_command
-from django.db import connection
-from django.db.migrations.executor import MigrationExecutor
-from django.utils import timezone
-call_command("migrate", "clinic", "0003_deliveries", verbosity=0)
-apps = MigrationExecutor(connection).loader.project_state([("clinic", "0003_deliveries")]).apps
-Rig, Calibration, Job = (apps.get_model("clinic", name) for name in ("Rig", "Calibration", "Job"))
-rig = Rig.objects.create(name="room 1")
-now = timezone.now()
-for number, states in enumerate((("queued", "queued"), ("queued", "running"), ("done", "queued"))):
-    about = Calibration.objects.create(rig=rig, taken_at=now + timedelta(days=number), folder=str(number))
-    for late, state in enumerate(states):
-        job = Job.objects.create(calibration=about, kind="calibrate", state=state)
-        Job.objects.filter(pk=job.pk).update(created=now + timedelta(minutes=late))
-call_command("migrate", verbosity=0)
-for about in Calibration.objects.order_by("taken_at"):
-    print(*Job.objects.filter(calibration=about).order_by("created").values_list("state", flat=True))
-"""
-
-# Enters volumes with the tables of the version before they were marked, and migrates on.
-_VOLUMES = """
-import sys
-from pathlib import Path
-from mammometry.clinic.config import read_config
-from mammometry.clinic.site import configure
-config = read_config(Path(sys.argv[1]))
-configure(config)
-from django.core.management import call_command
-from django.db import connection
-from django.db.migrations.executor import MigrationExecutor
-from django.utils import timezone
-call_command("migrate", "clinic", "0006_scans", verbosity=0)
-apps = MigrationExecutor(connection).loader.project_state([("clinic", "0006_scans")]).apps
-Patient, Visit, Measurement, Volume = (
-    apps.get_model("clinic", name) for name in ("Patient", "Visit", "Measurement", "Volume")
-)
-patient = Patient.objects.create(family_name="A", given_name="B", record_number="1", pseudonym="P-AAAAAA")
-visit = Visit.objects.create(patient=patient, taken_at=timezone.now())
-measurement = Measurement.objects.create(visit=visit, digest="d", made_at=timezone.now(), software="1")
-for side, definition in (
-    ("left", "any"), ("left", "flat chest"), ("left", "another"), ("right", "b"), ("right", "a"), ("difference", "any")
-):
-    Volume.objects.create(measurement=measurement, side=side, definition=definition)
-call_command("migrate", verbosity=0)
-from mammometry.clinic.models import Volume
-print(*sorted(map(" ".join, Volume.objects.filter(leads=True).values_list("side", "definition"))), sep=", ")
-"""
-
 
 def migrated(folder: Path, stops: list[int]) -> list[int]:
     """Migrate once for each stop; the signals that ended them."""
@@ -130,22 +73,3 @@ def test_a_killed_migration_leaves_nothing_half_done(tmp_path: Path) -> None:
     assert signals[-1] == 0
     assert schema(killed) == schema(whole)
     assert len([row for row in schema(killed) if row[0] == "trigger"]) == 2
-
-
-@pytest.mark.slow
-def test_jobs_that_were_open_twice_are_cancelled_but_for_one(tmp_path: Path) -> None:
-    new_clinic(tmp_path / "clinic", name="Clinic")
-    words = [sys.executable, "-c", _DOUBLES, str(tmp_path / "clinic")]
-    done = subprocess.run(words, capture_output=True, text=True, timeout=300, check=False, env=os.environ)
-    assert done.returncode == 0, done.stderr
-    # The older one stays of two that wait; the one at work stays; what has ended was never open.
-    assert done.stdout.split("\n")[:3] == ["queued cancelled", "cancelled running", "done queued"]
-
-
-@pytest.mark.slow
-def test_which_volume_leads_is_marked_in_earlier_results(tmp_path: Path) -> None:
-    new_clinic(tmp_path / "clinic", name="Clinic")
-    words = [sys.executable, "-c", _VOLUMES, str(tmp_path / "clinic")]
-    done = subprocess.run(words, capture_output=True, text=True, timeout=300, check=False, env=os.environ)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.split("\n")[0] == "difference any, left flat chest, right a"

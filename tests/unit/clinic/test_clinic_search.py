@@ -4,7 +4,6 @@ import datetime
 from collections.abc import Callable
 
 import pytest
-from django.apps import apps
 from django.test import Client
 from django.utils import timezone
 
@@ -12,7 +11,7 @@ from mammometry.clinic.config import ClinicConfig
 from mammometry.clinic.models import Patient, Rig, Visit
 from mammometry.clinic.records.search import MANY, matches, search
 from mammometry.clinic.roles import Role
-from mammometry.clinic.search_words import read_query, words_of
+from mammometry.clinic.search_words import read_query
 
 NOON = datetime.datetime(2026, 3, 1, 12, tzinfo=datetime.UTC)
 BORN = datetime.date(1979, 5, 14)
@@ -91,17 +90,6 @@ def test_words_follow_a_change_and_many_that_are_entered_at_once(clinic: ClinicC
     assert not search("meier").exists()
     Patient.objects.bulk_create([Patient(family_name="Ünal", given_name=str(k), record_number=f"U-{k}") for k in "ab"])
     assert search("unal").count() == 2
-
-
-def test_the_migration_fills_the_words_of_those_who_were_there(clinic: ClinicConfig) -> None:
-    from importlib import import_module
-
-    patient = entered("Müller")
-    Patient.objects.update(search_words="")
-    assert not search("muller").exists()
-    import_module("mammometry.clinic.migrations.0007_records_and_confirmations").fill_search_words(apps, None)
-    assert list(search("muller")) == [patient]
-    assert Patient.objects.get().search_words == words_of(patient.own_words)
 
 
 def test_no_page_lists_more_than_it_shows(
