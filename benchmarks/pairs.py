@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from benchmarks.rendered import make_session, subjects
@@ -13,10 +13,10 @@ from mammometry.base.photograph import Photograph
 from mammometry.geometry.camera import Rig, StereoPair
 from mammometry.io.images import read_photograph
 from mammometry.io.truth import read_truth
-from mammometry.matching.coarse_depth import depth_seeds
 from mammometry.matching.foreground import Foreground, estimate_foreground
 from mammometry.matching.rectify import RectifiedPair, rectify
-from mammometry.matching.settings import MatchSettings
+from mammometry.matching.settings import ForegroundSettings, MatchSettings
+from mammometry.matching.subjects import find_subjects
 from mammometry.study.accuracy_matching import TrueDisparity, true_disparity
 from mammometry.study.rays import RayScene
 
@@ -65,6 +65,17 @@ def calibrated(session: Path) -> Rig:
     return open_session(session).calibrate().rig
 
 
+def foregrounds_of(
+    rig: Rig, photographs: Mapping[str, Photograph], settings: ForegroundSettings = ForegroundSettings()
+) -> dict[str, Foreground]:
+    """Camera → its foreground, as the product finds it."""
+    found = find_subjects(rig, photographs, settings)
+    return {
+        name: estimate_foreground(shot, name, settings, subject=found.blocks.get(name))
+        for name, shot in photographs.items()
+    }
+
+
 def cases(capture: Capture, pairs: list[str], settings: MatchSettings, rig: Rig | None = None) -> Iterator[Case]:
     """Rectify pairs, all if none is named, by the true cameras or by those of a rig.
 
@@ -82,12 +93,11 @@ def cases(capture: Capture, pairs: list[str], settings: MatchSettings, rig: Rig 
             read_photograph(next((capture.session / "capture").glob(f"{camera.name}.*")), camera.name)
             for camera in (believed.left, believed.right)
         )
-        seeds = depth_seeds(truth.rig if rig is None else rig, name, (left, right))
-        of_left, of_right = ([one for one in seeds if one.camera == shot.name] for shot in (left, right))
-        foregrounds = (
-            estimate_foreground(left, left.name, settings.foreground, seeds=of_left),
-            estimate_foreground(right, right.name, settings.foreground, seeds=of_right),
-        )
+        cameras = {believed.left.name: believed.left, believed.right.name: believed.right}
+        known = truth.rig if rig is None else rig
+        alone = replace(known, cameras=cameras, pair_names={name: (believed.left.name, believed.right.name)})
+        found = foregrounds_of(alone, {believed.left.name: left, believed.right.name: right}, settings.foreground)
+        foregrounds = found[believed.left.name], found[believed.right.name]
         pair = rectify(believed, left, right, *foregrounds, settings.rectify)
         seconds = time.perf_counter() - begun
         yield Case(

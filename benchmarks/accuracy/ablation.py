@@ -22,13 +22,13 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
+from benchmarks.pairs import foregrounds_of
 from benchmarks.poisson import screened_poisson
 from mammometry.geometry.arrays import Array
 from mammometry.geometry.camera import Rig
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.io.images import read_photograph
-from mammometry.matching.coarse_depth import seeds_of_cameras
-from mammometry.matching.foreground import Foreground, estimate_foreground
+from mammometry.matching.foreground import Foreground
 from mammometry.matching.match import match
 from mammometry.matching.rectify import rectify
 from mammometry.matching.settings import MatchSettings
@@ -76,11 +76,7 @@ def range_images(rig: Rig, folder: Path) -> tuple[list[RangeImage], dict[str, Fo
     settings = MatchSettings()
     files = {path.stem: path for path in (folder / "capture").iterdir()}
     photographs = {name: read_photograph(files[name], name) for name in rig.cameras}
-    seeds = seeds_of_cameras(rig, photographs)
-    seen = {
-        name: estimate_foreground(shot, name, settings.foreground, seeds=seeds[name])
-        for name, shot in photographs.items()
-    }
+    seen = foregrounds_of(rig, photographs, settings.foreground)
     images = []
     for pair in rig.pairs:
         left, right = pair.left.name, pair.right.name

@@ -20,10 +20,9 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.pairs import foregrounds_of
 from mammometry.io.images import read_photograph
 from mammometry.io.truth import read_truth
-from mammometry.matching.coarse_depth import seeds_of_cameras
-from mammometry.matching.foreground import estimate_foreground
 from mammometry.simulate.recipe import SessionRecipe
 from mammometry.simulate.rendering.skin import make_skin
 from mammometry.simulate.session import write_session
@@ -66,10 +65,10 @@ def judged(scene: Scene, folder: Path) -> Iterator[dict[str, Any]]:
     truth = read_truth(folder / "truth", {scene.pair: names})
     surface = RayScene(truth.mesh)
     shots = {name: read_photograph(next((folder / "capture").glob(f"{name}.*")), name) for name in names}
-    seeds = seeds_of_cameras(truth.rig, shots)
+    foregrounds = foregrounds_of(truth.rig, shots)
     for name in names:
         camera = truth.rig.cameras[name]
-        found = estimate_foreground(shots[name], name, seeds=seeds[name])
+        found = foregrounds[name]
         true = surface.cast(camera.centre_world, camera.rays_world(pixel_grid(camera))).hit
         outline = judge_silhouette(surface, camera, found)
         yield {

@@ -30,7 +30,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.pairs import Capture, captures
+from benchmarks.pairs import Capture, captures, foregrounds_of
 from benchmarks.speed.reference import beside
 from mammometry.api.job import open_session
 from mammometry.geometry.arrays import Array
@@ -39,8 +39,7 @@ from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
 from mammometry.io.images import read_photograph
 from mammometry.io.truth import read_truth
-from mammometry.matching.coarse_depth import seeds_of_cameras
-from mammometry.matching.foreground import Foreground, estimate_foreground
+from mammometry.matching.foreground import Foreground
 from mammometry.matching.match import match
 from mammometry.matching.rectify import rectify
 from mammometry.matching.settings import MatchSettings
@@ -76,11 +75,7 @@ def range_images(capture: Capture, rig: Rig) -> tuple[list[RangeImage], dict[str
     settings = MatchSettings()
     files = {path.stem: path for path in (capture.session / "capture").iterdir()}
     photographs = {name: read_photograph(files[name], name) for name in rig.cameras}
-    seeds = seeds_of_cameras(rig, photographs)
-    foregrounds = {
-        name: estimate_foreground(shot, name, settings.foreground, seeds=seeds[name])
-        for name, shot in photographs.items()
-    }
+    foregrounds = foregrounds_of(rig, photographs, settings.foreground)
     images = []
     for pair in rig.pairs:
         left, right = pair.left.name, pair.right.name

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from mammometry.base.errors import MatchingError
 from mammometry.io.images import read_photograph
 from mammometry.io.truth import read_truth
-from mammometry.matching.coarse_depth import seeds_of_cameras
-from mammometry.matching.foreground import estimate_foreground
+from mammometry.matching.foreground import blocks_of, estimate_foreground, subject_blocks
+from mammometry.matching.settings import ForegroundSettings
+from mammometry.matching.subjects import find_subjects
 from mammometry.simulate.recipe import SessionRecipe
 from mammometry.simulate.rendering.skin import make_skin
 from mammometry.simulate.session import write_session
@@ -41,10 +41,10 @@ def test_the_outline_is_the_subjects_own(case: str, tmp_path: Path) -> None:
     truth = read_truth(session / "truth", {pair: (f"{pair}_left", f"{pair}_right")})
     scene = RayScene(truth.mesh)
     shots = {name: read_photograph(next((session / "capture").glob(f"{name}.*")), name) for name in truth.rig.cameras}
-    seeds = seeds_of_cameras(truth.rig, shots)
+    subjects = find_subjects(truth.rig, shots)
     for name in (f"{pair}_left", f"{pair}_right"):
         camera = truth.rig.cameras[name]
-        found = estimate_foreground(shots[name], name, seeds=seeds[name])
+        found = estimate_foreground(shots[name], name, subject=subjects.blocks[name])
         true = scene.cast(camera.centre_world, camera.rays_world(pixel_grid(camera))).hit
         lost = 100 * (true & ~found.mask).sum() / true.sum()
         gained = 100 * (found.mask & ~true).sum() / true.sum()
@@ -66,11 +66,10 @@ def test_a_torso_before_a_pale_wall_is_found(skin: str, tmp_path: Path) -> None:
     truth = read_truth(session / "truth", {"front": names})
     scene = RayScene(truth.mesh)
     shots = {name: read_photograph(next((session / "capture").glob(f"{name}.*")), name) for name in names}
-    seeds = seeds_of_cameras(truth.rig, shots)
+    subjects = find_subjects(truth.rig, shots)
     for name, shot in shots.items():
-        with pytest.raises(MatchingError):
-            estimate_foreground(shot, name)
-        found = estimate_foreground(shot, name, seeds=seeds[name]).mask
+        assert subject_blocks(name, blocks_of(shot), ForegroundSettings(), ()) is None
+        found = estimate_foreground(shot, name, subject=subjects.blocks[name]).mask
         camera = truth.rig.cameras[name]
         true = scene.cast(camera.centre_world, camera.rays_world(pixel_grid(camera))).hit
         assert (true & ~found).sum() < 0.01 * true.sum()

@@ -71,7 +71,9 @@ def seen(stage: Stage, plan: Plan, inputs: Inputs, store: Store, previews: Calla
         looked = {pose: made() for pose, made in plan.calibrated.observations.items() if store.has(made.key)}
         return {"targets": refused.targets_seen(inputs.calibration_photographs, looked)} if looked else {}
     if stage == "match":
-        return {"photographs": refused.photographs_seen(inputs.photographs)}
+        subjects = there(plan.matched.subjects)
+        outlines = None if subjects is None else subjects.blocks
+        return {"photographs": refused.photographs_seen(inputs.photographs, outlines)}
     if stage == "surface":
         return previews("match")
     body, boundaries = there(plan.measured.body), there(plan.measured.boundaries)

@@ -4,6 +4,8 @@ Each error is one sentence that names the file, camera or pair, what was found, 
 Anything else that escapes is a defect of ours. The command line turns each class into its own exit code.
 """
 
+from __future__ import annotations
+
 from pathlib import Path
 
 _LONGEST = 500  # characters of one part; names and values out of damaged files may be longer
@@ -82,9 +84,25 @@ class SurfaceError(MammometryError):
 
 
 class MeasureError(MammometryError):
-    """No boundary, chest wall or volume could be found on the surface."""
+    """No boundary, chest wall or volume could be found on the surface.
+
+    Args:
+        subject: see `MammometryError`.
+        found: see `MammometryError`.
+        expected: see `MammometryError`.
+        remedy: what the user can do about it; of photographs where it differs for a mesh.
+        mesh_remedy: what the user can do about it where another scanner's mesh is measured. None: the same.
+    """
 
     exit_code = 8
+
+    def __init__(self, subject: str, *, found: str, expected: str, remedy: str, mesh_remedy: str | None = None) -> None:
+        super().__init__(subject, found=found, expected=expected, remedy=remedy)
+        self._mesh_remedy = mesh_remedy or remedy
+
+    def of_mesh(self) -> MeasureError:
+        """The same in words of a mesh, which has no session and no cameras."""
+        return type(self)(self.subject, found=self.found, expected=self.expected, remedy=self._mesh_remedy)
 
 
 class CrossingError(MeasureError):

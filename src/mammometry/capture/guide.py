@@ -14,7 +14,7 @@ import numpy as np
 
 from mammometry.calibration.adjust.calibrated import Calibration
 from mammometry.calibration.judge.expected_error import derivatives, expected_error, shape_shifts
-from mammometry.calibration.judge.working_volume import meeting_point, working_volume
+from mammometry.calibration.judge.working_volume import working_volume
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.camera import Rig
 from mammometry.geometry.transform import Transform
@@ -164,8 +164,9 @@ def _information_of(
 def _places(calibration: Calibration, rng: np.random.Generator) -> list[Transform]:
     """Places about the rig's middle, the print towards some of the pairs, however turned."""
     rig, target = calibration.rig, calibration.observations.target
-    grid = working_volume(calibration).grid_world
-    middle, reach = meeting_point(rig), _REACH * 0.5 * float(np.ptp(grid[..., 0]))
+    volume = working_volume(calibration)
+    grid, middle = volume.grid_world, volume.middle_world
+    reach = _REACH * 0.5 * float(np.ptp(grid[..., 0]))
     axes = _pair_axes(rig)
     found = []
     for _ in range(_CANDIDATES):
@@ -206,7 +207,9 @@ def _in_words(calibration: Calibration, placed: Transform, seeing: tuple[str, ..
     rig = calibration.rig
     facing = -placed.rotation[:, 2]
     pair = rig.pairs[int((_pair_axes(rig) @ facing).argmax())]
-    offset = placed.apply(calibration.observations.target.body.middle_mm[None])[0] - meeting_point(rig)
+    offset = (
+        placed.apply(calibration.observations.target.body.middle_mm[None])[0] - working_volume(calibration).middle_world
+    )
     across, down, away = pair.left.camera_from_world.rotate(offset[None])[0]
     words = [
         f"{abs(size) / 10:.0f} cm {word[0] if size > 0 else word[1]}"

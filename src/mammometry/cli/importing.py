@@ -37,7 +37,9 @@ def mesh(
     units: Annotated[
         Units | None, typer.Option(help="Unit of the file.", show_default="as the file states, else required")
     ] = None,
-    head: Annotated[str, typer.Option(help="The file's axis towards the head: y, -z and so on.")] = "y",
+    head: Annotated[
+        str, typer.Option(help="The file's axis towards the head: y, -z and so on.", show_default="y, or z")
+    ] = "",
     ahead: Annotated[str, typer.Option(help="The axis straight ahead.", show_default="where an open mesh faces")] = "",
     subject: Annotated[
         str | None, typer.Option(help="Identifier of the subject, a pseudonym.", show_default=False)

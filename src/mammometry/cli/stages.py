@@ -206,7 +206,7 @@ def measure(
     ],
     units: Annotated[
         str | None,
-        _mesh_option(help="Unit of the mesh: mm, cm or m.", show_default="as the file states, else required"),
+        _mesh_option(help="Unit of the mesh: mm, cm or m.", show_default="as the file states, or a torso's size shows"),
     ] = None,
     boundary: Annotated[Path | None, _mesh_option(help="A boundaries.json: closed curves on the mesh.")] = None,
     landmarks: Annotated[
@@ -387,6 +387,7 @@ def volume_lines(results: Results) -> list[Any]:
             f"    {name} lacks {volume_words(found.volume_cc, found.interval_cc)} to the other side, mirrored "
             f"{interval_words(found.interval_cc)}"
         )
+    lines += [f"note: {note}" for note in results.notes]
     if not lines:
         lines.append("The session shows an open surface, which has no volume.")
     made = f"{len(results.made)} results made in {results.seconds:.1f} s"

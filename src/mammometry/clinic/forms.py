@@ -11,6 +11,7 @@ from django import forms
 from django.utils import timezone
 
 from mammometry.base.errors import MammometryError
+from mammometry.calibration.targets.table import target_from_table
 from mammometry.capture.sessions import manifest_text
 from mammometry.clinic.models import Patient, Person, Rig, Visit
 from mammometry.clinic.records.duplicates import Duplicates, date_questions, duplicates
@@ -196,6 +197,8 @@ class RigForm(_RigForm):
             raise forms.ValidationError("This file has no table [rig], so it describes no rig.")
         try:
             manifest_text(kept, "torso")
+            if "target" in kept:
+                target_from_table(kept["target"])
         except MammometryError as error:
             raise forms.ValidationError(str(error)) from None
         return kept

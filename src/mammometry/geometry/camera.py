@@ -117,8 +117,14 @@ class Rig:
     """By name. Read-only."""
     pair_names: Mapping[str, tuple[str, str]]
     """Pair name → names of its left and right camera. Read-only."""
+    target_middle_world: Float64[Array, 3] | None = None
+    """Middle of the places where the calibration target was held: the subject stands about there. World frame, mm.
+    None where no target was seen.
+    """
 
     def __post_init__(self) -> None:
+        if self.target_middle_world is not None:
+            object.__setattr__(self, "target_middle_world", read_only(self.target_middle_world))
         for pair, (left, right) in self.pair_names.items():
             missing = {left, right} - set(self.cameras)
             if missing or left == right:

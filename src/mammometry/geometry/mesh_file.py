@@ -17,6 +17,7 @@ from mammometry.base.errors import MammometryError, SessionError
 from mammometry.base.parse import LARGEST, json_value, read_bytes, said
 from mammometry.geometry.arrays import Array, Float64, Int32, Int64, UInt8
 from mammometry.geometry.obj_file import decimal_commas, parse_obj
+from mammometry.geometry.ply_file import parse_ply
 
 SUFFIXES = (".ply", ".obj", ".stl", ".glb")
 _KINDS = "a mesh as PLY, OBJ, STL or GLB"
@@ -65,7 +66,14 @@ def read_triangles(path: Path) -> tuple[Float64[Array, "n 3"], Int32[Array, "m 3
     if not len(faces):
         raise _refused(path, "no triangle with an area", "a triangulated surface", "Export it again")
     used, compact = np.unique(faces, return_inverse=True)
-    return vertices[first[used]], compact.reshape(-1, 3).astype(np.int32), colours[first[used]]
+    return vertices[first[used]], _in_order(compact.reshape(-1, 3)).astype(np.int32), colours[first[used]]
+
+
+def _in_order(faces: Int64[Array, "m 3"]) -> Int64[Array, "m 3"]:
+    """Faces in the order of their corners, each with its smallest first: no result hangs on a file's order."""
+    start = np.argmin(faces, axis=1)
+    turned = np.take_along_axis(faces, (start[:, None] + np.arange(3)) % 3, axis=1)
+    return turned[np.lexsort(turned.T[::-1])]
 
 
 def _parsed(path: Path, content: bytes) -> tuple[Float64[Array, "n 3"], Int64[Array, "m 3"], UInt8[Array, "n 3"]]:
@@ -73,8 +81,8 @@ def _parsed(path: Path, content: bytes) -> tuple[Float64[Array, "n 3"], Int64[Ar
         obj = parse_obj(content, str(path))
         grey = np.full((len(obj.points), 3), _GREY, dtype=np.uint8)
         return obj.points, obj.faces, grey if obj.colours is None else obj.colours
-    if path.suffix.lower() == ".ply" and b"element tristrips" in content[:_HEAD_BYTES]:
-        raise _refused(path, "triangle strips", "single triangles (element face)", "Export it without strips")
+    if path.suffix.lower() == ".ply":
+        return parse_ply(content, str(path))
     loaded = _loaded(path, content)
     vertices = np.asarray(loaded.vertices, dtype=np.float64).reshape(-1, 3)
     return vertices, np.asarray(loaded.faces, dtype=np.int64).reshape(-1, 3), _colours(loaded, len(vertices))
@@ -83,10 +91,12 @@ def _parsed(path: Path, content: bytes) -> tuple[Float64[Array, "n 3"], Int64[Ar
 def _other_content(path: Path, head: bytes) -> str | None:
     """What a file holds that its ending does not say. None where they fit, or nothing is known."""
     letters, between = head[:_SIGN:2], head[1:_SIGN:2]
-    is_utf_16 = len(between) > 0 and not any(between) and all(letters)
-    if is_utf_16 or head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        return "a text in UTF-16"
-    head, kind = head.removeprefix(codecs.BOM_UTF8).lstrip(), path.suffix.lower()
+    kind = path.suffix.lower()
+    if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return None if kind == ".obj" else "a text in UTF-16"
+    if len(between) > 0 and not any(between) and all(letters):
+        return "a text in UTF-16 that does not say so"
+    head = head.removeprefix(codecs.BOM_UTF8).lstrip()
     if kind != ".ply" and re.match(rb"ply[ \t]*[\r\n]", head):
         return "a PLY"
     if kind != ".glb" and head.startswith(b"glTF"):
@@ -95,7 +105,8 @@ def _other_content(path: Path, head: bytes) -> str | None:
         return "an STL"
     if kind in (".ply", ".stl") and re.search(rb"[\r\n]v +\S+ +\S+ +\S+[^\r\n]*[\r\n]+v ", head):
         return "an OBJ"
-    return "numbers in binary" if kind == ".obj" and b"\0" in head else None
+    is_text = re.search(rb"(?:^|[\r\n])v[ \t]", head) is not None  # whose comments may hold anything
+    return "numbers in binary" if kind == ".obj" and b"\0" in head and not is_text else None
 
 
 def _with_plain_lines(path: Path, content: bytes) -> bytes:

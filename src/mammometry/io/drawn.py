@@ -33,6 +33,8 @@ class DrawnBoundaries:
     """Breast → closed curve that somebody gave, mm, world frame."""
     automatic: tuple[str, ...] = ()
     """Breasts whose boundary is found automatically, as the file says."""
+    removed: tuple[str, ...] = ()
+    """Breasts that are said to be removed: they are not looked for."""
     attributions: Mapping[str, Attribution] = field(default_factory=dict)
     """Breast → who drew its boundary, and who confirmed it."""
 
@@ -60,6 +62,8 @@ def boundaries_digest(drawn: DrawnBoundaries) -> str:
         parts["methods"] = methods
     if drawn.curves and drawn.automatic:
         parts["automatic"] = list(drawn.automatic)
+    if drawn.removed:
+        parts["removed"] = list(drawn.removed)
     return _digest(parts)
 
 
@@ -86,17 +90,20 @@ def boundaries_in(path: Path, allowed: tuple[str, ...], subject: str | None = No
     """
     entries = read_table(path, "boundaries", subject)["boundaries"]
     curves: dict[str, Float64[Array, "n 3"]] = {}
-    automatic = []
+    automatic, removed = [], []
     for name, entry in entries.items():
         _allow(path, name, allowed)
         if entry.get("automatic") is True and "points" not in entry:
             automatic.append(name)
+        elif entry.get("removed") is True and "points" not in entry:
+            removed.append(name)
         else:
             curves[name] = _points(path, name, entry)
             _require(path, name, curves[name], 3)
     return DrawnBoundaries(
         curves=curves,
         automatic=tuple(automatic),
+        removed=tuple(removed),
         attributions={name: _attribution(path, name, entry) for name, entry in entries.items()},
     )
 

@@ -14,12 +14,17 @@ import numpy as np
 
 from mammometry.base.errors import SessionError
 from mammometry.base.parse import require_file
+from mammometry.base.sizes import subject_extent
 from mammometry.geometry.arrays import Array, Float64, UInt8, read_only
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.mesh_file import SUFFIXES, read_triangles
 
 MM_PER_UNIT = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
-_SMALLEST_MM, _LARGEST_MM = 40.0, 2500.0  # longest side of what can be a small cast, or a whole body
+SHOWN_BY_SIZE = "as the body's size shows"
+"""End of the words of a unit that nobody stated."""
+_TORSO_MM = (230.0, 2300.0)
+"""Longest side of a torso's front, at least, and of a whole body, arms raised or held out. Not more than ten times as
+long, so that one unit alone fits."""
 _COARSEST_STEP_MM = 0.1  # as the standard uncertainty of a scanner's surface (`api.mesh.SURFACE_STD_MM`)
 _HEADER_BYTES = 65_536  # in which a file's comments may state its unit
 _STATED = re.compile(
@@ -45,13 +50,14 @@ class ForeignMesh:
         object.__setattr__(self, "colours", read_only(self.colours))
 
 
-def read_foreign(path: Path, units: str | None = None) -> ForeignMesh:
+def read_foreign(path: Path, units: str | None = None, *, of_torso: bool = False) -> ForeignMesh:
     """Read a mesh file.
 
     Args:
         path: a PLY, OBJ, STL or GLB.
         units: ``mm``, ``cm`` or ``m``; None where the file states it: GLB by its standard (metres), PLY and OBJ in a
             comment (``comment units: mm``).
+        of_torso: whether it is known to be a torso, or a whole body. Its size then shows a unit that nobody states.
 
     Raises:
         SessionError: the file cannot be read or holds no triangles; nobody says its unit, or in that unit it is no
@@ -63,19 +69,23 @@ def read_foreign(path: Path, units: str | None = None) -> ForeignMesh:
     if unit is not None and unit not in MM_PER_UNIT:
         raise _refused(path, f"the unit {unit!r}", f"one of {', '.join(MM_PER_UNIT)}", "Correct --units")
     vertices, faces, colours = read_triangles(path)
+    if unit is None and of_torso:
+        unit, who = _unit_of_torso(float(np.ptp(vertices, axis=0).max())), SHOWN_BY_SIZE
     if unit is None:
         raise _refused(
             path, "no unit", "the unit of its coordinates, which such files do not state", "Add --units mm, cm or m"
         )
     step_mm = _step(vertices) * MM_PER_UNIT[unit]
     vertices = vertices * MM_PER_UNIT[unit]
-    extent = float(np.ptp(vertices, axis=0).max())
-    if not _SMALLEST_MM <= extent <= _LARGEST_MM:
+    extent = subject_extent(float(np.ptp(vertices, axis=0).max()))
+    if not extent.is_possible:
+        others = {name: subject_extent(extent.mm / MM_PER_UNIT[unit] * mm) for name, mm in MM_PER_UNIT.items()}
+        fits = [f"{name} ({size.mm:.0f} mm)" for name, size in others.items() if size.is_usual()]
         raise _refused(
             path,
-            f"a mesh {extent:.3g} mm long, its unit being {unit} ({who})",
-            f"a cast or a torso, {_SMALLEST_MM:g} to {_LARGEST_MM:g} mm",
-            "Check --units",
+            f"a mesh {extent.mm:.3g} mm long, its unit being {unit} ({who})",
+            f"a cast or a torso, {extent.expected}",
+            "Check --units" + (f": {' or '.join(fits)} would fit" if fits else ""),
         )
     if step_mm > _COARSEST_STEP_MM:
         raise _refused(
@@ -86,6 +96,14 @@ def read_foreign(path: Path, units: str | None = None) -> ForeignMesh:
         )
     mesh = TriangleMesh(vertices=vertices, faces=faces)
     return ForeignMesh(mesh=mesh, colours=colours, units=f"{unit}, {who}", mm_per_unit=MM_PER_UNIT[unit])
+
+
+def _unit_of_torso(extent: float) -> str | None:
+    """The one unit in which this is the length of a torso or of a whole body."""
+    for unit, factor in MM_PER_UNIT.items():
+        if _TORSO_MM[0] <= extent * factor < _TORSO_MM[1]:
+            return unit
+    return None
 
 
 def _step(vertices: Float64[Array, "n 3"]) -> float:

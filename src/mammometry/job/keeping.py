@@ -13,6 +13,7 @@ from mammometry.job.products import Memo, Product, Remade
 from mammometry.job.stage_values import CameraSet
 
 if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a plan alone need not wait for.
+    from mammometry.matching.subjects import Subjects
     from mammometry.surface.dents import Kept, ValidPatches
     from mammometry.surface.range_image import RangeImage
     from mammometry.surface.settings import SurfaceSettings
@@ -23,23 +24,38 @@ def kept_data(
     cameras: Product[CameraSet],
     stillness: Product[Stillness],
     ranges: Mapping[str, Product[RangeImage]],
+    subjects: Product[Subjects] | None,
+    subject_kind: str,
     settings: SurfaceSettings,
     memo: Memo,
+    *,
+    inputs: Mapping[str, str],
 ) -> tuple[Product[Kept], Product[ValidPatches]]:
     """Which range data are kept, and those data.
 
-    Only the former are stored: the data themselves are in the range images.
+    Only the former are stored: the data themselves are in the range images. `inputs` has the digest of the subject's
+    kind.
     """
 
     def choose(
-        cameras: CameraSet, stillness: Stillness, ranges: Mapping[str, RangeImage], *, progress: Progress
+        cameras: CameraSet,
+        stillness: Stillness,
+        ranges: Mapping[str, RangeImage],
+        subjects: Subjects | None,
+        *,
+        progress: Progress,
     ) -> Kept:
-        from mammometry.surface import decompose, dents
+        from mammometry.surface import decompose, dents, scraps
 
         images = tuple(stillness.carry(image, cameras.rig) for image in ranges.values())
         patches = decompose.decompose(images, settings.decompose) if settings.dents.rule == "patch" else None
         valid = dents.remove_dents(images, patches, settings.dents)
-        return dents.Kept(keep=tuple(image.valid for image in valid.range_images), angles_rad=valid.angles_rad)
+        keep = [image.valid for image in valid.range_images]
+        unseen = set() if subjects is None else set(subjects.blind)
+        blind = [name for name, pair in cameras.rig.pair_names.items() if unseen & set(pair)]
+        if blind or subject_kind == "surface":  # a solid's pieces beside the largest are left out when it is meshed
+            keep = scraps.subject_data(valid.range_images, blind, None if subjects is None else subjects.middle_world)
+        return dents.Kept(keep=tuple(keep), angles_rad=valid.angles_rad)
 
     def take(
         cameras: CameraSet, stillness: Stillness, ranges: Mapping[str, RangeImage], kept: Kept, *, progress: Progress
@@ -51,8 +67,9 @@ def kept_data(
         "surface",
         "valid",
         choose,
-        parents={"cameras": cameras, "stillness": stillness, "ranges": ranges},
+        parents={"cameras": cameras, "stillness": stillness, "ranges": ranges, "subjects": subjects},
         settings=(settings.decompose, settings.dents),
+        inputs=inputs,
     )
     valid: Product[ValidPatches] = Product(
         Remade(),

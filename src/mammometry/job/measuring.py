@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 from mammometry.base.errors import MeasureError
 from mammometry.base.progress import Progress
@@ -28,6 +28,9 @@ if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a pla
     from mammometry.surface.dents import ValidPatches
     from mammometry.surface.repair import RepairedSurface
     from mammometry.surface.stillness import Stillness
+
+
+_SIDES: tuple[Literal["left"], Literal["right"]] = ("left", "right")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -87,7 +90,7 @@ def measure(inputs: Inputs, upstream: Upstream, settings: MeasureSettings, memo:
     boundaries = _boundaries(inputs, upstream, sides, settings, memo)
     body = _body(inputs, upstream, boundaries, settings, memo)
     evidence = _evidence(inputs, upstream, settings)
-    measurements = _measurements(inputs, upstream, boundaries, body, evidence, settings, memo)
+    measurements = _measurements(inputs, upstream, sides, boundaries, body, evidence, settings, memo)
     landmarks, symmetry, dimensions = _anthropometry(inputs, upstream, measurements, body, settings, memo)
     plan = Measured(
         sides=sides,
@@ -103,14 +106,9 @@ def measure(inputs: Inputs, upstream: Upstream, settings: MeasureSettings, memo:
     return replace(plan, absent=_absent(inputs, upstream, plan, settings, memo))
 
 
-def _mounted(inputs: Inputs) -> dict[str, str]:
-    """Digest of how the cameras are mounted. Empty where all are upright."""
-    return {"mounting": repr(sorted(inputs.mounting.items()))} if inputs.mounting else {}
-
-
 def _sides(inputs: Inputs, upstream: Upstream, settings: MeasureSettings, memo: Memo) -> Product[TorsoSides] | None:
     """A torso's breasts as they are found, or that there is none."""
-    wanted = inputs.automatic or not inputs.boundaries
+    wanted = inputs.automatic or not (inputs.boundaries or set(_SIDES) <= set(inputs.removed))
     if inputs.subject_kind != "torso" or settings.boundary == "landmarks" or not wanted:
         return None
 
@@ -118,7 +116,9 @@ def _sides(inputs: Inputs, upstream: Upstream, settings: MeasureSettings, memo: 
         from mammometry.measure.boundary.boundary import outline_torso
         from mammometry.measure.trunk.body import rig_frame
 
-        return outline_torso(repaired, rig_frame(cameras.rig, inputs.mounting), settings)
+        return outline_torso(
+            repaired, rig_frame(cameras.rig, inputs.mounting), settings, head_stated=inputs.head_stated
+        )
 
     return Product(
         memo,
@@ -127,7 +127,7 @@ def _sides(inputs: Inputs, upstream: Upstream, settings: MeasureSettings, memo: 
         outline,
         parents={"cameras": upstream.cameras, "repaired": upstream.repaired},
         settings=settings,
-        inputs={"subject": inputs.digests["subject"], **_mounted(inputs)},
+        inputs={"subject": inputs.digests["subject"], **inputs.mounting_digest},
     )
 
 
@@ -178,7 +178,9 @@ def _boundaries(
         from mammometry.measure.trunk.body import rig_frame
 
         if sides is not None:
-            return sides.boundaries
+            return tuple(boundary for boundary in sides.boundaries if boundary.name not in inputs.removed)
+        if set(_SIDES) <= set(inputs.removed):
+            return ()
         if inputs.subject_kind == "torso":
             frame = rig_frame(cameras.rig, inputs.mounting)
             return boundary.landmark_boundaries(inputs.landmarks, repaired, frame, settings)
@@ -193,7 +195,7 @@ def _boundaries(
         )
 
     names = ("subject", "boundaries", *(("landmarks",) if settings.boundary == "landmarks" else ()))
-    digests = {name: inputs.digests[name] for name in names} | _mounted(inputs)
+    digests = {name: inputs.digests[name] for name in names} | inputs.mounting_digest
     if inputs.rim_radius_mm is not None:
         digests["rim"] = repr(inputs.rim_radius_mm)
     return Product(
@@ -229,7 +231,13 @@ def _body(
         from mammometry.measure.trunk.body import find_body, rig_frame
 
         curves = [each.points_world for each in boundaries]
-        return find_body(repaired, rig_frame(cameras.rig, inputs.mounting), settings.thorax, boundaries=curves)
+        return find_body(
+            repaired,
+            rig_frame(cameras.rig, inputs.mounting),
+            settings.thorax,
+            boundaries=curves,
+            stated=inputs.head_stated,
+        )
 
     return Product(
         memo,
@@ -238,7 +246,7 @@ def _body(
         find,
         parents={"cameras": upstream.cameras, "repaired": upstream.repaired, "boundaries": boundaries},
         settings=settings.thorax,
-        inputs=_mounted(inputs),
+        inputs=inputs.mounting_digest,
     )
 
 
@@ -284,6 +292,7 @@ def _evidence(inputs: Inputs, upstream: Upstream, settings: MeasureSettings) -> 
 def _measurements(
     inputs: Inputs,
     upstream: Upstream,
+    sides: Product[TorsoSides] | None,
     boundaries: Product[tuple[Boundary, ...]],
     body: Product[Body] | None,
     evidence: Product[Evidence],
@@ -294,6 +303,7 @@ def _measurements(
 
     def integrate(
         repaired: RepairedSurface,
+        sides: TorsoSides | None,
         boundaries: tuple[Boundary, ...],
         body: Body | None,
         evidence: Evidence,
@@ -315,6 +325,8 @@ def _measurements(
                 refusals.append(each)  # of this side alone
         if refusals and not measured:
             raise refusals[0]
+        if not measured and not set(_SIDES) <= set(inputs.removed):
+            raise _nothing_measured(() if sides is None else sides.absent)
         return tuple(measured)
 
     digests = {} if inputs.wall is None else {"wall": inputs.digests["wall"]}
@@ -325,9 +337,27 @@ def _measurements(
         "measure",
         "measurement",
         integrate,
-        parents={"repaired": upstream.repaired, "boundaries": boundaries, "body": body, "evidence": evidence},
+        parents={
+            "repaired": upstream.repaired,
+            "sides": sides,
+            "boundaries": boundaries,
+            "body": body,
+            "evidence": evidence,
+        },
         settings=settings,
         inputs=digests,
+    )
+
+
+def _nothing_measured(absent: Sequence[NoBreast]) -> MeasureError:
+    """The refusal of a torso on which neither side has a breast, though nobody said that both were removed."""
+    why = "; ".join(f"{side.name}: {side.why}" for side in absent)
+    return MeasureError(
+        "torso",
+        found=f"no breast on either side{f' ({why})' if why else ''}",
+        expected="one on at least one side, unless both are said to be removed",
+        remedy="Draw the boundaries with `mammometry edit`, or say in boundaries.json that a side was removed: "
+        '{"boundaries": {"left": {"removed": true}, "right": {"removed": true}}}',
     )
 
 
@@ -351,11 +381,13 @@ def _absent(
         *,
         progress: Progress,
     ) -> tuple[NoBreast, ...]:
-        from mammometry.measure.volume.refused import refused_side
+        from mammometry.measure.volume.refused import refused_side, removed_side
         from mammometry.measure.wall.open_breast import open_breasts
 
         found = () if sides is None else sides.absent
-        absent = [side for side in found if side.name not in inputs.boundaries]
+        absent = [side for side in found if side.name not in (*inputs.boundaries, *inputs.removed)]
+        if body is not None:
+            absent += [removed_side(name, body, repaired) for name in _SIDES if name in inputs.removed]
         measured = {each.name for each in measurements}
         if any(each.name not in measured for each in boundaries):
             frame = None if body is None else body.frame
@@ -477,7 +509,7 @@ def _anthropometry(
         "measurements": measurements,
         "body": body,
     }
-    picked = {"landmarks": inputs.digests["landmarks"], **_mounted(inputs)}
+    picked = {"landmarks": inputs.digests["landmarks"], **inputs.mounting_digest}
     landmarks: Product[tuple[Landmark, ...]] = Product(
         memo, "measure", "landmarks", mark, parents=measured, settings=settings, inputs=picked
     )
@@ -489,6 +521,6 @@ def _anthropometry(
         extend,
         parents={**measured, "landmarks": landmarks},
         settings=settings,
-        inputs=_mounted(inputs),
+        inputs=inputs.mounting_digest,
     )
     return landmarks, symmetry, dimensions

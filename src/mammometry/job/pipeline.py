@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from mammometry.base.errors import CalibrationError
 from mammometry.base.photograph import Photograph
 from mammometry.base.progress import Progress
-from mammometry.geometry.camera import Rig
+from mammometry.job.camera_sets import imported_cameras, trusted_cameras
 from mammometry.job.inputs import Inputs
 from mammometry.job.keeping import kept_data
 from mammometry.job.measuring import Measured, Upstream, measure
@@ -38,6 +38,7 @@ if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a pla
     from mammometry.matching.match import DisparityMap
     from mammometry.matching.rectify import RectifiedPair
     from mammometry.matching.settings import MatchSettings
+    from mammometry.matching.subjects import Subjects
     from mammometry.surface.agreement import RowErrors
     from mammometry.surface.atlas import Atlas
     from mammometry.surface.dents import Kept, ValidPatches
@@ -78,14 +79,14 @@ def calibrate(inputs: Inputs, settings: CalibrateSettings, memo: Memo) -> Calibr
     if inputs.cameras is not None:
 
         def ready_made(*, progress: Progress) -> CameraSet:
-            return _ready_made(inputs)
+            return imported_cameras(inputs)
 
         given = Product(
             memo,
             "calibrate",
             "cameras",
             ready_made,
-            inputs={name: inputs.digests[name] for name in ("cameras", "rig")},
+            inputs={name: inputs.digests[name] for name in ("cameras", "rig", "subject")},
         )
         return Calibrated(observations={}, intrinsics={}, calibration=None, cameras=given)
 
@@ -158,50 +159,18 @@ def calibrate(inputs: Inputs, settings: CalibrateSettings, memo: Memo) -> Calibr
     )
 
     def trust(calibration: Calibration, *, progress: Progress) -> CameraSet:
-        return _trusted(calibration, settings)
+        return trusted_cameras(calibration, inputs, settings)
 
     cameras = Product(
-        memo, "calibrate", "cameras", trust, parents={"calibration": calibration}, settings=settings.quality
+        memo,
+        "calibrate",
+        "cameras",
+        trust,
+        parents={"calibration": calibration},
+        settings=settings.quality,
+        inputs={"subject": inputs.digests["subject"], **inputs.mounting_digest},
     )
     return Calibrated(observations=observations, intrinsics=intrinsics, calibration=calibration, cameras=cameras)
-
-
-def _trusted(calibration: Calibration, settings: CalibrateSettings) -> CameraSet:
-    from mammometry.calibration.judge import quality
-
-    assessed = quality.assess(calibration, settings.quality)
-    if assessed.verdict == "refuse":
-        raise CalibrationError(
-            "calibration",
-            found=f"that {assessed.reasons[0].rstrip('.')}",
-            expected="a calibration fit to measure with",
-            remedy="Retake the calibration photographs, or set the suspect ones aside, and run it again",
-        )
-    return CameraSet(
-        rig=calibration.rig,
-        std={name: dict(values) for name, values in calibration.parameter_std.items()},
-        world=calibration.world,
-        rms_px=float(calibration.rms_px),
-        verdict=assessed.verdict,
-        reasons=assessed.reasons,
-    )
-
-
-def _ready_made(inputs: Inputs) -> CameraSet:
-    assert inputs.cameras is not None
-    wanted = sorted({name for pair in inputs.pair_names.values() for name in pair} | set(inputs.photographs))
-    missing = [name for name in wanted if name not in inputs.cameras]
-    if missing:
-        raise CalibrationError(
-            "cameras.json",
-            found=f"cameras {', '.join(inputs.cameras)}",
-            expected=f"also {', '.join(missing)}",
-            remedy="Import every camera of the rig, under the names that session.toml uses",
-        )
-    rig = Rig(
-        name=inputs.rig_name, cameras={name: inputs.cameras[name] for name in wanted}, pair_names=inputs.pair_names
-    )
-    return CameraSet(rig=rig, std={}, world="The world frame of the cameras that were imported.", rms_px=None)
 
 
 # --- 2.3 Matching ----------------------------------------------------------------------------------------------------
@@ -213,6 +182,8 @@ class Matched(Products):
 
     names: Product[Names]
     """Whether each photograph has its camera's name."""
+    subjects: Product[Subjects] | None
+    """Where the subject stands, and its blocks in each photograph. None where all masks are given."""
     foregrounds: Mapping[str, Product[Foreground]]
     """Camera → which of its pixels show the subject."""
     disparities: Mapping[str, Product[DisparityMap]]
@@ -254,21 +225,28 @@ def match(inputs: Inputs, cameras: Product[CameraSet], settings: MatchSettings, 
     Paper 2.3.
     """
     names = right_names(inputs, cameras)
-    photographs, foregrounds = find_subjects(inputs, cameras, settings, memo)
+    photographs, subjects, foregrounds = find_subjects(inputs, cameras, settings, memo)
 
     def disparity(pair: str, left: str, right: str) -> Product[DisparityMap]:
         def resample(
             cameras: CameraSet,
             photographs: Mapping[str, Photograph],
             foregrounds: Mapping[str, Foreground],
+            subjects: Subjects | None,
             *,
             progress: Progress,
         ) -> RectifiedPair:
             from mammometry.matching.rectify import rectify
 
-            shots = photographs[left], photographs[right]
-            subjects = foregrounds[left], foregrounds[right]
-            return rectify(cameras.rig.pair(pair), *shots, *subjects, settings.rectify)
+            return rectify(
+                cameras.rig.pair(pair),
+                photographs[left],
+                photographs[right],
+                foregrounds[left],
+                foregrounds[right],
+                settings.rectify,
+                middle_world=None if subjects is None else subjects.middle_world,
+            )
 
         def matched(rectified: RectifiedPair, *, progress: Progress) -> DisparityMap:
             from mammometry.matching.match import match
@@ -285,6 +263,7 @@ def match(inputs: Inputs, cameras: Product[CameraSet], settings: MatchSettings, 
                 # The photographs come first: the foregrounds are then made of the same ones, each decoded once.
                 "photographs": {camera: photographs[camera] for camera in (left, right)},
                 "foregrounds": {camera: foregrounds[camera] for camera in (left, right)},
+                "subjects": subjects,
             },
         )
         parents = {"rectified": rectified}
@@ -293,7 +272,9 @@ def match(inputs: Inputs, cameras: Product[CameraSet], settings: MatchSettings, 
     disparities = {pair: disparity(pair, left, right) for pair, (left, right) in inputs.pair_names.items()}
     rows = rows_of(disparities, memo)
     pairs = tuple((pair, left, right) for pair, (left, right) in inputs.pair_names.items())
-    return Matched(names=names, foregrounds=foregrounds, disparities=disparities, rows=rows, pairs=pairs)
+    return Matched(
+        names=names, subjects=subjects, foregrounds=foregrounds, disparities=disparities, rows=rows, pairs=pairs
+    )
 
 
 # --- 2.4 to 2.6 Surface ----------------------------------------------------------------------------------------------
@@ -401,13 +382,14 @@ def surface(
     ranges = {pair: ranged(pair) for pair in matched.disparities}
     stillness = what_moved(calibrated.cameras, calibrated.calibration, ranges, matched.rows, settings.stillness, memo)
     cameras = where_they_stood(calibrated.cameras, stillness, memo)
-    kept, valid = kept_data(calibrated.cameras, stillness, ranges, settings, memo)
+    given = {"subject": inputs.digests["subject"]}
+    of_subject = matched.subjects, inputs.subject_kind
+    kept, valid = kept_data(calibrated.cameras, stillness, ranges, *of_subject, settings, memo, inputs=given)
     seen: dict[str, Parent] = {"cameras": cameras, "valid": valid, "foregrounds": matched.foregrounds}
     blocked: Product[Mapping[str, Blocked]] = Product(memo, "surface", "blocked", find_blocked, parents=seen)
     solid: Product[Solid | None] = Product(
         None, "surface", "solid", enclose, parents={**seen, "blocked": blocked}
     ).letting_go(*matched.foregrounds.values())
-    given = {"subject": inputs.digests["subject"]}
     body: dict[str, Parent] = {"valid": valid, "solid": solid}
     first: Product[TriangleMesh] = Product(
         memo, "surface", "first", build, parents=body, settings=extraction, inputs=given

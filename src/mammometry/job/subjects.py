@@ -1,28 +1,27 @@
-"""Plan of finding the subject: photographs, coarse depths, foregrounds."""
+"""Plan of finding the subject: photographs, the subject in all of them, foregrounds."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from mammometry.base.photograph import Photograph
 from mammometry.base.progress import Progress
 from mammometry.job.inputs import Inputs
-from mammometry.job.products import Memo, Parent, Product
+from mammometry.job.products import Memo, Product
 from mammometry.job.stage_values import CameraSet
 
 if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a plan alone need not wait for.
     from mammometry.matching.foreground import Foreground
-    from mammometry.matching.seeded import DepthSeeds
     from mammometry.matching.settings import MatchSettings
+    from mammometry.matching.subjects import Subjects
 
 
 def find_subjects(
     inputs: Inputs, cameras: Product[CameraSet], settings: MatchSettings, memo: Memo
-) -> tuple[dict[str, Product[Photograph]], dict[str, Product[Foreground]]]:
-    """Plan photographs and foregrounds, by camera.
+) -> tuple[dict[str, Product[Photograph]], Product[Subjects] | None, dict[str, Product[Foreground]]]:
+    """Plan photographs, the subject in all of them, and foregrounds.
 
-    A coarse stereo of each pair lies between them.
+    The subject is not sought where all masks are given.
     """
 
     def photograph(camera: str) -> Product[Photograph]:
@@ -34,43 +33,43 @@ def find_subjects(
 
     photographs = {camera: photograph(camera) for camera in inputs.photographs}
 
-    def depth(pair: str, left: str, right: str) -> Product[tuple[DepthSeeds, ...]]:
-        def sort(
-            cameras: CameraSet, photographs: Mapping[str, Photograph], *, progress: Progress
-        ) -> tuple[DepthSeeds, ...]:
-            from mammometry.matching.coarse_depth import depth_seeds
+    def search(cameras: CameraSet, *, progress: Progress) -> Subjects:
+        from mammometry.matching import subjects
 
-            return depth_seeds(cameras.rig, pair, (photographs[left], photographs[right]))
+        return subjects.find_subjects(cameras.rig, inputs.photographs, settings.foreground, given=inputs.masks)
 
-        shots = {camera: photographs[camera] for camera in (left, right)}
-        parents: dict[str, Parent] = {"cameras": cameras, "photographs": shots}
-        return Product(None, "match", f"depth/{pair}", sort, parents=parents)
-
-    depths = {pair: depth(pair, left, right) for pair, (left, right) in inputs.pair_names.items()}
+    subjects: Product[Subjects] | None = None
+    if set(photographs) - set(inputs.masks):
+        names = [f"capture/{camera}" for camera in photographs] + [f"masks/{camera}" for camera in inputs.masks]
+        subjects = Product(
+            memo,
+            "match",
+            "subjects",
+            search,
+            parents={"cameras": cameras},
+            settings=settings.foreground,
+            inputs={name: inputs.digests[name] for name in names},
+        )
 
     def foreground(camera: str) -> Product[Foreground]:
-        def estimate(
-            photograph: Photograph, depths: Mapping[str, tuple[DepthSeeds, ...]], *, progress: Progress
-        ) -> Foreground:
+        def outline(photograph: Photograph, subjects: Subjects | None, *, progress: Progress) -> Foreground:
             from mammometry.matching.foreground import estimate_foreground
 
-            seeds = [one for of_pair in depths.values() for one in of_pair if one.camera == camera]
+            subject = None if subjects is None else subjects.blocks.get(camera)
             given = inputs.masks.get(camera)
-            return estimate_foreground(photograph, camera, settings.foreground, given=given, seeds=seeds)
+            return estimate_foreground(photograph, camera, settings.foreground, given=given, subject=subject)
 
         name = f"masks/{camera}"
-        asked = camera not in inputs.masks and settings.foreground.mode == "auto"
-        seen_by = {pair: depths[pair] for pair, names in inputs.pair_names.items() if asked and camera in names}
         digests = {name: inputs.digests[name]} if camera in inputs.masks else {}
         return Product(
             memo,
             "match",
             f"foreground/{camera}",
-            estimate,
-            parents={"photograph": photographs[camera], "depths": seen_by},
+            outline,
+            parents={"photograph": photographs[camera], "subjects": None if camera in inputs.masks else subjects},
             settings=settings.foreground,
             inputs=digests,
         )
 
     foregrounds = {camera: foreground(camera) for camera in inputs.photographs}
-    return photographs, foregrounds
+    return photographs, subjects, foregrounds

@@ -46,48 +46,75 @@ class Foreground:
         return self.coverage >= self.contour_level
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Blocks:
+    """A photograph's means over blocks of pixels."""
+
+    encoded: Float32[Array, "h w channels"]
+    """sRGB-encoded values, 0…1; one channel or three."""
+    step: int
+    """Pixels to a block."""
+    unit: float
+    """Pixels to one of the reference size."""
+
+
+def blocks_of(photograph: Photograph) -> Blocks:
+    """Means of a photograph over blocks, in which its subject is sought."""
+    unit = max(1.0, float(np.hypot(*photograph.size_wh)) / _REFERENCE_DIAGONAL_PX)
+    step = round(_BLOCK_PX * unit)
+    pixels = np.atleast_3d(photograph.pixels)
+    levels = np.linspace(0, 1, np.iinfo(pixels.dtype).max + 1, dtype=np.float32)
+    return Blocks(encoded=block_means(pixels, levels, step), step=step, unit=unit)
+
+
+def subject_blocks(
+    name: str, blocks: Blocks, settings: ForegroundSettings, seeds: Sequence[DepthSeeds]
+) -> Bool[Array, "h w"] | None:
+    """Blocks that show the subject. None where nothing parts it from the rest.
+
+    Args:
+        name: of the photograph.
+        blocks: its means.
+        settings: levels.
+        seeds: what is near and what far by a coarse stereo of each pair that the camera is in.
+
+    Raises:
+        MatchingError: the photograph is black.
+    """
+    bright = segment(blocks.encoded, blocks.unit / blocks.step, settings.background_margin)
+    subject = agreed(blocks.encoded, bright, seeds, blocks.step, blocks.unit / blocks.step)
+    if subject is None:
+        _refuse_black(name, blocks.encoded)
+    return subject
+
+
 def estimate_foreground(
     photograph: Photograph,
     camera_name: str,
     settings: ForegroundSettings = ForegroundSettings(),
     *,
     given: Bool[Array, "h w"] | None = None,
-    seeds: Sequence[DepthSeeds] = (),
+    subject: Bool[Array, "H W"] | None = None,
 ) -> Foreground:
-    """Find the subject in a photograph, or take the given mask.
+    """Find the subject's outline in a photograph, or take the given mask.
 
     Args:
         photograph: the capture.
         camera_name: whose it is.
-        settings: mode and levels.
-        given: the subject's pixels, drawn or segmented elsewhere; overrules the mode.
-        seeds: what is near and what far by a coarse stereo of each pair that the camera is in.
+        settings: levels.
+        given: the subject's pixels, drawn or segmented elsewhere; overrules all else.
+        subject: its blocks. None: no silhouette is known.
 
     Raises:
         ImageError: the given mask has another size than the photograph.
-        MatchingError: nothing stands out from the backdrop, and depth does not tell either.
     """
     if given is not None:
         return _from_mask(photograph, camera_name, given)
-    if settings.mode == "all":
+    if subject is None:
         whole = np.ones(photograph.pixels.shape[:2], dtype=np.float32)
         return Foreground(camera=camera_name, coverage=whole, contour_level=settings.contour_level, everything=True)
     unit = max(1.0, float(np.hypot(*photograph.size_wh)) / _REFERENCE_DIAGONAL_PX)
-    step = round(_BLOCK_PX * unit)
-    pixels = np.atleast_3d(photograph.pixels)
-    largest = np.iinfo(pixels.dtype).max
-    encoded = block_means(pixels, np.linspace(0, 1, largest + 1, dtype=np.float32), step)
-    bright = segment(encoded, unit / step, settings.background_margin)
-    subject = agreed(encoded, bright, seeds, step, unit / step)
-    if subject is None:
-        _refuse_black(photograph.name, encoded)
-        raise MatchingError(
-            photograph.name,
-            found=f"no subject that brightness, colour or a coarse stereo of {camera_name}'s pairs parts from the rest",
-            expected="a subject where the cameras' views meet, brighter than the rest, or nearer and of other colour",
-            remedy="Give a mask for this photograph, hang a dark or a coloured cloth behind the subject, or set "
-            "matching.foreground.mode to all",
-        )
+    step, pixels = round(_BLOCK_PX * unit), np.atleast_3d(photograph.pixels)
     coverage = sub_pixel_coverage(pixels, linear_of(pixels.dtype), subject, step, unit, settings.contour_level)
     return Foreground(camera=camera_name, coverage=coverage, contour_level=settings.contour_level, everything=False)
 

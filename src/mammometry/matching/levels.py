@@ -18,6 +18,7 @@ An error left on a coarse level is twice as many pixels on the next. Once it exc
 """
 _SMALLEST_SPAN_PX = 24  # about three windows; chosen by eye
 _CALM_SPAN_PX = 230  # a larger subject starts a level coarser: the finest one's noise made plaster_b's start err (0015)
+_SOFT_SPAN_PX = 150  # of a soft subject on its finest level: a smaller one's windows span too much of it; by eye
 _FINEST_LEVEL = 1  # of a large subject: optics leave little on the photograph's own pixels
 
 
@@ -67,8 +68,16 @@ class Levels:
         return _LAST_STEPS if level == self.last_both else _FURTHER_STEPS
 
 
-def choose_levels(pair_name: str, masks: Sequence[Bool[Array, "h w"]], settings: MatchSettings) -> Levels:
-    """Choose the levels by the size of the smaller subject.
+def choose_levels(
+    pair_name: str, masks: Sequence[Bool[Array, "h w"]], settings: MatchSettings, *, empty: int = 0
+) -> Levels:
+    """Choose the levels by the size of the smaller subject and the sharpness of the softer picture.
+
+    Args:
+        pair_name: for the message.
+        masks: the subject's pixels in both pictures.
+        settings: sizes from which levels are matched.
+        empty: finest levels in which one of the pictures holds no details (`sharpness`): only noise is there.
 
     Raises:
         MatchingError: a subject is too small to be matched.
@@ -81,7 +90,8 @@ def choose_levels(pair_name: str, masks: Sequence[Bool[Array, "h w"]], settings:
             expected=f"at least {_SMALLEST_SPAN_PX}",
             remedy="Check the foreground masks",
         )
-    last_both = max(0, int(np.ceil(np.log2(span / settings.finest_span_px))))
+    empty = max(0, min(empty, int(np.log2(span / _SOFT_SPAN_PX))))
+    last_both = max(empty, int(np.ceil(np.log2(span / settings.finest_span_px))))
     calm = last_both + int(span / 2**last_both > _CALM_SPAN_PX)
     coarsest = max(calm, int(np.ceil(np.log2(span / settings.start_span_px))))
-    return Levels(coarsest=coarsest, last_both=last_both, finest=min(last_both, _FINEST_LEVEL))
+    return Levels(coarsest=coarsest, last_both=last_both, finest=max(empty, min(last_both, _FINEST_LEVEL)))

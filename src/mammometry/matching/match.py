@@ -22,6 +22,7 @@ from mammometry.matching.rectify import RectifiedPair
 from mammometry.matching.refine import Refined, refined
 from mammometry.matching.region import Window, at_level, cut_levels, cut_solved, pasted, whole_window, worth_matching
 from mammometry.matching.settings import MatchSettings
+from mammometry.matching.sharpness import empty_levels
 from mammometry.matching.solve import Known, both, finally_smoothed, handed_down, initial, solve_level
 from mammometry.matching.step import Both
 from mammometry.matching.texture import unexplained, weak_texture
@@ -167,7 +168,9 @@ def match(
 def prepare(pair: RectifiedPair, settings: MatchSettings, pool: Executor, progress: Progress) -> Start:
     """Build both pictures' levels, and start on the coarsest one."""
     masks = [_eroded(mask, settings.erode_px) for mask in (pair.left_mask, pair.right_mask)]
-    levels = choose_levels(pair.name, masks, settings)
+    pictures = (pair.left_image, pair.right_image)
+    empty = max(both(pool, empty_levels, pictures, (masks[0], masks[1])))
+    levels = choose_levels(pair.name, masks, settings, empty=empty)
     left, right = both(
         pool,
         lambda image, mask: build(image, mask, levels.finest, levels.coarsest),
@@ -328,7 +331,8 @@ def _believed(name: str, found: Finest, settings: MatchSettings, pool: Executor)
             f"pair {name}",
             found="no point that both pictures show alike",
             expected="the same textured skin in both",
-            remedy="Check that the two photographs are of one moment, sharp, and of the cameras named",
+            remedy="Look at the subject's outlines in both, and give a mask where one is wrong. If both are right, "
+            "check that the photographs are sharp, of one moment, and of the cameras named",
         )
     np.sqrt(sigma, out=sigma)
     steep *= np.float32(_SIGMA_SLOPE)

@@ -19,7 +19,6 @@ from mammometry.matching.filters import blur, rim
 from mammometry.matching.foreground import Foreground
 from mammometry.matching.settings import RectifySettings
 
-_PARALLEL_BASELINES = 20.0  # optical axes that meet farther away than this count as parallel; chosen by eye
 _LEAST_AXES_COSINE = 0.17  # of the optical axes, 80°: farther apart, two cameras hardly see the same skin
 _ROUND_TRIP_PX = 0.1  # from a pixel through the lens model and back; more: the model is folded there
 _LEAST_COSINE = 0.2  # of a ray with the common axis: 78° off it, nothing is left to resample
@@ -71,13 +70,16 @@ def rectify(
     left_foreground: Foreground,
     right_foreground: Foreground,
     settings: RectifySettings = RectifySettings(),
+    *,
+    middle_world: Float64[Array, "3"] | None = None,
 ) -> RectifiedPair:
     """Make both cameras parallel and resample the subject's region.
 
     Each camera turns about its own centre. The new x axis is the baseline. The new z axis is the mean of the two
     optical axes made square to it. The focal length is the photographs' mean, so that the resolution stays theirs in
     the middle of the subject. Principal columns are chosen for each image so that the subject fills it: the disparity
-    there is small, whatever the convergence.
+    there is small, whatever the convergence. Where no silhouette is known, they are chosen so that what is about
+    `middle_world`, mm, has none.
 
     Raises:
         ImageError: a photograph or foreground has not its camera's size.
@@ -97,8 +99,10 @@ def rectify(
     sides = ((left, left_foreground, pair.left), (right, right_foreground, pair.right))
     with ThreadPoolExecutor(len(sides)) as pool:
         outlines = list(pool.map(lambda side: _outline(side[2], side[1], rotation, focal), sides))
-    shift = _parallax_at_convergence(pair, rotation, focal)
-    cameras = _ideal_cameras(pair, rotation, focal, outlines, left_foreground.everything, shift, settings)
+    shift = None
+    if middle_world is not None and (left_foreground.everything or right_foreground.everything):
+        shift = _parallax(pair, rotation, focal, middle_world)
+    cameras = _ideal_cameras(pair, rotation, focal, outlines, shift, settings)
     with ThreadPoolExecutor(len(sides)) as pool:
         (left_image, left_mask), (right_image, right_mask) = pool.map(_resample, sides, cameras)
     return RectifiedPair(
@@ -174,19 +178,15 @@ def _field_radius(camera: Camera) -> float:
     return min(fold_radius(camera.distortion), _WIDEST_TANGENT)
 
 
-def _parallax_at_convergence(pair: StereoPair, rotation: Float64[Array, "3 3"], focal: float) -> float:
-    """Disparity of the point nearest to both optical axes, pixels.
+def _parallax(
+    pair: StereoPair, rotation: Float64[Array, "3 3"], focal: float, point_world: Float64[Array, "3"]
+) -> float:
+    """Disparity of a point, pixels.
 
     Principal columns are equal.
     """
-    between = pair.right.centre_world - pair.left.centre_world
-    a, b = pair.left.axis_world, pair.right.axis_world
-    # Nearest points of two lines: least squares of s a − t b = between.
-    (along, _), *_ = np.linalg.lstsq(np.stack([a, -b], axis=1), between, rcond=None)
-    length = float(np.linalg.norm(between))
-    if not 0 < along < _PARALLEL_BASELINES * length:
-        along = _PARALLEL_BASELINES * length
-    return focal * length / float(along * (rotation[2] @ a))
+    length = float(np.linalg.norm(pair.right.centre_world - pair.left.centre_world))
+    return focal * length / float(rotation[2] @ (point_world - pair.left.centre_world))
 
 
 def _ideal_cameras(
@@ -194,8 +194,7 @@ def _ideal_cameras(
     rotation: Float64[Array, "3 3"],
     focal: float,
     outlines: list[Float64[Array, "_ 2"]],
-    everything: bool,
-    shift_px: float,
+    shift_px: float | None,
     settings: RectifySettings,
 ) -> tuple[Camera, Camera]:
     """Both rectified cameras, cropped to the subject's region.
@@ -205,7 +204,7 @@ def _ideal_cameras(
     low = np.array([outline.min(axis=0) for outline in outlines])
     high = np.array([outline.max(axis=0) for outline in outlines])
     top, bottom = low[:, 1].max(), high[:, 1].min()
-    if everything:  # the frames say nothing about depth: align what lies where the axes meet
+    if shift_px is not None:  # the frames say nothing about depth: align what is about the subject's middle
         left, right = low[:, 0].copy(), high[:, 0].copy()
         left[:] = max(left[0], left[1] + shift_px) - np.array([0, shift_px])
         right[:] = min(right[0], right[1] + shift_px) - np.array([0, shift_px])

@@ -219,7 +219,7 @@ def matching_report(
             (
                 name,
                 f"{width} × {height}",
-                f"{100 * shares[name]:.1f}",
+                f"{100 * shares[name]:.1f}" if name in shares else "–",
                 f"{judged.weak_percent:.1f}",
                 f"{judged.confidence_median:.2f}" if some else "–",
                 f"{judged.sigma_median_px:.3f}" if some else "–",

@@ -65,7 +65,8 @@ def gather(
     """
     settings = page.settings
     page = replace(page, identity=NAMELESS) if privacy.deidentify else page
-    rig = plan.calibrated.cameras().rig
+    cameras = plan.calibrated.cameras()
+    rig = cameras.rig
     calibration = None if plan.calibrated.calibration is None else plan.calibrated.calibration()
     quality = None if calibration is None else assess(calibration, settings.calibration.quality)
     stages = [describe.calibration_report(rig, calibration, quality)]
@@ -113,6 +114,7 @@ def gather(
     run = RunResults(
         quality=quality,
         calibration=calibration,
+        camera_doubts=cameras.reasons,
         shares=matched.shares,
         matching=matched.quality,
         foregrounds=matched.foregrounds,
@@ -123,6 +125,7 @@ def gather(
         absent=absent,
         body=body,
         doubtful=without_nipple(measurements, marks, settings.measure),
+        unseparated={} if plan.matched.subjects is None else plan.matched.subjects().doubts,
     )
     beside = tuple(run_cautions(run))
     breasts = [describe.breast_report(measured, finished.repaired, beside) for measured in measurements]

@@ -48,6 +48,8 @@ class MeshOrigin:
     """What the frame is, one sentence."""
     scanner: str = ""
     """Name of the device. Empty: not given."""
+    notes: tuple[str, ...] = ()
+    """What was changed in the mesh, and what was taken for granted, one sentence each."""
 
 
 def gather_mesh(
@@ -104,7 +106,7 @@ def gather_mesh(
         created=describe.created_words(None),
         subject=f"{describe.SUBJECTS[origin.kind]}; a mesh of another scanner",
         world=origin.world,
-        warnings=tuple(_warnings(measurements, body)),
+        warnings=(*_warnings(measurements, body), *origin.notes),
         breasts=tuple(
             sorted(
                 [

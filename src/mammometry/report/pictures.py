@@ -36,12 +36,16 @@ def encoded(png: bytes, *, on_paper: bool = True) -> Picture:
 
 
 def all_encoded(pictures: Mapping[str, Mapping[str, bytes]]) -> dict[str, dict[str, Picture]]:
-    """Stage → name → picture, from PNGs. Paper gets those of the measurement and those meant for it."""
+    """Stage → name → picture, from PNGs. Paper gets those of the measurement and those meant for it.
+
+    Where nothing was measured, the surface's views take the measurement's place on the first page.
+    """
+    first = "measure" if pictures.get("measure") else "surface"
     names = [(stage, name) for stage, drawn in pictures.items() for name in drawn]
 
     def one(place: tuple[str, str]) -> Picture:
         stage, name = place
-        return encoded(pictures[stage][name], on_paper=stage == "measure" or is_on_paper(name))
+        return encoded(pictures[stage][name], on_paper=stage == first or is_on_paper(name))
 
     made: dict[str, dict[str, Picture]] = {stage: {} for stage in pictures}
     for (stage, name), picture in zip(names, each_at_once(one, names), strict=True):

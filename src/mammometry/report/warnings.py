@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
+
+from mammometry.base.sizes import subject_extent
 from mammometry.calibration.adjust.bundle import Calibration
 from mammometry.calibration.judge.quality import CalibrationQuality
 from mammometry.matching import quality as match_quality
@@ -32,8 +35,10 @@ class RunResults:
     """Verdict on the calibration. None for imported cameras."""
     calibration: Calibration | None
     """With what was left out of it. None for imported cameras."""
+    camera_doubts: Sequence[str] = ()
+    """Sentences on what makes imported cameras doubtful."""
     shares: Mapping[str, float]
-    """Pair → share of the subject's silhouette that was matched."""
+    """Pair → share of the subject's silhouette that was matched. It lacks pairs without silhouettes."""
     matching: Mapping[str, MatchQuality]
     """Pair → how well it was matched."""
     foregrounds: Mapping[str, Foreground]
@@ -52,6 +57,8 @@ class RunResults:
     """The body's frame."""
     doubtful: Sequence[str] = ()
     """Breasts on which no nipple was seen."""
+    unseparated: Mapping[str, str] = field(default_factory=dict)
+    """Camera → why its silhouette was sought and is not used."""
 
 
 def warnings(run: RunResults) -> Iterator[str]:
@@ -67,6 +74,13 @@ def warnings(run: RunResults) -> Iterator[str]:
             "from a nipple is left out there: pick it if there is one."
         )
     yield from run.moved
+    if run.unseparated:
+        reasons = "; ".join(dict.fromkeys(run.unseparated.values()))
+        yield (
+            f"No outline of the subject is used in the photographs of {', '.join(run.unseparated)}: {reasons}. "
+            "Everything near was matched there, and the largest connected surface was taken. What else was near may be "
+            "part of it. Look at the surface, or give masks."
+        )
     if any(HEAD_NOT_SHOWN in measured.boundary_method for measured in run.measurements):
         yield (
             "The body does not show where its head is: left and right rest on how the cameras are mounted. Check that "
@@ -85,6 +99,10 @@ def run_concerns(run: RunResults) -> Iterator[str]:
         )
     if run.calibration is None:
         yield "The cameras were imported. Their errors are not known, and the interval does not cover them."
+        yield from map(sentence, run.camera_doubts)
+    extent = subject_extent(float(np.ptp(run.repaired.mesh.vertices, axis=0).max()))
+    if not extent.is_usual():
+        yield f"The surface is rare: {extent}. Check that the sizes of target or cameras are in millimetres."
     for name, judged in run.matching.items():
         yield from match_quality.concerns(name, judged)
     for name, share in run.shares.items():
@@ -96,7 +114,7 @@ def run_concerns(run: RunResults) -> Iterator[str]:
             f"Something hides part of the subject in the photographs of {', '.join(hidden)}. The skin there was kept "
             "where other pairs saw it. Skin that no pair saw is closed by the repair."
         )
-    blind = [name for name, known in run.foregrounds.items() if known.everything]
+    blind = [name for name, known in run.foregrounds.items() if known.everything and name not in run.unseparated]
     if blind:
         yield (
             f"The subject was not separated from the background in {', '.join(blind)}. Nothing limits the surface "

@@ -177,7 +177,8 @@ def _take(path: Path, render: Callable[[], Float32[Array, "h w *c"]], film: Film
     if sixteen:  # Pillow writes no colours of 16 bits
         import tifffile
 
-        tifffile.imwrite(path, pixels, photometric="rgb", compression="zlib", predictor=True, metadata=None)
+        photometric = "rgb" if pixels.ndim == 3 else "minisblack"
+        tifffile.imwrite(path, pixels, photometric=photometric, compression="zlib", predictor=True, metadata=None)
     elif path.suffix == ".png":
         Image.fromarray(pixels).save(path, compress_level=3)
     else:

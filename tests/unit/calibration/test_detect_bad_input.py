@@ -120,10 +120,10 @@ CASES = {
     "larger markers": (
         lambda r: shoot(r),
         replace(BOARD, marker_mm=16.0),
-        "mm wide on squares of 25.0 mm, where [target] says 16.0 mm",
-        "marker_mm",
+        "times square_mm, where [target] says 16 and 25 mm, 0.640 times",
+        "square_mm = 25 belongs marker_mm = 18.",
     ),
-    "smaller markers": (lambda r: shoot(r), replace(BOARD, marker_mm=20.0), "markers about 1", "Measure a marker"),
+    "smaller markers": (lambda r: shoot(r), replace(BOARD, marker_mm=20.0), "marker_mm 0.7", "Measure both"),
     "two boards": (lambda r: shoot(two_of_them(BOARD)), BOARD, "two boards in view", "one board"),
     "nothing": (lambda r: shoot(np.full_like(r, 0.1)), BOARD, "no target", ""),
     "other chessboard": (

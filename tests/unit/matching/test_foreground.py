@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from alone import foreground as foreground_of
 from scipy import ndimage
 from skimage.measure import find_contours
 
@@ -9,7 +10,6 @@ from mammometry.base.errors import ImageError, MatchingError
 from mammometry.base.photograph import Photograph, linear_of
 from mammometry.matching import silhouette
 from mammometry.matching.foreground import Foreground, estimate_foreground
-from mammometry.matching.settings import ForegroundSettings
 
 SIZE = (240, 320)
 V, U = np.mgrid[: SIZE[0], : SIZE[1]].astype(np.float64)
@@ -48,7 +48,7 @@ BOARD = 0.02 + 0.012 * ndimage.gaussian_filter(np.random.default_rng(1).normal(s
 @pytest.mark.parametrize("grey", [False, True], ids=["colour", "grey"])
 @pytest.mark.parametrize("backdrop", [np.full(SIZE, 0.004), BOARD], ids=["dark", "textured board"])
 def test_the_outline_of_an_evenly_lit_disc(backdrop: np.ndarray, grey: bool) -> None:
-    foreground = estimate_foreground(picture(np.full(SIZE, 0.4), np.abs(backdrop), grey=grey), "front_left")
+    foreground = foreground_of(picture(np.full(SIZE, 0.4), np.abs(backdrop), grey=grey), "front_left")
     error = radii(foreground) - RADIUS
     # Level .4 of an evenly lit edge blurred by .7 and .5 px lies Φ⁻¹(.6)·.86 = .22 px outside.
     assert np.abs(error.mean() - 0.22) < 0.1
@@ -59,7 +59,7 @@ def test_the_outline_of_an_evenly_lit_disc(backdrop: np.ndarray, grey: bool) -> 
 def test_a_shaded_flank_is_still_subject() -> None:
     """Brightness falls to a sixteenth towards one side: darker than Otsu's threshold, brighter than the backdrop."""
     shade = np.clip((U - 60) / 160, 0.06, 1)
-    foreground = estimate_foreground(picture(0.4 * shade, np.full(SIZE, 0.004)), "front_left")
+    foreground = foreground_of(picture(0.4 * shade, np.full(SIZE, 0.004)), "front_left")
     error = radii(foreground) - RADIUS
     assert np.abs(error).max() < 1.5
     assert abs(error.mean()) < 0.5
@@ -67,7 +67,7 @@ def test_a_shaded_flank_is_still_subject() -> None:
 
 def test_dark_spots_inside_are_subject() -> None:
     skin = np.where(np.hypot(U - 140, V - 110) < 15, 0.01, 0.4)
-    assert estimate_foreground(picture(skin, np.full(SIZE, 0.004)), "a").mask[110, 140]
+    assert foreground_of(picture(skin, np.full(SIZE, 0.004)), "a").mask[110, 140]
 
 
 @pytest.mark.parametrize("radius_px", [26, 55])
@@ -82,7 +82,7 @@ def test_a_patch_of_another_colour_on_the_outline_is_subject(radius_px: float) -
     linear = np.where(disc[..., None], 0.4 * np.array([1.0, 0.6, 0.5]), 0.004)
     linear[areola] = 0.36 * np.array([1.0, 0.25, 0.3])
     blurred = ndimage.gaussian_filter(linear, (0.7, 0.7, 0.0))
-    found = estimate_foreground(Photograph(name="capture/front_left.jpg", pixels=encode(blurred)), "front_left")
+    found = foreground_of(Photograph(name="capture/front_left.jpg", pixels=encode(blurred)), "front_left")
     assert found.mask[ndimage.binary_erosion(areola, iterations=2)].all()
     assert np.count_nonzero(found.mask ^ disc) < 0.005 * np.count_nonzero(disc)
 
@@ -95,20 +95,20 @@ def test_a_box_as_bright_as_a_dark_subject_but_of_another_colour_is_none() -> No
     linear = np.where(disc[..., None], 0.17 * np.array([1.0, 0.6, 0.45]), 0.004)
     linear[box] = 0.13 * np.array([0.9, 1.0, 0.95])
     noisy = ndimage.gaussian_filter(linear, (0.7, 0.7, 0.0)) + np.random.default_rng(3).normal(0, 0.002, linear.shape)
-    found = estimate_foreground(Photograph(name="capture/front_left.jpg", pixels=encode(noisy)), "front_left")
+    found = foreground_of(Photograph(name="capture/front_left.jpg", pixels=encode(noisy)), "front_left")
     assert not found.mask[ndimage.binary_erosion(box, iterations=4)].any()
     assert found.mask[ndimage.binary_erosion(disc, iterations=4)].all()
 
 
 def test_a_subject_that_the_frame_crops_has_no_outline_along_the_frame() -> None:
     centre = (150.0, 20.0)
-    foreground = estimate_foreground(picture(np.full(SIZE, 0.4), np.full(SIZE, 0.004), centre=centre), "a")
+    foreground = foreground_of(picture(np.full(SIZE, 0.4), np.full(SIZE, 0.004), centre=centre), "a")
     assert foreground.mask[0, 120:180].all()
     assert np.abs(radii(foreground, centre) - RADIUS).max() < 0.8
 
 
 def test_the_coverage_is_fit_for_sub_pixel_contours() -> None:
-    foreground = estimate_foreground(picture(np.full(SIZE, 0.4), np.full(SIZE, 0.004)), "a")
+    foreground = foreground_of(picture(np.full(SIZE, 0.4), np.full(SIZE, 0.004)), "a")
     assert 0 <= foreground.coverage.min() <= foreground.coverage.max() <= 1
     assert not foreground.coverage.flags.writeable
     steps = np.abs(np.diff(np.asarray(foreground.coverage), axis=1))
@@ -117,27 +117,31 @@ def test_the_coverage_is_fit_for_sub_pixel_contours() -> None:
 
 def test_everything_and_given_masks() -> None:
     photograph = picture(np.full(SIZE, 0.4), np.full(SIZE, 0.004))
-    whole = estimate_foreground(photograph, "a", ForegroundSettings(mode="all"))
+    whole = estimate_foreground(photograph, "a")
     assert whole.everything
     assert whole.mask.all()
     given = np.hypot(U - 100, V - 100) < 40
-    drawn = estimate_foreground(photograph, "a", ForegroundSettings(mode="all"), given=given)
+    drawn = estimate_foreground(photograph, "a", given=given)
     assert not drawn.everything
     assert (drawn.mask != given).mean() < 0.002
     with pytest.raises(ImageError, match="320 × 240"):
         estimate_foreground(photograph, "a", given=given[:-1])
 
 
-def test_an_even_picture_has_no_subject() -> None:
+def test_in_an_even_picture_no_silhouette_is_known() -> None:
     even = np.random.default_rng(0).integers(100, 110, (*SIZE, 3)).astype(np.uint8)
-    with pytest.raises(MatchingError, match=r"capture/x\.jpg"):
-        estimate_foreground(Photograph(name="capture/x.jpg", pixels=even), "x")
+    assert foreground_of(Photograph(name="capture/x.jpg", pixels=even), "x").everything
+
+
+def test_a_black_picture_is_refused_by_name() -> None:
+    with pytest.raises(MatchingError, match=r"capture/x\.jpg: found a photograph that is black"):
+        foreground_of(Photograph(name="capture/x.jpg", pixels=np.full((*SIZE, 3), 9, dtype=np.uint8)), "x")
 
 
 def test_a_dark_subject_on_a_board_that_is_paler_than_the_dark_around_it() -> None:
     """The board's edge is the picture's larger step in light, but the subject is what lies on the board."""
     board = np.where((np.abs(U - 150) < 112) & (np.abs(V - 120) < 98), 0.03, 0.001)
-    foreground = estimate_foreground(picture(np.full(SIZE, 0.115), board), "front_left")
+    foreground = foreground_of(picture(np.full(SIZE, 0.115), board), "front_left")
     assert np.abs(radii(foreground) - RADIUS).max() < 1.0
 
 

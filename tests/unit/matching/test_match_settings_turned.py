@@ -8,13 +8,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from alone import foreground as foreground_of
 from scipy import ndimage
 from test_foreground import RADIUS, SIZE, U, picture
 from test_rectify import converging, foreground, grey
 from textured_pair import Texture, make_pair
 
 from mammometry.base.progress import no_progress
-from mammometry.matching.foreground import estimate_foreground
 from mammometry.matching.levels import Levels, choose_levels
 from mammometry.matching.match import DisparityMap, match, prepare
 from mammometry.matching.pyramid import Level
@@ -46,8 +46,7 @@ def levels(span_px: int, settings: MatchSettings) -> Levels:
 def test_a_lower_contour_level_lays_the_silhouette_further_out() -> None:
     photograph = picture(np.full(SIZE, 0.4), np.full(SIZE, 0.004))
     areas = [
-        estimate_foreground(photograph, "a", ForegroundSettings(contour_level=level)).mask.sum()
-        for level in (0.2, 0.4, 0.7)
+        foreground_of(photograph, "a", ForegroundSettings(contour_level=level)).mask.sum() for level in (0.2, 0.4, 0.7)
     ]
     assert areas[0] > areas[1] > areas[2]
 
@@ -58,7 +57,7 @@ def test_a_larger_margin_over_the_backdrop_keeps_less_of_a_dark_flank() -> None:
     photograph = picture(0.4 * shade, np.full(SIZE, 0.004), grey=True)
     whole = np.pi * RADIUS**2
     near, far = (
-        estimate_foreground(photograph, "a", ForegroundSettings(background_margin=margin)).mask.sum() / whole
+        foreground_of(photograph, "a", ForegroundSettings(background_margin=margin)).mask.sum() / whole
         for margin in (1.05, 2.0)
     )
     assert near > 0.99

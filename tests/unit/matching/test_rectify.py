@@ -98,11 +98,13 @@ def test_values_are_those_of_the_photograph_at_the_projected_position(texture: T
         np.testing.assert_allclose(image[mask], 0.5 + texture.at(uv[:, 0], uv[:, 1]), atol=2e-3)
 
 
-def test_a_whole_scene_is_aligned_where_the_axes_meet(texture: Texture) -> None:
-    pair = converging(20.0)
-    result = rectified(pair, texture, np.ones(SIZE_WH[::-1], dtype=bool), everything=True)
-    origin = np.zeros((1, 3))
-    assert abs(result.left.project(origin)[0, 0] - result.right.project(origin)[0, 0]) < 12
+@pytest.mark.parametrize("z_mm", [-150.0, 0.0, 200.0])
+def test_a_whole_scene_is_aligned_where_the_subject_stands(z_mm: float, texture: Texture) -> None:
+    pair, shot = converging(20.0), grey(texture)
+    whole, middle = foreground(np.ones(SIZE_WH[::-1], dtype=bool), everything=True), np.array([5.0, -3.0, z_mm])
+    result = rectify(pair, shot, shot, whole, whole, middle_world=middle)
+    at = middle[None]
+    assert abs(result.left.project(at)[0, 0] - result.right.project(at)[0, 0]) < 2
     assert result.left_mask.mean() > 0.6
 
 

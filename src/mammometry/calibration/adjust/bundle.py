@@ -68,8 +68,8 @@ def calibrate(
         progress: called with the fraction done.
 
     Raises:
-        CalibrationError: too few views, cameras that share no pose with the rest, a pair whose left and right are
-            swapped, image sizes that differ, or parameters that the observations do not determine.
+        CalibrationError: too few views, cameras that share no pose with the rest, image sizes that differ, or
+            parameters that the observations do not determine.
     """
     own, priors = dict(intrinsics_observations or {}), dict(priors or {})
     _check_pairs(pair_names, observations)
@@ -102,7 +102,6 @@ def calibrate(
     solved = _with_needed_k3(solved, priors, settings.bundle)
     progress(0.8)
     calibration = _as_calibration(solved, views, observations, own, pair_names, rig_name, tuple(set_aside))
-    _check_baselines(calibration.rig)
     progress(1.0)
     return calibration
 
@@ -205,8 +204,19 @@ def _as_calibration(
     target, first = observations.target, network.stations[0]
     what = f"the surveyed {target.kind} target" if target.is_surveyed else f"the {target.kind} board"
     shared = {view.pose for view in views if not view.own}
+    target_points = state.points[: len(target.points_target)].copy()
+    middles = [
+        state.station_rotation[i] @ target_points.mean(axis=0) + state.station_translation[i]
+        for i, pose in enumerate(network.stations)
+        if pose in shared
+    ]
     return Calibration(
-        rig=Rig(name=rig_name, cameras=cameras, pair_names=pair_names),
+        rig=Rig(
+            name=rig_name,
+            cameras=cameras,
+            pair_names=pair_names,
+            target_middle_world=np.median(middles, axis=0),
+        ),
         world=f"frame of {what} in pose {first}, mm",
         world_from_target={
             pose: Transform(
@@ -215,7 +225,7 @@ def _as_calibration(
             for i, pose in enumerate(network.stations)
             if pose in shared
         },
-        target_points=state.points[: len(target.points_target)].copy(),
+        target_points=target_points,
         observations=observations,
         residuals_px=tuple(rig_residuals),
         intrinsics_observations=own,
@@ -264,19 +274,3 @@ def _parameter_std(network: Network, covariance: Float64[Array, "p p"]) -> dict[
         names = [name for name in INTRINSIC_NAMES if name != "skew_px"]
         std[camera] = dict(zip((*names, *POSE_NAMES_CAMERA), values, strict=True))
     return std
-
-
-def _check_baselines(rig: Rig) -> None:
-    """Refuse a pair whose right camera stands left of the left one.
-
-    As the left camera's picture shows it.
-    """
-    for pair in rig.pairs:
-        x_mm, y_mm, _ = pair.left.camera_from_world.apply(pair.right.centre_world)
-        if x_mm < 0 and abs(x_mm) > abs(y_mm):
-            raise CalibrationError(
-                f"pair {pair.name}",
-                found=f"{pair.right.name} standing {-x_mm:.0f} mm to the left of {pair.left.name}",
-                expected="the right camera to the right of the left one, as their pictures show it",
-                remedy="Exchange left and right in the pair, or the two cameras' files if those are swapped",
-            )

@@ -18,13 +18,12 @@ import numpy as np
 
 from mammometry.calibration.detection.detect import Detection
 from mammometry.calibration.features.keypoints import WIDTH_PX, Keypoints, matched
-from mammometry.calibration.judge.working_volume import axes_are_parallel, meeting_point
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.camera import Camera, Rig
 
 _NEAR_PX = 2.0  # of the reduced pictures' pixels from the epipolar line: a match by chance is so near once in a hundred
 _FAR_PX = 16.0  # likewise, within which something that moved still is; a patient's start moves 10 mm, some 8 px
-_DEPTH = (0.5, 2.0)  # of the distance to where the axes meet, between which the subject is
+_DEPTH = (0.5, 2.0)  # of the distance to where the target was held, between which the subject is
 _FEWEST = 12  # matches of a pair, fewer tell nothing
 _RIGHT = 0.5  # share of a pair's matches that fits at least where the names are right (benchmarks.accuracy.exchanged)
 _FOREIGN = 0.25  # share up to which two photographs have nothing to do with one another, likewise; between: undecided
@@ -185,7 +184,6 @@ def check_names(rig: Rig, seen: Mapping[str, Keypoints]) -> Names:
         seen: camera → features of the photograph with its name; may lack cameras.
     """
     pairs = {name: both for name, both in rig.pair_names.items() if set(both) <= set(seen)}
-    middle = None if axes_are_parallel(rig) else meeting_point(rig)
 
     @cache
     def correspondences(one: str, other: str) -> tuple[Float64[Array, "m 2"], Float64[Array, "m 2"]]:
@@ -195,7 +193,9 @@ def check_names(rig: Rig, seen: Mapping[str, Keypoints]) -> Names:
 
     @cache
     def agreement(left: str, right: str, of_left: str, of_right: str) -> PairAgreement:
-        return pair_agreement(rig.cameras[left], rig.cameras[right], *correspondences(of_left, of_right), middle)
+        return pair_agreement(
+            rig.cameras[left], rig.cameras[right], *correspondences(of_left, of_right), rig.target_middle_world
+        )
 
     own = {pair: agreement(*both, *both) for pair, both in pairs.items()}
     suspects = {pair: pairs[pair] for pair, found in own.items() if not found.sure}
@@ -319,7 +319,6 @@ def check_board_names(rig: Rig, seen: Mapping[str, Detection]) -> tuple[str, str
     Returns:
         The two cameras whose exchange makes all agree; None where nothing is wrong, or no exchange explains it.
     """
-    middle = None if axes_are_parallel(rig) else meeting_point(rig)
 
     @cache
     def agreement(left: str, right: str, of_left: str, of_right: str) -> PairAgreement | None:
@@ -327,7 +326,8 @@ def check_board_names(rig: Rig, seen: Mapping[str, Detection]) -> tuple[str, str
             return None
         one, other = seen[of_left], seen[of_right]
         _, rows, columns = np.intersect1d(one.ids, other.ids, return_indices=True)
-        found = pair_agreement(rig.cameras[left], rig.cameras[right], one.uv[rows], other.uv[columns], middle)
+        cameras = rig.cameras[left], rig.cameras[right]
+        found = pair_agreement(*cameras, one.uv[rows], other.uv[columns], rig.target_middle_world)
         return found if found.tells else None
 
     def judged(source: Mapping[str, str]) -> dict[tuple[str, str], bool]:

@@ -27,6 +27,7 @@ from mammometry.calibration.judge.findings import (
     about_movements,
     about_names,
     about_pairs,
+    about_pixels,
     about_residuals,
     about_scale,
 )
@@ -99,6 +100,7 @@ def assess(calibration: Calibration, settings: QualitySettings = QualitySettings
         *(() if moved else about_bias(calibration, views, settings)),
         *about_fit(calibration, views, settings),
         *about_cameras(calibration, focal_std, coverage, expected.volume.coverage, settings),
+        *about_pixels(calibration),
         *about_pairs(pairs, settings),
         *about_expected(expected.rms_mm, settings),
         about_residuals(calibration.rms_px, rms_mm, settings),

@@ -1,6 +1,6 @@
 """Working volume: points seen by both cameras of some pair.
 
-They are near the meeting of the optical axes.
+They are where the target was held.
 """
 
 from __future__ import annotations
@@ -13,9 +13,6 @@ from scipy.spatial import cKDTree
 from mammometry.calibration.adjust.calibrated import Calibration
 from mammometry.geometry.arrays import Array, Bool, Float64, read_only
 from mammometry.geometry.camera import Camera, Rig
-
-_PARALLEL_COSINE = float(np.cos(np.radians(5.0)))
-"""Optical axes within 5° of each other are called parallel."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -39,6 +36,12 @@ class WorkingVolume:
         return float(self.grid_world[1, 0, 0, 0] - self.grid_world[0, 0, 0, 0])
 
     @property
+    def middle_world(self) -> Float64[Array, 3]:
+        """Middle of the places where the target was held, world, mm."""
+        middle: Float64[Array, 3] = self.grid_world.mean(axis=(0, 1, 2))
+        return middle
+
+    @property
     def coverage(self) -> float:
         """Share of what is seen that was shown.
 
@@ -50,13 +53,12 @@ class WorkingVolume:
 def working_volume(calibration: Calibration, *, steps: int = 9) -> WorkingVolume:
     """Compute the volume in which a calibrated rig measures.
 
-    A cube about the point where the optical axes meet, as wide as the cameras' pictures are high there. Axes that are
-    parallel to within 5° meet nowhere: then it lies about the middle of the places where the target was.
+    A cube about the middle of the places where the target was held, as wide as the cameras' pictures are high there.
     """
     rig = calibration.rig
     placed = [placed.apply(calibration.target_points) for placed in calibration.world_from_target.values()]
     places = np.concatenate(placed)
-    centre = places.mean(axis=0) if axes_are_parallel(rig) else meeting_point(rig)
+    centre = np.median([of_pose.mean(axis=0) for of_pose in placed], axis=0)
     reach = float(np.median([_half_height_mm(camera, centre) for camera in rig.cameras.values()]))
     ticks = np.linspace(-reach, reach, steps)
     grid = centre + np.stack(np.meshgrid(ticks, ticks, ticks, indexing="ij"), axis=-1)
@@ -67,10 +69,9 @@ def working_volume(calibration: Calibration, *, steps: int = 9) -> WorkingVolume
     return WorkingVolume(grid_world=grid, seen=seen, shown=shown)
 
 
-def axes_are_parallel(rig: Rig) -> bool:
-    """Whether all optical axes are parallel to within 5°: they meet nowhere."""
-    axes = np.stack([camera.axis_world for camera in rig.cameras.values()])
-    return bool((axes @ axes.T).min() > _PARALLEL_COSINE)
+def middle_world(rig: Rig) -> Float64[Array, 3]:
+    """Middle of the places where the target was held, world, mm; of imported cameras, where their axes meet."""
+    return meeting_point(rig) if rig.target_middle_world is None else rig.target_middle_world
 
 
 def meeting_point(rig: Rig) -> Float64[Array, 3]:

@@ -95,6 +95,8 @@ class SquaresBoard(Board):
     corners row by row: ``(columns − 1) × (rows − 1)`` of them.
     """
 
+    size_key: ClassVar[str] = "square_mm"
+
     squares: tuple[int, int]
     """Columns and rows of SQUARES: one more each than inner corners."""
     square_mm: float

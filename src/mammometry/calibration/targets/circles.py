@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
 from mammometry.base.photograph import Photograph
-from mammometry.calibration.features.found_points import FoundPoints
+from mammometry.calibration.features.found_points import Cause, FoundPoints
 from mammometry.calibration.targets.board import Board
 from mammometry.calibration.targets.registry import TARGETS
 from mammometry.calibration.targets.sheet import Pattern, Sheet
@@ -29,6 +30,8 @@ class CirclesTarget(Board):
     Raises:
         ValueError: fewer than 2 × 2 circles, or circles that would touch.
     """
+
+    size_key: ClassVar[str] = "pitch_mm"
 
     grid: tuple[int, int]
     """Circles in a row, and rows."""
@@ -82,7 +85,9 @@ class CirclesTarget(Board):
         """
         return not self.asymmetric or self.grid[1] % 2 == 0
 
-    def find(self, photograph: Photograph, *, search_width_px: int, window_squares: float) -> FoundPoints | None:
+    def find(
+        self, photograph: Photograph, *, search_width_px: int, window_squares: float
+    ) -> FoundPoints | Cause | None:
         """Find the circles' centres. See `find_circles`."""
         from mammometry.calibration.targets.find_circles import find_circles
 

@@ -11,6 +11,8 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import ClassVar
 
+import numpy as np
+
 from mammometry.base.errors import SettingsError
 from mammometry.base.photograph import Photograph
 from mammometry.calibration.features.found_points import Cause, FoundPoints
@@ -37,6 +39,15 @@ class Target(ABC):
     def kind(self) -> str:
         """Name of the kind in the registry."""
         return TARGETS.name_of(type(self))
+
+    size_key: ClassVar[str] = "sizes"
+    """Key of ``[target]`` that says how large it is."""
+
+    @property
+    def stated_size(self) -> tuple[str, float]:
+        """That key, and its value, mm. Of a list of points the longest side of what it spans."""
+        value = getattr(self, self.size_key, None)
+        return self.size_key, value if isinstance(value, float) else float(np.ptp(self.points_target, axis=0).max())
 
     # --- what the adjustment needs ---
 

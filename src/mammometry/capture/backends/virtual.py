@@ -21,7 +21,7 @@ import numpy as np
 from mammometry.api.job import open_session
 from mammometry.base.errors import SettingsError
 from mammometry.base.photograph import Photograph
-from mammometry.calibration.judge.working_volume import meeting_point
+from mammometry.calibration.judge.working_volume import middle_world
 from mammometry.calibration.targets.lamps import LAMPS
 from mammometry.capture.camera import CameraSettings, Devices, Frame, Health, failed
 from mammometry.capture.registry import BACKENDS
@@ -197,7 +197,7 @@ class VirtualRig:
         with self._lock:
             if self._lamps is None:
                 rig = open_session(self._folder).calibrate().rig
-                shift = Transform(rotation=np.eye(3), translation_mm=meeting_point(rig))
+                shift = Transform(rotation=np.eye(3), translation_mm=middle_world(rig))
                 moved = {
                     name: replace(one, camera_from_world=one.camera_from_world @ shift)
                     for name, one in rig.cameras.items()

@@ -39,6 +39,7 @@ STORED_TYPES: Mapping[str, str] = MappingProxyType(
         "geometry.transform:Transform": "mammometry.geometry.transform:Transform",
         "matching.foreground:Foreground": "mammometry.matching.foreground:Foreground",
         "matching.match:DisparityMap": "mammometry.matching.match:DisparityMap",
+        "matching.subjects:Subjects": "mammometry.matching.subjects:Subjects",
         "measure.anthropometry:Dimensions": "mammometry.measure.shape.anthropometry:Dimensions",
         "measure.body:Body": "mammometry.measure.trunk.body:Body",
         "measure.boundary:Boundary": "mammometry.measure.boundary.boundary:Boundary",

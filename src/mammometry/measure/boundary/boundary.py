@@ -276,19 +276,24 @@ class TorsoSides:
 
 
 def outline_torso(
-    surface: RepairedSurface, frame: Float64[Array, "3 3"], settings: MeasureSettings = MeasureSettings()
+    surface: RepairedSurface,
+    frame: Float64[Array, "3 3"],
+    settings: MeasureSettings = MeasureSettings(),
+    *,
+    head_stated: bool = False,
 ) -> TorsoSides:
     """Outline the breast of each side, or say that there is none.
 
     Args:
         surface: the closed, repaired mesh; world frame, mm.
-        frame: patient's left, head, straight ahead (rows), as the cameras have it.
+        frame: patient's left, head, straight ahead (rows), roughly.
         settings: tolerances.
+        head_stated: whether the user said where the head is.
 
     Raises:
         MeasureError: see `find_breasts`.
     """
-    breasts = find_breasts(surface, frame, settings.breast, settings.thorax)
+    breasts = find_breasts(surface, frame, settings.breast, settings.thorax, head_stated=head_stated)
     names: tuple[Literal["left", "right"], ...] = ("left", "right")
     sides = {name: getattr(breasts, name) for name in names}
     return TorsoSides(

@@ -117,6 +117,8 @@ def find_breasts(
     frame: Float64[Array, "3 3"],
     settings: BreastSettings = BreastSettings(),
     thorax_settings: ThoraxSettings = ThoraxSettings(),
+    *,
+    head_stated: bool = False,
 ) -> Breasts:
     """Find the breast of each side, or none, and the thorax.
 
@@ -127,17 +129,19 @@ def find_breasts(
         frame: patient's left, head, straight ahead (rows), roughly.
         settings: what a breast is and where it ends.
         thorax_settings: how the trunk is described.
+        head_stated: whether the user said where the head is: then no sign of the body contradicts it.
 
     Raises:
         MeasureError: something stands out as a breast does, but its end or its base is not one's; the trunk is not
             seen, or its head is where the cameras have the feet.
     """
     skin = seen_skin(surface)
-    body = find_body(surface, frame, thorax_settings, skin=skin)
+    body = find_body(surface, frame, thorax_settings, skin=skin, stated=head_stated)
     best = _best_round(surface, skin, body, settings, thorax_settings)
     thorax, relief, sides = best.thorax, best.relief, best.sides
     outlined = [side.crease for side in sides.values() if side.verdict == "breast"]
-    head = check_head(head_signs(skin, thorax.trunk, [fuller_below(crease, relief) for crease in outlined]))
+    signs = head_signs(skin, thorax.trunk, [fuller_below(crease, relief) for crease in outlined])
+    head = check_head(signs, stated=head_stated)
     results: dict[SideName, Outline | NoBreast] = {}
     refused: list[MeasureError] = []
     for name, side in sides.items():

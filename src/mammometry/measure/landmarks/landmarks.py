@@ -81,6 +81,7 @@ def picked_landmarks(
                 found=f"a place {worst:.0f} mm off the surface",
                 expected=f"one within {_OFF_SURFACE_MM:.0f} mm of it",
                 remedy="Pick it again; check that landmarks and surface are of the same session, and in millimetres",
+                mesh_remedy="Pick it again; check that landmarks and mesh belong together, in millimetres",
             )
         found.append(
             Landmark(name=name, points_world=nearest.points[own], method="picked by hand, or loaded", sigma_mm=sigma_mm)

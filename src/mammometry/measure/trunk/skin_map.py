@@ -108,7 +108,11 @@ def lay_flat(
     known = np.isfinite(inner)
     if not known.any():
         raise MeasureError(
-            "torso", found="no skin around the trunk", expected="the trunk's front and sides", remedy="Check the rig"
+            "torso",
+            found="no skin around the trunk",
+            expected="the trunk's front and sides",
+            remedy="Check the rig",
+            mesh_remedy="Check --head and --ahead",
         )
     away, nearest = distance_transform_edt(~known, return_indices=True)
     # A few pixels under an overhang may have been sampled on its outer layer only.

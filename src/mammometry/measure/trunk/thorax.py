@@ -48,6 +48,7 @@ _RIDGE = 1e-4  # slight pull of the higher harmonics to zero, since the back is 
 _FACING_OUT = 0.5
 """Least share of a unit normal that points away from the axis, for skin to show the trunk's radius. The trunk's end,
 seen from below, and a breast's underside face along the axis. Chosen by eye (docs/decisions/0019)."""
+_CURVE_BITS = 16  # of each coordinate along the curve: 0.03 mm in 2 m
 _COPIES = 2  # samples for each face at most
 _FINEST_MM = 1.0  # least scatter assumed while the breasts are still in the skin; chosen by eye
 _CUT_OFF = 3.0  # scatters at which skin that stands out counts no more
@@ -153,11 +154,13 @@ def seen_faces(surface: RepairedSurface) -> Int64[Array, " k"]:
 
 
 def seen_skin(surface: RepairedSurface, at_most: int = 400_000) -> Skin:
-    """Sample the visible faces evenly by area.
+    """Sample the visible faces evenly by area and over the surface.
 
-    The fineness of each part's mesh does not matter.
+    Neither the fineness of each part's mesh nor the order of its faces matters: the samples follow a curve through
+    space, so that one in so many of them is even as well.
     """
     chosen = seen_faces(surface)
+    chosen = chosen[np.argsort(_place_on_curve(surface.mesh.vertices[surface.mesh.faces[chosen]].mean(axis=1)))]
     normals = surface.mesh.face_vectors()[chosen]
     area_mm2 = np.linalg.norm(normals, axis=1)
     reached = np.cumsum(area_mm2)
@@ -165,6 +168,18 @@ def seen_skin(surface: RepairedSurface, at_most: int = 400_000) -> Skin:
     even = np.searchsorted(reached, (np.arange(count) + 0.5) / count * reached[-1])
     points = surface.mesh.vertices[surface.mesh.faces[chosen[even]]].mean(axis=1)
     return Skin(points_world=points, normals_world=normals[even] / np.maximum(area_mm2[even, None], 1e-12))
+
+
+def _place_on_curve(points: Float64[Array, "n 3"]) -> Int64[Array, " n"]:
+    """Place of each point on Morton's curve through the box that holds them all."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    cells = (1 << _CURVE_BITS) - 1
+    cell = np.round((points - low) / max(float((high - low).max()), 1e-9) * cells).astype(np.int64)
+    place = np.zeros(len(points), dtype=np.int64)
+    for bit in range(_CURVE_BITS):
+        for axis in range(3):
+            place |= ((cell[:, axis] >> bit) & 1) << (3 * bit + axis)
+    return place
 
 
 def frame_from_sides(left: Float64[Array, "n 3"], right: Float64[Array, "m 3"], skin: Skin) -> Float64[Array, "3 3"]:
@@ -352,6 +367,7 @@ def fit_thorax(
             found=f"{len(radius)} points of skin around the breasts",
             expected=f"at least {4 * design.shape[1]}",
             remedy="Photograph the trunk beside, above and below the breasts too",
+            mesh_remedy="Scan the trunk beside, above and below the breasts too",
         )
     for _ in range(_FIT_ROUNDS):
         weighted = design * weights[:, None]

@@ -10,7 +10,7 @@ import numpy as np
 from mammometry.calibration.adjust.bundle import Calibration
 from mammometry.calibration.detection.detect import Detection
 from mammometry.calibration.judge import expected_error as judge
-from mammometry.calibration.judge.working_volume import meeting_point
+from mammometry.calibration.judge.working_volume import middle_world
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.report.figures import canvas
@@ -206,7 +206,7 @@ def rig_views(result: CalibrationResult) -> bytes:
     if calibration is not None:
         outline = calibration.target_points[_hull(calibration.target_points)]
         targets = [placed.apply(outline) for placed in calibration.world_from_target.values()]
-    origin = meeting_point(rig)
+    origin = middle_world(rig)
     centred = np.stack([*points, origin, *(corner for target in targets for corner in target)]) - origin
     reach = float(np.abs(centred @ frame.T).max()) * 1.18
     sheet = Sheet(3, 1, (330, 330), axes_room=(52, 40), header=26)
@@ -236,7 +236,7 @@ def rig_views(result: CalibrationResult) -> bytes:
             title="The rig",
             text="Cameras (pyramids open in the viewing direction) and their pairs"
             + (", and the places where the target was held (grey)" if targets else "")
-            + ". The origin is the point nearest to all optical axes.",
+            + (". The origin is the middle of those." if targets else ". The origin is where their axes meet."),
         )
     )
 

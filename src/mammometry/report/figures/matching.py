@@ -93,7 +93,11 @@ def disparity(result: MatchingResult) -> bytes:
         (lambda found: found.d_v_px, "d_V, px", "PuOr", (-limit, limit)),
         ("d_H", "d_V"),
         (
-            lambda found: f"matched {100 * shares[found.name]:.0f} % of the left silhouette",
+            lambda found: (
+                f"matched {100 * shares[found.name]:.0f} % of the left silhouette"
+                if found.name in shares
+                else "no silhouette: everything was matched"
+            ),
             lambda found: f"RMS {_rms(found.d_v_px[found.valid]):.3f} px",
         ),
         Caption(

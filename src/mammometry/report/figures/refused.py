@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+import numpy as np
+
 from mammometry.base.photograph import Photograph
 from mammometry.calibration.detection.detect import Observations
-from mammometry.geometry.arrays import Array, Float64
+from mammometry.geometry.arrays import Array, Bool, Float64
 from mammometry.job.stage_values import FinishedSurface
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.report.figures import canvas
@@ -22,14 +24,31 @@ _TARGETS = 12  # views of the target that are shown; more are too small to see
 _VIEW_PX = 470  # size of a view, px; chosen by eye
 
 
-def photographs_seen(photographs: Mapping[str, Photograph]) -> bytes:
-    """The photographs as they were brought, each under its camera's name."""
+def photographs_seen(
+    photographs: Mapping[str, Photograph], blocks: Mapping[str, Bool[Array, "h w"]] | None = None
+) -> bytes:
+    """The photographs as they were brought, each under its camera's name, with the outlines that were found.
+
+    Args:
+        photographs: camera → photograph.
+        blocks: camera → the subject's blocks. None: it was not yet sought.
+    """
     small = {camera: canvas.reduced(photographs[camera], _PHOTOGRAPH_PX) for camera in photographs}
     columns, rows = canvas.grid(len(small))
     sheet = Sheet(columns, rows, canvas.fitting([each.shape for each in small.values()], _PHOTOGRAPH_PX))
     for index, (camera, pixels) in enumerate(small.items()):
-        sheet.panel(index, camera).imshow(pixels, interpolation="antialiased")
-    return sheet.png(Caption(title="The photographs", text="As they were brought."))
+        axes = sheet.panel(index, camera)
+        axes.imshow(pixels, interpolation="antialiased")
+        if blocks is not None and camera in blocks:
+            down, across = (
+                np.linspace(0, size - 1, count)
+                for size, count in zip(pixels.shape[:2], blocks[camera].shape, strict=True)
+            )
+            axes.contour(across, down, blocks[camera], levels=[0.5], colors=canvas.ORANGE, linewidths=1.1)
+        elif blocks is not None:
+            canvas.note(axes, "no outline: everything was matched")
+    text = "With the outlines of the subject that were found: only what lies inside is matched."
+    return sheet.png(Caption(title="The photographs", text="As they were brought." if blocks is None else text))
 
 
 def targets_seen(photographs: Mapping[tuple[str, str], Photograph], looked: Mapping[str, Observations]) -> bytes:

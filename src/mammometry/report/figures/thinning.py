@@ -125,12 +125,14 @@ def matched_shares(
 ) -> dict[str, float]:
     """Pair → matched share of the subject in its left picture.
 
-    Counted on a thinned grid.
+    Counted on a thinned grid. It lacks pairs without silhouettes.
     """
     shares = {}
     for pair, found in disparities.items():
         name = rig.pair_names[pair][0]
         known = foregrounds[name]
+        if known.everything:
+            continue
         columns, rows, source = source_grid(rig.cameras[name], found.left, _SHARE_PX)
         height, width = known.coverage.shape
         thinning = rig.cameras[name].size_wh[0] / width

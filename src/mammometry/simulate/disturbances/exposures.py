@@ -109,6 +109,11 @@ def _mounted(exposure: Exposure, how: str, rng: np.random.Generator) -> Exposure
     return replace(exposure, rig=rig, capture_rig=capture)
 
 
+@disturbance("grey", "shoot", "sensors without colour, files with one channel", Word(usual="grey", words=("grey",)))
+def _grey(exposure: Exposure, word: str, rng: np.random.Generator) -> Exposure:
+    return exposure.with_films(lambda film: replace(film, grey=True))
+
+
 @disturbance("mosaic", "shoot", "sensors with a Bayer mosaic", Word(usual="rggb", words=("rggb",)))
 def _mosaic(exposure: Exposure, pattern: str, rng: np.random.Generator) -> Exposure:
     return exposure.with_films(lambda film: replace(film, mosaic=True))
@@ -173,9 +178,17 @@ def _out_of_focus(exposure: Exposure, blur_px: float, rng: np.random.Generator) 
 
     The reference rig's lens at f/11, focused half a metre behind the body, blurs by 4 px.
     """
-    name = str(rng.choice(list(exposure.films)))
-    own_px = blur_px * exposure.rig.cameras[name].size_wh[0] / FULL_SIZE_WH[0]
-    return exposure.with_films(lambda film: replace(film, blur_px=math.hypot(film.blur_px, own_px)), (name,))
+    return _blurred(exposure, blur_px, (str(rng.choice(list(exposure.films))),))
+
+
+@disturbance(
+    "soft-focus",
+    "shoot",
+    "every camera out of focus: standard deviation of the blur, in pixels of a picture 4504 wide",
+    Number(usual=8.0, within=(0.0, 50.0), unit="px of 4504"),
+)
+def _soft_focus(exposure: Exposure, blur_px: float, rng: np.random.Generator) -> Exposure:
+    return _blurred(exposure, blur_px, tuple(exposure.films))
 
 
 @disturbance(
@@ -196,6 +209,15 @@ def _turned(exposure: Exposure, angle_deg: float, names: tuple[str, ...], rng: n
     return replace(
         exposure, capture_rig=with_cameras(exposure.capture_rig, lambda one: turned(one, turns[one.name]), names)
     )
+
+
+def _blurred(exposure: Exposure, blur_px: float, names: tuple[str, ...]) -> Exposure:
+    """Blur some cameras' pictures; sigma in pixels of a picture as wide as the reference's."""
+    films = dict(exposure.films)
+    for name in names:
+        own_px = blur_px * exposure.rig.cameras[name].size_wh[0] / FULL_SIZE_WH[0]
+        films[name] = replace(films[name], blur_px=math.hypot(films[name].blur_px, own_px))
+    return replace(exposure, films=films)
 
 
 def _gains(exposure: Exposure, gains: Float64[Array, "n 3"]) -> Exposure:

@@ -31,6 +31,8 @@ _WALL_Z_MM = -600.0
 """Of a wall behind the body, rig frame."""
 _DAYLIGHT = 8.0
 """Brightness of a window relative to the room's light on a white wall."""
+_ABOVE_TABLE_MM = 1.6
+"""Gap below a cast, in which the dark board of a flat back lies."""
 _ENDS_MM = -366.0
 """Height of the trunk's lower end, solid's frame."""
 
@@ -159,6 +161,22 @@ def _long_hair(about: Surroundings, length_mm: float, rng: np.random.Generator) 
 def _pale_wall(about: Surroundings, reflectance: float, rng: np.random.Generator) -> Surroundings:
     wall = sheet((0.0, 300.0, _WALL_Z_MM), (2600.0, 0.0, 0.0), (0.0, 2200.0, 0.0), 45.0)
     return about.plus(wall, (reflectance, reflectance, 0.96 * reflectance), smooth=0.92)
+
+
+@disturbance(
+    "table",
+    "thing",
+    "a bright table on which the subject stands or the cast lies: its reflectance",
+    Number(usual=0.7, within=(0.02, 0.95)),
+)
+def _table(about: Surroundings, reflectance: float, rng: np.random.Generator) -> Surroundings:
+    colour, vertices = (reflectance, 0.97 * reflectance, 0.9 * reflectance), about.solid.mesh.vertices
+    if about.solid.base_boundary is not None:
+        lowest = float(vertices[:, 2].min()) - _ABOVE_TABLE_MM
+        top = sheet((0.0, 0.0, lowest), (700.0, 0.0, 0.0), (0.0, 700.0, 0.0), 20.0)
+        return about.plus_at_body(top, colour, smooth=0.3, moves=False)
+    lowest = float(about.rig_from_solid.apply(vertices)[:, 1].min()) - 0.1
+    return about.plus(sheet((0.0, lowest, 0.0), (0.0, 0.0, 700.0), (700.0, 0.0, 0.0), 20.0), colour, smooth=0.3)
 
 
 @disturbance(

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from mammometry.base.photograph import Photograph
+from mammometry.base.photograph import LUMA, Photograph
 from mammometry.geometry.arrays import Array, Float32
 from mammometry.simulate.rendering.film import Film
 from mammometry.simulate.rendering.in_camera import arriving, processed, srgb_encoded
@@ -28,13 +28,16 @@ def develop(
         bits: of each channel.
     """
     image = radiance if radiance.ndim == 3 else radiance[:, :, None]
+    if film.grey and image.shape[2] > 1:
+        image = (image @ LUMA)[:, :, None]
     if film.is_processed:
         counted = np.empty((*image.shape[:2], 3), dtype=np.uint16)
         _count(arriving(image, film), film, seed, _LINEAR, counted)
-        return Photograph(name=name, pixels=processed(counted, film, bits))
-    pixels = np.empty((*image.shape[:2], 3), dtype=_SRGB[bits].dtype)
-    _count(image, film, seed, _SRGB[bits], pixels)
-    return Photograph(name=name, pixels=pixels)
+        pixels = processed(counted, film, bits)
+    else:
+        pixels = np.empty((*image.shape[:2], 3), dtype=_SRGB[bits].dtype)
+        _count(image, film, seed, _SRGB[bits], pixels)
+    return Photograph(name=name, pixels=np.ascontiguousarray(pixels[:, :, 0]) if film.grey else pixels)
 
 
 def _count(image: Float32[Array, "h w c"], film: Film, seed: int, table: Array, pixels: Array) -> None:

@@ -42,6 +42,8 @@ class Film:
     """Whether files keep colour at half resolution (4:2:0), as most cameras' do."""
     gain_rgb: tuple[float, float, float] = (1.0, 1.0, 1.0)
     """Exposure and white balance: factors of red, green and blue light before counting."""
+    grey: bool = False
+    """Whether the sensor counts light without colour, and files have one channel."""
     mosaic: bool = False
     """Whether each pixel counts one colour only (Bayer's RGGB), with the others interpolated."""
     aberration: tuple[float, float] = (0.0, 0.0)

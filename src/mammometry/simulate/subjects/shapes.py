@@ -6,12 +6,16 @@ The first two and the plaster models are made of the disc.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
 from mammometry.geometry.arrays import Array, Int32
 from mammometry.simulate.subjects.registry import SubjectRequest, add_subject
 from mammometry.simulate.subjects.solid import Solid, rounded_mesh
+
+_FIGURE_MM, _FIGURE_EDGE_MM = 52.0, 0.4
+"""Height of the small head that stands on a table, and its longest edges, mm."""
 
 
 def sphere(radius_mm: float = 60.0, edge_mm: float = 0.7) -> Solid:
@@ -49,6 +53,37 @@ def cylinder(radius_mm: float = 57.15, length_mm: float = 150.0, edge_mm: float 
     )
     facts = {"kind": "cylinder", "radius_mm": radius_mm, "length_mm": length_mm}
     return _whole_solid("cylinder", vertices, faces, facts)
+
+
+def head(seed: int, height_mm: float = 265.0, edge_mm: float = 0.7) -> Solid:
+    """Make a head with neck, nose, brows, eyes and chin, drawn by seed, that looks along z."""
+    rng = np.random.default_rng([seed, 74])
+    ball = sphere(100.0, edge_mm=edge_mm * 265.0 / height_mm)
+    out = ball.mesh.vertices / np.linalg.norm(ball.mesh.vertices, axis=1, keepdims=True)
+    half = np.array([76.0, 112.0, 96.0]) * rng.uniform(0.94, 1.06, 3)
+    radius = 1.0 / np.linalg.norm(out / half, axis=1)
+    below = np.maximum(-out[:, 1], 1e-6)
+    neck = np.minimum(54.0 / np.maximum(np.hypot(out[:, 0], out[:, 2]), 1e-6), 150.0 / below)
+    blend = np.clip((below - 0.72) / 0.2, 0.0, 1.0)
+    radius += blend**2 * (3.0 - 2.0 * blend) * np.maximum(neck - radius, 0.0)
+    for x, y, width, lift in (
+        (0.0, -0.12, 0.13, 20.0),  # nose
+        (0.0, 0.08, 0.10, 7.0),
+        (-0.33, 0.10, 0.14, -7.0),  # eyes
+        (0.33, 0.10, 0.14, -7.0),
+        (-0.28, 0.32, 0.16, 5.0),  # brows
+        (0.28, 0.32, 0.16, 5.0),
+        (0.0, -0.42, 0.10, 4.0),  # mouth
+        (0.0, -0.68, 0.16, 9.0),  # chin
+        (-0.52, -0.22, 0.2, 4.0),  # cheeks
+        (0.52, -0.22, 0.2, 4.0),
+    ):
+        away = np.hypot(out[:, 0] - x, out[:, 1] - y)
+        radius += lift * rng.uniform(0.7, 1.3) * np.exp(-((away / width) ** 2)) * np.clip(2.0 * out[:, 2], 0.0, 1.0)
+    vertices = out * radius[:, None]
+    vertices *= height_mm / float(np.ptp(vertices[:, 1]))
+    facts: dict[str, object] = {"kind": "head", "height_mm": height_mm}
+    return replace(_whole_solid("head", vertices, ball.mesh.faces, facts), lean_rad=0.0)
 
 
 def plate(width_mm: float = 220.0, height_mm: float = 160.0, thickness_mm: float = 6.0, edge_mm: float = 2.0) -> Solid:
@@ -89,6 +124,16 @@ def _sphere(wanted: SubjectRequest) -> Solid:
 @add_subject("cylinder")
 def _cylinder(wanted: SubjectRequest) -> Solid:
     return cylinder(edge_mm=wanted.edge_mm)
+
+
+@add_subject("head")
+def _head(wanted: SubjectRequest) -> Solid:
+    return head(wanted.seed, edge_mm=wanted.edge_mm)
+
+
+@add_subject("figure")
+def _figure(wanted: SubjectRequest) -> Solid:
+    return head(wanted.seed, height_mm=_FIGURE_MM, edge_mm=min(wanted.edge_mm, _FIGURE_EDGE_MM))
 
 
 @add_subject("plate")

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
+
 from mammometry.geometry.camera import Rig
 from mammometry.io.cameras.own import cameras_from_table, cameras_table
 from mammometry.io.results.formats.arrays import write_json
@@ -17,6 +19,7 @@ def _write(path: Path, value: CameraSet) -> None:
         "rig": value.rig.name,
         "pairs": {name: list(pair) for name, pair in value.rig.pair_names.items()},
         "world": value.world,
+        "target_middle": None if value.rig.target_middle_world is None else value.rig.target_middle_world.tolist(),
         "rms_px": value.rms_px,
         "verdict": value.verdict,
         "reasons": list(value.reasons),
@@ -27,7 +30,13 @@ def _write(path: Path, value: CameraSet) -> None:
 def _read(path: Path) -> CameraSet:
     table = json.loads(path.read_text(encoding="utf-8"))
     pairs = {name: (left, right) for name, (left, right) in table["pairs"].items()}
-    rig = Rig(name=table["rig"], cameras=cameras_from_table(table, path.name), pair_names=pairs)
+    middle = table["target_middle"]
+    rig = Rig(
+        name=table["rig"],
+        cameras=cameras_from_table(table, path.name),
+        pair_names=pairs,
+        target_middle_world=None if middle is None else np.array(middle),
+    )
     std = {name: entry["std"] for name, entry in table["cameras"].items() if "std" in entry}
     return CameraSet(
         rig=rig,
