@@ -2,6 +2,7 @@
 
 import io
 import os
+import struct
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,7 +12,8 @@ import trimesh
 from PIL import Image
 from tests.unit.measure.solids import dome
 
-from mammometry.base.errors import SessionError
+from mammometry.base.errors import MeasureError, SessionError
+from mammometry.base.limits import LimitSettings
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.mesh_file import read_triangles
 from mammometry.io.foreign import read_foreign
@@ -112,6 +114,89 @@ def test_every_format_is_the_same_surface(tmp_path: Path, suffix: str) -> None:
     trimesh.Trimesh(MESH.vertices, MESH.faces, process=False).export(tmp_path / f"a.{suffix}")
     vertices, faces, _ = read_triangles(tmp_path / f"a.{suffix}")
     assert TriangleMesh(vertices=vertices, faces=faces).area_mm2() == pytest.approx(AREA_MM2, rel=1e-5)
+
+
+def polygons() -> list[tuple[int, ...]]:
+    """The mesh's faces, neighbours joined to quads where that goes."""
+    return [tuple(int(word) - 1 for word in line.split()[1:]) for line in quads().splitlines() if line.startswith("f ")]
+
+
+def ply(order: str, *, further: bool, floats: bool = False) -> bytes:
+    """A PLY with quads, and with further properties and elements."""
+    form = {"<": "binary_little_endian", ">": "binary_big_endian", "": "ascii"}[order]
+    faces = polygons()
+    colour = "float" if floats else "uchar"
+    lines = [
+        "ply",
+        f"format {form} 1.0",
+        "comment Größe",
+        "obj_info a camera's",
+        f"element vertex {len(MESH.vertices)}",
+    ]
+    lines += [f"property float {axis}" for axis in "xyz"]
+    lines += ["property float confidence"] if further else []
+    lines += [f"property {colour} {name}" for name in ("red", "green", "blue")]
+    lines += ["property double quality"] if further else []
+    lines += [f"element face {len(faces)}", "property list uint8 uint32 vertex_index"]
+    lines += ["property list uchar float texcoord", "property uchar flags", "element edge 1"] if further else []
+    lines += ["property int vertex1", "property int vertex2"] if further else []
+    shown = (0.8, 0.6, 0.5) if floats else (204, 153, 128)
+    rows: list[tuple[str, tuple[float, ...]]] = []
+    for vertex in MESH.vertices:
+        rows.append(("3f", tuple(vertex)))
+        rows += [("f", (0.5,))] if further else []
+        rows.append(("3f" if floats else "3B", shown))
+        rows += [("d", (0.25,))] if further else []
+    for face in faces:
+        rows.append((f"B{len(face)}I", (len(face), *face)))
+        rows += [(f"B{2 * len(face)}f", (2 * len(face), *[0.5] * 2 * len(face))), ("B", (3,))] if further else []
+    rows += [("2i", (0, 1))] if further else []
+    header = ("\n".join([*lines, "end_header"]) + "\n").encode()
+    if order:
+        return header + b"".join(struct.pack(order + kinds, *values) for kinds, values in rows)
+    return header + "\n".join(" ".join(map(str, values)) for _, values in rows).encode()
+
+
+@pytest.mark.parametrize("floats", [False, True])
+@pytest.mark.parametrize("further", [False, True])
+@pytest.mark.parametrize("order", ["<", ">", ""])
+def test_every_ply_is_the_same_surface(tmp_path: Path, order: str, further: bool, floats: bool) -> None:
+    (tmp_path / "a.ply").write_bytes(ply(order, further=further, floats=floats))
+    vertices, faces, colours = read_triangles(tmp_path / "a.ply")
+    read = TriangleMesh(vertices=vertices, faces=faces)
+    assert len(faces) == len(MESH.faces)
+    assert read.area_mm2() == pytest.approx(AREA_MM2, rel=1e-3)
+    assert read.components()[0] == 1
+    assert (colours == [204, 153, 128]).all()
+
+
+@pytest.mark.parametrize("cut", [0, 3, 40, 200, 3000, -5])
+def test_a_ply_that_is_cut_short_is_named(tmp_path: Path, cut: int) -> None:
+    (tmp_path / "a.ply").write_bytes(ply("<", further=True)[:cut])
+    with pytest.raises(SessionError, match="cannot be read"):
+        read_triangles(tmp_path / "a.ply")
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        ("# Größe\n" + plain()).encode("utf-16"),
+        "# Größe 体\n".encode("utf-16") + plain().encode(),
+        b"# " + "体\n".encode("utf-16-le") + b"\n" + plain().encode(),
+        ("o a\ns off\nl 1 2\np 1\n" + plain() + "\nl 1 2 3\ncstype bezier\n").encode(),
+        ("mtllib absent.mtl\n" + plain()).encode(),
+        "\n".join(
+            [f"v {x} {y} {z} 1.0" for x, y, z in MESH.corners().reshape(-1, 3)]
+            + [f"f {3 * k + 1} {3 * k + 2} {3 * k + 3}" for k in range(len(MESH.faces))]
+        ).encode(),
+    ],
+    ids=["utf-16", "utf-16 comment", "utf-16 in a comment", "lines and curves", "no material file", "soup"],
+)
+def test_odd_obj_files_are_the_same_surface(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "a.obj").write_bytes(content)
+    vertices, faces, _ = read_triangles(tmp_path / "a.obj")
+    assert len(faces) == len(MESH.faces)
+    assert TriangleMesh(vertices=vertices, faces=faces).area_mm2() == pytest.approx(AREA_MM2, rel=1e-6)
 
 
 def commas(text: str) -> str:
@@ -254,3 +339,37 @@ def test_a_picture_of_another_format_is_read(tmp_path: Path, form: str) -> None:
     assert (colours.max(axis=1) > 150).all()
     assert files["texture-1.png"].startswith(b"\x89PNG")
     assert b"map_Kd texture-1.png" in files["scan.mtl"]
+
+
+def test_a_glbs_pictures_are_taken(tmp_path: Path) -> None:
+    """Two parts, each with a picture of its own; the right one stands turned and moved in the scene."""
+    scene = trimesh.Scene()
+    right = MESH.corners().mean(axis=1)[:, 0] < 0
+    for half, colour in ((MESH.submesh(~right), (200, 40, 40)), (MESH.submesh(right), (40, 200, 40))):
+        turn = trimesh.transformations.rotation_matrix(0.3 * (colour[1] > 100), [0, 1, 0], [0.1, 0, 0.2])
+        stands = trimesh.transform_points(half.vertices / 1000, np.linalg.inv(turn))
+        picture = Image.new("RGB", (16, 16), colour)
+        material = trimesh.visual.material.PBRMaterial(baseColorTexture=picture)
+        visual = trimesh.visual.TextureVisuals(uv=np.full((len(stands), 2), 0.5), material=material)
+        scene.add_geometry(trimesh.Trimesh(stands, half.faces, visual=visual, process=False), transform=turn)
+    (tmp_path / "a.glb").write_bytes(scene.export(file_type="glb"))
+    files = import_scan(tmp_path / "a.glb", SCAN)
+    vertices, colours = vertex_colours(files, tmp_path)
+    assert TriangleMesh(vertices=vertices, faces=read_triangles(tmp_path / "read.ply")[1]).area_mm2() == pytest.approx(
+        AREA_MM2, rel=1e-4
+    )
+    assert (colours[vertices[:, 0] > 8] == [200, 40, 40]).all()
+    assert (colours[vertices[:, 0] < -8] == [40, 200, 40]).all()
+    assert {"scan.obj", "scan.mtl", "texture-1.png", "texture-2.png"} < set(files)
+    assert "scan.obj" not in import_scan(tmp_path / "a.glb", SCAN, texture=False)
+    with pytest.raises(SessionError, match="a picture of 16 × 16 pixels"):
+        import_scan(tmp_path / "a.glb", SCAN, limits=LimitSettings(megapixels=0.0001))
+
+
+def test_what_no_measurement_takes_is_refused_at_the_door(tmp_path: Path) -> None:
+    fins = np.concatenate(
+        [MESH.faces, np.stack([MESH.faces[:5, 0], MESH.faces[:5, 1], MESH.faces[100:105, 0]], axis=1)]
+    )
+    trimesh.Trimesh(MESH.vertices, fins, process=False).export(tmp_path / "a.ply")
+    with pytest.raises(MeasureError, match="edges at which three or more faces meet"):
+        import_scan(tmp_path / "a.ply", SCAN, units="mm")

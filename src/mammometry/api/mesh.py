@@ -14,12 +14,14 @@ from __future__ import annotations
 
 import hashlib
 import time
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
+from mammometry.api.refused import show_refusal, withdraw_refusal
 from mammometry.api.results import Results
 from mammometry.api.stored_report import StoredReport
 from mammometry.base.cores import one_blas_thread
@@ -60,6 +62,7 @@ if TYPE_CHECKING:
     from mammometry.surface.dents import ValidPatches
     from mammometry.surface.repair import RepairedSurface
 
+T = TypeVar("T")
 SCALE_STD = 0.001
 """Relative standard uncertainty of a scanner's lengths if none is given: 0.1 %, 1 mm in a metre."""
 SURFACE_STD_MM = 0.1
@@ -100,6 +103,8 @@ class MeshFiles:
     """Standard uncertainty of its whole surface along its normal, mm."""
     subject: str | None = None
     """Identifier of the subject, a pseudonym, carried by every result. None: not given."""
+    posture: str = ""
+    """How the patient held herself: ``standing``, ``leaning`` or ``lying``. Empty: as the scan's folder says."""
     scan: Scan | None = None
     """What an imported scan's folder says. None: the mesh was not imported."""
 
@@ -120,8 +125,8 @@ def scan_files(folder: Path, *, subject: str | None = None, drawn: bool = True) 
         path if drawn and path.is_file() else None for path in (folder / BOUNDARIES, folder / LANDMARK_FILE)
     )
     return MeshFiles(
-        mesh=folder / MESH, units="mm", boundary=boundary, landmarks=landmarks, automatic=True, head=scan.head,
-        ahead=scan.ahead or None, subject=subject or scan.subject, scan=scan,
+        mesh=folder / MESH, units="mm", boundary=boundary, landmarks=landmarks, automatic=True,
+        head=scan.head or None, ahead=scan.ahead or None, subject=subject or scan.subject, scan=scan,
     )  # fmt: skip
 
 
@@ -168,14 +173,23 @@ class MeshJob:
             MeasureError: the mesh is no surface to be measured, the boundary does not lie on it, or a landmark is off
                 it or on the wrong side.
         """
+        try:
+            self._open(files, folder, settings or Settings(), watch)
+        except MeasureError as error:
+            raise error.of_mesh() from None
+
+    def _open(self, files: MeshFiles, folder: Path, settings: Settings, watch: Watch) -> None:
         from mammometry.measure import scanned
         from mammometry.measure.boundary.trace import check_curve
         from mammometry.measure.landmarks.landmarks import picked_landmarks
+        from mammometry.measure.scan_front import front_of_body
+        from mammometry.measure.scan_repair import repair_scan
 
         require_apart(folder, (files.mesh, files.boundary, files.landmarks, files.back))
         require_own_folder(folder, command=_COMMAND)
         check_mesh(files.mesh, (files.boundary, files.landmarks), folder, files.subject)
-        foreign = read_foreign(files.mesh, files.units)
+        drawn = DrawnBoundaries() if files.boundary is None else boundaries_in(files.boundary, _NAMES)
+        foreign = read_foreign(files.mesh, files.units, of_torso="model" not in drawn.curves)
         if files.boundary is None and files.landmarks is None and not files.automatic:
             raise SessionError(
                 str(files.mesh),
@@ -190,16 +204,16 @@ class MeshJob:
                 expected="one of the two",
                 remedy="Leave out --boundary or --automatic",
             )
-        settings = settings or Settings()
         own = replace(settings.measure, surface_sigma_mm=files.surface_std_mm)
         if files.boundary is None and not files.automatic:
             own = replace(own, boundary="landmarks")
         self.settings = replace(settings, measure=own)
         self.files = files
-        self.identity = Identity.of(files.mesh, files.subject)
-        self.store = Store(folder, watch, files.subject)
+        self.identity = Identity.of(files.mesh if files.scan is None else self.folder, files.subject)
+        self.store: Store = _StoreOfMesh(folder, watch, files.subject)
         self.units = foreign.units if files.scan is None else files.scan.units
-        drawn = DrawnBoundaries() if files.boundary is None else boundaries_in(files.boundary, _NAMES)
+        self.posture = files.posture or ("" if files.scan is None else files.scan.posture)
+        self.scanner = "" if files.scan is None else files.scan.scanner
         if drawn.automatic and not files.automatic:
             raise SessionError(
                 f"{files.boundary}: {drawn.automatic[0]}",
@@ -217,23 +231,26 @@ class MeshJob:
             )
         self.kind: SubjectKind = "model" if "model" in curves else "torso"
         places = {} if files.landmarks is None else landmarks_in(files.landmarks, self.kind)
-        mesh = scanned.largest_part(foreign.mesh) if files.largest else foreign.mesh
-        scanned.check_mesh(mesh)
+        scan = repair_scan(foreign.mesh, largest=files.largest)
+        by_axes = self.kind == "torso" and (files.automatic or files.head is not None)
+        frame = None
+        if by_axes:
+            frame = scanned.frame_from_axes(scan.mesh, files.head, files.ahead)
+            scan = front_of_body(scan, frame)
+        self.notes: tuple[str, ...] = (*foreign.notes, *scan.notes)
+        mesh = scan.mesh
         curves = {name: scanned.in_mesh_unit(curve, mesh, foreign.mm_per_unit) for name, curve in curves.items()}
         drawn = replace(drawn, curves=curves)
         for name, curve in curves.items():
             check_curve(name, curve, mesh)
         near = [mesh.vertices] if files.automatic else [*curves.values(), *places.values()]
-        fine = scanned.finer_along(mesh, near)
+        scan = scanned.finer_scan(scan, near)
+        surface, fine = scanned.as_scanned(scan.mesh, scan.invented), scan.mesh
         for name, curve in curves.items():
             if self.kind == "torso":  # a cast is cut by its base, not along the curve
                 scanned.check_cut(name, curve, fine)
-        surface = scanned.as_scanned(fine)
-        frame = (
-            scanned.frame_from_axes(fine, files.head, files.ahead)
-            if self.kind == "torso" and (files.automatic or files.head is not None)
-            else scanned.viewing_frame(surface, curves, places)
-        )
+        if frame is None:
+            frame = scanned.viewing_frame(surface, curves, places)
         middle = np.mean([curve.mean(axis=0) for curve in curves.values()], axis=0) if len(curves) == 2 else None
         sides = frame if self.kind == "torso" else None
         picked_landmarks(places, fine, sides, sigma_mm=own.picked_sigma_mm, middle_world=middle)
@@ -297,7 +314,12 @@ class MeshJob:
         begun, before = time.monotonic(), len(self.store.made)
         take_folder(self.store.folder, command=_COMMAND)
         with self.store.taken(), one_blas_thread():
-            self.plan.ensure()
+            try:
+                self.plan.ensure()
+            except MeasureError as error:
+                show_refusal(self.store.folder, self.identity, error, self._seen)
+                raise
+            withdraw_refusal(self.store.folder)
             assert self.plan.measurements is not None  # a mesh with a boundary is no open surface
             measurements: dict[str, VolumeMeasurement] = {
                 measured.name: measured for measured in self.plan.measurements()
@@ -317,11 +339,27 @@ class MeshJob:
             folder=self.store.folder,
             report=self.page if report else None,
             no_breast=no_breast,
+            notes=self.notes,
             made=tuple(self.store.made[before:]),
             made_at=self.store.made_at(
                 [*(product.key for product in self.plan.products()), *([self.content_key] if report else [])]
             ),
         )
+
+    def _seen(self) -> Mapping[str, bytes]:
+        """Pictures for the page of a refusal: the mesh, and the boundaries where they were found."""
+        from mammometry.measure.trunk.body import rig_frame
+        from mammometry.report.figures.refused import surface_seen
+
+        boundaries = self.plan.boundaries
+        assert boundaries is not None
+        drawn = surface_seen(
+            self.finished,
+            rig_frame(self.rig),
+            boundaries() if self.store.has(boundaries.key) else (),
+            of_patient=self.kind == "torso",
+        )
+        return {"surface": drawn}
 
     @property
     def page(self) -> Path:
@@ -361,7 +399,9 @@ class MeshJob:
             kind=self.kind,
             units=self.units,
             world=WORLD,
-            scanner="" if self.files.scan is None else self.files.scan.scanner,
+            scanner=self.scanner,
+            notes=self.notes,
+            posture=self.posture,
         )
         return gather_mesh(self.plan, self.finished, self.rig, self._page_inputs, origin, progress=progress)
 
@@ -385,10 +425,8 @@ class MeshJob:
         return self._content_key(replace(page, identity=NAMELESS) if deidentify else page).digest
 
     def _content_key(self, page: PageInputs) -> Key:
-        beside = {"mesh": self.inputs.digests["mesh"], "units": self.units}
-        if self.files.scan is not None:
-            beside["scanner"] = self.files.scan.scanner
-        return page.key(self.plan.products(), beside)
+        said = {"units": self.units, "posture": self.posture, "scanner": self.scanner}
+        return page.key(self.plan.products(), {"mesh": self.inputs.digests["mesh"], **said})
 
     @property
     def _page_inputs(self) -> PageInputs:
@@ -396,10 +434,7 @@ class MeshJob:
 
 
 def _inputs(
-    files: MeshFiles,
-    kind: SubjectKind,
-    drawn: DrawnBoundaries,
-    places: dict[str, Float64[Array, "k 3"]],
+    files: MeshFiles, kind: SubjectKind, drawn: DrawnBoundaries, places: dict[str, Float64[Array, "k 3"]]
 ) -> Inputs:
     back: TriangleMesh | None = None if files.back is None else read_foreign(files.back, files.units).mesh
     return Inputs(
@@ -411,6 +446,8 @@ def _inputs(
         calibration_photographs={},
         boundaries=drawn.curves,
         automatic=drawn.automatic,
+        removed=drawn.removed,
+        head_stated=files.head is not None,
         attributions=drawn.attributions,
         landmarks=places,
         wall=back,
@@ -442,6 +479,17 @@ def _at_hand(name: str, value: Any, digests: dict[str, str]) -> Product[Any]:
         return value
 
     return Product(Forgetful(), "surface", name, give, inputs=digests)
+
+
+class _StoreOfMesh(Store):
+    """Results of a mesh. What its measurement refuses is said in words of a mesh."""
+
+    def recall(self, key: Key, prepare: Callable[[], Callable[[Progress], T]]) -> T:
+        """As `Store.recall`."""
+        try:
+            return super().recall(key, prepare)
+        except MeasureError as error:
+            raise error.of_mesh() from None
 
 
 def folder_for(mesh: Path) -> Path:

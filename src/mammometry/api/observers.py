@@ -28,6 +28,7 @@ from mammometry.io.foreign import read_foreign
 from mammometry.measure import scanned
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.boundary.trace import check_curve
+from mammometry.measure.scan_repair import repair_scan
 from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.trunk.body import find_body
 from mammometry.measure.wall import chest_wall
@@ -94,7 +95,7 @@ def _on_one(
     progress: Progress,
 ) -> tuple[DrawnSurface, list[Drawing]]:
     foreign = read_foreign(path, units)
-    scanned.check_mesh(foreign.mesh)
+    scan = repair_scan(foreign.mesh)
     files = []
     for each in drawn:
         curves = boundaries_in(each.boundary, _SIDES).curves
@@ -105,11 +106,9 @@ def _on_one(
                 expected="a curve around a breast, left or right",
                 remedy="Let this person draw, or take the file out",
             )
-        files.append(
-            {name: scanned.in_mesh_unit(one, foreign.mesh, foreign.mm_per_unit) for name, one in curves.items()}
-        )
-    fine = scanned.finer_along(foreign.mesh, [one for curves in files for one in curves.values()])
-    surface = scanned.as_scanned(fine)
+        files.append({name: scanned.in_mesh_unit(one, scan.mesh, foreign.mm_per_unit) for name, one in curves.items()})
+    scan = scanned.finer_scan(scan, [one for curves in files for one in curves.values()])
+    surface, fine = scanned.as_scanned(scan.mesh, scan.invented), scan.mesh
     frame = _frame(surface, files, axes)
     found = []
     for number, (each, curves) in enumerate(zip(drawn, files, strict=True)):

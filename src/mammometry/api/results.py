@@ -33,6 +33,8 @@ class Results:
     """The report's page. None if it was not wanted."""
     no_breast: Mapping[str, str] = field(default_factory=dict)
     """Side of a torso without a breast → the evidence for that."""
+    notes: tuple[str, ...] = ()
+    """What was changed in a scanner's mesh, and what was taken for granted, one sentence each."""
     lacking: Mapping[str, Lacking] = field(default_factory=dict)
     """Side of a torso → what it lacks compared with the mirrored other side."""
     made: tuple[str, ...] = ()
@@ -75,6 +77,7 @@ class Results:
                 for name, measured in self.measurements.items()
             },
             "no_breast": dict(self.no_breast),
+            "notes": list(self.notes),
             "lacking_cc": {name: round(found.volume_cc, 3) for name, found in self.lacking.items()},
             "lacking_interval_cc": {
                 name: None if found.interval_cc is None else [round(bound, 3) for bound in found.interval_cc]

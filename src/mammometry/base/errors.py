@@ -4,6 +4,8 @@ Each error is one sentence that names the file, camera or pair, what was found, 
 Anything else that escapes is a defect of ours. The command line turns each class into its own exit code.
 """
 
+from __future__ import annotations
+
 from pathlib import Path
 
 _LONGEST = 500  # characters of one part; names and values out of damaged files may be longer
@@ -23,6 +25,8 @@ class MammometryError(Exception):
 
     def __init__(self, subject: str, *, found: str, expected: str, remedy: str) -> None:
         self.subject, self.found, self.expected, self.remedy = map(_on_one_line, (subject, found, expected, remedy))
+        self.details: tuple[str, ...] = ()
+        """Single cases behind the sentence, such as the photographs that were not used. Pages list them."""
         self.page: Path | None = None
         """Shows what was seen, where a page was written."""
         super().__init__(f"{self.subject}: found {self.found}, expected {self.expected}. {self.remedy.rstrip('.')}.")
@@ -33,10 +37,13 @@ def _on_one_line(text: str) -> str:
 
     Names from files may hold characters that control a terminal.
     """
-    plain = "".join(
-        letter if letter.isprintable() else " " if letter.isspace() else "�" for letter in text[: 2 * _LONGEST]
-    )
-    return plain if len(plain) <= _LONGEST else f"{plain[: _LONGEST // 2]} … {plain[-_LONGEST // 2 :]}"
+    text = text if len(text) <= 2 * _LONGEST else text[:_LONGEST] + text[-_LONGEST:]
+    plain = "".join(letter if letter.isprintable() else " " if letter.isspace() else "�" for letter in text)
+    if len(plain) <= _LONGEST:
+        return plain
+    first, last = plain[: _LONGEST // 2], plain[-_LONGEST // 2 :]
+    words = " " in first and " " in last  # values out of damaged files may have none
+    return f"{first.rpartition(' ')[0]} … {last.partition(' ')[2]}" if words else f"{first} … {last}"
 
 
 class SessionError(MammometryError):
@@ -82,9 +89,25 @@ class SurfaceError(MammometryError):
 
 
 class MeasureError(MammometryError):
-    """No boundary, chest wall or volume could be found on the surface."""
+    """No boundary, chest wall or volume could be found on the surface.
+
+    Args:
+        subject: see `MammometryError`.
+        found: see `MammometryError`.
+        expected: see `MammometryError`.
+        remedy: what the user can do about it; of photographs where it differs for a mesh.
+        mesh_remedy: what the user can do about it where another scanner's mesh is measured. None: the same.
+    """
 
     exit_code = 8
+
+    def __init__(self, subject: str, *, found: str, expected: str, remedy: str, mesh_remedy: str | None = None) -> None:
+        super().__init__(subject, found=found, expected=expected, remedy=remedy)
+        self._mesh_remedy = mesh_remedy or remedy
+
+    def of_mesh(self) -> MeasureError:
+        """The same in words of a mesh, which has no session and no cameras."""
+        return type(self)(self.subject, found=self.found, expected=self.expected, remedy=self._mesh_remedy)
 
 
 class CrossingError(MeasureError):

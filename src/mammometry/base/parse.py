@@ -6,6 +6,7 @@ with a file becomes one error that names it.
 
 from __future__ import annotations
 
+import codecs
 import json
 import math
 import re
@@ -33,6 +34,7 @@ _MIB = 1 << 20  # bytes in a MiB
 _LONGEST = 160  # characters of somebody else's error message that are passed on
 _VALUE = 60  # characters of a value out of a file that are passed on
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]{1,4})?", re.ASCII)
+_TOML_COMMA = re.compile(r"^[^#\n\"'\[]*=\s*([+-]?\d+,\d+)\s*(?:#|$)", re.MULTILINE)
 # A dotted key of more parts than DEEPEST. tomllib needs the square of their number: hours for a file of 1 MB.
 _LONG_KEY = re.compile(r"""(?<![\w"'-])(?:[\w"'-]++[ \t]*+\.[ \t]*+){%d}""" % DEEPEST)  # noqa: UP031  # braces
 
@@ -88,14 +90,22 @@ def read_text(
 ) -> str:
     """Read a text in UTF-8, with or without a byte-order mark.
 
-    Arguments and errors as `read_bytes`.
+    Its lines end with LF, however the file ends them. Arguments and errors as `read_bytes`.
     """
     content = read_bytes(path, subject, expected, most_mib=most_mib, refusal=refusal)
+    why = ""
+    if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        why = "it is UTF-16"
+    elif (place := content.find(0)) >= 0:
+        why = f"byte {place} is a NUL, as in UTF-16"
     try:
-        return content.decode("utf-8-sig")
+        text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        found = f"a file that cannot be read (byte {error.start} is not UTF-8)"
-        raise refusal(subject, found=found, expected=f"{expected} in UTF-8", remedy="Save it as UTF-8 text") from None
+        why, text = why or f"byte {error.start} is not UTF-8", ""
+    if why:
+        found = f"a file that cannot be read ({why})"
+        raise refusal(subject, found=found, expected=f"{expected} in UTF-8", remedy="Save it as UTF-8 text")
+    return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
 @contextmanager
@@ -143,7 +153,11 @@ def toml_table(
     with parsing("no TOML", subject, expected, refusal):
         if _LONG_KEY.search(text):
             raise ValueError(f"nested more than {DEEPEST} deep")
-        table = tomllib.loads(text)
+        try:
+            table = tomllib.loads(text)
+        except tomllib.TOMLDecodeError as error:
+            comma = _TOML_COMMA.search(text)
+            raise ValueError(f"{comma[1]}, a number with a decimal comma" if comma else error) from None
         require_sane(table, finite=finite)
     return table
 

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import glob
+import math
 import os
 import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+import numpy as np
+
 from mammometry.base.errors import SessionError, TableError
 from mammometry.batch.entry import Entry, is_address
 from mammometry.batch.storage import sessions_at
-from mammometry.io.csv_tables import read_table
+from mammometry.io.csv_tables import Table, read_table
 from mammometry.io.manifest import MANIFEST
 
 _SESSION, _SET = "session", "set"
@@ -107,16 +110,22 @@ def _of_table(path: Path) -> Iterator[Entry]:
     assignments = table.texts(_SET) if _SET in table.columns else ("",) * len(addresses)
     columns = {column: _REFERENCE.fullmatch(column) for column in table.columns}
     references = {column: match[1] or "model" for column, match in columns.items() if match is not None}
-    if wrong := [name for name in references.values() if name not in _NAMES]:
+    wrong = [column for column, name in references.items() if name not in _NAMES]
+    wrong += [column for column in columns if column.startswith("reference") and column not in references]
+    if wrong:
         raise TableError(
             str(path),
-            found=f"a column of references for {wrong[0]!r}",
+            found=f"a column {wrong[0]}",
             expected="reference_cc, reference_left_cc or reference_right_cc",
             remedy="Rename the column",
         )
-    values = {name: _numbers(table.texts(column), str(path), column) for column, name in references.items()}
+    volumes = _volumes(table, list(references))
     for place, (text, given) in enumerate(zip(addresses, assignments, strict=True)):
-        known = {name: value for name, column in values.items() if (value := column[place]) is not None}
+        known = {
+            name: volume
+            for name, volume in zip(references.values(), volumes[place], strict=True)
+            if not math.isnan(volume)
+        }
         if is_address(text):
             yield Entry(address=text.rstrip("/"), assignments=tuple(given.split()), reference_cc=known)
             continue
@@ -131,20 +140,19 @@ def _of_table(path: Path) -> Iterator[Entry]:
         yield Entry(address=str(folder), assignments=tuple(given.split()), reference_cc=known)
 
 
-def _numbers(cells: Sequence[str], table: str, column: str) -> list[float | None]:
-    """Volumes, cc. None in empty cells: not every subject has a reference."""
-    found: list[float | None] = []
-    for cell in cells:
-        try:
-            value = float(cell.replace(",", ".")) if cell else None
-        except ValueError:
-            value = float("nan")
-        if value is not None and not 0 <= value < float("inf"):
-            raise TableError(
-                f"{table}, column {column}",
-                found=repr(cell),
-                expected="a volume in cc, or an empty cell",
-                remedy="Correct the cell",
-            )
-        found.append(value)
-    return found
+def _volumes(table: Table, columns: Sequence[str]) -> list[list[float]]:
+    """Volumes, cc, row by row. NaN in empty cells: not every subject has a reference.
+
+    Raises:
+        TableError: a cell is no number, or below zero.
+    """
+    volumes = table.numbers(*columns, blank=True)
+    for row, column in np.argwhere(volumes < 0):
+        raise TableError(
+            f"{table.name}, row {table.lines[row]}, column {columns[column]}",
+            found=f"{volumes[row, column]:g}",
+            expected="a volume in cc, or an empty cell",
+            remedy="Correct the cell",
+        )
+    rows: list[list[float]] = volumes.tolist()
+    return rows

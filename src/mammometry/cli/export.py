@@ -19,6 +19,7 @@ from mammometry.cli.common import (
     SettingsFile,
     Verbose,
     examples,
+    load_settings,
 )
 from mammometry.cli.stages import opened
 
@@ -127,11 +128,14 @@ def dicom(
     """
     from mammometry.base.extras import require
     from mammometry.hospital.peers import Peer, Tls, web_address
+    from mammometry.hospital.representations import require_text
     from mammometry.io.outputs import require_apart, require_free, write_outputs
 
     if out is None and send is None and stow is None:
         raise typer.BadParameter("one of --out, --send and --stow says where the objects go")
     require("hospital", "pydicom", "pynetdicom", "highdicom")
+    require_text(own_title, "AE", "--own-title")
+    patient, order = _who(patient_id, patient_name, born, sex, accession, study_uid, referring)
     peer = None if send is None else Peer.parse(send)
     asked = None if worklist is None else Peer.parse(worklist)
     encrypted = Tls(authorities=tls_ca, certificate=tls_certificate, key=tls_key)
@@ -145,7 +149,6 @@ def dicom(
         capture = session / "capture"
         taken = len(list(capture.iterdir())) if capture.is_dir() else 0
         require_free(out, possible_names(taken), command="export dicom")
-    patient, order = _who(patient_id, patient_name, born, sex, accession, study_uid, referring)
     if asked is not None:
         patient, order = _from_worklist(asked, patient, order, own_title, chosen)
 
@@ -213,13 +216,13 @@ def fhir(
     from mammometry.io.outputs import require_apart, require_free, write_outputs
 
     require("hospital", "fhir.resources")
+    patient, _ = _who(patient_id, patient_name, born, sex)
     names = ("bundle.json",)
     require_apart(out, [session, settings])
     require_free(out, names, command="export fhir")
     from mammometry.hospital.fhir import bundle
 
     exported = _gathered(session, assignments, settings, quiet or json, deidentify=deidentify)
-    patient, _ = _who(patient_id, patient_name, born, sex)
     write_outputs(out, {names[0]: bundle(exported, patient, release=release.value)}, command="export fhir")
     return Answer({"file": str(out / names[0])}, [f"FHIR {release.value}: {out / names[0]}"])
 
@@ -302,9 +305,16 @@ def _gathered(
     deidentify: bool,
     parts: list[Any] | None = None,
 ) -> Exported:
-    from mammometry.hospital.gather import gather
+    from mammometry.hospital.gather import gather, gather_scan
+    from mammometry.io.scans import MESH, is_scan
 
     with Bars(quiet) as bars:
+        if is_scan(session):
+            from mammometry.api.mesh import MeshJob, folder_for, scan_files
+
+            chosen = load_settings(settings, assignments)
+            job = MeshJob(scan_files(session), folder_for(session / MESH), chosen, watch=bars.watch)
+            return gather_scan(job, deidentify=deidentify, parts=parts or ())
         return gather(opened(session, settings, assignments, bars), deidentify=deidentify, parts=parts or ())
 
 
@@ -331,6 +341,5 @@ def _from_worklist(peer: Any, patient: Patient, order: Order, own_title: str, tl
     if not (order.accession or patient.id):
         raise typer.BadParameter("--worklist needs --accession or --patient-id, to know which entry is meant")
     found = entries(peer, accession=order.accession, patient_id=patient.id, own_title=own_title, tls=tls)
-    asked = " and ".join(filter(None, (order.accession, patient.id)))
-    entry = only_entry(found, peer, asked)
+    entry = only_entry(found, peer, " and ".join(filter(None, (order.accession, patient.id))))
     return entry.patient, entry.order

@@ -133,8 +133,8 @@ def import_cameras(
         list[Path],
         typer.Argument(
             metavar="FILE...",
-            help="OpenCV YAML or XML (one file per camera, or one for a stereo rig), a camchain of Kalibr, "
-            "cameras.txt and images.txt of COLMAP, or a cameras.json.",
+            help="Files of OpenCV (YAML, XML), COLMAP (cameras.txt, images.txt), Kalibr (YAML), Agisoft (XML), "
+            "MATLAB (.mat), HALCON (.cal, .dat), or a cameras.json.",
             show_default=False,
         ),
     ],
@@ -151,6 +151,7 @@ def import_cameras(
     from mammometry.base.errors import SessionError
     from mammometry.io.cameras import formats
     from mammometry.io.cameras.own import cameras_table
+    from mammometry.io.cameras.rig import require_rig
     from mammometry.io.outputs import require_apart, require_free, write_output
     from mammometry.io.session import Session
 
@@ -167,11 +168,13 @@ def import_cameras(
             expected=f"also {', '.join(missing)}",
             remedy="Import every camera of the rig, named as in session.toml (a file of one camera is named after it)",
         )
+    names = ", ".join(file.name for file in files)
+    doubts = require_rig(names, cameras, opened.pair_names, opened.manifest.subject.kind)
     content = json_module.dumps(cameras_table(cameras), indent=1) + "\n"
     write_output(path, content.encode(), command="import-cameras")
     return Answer(
-        {"cameras": list(cameras), "file": str(path)},
-        [f"{path}: {', '.join(cameras)}", "Remove this file to calibrate from photographs again."],
+        {"cameras": list(cameras), "file": str(path), "warnings": list(doubts)},
+        [f"{path}: {', '.join(cameras)}", *doubts, "Remove this file to calibrate from photographs again."],
     )
 
 

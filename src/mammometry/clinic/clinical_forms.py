@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from django import forms
 from django.utils import timezone
 
-from mammometry.clinic.forms import name_empty_choices
+from mammometry.clinic.forms import name_empty_choices, require_dicom_text
 from mammometry.clinic.models import Conclusion, Consent, Operation, Visit
 
 if TYPE_CHECKING:
@@ -57,6 +57,12 @@ class OperationForm(_OperationForm):
         if day > timezone.localdate() or (born is not None and day < born):
             raise forms.ValidationError("Enter a day between the patient’s birth and today.")
         return day
+
+    def clean_words(self) -> str:
+        """Refuse control characters, which no other system takes."""
+        words: str = self.cleaned_data["words"]
+        require_dicom_text(words, "UT")
+        return words
 
     def clean_volume_cc(self) -> float | None:
         """Refuse volumes that no breast holds."""
@@ -138,6 +144,12 @@ class ConclusionForm(_ConclusionForm):
         fields = ("text",)
         labels = {"text": "Conclusion"}  # noqa: RUF012
         widgets = {"text": forms.Textarea(attrs={"rows": 4})}  # noqa: RUF012
+
+    def clean_text(self) -> str:
+        """Refuse control characters, which no other system takes."""
+        text: str = self.cleaned_data["text"]
+        require_dicom_text(text, "UT")
+        return text
 
 
 def _until_today(day: datetime.date) -> datetime.date:

@@ -16,6 +16,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstra
 
 from mammometry.base.errors import MammometryError, SettingsError
 from mammometry.base.parse import read_text, toml_table
+from mammometry.hospital.representations import require_text, text_fault
 
 if TYPE_CHECKING:
     from mammometry.settings import Settings
@@ -39,6 +40,12 @@ class ClinicError(MammometryError):
 def _is_time_zone(name: str) -> str:
     if name not in available_timezones():
         raise ValueError("a time zone such as Europe/Berlin")
+    return name
+
+
+def _is_organization(name: str) -> str:
+    if (fault := text_fault(name, "LO")) is not None:
+        raise ValueError(fault[1])
     return name
 
 
@@ -133,8 +140,8 @@ class ClinicConfig(BaseModel):
 
     folder: Path
     """Where all of it lies."""
-    name: Filled = "Clinic"
-    """As pages say it."""
+    name: Annotated[Filled, AfterValidator(_is_organization)] = "Clinic"
+    """As pages say it, and as DICOM names the organization of those who confirm."""
     address: Annotated[str, StringConstraints(pattern=r"^[^\s:]+:\d{1,5}$")] = "127.0.0.1:8000"
     """Where the server listens: host:port."""
     hosts: tuple[Filled, ...] = ("localhost", "127.0.0.1")
@@ -245,7 +252,9 @@ def new_clinic(folder: Path, *, name: str, database: str = "sqlite", second_fact
 
     Raises:
         ClinicError: there is something in the folder already.
+        SettingsError: the name cannot be a clinic's.
     """
+    require_text(name, "LO", "the clinic's name")
     if folder.exists() and any(folder.iterdir()):
         remedy = "Name a new folder, or open this one with `mammometry clinic serve`"
         raise ClinicError(str(folder), found="files", expected="a new or empty folder", remedy=remedy)

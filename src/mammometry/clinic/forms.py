@@ -11,10 +11,13 @@ from django import forms
 from django.utils import timezone
 
 from mammometry.base.errors import MammometryError
+from mammometry.calibration.targets.table import target_from_table
 from mammometry.capture.sessions import manifest_text
 from mammometry.clinic.models import Patient, Person, Rig, Visit
 from mammometry.clinic.records.duplicates import Duplicates, date_questions, duplicates
 from mammometry.clinic.roles import Role
+from mammometry.hospital.exported import person_name
+from mammometry.hospital.representations import Representation, text_fault
 
 if TYPE_CHECKING:
     _PatientForm = forms.ModelForm[Patient]
@@ -30,6 +33,17 @@ _RIG_TABLES = ("rig", "target", "intrinsics")
 
 DAY_AND_TIME = forms.DateTimeInput(attrs={"type": "datetime-local"}, format="%Y-%m-%dT%H:%M")
 """Widget of a visit's day and time."""
+
+
+def require_dicom_text(text: str, representation: Representation) -> None:
+    """Refuse text that DICOM does not allow, before anything is sent with it.
+
+    Raises:
+        ValidationError: says what is wrong, and what is allowed.
+    """
+    if (fault := text_fault(text, representation)) is not None:
+        found, allowed = fault
+        raise forms.ValidationError(f"Found {found}. The hospital’s systems allow {allowed}.")
 
 
 class PatientForm(_PatientForm):
@@ -67,12 +81,38 @@ class PatientForm(_PatientForm):
             return
         self.duplicates = found
 
+    def clean_record_number(self) -> str:
+        """Refuse what no other system takes as a patient's id."""
+        number: str = self.cleaned_data["record_number"]
+        require_dicom_text(number, "LO")
+        return number
+
+    def clean_family_name(self) -> str:
+        """Refuse what no other system takes as a name."""
+        return _clean_name(self.cleaned_data["family_name"])
+
+    def clean_given_name(self) -> str:
+        """Refuse what no other system takes as a name, alone or together with the family name."""
+        given = _clean_name(self.cleaned_data["given_name"])
+        if text_fault(name := f"{self.cleaned_data.get('family_name', '')}^{given}", "PN") is not None:
+            raise forms.ValidationError(
+                f"Both names have {len(name) - 1} letters together. The hospital’s systems allow 63: shorten one."
+            )
+        return given
+
     def clean_born(self) -> datetime.date | None:
         """Refuse days that have not come yet."""
         born: datetime.date | None = self.cleaned_data["born"]
         if born is not None and not datetime.date(1900, 1, 1) <= born <= timezone.localdate():
             raise forms.ValidationError("Enter a day between 1900 and today.")
         return born
+
+
+def _clean_name(name: str) -> str:
+    if set(name) & set("^="):
+        raise forms.ValidationError("A name has no ^ and no =: they separate its parts in the hospital’s systems.")
+    require_dicom_text(name, "LO")
+    return name
 
 
 class VisitForm(_VisitForm):
@@ -157,6 +197,8 @@ class RigForm(_RigForm):
             raise forms.ValidationError("This file has no table [rig], so it describes no rig.")
         try:
             manifest_text(kept, "torso")
+            if "target" in kept:
+                target_from_table(kept["target"])
         except MammometryError as error:
             raise forms.ValidationError(str(error)) from None
         return kept
@@ -204,6 +246,14 @@ class PersonForm(_PersonForm):
         super().__init__(*args, **kwargs)
         self._own = own
         self.fields["email"].required = False
+
+    def clean_full_name(self) -> str:
+        """Refuse what no other system takes as the name of who confirms."""
+        name: str = self.cleaned_data["full_name"]
+        require_dicom_text(name, "LO")
+        if text_fault(person_name(name), "PN") is not None:
+            raise forms.ValidationError(f"Found {len(name)} letters. The hospital’s systems allow 63.")
+        return name
 
     def clean(self) -> dict[str, Any]:
         """Refuse that administrators lock themselves out."""

@@ -5,6 +5,7 @@ The files do not say their unit.
 
 from __future__ import annotations
 
+import codecs
 import io
 import re
 from pathlib import Path
@@ -16,11 +17,13 @@ from mammometry.base.errors import MammometryError, SessionError
 from mammometry.base.parse import LARGEST, json_value, read_bytes, said
 from mammometry.geometry.arrays import Array, Float64, Int32, Int64, UInt8
 from mammometry.geometry.obj_file import decimal_commas, parse_obj
+from mammometry.geometry.ply_file import parse_ply
 
 SUFFIXES = (".ply", ".obj", ".stl", ".glb")
 _KINDS = "a mesh as PLY, OBJ, STL or GLB"
 _MOST_MIB = 4096  # nearly a hundred million triangles as STL; a larger file would fill the memory
 _HEAD_BYTES = 65_536  # in which a file shows how it is written
+_SIGN = 64  # bytes in which every second one is zero in UTF-16, and in no mesh
 _DECIMAL_COMMA = re.compile(rb"\d+,\d+")
 _GREY = 128  # sRGB; of a file without colours
 
@@ -39,6 +42,11 @@ def read_triangles(path: Path) -> tuple[Float64[Array, "n 3"], Int32[Array, "m 3
     if not path.exists():
         raise _refused(path, "no such file", _KINDS, "Check the path")
     content = read_bytes(path, str(path), _KINDS, most_mib=_MOST_MIB)
+    if (found := _other_content(path, content[:_HEAD_BYTES])) is not None:
+        raise _refused(
+            path, found, f"what the ending {path.suffix} says", "Give it its right ending, or export it again"
+        )
+    content = _with_plain_lines(path, content)
     try:
         vertices, faces, colours = _parsed(path, content)
     except MammometryError:
@@ -58,7 +66,14 @@ def read_triangles(path: Path) -> tuple[Float64[Array, "n 3"], Int32[Array, "m 3
     if not len(faces):
         raise _refused(path, "no triangle with an area", "a triangulated surface", "Export it again")
     used, compact = np.unique(faces, return_inverse=True)
-    return vertices[first[used]], compact.reshape(-1, 3).astype(np.int32), colours[first[used]]
+    return vertices[first[used]], _in_order(compact.reshape(-1, 3)).astype(np.int32), colours[first[used]]
+
+
+def _in_order(faces: Int64[Array, "m 3"]) -> Int64[Array, "m 3"]:
+    """Faces in the order of their corners, each with its smallest first: no result hangs on a file's order."""
+    start = np.argmin(faces, axis=1)
+    turned = np.take_along_axis(faces, (start[:, None] + np.arange(3)) % 3, axis=1)
+    return turned[np.lexsort(turned.T[::-1])]
 
 
 def _parsed(path: Path, content: bytes) -> tuple[Float64[Array, "n 3"], Int64[Array, "m 3"], UInt8[Array, "n 3"]]:
@@ -66,11 +81,54 @@ def _parsed(path: Path, content: bytes) -> tuple[Float64[Array, "n 3"], Int64[Ar
         obj = parse_obj(content, str(path))
         grey = np.full((len(obj.points), 3), _GREY, dtype=np.uint8)
         return obj.points, obj.faces, grey if obj.colours is None else obj.colours
-    if path.suffix.lower() == ".ply" and b"element tristrips" in content[:_HEAD_BYTES]:
-        raise _refused(path, "triangle strips", "single triangles (element face)", "Export it without strips")
+    if path.suffix.lower() == ".ply":
+        return parse_ply(content, str(path))
     loaded = _loaded(path, content)
     vertices = np.asarray(loaded.vertices, dtype=np.float64).reshape(-1, 3)
     return vertices, np.asarray(loaded.faces, dtype=np.int64).reshape(-1, 3), _colours(loaded, len(vertices))
+
+
+def _other_content(path: Path, head: bytes) -> str | None:
+    """What a file holds that its ending does not say. None where they fit, or nothing is known."""
+    letters, between = head[:_SIGN:2], head[1:_SIGN:2]
+    kind = path.suffix.lower()
+    if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return None if kind == ".obj" else "a text in UTF-16"
+    if len(between) > 0 and not any(between) and all(letters):
+        return "a text in UTF-16 that does not say so"
+    head = head.removeprefix(codecs.BOM_UTF8).lstrip()
+    if kind != ".ply" and re.match(rb"ply[ \t]*[\r\n]", head):
+        return "a PLY"
+    if kind != ".glb" and head.startswith(b"glTF"):
+        return "a GLB"
+    if kind != ".stl" and head.startswith(b"solid") and b"facet" in head:
+        return "an STL"
+    if kind in (".ply", ".stl") and re.search(rb"[\r\n]v +\S+ +\S+ +\S+[^\r\n]*[\r\n]+v ", head):
+        return "an OBJ"
+    is_text = re.search(rb"(?:^|[\r\n])v[ \t]", head) is not None  # whose comments may hold anything
+    return "numbers in binary" if kind == ".obj" and b"\0" in head and not is_text else None
+
+
+def _with_plain_lines(path: Path, content: bytes) -> bytes:
+    """Lines that end with LF, and comments in ASCII, which are all that the readers know.
+
+    Older programs end lines with CR, as PLY was first defined, and write names in their own encoding.
+    """
+    start = content[:_HEAD_BYTES]
+    if path.suffix.lower() == ".ply":
+        head, end, _ = start.partition(b"end_header")
+        lines = head if b"\n" in head else head.replace(b"\r", b"\n")
+        plain = lines.decode("ascii", "replace").encode("ascii", "replace")
+        if not end or plain == head:
+            return content
+        rest = content[len(head) + len(end) :]
+        if lines != head:
+            rest = rest.replace(b"\r", b"\n") if b"format ascii" in head else b"\n" + rest[1:]
+        return plain + end + rest
+    if path.suffix.lower() == ".stl" and _is_text(start.removeprefix(codecs.BOM_UTF8)):
+        content = content.removeprefix(codecs.BOM_UTF8)
+        return content if b"\n" in start else content.replace(b"\r", b"\n")
+    return content
 
 
 def _cause(path: Path, content: bytes, error: Exception) -> SessionError:
@@ -95,7 +153,7 @@ def _loaded(path: Path, content: bytes) -> Any:
 
     kind = path.suffix.lower()[1:]
     if kind == "glb":
-        _check_glb(path, content)
+        check_glb(path, content)
     scene: Any = trimesh.load_scene(io.BytesIO(content), file_type=kind, process=False, skip_materials=True)
     placed = (scene.geometry[scene.graph[node][1]] for node in scene.graph.nodes_geometry)
     count = sum(len(getattr(mesh, "faces", ())) for mesh in placed)
@@ -104,7 +162,7 @@ def _loaded(path: Path, content: bytes) -> Any:
     return scene.to_mesh()
 
 
-def _check_glb(path: Path, content: bytes) -> None:
+def check_glb(path: Path, content: bytes) -> None:
     """Check a GLB's counts and buffers before memory is allocated.
 
     The counts must fit the file, and the file must hold its buffers itself.

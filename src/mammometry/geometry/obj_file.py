@@ -17,6 +17,7 @@ from mammometry.base.errors import SessionError
 from mammometry.geometry.arrays import Array, Float64, Int64, UInt8
 
 _KEPT = ("v", "vt", "vn", "f", "usemtl")
+_WIDE = {b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
 _DECIMAL_COMMA = re.compile(r"\d,\d")
 
 
@@ -120,7 +121,10 @@ def decimal_commas(name: str, sample: str) -> SessionError:
 
 def _lines(content: bytes) -> Iterator[str]:
     """Lines with a blank behind the first word; one that goes on behind a backslash is joined."""
+    wide = next((code for mark, code in _WIDE.items() if content.startswith(mark) and len(content) % 2 == 0), None)
     text = content.decode("utf-8-sig", "surrogateescape")
+    if wide is not None and "\nf " not in text.replace("\r", "\n"):  # else its comments alone are in UTF-16
+        text = content.decode(wide, "replace")
     for line in re.split("\r\n|\r|\n", re.sub("\\\\(\r\n|\r|\n)", " ", text)):
         yield line.strip(" \t\0").replace("\t", " ")
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Literal, TypeAlias
 
 from mammometry.base.photograph import Photograph
+from mammometry.hospital.representations import require_text
 from mammometry.report.clinical import Clinical
 
 Side: TypeAlias = Literal["left", "right", "model", ""]
@@ -26,6 +27,24 @@ def plain_name(name: str) -> str:
     return " ".join(name.replace("^", " ").replace("=", " ").replace("\\", " ").split())
 
 
+def person_name(name: str) -> str:
+    """A person's name as DICOM writes it.
+
+    All of it is the family name, since nobody says which part is which.
+    """
+    return f"{plain_name(name)}^"
+
+
+def as_patient_id(subject: str) -> str:
+    """The id of a patient whom only the session's subject or folder names.
+
+    Raises:
+        SettingsError: DICOM does not allow it as an id.
+    """
+    remedy = "Enter a pseudonym as id under [subject] in session.toml, or give --patient-id"
+    return require_text(subject, "LO", "the session's name as the patient's id", remedy=remedy)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Patient:
     """Whose results these are, as other systems call the patient."""
@@ -36,6 +55,15 @@ class Patient:
     """``Family^Given``, as DICOM writes it. Empty: not given."""
     born: datetime.date | None = None
     sex: Sex = ""
+
+    def __post_init__(self) -> None:
+        """Require texts that DICOM allows.
+
+        Raises:
+            SettingsError: names the field, and does not quote it.
+        """
+        require_text(self.id, "LO", "the patient's id")
+        require_text(self.name, "PN", "the patient's name")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,6 +79,18 @@ class Order:
     """Requested Procedure ID."""
     procedure: str = ""
     """Requested procedure in words."""
+
+    def __post_init__(self) -> None:
+        """Require texts that DICOM allows.
+
+        Raises:
+            SettingsError: names the field, and does not quote it.
+        """
+        require_text(self.accession, "SH", "the accession number")
+        require_text(self.study_uid, "UI", "the study's UID")
+        require_text(self.referring, "PN", "the referring physician's name")
+        require_text(self.procedure_id, "SH", "the requested procedure's id")
+        require_text(self.procedure, "LO", "the requested procedure")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -178,6 +218,21 @@ class Exported:
     """Whether these very numbers were confirmed and concluded of."""
     organization: str = ""
     """Where the people in `clinical` work. Empty: nobody said."""
+
+    def __post_init__(self) -> None:
+        """Require texts that DICOM allows.
+
+        Raises:
+            SettingsError: names the field, and does not quote it.
+        """
+        require_text(self.organization, "LO", "the organization's name")
+        if self.clinical.confirmed is not None:
+            require_text(person_name(self.clinical.confirmed.by), "PN", "the name of who confirmed the boundaries")
+        for conclusion in self.clinical.conclusions:
+            require_text(person_name(conclusion.by), "PN", "the name of who concluded")
+            require_text(conclusion.text, "UT", "the conclusion")
+        for operation in self.operations:
+            require_text(operation.sentence, "UT", "an operation before the visit")
 
     @property
     def digest(self) -> str:

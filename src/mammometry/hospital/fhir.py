@@ -14,7 +14,7 @@ from typing import Any, Literal
 
 from mammometry.hospital import codes
 from mammometry.hospital.codes import Coded
-from mammometry.hospital.exported import Absent, Exported, Operation, Patient, Quantity, Side
+from mammometry.hospital.exported import Absent, Exported, Operation, Patient, Quantity, Side, as_patient_id
 from mammometry.hospital.identifiers import identifier
 from mammometry.report.clinical import Signed
 
@@ -44,7 +44,7 @@ def bundle(exported: Exported, patient: Patient = Patient(), *, release: Release
     if exported.deidentified:
         patient = Patient(id=f"anonymous-{exported.source[:12]}")
     elif not patient.id:
-        patient = Patient(id=exported.subject, name=patient.name, born=patient.born, sex=patient.sex)
+        patient = Patient(id=as_patient_id(exported.subject), name=patient.name, born=patient.born, sex=patient.sex)
     who = _patient(patient)
     subject = {"reference": f"Patient/{who['id']}"}
     about = {"subject": subject} | _moments(exported)

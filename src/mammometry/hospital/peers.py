@@ -9,10 +9,11 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 from mammometry.base.errors import SettingsError
+from mammometry.hospital.representations import text_fault
 
 AUTHORIZATION = "MAMMOMETRY_STOW_AUTHORIZATION"
 """Variable of the environment with the header Authorization. An address would show it to everybody."""
-_PEER = re.compile(r"^(?P<title>[^@\\]{1,16})@(?P<host>\[[0-9a-fA-F:.]+\]|[A-Za-z0-9_.-]+):(?P<port>[0-9]{1,5})$")
+_PEER = re.compile(r"^(?P<title>[^@]{1,16})@(?P<host>\[[0-9a-fA-F:.]+\]|[A-Za-z0-9_.-]+):(?P<port>[0-9]{1,5})$")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -31,7 +32,7 @@ class Peer:
             SettingsError: it is written otherwise.
         """
         found = _PEER.match(text)
-        if found is None or not found["title"].strip() or not 0 < int(found["port"]) < 65536:
+        if found is None or text_fault(found["title"], "AE") is not None or not 0 < int(found["port"]) < 65536:
             raise SettingsError(
                 text or "the archive's address",
                 found="no AE title, host and port",

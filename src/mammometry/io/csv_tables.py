@@ -1,26 +1,27 @@
 """CSV tables made by people, programs and spreadsheets of any country.
 
-UTF-8 with or without a byte-order mark; commas, semicolons or tabs between the cells. Where commas do not separate,
-numbers may have decimal commas, all of them or none: ``1,234`` beside ``1.5`` could mean a thousand.
+UTF-8 with or without a byte-order mark; commas, semicolons or tabs between the cells, or what a first line ``sep=;``
+says. Numbers may have decimal commas, all of them or none. One that may mean two numbers is refused (`decimal_marks`).
 """
 
 from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Sequence
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from mammometry.base.errors import MammometryError, SessionError
-from mammometry.base.parse import number, read_text, said, shown
+from mammometry.base.parse import read_text, said, shown
 from mammometry.geometry.arrays import Array, Float64
+from mammometry.io.decimal_marks import DecimalMark, both_readings, decimal_mark
 
 _SEPARATORS = ",;\t"
 _MOST_MIB = 16  # of a whole table: some hundred thousand rows
-_SWAPPED = str.maketrans(",.", ".,")  # a point among decimal commas is then as wrong as a comma among points
+_STATED = re.compile(r'"?sep=([^\w\s"\'.]|\t)"?[,;\t ]*', re.IGNORECASE)  # as spreadsheets begin a table
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -60,33 +61,44 @@ class Table:
         place = self.columns.index(column)
         return tuple(row[place] for row in self.rows)
 
-    def numbers(self, *columns: str) -> Float64[Array, "n k"]:
+    def numbers(self, *columns: str, blank: bool = False) -> Float64[Array, "n k"]:
         """Some columns as numbers.
 
+        Args:
+            columns: their names.
+            blank: whether a cell may be empty. It is NaN then.
+
         Raises:
-            MammometryError: as `texts`; a cell that is no number, or one written otherwise than the others.
+            MammometryError: as `texts`; a cell that is no number, one written otherwise than the others, or one that
+                may mean two numbers.
         """
-        cells = list(zip(*(self.texts(column) for column in columns), strict=True))
-        comma = self._has_decimal_commas([cell for row in cells for cell in row])
-        values = np.empty((len(cells), len(columns)))
-        for place, (line, row) in enumerate(zip(self.lines, cells, strict=True)):
-            for column, (name, cell) in enumerate(zip(columns, row, strict=True)):
-                values[place, column] = self._number(cell, f"{self.name}, row {line}, column {name}", comma)
+        cells = [self.texts(column) for column in columns]
+        mark = decimal_mark(cells)
+        values = np.full((len(self.rows), len(columns)), np.nan)
+        for row, line in enumerate(self.lines):
+            for column, name in enumerate(columns):
+                if (cell := cells[column][row]) or not blank:
+                    where = f"{self.name}, row {line}, column {name}"
+                    values[row, column] = self._number(cell, where, mark, doubted=column in mark.ambiguous)
         return values
 
-    def _has_decimal_commas(self, cells: Sequence[str]) -> bool:
-        """Whether the first number with a decimal mark has a comma."""
-        marked = next((cell for cell in cells if "," in cell or "." in cell), ".")
-        return self.separator != "," and "," in marked
-
-    def _number(self, cell: str, where: str, comma: bool) -> float:
-        try:
-            return number(cell.translate(_SWAPPED) if comma else cell)
-        except ValueError:
+    def _number(self, cell: str, where: str, mark: DecimalMark, *, doubted: bool) -> float:
+        readings = both_readings(cell)
+        if readings is not None and doubted:
             raise self.refusal(
                 where,
-                found=shown(cell) if cell else "no value",
-                expected=f"a number with a decimal {'comma, as those above' if comma else 'point'}",
+                found=f"{shown(cell)}, which may mean {' or '.join(readings)}",
+                expected="numbers without marks between thousands",
+                remedy="Write whole numbers without a mark, or decimals of all numbers to another place",
+            )
+        try:
+            return mark.number(cell)
+        except ValueError:
+            doubt = "" if readings is None else f", which may mean {' or '.join(readings)}"
+            raise self.refusal(
+                where,
+                found=f"{shown(cell)}{doubt}" if cell else "no value",
+                expected=f"a number with a decimal {'comma, as the others' if mark.mark == ',' else 'point'}",
                 remedy="Correct the value, or leave the whole row out",
             ) from None
 
@@ -104,8 +116,12 @@ def read_table(path: Path, name: str, expected: str, *, refusal: type[Mammometry
         MammometryError: `refusal`; it cannot be read or is empty, or a row has more cells than there are columns.
     """
     text = read_text(path, name, expected, most_mib=_MOST_MIB, refusal=refusal)
-    first = text.partition("\n")[0]
-    separator = max(_SEPARATORS, key=first.count)
+    head = next((line for line in re.split(r"[\r\n]", text) if line.strip()), "")
+    stated = _STATED.fullmatch(head)
+    if stated is not None:
+        text = text.replace(head, "", 1)  # its line stays empty, so that lines are counted rightly
+    text = re.sub(" +$", "", text, flags=re.MULTILINE)  # after a quote they are a mistake to the reader
+    separator = stated[1] if stated is not None else max(_SEPARATORS, key=head.count)
     reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator, strict=True)
     lines: list[int] = []
     rows: list[tuple[str, ...]] = []

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import json
+import unicodedata
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -32,6 +33,8 @@ class DrawnBoundaries:
     """Breast → closed curve that somebody gave, mm, world frame."""
     automatic: tuple[str, ...] = ()
     """Breasts whose boundary is found automatically, as the file says."""
+    removed: tuple[Literal["left", "right"], ...] = ()
+    """Breasts that are said to be removed: they are not looked for."""
     attributions: Mapping[str, Attribution] = field(default_factory=dict)
     """Breast → who drew its boundary, and who confirmed it."""
 
@@ -59,6 +62,8 @@ def boundaries_digest(drawn: DrawnBoundaries) -> str:
         parts["methods"] = methods
     if drawn.curves and drawn.automatic:
         parts["automatic"] = list(drawn.automatic)
+    if drawn.removed:
+        parts["removed"] = list(drawn.removed)
     return _digest(parts)
 
 
@@ -85,17 +90,21 @@ def boundaries_in(path: Path, allowed: tuple[str, ...], subject: str | None = No
     """
     entries = read_table(path, "boundaries", subject)["boundaries"]
     curves: dict[str, Float64[Array, "n 3"]] = {}
-    automatic = []
+    automatic: list[str] = []
+    removed: list[Literal["left", "right"]] = []
     for name, entry in entries.items():
         _allow(path, name, allowed)
         if entry.get("automatic") is True and "points" not in entry:
             automatic.append(name)
+        elif name in ("left", "right") and entry.get("removed") is True and "points" not in entry:
+            removed.append("left" if name == "left" else "right")
         else:
             curves[name] = _points(path, name, entry)
             _require(path, name, curves[name], 3)
     return DrawnBoundaries(
         curves=curves,
         automatic=tuple(automatic),
+        removed=tuple(removed),
         attributions={name: _attribution(path, name, entry) for name, entry in entries.items()},
     )
 
@@ -137,6 +146,8 @@ def read_table(path: Path, key: str, subject: str | None = None) -> dict[str, An
             path.name, f"units {shown(units)} and frame {shown(frame)}", "'mm' and 'world'", "Convert the points"
         )
     theirs = table.get("subject")
+    if isinstance(theirs, str):
+        theirs = unicodedata.normalize("NFC", theirs)  # as `subject_id` gives it
     if subject is not None and theirs is not None and theirs != subject:
         raise _wrong(
             path.name,

@@ -42,6 +42,12 @@ _UPRIGHT: Mapping[int, tuple[bool, bool, bool]] = {
     7: (True, True, True),
     8: (True, True, False),
 }
+_OTHER_FORMATS = (
+    *((4, b"ftyp" + brand, "a HEIC") for brand in (b"heic", b"heix", b"mif1", b"msf1")),
+    (4, b"ftypavif", "an AVIF"), (4, b"ftypcrx", "a raw picture (CR3)"), (8, b"WEBP", "a WebP"), (0, b"BM", "a BMP"),
+    (0, b"GIF8", "a GIF"), (0, b"%PDF", "a PDF"),
+)  # fmt: skip
+"""Where a mark stands, the mark, and whose it is."""
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _JPEG_END = b"\xff\xd9"
 _PNG_TAGS = {b"eXIf", b"tEXt", b"zTXt", b"iTXt"}  # where an orientation may stand
@@ -364,6 +370,13 @@ def _truncated(name: str) -> ImageError:
     )
 
 
+def _other_format(path: Path) -> str | None:
+    """Which format a picture has that is not read here, by its first bytes."""
+    with path.open("rb") as file:
+        head = file.read(16)
+    return next((words for place, mark, words in _OTHER_FORMATS if head[place:].startswith(mark)), None)
+
+
 def _unreadable(path: Path, name: str, error: BaseException | None) -> ImageError:
     if isinstance(error, FileNotFoundError):
         return ImageError(name, found="no file", expected="a photograph", remedy="Put it there")
@@ -382,7 +395,12 @@ def _unreadable(path: Path, name: str, error: BaseException | None) -> ImageErro
         )
     if error is not None and "truncated" in str(error).lower():
         return _truncated(name)
-    kind = "a file that is not an image" if isinstance(error, UnidentifiedImageError) else "a damaged image"
+    if isinstance(error, OSError) and error.errno is not None:
+        found = f"a file that cannot be read ({error.strerror})"
+        return ImageError(name, found=found, expected="a photograph", remedy="Check the path and what it leads to")
+    kind = "a damaged image"
+    if isinstance(error, UnidentifiedImageError):
+        kind = _other_format(path) or "a file that is not an image"
     return ImageError(
         name,
         found=kind,

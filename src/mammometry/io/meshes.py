@@ -9,8 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from mammometry.base.errors import StorageError
+from mammometry.base.errors import SessionError, StorageError
 from mammometry.base.parse import LARGEST, number, read_bytes, said, whole
+from mammometry.base.sizes import fitting, subject_extent
 from mammometry.geometry.arrays import Array
 from mammometry.geometry.mesh import TriangleMesh
 
@@ -134,3 +135,21 @@ def _header(text: str) -> _Header:
         raise ValueError("other elements than vertices, then faces of corners alone")
     vertices, faces = counts.values()
     return _Header(vertices=vertices, faces=faces, columns=tuple(columns), comments=tuple(comments))
+
+
+def read_wall(path: Path) -> TriangleMesh:
+    """Read the wall behind a breast, measured by itself.
+
+    Raises:
+        SessionError: as `read_ply`, or it is too small or too large for a wall in mm.
+    """
+    wall = read_ply(path)[0]
+    extent = subject_extent(float(np.ptp(wall.vertices, axis=0).max()))
+    if not extent.is_possible:
+        raise SessionError(
+            path.name,
+            found=f"a wall of which {extent}",
+            expected=extent.expected,
+            remedy=f"Export it in millimetres{fitting(extent.mm, [extent])}",
+        )
+    return wall

@@ -24,12 +24,18 @@ from mammometry.base.errors import SessionError
 from mammometry.base.identity import subject_id
 from mammometry.base.limits import LimitSettings
 from mammometry.base.parse import read_bytes, read_text, toml_table
+from mammometry.base.posture import POSTURES
 from mammometry.geometry.arrays import Array, UInt8
+from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry.obj_file import parse_obj
 from mammometry.io.foreign import ForeignMesh, read_foreign
 from mammometry.io.images import read_photograph, read_plain_picture
 from mammometry.io.jpeg import without_tags
-from mammometry.io.meshes import write_ply
+from mammometry.io.meshes import read_ply, write_ply
 from mammometry.io.obj_texture import CoveredObj, read_covered_obj
+from mammometry.io.scene_files import covered_parts
+from mammometry.measure.scan_repair import repair_scan
+from mammometry.measure.scanned import check_mesh
 
 ABOUT, MESH = "scan.toml", "scan.ply"
 OBJ, MTL = "scan.obj", "scan.mtl"
@@ -40,8 +46,9 @@ FILES = (ABOUT, MESH, OBJ, MTL, *(f"texture-{n}.{end}" for n in range(1, MOST_PI
 AXES = ("y", "-y", "z", "-z", "x", "-x")
 """Axes of a file, of which one points to the head."""
 _MOST_MTL_MIB = 1  # of a material file; real ones have a few hundred bytes
+_SAME_AREA = 1e-3  # by which the area of what was written may differ: faces without area are left out
 _LONGEST = 100  # characters of a scanner's name
-_KEYS = {"format", "scanner", "units", "head", "ahead", "subject", "sha256"}
+_KEYS = {"format", "scanner", "units", "head", "ahead", "subject", "posture", "sha256"}
 _MAP_OPTION = re.compile(r"-(?:blendu|blendv|cc|clamp|texres|bm|boost|type|imfchan|mm|o|s|t)(?=\s)", re.IGNORECASE)
 """An option before the name of a map's picture (the format's specification, "Texture map statements")."""
 _OPTION_VALUE = re.compile(r"\s+(?:on|off|[-+]?[0-9.]+)(?=\s)")
@@ -57,12 +64,14 @@ class Scan:
     """Name of the device, as entered."""
     units: str
     """Unit of the scanner's own file, and who says so, in words. The folder's mesh is in mm."""
-    head: str = "y"
-    """The file's axis towards the head."""
+    head: str = ""
+    """The file's axis towards the head. Empty: nobody said."""
     ahead: str = ""
     """The axis straight ahead. Empty: where an open mesh faces."""
     subject: str | None = None
     """Pseudonym. None: not given."""
+    posture: str = ""
+    """How the patient held herself: ``standing``, ``leaning`` or ``lying``. Empty: nobody said."""
     sha256: str = ""
     """Of the scanner's own mesh file."""
 
@@ -81,7 +90,7 @@ def import_scan(
         mesh: OBJ, PLY, STL or GLB. The material file and the pictures of an OBJ lie beside it.
         about: what is known; its unit and digest are set here.
         units: ``mm``, ``cm`` or ``m``. None where the file states it.
-        texture: whether an OBJ's pictures are taken too.
+        texture: whether the pictures of an OBJ or a GLB are taken too.
         limits: size that a picture may have.
 
     Raises:
@@ -89,23 +98,53 @@ def import_scan(
         ImageError: a picture cannot be read or is too large.
     """
     _check(about)
-    foreign = read_foreign(mesh, units)
-    covered = read_covered_obj(mesh) if mesh.suffix.lower() == ".obj" else None
+    foreign = read_foreign(mesh, units, of_torso=True)
     files: dict[str, bytes] = {}
     colours = foreign.colours
-    if covered is not None and texture and covered.libraries:
-        files, colours = _covered(mesh, covered, foreign, limits)
-    elif covered is not None:
-        files[OBJ] = covered.text(None).encode()
+    with tempfile.TemporaryDirectory(prefix="mammometry-") as folder:
+        source: Path | None = mesh
+        if mesh.suffix.lower() == ".glb":
+            source = covered_parts(mesh, Path(folder), limits) if texture else None
+        covered = read_covered_obj(source) if source is not None and source.suffix.lower() == ".obj" else None
+        if source is not None and covered is not None and texture and covered.libraries:
+            files, colours = _covered(source, covered, foreign, limits)
+        elif covered is not None:
+            files[OBJ] = covered.text(None).encode()
     files[MESH] = _ply(foreign, colours)
+    _check_written(mesh, files, foreign)
     made = {
         "format": 1, "scanner": about.scanner.strip(), "units": foreign.units, "head": about.head, "ahead": about.ahead,
         **({} if about.subject is None else {"subject": about.subject}),
+        **({"posture": about.posture} if about.posture else {}),
         "sha256": hashlib.sha256(mesh.read_bytes()).hexdigest(),
     }  # fmt: skip
     lines = [f"{name} = {json.dumps(value, ensure_ascii=False)}" for name, value in made.items()]
     files[ABOUT] = ("# A scan of another device. scan.ply is in mm.\n" + "\n".join(lines) + "\n").encode()
     return files
+
+
+def _check_written(mesh: Path, files: Mapping[str, bytes], foreign: ForeignMesh) -> None:
+    """Read back what was made, and refuse at the door what no measurement takes.
+
+    Raises:
+        SessionError: the files hold another surface than was read.
+        MeasureError: it is no surface that can be measured.
+    """
+    check_mesh(repair_scan(foreign.mesh).mesh)
+    with tempfile.TemporaryDirectory(prefix="mammometry-") as folder:
+        path = Path(folder) / MESH
+        path.write_bytes(files[MESH])
+        surfaces = [read_ply(path)[0]]
+    if OBJ in files:
+        obj = parse_obj(files[OBJ], OBJ)
+        surfaces.append(TriangleMesh(vertices=obj.points * foreign.mm_per_unit, faces=obj.faces.astype(np.int32)))
+    expected_mm2 = foreign.mesh.area_mm2()
+    for surface in surfaces:
+        if abs(surface.area_mm2() - expected_mm2) > _SAME_AREA * expected_mm2:
+            raise _refused(
+                mesh, f"{surface.area_mm2() / 100:.1f} cm² in the imported files",
+                f"{expected_mm2 / 100:.1f} cm², as in the scanner's file", "Export it as PLY and import that",
+            )  # fmt: skip
 
 
 def is_scan(folder: Path) -> bool:
@@ -125,7 +164,7 @@ def read_scan(folder: Path) -> Scan:
     if unknown or table.get("format") != 1 or not all(isinstance(table.get(k), str) for k in ("scanner", "units")):
         raise SessionError(
             str(path), found=f"the key {unknown[0]!r}" if unknown else "no format, scanner or units",
-            expected="format = 1, scanner, units, head, ahead, subject and sha256",
+            expected="format = 1, scanner, units, head, ahead, subject, posture and sha256",
             remedy="Import the mesh again: mammometry import mesh",
         )  # fmt: skip
     read = {name: value for name, value in table.items() if name != "format" and isinstance(value, str)}
@@ -148,8 +187,13 @@ def _check(about: Scan) -> None:
         raise SessionError(
             "the scan's subject", found=f"{about.subject!r:.40}", expected=str(error), remedy="Correct --subject"
         ) from None  # fmt: skip
-    for axis, given, allowed in (("head", about.head, AXES), ("ahead", about.ahead, ("", *AXES))):
-        if given not in allowed:
+    if about.posture not in ("", *POSTURES):
+        raise SessionError(
+            "the scan's posture", found=f"{about.posture[:20]!r}", expected=f"one of {', '.join(POSTURES)}",
+            remedy="Correct --posture",
+        )  # fmt: skip
+    for axis, given in (("head", about.head), ("ahead", about.ahead)):
+        if given not in ("", *AXES):
             raise SessionError(
                 f"the axis {'towards the head' if axis == 'head' else 'straight ahead'}", found=f"{given[:20]!r}",
                 expected=f"one of {', '.join(AXES)}", remedy=f"Correct --{axis}",

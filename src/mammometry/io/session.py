@@ -40,7 +40,7 @@ from mammometry.io.csv_tables import read_table
 from mammometry.io.drawn import boundaries_digest, landmarks_digest, read_boundaries, read_landmarks
 from mammometry.io.images import EXTENSIONS, ImageHeader, check_sizes, read_header, read_mask, read_photograph
 from mammometry.io.manifest import MANIFEST, Manifest, read_manifest
-from mammometry.io.meshes import read_ply
+from mammometry.io.meshes import read_wall
 from mammometry.io.subject import check_session
 from mammometry.job.inputs import MISSING, Inputs
 from mammometry.job.products import Stage
@@ -253,9 +253,10 @@ class Session:
             masks=_Lazy(masks, lambda camera, path: self._checked_mask(camera, path, capture[camera])),
             boundaries=drawn.curves,
             automatic=drawn.automatic,
+            removed=drawn.removed,
             attributions=drawn.attributions,
             landmarks=landmarks,
-            wall=read_ply(wall)[0] if wall.is_file() else None,
+            wall=read_wall(wall) if wall.is_file() else None,
             digests=_Lazy(digests, lambda name, digest: digest()),
         )
 

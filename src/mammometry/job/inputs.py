@@ -62,6 +62,10 @@ class Inputs:
     """Breast → closed boundary curve given by the user, world frame, mm. Empty: found automatically."""
     automatic: tuple[str, ...] = ()
     """Breasts whose boundary is found automatically beside those that are given."""
+    removed: tuple[Literal["left", "right"], ...] = ()
+    """Breasts that are said to be removed. They are not looked for."""
+    head_stated: bool = False
+    """Whether the user said where a mesh's head is. Then no sign of the body contradicts it."""
     attributions: Mapping[str, Attribution] = field(default_factory=dict)
     """Breast → who drew its boundary, and who confirmed it by eye."""
     landmarks: Mapping[str, Float64[Array, "k 3"]] = field(default_factory=dict)
@@ -75,3 +79,18 @@ class Inputs:
     ``points/POSE/CAMERA``, ``intrinsics/CAMERA/EXPOSURE``, ``masks/CAMERA``, ``cameras``, ``prior``, ``target``,
     ``intrinsics-target``, ``rig``, ``subject``, ``boundaries``, ``landmarks``, ``wall``. Computed when looked up.
     """
+
+    @property
+    def all_removed(self) -> bool:
+        """Whether both breasts of a torso are said to be removed."""
+        return len(set(self.removed)) == 2
+
+    @property
+    def mounting_digest(self) -> dict[str, str]:
+        """What the cameras' mounting adds to a product's key. Empty where all are upright."""
+        return {"mounting": repr(sorted(self.mounting.items()))} if self.mounting else {}
+
+    @property
+    def upside_down(self) -> tuple[str, ...]:
+        """Cameras that are mounted with their tops down."""
+        return tuple(name for name, mounting in self.mounting.items() if mounting == "upside-down")

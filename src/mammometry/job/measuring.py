@@ -103,14 +103,9 @@ def measure(inputs: Inputs, upstream: Upstream, settings: MeasureSettings, memo:
     return replace(plan, absent=_absent(inputs, upstream, plan, settings, memo))
 
 
-def _mounted(inputs: Inputs) -> dict[str, str]:
-    """Digest of how the cameras are mounted. Empty where all are upright."""
-    return {"mounting": repr(sorted(inputs.mounting.items()))} if inputs.mounting else {}
-
-
 def _sides(inputs: Inputs, upstream: Upstream, settings: MeasureSettings, memo: Memo) -> Product[TorsoSides] | None:
     """A torso's breasts as they are found, or that there is none."""
-    wanted = inputs.automatic or not inputs.boundaries
+    wanted = inputs.automatic or not (inputs.boundaries or inputs.all_removed)
     if inputs.subject_kind != "torso" or settings.boundary == "landmarks" or not wanted:
         return None
 
@@ -118,7 +113,8 @@ def _sides(inputs: Inputs, upstream: Upstream, settings: MeasureSettings, memo: 
         from mammometry.measure.boundary.boundary import outline_torso
         from mammometry.measure.trunk.body import rig_frame
 
-        return outline_torso(repaired, rig_frame(cameras.rig, inputs.mounting), settings)
+        frame = rig_frame(cameras.rig, inputs.mounting)
+        return outline_torso(repaired, frame, settings, head_stated=inputs.head_stated)
 
     return Product(
         memo,
@@ -127,7 +123,7 @@ def _sides(inputs: Inputs, upstream: Upstream, settings: MeasureSettings, memo: 
         outline,
         parents={"cameras": upstream.cameras, "repaired": upstream.repaired},
         settings=settings,
-        inputs={"subject": inputs.digests["subject"], **_mounted(inputs)},
+        inputs={"subject": inputs.digests["subject"], **inputs.mounting_digest},
     )
 
 
@@ -176,9 +172,12 @@ def _boundaries(
     ) -> tuple[Boundary, ...]:
         from mammometry.measure.boundary import boundary
         from mammometry.measure.trunk.body import rig_frame
+        from mammometry.measure.volume.refused import wanted_boundaries
 
+        if inputs.all_removed:
+            return ()
         if sides is not None:
-            return sides.boundaries
+            return wanted_boundaries(sides, inputs.removed, required=not inputs.boundaries)
         if inputs.subject_kind == "torso":
             frame = rig_frame(cameras.rig, inputs.mounting)
             return boundary.landmark_boundaries(inputs.landmarks, repaired, frame, settings)
@@ -193,7 +192,7 @@ def _boundaries(
         )
 
     names = ("subject", "boundaries", *(("landmarks",) if settings.boundary == "landmarks" else ()))
-    digests = {name: inputs.digests[name] for name in names} | _mounted(inputs)
+    digests = {name: inputs.digests[name] for name in names} | inputs.mounting_digest
     if inputs.rim_radius_mm is not None:
         digests["rim"] = repr(inputs.rim_radius_mm)
     return Product(
@@ -228,8 +227,8 @@ def _body(
     ) -> Body:
         from mammometry.measure.trunk.body import find_body, rig_frame
 
-        curves = [each.points_world for each in boundaries]
-        return find_body(repaired, rig_frame(cameras.rig, inputs.mounting), settings.thorax, boundaries=curves)
+        curves, frame = [each.points_world for each in boundaries], rig_frame(cameras.rig, inputs.mounting)
+        return find_body(repaired, frame, settings.thorax, boundaries=curves, stated=inputs.head_stated)
 
     return Product(
         memo,
@@ -238,7 +237,7 @@ def _body(
         find,
         parents={"cameras": upstream.cameras, "repaired": upstream.repaired, "boundaries": boundaries},
         settings=settings.thorax,
-        inputs=_mounted(inputs),
+        inputs=inputs.mounting_digest,
     )
 
 
@@ -351,11 +350,13 @@ def _absent(
         *,
         progress: Progress,
     ) -> tuple[NoBreast, ...]:
-        from mammometry.measure.volume.refused import refused_side
+        from mammometry.measure.volume.refused import refused_side, removed_side
         from mammometry.measure.wall.open_breast import open_breasts
 
         found = () if sides is None else sides.absent
-        absent = [side for side in found if side.name not in inputs.boundaries]
+        absent = [side for side in found if side.name not in (*inputs.boundaries, *inputs.removed)]
+        if body is not None:
+            absent += [removed_side(name, body, repaired) for name in inputs.removed]
         measured = {each.name for each in measurements}
         if any(each.name not in measured for each in boundaries):
             frame = None if body is None else body.frame
@@ -438,7 +439,10 @@ def _anthropometry(
 
         textured = mesh.textured
         frame = frame_of(cameras, body)
-        return find_landmarks(textured.mesh, textured.colours, measurements, inputs.landmarks, frame, settings)
+        plane = None if body is None else body.plane
+        return find_landmarks(
+            textured.mesh, textured.colours, measurements, inputs.landmarks, frame, settings, plane=plane
+        )
 
     def mirror(
         cameras: CameraSet,
@@ -477,7 +481,7 @@ def _anthropometry(
         "measurements": measurements,
         "body": body,
     }
-    picked = {"landmarks": inputs.digests["landmarks"], **_mounted(inputs)}
+    picked = {"landmarks": inputs.digests["landmarks"], **inputs.mounting_digest}
     landmarks: Product[tuple[Landmark, ...]] = Product(
         memo, "measure", "landmarks", mark, parents=measured, settings=settings, inputs=picked
     )
@@ -489,6 +493,6 @@ def _anthropometry(
         extend,
         parents={**measured, "landmarks": landmarks},
         settings=settings,
-        inputs=_mounted(inputs),
+        inputs=inputs.mounting_digest,
     )
     return landmarks, symmetry, dimensions

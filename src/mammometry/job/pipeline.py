@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from mammometry.base.errors import CalibrationError
 from mammometry.base.photograph import Photograph
 from mammometry.base.progress import Progress
-from mammometry.geometry.camera import Rig
+from mammometry.job.camera_sets import adjust_rig, imported_cameras, trusted_cameras
 from mammometry.job.inputs import Inputs
 from mammometry.job.keeping import kept_data
 from mammometry.job.measuring import Measured, Upstream, measure
@@ -79,14 +79,14 @@ def calibrate(inputs: Inputs, settings: CalibrateSettings, memo: Memo) -> Calibr
     if inputs.cameras is not None:
 
         def ready_made(*, progress: Progress) -> CameraSet:
-            return _ready_made(inputs)
+            return imported_cameras(inputs)
 
         given = Product(
             memo,
             "calibrate",
             "cameras",
             ready_made,
-            inputs={name: inputs.digests[name] for name in ("cameras", "rig")},
+            inputs={name: inputs.digests[name] for name in ("cameras", "rig", "subject")},
         )
         return Calibrated(observations={}, intrinsics={}, calibration=None, cameras=given)
 
@@ -126,27 +126,7 @@ def calibrate(inputs: Inputs, settings: CalibrateSettings, memo: Memo) -> Calibr
     def adjust(
         poses: Mapping[str, Observations], lenses: Mapping[str, Observations], *, progress: Progress
     ) -> Calibration:
-        from mammometry.calibration.adjust import bundle
-        from mammometry.calibration.detection import no_target
-        from mammometry.calibration.detection.detect import merged
-        from mammometry.calibration.detection.duplicates import set_duplicates_aside
-
-        seen = tuple(poses.values())
-        if not any(part.detections for part in seen):
-            raise no_target.no_target(target.kind, (*seen, *lenses.values()))
-        usable = set_duplicates_aside(merged(seen))
-        try:
-            return bundle.calibrate(
-                usable,
-                inputs.pair_names,
-                inputs.rig_name,
-                settings,
-                intrinsics_observations=lenses or None,
-                priors=inputs.priors,
-                progress=progress,
-            )
-        except CalibrationError as error:
-            raise no_target.with_causes(error, usable) from None
+        return adjust_rig(inputs, tuple(poses.values()), lenses, settings, progress=progress)
 
     calibration: Product[Calibration] = Product(
         memo,
@@ -155,54 +135,17 @@ def calibrate(inputs: Inputs, settings: CalibrateSettings, memo: Memo) -> Calibr
         adjust,
         parents={"poses": observations, "lenses": intrinsics},
         settings=settings.bundle,
-        inputs={name: inputs.digests[name] for name in (("rig", "prior") if inputs.priors else ("rig",))},
+        inputs={name: inputs.digests[name] for name in ("rig", "subject", *(("prior",) if inputs.priors else ()))}
+        | inputs.mounting_digest,
     )
 
     def trust(calibration: Calibration, *, progress: Progress) -> CameraSet:
-        return _trusted(calibration, settings)
+        return trusted_cameras(calibration, inputs, settings)
 
     cameras = Product(
         memo, "calibrate", "cameras", trust, parents={"calibration": calibration}, settings=settings.quality
     )
     return Calibrated(observations=observations, intrinsics=intrinsics, calibration=calibration, cameras=cameras)
-
-
-def _trusted(calibration: Calibration, settings: CalibrateSettings) -> CameraSet:
-    from mammometry.calibration.judge import quality
-
-    assessed = quality.assess(calibration, settings.quality)
-    if assessed.verdict == "refuse":
-        raise CalibrationError(
-            "calibration",
-            found=f"that {assessed.reasons[0].rstrip('.')}",
-            expected="a calibration fit to measure with",
-            remedy="Retake the calibration photographs, or set the suspect ones aside, and run it again",
-        )
-    return CameraSet(
-        rig=calibration.rig,
-        std={name: dict(values) for name, values in calibration.parameter_std.items()},
-        world=calibration.world,
-        rms_px=float(calibration.rms_px),
-        verdict=assessed.verdict,
-        reasons=assessed.reasons,
-    )
-
-
-def _ready_made(inputs: Inputs) -> CameraSet:
-    assert inputs.cameras is not None
-    wanted = sorted({name for pair in inputs.pair_names.values() for name in pair} | set(inputs.photographs))
-    missing = [name for name in wanted if name not in inputs.cameras]
-    if missing:
-        raise CalibrationError(
-            "cameras.json",
-            found=f"cameras {', '.join(inputs.cameras)}",
-            expected=f"also {', '.join(missing)}",
-            remedy="Import every camera of the rig, under the names that session.toml uses",
-        )
-    rig = Rig(
-        name=inputs.rig_name, cameras={name: inputs.cameras[name] for name in wanted}, pair_names=inputs.pair_names
-    )
-    return CameraSet(rig=rig, std={}, world="The world frame of the cameras that were imported.", rms_px=None)
 
 
 # --- 2.3 Matching ----------------------------------------------------------------------------------------------------

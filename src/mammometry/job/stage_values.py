@@ -29,7 +29,7 @@ class CameraSet:
     verdict: str | None = None
     """``pass`` or ``warn``, by `judge.quality`. None for a given rig. A refused calibration makes no cameras."""
     reasons: tuple[str, ...] = ()
-    """Why, one sentence each, the gravest first."""
+    """Why, one sentence each, the gravest first. For a given rig, what makes its lengths doubtful."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -1,17 +1,18 @@
 """A scanner's mesh, checked and turned into a session's surface.
 
-Nothing is repaired. If another program left the mesh torn, turned over or in pieces, the error says so, and that
-program should correct it. Otherwise it would be unclear what was measured.
+`scan_repair` has mended what is not in doubt. If the mesh is still torn, turned over or in pieces, the error says so,
+and the program that made it should correct it. Otherwise it would be unclear what was measured.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from mammometry.base.errors import MeasureError
-from mammometry.geometry.arrays import Array, Float64
+from mammometry.geometry.arrays import Array, Bool, Float64
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.nearest import point_tree
@@ -19,7 +20,9 @@ from mammometry.geometry.refine import edge_table, split_edges
 from mammometry.geometry.transform import Transform
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.boundary.trace import edge_loop
-from mammometry.measure.solid.cut import inside_curve
+from mammometry.measure.scan_front import ahead_by_feet
+from mammometry.measure.scan_repair import RepairedScan
+from mammometry.measure.solid.cut import check_whole, inside_curve
 from mammometry.measure.trunk.thorax import frame_from_sides, orthonormal, seen_skin
 from mammometry.surface.repair import Provenance, RepairedSurface
 
@@ -29,24 +32,32 @@ _FACES_AT_MOST = 4_000_000  # of a refined mesh; chosen for memory
 _VIEWER_MM, _EYES_MM = 1500.0, 200.0  # distance and eye distance of the viewer; only directions matter
 _VIEWER_PX = 1000  # size and focal length of the viewer's pictures; they are never rendered
 _ONE_SIDED = 0.05  # mean of the normals of a mesh that shows one side; chosen by eye
+_ALONG_AXIS = np.cos(np.deg2rad(20.0))  # a front that looks this near to an axis stands along it; chosen by eye
+_SQUARE = 1e-6  # cosine of the angle between head and straight ahead
 _ON_MESH_MM = 15.0  # median distance from the vertices at which a curve lies on a mesh, however coarse; chosen by eye
-_FACING = 0.1  # cosine by which the skin within a boundary may look inwards; chosen by eye
 
 Places = Mapping[str, Float64[Array, "_ 3"]]
 """Landmark → its points, mm, world frame."""
 
 
-def as_scanned(mesh: TriangleMesh) -> RepairedSurface:
-    """Take a mesh as measured all over.
+def as_scanned(mesh: TriangleMesh, invented: Bool[Array, " n"] | None = None) -> RepairedSurface:
+    """Take a mesh as measured all over, but for closed holes.
+
+    Args:
+        mesh: mm.
+        invented: vertices of closed holes. None: there are none.
 
     Raises:
-        MeasureError: it is empty, in several pieces, not a surface everywhere, or not one with an outside.
+        MeasureError: it is empty, or not a surface everywhere.
     """
     check_mesh(mesh)
     n = len(mesh.vertices)
+    provenance = np.full(n, Provenance.MEASURED, dtype=np.uint8)
+    if invented is not None:
+        provenance[invented] = Provenance.INVENTED
     return RepairedSurface(
         mesh=mesh,
-        provenance=np.full(n, Provenance.MEASURED, dtype=np.uint8),
+        provenance=provenance,
         sigma_mm=np.full(n, np.nan, dtype=np.float32),
         pair_bits=np.zeros(n, dtype=np.int32),
         pair_names=(),
@@ -55,7 +66,7 @@ def as_scanned(mesh: TriangleMesh) -> RepairedSurface:
 
 
 def check_mesh(mesh: TriangleMesh) -> None:
-    """Refuse a mesh that is not one oriented surface, closed or open.
+    """Refuse a mesh that is not an oriented surface, closed or open.
 
     Raises:
         MeasureError: says what it is instead.
@@ -78,24 +89,15 @@ def check_mesh(mesh: TriangleMesh) -> None:
             "faces that all look outwards",
             "Make its normals consistent in the program that made it",
         )
-    parts, label = mesh.components()
-    if parts > 1:
-        areas = np.bincount(label[mesh.faces[:, 0]], np.linalg.norm(mesh.face_vectors(), axis=1))
-        largest = 100 * areas.max() / areas.sum()
-        raise _refused(
-            f"{parts} separate pieces, the largest with {largest:.1f} % of the area",
-            "one connected surface",
-            "Delete the others in the program that made it, or measure the largest alone with --largest",
-        )
-    if mesh.is_watertight() and mesh.volume_mm3() < 0:
-        raise _refused("a closed surface that is inside out", "faces that look outwards", "Flip its normals")
 
 
-def largest_part(mesh: TriangleMesh) -> TriangleMesh:
-    """The connected part with the largest area."""
-    _, label = mesh.components()
-    areas = np.bincount(label[mesh.faces[:, 0]], np.linalg.norm(mesh.face_vectors(), axis=1))
-    return mesh.submesh(label[mesh.faces[:, 0]] == np.argmax(areas))
+def finer_scan(scan: RepairedScan, curves: Sequence[Float64[Array, "_ 3"]]) -> RepairedScan:
+    """Shorten a scan's edges near the curves, as `finer_along`.
+
+    What lies on an edge of invented skin is invented.
+    """
+    mesh, invented = _finer(scan.mesh, scan.invented, curves)
+    return replace(scan, mesh=mesh, invented=invented)
 
 
 def finer_along(mesh: TriangleMesh, curves: Sequence[Float64[Array, "_ 3"]]) -> TriangleMesh:
@@ -103,9 +105,16 @@ def finer_along(mesh: TriangleMesh, curves: Sequence[Float64[Array, "_ 3"]]) -> 
 
     New vertices come last.
     """
-    vertices, faces = mesh.vertices, mesh.faces
+    return _finer(mesh, np.zeros(len(mesh.vertices), dtype=bool), curves)[0]
+
+
+def _finer(
+    mesh: TriangleMesh, marked: Bool[Array, " n"], curves: Sequence[Float64[Array, "_ 3"]]
+) -> tuple[TriangleMesh, Bool[Array, " m"]]:
+    """A mesh with shorter edges near the curves. New vertices are marked where an end of their edge is."""
     if not curves:
-        return mesh
+        return mesh, marked
+    vertices, faces = mesh.vertices, mesh.faces
     low = np.min([curve.min(axis=0) for curve in curves], axis=0) - _MARGIN_MM
     high = np.max([curve.max(axis=0) for curve in curves], axis=0) + _MARGIN_MM
     while len(faces) < _FACES_AT_MOST:
@@ -117,7 +126,8 @@ def finer_along(mesh: TriangleMesh, curves: Sequence[Float64[Array, "_ 3"]]) -> 
             break
         faces = split_edges(faces, of_face, split, len(vertices))
         vertices = np.concatenate([vertices, (a[split] + b[split]) / 2])
-    return TriangleMesh(vertices=vertices, faces=faces)
+        marked = np.concatenate([marked, marked[edges[split]].any(axis=1)])
+    return TriangleMesh(vertices=vertices, faces=faces), marked
 
 
 def check_cut(name: str, points_world: Float64[Array, "n 3"], mesh: TriangleMesh) -> None:
@@ -128,25 +138,8 @@ def check_cut(name: str, points_world: Float64[Array, "n 3"], mesh: TriangleMesh
     Raises:
         MeasureError: the mesh has a hole within the curve, or is inside out there.
     """
-    part = inside_curve(mesh, edge_loop(name, points_world, mesh))
-    if len(part.loops) != 1:
-        found = "a hole or an edge of the mesh within it" if part.loops else "no part of the mesh within it"
-        raise MeasureError(
-            f"boundary {name!r}",
-            found=found,
-            expected="skin without holes inside the boundary",
-            remedy="Close the holes in the program that made the mesh, or draw the boundary elsewhere",
-        )
-    rim = part.mesh.vertices[part.loops[0]]
-    outwards = part.mesh.face_vectors().sum(axis=0)
-    stands_out = part.mesh.corners().mean(axis=(0, 1)) - rim.mean(axis=0)
-    if outwards @ stands_out < -_FACING * np.linalg.norm(outwards) * np.linalg.norm(stands_out):
-        raise MeasureError(
-            f"boundary {name!r}",
-            found="skin that is hollow seen from outside",
-            expected="a breast that stands out: faces that look outwards",
-            remedy="Flip the mesh's normals in the program that made it, or draw the boundary around a breast",
-        )
+    curve = edge_loop(name, points_world, mesh)
+    check_whole(name, inside_curve(mesh, curve))
 
 
 def viewing_frame(
@@ -198,7 +191,7 @@ def frame_from_axes(mesh: TriangleMesh, head: str | None = None, ahead: str | No
     Args:
         mesh: the torso, mm.
         head: the file's axis towards the head: ``x``, ``-x``, ``y`` … None: ``y``, or ``z`` where that is ahead.
-        ahead: the axis straight ahead. None: the one to which an open mesh's skin looks on average.
+        ahead: the axis straight ahead. None: where an open mesh's skin looks on average, an axis or between two.
 
     Raises:
         MeasureError: no such axis, both along one line, or a mesh that looks to all sides alike.
@@ -206,18 +199,23 @@ def frame_from_axes(mesh: TriangleMesh, head: str | None = None, ahead: str | No
     if ahead is None:
         looks = mesh.face_vectors().sum(axis=0)
         if np.linalg.norm(looks) < _ONE_SIDED * mesh.area_mm2():
+            up = _axis(head or ("z" if np.argmin(np.ptp(mesh.vertices, axis=0)) == 1 else "y"), "--head")
+            forward = ahead_by_feet(mesh, up)
+            if forward is not None:
+                return orthonormal(up, _along_axis(forward))
             raise MeasureError(
                 "mesh",
                 found="a mesh that looks to all sides alike",
                 expected="the side that is the patient's front",
                 remedy="Say which of the file's axes points straight ahead: --ahead z, for example",
             )
-        forward = np.zeros(3)
-        forward[np.argmax(np.abs(looks))] = np.sign(looks[np.argmax(np.abs(looks))])
+        up = _axis(head or ("z" if np.argmax(np.abs(looks)) == 1 else "y"), "--head")
+        forward = looks - up * (looks @ up)
+        forward = _along_axis(forward / max(float(np.linalg.norm(forward)), 1e-12))
     else:
         forward = _axis(ahead, "--ahead")
-    up = _axis(head or ("z" if abs(forward[1]) > 0 else "y"), "--head")
-    if abs(up @ forward) > 0:
+        up = _axis(head or ("z" if abs(forward[1]) > 0 else "y"), "--head")
+    if abs(up @ forward) > _SQUARE:
         raise MeasureError(
             "mesh",
             found="the head and straight ahead along one axis",
@@ -225,6 +223,12 @@ def frame_from_axes(mesh: TriangleMesh, head: str | None = None, ahead: str | No
             remedy="Correct --head or --ahead",
         )
     return orthonormal(up, forward)
+
+
+def _along_axis(direction: Float64[Array, 3]) -> Float64[Array, 3]:
+    """The axis of the file that is near to a direction, else the direction."""
+    axis = np.sign(direction) * (np.abs(direction) == np.abs(direction).max())
+    return axis if direction @ axis > _ALONG_AXIS else direction
 
 
 def _axis(name: str, option: str) -> Float64[Array, 3]:

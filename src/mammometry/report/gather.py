@@ -65,7 +65,8 @@ def gather(
     """
     settings = page.settings
     page = replace(page, identity=NAMELESS) if privacy.deidentify else page
-    rig = plan.calibrated.cameras().rig
+    cameras = plan.calibrated.cameras()
+    rig = cameras.rig
     calibration = None if plan.calibrated.calibration is None else plan.calibrated.calibration()
     quality = None if calibration is None else assess(calibration, settings.calibration.quality)
     stages = [describe.calibration_report(rig, calibration, quality)]
@@ -107,12 +108,13 @@ def gather(
         sizes = None if plan.measured.dimensions is None else plan.measured.dimensions()
         measured_words = describe.measure_report(measurements)
         stages.append(replace(measured_words, tables=measured_words.tables + dimension_tables(sizes, marks)))
-    lengths, lengths_note = planning_lengths(sizes)
+    lengths, lengths_note = planning_lengths(sizes, marks)
     progress(0.9)
 
     run = RunResults(
         quality=quality,
         calibration=calibration,
+        camera_doubts=cameras.reasons,
         shares=matched.shares,
         matching=matched.quality,
         foregrounds=matched.foregrounds,

@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
+
+from mammometry.base.sizes import subject_extent
 from mammometry.calibration.adjust.bundle import Calibration
 from mammometry.calibration.judge.quality import CalibrationQuality
 from mammometry.matching import quality as match_quality
@@ -32,6 +35,8 @@ class RunResults:
     """Verdict on the calibration. None for imported cameras."""
     calibration: Calibration | None
     """With what was left out of it. None for imported cameras."""
+    camera_doubts: Sequence[str] = ()
+    """Sentences on what makes imported cameras doubtful."""
     shares: Mapping[str, float]
     """Pair → share of the subject's silhouette that was matched. It lacks pairs without silhouettes."""
     matching: Mapping[str, MatchQuality]
@@ -94,6 +99,10 @@ def run_concerns(run: RunResults) -> Iterator[str]:
         )
     if run.calibration is None:
         yield "The cameras were imported. Their errors are not known, and the interval does not cover them."
+        yield from map(sentence, run.camera_doubts)
+    extent = subject_extent(float(np.ptp(run.repaired.mesh.vertices, axis=0).max()))
+    if not extent.is_usual():
+        yield f"The surface is rare: {extent}. Check that the sizes of target or cameras are in millimetres."
     for name, judged in run.matching.items():
         yield from match_quality.concerns(name, judged)
     for name, share in run.shares.items():

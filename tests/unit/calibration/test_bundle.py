@@ -11,6 +11,7 @@ from mammometry.base.errors import CalibrationError
 from mammometry.calibration.adjust.bundle import Calibration, calibrate
 from mammometry.calibration.adjust.prior import CameraPrior
 from mammometry.calibration.detection.detect import Detection, Observations
+from mammometry.calibration.judge.sides import require_sides
 from mammometry.calibration.settings import BundleSettings, CalibrateSettings
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.study.accuracy_cameras import compare_rigs
@@ -139,7 +140,9 @@ def test_left_and_right_exchanged_in_one_pose_are_both_named() -> None:
 @pytest.mark.slow  # test_faults has it, with what is said
 def test_pair_exchanged_everywhere_is_an_error_that_names_it() -> None:
     with pytest.raises(CalibrationError, match=r"pair floor.*left of floor_right") as caught:
-        calibrate(observe(CAMERAS, POSES), {**PAIRS, "floor": ("floor_right", "floor_left")}, "virtual")
+        require_sides(
+            calibrate(observe(CAMERAS, POSES), {**PAIRS, "floor": ("floor_right", "floor_left")}, "v").rig, ()
+        )
     assert "Exchange left and right" in str(caught.value)
 
 

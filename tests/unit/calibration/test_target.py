@@ -22,7 +22,7 @@ CYLINDER = {
     "row_pitch_mm": 12.0,
     "column_pitch_mm": 12.0,
 }
-POINTS = [[0.0, 0.0, 0.0], [10.0, 0.0, 1.0], [0.0, 10.0, 2.0], [3, 4, 5]]
+POINTS = [[0.0, 0.0, 0.0], [100.0, 0.0, 1.0], [0.0, 100.0, 2.0], [3, 4, 5]]
 
 
 def test_charuco_points_are_opencvs():

@@ -249,7 +249,7 @@ def test_cameras_are_imported_whole_or_not(tmp_path: Path, capsys: pytest.Captur
     assert main.run(["import-cameras", str(folder), str(file)]) == 3
     assert "expected also front_right" in capsys.readouterr().err
     assert not (folder / "cameras.json").exists()
-    file.write_text(json.dumps({"cameras": {"front_left": entry, "front_right": entry}}))
+    file.write_text(json.dumps({"cameras": {"front_left": entry, "front_right": {**entry, "t": [-200, 0, 0]}}}))
     assert main.run(["import-cameras", str(folder), str(file), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["cameras"] == ["front_left", "front_right"]
     assert (folder / "cameras.json").is_file()

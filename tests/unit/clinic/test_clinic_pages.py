@@ -187,6 +187,7 @@ kind = "torso"
 """
     for text, said in (
         (good.replace("pairs =", "pears ="), "pairs"),
+        (good.replace("25.0", "0.025").replace("18.0", "0.018"), "25 mm would fit"),
         ("[", "cannot be read as TOML"),
         ("format = 1", "no table [rig]"),
         (None, "needs its description"),

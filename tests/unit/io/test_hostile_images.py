@@ -52,7 +52,7 @@ def test_other_formats_are_not_even_tried(
     monkeypatch.setattr(EpsImagePlugin, "Ghostscript", lambda *_, **__: pytest.fail("Ghostscript was started"))
     (tmp_path / name).write_bytes(content)
     for read in (read_header, read_photograph, read_mask):
-        with pytest.raises(ImageError, match="a file that is not an image"):
+        with pytest.raises(ImageError, match=r"found a (file that is not an image|GIF|BMP|WebP)"):
             read(tmp_path / name, name)
 
 

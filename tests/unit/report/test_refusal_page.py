@@ -22,6 +22,19 @@ def test_a_files_name_stays_as_it_is(subject: str, heading: str) -> None:
     assert f"<h2>{heading}</h2>" in refusal_page(Identity(name="session"), error, {})
 
 
+def test_single_cases_come_after_cause_and_remedy() -> None:
+    error = MatchingError("torso", found="nothing", expected="a subject", remedy="Look at it")
+    error.details = ("pose 03, front_left: blurred", "pose 04, front_left: blurred")
+    page = refusal_page(Identity(name="session"), error, {})
+    assert page.index("Look at it") < page.index("Pose 03, front_left: blurred.") < page.index("Pose 04")
+
+
+def test_a_long_sentence_is_not_cut_within_a_word() -> None:
+    error = MatchingError("torso", found="onetwothree " * 200, expected="a subject", remedy="Look at it")
+    assert set(error.found.split()) == {"onetwothree", "…"}
+    assert len(error.found) <= 503
+
+
 def test_the_outlines_that_were_found_are_drawn_on_the_photographs() -> None:
     shot = Photograph(name="capture/a.jpg", pixels=np.full((120, 160, 3), 90, dtype=np.uint8))
     v, u = np.mgrid[:60, :80]

@@ -5,6 +5,7 @@ All cameras and all target placements are adjusted at once.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -68,8 +69,8 @@ def calibrate(
         progress: called with the fraction done.
 
     Raises:
-        CalibrationError: too few views, cameras that share no pose with the rest, a pair whose left and right are
-            swapped, image sizes that differ, or parameters that the observations do not determine.
+        CalibrationError: too few views, cameras that share no pose with the rest, image sizes that differ, or
+            parameters that the observations do not determine.
     """
     own, priors = dict(intrinsics_observations or {}), dict(priors or {})
     _check_pairs(pair_names, observations)
@@ -102,7 +103,6 @@ def calibrate(
     solved = _with_needed_k3(solved, priors, settings.bundle)
     progress(0.8)
     calibration = _as_calibration(solved, views, observations, own, pair_names, rig_name, tuple(set_aside))
-    _check_baselines(calibration.rig)
     progress(1.0)
     return calibration
 
@@ -120,15 +120,18 @@ def _check_pairs(pair_names: Mapping[str, tuple[str, str]], observations: Observ
 
 
 def _require_every_camera(views: Sequence[View], observations: Observations, set_aside: Sequence[SetAside]) -> None:
-    for camera in observations.sizes_wh:
-        poses = [view.pose for view in set_aside if view.camera == camera]
-        if len(poses) > sum(view.camera == camera and not view.own for view in views):
-            raise CalibrationError(
-                f"camera {camera}",
-                found=f"pictures that do not fit the other cameras' in most poses ({', '.join(poses)})",
-                expected="pictures exposed together with the other cameras'",
-                remedy="Check that its files are of the poses they are named after and that nothing moved",
-            )
+    left = Counter(view.camera for view in views if not view.own)
+    aside = {camera: [view.pose for view in set_aside if view.camera == camera] for camera in observations.sizes_wh}
+    wrong = [camera for camera, poses in aside.items() if len(poses) > left[camera]]
+    if wrong:
+        poses = ", ".join(sorted({pose for camera in wrong for pose in aside[camera]}))
+        raise CalibrationError(
+            f"camera{'s' if len(wrong) > 1 else ''} {', '.join(wrong)}",
+            found=f"pictures that do not fit the other cameras' in most poses ({poses})",
+            expected="pictures exposed together with the other cameras'",
+            remedy="Check that its files are of the poses they are named after, that none was mirrored, and that "
+            "nothing moved",
+        )
     require_connected([(view.camera, view.pose) for view in views if not view.own])
 
 
@@ -275,19 +278,3 @@ def _parameter_std(network: Network, covariance: Float64[Array, "p p"]) -> dict[
         names = [name for name in INTRINSIC_NAMES if name != "skew_px"]
         std[camera] = dict(zip((*names, *POSE_NAMES_CAMERA), values, strict=True))
     return std
-
-
-def _check_baselines(rig: Rig) -> None:
-    """Refuse a pair whose right camera stands left of the left one.
-
-    As the left camera's picture shows it.
-    """
-    for pair in rig.pairs:
-        x_mm, y_mm, _ = pair.left.camera_from_world.apply(pair.right.centre_world)
-        if x_mm < 0 and abs(x_mm) > abs(y_mm):
-            raise CalibrationError(
-                f"pair {pair.name}",
-                found=f"{pair.right.name} standing {-x_mm:.0f} mm to the left of {pair.left.name}",
-                expected="the right camera to the right of the left one, as their pictures show it",
-                remedy="Exchange left and right in the pair, or the two cameras' files if those are swapped",
-            )

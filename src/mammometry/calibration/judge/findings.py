@@ -7,8 +7,10 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
+from mammometry.base.sizes import fitting
 from mammometry.calibration.adjust.bundle import Calibration
 from mammometry.calibration.judge.reconstruction import PairQuality
+from mammometry.calibration.judge.scale import calibrated_sizes
 from mammometry.calibration.judge.stillness import Movement
 from mammometry.calibration.judge.view_quality import ViewQuality, sees_badly
 from mammometry.calibration.judge.wrong_camera import Shot, true_shot
@@ -18,6 +20,11 @@ Verdict: TypeAlias = Literal["pass", "warn", "refuse"]
 Finding: TypeAlias = tuple[Verdict, str]
 _PRINT_SCALE = 1e-3
 """Relative scale error of a print in the message's example. Chosen by eye."""
+
+_SQUARE_PIXELS, _SURE_SIGMA = 0.01, 5.0
+"""Share by which pixels may differ from squares, and standard deviations by which they then must. Real cameras are
+below .001; prints are stretched by up to .005.
+"""
 
 
 def about_names(calibration: Calibration) -> Iterator[Finding]:
@@ -145,6 +152,22 @@ def about_cameras(
         )
 
 
+def about_pixels(calibration: Calibration) -> Iterator[Finding]:
+    """Report pixels that are not square: two of the target's sizes, or the pictures, are stretched."""
+    for name, camera in calibration.rig.cameras.items():
+        std = calibration.independent_std[name]
+        ratio = float(camera.matrix[0, 0] / camera.matrix[1, 1])
+        ratio_std = float(np.hypot(std["fx_px"], std["fy_px"]) / camera.matrix[1, 1])
+        if abs(ratio - 1.0) > max(_SQUARE_PIXELS, _SURE_SIGMA * ratio_std):
+            solid = calibration.observations.target.is_surveyed
+            yield (
+                "refuse" if solid else "warn",
+                f"the pixels of {name} are {ratio:.3f} times as high as wide, where cameras have square ones. "
+                + ("Two sizes in [target] contradict one another, or" if solid else "The board or")
+                + " the photographs were stretched",
+            )
+
+
 def about_pairs(pairs: Sequence[PairQuality], settings: QualitySettings) -> Iterator[Finding]:
     """Report how each pair reconstructs the target."""
     for pair in pairs:
@@ -207,6 +230,14 @@ def about_scale(calibration: Calibration) -> Iterator[Finding]:
 
     No residual shows a print of another scale.
     """
+    name, stated_mm = calibration.observations.target.stated_size
+    sizes = calibrated_sizes(calibration)
+    if rare := [size for size in sizes if not size.is_usual()]:
+        yield (
+            "warn",
+            f"by target.{name} = {stated_mm:g} mm, {' and '.join(map(str, rare))}, which is rare. Measure the target, "
+            f"and check that its sizes are in millimetres{fitting(stated_mm, sizes)}",
+        )
     std = calibration.scale_std
     if std is None:
         yield (

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import ClassVar
 
 import numpy as np
 
 from mammometry.base.photograph import Photograph
-from mammometry.calibration.features.found_points import FoundPoints
+from mammometry.calibration.features.found_points import Cause, FoundPoints
 from mammometry.calibration.targets.board import Board
 from mammometry.calibration.targets.registry import TARGETS
 from mammometry.calibration.targets.sheet import Pattern, Sheet
@@ -29,6 +32,8 @@ class CirclesTarget(Board):
     Raises:
         ValueError: fewer than 2 × 2 circles, or circles that would touch.
     """
+
+    size_key: ClassVar[str] = "pitch_mm"
 
     grid: tuple[int, int]
     """Circles in a row, and rows."""
@@ -82,11 +87,21 @@ class CirclesTarget(Board):
         """
         return not self.asymmetric or self.grid[1] % 2 == 0
 
-    def find(self, photograph: Photograph, *, search_width_px: int, window_squares: float) -> FoundPoints | None:
+    def find(
+        self, photograph: Photograph, *, search_width_px: int, window_squares: float
+    ) -> FoundPoints | Cause | None:
         """Find the circles' centres. See `find_circles`."""
         from mammometry.calibration.targets.find_circles import find_circles
 
         return find_circles(photograph, self, search_width_px=search_width_px)
+
+    def mistaken(self) -> Iterator[tuple[str, CirclesTarget]]:
+        """Yield boards with rows and columns exchanged, or one more or less."""
+        columns, rows = self.grid
+        counts = [(rows, columns), *((columns + a, rows + b) for a, b in product((1, 0, -1), repeat=2) if a or b)]
+        for grid in counts:
+            if min(grid) >= _LEAST_CIRCLES:
+                yield f"grid = [{grid[0]}, {grid[1]}]", replace(self, grid=grid)
 
     @property
     def pattern(self) -> Pattern:

@@ -13,7 +13,7 @@ from typing import ClassVar
 import numpy as np
 
 from mammometry.base.photograph import Photograph
-from mammometry.calibration.features.found_points import FoundPoints
+from mammometry.calibration.features.found_points import Cause, FoundPoints
 from mammometry.calibration.targets.body import Body
 from mammometry.calibration.targets.registry import TARGETS
 from mammometry.calibration.targets.sheet import Sheet
@@ -42,6 +42,7 @@ class DottedCylinderTarget(Target):
     """
 
     is_surveyed: ClassVar[bool] = True
+    size_key: ClassVar[str] = "radius_mm"
 
     dots: tuple[int, int]
     """Rows along the axis, and all columns around it."""
@@ -97,7 +98,9 @@ class DottedCylinderTarget(Target):
             axis=-1,
         )
 
-    def find(self, photograph: Photograph, *, search_width_px: int, window_squares: float) -> FoundPoints | None:
+    def find(
+        self, photograph: Photograph, *, search_width_px: int, window_squares: float
+    ) -> FoundPoints | Cause | None:
         """Find the dots, their columns counted from the first one seen.
 
         See `find_cylinder`.

@@ -12,14 +12,16 @@ import cv2
 import numpy as np
 
 from mammometry.base.photograph import Photograph
-from mammometry.calibration.features.board_map import LENS_TOLERANCE, fit_board_map
+from mammometry.calibration.features.board_map import LENS_TOLERANCE, BoardMap, fit_board_map
 from mammometry.calibration.features.corner_fit import MarkerArea
 from mammometry.calibration.features.corners import CornerGrid, refine_corners
 from mammometry.calibration.features.found_points import Cause, FoundPoints
+from mammometry.calibration.features.mark_size import mark_size
 from mammometry.calibration.features.pixels import enlarge, grey_bytes, linear_luma, reduced
 from mammometry.calibration.targets.charuco import CharucoTarget
 from mammometry.calibration.targets.charuco_board import charuco_board
-from mammometry.geometry.arrays import Array, Bool, Float64, UInt8
+from mammometry.calibration.targets.marker_layout import FITTING_SHARE, TOLERANCE_SQUARES
+from mammometry.geometry.arrays import Array, Bool, Float32, Float64, UInt8
 
 DOUBLED_MARKERS = 4
 """Markers seen twice above which two boards are in view, so that neither can be chosen."""
@@ -27,14 +29,10 @@ _BLUR_MARGIN_PX = 2.5
 """Width of a marker's blurred rim, left out with it."""
 _NEARLY_ALL = 0.95
 """Share of the markers inside the picture that one threshold must find. Chosen by eye."""
-_RATIO_MARKERS = 8
-"""Fewest markers from which their size is judged. Chosen by eye."""
-_LAYOUT_SQUARES = 0.05
-"""Largest misfit of the markers' centres to the board's layout, squares. Chosen by eye."""
-_RATIO_OFF, _RATIO_OFF_PX = 0.09, 3.5
-"""Markers have another size than stated if their sides differ by more than both: the finder errs by up to a pixel, and
-a blur of 3 px makes them 8 % narrower.
-"""
+_FEWEST_MARKERS = 8
+"""Fewest markers from which it is judged whether all were found. Chosen by eye."""
+_RATIO_OFF = 0.05
+"""Share by which markers may differ from their stated size: printers and rulers err by 2 % of a marker at most."""
 
 
 def _one_threshold() -> cv2.aruco.DetectorParameters:
@@ -67,16 +65,21 @@ def find_charuco(
     if seen is None:
         return None
     board_mm, corners, markers = seen
-    if cause := _about_marker_size(board_mm[:markers], corners[:markers], target):
-        return cause
     uv = enlarge(corners, scale)
     tolerance_px = LENS_TOLERANCE * max(photograph.size_wh) + 2.0 * float(scale.max())
     found = fit_board_map(board_mm, uv, tolerance_px=tolerance_px)
     if found is None:
         return None
     board_map, used = found
+    off_mm = np.linalg.norm(board_map.board(uv) - board_mm, axis=1)
+    if (off_mm < TOLERANCE_SQUARES * target.square_mm).mean() < FITTING_SHARE:
+        return None  # on a board of the other pattern every second row fits
+    linear = linear_luma(photograph)
+    markers_mm = board_mm[:markers].reshape(-1, 4, 2).mean(axis=1)
+    if cause := _about_marker_size(linear, board_map, markers_mm, target):
+        return cause
     return refine_corners(
-        linear_luma(photograph),
+        linear,
         board_map,
         board_mm[used],
         CornerGrid(
@@ -132,7 +135,7 @@ def _is_complete(
     places = {int(number): place for place, number in enumerate(np.ravel(board.getIds()))}
     numbers = [] if marker_ids is None else [int(number) for number in np.ravel(marker_ids)]
     known = [k for k, number in enumerate(numbers) if number in places]
-    if len(known) < _RATIO_MARKERS:
+    if len(known) < _FEWEST_MARKERS:
         return False
     centres_mm = np.asarray(board.getObjPoints(), np.float64).mean(axis=1)[:, :2]
     seen_px = np.array([np.asarray(markers[k], np.float64).reshape(4, 2).mean(axis=0) for k in known])
@@ -145,34 +148,13 @@ def _is_complete(
 
 
 def _about_marker_size(
-    board_mm: Float64[Array, "m 2"], uv: Float64[Array, "m 2"], target: CharucoTarget
+    linear: Float32[Array, "h w"], board_map: BoardMap, markers_mm: Float64[Array, "m 2"], target: CharucoTarget
 ) -> Cause | None:
-    """Report markers of another size than the target's.
-
-    The size is measured in the grid of their centres.
-    """
-    nominal_mm, seen_px = board_mm.reshape(-1, 4, 2), uv.reshape(-1, 4, 2)
-    if len(nominal_mm) < _RATIO_MARKERS:
+    """Report markers whose size does not fit the squares."""
+    size = mark_size(linear, board_map.image, markers_mm, shape="square", reach_mm=target.square_mm / 2)
+    if size is None or not size.contradicts(target.marker_mm / 2, _RATIO_OFF):
         return None
-    centres = nominal_mm.mean(axis=1)
-    board_from_picture, _ = cv2.findHomography(seen_px.mean(axis=1), centres, cv2.LMEDS)
-    if board_from_picture is None:
-        return None
-    seen_mm = cv2.perspectiveTransform(seen_px.reshape(-1, 1, 2), board_from_picture).reshape(-1, 4, 2)
-    apart_mm = float(np.median(np.linalg.norm(seen_mm.mean(axis=1) - centres, axis=1)))
-    if apart_mm > _LAYOUT_SQUARES * target.square_mm:
-        return None  # numbered otherwise: another board
-    sides_mm = np.linalg.norm(seen_mm - np.roll(seen_mm, 1, axis=1), axis=2)
-    sides_px = np.linalg.norm(seen_px - np.roll(seen_px, 1, axis=1), axis=2)
-    measured_mm = float(np.median(sides_mm))
-    off = abs(measured_mm / target.marker_mm - 1)
-    if off < _RATIO_OFF or off * float(np.median(sides_px)) < _RATIO_OFF_PX:
-        return None
-    return Cause(
-        found=f"markers about {measured_mm:.1f} mm wide on squares of {target.square_mm} mm, where [target] says "
-        f"{target.marker_mm} mm",
-        remedy="Measure a marker on the print, and correct [target] marker_mm and square_mm",
-    )
+    return size.cause(("marker_mm", target.marker_mm), ("square_mm", target.square_mm))
 
 
 def _bright_before_corners(target: CharucoTarget) -> Bool[Array, " n"]:

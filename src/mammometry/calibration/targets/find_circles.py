@@ -11,7 +11,8 @@ import numpy as np
 from mammometry.base.photograph import Photograph
 from mammometry.calibration.features.board_map import LENS_TOLERANCE, BoardMap, fit_board_map
 from mammometry.calibration.features.dots import measure_dots
-from mammometry.calibration.features.found_points import FoundPoints
+from mammometry.calibration.features.found_points import Cause, FoundPoints
+from mammometry.calibration.features.mark_size import mark_size
 from mammometry.calibration.features.pixels import enlarge, grey_bytes, linear_luma, reduced
 from mammometry.calibration.targets.circles import CirclesTarget
 from mammometry.geometry.arrays import Array, Float64, UInt8
@@ -22,14 +23,17 @@ _MAX_MISFIT = 0.15
 """RMS distance from the map, in pitches, above which the grid was read in the wrong order."""
 _MAX_ERROR = 0.15
 """Largest distance of one circle from where its neighbours put it, in diameters."""
+_SIZE_OFF = 0.1
+"""Share by which circles may differ from their stated size: rulers and ink err by .5 mm of a small circle."""
 _ROUNDS = 2
 """Measurements, each with the map of the one before. Chosen by eye."""
 
 
-def find_circles(photograph: Photograph, target: CirclesTarget, *, search_width_px: int) -> FoundPoints | None:
+def find_circles(photograph: Photograph, target: CirclesTarget, *, search_width_px: int) -> FoundPoints | Cause | None:
     """Find the circle centres of a board wholly in the picture.
 
-    None if it is not. If half a turn leaves the grid unchanged, the board's x axis points to the picture's right.
+    None if it is not, the cause if the circles have another size.
+    If half a turn leaves the grid unchanged, the board's x axis points to the picture's right.
     """
     small, scale = reduced(grey_bytes(photograph), search_width_px)
     grid = _search(small, target)
@@ -41,6 +45,9 @@ def find_circles(photograph: Photograph, target: CirclesTarget, *, search_width_
     if board_map is None:
         return None
     linear = linear_luma(photograph)
+    size = mark_size(linear, board_map.image, centres_mm, shape="disc", reach_mm=target.nearest_mm / 2)
+    if size is not None and size.contradicts(target.diameter_mm / 2, _SIZE_OFF):
+        return size.cause(("diameter_mm", target.diameter_mm), ("pitch_mm", target.pitch_mm))
     for _ in range(_ROUNDS):
         dots = measure_dots(
             linear,

@@ -11,8 +11,9 @@ import numpy as np
 
 from mammometry.base.photograph import Photograph
 from mammometry.calibration.features.dots import measure_dots
-from mammometry.calibration.features.found_points import FoundPoints
+from mammometry.calibration.features.found_points import Cause, FoundPoints
 from mammometry.calibration.features.lattice import find_dots, index_lattice
+from mammometry.calibration.features.mark_size import mark_size
 from mammometry.calibration.features.pixels import enlarge, grey_bytes, linear_luma, reduced
 from mammometry.calibration.targets.cylinder import DottedCylinderTarget
 from mammometry.calibration.targets.cylinder_map import CylinderMap, fit_cylinder_map
@@ -33,6 +34,8 @@ _MIN_ROW_DOTS = 3
 """Fewest dots that make a row. Chosen by eye."""
 _ROUNDS = 2
 """Measurements, each with the map of the one before. Chosen by eye."""
+_SIZE_OFF = 0.1
+"""Share by which dots may differ from their stated size: rulers and ink err by .5 mm of a small dot."""
 _LABEL_HEIGHTS = (0.4, 1.4)
 """The labels' strip beyond the last row, in row pitches."""
 _STRIP_SAMPLES = 24
@@ -67,11 +70,13 @@ class CylinderView(FoundPoints):
         return FoundPoints(ids=ids[order], uv=self.uv[order], covariance_px2=self.covariance_px2[order])
 
 
-def find_cylinder(photograph: Photograph, target: DottedCylinderTarget, *, search_width_px: int) -> CylinderView | None:
+def find_cylinder(
+    photograph: Photograph, target: DottedCylinderTarget, *, search_width_px: int
+) -> CylinderView | Cause | None:
     """Find the dots and measure their centres.
 
-    None where the cylinder is not seen with all its rows. The cylinder must stand upright in the picture within about
-    40°, its labelled end up.
+    None where the cylinder is not seen with all its rows, the cause where its dots have another size. The
+    cylinder must stand upright in the picture within about 40°, its labelled end up.
     """
     small, scale = reduced(grey_bytes(photograph), _SEARCH_WIDTHS * search_width_px)
     starts = (_locate(small, scale, target, neighbourhood) for neighbourhood in _NEIGHBOURHOODS)
@@ -84,6 +89,13 @@ def find_cylinder(photograph: Photograph, target: DottedCylinderTarget, *, searc
     cylinder, last_row, (first, last) = start
     row, column = (grid.ravel() for grid in np.mgrid[0 : last_row + 1, first : last + 1])
     unrolled = np.stack([column, row], axis=1) * pitch_mm
+    if target.dot_mm is not None:
+        nearest_mm = float(pitch_mm.min())
+        facing = unrolled[cylinder.facing(unrolled) > _MIN_FACING]
+        size = mark_size(linear, cylinder.image, facing, shape="square", reach_mm=nearest_mm / 2)
+        if size is not None and size.contradicts(half_mm, _SIZE_OFF):
+            pitch_key = "row_pitch_mm" if target.row_pitch_mm == nearest_mm else "column_pitch_mm"
+            return size.cause(("dot_mm", target.dot_mm), (pitch_key, nearest_mm))
     for round_ in range(_ROUNDS):
         faces = cylinder.facing(unrolled) > _MIN_FACING
         places = unrolled[faces]

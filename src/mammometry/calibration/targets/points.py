@@ -31,6 +31,7 @@ class PointsTarget(Target):
     """
 
     is_surveyed: ClassVar[bool] = True
+    size_key: ClassVar[str] = "points_mm"
 
     points_mm: tuple[tuple[float, float, float], ...]
     """Surveyed coordinates, mm."""

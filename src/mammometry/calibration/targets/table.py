@@ -6,9 +6,11 @@ from collections.abc import Mapping
 from dataclasses import MISSING, fields
 from typing import get_type_hints
 
+import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
 from mammometry.base.errors import SessionError
+from mammometry.base.sizes import Size, fitting
 from mammometry.calibration.targets.board import Board
 from mammometry.calibration.targets.registry import TARGETS
 from mammometry.calibration.targets.target import Target
@@ -17,6 +19,8 @@ _MAX_PRINT_SCALE = 0.1
 """Largest relative scale error of a print. Chosen by eye: printers err by a few per cent at most, so a larger
 difference is a typing error.
 """
+_TARGET_MM, _USUAL_TARGET_MM = (20.0, 2500.0), (60.0, 1500.0)
+"""Possible and usual longest side of what a target's points span. A cast of 40 mm is no smaller than its target."""
 
 
 def target_from_table(table: Mapping[str, object]) -> Target:
@@ -61,7 +65,27 @@ def target_from_table(table: Mapping[str, object]) -> Target:
         target = cls(**values)
     except ValueError as error:
         raise _table_error(kind, "a table that makes no target", str(error)) from None
+    _require_size(target)
     return _as_measured(target, edge_mm) if isinstance(target, Board) and edge_mm is not None else target
+
+
+def _require_size(target: Target) -> None:
+    """Refuse sizes that no target of ours has. `judge.scale` finds finer errors, with the cameras."""
+    span = Size(
+        mm=float(np.ptp(target.points_target, axis=0).max()),
+        possible_mm=_TARGET_MM,
+        usual_mm=_USUAL_TARGET_MM,
+        words="its points span {}",
+    )
+    if span.is_possible:
+        return
+    name, stated_mm = target.stated_size
+    raise SessionError(
+        f"[target] {name}",
+        found=f"{stated_mm:g} mm, by which {span}",
+        expected=span.expected,
+        remedy=f"Enter millimetres in session.toml{fitting(stated_mm, [span])}",
+    )
 
 
 def _as_measured(board: Board, edge_mm: object) -> Board:

@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import ClassVar
+
+import numpy as np
 
 from mammometry.base.errors import SettingsError
 from mammometry.base.photograph import Photograph
@@ -37,6 +39,15 @@ class Target(ABC):
     def kind(self) -> str:
         """Name of the kind in the registry."""
         return TARGETS.name_of(type(self))
+
+    size_key: ClassVar[str] = "sizes"
+    """Key of ``[target]`` that says how large it is."""
+
+    @property
+    def stated_size(self) -> tuple[str, float]:
+        """That key, and its value, mm. Of a list of points the longest side of what it spans."""
+        value = getattr(self, self.size_key, None)
+        return self.size_key, value if isinstance(value, float) else float(np.ptp(self.points_target, axis=0).max())
 
     # --- what the adjustment needs ---
 
@@ -91,6 +102,13 @@ class Target(ABC):
     def explain_miss(self, small: UInt8[Array, "h w"]) -> Cause | None:
         """Report what a reduced grey picture shows instead, if visible."""
         return None
+
+    def mistaken(self) -> Iterator[tuple[str, Target]]:
+        """Yield targets that this description commonly stands for by mistake, the likeliest first.
+
+        Each with the keys of session.toml that would have to be written for it.
+        """
+        yield from ()
 
     # --- what is printed ---
 

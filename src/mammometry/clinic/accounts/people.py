@@ -13,6 +13,8 @@ from django.urls import reverse
 from mammometry.clinic.config import ClinicError
 from mammometry.clinic.models import Person
 from mammometry.clinic.roles import Role
+from mammometry.hospital.exported import person_name
+from mammometry.hospital.representations import require_text
 
 
 def add_person(username: str, roles: Sequence[Role], *, full_name: str = "", email: str = "") -> Person:
@@ -21,6 +23,7 @@ def add_person(username: str, roles: Sequence[Role], *, full_name: str = "", ema
     Raises:
         ClinicError: the name is taken, or something in it cannot be.
     """
+    require_text(person_name(full_name), "PN", "the full name", refusal=ClinicError)
     person = Person(username=username, roles=[role.value for role in roles], full_name=full_name, email=email)
     person.set_unusable_password()
     try:

@@ -13,6 +13,7 @@ from django.shortcuts import get_object_or_404, redirect, render
 from mammometry.base.errors import MammometryError
 from mammometry.clinic import deliveries
 from mammometry.clinic.confirmations import CHANGED_SENTENCE, is_changed
+from mammometry.clinic.forms import require_dicom_text
 from mammometry.clinic.models import Delivery, Destination, Visit
 from mammometry.clinic.reports import report_file
 from mammometry.clinic.views.who import person_of
@@ -48,6 +49,12 @@ class DestinationForm(_DestinationForm):
             "commitment": "DICOM storage commitment. Without the promise, the results are sent again later.",
             "promise_port": "If the archive calls back. Empty: it answers on the same connection.",
         }
+
+    def clean_own_title(self) -> str:
+        """Refuse what is no title of a DICOM application."""
+        title: str = self.cleaned_data["own_title"]
+        require_dicom_text(title, "AE")
+        return title
 
     def clean(self) -> dict[str, Any]:
         """Refuse addresses that are none."""

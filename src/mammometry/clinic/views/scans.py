@@ -55,15 +55,16 @@ class ScanForm(_ScanForm):
     scanner = forms.CharField(max_length=100, label="Device", help_text="Such as Vectra M5, 3dMD or Artec Leo.")
     sent = _FilesField(
         label="Files of the scan",
-        help_text="All together: OBJ, MTL and picture. Or one ZIP. PLY, STL and GLB have no picture.",
+        help_text="All together: OBJ, MTL and picture. Or one ZIP. A GLB holds its pictures; PLY and STL have none.",
     )
     units = forms.ChoiceField(
-        label="Unit of the mesh", help_text="The device’s export settings say it.",
-        choices=[("", "Choose"), *((unit, _UNITS[unit]) for unit in MM_PER_UNIT)],
+        label="Unit of the mesh", required=False, help_text="The device’s export settings say it.",
+        choices=[("", "As the body’s size shows"), *((unit, _UNITS[unit]) for unit in MM_PER_UNIT)],
     )  # fmt: skip
     head = forms.ChoiceField(
-        label="Axis towards the head", help_text="Y with nearly all devices.", choices=list(_AXIS_WORDS.items())
-    )
+        label="Axis towards the head", required=False, help_text="Y with nearly all devices.",
+        choices=[("", "Y, or Z where the mesh faces along Y"), *_AXIS_WORDS.items()],
+    )  # fmt: skip
     ahead = forms.ChoiceField(
         label="Axis straight ahead", required=False, help_text="Needed where the whole body was scanned all around.",
         choices=[("", "Where the open mesh faces"), *_AXIS_WORDS.items()],

@@ -21,7 +21,7 @@ from mammometry.clinic.search_words import plain_name
 from mammometry.clinic.views.who import person_of
 
 if TYPE_CHECKING:
-    from mammometry.hospital.dicom.worklist import Entry
+    from mammometry.hospital.dicom.worklist import Entry, Worklist
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +45,9 @@ def worklist(request: HttpRequest) -> HttpResponse:
         except MammometryError as error:
             messages.error(request, str(error))
             continue
-        lines += [Line(source, entry, ", ".join(_names(entry))) for entry in found]
+        for refusal in found.refused:
+            messages.error(request, str(refusal))
+        lines += [Line(source, entry, ", ".join(_names(entry))) for entry in found.entries]
     context = {"lines": lines, "sources": _sources(), "rigs": Rig.objects.filter(active=True)}
     return render(request, "clinic/worklist.html", context)
 
@@ -63,7 +65,7 @@ def _begun(request: HttpRequest) -> HttpResponse:
     try:
         found = [
             entry
-            for entry in _asked(source, accession=accession, patient_id=number)
+            for entry in _asked(source, accession=accession, patient_id=number).entries
             if (entry.order.accession, entry.patient.id) == (accession, number)
         ]
         if len(found) != 1:
@@ -99,8 +101,8 @@ def _begun(request: HttpRequest) -> HttpResponse:
     )  # fmt: skip
     order = entry.order
     VisitOrder.objects.create(
-        visit=visit, accession=order.accession[:64], study_uid=order.study_uid[:64], referring=order.referring[:200],
-        procedure_id=order.procedure_id[:64], procedure=order.procedure[:200],
+        visit=visit, accession=order.accession, study_uid=order.study_uid, referring=order.referring,
+        procedure_id=order.procedure_id, procedure=order.procedure,
     )  # fmt: skip
     return redirect("visit", visit=visit.pk)
 
@@ -109,7 +111,7 @@ def _patient(entry: Entry) -> Patient:
     """The entry's patient, not kept yet."""
     family, given = _names(entry)
     listed = entry.patient
-    return Patient(family_name=family[:100], given_name=given[:100], born=listed.born, record_number=listed.id[:64])
+    return Patient(family_name=family, given_name=given, born=listed.born, record_number=listed.id)
 
 
 def _is_same(known: Patient, listed: Patient) -> bool:
@@ -119,13 +121,14 @@ def _is_same(known: Patient, listed: Patient) -> bool:
 
 
 def _names(entry: Entry) -> tuple[str, str]:
-    family, _, others = entry.patient.name.partition("^")
+    group = next(filter(None, entry.patient.name.split("=")), "")  # the others write the same name in other letters
+    family, _, others = group.partition("^")
     return family.strip(), others.partition("^")[0].strip()
 
 
 def _asked(
     source: Destination, *, day: datetime.date | None = None, accession: str = "", patient_id: str = ""
-) -> list[Entry]:
+) -> Worklist:
     require_libraries("pydicom", "pynetdicom")
     from mammometry.hospital.dicom.worklist import entries
 

@@ -48,7 +48,7 @@ class Study:
     def day(self) -> str:
         """Day of the photographs. Empty if unknown or de-identified."""
         taken = self.exported.taken
-        return "" if taken is None else f"{taken:%Y%m%d}"
+        return "" if taken is None else taken.isoformat().replace("-", "")
 
     @property
     def made(self) -> tuple[str, str]:
@@ -90,14 +90,14 @@ def describe(made: Dataset, study: Study) -> None:
     written_day, written_time = study.made
     made.PatientID = patient.id
     made.PatientName = patient.name
-    made.PatientBirthDate = "" if patient.born is None else f"{patient.born:%Y%m%d}"
+    made.PatientBirthDate = "" if patient.born is None else patient.born.isoformat().replace("-", "")
     made.PatientSex = patient.sex
     made.StudyInstanceUID = study.uid
     made.StudyDate, made.StudyTime = day, ""
     made.ReferringPhysicianName = order.referring
-    made.StudyID = order.procedure_id[:16]
+    made.StudyID = order.procedure_id
     made.AccessionNumber = order.accession
-    made.StudyDescription = (order.procedure or "Stereophotogrammetry of the breasts")[:64]
+    made.StudyDescription = order.procedure or "Stereophotogrammetry of the breasts"
     made.ContentDate, made.ContentTime = written_day, written_time
     made.InstanceCreationDate, made.InstanceCreationTime = written_day, written_time
     made.TimezoneOffsetFromUTC = "+0000"

@@ -6,7 +6,7 @@ from pydicom import Dataset
 
 from mammometry.hospital.dicom import documents, photographs, structured
 from mammometry.hospital.dicom.frame import Study, encoded
-from mammometry.hospital.exported import Exported, Order, Patient
+from mammometry.hospital.exported import Exported, Order, Patient, as_patient_id, person_name
 
 
 def objects(exported: Exported, patient: Patient = Patient(), order: Order = Order()) -> list[Dataset]:
@@ -23,8 +23,8 @@ def objects(exported: Exported, patient: Patient = Patient(), order: Order = Ord
         patient, order = Patient(id=f"anonymous-{exported.source[:12]}", name="Anonymous^"), Order()
     elif not patient.id:
         patient = Patient(
-            id=exported.subject[:64],
-            name=patient.name or f"{exported.subject[:63]}^",
+            id=as_patient_id(exported.subject),
+            name=patient.name or person_name(exported.subject)[:64],
             born=patient.born,
             sex=patient.sex,
         )

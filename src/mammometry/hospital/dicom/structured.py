@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import warnings
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +12,7 @@ from pydicom import Dataset
 from mammometry.hospital import codes
 from mammometry.hospital.codes import Coded
 from mammometry.hospital.dicom.frame import Study, coded, describe, finished
-from mammometry.hospital.exported import Quantity, Side, plain_name
+from mammometry.hospital.exported import Quantity, Side, person_name
 from mammometry.hospital.identifiers import uid
 from mammometry.report.clinical import Signed
 
@@ -59,21 +60,23 @@ def report(study: Study, evidence: Sequence[Dataset], *, series: int) -> list[Da
     conclusions = exported.clinical.conclusions[:1]
     content[0].ContentSequence.extend(_conclusions(conclusions))
     confirmed = exported.clinical.confirmed
-    made = Comprehensive3DSR(
-        evidence=evidence,
-        content=content,
-        series_instance_uid=study.series_uid("measurements"),
-        series_number=series,
-        sop_instance_uid=uid("unfinished"),
-        instance_number=1,
-        manufacturer="mammometry",
-        is_complete=True,
-        is_final=exported.is_final,
-        is_verified=confirmed is not None,
-        verifying_observer_name=None if confirmed is None else person_name(confirmed.by),
-        verifying_organization=None if confirmed is None else exported.organization or "not stated",
-        series_description="Measurements",
-    )
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="The string .* is unlikely to represent")  # a name of one part
+        made = Comprehensive3DSR(
+            evidence=evidence,
+            content=content,
+            series_instance_uid=study.series_uid("measurements"),
+            series_number=series,
+            sop_instance_uid=uid("unfinished"),
+            instance_number=1,
+            manufacturer="mammometry",
+            is_complete=True,
+            is_final=exported.is_final,
+            is_verified=confirmed is not None,
+            verifying_observer_name=None if confirmed is None else person_name(confirmed.by),
+            verifying_organization=None if confirmed is None else exported.organization or "not stated",
+            series_description="Measurements",
+        )
     describe(made, study)
     # highdicom dates it by the clock.
     for equipment in made.get("ContributingEquipmentSequence", ()):
@@ -109,14 +112,6 @@ def _conclusions(conclusions: Sequence[Signed]) -> Iterator[Any]:
         )
         whole.ContentSequence = ContentSequence([item])
         yield whole
-
-
-def person_name(name: str) -> str:
-    """A person's name as DICOM writes it.
-
-    All of it is the family name, since nobody says which part is which.
-    """
-    return f"{plain_name(name)}^"
 
 
 def _moment(signed: Signed) -> str:

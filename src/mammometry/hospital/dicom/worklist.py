@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 import datetime
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from pydicom import Dataset
-from pydicom.sequence import Sequence
+from pydicom.config import disable_value_validation
+from pydicom.multival import MultiValue
+from pydicom.sequence import Sequence as DicomSequence
 from pynetdicom.sop_class import ModalityWorklistInformationFind  # type: ignore[attr-defined]  # made at run time
 
-from mammometry.base.errors import ArchiveError
+from mammometry.base.errors import ArchiveError, SettingsError
 from mammometry.hospital.dicom.association import OWN_TITLE, associated, found_by
 from mammometry.hospital.exported import Order, Patient, Sex
 from mammometry.hospital.peers import Peer, Tls
+from mammometry.hospital.representations import text_fault
 
+_DESCRIPTION = 64  # letters of a procedure's words that DICOM allows; the rest is cut off
 _SEXES: dict[str, Sex] = {"F": "F", "M": "M", "O": "O"}
 
 
@@ -27,6 +32,15 @@ class Entry:
     """Day for which it is planned."""
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Worklist:
+    """Entries of a worklist, and why some of them cannot be used."""
+
+    entries: tuple[Entry, ...]
+    refused: tuple[ArchiveError, ...] = ()
+    """One a line with text that DICOM does not allow, such as an id with a backslash."""
+
+
 def entries(
     peer: Peer,
     *,
@@ -36,7 +50,7 @@ def entries(
     modality: str = "",
     own_title: str = OWN_TITLE,
     tls: Tls | None = None,
-) -> list[Entry]:
+) -> Worklist:
     """Ask a worklist. Empty arguments match everything.
 
     Args:
@@ -61,30 +75,53 @@ def entries(
     step.Modality = modality
     step.ScheduledProcedureStepStartDate = "" if day is None else f"{day:%Y%m%d}"
     step.ScheduledProcedureStepStartTime = step.ScheduledProcedureStepDescription = ""
-    query.ScheduledProcedureStepSequence = Sequence([step])
+    query.ScheduledProcedureStepSequence = DicomSequence([step])
     with associated(peer, [(ModalityWorklistInformationFind, None)], own_title=own_title, tls=tls) as association:
         answers = found_by(association, query, ModalityWorklistInformationFind, peer)
-    return [entry(answer) for answer in answers if answer is not None]
+    return read_answers([answer for answer in answers if answer is not None], peer)
 
 
-def only_entry(found: list[Entry], peer: Peer, asked: str) -> Entry:
+def read_answers(answers: Sequence[Dataset], peer: Peer) -> Worklist:
+    """Read answers of a worklist, and set aside those that cannot be used."""
+    usable: list[Entry] = []
+    refused: list[ArchiveError] = []
+    for answer in answers:
+        try:
+            with disable_value_validation():  # ours says which entry it is
+                usable.append(entry(answer))
+        except SettingsError as error:
+            number = _text(answer, "AccessionNumber")
+            place = f"{peer}, entry {'without an accession number' if text_fault(number, 'SH') else number}"
+            remedy = "Have the entry corrected where it was made"
+            found = f"{error.subject} with {error.found}"
+            refused.append(ArchiveError(place, found=found, expected=error.expected, remedy=remedy))
+    return Worklist(entries=tuple(usable), refused=tuple(refused))
+
+
+def only_entry(worklist: Worklist, peer: Peer, asked: str) -> Entry:
     """Return the one entry.
 
     Raises:
-        ArchiveError: there is none, or more than one.
+        ArchiveError: there is none, or more than one, or it cannot be used.
     """
-    if len(found) != 1:
+    if worklist.refused:
+        raise worklist.refused[0]
+    if len(worklist.entries) != 1:
         raise ArchiveError(
             str(peer),
-            found=f"{len(found)} entries of the worklist for {asked}",
+            found=f"{len(worklist.entries)} entries of the worklist for {asked}",
             expected="exactly one",
             remedy="Name it by --accession, and --patient-id where that is not enough",
         )
-    return found[0]
+    return worklist.entries[0]
 
 
 def entry(answer: Dataset) -> Entry:
-    """Read one answer. What is missing or no date stays empty."""
+    """Read one answer. What is missing or no date stays empty.
+
+    Raises:
+        SettingsError: text that DICOM does not allow.
+    """
     steps = answer.get("ScheduledProcedureStepSequence") or [Dataset()]
     patient = Patient(
         id=_text(answer, "PatientID"),
@@ -97,14 +134,16 @@ def entry(answer: Dataset) -> Entry:
         study_uid=_text(answer, "StudyInstanceUID"),
         referring=_text(answer, "ReferringPhysicianName"),
         procedure_id=_text(answer, "RequestedProcedureID"),
-        procedure=_text(answer, "RequestedProcedureDescription")
-        or _text(steps[0], "ScheduledProcedureStepDescription"),
+        procedure=(
+            _text(answer, "RequestedProcedureDescription") or _text(steps[0], "ScheduledProcedureStepDescription")
+        )[:_DESCRIPTION],
     )
     return Entry(patient=patient, order=order, planned=_day(_text(steps[0], "ScheduledProcedureStepStartDate")))
 
 
 def _text(there: Dataset, name: str) -> str:
-    return str(there.get(name, "") or "").strip()
+    value = there.get(name, "") or ""
+    return ("\\".join(map(str, value)) if isinstance(value, MultiValue) else str(value)).strip()
 
 
 def _day(text: str) -> datetime.date | None:

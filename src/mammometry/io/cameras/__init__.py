@@ -1,1 +1,1 @@
-"""Cameras in files: our own, OpenCV's, COLMAP's, Kalibr's."""
+"""Cameras in files: our own, and those of other programs."""

@@ -7,15 +7,15 @@ R as a quaternion, w first.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from pathlib import Path
+from collections.abc import Collection, Mapping, Sequence
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
 
 from mammometry.base.parse import number, parsing, read_text, whole
 from mammometry.geometry.camera import Camera
-from mammometry.io.cameras.own import camera_from_entry, unfit
+from mammometry.io.cameras.own import camera_from_entry, camera_name, unfit
 
 _SHIFT = 0.5  # px: COLMAP counts from the first pixel's corner, OpenCV from its centre
 _UNIT = 1e-2  # a quaternion's length differs from 1 by no more, as COLMAP writes it
@@ -32,10 +32,15 @@ _MODELS: Mapping[str, Sequence[int | None]] = {
 _COUNTS = {"SIMPLE_PINHOLE": 3, "PINHOLE": 4, "SIMPLE_RADIAL": 4, "RADIAL": 5, "OPENCV": 8, "FULL_OPENCV": 12}
 
 
-def read_colmap(cameras_path: Path, images_path: Path) -> dict[str, Camera]:
-    """Read cameras, named as their images without the ending.
+def read_colmap(cameras_path: Path, images_path: Path, known: Collection[str] = ()) -> dict[str, Camera]:
+    """Read cameras, named as their images without the ending, or as the folder that these lie in.
 
     Lengths are taken for mm.
+
+    Args:
+        cameras_path: cameras.txt.
+        images_path: images.txt.
+        known: names of the session's cameras, one of which a folder may have.
 
     Raises:
         SessionError: a lens model that is not Brown's, a line that is not as COLMAP documents, or two images of a name.
@@ -64,9 +69,10 @@ def read_colmap(cameras_path: Path, images_path: Path) -> dict[str, Camera]:
             _require_points(points)
             if identity not in lenses:
                 raise ValueError(f"a camera {identity} that {cameras_path.name} has not")
-            name = Path(image.strip()).stem
+            path = PurePosixPath(image.strip().replace("\\", "/"))
+            name = camera_name(path.parts, known) or path.stem
             if name in cameras:
-                raise ValueError(f"a second image called {name}")
+                raise ValueError(f"a second image called {name}, where a rig has one of each camera")
             entry = {**lenses[identity], "R": Rotation.from_quat([x, y, z, w]).as_matrix(), "t": translation}
             cameras[name] = camera_from_entry(images_path.name, name, entry)
     if not cameras:

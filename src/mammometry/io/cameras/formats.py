@@ -1,4 +1,4 @@
-"""Cameras from and for other programs: OpenCV, COLMAP, Kalibr, our cameras.json."""
+"""Cameras from and for other programs, and our cameras.json."""
 
 from __future__ import annotations
 
@@ -8,19 +8,25 @@ from pathlib import Path
 from typing import Literal, TypeAlias
 
 from mammometry.geometry.camera import Camera
+from mammometry.io.cameras.agisoft import read_agisoft
 from mammometry.io.cameras.colmap import colmap_texts, read_colmap
+from mammometry.io.cameras.halcon import read_halcon
 from mammometry.io.cameras.kalibr import kalibr_text, read_kalibr
+from mammometry.io.cameras.matlab import read_matlab
 from mammometry.io.cameras.opencv import opencv_text, read_opencv
 from mammometry.io.cameras.own import cameras_table, read_cameras, require_plausible, unfit
 
 CameraFormat: TypeAlias = Literal["json", "opencv", "colmap", "kalibr"]
+_HEAD_BYTES = 1024  # in which a file says whose it is
 
 
 def import_cameras(paths: Sequence[Path], pair_names: Mapping[str, tuple[str, str]]) -> dict[str, Camera]:
     """Read cameras from other programs' files.
 
     A ``.json`` is our own; ``.yml``, ``.yaml`` and ``.xml`` are OpenCV's (`read_opencv`), or Kalibr's where they do not
-    begin with OpenCV's mark (`read_kalibr`); ``cameras.txt`` with ``images.txt`` are COLMAP's (`read_colmap`).
+    begin with OpenCV's mark (`read_kalibr`), or Agisoft's ``<document>`` (`read_agisoft`); ``cameras.txt`` with
+    ``images.txt`` are COLMAP's (`read_colmap`); a ``.mat`` is MATLAB's (`read_matlab`), ``.dat`` and ``.cal`` are
+    HALCON's (`read_halcon`).
 
     Args:
         paths: the files.
@@ -38,20 +44,27 @@ def import_cameras(paths: Sequence[Path], pair_names: Mapping[str, tuple[str, st
         require_plausible(file, found)
         cameras.update(found)
 
+    known = [name for pair in pair_names.values() for name in pair]
     texts = {path.name: path for path in paths if path.suffix == ".txt"}
+    halcon = [path for path in paths if path.suffix.lower() in (".dat", ".cal")]
     for path in paths:
         if not path.is_file():
             raise unfit(str(path), "no file", "an existing file")
         if path.suffix == ".json":
             add(path.name, read_cameras(path))
         elif path.suffix.lower() in (".yml", ".yaml", ".xml"):
-            add(path.name, read_opencv(path, pair_names) if _is_opencv(path) else read_kalibr(path))
-        elif path.suffix != ".txt":
-            raise unfit(path.name, "a file of unknown kind", "OpenCV, Kalibr or COLMAP files, or a cameras.json")
+            add(path.name, _read_marked(path, pair_names, known))
+        elif path.suffix.lower() == ".mat":
+            add(path.name, read_matlab(path, pair_names))
+        elif path not in halcon and path.suffix != ".txt":
+            expected = "files of OpenCV, Kalibr, COLMAP, Agisoft, MATLAB or HALCON, or a cameras.json"
+            raise unfit(path.name, "a file of unknown kind", expected)
+    if halcon:
+        add(", ".join(path.name for path in halcon), read_halcon(halcon, pair_names))
     if texts:
         if not {"cameras.txt", "images.txt"} <= set(texts) <= {"cameras.txt", "images.txt", "points3D.txt"}:
             raise unfit(", ".join(texts), "part of a COLMAP model", "both cameras.txt and images.txt")
-        add("images.txt", read_colmap(texts["cameras.txt"], texts["images.txt"]))
+        add("images.txt", read_colmap(texts["cameras.txt"], texts["images.txt"], known))
     return cameras
 
 
@@ -85,11 +98,14 @@ def camera_file_names(names: Iterable[str], form: CameraFormat) -> tuple[str, ..
             return ("cameras.json",)
 
 
-def _is_opencv(path: Path) -> bool:
-    """Whether a file begins as OpenCV's do.
+def _read_marked(path: Path, pair_names: Mapping[str, tuple[str, str]], known: Sequence[str]) -> dict[str, Camera]:
+    """Read YAML or XML of the program whose mark it begins with.
 
-    Its YAML is marked, and old enough that others do not read it.
+    OpenCV's YAML is marked, and old enough that others do not read it. Agisoft's root is a document.
     """
     with path.open("rb") as file:
-        start = file.read(64).removeprefix(b"\xef\xbb\xbf").lstrip()
-    return start.startswith((b"%YAML", b"<?xml"))
+        start = file.read(_HEAD_BYTES).removeprefix(b"\xef\xbb\xbf").lstrip()
+    if b"<document" in start:
+        return read_agisoft(path, known)
+    is_opencv = path.suffix.lower() == ".xml" or start.startswith((b"%YAML", b"<?xml"))
+    return read_opencv(path, pair_names) if is_opencv else read_kalibr(path, known)

@@ -7,7 +7,7 @@ Each camera's pose is relative to the one before. ``T_cn_cnm1`` takes a point of
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ from mammometry.base.errors import SessionError
 from mammometry.base.parse import numbers, parsing, read_text
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.camera import Camera
-from mammometry.io.cameras.own import camera_from_entry, unfit
+from mammometry.io.cameras.own import camera_from_entry, camera_name, unfit
 from mammometry.io.yaml_text import yaml_value
 
 _MM_PER_M = 1000.0  # Kalibr writes metres, we write mm
@@ -27,10 +27,15 @@ _COEFFICIENTS: Mapping[str, int] = {"radtan": 4, "none": 0}
 _ROUNDED = 1e-3  # a matrix this near to a rotation was one before its digits were cut
 
 
-def read_kalibr(path: Path) -> dict[str, Camera]:
+def read_kalibr(path: Path, known: Collection[str] = ()) -> dict[str, Camera]:
     """Read a camchain.
 
-    Its first camera is the world. Cameras are named after their ``rostopic``'s first part.
+    Its first camera is the world. Cameras are named after the part of their ``rostopic`` that the session knows, else
+    after its first part.
+
+    Args:
+        path: the file.
+        known: names of the session's cameras.
 
     Raises:
         SessionError: it is no camchain, or has a lens that is no pinhole with Brown's distortion.
@@ -54,9 +59,12 @@ def read_kalibr(path: Path) -> dict[str, Camera]:
             fx, fy, cx, cy = numbers(entry["intrinsics"], 4)
             count = _COEFFICIENTS[entry["distortion_model"]]
             coefficients = numbers(entry.get("distortion_coeffs", []), count) if count else np.zeros(4)
-        name = str(entry.get("rostopic", key)).strip("/").split("/")[0]
+        topic = str(entry.get("rostopic", key))
+        parts = topic.strip("/").split("/")
+        name = camera_name(parts, known) or parts[0]
         if name in cameras:
-            raise unfit(subject, f"a second camera called {name}", "a rostopic that begins with the camera's name")
+            expected = f"a rostopic with a camera's name: {', '.join(known)}"
+            raise unfit(subject, f"a second camera called {name}, by {topic}", expected)
         cameras[name] = camera_from_entry(
             path.name,
             name,

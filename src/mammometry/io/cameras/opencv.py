@@ -16,7 +16,8 @@ import numpy as np
 from mammometry.base.parse import number, numbers, parsing, read_text, whole
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.camera import Camera
-from mammometry.io.cameras.own import camera_from_entry, unfit
+from mammometry.io.cameras.own import camera_from_entry, pair_of_two, unfit
+from mammometry.io.xml_text import read_xml
 from mammometry.io.yaml_text import yaml_value
 
 _YAML = "tag:yaml.org,2002:"
@@ -52,13 +53,17 @@ def read_opencv(path: Path, pair_names: Mapping[str, tuple[str, str]]) -> dict[s
         else:
             lens = _array(storage, "distortion_coefficients", "D", "dist")
             found = [(_array(storage, "camera_matrix", "K", "M"), lens)]
+    if (rotation is None) != (translation is None) or (stereo and rotation is None):
+        lacking = " and ".join(name for name, value in (("R", rotation), ("T", translation)) if value is None)
+        raise unfit(path.name, f"no {lacking}", "R and T, the camera's pose in the rig's frame, T in millimetres")
     if width is None or height is None:
         raise unfit(path.name, "no image_width and image_height", "the size that the calibration holds for")
     names: tuple[str, ...] = (path.stem,)
     if stereo:
-        if len(pair_names) != 1:
+        pair = pair_of_two(pair_names)
+        if pair is None:
             raise unfit(path.name, f"a stereo rig, and a session of {len(pair_names)} pairs", "a session of one pair")
-        (names,) = pair_names.values()
+        names = pair
     cameras = {}
     for index, (name, (intrinsic, lens)) in enumerate(zip(names, found, strict=True)):
         if intrinsic is None:
@@ -84,20 +89,17 @@ def _storage(path: Path) -> dict[str, Any]:
     """
     text = read_text(path, path.name, "OpenCV YAML or XML", most_mib=1).lstrip()
     if text.startswith("<?xml"):
-        return _xml_storage(path, text)
+        return _xml_storage(path)
     body = text.partition("\n")[2] if text.startswith("%YAML") else text
     table = yaml_value(body, path.name, "OpenCV YAML", tags=dict.fromkeys(_MATRICES, _matrix))
-    return table if isinstance(table, dict) else {}
+    if not isinstance(table, dict):
+        raise unfit(path.name, "no names with values", "OpenCV YAML, such as camera_matrix: …")
+    return table
 
 
-def _xml_storage(path: Path, text: str) -> dict[str, Any]:
-    with parsing("a file that OpenCV cannot parse", path.name, "OpenCV XML"):
-        if "<!" in text.replace("<!--", ""):
-            raise ValueError("a declaration, <!…>")  # of entities, a few of which unfold to gigabytes
-        try:
-            root = ElementTree.fromstring(text)
-        except ElementTree.ParseError as error:
-            raise ValueError(str(error)) from None
+def _xml_storage(path: Path) -> dict[str, Any]:
+    root = read_xml(path, "OpenCV XML")
+    with parsing("a file that cannot be parsed", path.name, "OpenCV XML"):
         names = [node.tag for node in root]
         for name in names:
             if names.count(name) > 1:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
-from pathlib import Path
+from collections.abc import Collection, Mapping, Sequence
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
@@ -182,6 +182,28 @@ def require_plausible(file: str, cameras: Mapping[str, Camera]) -> None:
 
 def _size(camera: Camera) -> str:
     return f"{camera.size_wh[0]} × {camera.size_wh[1]}"
+
+
+def camera_name(parts: Sequence[str], known: Collection[str], *, within: bool = False) -> str | None:
+    """The session's camera that a path or topic names in one of its parts, or None.
+
+    Args:
+        parts: of the path, such as ``("front_left", "0001.jpg")``. An ending is no part of a name.
+        known: names of the session's cameras.
+        within: whether the name may be a part of a part, as in ``front_left_pose``.
+    """
+    for part in reversed(parts):
+        stem = PurePosixPath(part).stem if part not in known else part
+        if stem in known:
+            return stem
+        if within and (inside := sorted((name for name in known if name in stem), key=len)):
+            return inside[-1]
+    return None
+
+
+def pair_of_two(pair_names: Mapping[str, tuple[str, str]]) -> tuple[str, str] | None:
+    """Both cameras of a session of one pair, the left one first. None for any other session."""
+    return next(iter(pair_names.values())) if len(pair_names) == 1 else None
 
 
 def unfit(subject: str, found: str, expected: str) -> SessionError:

@@ -59,6 +59,7 @@ def check_curve(name: str, points_world: Float64[Array, "n 3"], mesh: TriangleMe
             found=f"{int(off.sum())} of {len(off)} points off the surface, by up to {distance.max():.0f} mm",
             expected=f"all of them within {_OFF_MESH_MM:.0f} mm of it",
             remedy="Check that boundary and surface are of the same session, in the same frame and in millimetres",
+            mesh_remedy="Check that boundary and mesh belong together, in the same frame and in millimetres",
         )
 
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mammometry.base.errors import MeasureError
 from mammometry.geometry import mesh_kernels
 from mammometry.geometry.arrays import Array, Bool, Float64, Int64, read_only
 from mammometry.geometry.mesh import TriangleMesh
@@ -21,6 +22,8 @@ Height = Callable[[Float64[Array, "n 3"]], Float64[Array, " n"]]
 """Signed height of world points above a surface, mm. Positive on the kept side."""
 
 _BISECTIONS = 60  # rounds of the Illinois method at most; it ends at 1e-10 mm
+_ON_BASE_MM = 0.01  # an opening that the base made lies on it to 1e-10 mm
+_FACING = 0.1  # cosine by which the skin within a boundary may look inwards; chosen by eye
 _SPHERE, _SPHERE_MM = 1.6, 40.0
 """Radius of the sphere that holds a breast: this factor of its boundary's radius, plus so many mm, about the boundary's
 middle. Chosen by eye. A part that reaches the sphere's edge is not the breast.
@@ -85,6 +88,54 @@ def inside_curve(mesh: TriangleMesh, curve: Int64[Array, " n"]) -> OpenPart:
         The part; without faces where the curve divides nothing.
     """
     return open_part(mesh, faces_inside(mesh, curve), curve)
+
+
+def check_above_base(part: OpenPart, height: Height) -> None:
+    """Refuse a cast with a hole above its base.
+
+    Args:
+        part: what lies above the base.
+        height: above the base, mm.
+
+    Raises:
+        MeasureError: an opening lies above the base as a whole.
+    """
+    if any(float(height(part.mesh.vertices[loop]).min()) > _ON_BASE_MM for loop in part.loops):
+        raise MeasureError(
+            "model",
+            found="a hole in the surface above the base",
+            expected="skin without holes",
+            remedy="Close the holes in the program that made the mesh",
+        )
+
+
+def check_whole(name: str, part: OpenPart) -> None:
+    """Refuse a part that is no whole breast, before any volume is made of it.
+
+    Args:
+        name: of the boundary.
+        part: what was cut out along it, or above a cast's base.
+
+    Raises:
+        MeasureError: it has another opening than the cut's, or is hollow seen from outside.
+    """
+    if len(part.loops) != 1:
+        raise MeasureError(
+            f"boundary {name!r}",
+            found="a hole or an edge of the surface within it" if part.loops else "no part of the surface within it",
+            expected="skin without holes inside the boundary",
+            remedy="Close the holes in the program that made the mesh, or draw the boundary elsewhere",
+        )
+    rim = part.mesh.vertices[part.loops[0]]
+    outwards = part.mesh.face_vectors().sum(axis=0)
+    stands_out = part.mesh.corners().mean(axis=(0, 1)) - rim.mean(axis=0)
+    if outwards @ stands_out < -_FACING * np.linalg.norm(outwards) * np.linalg.norm(stands_out):
+        raise MeasureError(
+            f"boundary {name!r}",
+            found="skin that is hollow seen from outside",
+            expected="a breast that stands out: faces that look outwards",
+            remedy="Flip the mesh's normals in the program that made it, or draw the boundary around a breast",
+        )
 
 
 def faces_inside(mesh: TriangleMesh, curve: Int64[Array, " n"]) -> Bool[Array, " m"]:

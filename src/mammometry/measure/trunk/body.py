@@ -114,6 +114,7 @@ def find_body(
     *,
     boundaries: Sequence[Float64[Array, "_ 3"]] = (),
     skin: Skin | None = None,
+    stated: bool = False,
 ) -> Body:
     """Find the trunk's axis and its mid-sagittal plane.
 
@@ -123,20 +124,22 @@ def find_body(
         settings: how the trunk is described.
         boundaries: curves around the breasts, left out; without them the breasts are outliers of the symmetry.
         skin: the visible skin, where it is known already.
+        stated: whether the user said where the head is: then no sign contradicts it.
 
     Returns:
         The frame. Where the trunk shows no axis or no plane, that of the cameras, and `how` says so.
 
     Raises:
-        MeasureError: the trunk lies across the cameras' upright.
+        MeasureError: the trunk lies across the rough frame's up.
     """
     skin = seen_skin(surface) if skin is None else skin
-    if lies_across(skin, rough):
+    if not stated and lies_across(skin, rough):
         raise MeasureError(
             "torso",
-            found="a trunk that lies across the cameras' upright",
-            expected="an upright patient in front of the cameras",
+            found="a trunk that lies across the direction that is taken for up",
+            expected="a trunk along it",
             remedy='Say in session.toml how the cameras are mounted: rig.mounting = "left" or "right"',
+            mesh_remedy="Say which of the file's axes points to the head: --head x, for example",
         )
     middle = np.mean([curve.mean(axis=0) for curve in boundaries], axis=0) if boundaries else None
     frame, point = rough, skin.points_world.mean(axis=0) if middle is None else middle
@@ -150,8 +153,7 @@ def find_body(
             point_world=point,
             plane_sigma_mm=None,
             scatter_mm=None,
-            how="Left and ahead are roughly the cameras', because the trunk shows no plane of symmetry "
-            f"({error.found})",
+            how=f"Left and ahead are roughly as given, because the trunk shows no plane of symmetry ({error.found})",
         )
     return Body(
         frame=_frame(plane.normal_world, trunk.frame[1], trunk.frame[2]),
@@ -265,6 +267,7 @@ def _plane(
             found=f"mirror images that differ by {plane.scatter_mm:.1f} mm",
             expected="a trunk whose sides are alike",
             remedy="Photograph the trunk from both sides",
+            mesh_remedy="Scan the trunk from both sides",
         )
     return plane
 

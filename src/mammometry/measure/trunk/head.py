@@ -98,10 +98,14 @@ def head_signs(skin: Skin, trunk: Trunk, fuller_below: Sequence[float]) -> HeadS
     )
 
 
-def check_head(signs: HeadSigns) -> str:
-    """Compare where the cameras have the head with what the body shows.
+def check_head(signs: HeadSigns, *, stated: bool = False) -> str:
+    """Compare where the head is said to be with what the body shows.
 
-    A contradiction is refused, never swapped.
+    A contradiction is refused, never swapped. The user's own word counts more than the signs.
+
+    Args:
+        signs: of the body.
+        stated: whether the user said where the head is.
 
     Returns:
         What the body says, a clause.
@@ -110,17 +114,22 @@ def check_head(signs: HeadSigns) -> str:
         MeasureError: the body shows the head at the other end.
     """
     words = signs.words()
+    if stated and signs.together < _SHOWN:
+        unlike = f", though {words}" if signs.together < _CONTRADICTED else ""
+        return f"the head is where it was said to be{unlike}"
     if signs.together < _CONTRADICTED:
         raise MeasureError(
             "torso",
-            found=f"the head at the lower end, as the cameras are mounted: {words}",
-            expected="an upright patient in front of the cameras, head up",
+            found=f"the head at the lower end: {words}",
+            expected="an upright patient, head up",
             remedy='Say in session.toml how the cameras are mounted, for example rig.mounting = "upside-down"; '
             "otherwise left and right are exchanged",
+            mesh_remedy="Say which of the file's axes points to the head: --head -y, for example; otherwise left and "
+            "right are exchanged",
         )
     if signs.together < _SHOWN:
         unsure = f" ({words})" if words else ""
-        return f"the body {HEAD_NOT_SHOWN}{unsure}: only the cameras' mounting does"
+        return f"the body {HEAD_NOT_SHOWN}{unsure}: it is taken as given"
     return f"the body shows the head up: {words}"
 
 

@@ -72,6 +72,7 @@ def lacking(
             found="no skin where the mirrored boundary of the other breast falls",
             expected="a trunk seen on both sides",
             remedy="Photograph the trunk from both sides",
+            mesh_remedy="Scan the trunk from both sides",
         )
     boundary = Boundary(name=name, points_world=foot.points, method="the other side's, mirrored")
     others = [Boundary(name=fuller.name, points_world=fuller.boundary_world, method=fuller.boundary_method), boundary]

@@ -18,6 +18,8 @@ from mammometry.measure.volume.uncertainty import WALL, Evidence, Uncertainty, i
 from mammometry.measure.wall.chest_wall import ChestWall
 from mammometry.measure.wall.registry import TORSO_WALLS
 
+_WIDEST = 0.5  # share of a volume by which it may be wrong; more is no result
+
 
 def measure(
     boundary: Boundary,
@@ -55,6 +57,7 @@ def measure(
     heights = (wall.skin.vertices - points.mean(axis=0)) @ normal
     area_cm2 = wall.mesh.area_mm2() / 100
     uncertainty = interval(boundary, wall, volume_cc, settings, evidence)
+    _require_known(boundary.name, volume_cc, uncertainty)
     return VolumeMeasurement(
         name=boundary.name,
         volume_cc=volume_cc,
@@ -74,6 +77,30 @@ def measure(
         projection_mm=float(np.abs(heights).max()),
         area_cm2=wall.skin.area_mm2() / 100,
         definitions=_definitions(boundary, wall, volume_cc, uncertainty, alternatives, settings),
+    )
+
+
+def _require_known(name: str, volume_cc: float, uncertainty: Uncertainty) -> None:
+    """Refuse a torso's volume in front of its wall that is no better known than by half.
+
+    Where the chest lies behind a small breast does not count: that is no fault of what was seen.
+
+    Raises:
+        MeasureError: names the largest causes.
+    """
+    if uncertainty.as_defined_cc is None:
+        return
+    low, high = uncertainty.as_defined_cc
+    half = max(high - volume_cc, volume_cc - low)
+    if half <= _WIDEST * volume_cc:
+        return
+    largest = sorted(uncertainty.terms_cc.items(), key=lambda term: -term[1])[:2]
+    causes = " and ".join(f"{cause} ± {term:.0f} cc" for cause, term in largest)
+    raise MeasureError(
+        f"breast {name!r}",
+        found=f"a volume of {volume_cc:.0f} ± {half:.0f} cc ({causes})",
+        expected=f"an uncertainty of at most ± {100 * _WIDEST:.0f} %",
+        remedy="Check the boundary in the picture, or draw it with `mammometry edit`",
     )
 
 

@@ -109,10 +109,11 @@ def _close_first(breast: OpenBreast, kind: str) -> ChestWall:
             raise
         raise CrossingError(
             f"boundary {breast.boundary.name!r}",
-            found=f"{error.found}; {100 * unseen:.0f} % of it runs over skin that no pair measured",
+            found=f"{error.found}; {100 * unseen:.0f} % of it runs over skin that was not measured",
             expected=error.expected,
             remedy="Photograph it with more pairs of cameras, from the front or from below, or draw the boundary with "
             "`mammometry edit`, clear of unmeasured skin",
+            mesh_remedy="Scan it again without holes there, or draw the boundary with `mammometry edit` beside them",
         ) from error
 
 

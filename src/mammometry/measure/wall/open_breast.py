@@ -17,7 +17,7 @@ from mammometry.measure.boundary.breasts import within_outline
 from mammometry.measure.boundary.cast_base import Base, BaseKind, base_through
 from mammometry.measure.boundary.trace import edge_loop
 from mammometry.measure.settings import MeasureSettings
-from mammometry.measure.solid.cut import OpenPart, above, inside_curve
+from mammometry.measure.solid.cut import OpenPart, above, check_above_base, check_whole, inside_curve
 from mammometry.measure.trunk.thorax import (
     Skin,
     Thorax,
@@ -71,17 +71,29 @@ class OpenBreast:
 
     @cached_property
     def part(self) -> OpenPart:
-        """Its skin, cut out of the surface.
+        """Its skin, cut out of the surface: whole, with the cut as its only opening.
 
         Raises:
-            MeasureError: the boundary cannot be followed on the surface.
+            MeasureError: the boundary cannot be followed on the surface, or does not cut out a whole breast.
         """
-        if self.cut is not None:
-            return self.cut
+        name, mesh = self.boundary.name, self.surface.mesh
         if self.is_cast:
-            return above(self.surface.mesh, self.own_base.height)
-        name, points = self.boundary.name, self.boundary.points_world
-        return inside_curve(self.surface.mesh, edge_loop(name, points, self.surface.mesh))
+            return self.above(self.own_base)
+        part = self.cut
+        if part is None:
+            part = inside_curve(mesh, edge_loop(name, self.boundary.points_world, mesh))
+        check_whole(name, part)
+        return part
+
+    def above(self, base: Base) -> OpenPart:
+        """A cast's skin above a base, with no other opening than that.
+
+        Raises:
+            MeasureError: a hole lies above the base.
+        """
+        part = above(self.surface.mesh, base.height)
+        check_above_base(part, base.height)
+        return part
 
     @cached_property
     def own_base(self) -> Base:
@@ -130,8 +142,8 @@ class OpenBreast:
         if frame is None:
             raise MeasureError(
                 "chest wall",
-                found="neither cameras nor a boundary on each side",
-                expected="one of the two, to tell the patient's left from right and head from foot",
+                found="no boundary on each side",
+                expected="both, or the body's directions, to tell the patient's left from right and head from foot",
                 remedy="Give both boundaries, or choose --set measure.wall=membrane",
             )
         height_of = self.boundary.points_world.mean(axis=0)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 from mammometry.measure.boundary.cast_base import Base
-from mammometry.measure.solid.cut import above
 from mammometry.measure.solid.sew import Closed, sew
 from mammometry.measure.wall.open_breast import OpenBreast
 from mammometry.measure.wall.registry import CAST_WALLS, add_wall
@@ -37,7 +36,7 @@ def curved_base(breast: OpenBreast) -> Closed:
 
 def _closed_by(base: Base, breast: OpenBreast) -> Closed:
     """The cast above a base, closed by it."""
-    part = above(breast.surface.mesh, base.height)
+    part = breast.above(base)
     closed = sew(
         part,
         tuple(base.flatten(part.mesh.vertices[loop]) for loop in part.loops),

@@ -1,0 +1,71 @@
+"""Sizes that what is measured here can have, and the units in which somebody may have written them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TypeAlias
+
+Range: TypeAlias = tuple[float, float]
+
+SUBJECT_MM: Range = (40.0, 2500.0)
+"""Longest side of what can be a small cast, or a whole body."""
+_USUAL_SUBJECT_MM: Range = (60.0, 1500.0)
+"""The same of casts of one breast to trunks with arms."""
+UNITS: Mapping[str, float] = {
+    "cm": 10.0,
+    "m": 1000.0,
+    "inches": 25.4,
+    "tenths of a mm": 0.1,
+    "micrometres": 1e-3,
+}
+"""Unit that a length "in mm" may really have → its millimetres, the likeliest first."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Size:
+    """A length that follows from somebody's values, mm, with the lengths that it can have."""
+
+    mm: float
+    possible_mm: Range
+    usual_mm: Range
+    words: str
+    """A sentence's end with a place for the length: ``the cameras stand {} apart``."""
+
+    @property
+    def is_possible(self) -> bool:
+        """Whether it lies in the possible range."""
+        return self.possible_mm[0] <= self.mm <= self.possible_mm[1]
+
+    def is_usual(self, factor: float = 1.0) -> bool:
+        """Whether it lies in the usual range, multiplied by `factor`."""
+        return self.usual_mm[0] <= self.mm * factor <= self.usual_mm[1]
+
+    def __str__(self) -> str:
+        """The sentence's end with the length."""
+        return self.words.format(f"{self.mm:,.3g} mm" if self.mm < 10 else f"{self.mm:,.0f} mm")
+
+    @property
+    def expected(self) -> str:
+        """The possible lengths, in words."""
+        return f"{self.possible_mm[0]:,g} to {self.possible_mm[1]:,g} mm"
+
+
+def subject_extent(mm: float) -> Size:
+    """Longest side of a surface to be measured."""
+    return Size(mm=mm, possible_mm=SUBJECT_MM, usual_mm=_USUAL_SUBJECT_MM, words="its longest side is {}")
+
+
+def likely_units(sizes: Sequence[Size]) -> dict[str, float]:
+    """Units in which all sizes would be usual, the likeliest first → their millimetres."""
+    return {unit: factor for unit, factor in UNITS.items() if all(size.is_usual(factor) for size in sizes)}
+
+
+def fitting(stated_mm: float, sizes: Sequence[Size]) -> str:
+    """Say which value would make all sizes usual, if the stated one is in another unit than mm.
+
+    Returns:
+        The end of a sentence, such as ``: 25 mm would fit``. Empty where no unit fits.
+    """
+    values = [f"{stated_mm * factor:.4g} mm" for factor in likely_units(sizes).values()]
+    return f": {' or '.join(values)} would fit" if values else ""

@@ -1,0 +1,137 @@
+"""Whether a rig has the size of one that sees its subject, or its lengths are in another unit.
+
+A whole capture can be scaled without any residual. What betrays a wrong unit is how wide the pictures are where the
+subject stands: a cast or a body has to fit in.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from mammometry.base.errors import CalibrationError, SessionError
+from mammometry.base.sizes import SUBJECT_MM, Range, Size, fitting, likely_units
+from mammometry.calibration.adjust.calibrated import Calibration
+from mammometry.calibration.judge.working_volume import meeting_point
+from mammometry.geometry.camera import Rig
+
+_MARGIN = 1.25
+"""Least width of a picture, in widths of its subject."""
+_BREAST_MM = 120.0
+"""Least width of what a camera must see of a torso. Real bases are 110 to 150 mm wide, and skin around them is seen."""
+_USUAL_VIEW_MM: Range = (120.0, 1200.0)
+"""Usual width of a picture at the subject. The simulated rigs have 280 to 440 mm, real ones that we know 150 to 450."""
+_BASELINE_MM: Range = (10.0, 2500.0)
+"""Possible distance of a pair's cameras: the smallest stereo modules have 18 mm."""
+_USUAL_BASELINE_MM: Range = (30.0, 1500.0)
+"""Usual distance of a pair's cameras. The simulated rigs and real ones that we know have 100 to 450 mm."""
+_PARALLEL_COSINE = float(np.cos(np.radians(5.0)))
+"""Optical axes within 5° of each other are called parallel: they meet nowhere."""
+
+
+def require_scale(calibration: Calibration, subject_kind: str) -> None:
+    """Refuse a calibration whose target's sizes make a rig that cannot see its subject.
+
+    Args:
+        calibration: with the target's sizes as session.toml has them.
+        subject_kind: ``model``, ``torso`` or ``surface``.
+
+    Raises:
+        CalibrationError: names the size in session.toml, and the one that would fit.
+    """
+    sizes = calibrated_sizes(calibration, subject_kind)
+    wrong = _impossible(sizes)
+    if wrong is None:
+        return
+    name, stated_mm = calibration.observations.target.stated_size
+    raise CalibrationError(
+        f"session.toml: target.{name}",
+        found=f"{stated_mm:g} mm, by which {wrong}",
+        expected=wrong.expected,
+        remedy=f"Measure the target, and enter its sizes in millimetres{fitting(stated_mm, sizes)}",
+    )
+
+
+def require_camera_scale(file: str, rig: Rig, subject_kind: str) -> tuple[str, ...]:
+    """Refuse imported cameras that cannot see their subject.
+
+    Args:
+        file: the cameras' file or files, for the message.
+        rig: the cameras and pairs.
+        subject_kind: ``model``, ``torso`` or ``surface``.
+
+    Returns:
+        Why their lengths are doubtful, in sentences. Empty if they are usual.
+
+    Raises:
+        SessionError: names the file and the unit that would fit.
+    """
+    sizes = _rig_sizes(rig, subject_kind)
+    units = [f"{unit} (multiply by {factor:g})" for unit, factor in likely_units(sizes).items()]
+    seem = f": they seem to be in {' or '.join(units)}" if units else ""
+    wrong = _impossible(sizes)
+    if wrong is not None:
+        raise SessionError(
+            file,
+            found=f"translations by which {wrong}",
+            expected=wrong.expected,
+            remedy=f"Give the cameras' translations in millimetres{seem}",
+        )
+    rare = [str(size) for size in sizes if not size.is_usual()]
+    return (f"By the imported cameras {' and '.join(rare)}, which is rare. Check their unit{seem}",) if rare else ()
+
+
+def _impossible(sizes: Sequence[Size]) -> Size | None:
+    return next((size for size in sizes if not size.is_possible), None)
+
+
+def calibrated_sizes(calibration: Calibration, subject_kind: str = "surface") -> tuple[Size, ...]:
+    """Sizes of a calibrated rig, with the target held where the subject stands."""
+    depths: dict[str, list[float]] = {}
+    for seen in calibration.observations.detections:
+        if seen.pose in calibration.world_from_target:
+            camera = calibration.rig.cameras[seen.camera]
+            camera_from_target = camera.camera_from_world @ calibration.world_from_target[seen.pose]
+            depth_mm = float(camera_from_target.apply(calibration.target_points[seen.ids])[:, 2].mean())
+            depths.setdefault(seen.camera, []).append(depth_mm)
+    depths_mm = {name: float(np.median(values)) for name, values in depths.items()}
+    return _sizes(calibration.rig, depths_mm, subject_kind, "where the target was held")
+
+
+def _rig_sizes(rig: Rig, subject_kind: str) -> tuple[Size, ...]:
+    """Sizes of a rig whose cameras alone are known, with the subject where their axes meet."""
+    depths_mm = {}
+    axes = np.stack([camera.axis_world for camera in rig.cameras.values()])
+    if (axes @ axes.T).min() <= _PARALLEL_COSINE:
+        middle = meeting_point(rig)
+        depths_mm = {
+            name: float(camera.camera_from_world.apply(middle[None])[0, 2]) for name, camera in rig.cameras.items()
+        }
+    return _sizes(rig, depths_mm, subject_kind, "where the cameras' axes meet")
+
+
+def _sizes(rig: Rig, depths_mm: Mapping[str, float], subject_kind: str, where: str) -> tuple[Size, ...]:
+    """Shorter side of the pictures at these depths, and distance of a pair's cameras: medians over the rig."""
+    baselines = [float(np.linalg.norm(pair.left.centre_world - pair.right.centre_world)) for pair in rig.pairs]
+    views = [
+        depth_mm * min(rig.cameras[name].size_wh) / float(rig.cameras[name].matrix[0, 0])
+        for name, depth_mm in depths_mm.items()
+        if depth_mm > 0
+    ]
+    baseline = Size(
+        mm=float(np.median(baselines)),
+        possible_mm=_BASELINE_MM,
+        usual_mm=_USUAL_BASELINE_MM,
+        words="the two cameras of a pair stand {} apart",
+    )
+    if not views:
+        return (baseline,)
+    least_mm = _MARGIN * (_BREAST_MM if subject_kind == "torso" else SUBJECT_MM[0])
+    view = Size(
+        mm=float(np.median(views)),
+        possible_mm=(least_mm, SUBJECT_MM[1]),
+        usual_mm=_USUAL_VIEW_MM,
+        words=f"the pictures' shorter side is {{}} {where}",
+    )
+    return view, baseline

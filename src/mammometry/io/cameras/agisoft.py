@@ -1,0 +1,128 @@
+"""Cameras in Agisoft's XML, as Metashape and PhotoScan (from 1.3) export them.
+
+Their formulas (Metashape's manual, appendix "Camera models"): the principal point counts from the image's middle, and
+pixel centres lie at halves. P1 and P2 stand in the other order than OpenCV's. A camera's transform takes its points
+to the chunk, whose own transform takes them to the world, in metres.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from pathlib import Path, PurePosixPath
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+
+from mammometry.base.parse import number, numbers, parsing, whole
+from mammometry.geometry.arrays import Array, Float64
+from mammometry.geometry.camera import Camera
+from mammometry.io.cameras.own import camera_from_entry, camera_name, unfit
+from mammometry.io.xml_text import read_xml
+
+_EXPECTED = "cameras as Agisoft exports them (Export Cameras, Agisoft XML)"
+_MM_PER_M = 1000.0  # Agisoft's world is in metres
+_HALF = 0.5  # px: Agisoft counts from the first pixel's corner, we from its centre
+_LENS = frozenset({"f", "cx", "cy", "b1", "b2", "k1", "k2", "k3", "k4", "p1", "p2", "p3", "p4"})
+_ZERO = {"b2": "skew", "k4": "a term that Brown's lens has not", "p3": "a term of no lens here", "p4": "the same"}
+
+
+def read_agisoft(path: Path, known: Collection[str]) -> dict[str, Camera]:
+    """Read cameras that were aligned, named by their labels.
+
+    Args:
+        path: the XML.
+        known: names of the session's cameras.
+
+    Raises:
+        SessionError: a lens that is not Brown's, no scale, or a value that is missing or none.
+    """
+    root = read_xml(path, _EXPECTED)
+    chunks = [chunk for chunk in root.iter("chunk") if chunk.find("cameras") is not None]
+    if len(chunks) != 1:
+        raise unfit(path.name, f"{len(chunks)} chunks with cameras", "one")
+    chunk = chunks[0]
+    sensors = {sensor.get("id"): sensor for sensor in chunk.iter("sensor")}
+    cameras: dict[str, Camera] = {}
+    for node in chunk.iter("camera"):
+        label = node.get("label", "")
+        name = camera_name(PurePosixPath(label.replace("\\", "/")).parts, known) or _stem(label)
+        subject = f"{path.name}, camera {label}"
+        transform = node.find("transform")
+        if transform is None or node.get("enabled") == "false":
+            if node.get("master_id") is not None and name in known:
+                raise unfit(subject, "a camera of a rig without a transform of its own", "cameras without a rig")
+            continue
+        if name in cameras:
+            raise unfit(subject, f"a second picture of camera {name}", "one picture of every camera")
+        sensor = sensors.get(node.get("sensor_id"))
+        if sensor is None:
+            raise unfit(subject, "no sensor", "the sensor with its calibration, in the same file")
+        with parsing("an unfit value", subject, _EXPECTED):
+            entry = _lens(subject, sensor) | _pose(subject, _values(transform, 4, 4), _scale(subject, chunk, node))
+        cameras[name] = camera_from_entry(path.name, name, entry)
+    if not cameras:
+        raise unfit(path.name, "no camera that was aligned", _EXPECTED)
+    return cameras
+
+
+def _lens(subject: str, sensor: ElementTree.Element) -> dict[str, Any]:
+    found = sensor.findall("calibration")
+    calibration = next((one for one in found if one.get("class") == "adjusted"), found[0] if found else None)
+    if calibration is None:
+        raise unfit(subject, "no calibration of its sensor", "<calibration> with f, cx and cy")
+    kinds = {kind for kind in (sensor.get("type"), calibration.get("type")) if kind is not None}
+    if kinds - {"frame"}:
+        raise unfit(subject, f"a lens of type {', '.join(sorted(kinds))}", "frame: other lenses are not Brown's")
+    values = {part.tag: number((part.text or "").strip()) for part in calibration if part.tag in _LENS}
+    if "f" not in values:
+        raise unfit(subject, "no f", "f in pixels, as PhotoScan 1.3 and Metashape write it")
+    for term, words in _ZERO.items():
+        if values.get(term):
+            raise unfit(subject, f"{term} = {values[term]:g}, {words}", f"a calibration with {term} fixed at zero")
+    size = calibration.find("resolution")
+    if size is None:
+        raise unfit(subject, "no resolution", "<resolution> with width and height")
+    width, height = (whole(number(size.get(side, ""))) for side in ("width", "height"))
+    f, b1 = values["f"], values.get("b1", 0.0)
+    u, v = width / 2 + values.get("cx", 0.0) - _HALF, height / 2 + values.get("cy", 0.0) - _HALF
+    return {
+        "K": [[f + b1, 0.0, u], [0.0, f, v], [0.0, 0.0, 1.0]],
+        "dist": [values.get(term, 0.0) for term in ("k1", "k2", "p2", "p1", "k3")],
+        "image_size": (width, height),
+    }
+
+
+def _pose(subject: str, chunk_from_camera: Float64[Array, "4 4"], scale: Any) -> dict[str, Any]:
+    rotation, translation, factor = scale
+    centre = rotation @ (factor * chunk_from_camera[:3, 3]) + translation
+    camera_from_world = (rotation @ chunk_from_camera[:3, :3]).T
+    return {"R": camera_from_world, "t": -camera_from_world @ centre * _MM_PER_M}
+
+
+def _scale(subject: str, chunk: ElementTree.Element, camera: ElementTree.Element) -> Any:
+    """Rotation, translation and scale from the chunk, or from the camera's component of it, to the world in metres."""
+    parts = [part for part in chunk.iter("component") if part.get("id") == camera.get("component_id")]
+    for owner in (*parts, chunk):
+        transform = owner.find("transform")
+        if transform is None or (factor := transform.find("scale")) is None:
+            continue
+        turned, moved = transform.find("rotation"), transform.find("translation")
+        rotation = np.eye(3) if turned is None else _values(turned, 3, 3)
+        translation = np.zeros(3) if moved is None else _values(moved, 3)
+        return rotation, translation, float(_values(factor, 1)[0])
+    raise unfit(
+        subject,
+        "no scale of its chunk",
+        "a chunk with scale bars or measured cameras, so that lengths are in metres",
+    )
+
+
+def _values(node: ElementTree.Element, *shape: int) -> Any:
+    return numbers([number(word) for word in (node.text or "").split()], *shape)
+
+
+def _stem(label: str) -> str:
+    """A label without a picture's ending. Others may have points in them."""
+    path = PurePosixPath(label)
+    return path.stem if path.suffix.lower() in (".jpg", ".jpeg", ".png", ".tif", ".tiff") else label

@@ -1,0 +1,44 @@
+"""Imported cameras as a rig: each has a pose of its own, and lengths are in millimetres."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from itertools import combinations
+
+import numpy as np
+
+from mammometry.base.errors import SessionError
+from mammometry.calibration.judge.scale import require_camera_scale
+from mammometry.geometry.camera import Camera, Rig
+
+_ONE_PLACE_MM = 1e-6  # cameras nearer to each other stand in one place, but for rounding
+
+
+def require_rig(
+    files: str, cameras: Mapping[str, Camera], pair_names: Mapping[str, tuple[str, str]], subject_kind: str
+) -> tuple[str, ...]:
+    """Refuse imported cameras that stand in one place, or whose lengths are in another unit.
+
+    Args:
+        files: names of the cameras' files, for messages.
+        cameras: all cameras of the pairs.
+        pair_names: pair → its left and right camera.
+        subject_kind: ``model``, ``torso`` or ``surface``.
+
+    Returns:
+        Why their lengths are doubtful, in sentences. Empty if they are usual.
+
+    Raises:
+        SessionError: names the files, what was found, and the unit that would fit.
+    """
+    for one, other in combinations(dict.fromkeys(name for pair in pair_names.values() for name in pair), 2):
+        apart_mm = np.linalg.norm(cameras[one].centre_world - cameras[other].centre_world)
+        if apart_mm < _ONE_PLACE_MM:
+            raise SessionError(
+                files,
+                found=f"no R and T by which cameras {one} and {other} stand in different places",
+                expected="each camera's own R and T, all in one frame, T in millimetres",
+                remedy="Export the cameras with their poses, from a calibration of the whole rig",
+            )
+    rig = Rig(name="imported", cameras=dict(cameras), pair_names=dict(pair_names))
+    return require_camera_scale(files, rig, subject_kind)

@@ -1,0 +1,328 @@
+"""Repair a scan's mesh where nothing is in doubt, and say what was done.
+
+Seams that touch are joined, crumbs left out, an inside-out surface turned, small holes closed. Skin in a closed hole is
+marked as invented, so that a volume's interval holds its uncertainty. What is in doubt is left to `scanned.check_mesh`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import RBFInterpolator
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+from mammometry.base.errors import MeasureError
+from mammometry.geometry import mesh_kernels
+from mammometry.geometry.arrays import Array, Bool, Float64, Int32, Int64, read_only
+from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry.nearest import point_tree
+from mammometry.measure.solid.cut import opening_loops
+from mammometry.measure.solid.patch import fill, harmonic
+
+TOUCHING_MM = 0.05
+"""Open edges this near to one another are one seam: half of the coarsest step that coordinates may have."""
+WIDEST_HOLE_MM = 30.0
+"""A hole up to this wide is closed: the diameter of a circle of its area."""
+_LONGEST_HOLE_MM = 120.0  # a slit that is longer is no hole in a breast; chosen by eye
+_CRUMB = 0.01  # share of the area below which a piece is a crumb
+_BESIDE = 0.2  # share of the area that all pieces beside the body may have together; chosen by eye
+_RING_MM = 12.0  # skin around a hole that shows how it curves; chosen by eye
+_RING_POINTS = 300  # of that skin; chosen for speed
+_SMOOTHING = 30.0  # of the thin plate, mm²; follows a breast's tip, and not a millimetre of noise; chosen by eye
+_FEWEST = 10  # points that show how skin curves
+_SAID_MM2 = 5.0  # invented skin below this is not worth a note
+_NO_AREA_MM2 = 1e-6  # a hole of less is a seam
+_GRID_MM = 2.0  # distance of vertices in a closed hole, as `scanned.finer_along` makes edges
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RepairedScan:
+    """A scan's mesh after its repair."""
+
+    mesh: TriangleMesh
+    """mm. Vertices of closed holes come last."""
+    invented: Bool[Array, " n"]
+    """Vertices of closed holes."""
+    notes: tuple[str, ...]
+    """What was changed, one sentence each."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "invented", read_only(self.invented))
+
+
+def repair_scan(mesh: TriangleMesh, *, largest: bool = False) -> RepairedScan:
+    """Join seams, leave out crumbs, turn what is inside out, close small holes.
+
+    Args:
+        mesh: as its file has it, mm. Vertices in one place are one.
+        largest: whether to take the largest piece alone, however large the others are.
+
+    Raises:
+        MeasureError: it has no triangles, or two pieces of which either may be the body.
+    """
+    if not len(mesh.faces):
+        raise MeasureError(
+            "mesh", found="no triangles", expected="a triangulated surface", remedy="Export it with its faces"
+        )
+    notes: list[str] = []
+    mesh = _without_doubles(mesh)
+    mesh = _joined(mesh, notes)
+    mesh = _body(mesh, notes, largest=largest)
+    turned = _facing_out(mesh, notes)
+    if turned is None:  # `scanned.check_mesh` names what is wrong
+        return RepairedScan(mesh=mesh, invented=np.zeros(len(mesh.vertices), dtype=bool), notes=tuple(notes))
+    mesh, invented = _filled(turned, notes)
+    return RepairedScan(mesh=mesh, invented=invented, notes=tuple(notes))
+
+
+def largest_part(mesh: TriangleMesh) -> TriangleMesh:
+    """The connected part with the largest area."""
+    areas, part = _areas_mm2(mesh)
+    return mesh.submesh(part == np.argmax(areas))
+
+
+def _areas_mm2(mesh: TriangleMesh) -> tuple[Float64[Array, " p"], Int32[Array, " m"]]:
+    """Area of each connected part, and each face's part."""
+    count, label = mesh.components()
+    part = label[mesh.faces[:, 0]]
+    return np.bincount(part, np.linalg.norm(mesh.face_vectors(), axis=1), minlength=count), part
+
+
+def _without_doubles(mesh: TriangleMesh) -> TriangleMesh:
+    """Leave out faces whose three corners an earlier face has, to either side: some programs write both sides."""
+    _, first = np.unique(np.sort(mesh.faces, axis=1), axis=0, return_index=True)
+    return mesh if len(first) == len(mesh.faces) else mesh.submesh(np.sort(first))
+
+
+def _joined(mesh: TriangleMesh, notes: list[str]) -> TriangleMesh:
+    """Join open edges that lie on one another."""
+    before = mesh.components()[0]
+    joined = _merged(_split_at_neighbours(mesh))
+    after = joined.components()[0]
+    if after < before:
+        notes.append(f"{before} pieces that touch were joined along their seams.")
+    return joined
+
+
+def _open_sides(mesh: TriangleMesh) -> Int64[Array, " s"]:
+    """Sides of faces that are alone on their edge. Side 3 f + k runs from corner k of face f to the next."""
+    rings = mesh_kernels.edge_rings(len(mesh.vertices), mesh.faces)
+    return np.flatnonzero(rings == np.arange(len(rings)))
+
+
+def _split_at_neighbours(mesh: TriangleMesh) -> TriangleMesh:
+    """Give open sides a corner where a vertex of another open side lies on them."""
+    sides = _open_sides(mesh)
+    if not len(sides):
+        return mesh
+    starts, stops = mesh.faces.ravel()[sides], mesh.faces[:, [1, 2, 0]].ravel()[sides]
+    rim = np.unique(np.concatenate([starts, stops]))
+    a, step = mesh.vertices[starts], mesh.vertices[stops] - mesh.vertices[starts]
+    length = np.linalg.norm(step, axis=1)
+    near = point_tree(mesh.vertices[rim]).query_ball_point(a + step / 2, length / 2 + TOUCHING_MM)
+    inserted: dict[int, list[list[int]]] = {}
+    for side, start, direction, long, candidates in zip(sides.tolist(), a, step, length, near, strict=True):
+        if len(candidates) <= 2:
+            continue
+        other = rim[candidates]
+        along = (mesh.vertices[other] - start) @ direction / long
+        off = np.linalg.norm(mesh.vertices[other] - start - along[:, None] * direction / long, axis=1)
+        on = (along > TOUCHING_MM) & (along < long - TOUCHING_MM) & (off <= TOUCHING_MM)
+        if on.any():
+            corners = other[on][np.argsort(along[on])].tolist()
+            inserted.setdefault(side // 3, [[], [], []])[side % 3] = corners
+    if not inserted:
+        return mesh
+    middles: list[Float64[Array, 3]] = []
+    fans: list[list[int]] = []
+    for face, between in inserted.items():
+        corners = mesh.faces[face].tolist()
+        around = [vertex for k in range(3) for vertex in (corners[k], *between[k])]
+        middle = len(mesh.vertices) + len(middles)
+        middles.append(mesh.vertices[corners].mean(axis=0))
+        fans += [[middle, around[k - 1], around[k]] for k in range(len(around))]
+    whole = np.delete(mesh.faces, list(inserted), axis=0)
+    return TriangleMesh(
+        vertices=np.concatenate([mesh.vertices, middles]),
+        faces=np.concatenate([whole, np.array(fans, dtype=np.int32)]),
+    )
+
+
+def _merged(mesh: TriangleMesh) -> TriangleMesh:
+    """Make vertices of open sides that touch one vertex."""
+    sides = _open_sides(mesh)
+    rim = np.unique(np.concatenate([mesh.faces.ravel()[sides], mesh.faces[:, [1, 2, 0]].ravel()[sides]]))
+    pairs = point_tree(mesh.vertices[rim]).query_pairs(TOUCHING_MM, output_type="ndarray") if len(rim) else rim
+    if not len(pairs):
+        return mesh
+    number = np.arange(len(mesh.vertices))
+    graph = coo_matrix((np.ones(len(pairs)), tuple(pairs.T)), shape=(len(rim), len(rim)))
+    _, group = connected_components(graph, directed=False)
+    first = np.full(group.max() + 1, len(mesh.vertices))
+    np.minimum.at(first, group, rim)
+    number[rim] = first[group]
+    faces = number[mesh.faces]
+    whole = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
+    merged = TriangleMesh(vertices=mesh.vertices, faces=faces[whole].astype(np.int32))
+    return merged.submesh(np.arange(len(merged.faces)))
+
+
+def _body(mesh: TriangleMesh, notes: list[str], *, largest: bool) -> TriangleMesh:
+    """Leave out what lies beside the body.
+
+    Raises:
+        MeasureError: another piece is too large to be something beside it.
+    """
+    areas, part = _areas_mm2(mesh)
+    if len(areas) == 1:
+        return mesh
+    share = 1 - areas.max() / areas.sum()
+    crumbs = (areas < _CRUMB * areas.sum()).sum() == len(areas) - 1
+    if not (largest or crumbs or share <= _BESIDE):
+        others = np.sort(areas)[::-1][:3] / areas.sum()
+        raise MeasureError(
+            "mesh",
+            found=f"{len(areas)} separate pieces, the largest with {', '.join(f'{each:.0%}' for each in others)} "
+            "of the area",
+            expected="one connected surface, beside it at most crumbs",
+            remedy="Delete the others in the program that made it, or measure the largest alone with --largest",
+        )
+    count = len(areas) - 1
+    notes.append(
+        f"{count} piece{'s' if count > 1 else ''} beside the body, {100 * share:.2g} % of the area, "
+        f"{'were' if count > 1 else 'was'} left out."
+    )
+    return mesh.submesh(part == np.argmax(areas))
+
+
+def _facing_out(mesh: TriangleMesh, notes: list[str]) -> TriangleMesh | None:
+    """Turn faces that look inwards. None where more than two faces meet at an edge, or there is no outside."""
+    rings = mesh_kernels.edge_rings(len(mesh.vertices), mesh.faces)
+    side = np.arange(len(rings))
+    if not (rings[rings] == side).all():
+        return None
+    paired = side[rings > side]
+    starts = mesh.faces.ravel()
+    unlike = starts[paired] == starts[rings[paired]]  # both faces run along the edge in one direction
+    faces = mesh.faces
+    if unlike.any():
+        turned = _turned_apart(len(faces), paired // 3, rings[paired].astype(np.int64) // 3, unlike)
+        if turned is None:
+            return None
+        faces = np.where(turned[:, None], faces[:, ::-1], faces)
+        mesh = TriangleMesh(vertices=mesh.vertices, faces=np.ascontiguousarray(faces))
+    inside_out = _stands_out_mm3(mesh) < 0
+    if inside_out:
+        mesh = mesh.turned_over()
+    if unlike.any():
+        notes.append("Neighbouring faces looked to opposite sides: all were turned outwards.")
+    elif inside_out:
+        notes.append("The mesh was inside out: its faces were turned outwards.")
+    return mesh
+
+
+def _turned_apart(
+    count: int, one: Int64[Array, " e"], other: Int64[Array, " e"], unlike: Bool[Array, " e"]
+) -> Bool[Array, " m"] | None:
+    """Which faces to turn so that neighbours agree. None where no choice makes them.
+
+    Every face stands for two nodes, as it is and turned. Neighbours that disagree are joined crosswise.
+    """
+    cross = np.where(unlike, count, 0)
+    starts = np.concatenate([one, one + count])
+    stops = np.concatenate([other + cross, other + count - cross])
+    graph = coo_matrix((np.ones(len(starts), dtype=np.int8), (starts, stops)), shape=(2 * count, 2 * count))
+    _, part = connected_components(graph, directed=False)
+    as_is, turned = part[:count], part[count:]
+    return None if (as_is == turned).any() else np.asarray(turned < as_is)
+
+
+def _stands_out_mm3(mesh: TriangleMesh) -> float:
+    """Volume of a closed mesh, or of an open one with its openings closed by cones. Below 0: inside out."""
+    loops = opening_loops(mesh.faces.astype(np.int64), len(mesh.vertices))
+    volume = mesh.volume_mm3()
+    middle = mesh.vertices.mean(axis=0)
+    for loop in loops:
+        points = mesh.vertices[loop] - middle
+        # The lid's faces run against the opening's own direction.
+        volume -= float(np.cross(points, np.roll(points, -1, axis=0)).sum(axis=0) @ points.mean(axis=0)) / 6
+    return volume
+
+
+def _filled(mesh: TriangleMesh, notes: list[str]) -> tuple[TriangleMesh, Bool[Array, " n"]]:
+    """Close holes up to `WIDEST_HOLE_MM` wide."""
+    loops = opening_loops(mesh.faces.astype(np.int64), len(mesh.vertices))
+    holes = [loop for loop in loops if _width_mm(mesh.vertices[loop]) <= WIDEST_HOLE_MM]
+    if not holes:
+        return mesh, np.zeros(len(mesh.vertices), dtype=bool)
+    patches = [(loop, *_patch(mesh, loop, holes)) for loop in holes]
+    vertices, faces = [mesh.vertices], [mesh.faces]
+    count, widest_mm = len(mesh.vertices), 0.0
+    for loop, points, triangles in patches:
+        number = np.concatenate([loop, count + np.arange(len(points))])
+        faces.append(number[triangles].astype(np.int32))
+        vertices.append(points)
+        count += len(points)
+        widest_mm = max(widest_mm, _width_mm(mesh.vertices[loop]))
+    filled = TriangleMesh(vertices=np.concatenate(vertices), faces=np.concatenate(faces))
+    invented = np.arange(count) >= len(mesh.vertices)
+    invented_mm2 = filled.area_mm2() - mesh.area_mm2()
+    if invented_mm2 > _SAID_MM2:
+        holes_words = "1 hole was" if len(patches) == 1 else f"{len(patches)} holes were"
+        notes.append(
+            f"{holes_words} closed, up to {widest_mm:.0f} mm wide: {invented_mm2 / 100:.2g} cm² of skin are invented. "
+            "The interval holds their uncertainty."
+        )
+    return filled, invented
+
+
+def _width_mm(rim: Float64[Array, "n 3"]) -> float:
+    """Width of a hole by its edge, mm. Infinite where it is too long to be one."""
+    if np.ptp(rim, axis=0).max() > _LONGEST_HOLE_MM:
+        return float("inf")
+    after = np.roll(rim, -1, axis=0)
+    area = np.linalg.norm(np.cross(rim - rim.mean(axis=0), after - rim.mean(axis=0)).sum(axis=0)) / 2
+    return float(np.sqrt(4 * area / np.pi))
+
+
+def _patch(
+    mesh: TriangleMesh, loop: Int64[Array, " n"], holes: Sequence[Int64[Array, " _"]]
+) -> tuple[Float64[Array, "k 3"], Int64[Array, "m 3"]]:
+    """New points and triangles that close a hole as the skin around it curves: a thin plate over that skin.
+
+    Where the hole's edge crosses itself seen from ahead, a fan of triangles about its middle.
+    """
+    rim = mesh.vertices[loop]
+    middle = rim.mean(axis=0)
+    number = np.arange(len(loop))
+    fan = np.stack([np.roll(number, -1), number, np.full(len(loop), len(loop))], axis=1)
+    outwards = np.cross(np.roll(rim, -1, axis=0) - middle, rim - middle).sum(axis=0)
+    if np.linalg.norm(outwards) < _NO_AREA_MM2:
+        return middle[None], fan
+    ahead = outwards / np.linalg.norm(outwards)
+    right = np.cross(np.eye(3)[np.argmin(np.abs(ahead))], ahead)
+    right /= np.linalg.norm(right)
+    frame = np.stack([right, np.cross(ahead, right), ahead])
+    flat = (rim - middle) @ frame.T
+    reach = float(np.linalg.norm(flat[:, :2], axis=1).max()) + _RING_MM
+    near = np.setdiff1d(mesh.vertices_between(middle - reach, middle + reach), np.concatenate(holes))
+    local = (mesh.vertices[near] - middle) @ frame.T
+    local = local[np.linalg.norm(local[:, :2], axis=1) < reach]
+    local = np.concatenate([flat, local[:: max(1, len(local) // _RING_POINTS)]])
+    local = local[np.unique(np.round(local[:, :2], 3), axis=0, return_index=True)[1]]
+    if len(local) < _FEWEST:
+        return middle[None], fan
+    plate = RBFInterpolator(local[:, :2], local[:, 2], kernel="thin_plate_spline", smoothing=_SMOOTHING)
+    try:
+        patch = fill([flat[::-1, :2]], _GRID_MM)
+    except MeasureError:
+        return middle + np.array([[0.0, 0.0, float(plate(np.zeros((1, 2)))[0])]]) @ frame, fan
+    smooth = plate(patch.points)
+    beside = flat[::-1, 2] - smooth[: patch.n_loop]
+    heights = (smooth + harmonic(patch, beside[:, None])[:, 0])[patch.n_loop :]
+    inner = np.concatenate([patch.points[patch.n_loop :], heights[:, None]], axis=1)
+    triangles = np.where(patch.faces < len(loop), len(loop) - 1 - patch.faces, patch.faces)
+    return middle + inner @ frame, triangles
