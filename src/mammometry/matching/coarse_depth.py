@@ -88,7 +88,7 @@ def coarse_depths(rig: Rig, pair_name: str, photographs: tuple[Photograph, Photo
     ]
     small = replace(pair, left=cameras[0], right=cameras[1])
     try:
-        rectified = rectify(small, left, right, *everything, middle_world=rig.target_middle_world)
+        rectified = rectify(small, left, right, everything[0], everything[1], middle_world=rig.target_middle_world)
     except MatchingError:
         return None
     return CoarseDepths(
