@@ -12,7 +12,8 @@ import trimesh
 from PIL import Image
 from tests.unit.measure.solids import dome
 
-from mammometry.base.errors import SessionError
+from mammometry.base.errors import MeasureError, SessionError
+from mammometry.base.limits import LimitSettings
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.mesh_file import read_triangles
 from mammometry.io.foreign import read_foreign
@@ -338,3 +339,37 @@ def test_a_picture_of_another_format_is_read(tmp_path: Path, form: str) -> None:
     assert (colours.max(axis=1) > 150).all()
     assert files["texture-1.png"].startswith(b"\x89PNG")
     assert b"map_Kd texture-1.png" in files["scan.mtl"]
+
+
+def test_a_glbs_pictures_are_taken(tmp_path: Path) -> None:
+    """Two parts, each with a picture of its own; the right one stands turned and moved in the scene."""
+    scene = trimesh.Scene()
+    right = MESH.corners().mean(axis=1)[:, 0] < 0
+    for half, colour in ((MESH.submesh(~right), (200, 40, 40)), (MESH.submesh(right), (40, 200, 40))):
+        turn = trimesh.transformations.rotation_matrix(0.3 * (colour[1] > 100), [0, 1, 0], [0.1, 0, 0.2])
+        stands = trimesh.transform_points(half.vertices / 1000, np.linalg.inv(turn))
+        picture = Image.new("RGB", (16, 16), colour)
+        material = trimesh.visual.material.PBRMaterial(baseColorTexture=picture)
+        visual = trimesh.visual.TextureVisuals(uv=np.full((len(stands), 2), 0.5), material=material)
+        scene.add_geometry(trimesh.Trimesh(stands, half.faces, visual=visual, process=False), transform=turn)
+    (tmp_path / "a.glb").write_bytes(scene.export(file_type="glb"))
+    files = import_scan(tmp_path / "a.glb", SCAN)
+    vertices, colours = vertex_colours(files, tmp_path)
+    assert TriangleMesh(vertices=vertices, faces=read_triangles(tmp_path / "read.ply")[1]).area_mm2() == pytest.approx(
+        AREA_MM2, rel=1e-4
+    )
+    assert (colours[vertices[:, 0] > 8] == [200, 40, 40]).all()
+    assert (colours[vertices[:, 0] < -8] == [40, 200, 40]).all()
+    assert {"scan.obj", "scan.mtl", "texture-1.png", "texture-2.png"} < set(files)
+    assert "scan.obj" not in import_scan(tmp_path / "a.glb", SCAN, texture=False)
+    with pytest.raises(SessionError, match="a picture of 16 × 16 pixels"):
+        import_scan(tmp_path / "a.glb", SCAN, limits=LimitSettings(megapixels=0.0001))
+
+
+def test_what_no_measurement_takes_is_refused_at_the_door(tmp_path: Path) -> None:
+    fins = np.concatenate(
+        [MESH.faces, np.stack([MESH.faces[:5, 0], MESH.faces[:5, 1], MESH.faces[100:105, 0]], axis=1)]
+    )
+    trimesh.Trimesh(MESH.vertices, fins, process=False).export(tmp_path / "a.ply")
+    with pytest.raises(MeasureError, match="edges at which three or more faces meet"):
+        import_scan(tmp_path / "a.ply", SCAN, units="mm")

@@ -153,7 +153,7 @@ def _loaded(path: Path, content: bytes) -> Any:
 
     kind = path.suffix.lower()[1:]
     if kind == "glb":
-        _check_glb(path, content)
+        check_glb(path, content)
     scene: Any = trimesh.load_scene(io.BytesIO(content), file_type=kind, process=False, skip_materials=True)
     placed = (scene.geometry[scene.graph[node][1]] for node in scene.graph.nodes_geometry)
     count = sum(len(getattr(mesh, "faces", ())) for mesh in placed)
@@ -162,7 +162,7 @@ def _loaded(path: Path, content: bytes) -> Any:
     return scene.to_mesh()
 
 
-def _check_glb(path: Path, content: bytes) -> None:
+def check_glb(path: Path, content: bytes) -> None:
     """Check a GLB's counts and buffers before memory is allocated.
 
     The counts must fit the file, and the file must hold its buffers itself.

@@ -71,8 +71,10 @@ def repair_scan(mesh: TriangleMesh, *, largest: bool = False) -> RepairedScan:
     mesh = _without_doubles(mesh)
     mesh = _joined(mesh, notes)
     mesh = _body(mesh, notes, largest=largest)
-    mesh = _facing_out(mesh, notes)
-    mesh, invented = _filled(mesh, notes)
+    turned = _facing_out(mesh, notes)
+    if turned is None:  # `scanned.check_mesh` names what is wrong
+        return RepairedScan(mesh=mesh, invented=np.zeros(len(mesh.vertices), dtype=bool), notes=tuple(notes))
+    mesh, invented = _filled(turned, notes)
     return RepairedScan(mesh=mesh, invented=invented, notes=tuple(notes))
 
 
@@ -134,7 +136,8 @@ def _split_at_neighbours(mesh: TriangleMesh) -> TriangleMesh:
             inserted.setdefault(side // 3, [[], [], []])[side % 3] = corners
     if not inserted:
         return mesh
-    middles, fans = [], []
+    middles: list[Float64[Array, 3]] = []
+    fans: list[list[int]] = []
     for face, between in inserted.items():
         corners = mesh.faces[face].tolist()
         around = [vertex for k in range(3) for vertex in (corners[k], *between[k])]
@@ -195,12 +198,12 @@ def _body(mesh: TriangleMesh, notes: list[str], *, largest: bool) -> TriangleMes
     return mesh.submesh(part == np.argmax(areas))
 
 
-def _facing_out(mesh: TriangleMesh, notes: list[str]) -> TriangleMesh:
-    """Turn faces that look inwards. A surface with more than two faces at an edge is left as it is."""
+def _facing_out(mesh: TriangleMesh, notes: list[str]) -> TriangleMesh | None:
+    """Turn faces that look inwards. None where more than two faces meet at an edge, or there is no outside."""
     rings = mesh_kernels.edge_rings(len(mesh.vertices), mesh.faces)
     side = np.arange(len(rings))
     if not (rings[rings] == side).all():
-        return mesh
+        return None
     paired = side[rings > side]
     starts = mesh.faces.ravel()
     unlike = starts[paired] == starts[rings[paired]]  # both faces run along the edge in one direction
@@ -208,7 +211,7 @@ def _facing_out(mesh: TriangleMesh, notes: list[str]) -> TriangleMesh:
     if unlike.any():
         turned = _turned_apart(len(faces), paired // 3, rings[paired].astype(np.int64) // 3, unlike)
         if turned is None:
-            return mesh
+            return None
         faces = np.where(turned[:, None], faces[:, ::-1], faces)
         mesh = TriangleMesh(vertices=mesh.vertices, faces=np.ascontiguousarray(faces))
     inside_out = _stands_out_mm3(mesh) < 0

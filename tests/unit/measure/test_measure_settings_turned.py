@@ -218,7 +218,7 @@ def test_each_way_to_find_a_nipple_has_its_own_uncertainty(
 @pytest.mark.parametrize(
     ("settings", "how"),
     [
-        (NippleSettings(), "then the tip"),
+        (NippleSettings(), "and the tip within"),
         (NippleSettings(areola_contrast=1.0), "no areola"),
         (NippleSettings(tip_mm=20.0), "no tip stands out"),
         (NippleSettings(margin_mm=64.0), None),
