@@ -210,7 +210,7 @@ class MeshJob:
         self.settings = replace(settings, measure=own)
         self.files = files
         self.identity = Identity.of(files.mesh if files.scan is None else self.folder, files.subject)
-        self.store = _StoreOfMesh(folder, watch, files.subject)
+        self.store: Store = _StoreOfMesh(folder, watch, files.subject)
         self.units = foreign.units if files.scan is None else files.scan.units
         self.posture = files.posture or ("" if files.scan is None else files.scan.posture)
         self.scanner = "" if files.scan is None else files.scan.scanner
