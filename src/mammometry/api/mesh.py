@@ -42,7 +42,7 @@ from mammometry.io.drawn import (
     landmarks_in,
     read_boundaries,
 )
-from mammometry.io.foreign import SHOWN_BY_SIZE, ForeignMesh, read_foreign
+from mammometry.io.foreign import ForeignMesh, read_foreign
 from mammometry.io.outputs import require_apart, require_own_folder, take_folder
 from mammometry.io.results.store import Store, Watch, unwatched
 from mammometry.io.scans import MESH, Scan, read_scan
@@ -237,7 +237,7 @@ class MeshJob:
         if by_axes:
             frame = scanned.frame_from_axes(scan.mesh, files.head, files.ahead)
             scan = front_of_body(scan, frame)
-        self.notes: tuple[str, ...] = (*_unit_note(foreign, files), *scan.notes)
+        self.notes: tuple[str, ...] = (*foreign.notes, *scan.notes)
         mesh = scan.mesh
         curves = {name: scanned.in_mesh_unit(curve, mesh, foreign.mm_per_unit) for name, curve in curves.items()}
         drawn = replace(drawn, curves=curves)
@@ -460,13 +460,6 @@ def _inputs(
             "wall": _digest(files.back, files.units),
         },
     )
-
-
-def _unit_note(foreign: ForeignMesh, files: MeshFiles) -> tuple[str, ...]:
-    """A sentence about a unit that nobody stated."""
-    if files.scan is None and files.units is None and foreign.units.endswith(SHOWN_BY_SIZE):
-        return (f"The unit of the mesh is taken to be {foreign.units}. If it is another: --units.",)
-    return ()
 
 
 def _drawn(inputs: Inputs) -> dict[str, str]:

@@ -1,4 +1,4 @@
-"""PLY of other programs: text or binary of either byte order, polygons of any size, any further properties."""
+"""PLY of other programs: text or either byte order, polygons of any size, further properties."""
 
 from __future__ import annotations
 

@@ -8,7 +8,7 @@ import unicodedata
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -33,7 +33,7 @@ class DrawnBoundaries:
     """Breast → closed curve that somebody gave, mm, world frame."""
     automatic: tuple[str, ...] = ()
     """Breasts whose boundary is found automatically, as the file says."""
-    removed: tuple[str, ...] = ()
+    removed: tuple[Literal["left", "right"], ...] = ()
     """Breasts that are said to be removed: they are not looked for."""
     attributions: Mapping[str, Attribution] = field(default_factory=dict)
     """Breast → who drew its boundary, and who confirmed it."""
@@ -90,13 +90,14 @@ def boundaries_in(path: Path, allowed: tuple[str, ...], subject: str | None = No
     """
     entries = read_table(path, "boundaries", subject)["boundaries"]
     curves: dict[str, Float64[Array, "n 3"]] = {}
-    automatic, removed = [], []
+    automatic: list[str] = []
+    removed: list[Literal["left", "right"]] = []
     for name, entry in entries.items():
         _allow(path, name, allowed)
         if entry.get("automatic") is True and "points" not in entry:
             automatic.append(name)
-        elif entry.get("removed") is True and "points" not in entry:
-            removed.append(name)
+        elif name in ("left", "right") and entry.get("removed") is True and "points" not in entry:
+            removed.append("left" if name == "left" else "right")
         else:
             curves[name] = _points(path, name, entry)
             _require(path, name, curves[name], 3)

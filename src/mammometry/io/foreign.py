@@ -20,8 +20,7 @@ from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.mesh_file import SUFFIXES, read_triangles
 
 MM_PER_UNIT = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
-SHOWN_BY_SIZE = "as the body's size shows"
-"""End of the words of a unit that nobody stated."""
+_BY_SIZE = "as the body's size shows"
 _TORSO_MM = (230.0, 2300.0)
 """Longest side of a torso's front, at least, and of a whole body, arms raised or held out. Not more than ten times as
 long, so that one unit alone fits."""
@@ -49,6 +48,13 @@ class ForeignMesh:
     def __post_init__(self) -> None:
         object.__setattr__(self, "colours", read_only(self.colours))
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """A sentence about a unit that nobody stated. Empty where somebody did."""
+        if not self.units.endswith(_BY_SIZE):
+            return ()
+        return (f"The unit of the mesh is taken to be {self.units}. If it is another: --units.",)
+
 
 def read_foreign(path: Path, units: str | None = None, *, of_torso: bool = False) -> ForeignMesh:
     """Read a mesh file.
@@ -70,7 +76,7 @@ def read_foreign(path: Path, units: str | None = None, *, of_torso: bool = False
         raise _refused(path, f"the unit {unit!r}", f"one of {', '.join(MM_PER_UNIT)}", "Correct --units")
     vertices, faces, colours = read_triangles(path)
     if unit is None and of_torso:
-        unit, who = _unit_of_torso(float(np.ptp(vertices, axis=0).max())), SHOWN_BY_SIZE
+        unit, who = _unit_of_torso(float(np.ptp(vertices, axis=0).max())), _BY_SIZE
     if unit is None:
         raise _refused(
             path, "no unit", "the unit of its coordinates, which such files do not state", "Add --units mm, cm or m"

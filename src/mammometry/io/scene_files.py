@@ -16,7 +16,7 @@ from mammometry.base.parse import read_bytes, said
 from mammometry.geometry.arrays import Array, Float64, Int64
 from mammometry.geometry.mesh_file import check_glb
 
-_MOST_MIB = 4096
+_MOST_MIB = 4096  # of a file, as of other meshes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

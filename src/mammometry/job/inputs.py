@@ -62,7 +62,7 @@ class Inputs:
     """Breast → closed boundary curve given by the user, world frame, mm. Empty: found automatically."""
     automatic: tuple[str, ...] = ()
     """Breasts whose boundary is found automatically beside those that are given."""
-    removed: tuple[str, ...] = ()
+    removed: tuple[Literal["left", "right"], ...] = ()
     """Breasts that are said to be removed. They are not looked for."""
     head_stated: bool = False
     """Whether the user said where a mesh's head is. Then no sign of the body contradicts it."""
@@ -79,6 +79,11 @@ class Inputs:
     ``points/POSE/CAMERA``, ``intrinsics/CAMERA/EXPOSURE``, ``masks/CAMERA``, ``cameras``, ``prior``, ``target``,
     ``intrinsics-target``, ``rig``, ``subject``, ``boundaries``, ``landmarks``, ``wall``. Computed when looked up.
     """
+
+    @property
+    def all_removed(self) -> bool:
+        """Whether both breasts of a torso are said to be removed."""
+        return len(set(self.removed)) == 2
 
     @property
     def mounting_digest(self) -> dict[str, str]:

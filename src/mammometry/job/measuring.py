@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, ClassVar, Literal
+from typing import TYPE_CHECKING, ClassVar
 
 from mammometry.base.errors import MeasureError
 from mammometry.base.progress import Progress
@@ -28,9 +28,6 @@ if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a pla
     from mammometry.surface.dents import ValidPatches
     from mammometry.surface.repair import RepairedSurface
     from mammometry.surface.stillness import Stillness
-
-
-_SIDES: tuple[Literal["left"], Literal["right"]] = ("left", "right")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -90,7 +87,7 @@ def measure(inputs: Inputs, upstream: Upstream, settings: MeasureSettings, memo:
     boundaries = _boundaries(inputs, upstream, sides, settings, memo)
     body = _body(inputs, upstream, boundaries, settings, memo)
     evidence = _evidence(inputs, upstream, settings)
-    measurements = _measurements(inputs, upstream, sides, boundaries, body, evidence, settings, memo)
+    measurements = _measurements(inputs, upstream, boundaries, body, evidence, settings, memo)
     landmarks, symmetry, dimensions = _anthropometry(inputs, upstream, measurements, body, settings, memo)
     plan = Measured(
         sides=sides,
@@ -108,7 +105,7 @@ def measure(inputs: Inputs, upstream: Upstream, settings: MeasureSettings, memo:
 
 def _sides(inputs: Inputs, upstream: Upstream, settings: MeasureSettings, memo: Memo) -> Product[TorsoSides] | None:
     """A torso's breasts as they are found, or that there is none."""
-    wanted = inputs.automatic or not (inputs.boundaries or set(_SIDES) <= set(inputs.removed))
+    wanted = inputs.automatic or not (inputs.boundaries or inputs.all_removed)
     if inputs.subject_kind != "torso" or settings.boundary == "landmarks" or not wanted:
         return None
 
@@ -116,9 +113,8 @@ def _sides(inputs: Inputs, upstream: Upstream, settings: MeasureSettings, memo: 
         from mammometry.measure.boundary.boundary import outline_torso
         from mammometry.measure.trunk.body import rig_frame
 
-        return outline_torso(
-            repaired, rig_frame(cameras.rig, inputs.mounting), settings, head_stated=inputs.head_stated
-        )
+        frame = rig_frame(cameras.rig, inputs.mounting)
+        return outline_torso(repaired, frame, settings, head_stated=inputs.head_stated)
 
     return Product(
         memo,
@@ -176,11 +172,12 @@ def _boundaries(
     ) -> tuple[Boundary, ...]:
         from mammometry.measure.boundary import boundary
         from mammometry.measure.trunk.body import rig_frame
+        from mammometry.measure.volume.refused import wanted_boundaries
 
-        if sides is not None:
-            return tuple(boundary for boundary in sides.boundaries if boundary.name not in inputs.removed)
-        if set(_SIDES) <= set(inputs.removed):
+        if inputs.all_removed:
             return ()
+        if sides is not None:
+            return wanted_boundaries(sides, inputs.removed, required=not inputs.boundaries)
         if inputs.subject_kind == "torso":
             frame = rig_frame(cameras.rig, inputs.mounting)
             return boundary.landmark_boundaries(inputs.landmarks, repaired, frame, settings)
@@ -230,14 +227,8 @@ def _body(
     ) -> Body:
         from mammometry.measure.trunk.body import find_body, rig_frame
 
-        curves = [each.points_world for each in boundaries]
-        return find_body(
-            repaired,
-            rig_frame(cameras.rig, inputs.mounting),
-            settings.thorax,
-            boundaries=curves,
-            stated=inputs.head_stated,
-        )
+        curves, frame = [each.points_world for each in boundaries], rig_frame(cameras.rig, inputs.mounting)
+        return find_body(repaired, frame, settings.thorax, boundaries=curves, stated=inputs.head_stated)
 
     return Product(
         memo,
@@ -292,7 +283,6 @@ def _evidence(inputs: Inputs, upstream: Upstream, settings: MeasureSettings) -> 
 def _measurements(
     inputs: Inputs,
     upstream: Upstream,
-    sides: Product[TorsoSides] | None,
     boundaries: Product[tuple[Boundary, ...]],
     body: Product[Body] | None,
     evidence: Product[Evidence],
@@ -303,7 +293,6 @@ def _measurements(
 
     def integrate(
         repaired: RepairedSurface,
-        sides: TorsoSides | None,
         boundaries: tuple[Boundary, ...],
         body: Body | None,
         evidence: Evidence,
@@ -325,8 +314,6 @@ def _measurements(
                 refusals.append(each)  # of this side alone
         if refusals and not measured:
             raise refusals[0]
-        if not measured and not set(_SIDES) <= set(inputs.removed):
-            raise _nothing_measured(() if sides is None else sides.absent)
         return tuple(measured)
 
     digests = {} if inputs.wall is None else {"wall": inputs.digests["wall"]}
@@ -337,27 +324,9 @@ def _measurements(
         "measure",
         "measurement",
         integrate,
-        parents={
-            "repaired": upstream.repaired,
-            "sides": sides,
-            "boundaries": boundaries,
-            "body": body,
-            "evidence": evidence,
-        },
+        parents={"repaired": upstream.repaired, "boundaries": boundaries, "body": body, "evidence": evidence},
         settings=settings,
         inputs=digests,
-    )
-
-
-def _nothing_measured(absent: Sequence[NoBreast]) -> MeasureError:
-    """The refusal of a torso on which neither side has a breast, though nobody said that both were removed."""
-    why = "; ".join(f"{side.name}: {side.why}" for side in absent)
-    return MeasureError(
-        "torso",
-        found=f"no breast on either side{f' ({why})' if why else ''}",
-        expected="one on at least one side, unless both are said to be removed",
-        remedy="Draw the boundaries with `mammometry edit`, or say in boundaries.json that a side was removed: "
-        '{"boundaries": {"left": {"removed": true}, "right": {"removed": true}}}',
     )
 
 
@@ -387,7 +356,7 @@ def _absent(
         found = () if sides is None else sides.absent
         absent = [side for side in found if side.name not in (*inputs.boundaries, *inputs.removed)]
         if body is not None:
-            absent += [removed_side(name, body, repaired) for name in _SIDES if name in inputs.removed]
+            absent += [removed_side(name, body, repaired) for name in inputs.removed]
         measured = {each.name for each in measurements}
         if any(each.name not in measured for each in boundaries):
             frame = None if body is None else body.frame

@@ -136,7 +136,8 @@ def _split_at_neighbours(mesh: TriangleMesh) -> TriangleMesh:
             inserted.setdefault(side // 3, [[], [], []])[side % 3] = corners
     if not inserted:
         return mesh
-    middles, fans = [], []
+    middles: list[Float64[Array, 3]] = []
+    fans: list[list[int]] = []
     for face, between in inserted.items():
         corners = mesh.faces[face].tolist()
         around = [vertex for k in range(3) for vertex in (corners[k], *between[k])]

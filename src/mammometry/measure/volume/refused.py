@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Literal, cast
 
 import numpy as np
 
 from mammometry.base.errors import MeasureError
+from mammometry.measure.boundary.boundary import Boundary, TorsoSides
 from mammometry.measure.boundary.breasts import NoBreast
 from mammometry.measure.trunk.body import Body
 from mammometry.measure.volume.volumes import measure_volume
@@ -37,6 +39,30 @@ def refused_side(breast: OpenBreast) -> NoBreast:
         why=why,
         unclear=True,
         refused=True,
+    )
+
+
+def wanted_boundaries(sides: TorsoSides, removed: Sequence[str], *, required: bool) -> tuple[Boundary, ...]:
+    """Boundaries that were found, but for sides that are said to be removed.
+
+    Args:
+        sides: what was found.
+        removed: sides that are said to be removed.
+        required: whether one must be left.
+
+    Raises:
+        MeasureError: neither side has a breast, though nobody said that both were removed.
+    """
+    wanted = tuple(boundary for boundary in sides.boundaries if boundary.name not in removed)
+    if wanted or not required:
+        return wanted
+    why = "; ".join(f"{side.name}: {side.why}" for side in sides.absent if side.name not in removed)
+    raise MeasureError(
+        "torso",
+        found=f"no breast on either side ({why})",
+        expected="one on at least one side, unless both are said to be removed",
+        remedy="Draw the boundaries with `mammometry edit`, or say in boundaries.json that a side was removed: "
+        '{"boundaries": {"left": {"removed": true}, "right": {"removed": true}}}',
     )
 
 
