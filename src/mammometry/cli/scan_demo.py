@@ -29,16 +29,18 @@ def scan_demo(folder: Path, settings: SettingsFile, assignments: Assignments, *,
     """
     from mammometry.api.mesh import MeshJob, folder_for, scan_files
     from mammometry.io.outputs import require_free, write_outputs
-    from mammometry.io.scans import FILES, MESH, is_scan
+    from mammometry.io.scans import FILES, MESH, is_scan, read_scan
 
     chosen = load_settings(settings, assignments)
+    there = is_scan(folder)
+    if not there or read_scan(folder).scanner != _SCANNER:
+        require_free(folder, FILES, command=_COMMAND)
     begun = time.monotonic()
     with Bars(quiet or json) as bars:
         with bars.task("simulate", "depth pictures") as progress:
             woman = _woman()
             progress(0.6)
-            if not is_scan(folder):
-                require_free(folder, FILES, command=_COMMAND)
+            if not there:
                 write_outputs(folder, _scanned(woman), command=_COMMAND)
         simulated = time.monotonic() - begun
         with bars.task("measure", "mesh"):
