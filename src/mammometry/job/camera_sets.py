@@ -111,10 +111,11 @@ def imported_cameras(inputs: Inputs) -> CameraSet:
     """Take the cameras that came with the session.
 
     Raises:
-        CalibrationError: one of the rig's is missing.
+        CalibrationError: one of the rig's is missing, or a pair's sides are wrong.
         SessionError: their lengths are in another unit.
     """
     from mammometry.calibration.judge.scale import require_camera_scale
+    from mammometry.calibration.judge.sides import require_sides
 
     assert inputs.cameras is not None
     wanted = sorted({name for pair in inputs.pair_names.values() for name in pair} | set(inputs.photographs))
@@ -129,6 +130,7 @@ def imported_cameras(inputs: Inputs) -> CameraSet:
     rig = Rig(
         name=inputs.rig_name, cameras={name: inputs.cameras[name] for name in wanted}, pair_names=inputs.pair_names
     )
+    require_sides(rig, inputs.upside_down)
     doubts = require_camera_scale("cameras.json: t", rig, inputs.subject_kind)
     world = "The world frame of the cameras that were imported."
     return CameraSet(rig=rig, std={}, world=world, rms_px=None, reasons=doubts)

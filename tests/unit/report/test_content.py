@@ -160,7 +160,7 @@ def test_each_fault_has_its_warning(rig) -> None:
     quality = replace(assess(synthetic.calibration(rig)), verdict="warn", reasons=("camera one_left moved",))
     assert "Check the calibration. Camera one_left moved." in warned(rig, quality=quality)
     assert "cameras were imported" in warned(rig, calibration=None, quality=None)
-    assert "vertical disparity of +0.50 ± 0.00 px" in warned(rig, matching=synthetic.matching(rig, d_v_px=0.5))
+    assert "vertical disparity of 0.50 ± 0.00 px" in warned(rig, matching=synthetic.matching(rig, d_v_px=0.5))
     assert "matched only 40 %" in warned(rig, shares={"one": 0.4, "two": 0.9})
     assert "not separated from the background" in warned(rig, foregrounds=synthetic.foregrounds(rig, everything=True))
     blind = synthetic.foregrounds(rig, everything=True)

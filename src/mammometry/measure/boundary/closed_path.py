@@ -67,6 +67,7 @@ def spread_steps(worth: Float64[Array, "d s"], stiffness: float, nats: float) ->
 
 
 def _neighbours(best: Float64[Array, "k s"]) -> Float64[Array, "m k s"]:
-    length = best.shape[1]
-    padded = np.pad(best, ((0, 0), (_FURTHEST_STEPS, _FURTHEST_STEPS)), constant_values=_NEVER)
+    tables, length = best.shape
+    padded = np.full((tables, length + 2 * _FURTHEST_STEPS), _NEVER)
+    padded[:, _FURTHEST_STEPS:-_FURTHEST_STEPS] = best
     return np.stack([padded[:, start : start + length] for start in range(len(_SHIFTS))])
