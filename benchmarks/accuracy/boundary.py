@@ -26,7 +26,8 @@ from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.nearest import closest_on_mesh
 from mammometry.measure.boundary.boundary import Boundary
-from mammometry.measure.boundary.breasts import Breasts, Outline, breast_middles, find_breasts
+from mammometry.measure.boundary.breasts import Breasts, Outline, find_breasts
+from mammometry.measure.boundary.middles import breast_middles
 from mammometry.measure.boundary.protocol import NEEDED, outline_by_protocol
 from mammometry.measure.landmarks.landmarks import picked_landmarks
 from mammometry.measure.settings import ProtocolJoin
@@ -60,14 +61,14 @@ def by_level(surface: RepairedSurface, breasts: Breasts) -> tuple[Boundary, ...]
     for name, middle in breast_middles(relief, thorax.trunk).items():
         if middle is None:
             continue
-        profile = relief.at(middle + rays[:, None] * steps[:, None], relief.smooth_mm(2.0))
+        profile = relief.at(middle.flat + rays[:, None] * steps[:, None], relief.smooth_mm(2.0))
         fallen = np.where(profile < np.maximum.accumulate(profile, axis=1) / 2, profile, np.inf)
         ended = (profile < _VANISH_MM) | (profile > np.minimum.accumulate(fallen, axis=1) + _RISE_MM)
         last = np.where(ended.any(axis=1), np.argmax(ended, axis=1), len(steps) - 1)
         fallen[steps[None] > steps[last][:, None]] = np.inf
         valley = np.where(np.isfinite(fallen).any(axis=1), np.argmin(fallen, axis=1), last)
         reach = np.asarray(median_filter(steps[valley], size=5, mode="wrap")) + _MARGIN_MM
-        flat = middle + rays * np.asarray(gaussian_filter1d(reach, 2.0, mode="wrap"))[:, None]
+        flat = middle.flat + rays * np.asarray(gaussian_filter1d(reach, 2.0, mode="wrap"))[:, None]
         radius = thorax.radius_mm(flat) + relief.at(flat, relief.bulge_mm)
         world = thorax.trunk.world(np.concatenate([flat, radius[:, None]], axis=1))
         on_skin = closest_on_mesh(world, surface.mesh).points

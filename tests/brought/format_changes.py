@@ -13,7 +13,9 @@ from random import Random
 import numpy as np
 import tifffile
 from PIL import Image
-from tests.brought.format_inputs import DOME, Files
+from tests.brought.format_inputs import DOME, Files, camera_files
+
+from mammometry.io.cameras.formats import CameraFormat
 
 Vertices = np.ndarray
 Changed = Callable[[Files, Random], Files]
@@ -318,6 +320,16 @@ def _tagged(image: Image.Image, orientation: int) -> Image.Image:
     return copy
 
 
+# --- cameras ---
+
+_FORMS: dict[str, CameraFormat] = {"cameras.json": "json", "front_left.yml": "opencv", "cameras.txt": "colmap",
+                                   "camchain.yaml": "kalibr"}  # fmt: skip
+
+
+def cameras(factor: float = 1.0, *, exchanged: bool = False) -> Changed:
+    return lambda files, rng: camera_files(_FORMS[first(files)[0]], factor, exchanged=exchanged)()
+
+
 # --- JSON, TOML, YAML, XML ---
 
 
@@ -438,6 +450,10 @@ CHANGES = (
     _change("BMP", "photograph", resaved("BMP"), "a BMP"),
     _change("a PNG called JPEG", "photograph", resaved("PNG", ending="jpg"), relative=0.02),
     *(_change(f"turned, by tag {tag}", "photograph", turned(tag), relative=0.02) for tag in range(2, 9)),
+    # cameras
+    *(_change(f"{name}, unsaid", "rig", cameras(factor), "they seem to be in|check units")
+      for name, factor in (("metres", 1e-3), ("centimetres", 0.1), ("inches", 1 / 25.4), ("micrometres", 1e3))),
+    _change("cameras under each other's name", "rig", cameras(exchanged=True), "or the two cameras' files"),
     # JSON, TOML, YAML, XML
     _change("one line", "json", dumped()),
     _change("escaped letters", "json", dumped(indent=4, ensure_ascii=True)),

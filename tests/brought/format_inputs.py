@@ -18,11 +18,14 @@ from scipy.io import savemat
 from tests.brought import test_imported_cameras as brought_cameras
 from tests.unit.measure.solids import dome
 
+from mammometry.base.errors import SessionError
 from mammometry.batch.entries import find_entries
 from mammometry.calibration.targets.charuco import CharucoTarget
 from mammometry.calibration.targets.table import target_from_table
 from mammometry.geometry.camera import Camera
+from mammometry.geometry.transform import Transform
 from mammometry.io.cameras.formats import CameraFormat, camera_texts, import_cameras
+from mammometry.io.cameras.rig import require_rig
 from mammometry.io.csv_tables import read_table
 from mammometry.io.drawn import boundaries_in, landmarks_in
 from mammometry.io.foreign import read_foreign
@@ -230,9 +233,23 @@ def clean_cameras() -> dict[str, Camera]:
         return import_cameras([path], PAIR)
 
 
-def camera_files(form: CameraFormat) -> Callable[[], Files]:
+def camera_files(form: CameraFormat, factor: float = 1.0, *, exchanged: bool = False) -> Callable[[], Files]:
+    """The pair as another program's files; its lengths times a factor, or each camera under the other one's name."""
+
     def make() -> Files:
-        cameras = clean_cameras()
+        cameras = {
+            name: replace(
+                camera,
+                camera_from_world=Transform(
+                    rotation=camera.camera_from_world.rotation,
+                    translation_mm=camera.camera_from_world.translation_mm * factor,
+                ),
+            )
+            for name, camera in clean_cameras().items()
+        }
+        if exchanged:
+            left, right = cameras
+            cameras = {left: replace(cameras[right], name=left), right: replace(cameras[left], name=right)}
         if form == "kalibr":  # its lens has no k3
             cameras = {
                 name: replace(camera, distortion=np.array([*camera.distortion[:4], 0.0]))
@@ -265,6 +282,8 @@ def read_cameras(paths: list[Path]) -> np.ndarray:
     """Where points of the world fall in both pictures, in the frame of the left camera."""
     files = [path for path in paths if path.name != "points3D.txt"]
     cameras = import_cameras(files, PAIR)
+    for doubt in require_rig(paths[0].name, cameras, PAIR, "torso"):
+        raise SessionError(paths[0].name, found=doubt, expected="no doubts", remedy="Look")
     left, right = (cameras[name].camera_from_world for name in PAIR["front"])
     turned = right.rotation @ left.rotation.T
     moved = right.translation_mm - turned @ left.translation_mm
@@ -294,10 +313,10 @@ INPUTS = (
     _input("session", "text toml", session, read_session),
     _input("boundaries", "text json", drawing("boundaries", "model"), read_boundaries),
     _input("landmarks", "text json", drawing("landmarks", "nipple_left"), read_landmarks),
-    _input("cameras-json", "text json cameras", camera_files("json"), read_cameras),
-    _input("opencv", "text yaml cameras", camera_files("opencv"), read_cameras),
-    _input("colmap", "text cameras", camera_files("colmap"), read_cameras),
-    _input("kalibr", "text yaml cameras", camera_files("kalibr"), read_cameras),
+    _input("cameras-json", "text json cameras rig", camera_files("json"), read_cameras),
+    _input("opencv", "text yaml cameras rig", camera_files("opencv"), read_cameras),
+    _input("colmap", "text cameras rig", camera_files("colmap"), read_cameras),
+    _input("kalibr", "text yaml cameras rig", camera_files("kalibr"), read_cameras),
     _input("agisoft", "text xml cameras", agisoft, read_cameras),
     _input("halcon", "text cameras", halcon, read_cameras),
     _input("matlab", "cameras", matlab, read_cameras),

@@ -6,6 +6,7 @@ of every input is tried once in the slow tests, and then draws of two at a time,
 in every run. MAMMOMETRY_MUTATIONS_SEED starts from another.
 """
 
+import json
 import os
 import re
 import shutil
@@ -19,6 +20,7 @@ import pytest
 from tests.brought.format_changes import CHANGES, Change
 from tests.brought.format_inputs import INPUTS, Files, Input
 
+from mammometry.api.mesh import MeshFiles, MeshJob
 from mammometry.base.errors import MammometryError
 
 SEED = int(os.environ.get("MAMMOMETRY_MUTATIONS_SEED", "39"))
@@ -136,6 +138,36 @@ def test_eight_hundred_changes_of_formats_end_in_the_same_numbers_or_their_name(
     numbers = range(part * COUNT // PARTS, (part + 1) * COUNT // PARTS)
     wrong = list(filter(None, (tried(number, tmp_path) for number in numbers)))
     assert not wrong, "\n".join(wrong)
+
+
+MESHES = [(subject, change) for subject, (change,) in EVERY if change.suits & {"mesh", "ply", "obj", "stl"}
+          and change.words == "(?!)"]  # fmt: skip
+"""Every mesh with each change that must not matter."""
+
+
+def measured_cc(files: Files, folder: Path) -> float:
+    """Volume within the dome's rim."""
+    (path,) = written(files, folder)
+    angle = np.linspace(0, 2 * np.pi, 60, endpoint=False)
+    rim = 60 * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+    table = {"units": "mm", "frame": "world", "boundaries": {"model": {"points": rim.tolist()}}}
+    (folder / "rim.json").write_text(json.dumps(table))
+    units = None if path.suffix == ".obj" else "mm"
+    job = MeshJob(MeshFiles(mesh=path, units=units, boundary=folder / "rim.json"), folder / "results")
+    return float(job.run(report=False).measurements["model"].volume_cc)
+
+
+@cache
+def clean_cc(subject: Input) -> float:
+    with tempfile.TemporaryDirectory(prefix="mammometry-") as folder:
+        return measured_cc(subject.make(), Path(folder))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("subject", "change"), MESHES, ids=lambda each: each.name)
+def test_a_mesh_measures_the_same_in_every_format(tmp_path: Path, subject: Input, change: Change) -> None:
+    changed = measured_cc(change.apply(subject.make(), Random(SEED)), tmp_path)
+    assert changed == pytest.approx(clean_cc(subject), rel=1e-3)
 
 
 def test_the_search_covers_every_kind_of_input() -> None:

@@ -132,7 +132,7 @@ def test_another_unit_never_goes_unnoticed(name: str, kind: str, factor: float, 
 def test_centimetres_are_refused_before_anything_is_matched(name: str, kind: str) -> None:
     refused, sentence = noticed(calibrated(pair_of(*RIGS[name]), 200.0, 0.1), kind)
     assert refused
-    assert sentence.startswith("session.toml: target.square_mm: found 2.5 mm, by which the pictures are ")
+    assert sentence.startswith("session.toml: target.square_mm: found 2.5 mm, by which the pictures' shorter side is ")
     assert sentence.endswith((": 25 mm would fit.", ": 25 mm or 63.5 mm would fit."))
 
 

@@ -163,3 +163,29 @@ def test_a_run_with_nothing_to_do_imports_no_algorithm(tiny_finished: Path, tiny
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert "Nothing had to be computed." in done.stdout
+
+
+@pytest.mark.slow
+def test_a_virtual_womans_scan_is_measured_beside_its_truth(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / "demo-scan"
+    assert main.run(["demo", "--scan", str(folder), "--json"]) == 0
+    table = json.loads(capsys.readouterr().out)
+    assert set(table) >= KEYS | {"true_volumes_cc", "scan"}
+    for side, true_cc in table["true_volumes_cc"].items():
+        assert table["volumes_cc"][side] == pytest.approx(true_cc, rel=0.12)
+        low, high = table["intervals_cc"][side]
+        assert low < true_cc < high
+    page = Path(table["report"]).read_text()
+    assert "standing. Volumes of different postures are not to be compared" in page
+    assert "Proposed by the program, not confirmed by anybody: sternal notch" in page
+    made = (folder / "scan.ply").stat().st_mtime_ns
+    assert main.run(["demo", "--scan", str(folder), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["made"] == []  # everything is there
+    assert (folder / "scan.ply").stat().st_mtime_ns == made
+
+
+def test_a_folder_with_something_else_is_no_demo_of_a_scan(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "scan.ply").touch()
+    assert main.run(["demo", "--scan", str(tmp_path)]) != 0
+    assert "scan.ply" in capsys.readouterr().err
+    assert (tmp_path / "scan.ply").stat().st_size == 0

@@ -16,7 +16,7 @@ from typing import Any
 Spoilt = tuple[bytes, str]
 """The file's new content, and in words what was done to it."""
 
-TEXT = frozenset({".toml", ".yml", ".yaml", ".xml", ".csv", ".txt", ".xyz", ".obj", ".mtl", ".jsonl"})
+TEXT = frozenset({".toml", ".yml", ".yaml", ".xml", ".csv", ".txt", ".xyz", ".obj", ".mtl", ".jsonl", ".cal", ".dat"})
 _HUGE = "9" * 400
 _DEEP = 100_000
 _MANY = 200_000

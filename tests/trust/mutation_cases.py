@@ -15,6 +15,7 @@ import pytest
 import trimesh
 from benchmarks.accuracy.dates import grown, true_visit
 from PIL import Image
+from tests.brought.format_inputs import INPUTS
 from tests.scenes.conftest import TINY, TINY_SETTINGS
 from tests.unit.api.dated_session import put_results, write_session
 from tests.unit.calibration import virtual_rig
@@ -159,6 +160,18 @@ def _opencv_xml(folder: Path) -> None:
         storage.write("R", camera.camera_from_world.rotation.copy())
         storage.write("T", camera.camera_from_world.translation_mm.copy())
         storage.release()
+
+
+def _brought(name: str) -> Callable[[Path], None]:
+    """Cameras of another program, as the search over formats has them."""
+
+    def make(folder: Path) -> None:
+        _bare(folder / "session")
+        (subject,) = (subject for subject in INPUTS if subject.name == name)
+        for file, content in subject.make().items():
+            (folder / file).write_bytes(content)
+
+    return make
 
 
 def _mesh(suffix: str) -> Callable[[Path], None]:
@@ -315,6 +328,9 @@ CASES: tuple[Case, ...] = (
     _import("opencv-xml", _opencv_xml, *(f"{name}.xml" for name in _PAIR)),
     _import("colmap", _camera_files("colmap"), "cameras.txt", "images.txt"),
     _import("kalibr", _camera_files("kalibr"), "camchain.yaml"),
+    _import("agisoft", _brought("agisoft"), "cameras.xml"),
+    _import("halcon", _brought("halcon"), *(f"{name}.cal" for name in _PAIR), "relpose.dat"),
+    _import("matlab", _brought("matlab"), "rig.mat"),
     Case(
         "agreement", _agreement,
         ("study", "agreement", "{here}/table.csv", "--reference", "water_cc", "--measured", "imaging_cc", "--out",

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import datetime
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mammometry.api.job import open_session
+from mammometry.base.errors import SessionError
 from mammometry.base.identity import Identity
+from mammometry.base.posture import NOT_TO_BE_COMPARED
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.io.results.store import Store, Watch
 from mammometry.io.scans import is_scan
@@ -33,6 +35,8 @@ class Dated:
     """Its folder."""
     date: datetime.date | None
     """None where its folder gives none."""
+    posture: str
+    """``standing``, ``leaning`` or ``lying``. Empty: nobody said."""
     identity: Identity
     brought: tuple[Path, ...]
     """Files and folders in it that are not ours."""
@@ -84,6 +88,27 @@ def open_dated(path: Path | str, settings: Settings, watch: Watch) -> Dated:
     return _scan(folder, settings, watch) if is_scan(folder) else _session(folder, settings, watch)
 
 
+def check_posture(before: Dated, after: Dated) -> None:
+    """Refuse dates of two postures.
+
+    Raises:
+        SessionError: names both folders and postures.
+    """
+    for _ in posture_warnings(before, after):
+        raise SessionError(
+            f"{before.path}, {after.path}",
+            found=f"the patient {before.posture} at one date and {after.posture} at the other",
+            expected="one posture, since volumes of different ones are not to be compared",
+            remedy="Compare dates of one posture, or add --set compare.other_posture=true",
+        )
+
+
+def posture_warnings(before: Dated, after: Dated) -> Iterator[str]:
+    """Yield a warning where the postures are known and differ."""
+    if before.posture and after.posture and before.posture != after.posture:
+        yield f"The patient was {before.posture} at the earlier date and {after.posture} later. {NOT_TO_BE_COMPARED}."
+
+
 def measured_keys(path: Path | str, settings: Settings) -> tuple[str, ...]:
     """Digests of the products that a folder's measurement has with these settings.
 
@@ -104,6 +129,7 @@ def _session(folder: Path, settings: Settings, watch: Watch) -> Dated:
     return Dated(
         path=job.session.path,
         date=job.session.manifest.date,
+        posture=job.session.manifest.subject.posture,
         identity=job.identity,
         brought=tuple(job.session.brought),
         inputs=job.inputs,
@@ -125,6 +151,7 @@ def _scan(folder: Path, settings: Settings, watch: Watch) -> Dated:
     return Dated(
         path=folder,
         date=None,
+        posture=job.posture,
         identity=job.identity,
         brought=(files.mesh,),
         inputs=job.inputs,

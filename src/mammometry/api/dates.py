@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mammometry.api.dated import Dated, open_dated
+from mammometry.api.dated import Dated, check_posture, open_dated, posture_warnings
 from mammometry.base.cores import one_blas_thread
 from mammometry.base.errors import MeasureError, SessionError
 from mammometry.base.identity import NAMELESS, one_subject
@@ -80,7 +80,7 @@ def compare(
 
     Raises:
         SessionError: a session is missing or not as documented, both are the same, one is not of a torso, or they
-            tell two different subjects.
+            tell two different subjects or postures.
         MeasureError: no breast has a volume at both dates, or the trunks are not one body's.
         StorageError: the page cannot be written, or somebody else's file is in its way.
     """
@@ -90,6 +90,8 @@ def compare(
     jobs = [open_dated(path, settings, watch) for path, watch in zip((before, after), watches, strict=True)]
     _check(jobs)
     subject = _one_subject(jobs)
+    if not settings.compare.other_posture:
+        check_posture(*jobs)
     remarks = []
     dates = [job.date for job in jobs]
     if dates[0] is not None and dates[1] is not None and dates[0] > dates[1]:
@@ -176,7 +178,7 @@ def _compare(jobs: list[Dated], request: _Request, progress: Progress) -> Compar
         f"The {name} breast has a volume at the {which} date only, and is not compared."
         for name, which in at_one_date.items()
     ]
-    warnings = [*_warnings(change, settings), *alone, *unconfirmed, *warnings]
+    warnings = [*posture_warnings(*jobs), *_warnings(change, settings), *alone, *unconfirmed, *warnings]
     heading = _heading(jobs, dates, request.subject, privacy.deidentify)
     report = replace(
         _report(jobs, heading, change, visits, warnings, remarks, privacy),

@@ -27,6 +27,7 @@ from mammometry.api.stored_report import StoredReport
 from mammometry.base.cores import one_blas_thread
 from mammometry.base.errors import (
     CalibrationError,
+    MammometryError,
     MatchingError,
     MeasureError,
     SessionError,
@@ -146,14 +147,14 @@ class Job:
             beside.ensure(self._stages[stage])
         except (CalibrationError, MatchingError, SurfaceError, MeasureError) as error:
             if drawing is not None:
-                show_refusal(self.session.results, self.identity, error, partial(self._seen, stage, drawing))
+                show_refusal(self.session.results, self.identity, error, partial(self._seen, stage, error, drawing))
             raise
         if drawing is not None:
             drawing.begin(stage)
 
-    def _seen(self, stage: Stage, drawing: Drawing) -> Mapping[str, bytes]:
+    def _seen(self, stage: Stage, error: MammometryError, drawing: Drawing) -> Mapping[str, bytes]:
         drawing.facts()  # all pictures that were begun are there then
-        return seen(stage, self.plan, self.inputs, self.store, self.previews)
+        return seen(stage, error, self.plan, self.inputs, self.store, self.previews)
 
     def calibrate(self) -> CameraSet:
         """Calibrate the rig, or take the ready-made cameras."""

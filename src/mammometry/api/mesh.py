@@ -103,6 +103,8 @@ class MeshFiles:
     """Standard uncertainty of its whole surface along its normal, mm."""
     subject: str | None = None
     """Identifier of the subject, a pseudonym, carried by every result. None: not given."""
+    posture: str = ""
+    """How the patient held herself: ``standing``, ``leaning`` or ``lying``. Empty: as the scan's folder says."""
     scan: Scan | None = None
     """What an imported scan's folder says. None: the mesh was not imported."""
 
@@ -207,9 +209,11 @@ class MeshJob:
             own = replace(own, boundary="landmarks")
         self.settings = replace(settings, measure=own)
         self.files = files
-        self.identity = Identity.of(files.mesh, files.subject)
+        self.identity = Identity.of(files.mesh if files.scan is None else self.folder, files.subject)
         self.store: Store = _StoreOfMesh(folder, watch, files.subject)
         self.units = foreign.units if files.scan is None else files.scan.units
+        self.posture = files.posture or ("" if files.scan is None else files.scan.posture)
+        self.scanner = "" if files.scan is None else files.scan.scanner
         if drawn.automatic and not files.automatic:
             raise SessionError(
                 f"{files.boundary}: {drawn.automatic[0]}",
@@ -395,8 +399,9 @@ class MeshJob:
             kind=self.kind,
             units=self.units,
             world=WORLD,
-            scanner="" if self.files.scan is None else self.files.scan.scanner,
+            scanner=self.scanner,
             notes=self.notes,
+            posture=self.posture,
         )
         return gather_mesh(self.plan, self.finished, self.rig, self._page_inputs, origin, progress=progress)
 
@@ -420,10 +425,8 @@ class MeshJob:
         return self._content_key(replace(page, identity=NAMELESS) if deidentify else page).digest
 
     def _content_key(self, page: PageInputs) -> Key:
-        beside = {"mesh": self.inputs.digests["mesh"], "units": self.units}
-        if self.files.scan is not None:
-            beside["scanner"] = self.files.scan.scanner
-        return page.key(self.plan.products(), beside)
+        said = {"units": self.units, "posture": self.posture, "scanner": self.scanner}
+        return page.key(self.plan.products(), {"mesh": self.inputs.digests["mesh"], **said})
 
     @property
     def _page_inputs(self) -> PageInputs:
@@ -431,10 +434,7 @@ class MeshJob:
 
 
 def _inputs(
-    files: MeshFiles,
-    kind: SubjectKind,
-    drawn: DrawnBoundaries,
-    places: dict[str, Float64[Array, "k 3"]],
+    files: MeshFiles, kind: SubjectKind, drawn: DrawnBoundaries, places: dict[str, Float64[Array, "k 3"]]
 ) -> Inputs:
     back: TriangleMesh | None = None if files.back is None else read_foreign(files.back, files.units).mesh
     return Inputs(

@@ -51,16 +51,25 @@ def withdraw_refusal(results: Path) -> None:
         write_outputs(results / FOLDER, {}, command="run")
 
 
-def seen(stage: Stage, plan: Plan, inputs: Inputs, store: Store, previews: Callable[[Stage], Pictures]) -> Pictures:
+def seen(
+    stage: Stage,
+    error: MammometryError,
+    plan: Plan,
+    inputs: Inputs,
+    store: Store,
+    previews: Callable[[Stage], Pictures],
+) -> Pictures:
     """Pictures of a refused stage: its inputs and what it found.
 
     Args:
         stage: that refused: calibrate, match, surface or measure.
+        error: the refusal.
         plan: the whole job.
         inputs: what the session brought.
         store: tells which products there are.
         previews: pictures of a stage that was made.
     """
+    from mammometry.calibration.judge.suspects import SuspectPhotographsError
     from mammometry.report.figures import refused
     from mammometry.report.figures.shading import front_frame
 
@@ -69,7 +78,8 @@ def seen(stage: Stage, plan: Plan, inputs: Inputs, store: Store, previews: Calla
 
     if stage == "calibrate":
         looked = {pose: made() for pose, made in plan.calibrated.observations.items() if store.has(made.key)}
-        return {"targets": refused.targets_seen(inputs.calibration_photographs, looked)} if looked else {}
+        suspects = error.suspects.reasons if isinstance(error, SuspectPhotographsError) else ()
+        return {"targets": refused.targets_seen(inputs.calibration_photographs, looked, suspects)} if looked else {}
     if stage == "match":
         subjects = there(plan.matched.subjects)
         outlines = None if subjects is None else subjects.blocks

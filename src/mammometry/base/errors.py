@@ -25,6 +25,8 @@ class MammometryError(Exception):
 
     def __init__(self, subject: str, *, found: str, expected: str, remedy: str) -> None:
         self.subject, self.found, self.expected, self.remedy = map(_on_one_line, (subject, found, expected, remedy))
+        self.details: tuple[str, ...] = ()
+        """Single cases behind the sentence, such as the photographs that were not used. Pages list them."""
         self.page: Path | None = None
         """Shows what was seen, where a page was written."""
         super().__init__(f"{self.subject}: found {self.found}, expected {self.expected}. {self.remedy.rstrip('.')}.")
@@ -35,10 +37,13 @@ def _on_one_line(text: str) -> str:
 
     Names from files may hold characters that control a terminal.
     """
-    plain = "".join(
-        letter if letter.isprintable() else " " if letter.isspace() else "�" for letter in text[: 2 * _LONGEST]
-    )
-    return plain if len(plain) <= _LONGEST else f"{plain[: _LONGEST // 2]} … {plain[-_LONGEST // 2 :]}"
+    text = text if len(text) <= 2 * _LONGEST else text[:_LONGEST] + text[-_LONGEST:]
+    plain = "".join(letter if letter.isprintable() else " " if letter.isspace() else "�" for letter in text)
+    if len(plain) <= _LONGEST:
+        return plain
+    first, last = plain[: _LONGEST // 2], plain[-_LONGEST // 2 :]
+    words = " " in first and " " in last  # values out of damaged files may have none
+    return f"{first.rpartition(' ')[0]} … {last.partition(' ')[2]}" if words else f"{first} … {last}"
 
 
 class SessionError(MammometryError):

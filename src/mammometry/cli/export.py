@@ -19,6 +19,7 @@ from mammometry.cli.common import (
     SettingsFile,
     Verbose,
     examples,
+    load_settings,
 )
 from mammometry.cli.stages import opened
 
@@ -304,9 +305,16 @@ def _gathered(
     deidentify: bool,
     parts: list[Any] | None = None,
 ) -> Exported:
-    from mammometry.hospital.gather import gather
+    from mammometry.hospital.gather import gather, gather_scan
+    from mammometry.io.scans import MESH, is_scan
 
     with Bars(quiet) as bars:
+        if is_scan(session):
+            from mammometry.api.mesh import MeshJob, folder_for, scan_files
+
+            chosen = load_settings(settings, assignments)
+            job = MeshJob(scan_files(session), folder_for(session / MESH), chosen, watch=bars.watch)
+            return gather_scan(job, deidentify=deidentify, parts=parts or ())
         return gather(opened(session, settings, assignments, bars), deidentify=deidentify, parts=parts or ())
 
 

@@ -44,6 +44,9 @@ def mesh(
     subject: Annotated[
         str | None, typer.Option(help="Identifier of the subject, a pseudonym.", show_default=False)
     ] = None,
+    posture: Annotated[
+        str, typer.Option(help="How the patient held herself: standing, leaning or lying.", show_default="not said")
+    ] = "",
     without_texture: Annotated[
         bool, typer.Option("--without-texture", help="Take the shape alone, without material file and pictures.")
     ] = False,
@@ -62,7 +65,7 @@ def mesh(
 
     require_apart(out, [file])
     require_free(out, FILES, command=_COMMAND)
-    about = Scan(scanner=scanner, units="", head=head, ahead=ahead, subject=named_subject(subject))
+    about = Scan(scanner=scanner, units="", head=head, ahead=ahead, subject=named_subject(subject), posture=posture)
     made = import_scan(file, about, units=None if units is None else units.value, texture=not without_texture)
     write_outputs(out, made, command=_COMMAND)
     pictures = sum(name.startswith("texture-") for name in made)

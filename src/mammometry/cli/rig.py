@@ -169,7 +169,8 @@ def import_cameras(
             remedy="Import every camera of the rig, named as in session.toml (a file of one camera is named after it)",
         )
     names = ", ".join(file.name for file in files)
-    doubts = require_rig(names, cameras, opened.pair_names, opened.manifest.subject.kind)
+    upside_down = [name for name, mounting in opened.manifest.rig.turned.items() if mounting == "upside-down"]
+    doubts = require_rig(names, cameras, opened.pair_names, opened.manifest.subject.kind, upside_down)
     content = json_module.dumps(cameras_table(cameras), indent=1) + "\n"
     write_output(path, content.encode(), command="import-cameras")
     return Answer(

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from mammometry.base.errors import SettingsError
+from mammometry.cli import scan_demo
 from mammometry.cli.common import (
     Answer,
     Assignments,
@@ -36,9 +37,19 @@ _RECIPE, _FILM = SessionRecipe(), Film()
 _DEMO_RECIPE = _RECIPE
 
 
-@app.command(epilog=examples("mammometry demo", "mammometry demo /tmp/demo --json"))
+@app.command(epilog=examples("mammometry demo", "mammometry demo /tmp/demo --json", "mammometry demo --scan"))
 def demo(
-    folder: Annotated[Path, typer.Argument(metavar="[FOLDER]", help="Folder for the virtual session.")] = _DEMO,
+    folder: Annotated[
+        Path | None,
+        typer.Argument(
+            metavar="[FOLDER]",
+            help="Folder for the virtual session or scan.",
+            show_default=f"{_DEMO}, or {scan_demo.FOLDER}",
+        ),
+    ] = None,
+    scan: Annotated[
+        bool, typer.Option("--scan", help="Scan a virtual standing woman with a virtual telephone, and measure that.")
+    ] = False,
     assignments: Assignments = None,
     settings: SettingsFile = None,
     quiet: Quiet = False,
@@ -49,7 +60,11 @@ def demo(
     from mammometry.cli.common import load_settings
     from mammometry.simulate.session import true_volumes_cc
 
+    if scan:
+        chosen = folder or scan_demo.FOLDER
+        return scan_demo.scan_demo(chosen, settings, assignments, quiet=quiet, json=json)
     load_settings(settings, assignments)  # a wrong name shows at once, not after a minute
+    folder = folder or _DEMO
     begun = time.monotonic()
     with Bars(quiet or json) as bars, compiled_ahead():
         if not _is_demo(folder):

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from mammometry.base.posture import POSTURES
 from mammometry.cli.common import (
     Answer,
     Assignments,
@@ -237,6 +238,9 @@ def measure(
         str | None,
         _mesh_option(help="The axis straight ahead.", show_default="where an open mesh faces"),
     ] = None,
+    posture: Annotated[
+        str | None, _mesh_option(help="How the patient held herself: standing, leaning or lying.")
+    ] = None,
     assignments: Assignments = None,
     settings: SettingsFile = None,
     quiet: Quiet = False,
@@ -263,6 +267,7 @@ def measure(
             "--automatic": automatic or None,
             "--head": head,
             "--ahead": ahead,
+            "--posture": posture,
         }
         for name, value in given.items():
             if value is not None:
@@ -277,6 +282,8 @@ def measure(
 
     if out is not None and out.is_symlink():
         out = out.resolve()  # a link that the user names is meant; one that came with the files is refused
+    if posture not in (None, *POSTURES):
+        raise typer.BadParameter(f"--posture is {', '.join(POSTURES)}, found {posture!r}")
     for option, number in (("--scale-sd", scale_sd), ("--surface-sd", surface_sd)):
         if number is not None and not 0 <= number < float("inf"):
             raise typer.BadParameter(f"{option} is a standard uncertainty, 0 or more")
@@ -300,6 +307,7 @@ def measure(
         scale_std=SCALE_STD if scale_sd is None else scale_sd,
         surface_std_mm=SURFACE_STD_MM if surface_sd is None else surface_sd,
         subject=named_subject(subject),
+        posture=posture or "",
         scan=scan,
     )
     folder = out or folder_for(session)

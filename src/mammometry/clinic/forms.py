@@ -94,7 +94,10 @@ class PatientForm(_PatientForm):
     def clean_given_name(self) -> str:
         """Refuse what no other system takes as a name, alone or together with the family name."""
         given = _clean_name(self.cleaned_data["given_name"])
-        require_dicom_text(f"{self.cleaned_data.get('family_name', '')}^{given}", "PN")
+        if text_fault(name := f"{self.cleaned_data.get('family_name', '')}^{given}", "PN") is not None:
+            raise forms.ValidationError(
+                f"Both names have {len(name) - 1} letters together. The hospital’s systems allow 63: shorten one."
+            )
         return given
 
     def clean_born(self) -> datetime.date | None:
@@ -108,7 +111,7 @@ class PatientForm(_PatientForm):
 def _clean_name(name: str) -> str:
     if set(name) & set("^="):
         raise forms.ValidationError("A name has no ^ and no =: they separate its parts in the hospital’s systems.")
-    require_dicom_text(name, "PN")
+    require_dicom_text(name, "LO")
     return name
 
 
@@ -247,8 +250,9 @@ class PersonForm(_PersonForm):
     def clean_full_name(self) -> str:
         """Refuse what no other system takes as the name of who confirms."""
         name: str = self.cleaned_data["full_name"]
-        require_dicom_text(name, "PN")
-        require_dicom_text(person_name(name), "PN")
+        require_dicom_text(name, "LO")
+        if text_fault(person_name(name), "PN") is not None:
+            raise forms.ValidationError(f"Found {len(name)} letters. The hospital’s systems allow 63.")
         return name
 
     def clean(self) -> dict[str, Any]:

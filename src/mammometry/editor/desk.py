@@ -144,6 +144,17 @@ class Desk:
             return {}
         return {each.name: each for each in product()}
 
+    def _proposed(self) -> dict[str, Any]:
+        """Landmark → where the measurement proposes it. Empty if that is not current."""
+        product = self.job.measured.landmarks
+        if product is None or not self.job.store.has(product.key):
+            return {}
+        return {
+            mark.name: mark.points_world.tolist()
+            for mark in product()
+            if mark.proposed and mark.probability >= self.job.settings.measure.nipple.least_probability
+        }
+
     def state(self) -> dict[str, Any]:
         """State of the page as JSON.
 
@@ -156,6 +167,7 @@ class Desk:
             entries = drawn_entries(self.folder, self.kind, self.subject)
             marks = read_landmarks(self.folder, self.kind, self.subject)
             boundaries = self._boundaries(entries)
+        proposed = self._proposed()
         for name, measurement in self.measured().items():
             boundaries[name]["measured"] = _as_json(_measured_live(measurement)) | {
                 "of": curve_digest(measurement.boundary_world)
@@ -169,6 +181,7 @@ class Desk:
                     "base": entry_digest(entries.get(("landmarks", mark.name))),
                     "points": marks[mark.name].tolist() if mark.name in marks else [],
                     "how": origin_words(entries.get(("landmarks", mark.name), {})),
+                    "proposed": proposed.get(mark.name, []),
                 }
                 for mark in LANDMARKS[self.kind]
             },

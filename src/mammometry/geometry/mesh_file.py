@@ -41,12 +41,13 @@ def read_triangles(path: Path) -> tuple[Float64[Array, "n 3"], Int32[Array, "m 3
         raise _refused(path, "another kind of file", _KINDS, "Export the mesh as one of them")
     if not path.exists():
         raise _refused(path, "no such file", _KINDS, "Check the path")
-    content = read_bytes(path, str(path), _KINDS, most_mib=_MOST_MIB)
+    content = read_bytes(path, str(path), _KINDS, most_mib=_MOST_MIB).removeprefix(codecs.BOM_UTF8)
     if (found := _other_content(path, content[:_HEAD_BYTES])) is not None:
         raise _refused(
             path, found, f"what the ending {path.suffix} says", "Give it its right ending, or export it again"
         )
-    content = _with_plain_lines(path, content)
+    if path.suffix.lower() == ".stl" and _is_text(start := content[:_HEAD_BYTES]) and b"\n" not in start:
+        content = content.replace(b"\r", b"\n")  # the reader knows no other ends of lines
     try:
         vertices, faces, colours = _parsed(path, content)
     except MammometryError:
@@ -96,7 +97,7 @@ def _other_content(path: Path, head: bytes) -> str | None:
         return None if kind == ".obj" else "a text in UTF-16"
     if len(between) > 0 and not any(between) and all(letters):
         return "a text in UTF-16 that does not say so"
-    head = head.removeprefix(codecs.BOM_UTF8).lstrip()
+    head = head.lstrip()
     if kind != ".ply" and re.match(rb"ply[ \t]*[\r\n]", head):
         return "a PLY"
     if kind != ".glb" and head.startswith(b"glTF"):
@@ -107,28 +108,6 @@ def _other_content(path: Path, head: bytes) -> str | None:
         return "an OBJ"
     is_text = re.search(rb"(?:^|[\r\n])v[ \t]", head) is not None  # whose comments may hold anything
     return "numbers in binary" if kind == ".obj" and b"\0" in head and not is_text else None
-
-
-def _with_plain_lines(path: Path, content: bytes) -> bytes:
-    """Lines that end with LF, and comments in ASCII, which are all that the readers know.
-
-    Older programs end lines with CR, as PLY was first defined, and write names in their own encoding.
-    """
-    start = content[:_HEAD_BYTES]
-    if path.suffix.lower() == ".ply":
-        head, end, _ = start.partition(b"end_header")
-        lines = head if b"\n" in head else head.replace(b"\r", b"\n")
-        plain = lines.decode("ascii", "replace").encode("ascii", "replace")
-        if not end or plain == head:
-            return content
-        rest = content[len(head) + len(end) :]
-        if lines != head:
-            rest = rest.replace(b"\r", b"\n") if b"format ascii" in head else b"\n" + rest[1:]
-        return plain + end + rest
-    if path.suffix.lower() == ".stl" and _is_text(start.removeprefix(codecs.BOM_UTF8)):
-        content = content.removeprefix(codecs.BOM_UTF8)
-        return content if b"\n" in start else content.replace(b"\r", b"\n")
-    return content
 
 
 def _cause(path: Path, content: bytes, error: Exception) -> SessionError:

@@ -134,6 +134,8 @@ def _stated_unit(path: Path) -> tuple[str | None, str]:
                 head = file.read(_HEADER_BYTES)
         except OSError as error:
             raise _refused(path, error.strerror or str(error), "a mesh file", "Check the path") from None
+        if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+            head = head.decode("utf-16", "ignore").encode()
         stated = _STATED.search(head.removeprefix(codecs.BOM_UTF8).partition(b"end_header")[0])
         if stated is not None:
             return (stated["unit"] or stated["ours"]).decode().lower(), "as the file says"

@@ -12,6 +12,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstra
 from mammometry.base.errors import SessionError
 from mammometry.base.identity import subject_id
 from mammometry.base.parse import read_text, shown, toml_table
+from mammometry.base.posture import Posture
 
 MANIFEST = "session.toml"
 _NAME = re.compile(r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")
@@ -87,6 +88,8 @@ class SubjectEntry(BaseModel):
     """Pseudonym of the photographed subject, carried by every product. None: not given."""
     rim_radius_mm: float | None = Field(default=None, ge=0, le=10)
     """Radius by which a cast's rim is rounded, mm, if measured."""
+    posture: Posture = "leaning"
+    """How a patient held herself before the rig."""
 
     @model_validator(mode="after")
     def _only_a_cast_has_a_rim(self) -> SubjectEntry:
@@ -198,6 +201,7 @@ pairs = [
 [subject]
 kind = "{subject}"    # "model": a cast, one closed solid; "torso": both breasts; "surface": an open surface, no volume
 # id = "P-0421"         # whose photographs these are: a pseudonym, never a name; every result carries it
+# posture = "leaning"   # or "standing", "lying": volumes of different postures are not compared
 # rim_radius_mm = 0.0   # a cast: radius by which its rim is rounded, if it was measured; 0 for a sharp edge
 
 # Optional: lenses from separate photographs of a board, one folder a camera (intrinsics/<camera>/*.jpg)

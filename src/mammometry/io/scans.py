@@ -24,6 +24,7 @@ from mammometry.base.errors import SessionError
 from mammometry.base.identity import subject_id
 from mammometry.base.limits import LimitSettings
 from mammometry.base.parse import read_bytes, read_text, toml_table
+from mammometry.base.posture import POSTURES
 from mammometry.geometry.arrays import Array, UInt8
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.obj_file import parse_obj
@@ -47,7 +48,7 @@ AXES = ("y", "-y", "z", "-z", "x", "-x")
 _MOST_MTL_MIB = 1  # of a material file; real ones have a few hundred bytes
 _SAME_AREA = 1e-3  # by which the area of what was written may differ: faces without area are left out
 _LONGEST = 100  # characters of a scanner's name
-_KEYS = {"format", "scanner", "units", "head", "ahead", "subject", "sha256"}
+_KEYS = {"format", "scanner", "units", "head", "ahead", "subject", "posture", "sha256"}
 _MAP_OPTION = re.compile(r"-(?:blendu|blendv|cc|clamp|texres|bm|boost|type|imfchan|mm|o|s|t)(?=\s)", re.IGNORECASE)
 """An option before the name of a map's picture (the format's specification, "Texture map statements")."""
 _OPTION_VALUE = re.compile(r"\s+(?:on|off|[-+]?[0-9.]+)(?=\s)")
@@ -69,6 +70,8 @@ class Scan:
     """The axis straight ahead. Empty: where an open mesh faces."""
     subject: str | None = None
     """Pseudonym. None: not given."""
+    posture: str = ""
+    """How the patient held herself: ``standing``, ``leaning`` or ``lying``. Empty: nobody said."""
     sha256: str = ""
     """Of the scanner's own mesh file."""
 
@@ -112,6 +115,7 @@ def import_scan(
     made = {
         "format": 1, "scanner": about.scanner.strip(), "units": foreign.units, "head": about.head, "ahead": about.ahead,
         **({} if about.subject is None else {"subject": about.subject}),
+        **({"posture": about.posture} if about.posture else {}),
         "sha256": hashlib.sha256(mesh.read_bytes()).hexdigest(),
     }  # fmt: skip
     lines = [f"{name} = {json.dumps(value, ensure_ascii=False)}" for name, value in made.items()]
@@ -160,7 +164,7 @@ def read_scan(folder: Path) -> Scan:
     if unknown or table.get("format") != 1 or not all(isinstance(table.get(k), str) for k in ("scanner", "units")):
         raise SessionError(
             str(path), found=f"the key {unknown[0]!r}" if unknown else "no format, scanner or units",
-            expected="format = 1, scanner, units, head, ahead, subject and sha256",
+            expected="format = 1, scanner, units, head, ahead, subject, posture and sha256",
             remedy="Import the mesh again: mammometry import mesh",
         )  # fmt: skip
     read = {name: value for name, value in table.items() if name != "format" and isinstance(value, str)}
@@ -183,6 +187,11 @@ def _check(about: Scan) -> None:
         raise SessionError(
             "the scan's subject", found=f"{about.subject!r:.40}", expected=str(error), remedy="Correct --subject"
         ) from None  # fmt: skip
+    if about.posture not in ("", *POSTURES):
+        raise SessionError(
+            "the scan's posture", found=f"{about.posture[:20]!r}", expected=f"one of {', '.join(POSTURES)}",
+            remedy="Correct --posture",
+        )  # fmt: skip
     for axis, given in (("head", about.head), ("ahead", about.ahead)):
         if given not in ("", *AXES):
             raise SessionError(

@@ -439,7 +439,10 @@ def _anthropometry(
 
         textured = mesh.textured
         frame = frame_of(cameras, body)
-        return find_landmarks(textured.mesh, textured.colours, measurements, inputs.landmarks, frame, settings)
+        plane = None if body is None else body.plane
+        return find_landmarks(
+            textured.mesh, textured.colours, measurements, inputs.landmarks, frame, settings, plane=plane
+        )
 
     def mirror(
         cameras: CameraSet,

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from mammometry.base.errors import CalibrationError
 from mammometry.base.photograph import Photograph
 from mammometry.base.progress import Progress
-from mammometry.job.camera_sets import imported_cameras, trusted_cameras
+from mammometry.job.camera_sets import adjust_rig, imported_cameras, trusted_cameras
 from mammometry.job.inputs import Inputs
 from mammometry.job.keeping import kept_data
 from mammometry.job.measuring import Measured, Upstream, measure
@@ -126,27 +126,7 @@ def calibrate(inputs: Inputs, settings: CalibrateSettings, memo: Memo) -> Calibr
     def adjust(
         poses: Mapping[str, Observations], lenses: Mapping[str, Observations], *, progress: Progress
     ) -> Calibration:
-        from mammometry.calibration.adjust import bundle
-        from mammometry.calibration.detection import no_target
-        from mammometry.calibration.detection.detect import merged
-        from mammometry.calibration.detection.duplicates import set_duplicates_aside
-
-        seen = tuple(poses.values())
-        if not any(part.detections for part in seen):
-            raise no_target.no_target(target.kind, (*seen, *lenses.values()))
-        usable = set_duplicates_aside(merged(seen))
-        try:
-            return bundle.calibrate(
-                usable,
-                inputs.pair_names,
-                inputs.rig_name,
-                settings,
-                intrinsics_observations=lenses or None,
-                priors=inputs.priors,
-                progress=progress,
-            )
-        except CalibrationError as error:
-            raise no_target.with_causes(error, usable) from None
+        return adjust_rig(inputs, tuple(poses.values()), lenses, settings, progress=progress)
 
     calibration: Product[Calibration] = Product(
         memo,
@@ -155,20 +135,15 @@ def calibrate(inputs: Inputs, settings: CalibrateSettings, memo: Memo) -> Calibr
         adjust,
         parents={"poses": observations, "lenses": intrinsics},
         settings=settings.bundle,
-        inputs={name: inputs.digests[name] for name in (("rig", "prior") if inputs.priors else ("rig",))},
+        inputs={name: inputs.digests[name] for name in ("rig", "subject", *(("prior",) if inputs.priors else ()))}
+        | inputs.mounting_digest,
     )
 
     def trust(calibration: Calibration, *, progress: Progress) -> CameraSet:
         return trusted_cameras(calibration, inputs, settings)
 
     cameras = Product(
-        memo,
-        "calibrate",
-        "cameras",
-        trust,
-        parents={"calibration": calibration},
-        settings=settings.quality,
-        inputs={"subject": inputs.digests["subject"], **inputs.mounting_digest},
+        memo, "calibrate", "cameras", trust, parents={"calibration": calibration}, settings=settings.quality
     )
     return Calibrated(observations=observations, intrinsics=intrinsics, calibration=calibration, cameras=cameras)
 

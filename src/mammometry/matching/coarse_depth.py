@@ -76,7 +76,7 @@ def coarse_depths(rig: Rig, pair_name: str, photographs: tuple[Photograph, Photo
         return None
     step = max(1, round(max(pair.left.size_wh) / _SPAN_PX))
     cameras = smaller_camera(pair.left, step), smaller_camera(pair.right, step)
-    shots = tuple(_smaller(photograph, step) for photograph in photographs)
+    left, right = (_smaller(photograph, step) for photograph in photographs)
     everything = [
         Foreground(
             camera=camera.name,
@@ -88,7 +88,7 @@ def coarse_depths(rig: Rig, pair_name: str, photographs: tuple[Photograph, Photo
     ]
     small = replace(pair, left=cameras[0], right=cameras[1])
     try:
-        rectified = rectify(small, *shots, *everything, middle_world=rig.target_middle_world)
+        rectified = rectify(small, left, right, everything[0], everything[1], middle_world=rig.target_middle_world)
     except MatchingError:
         return None
     return CoarseDepths(

@@ -8,12 +8,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mammometry.geometry.arrays import Array, Bool, Float64
 from mammometry.matching.match import DisparityMap
 
 ALARMING_D_V_PX = 0.3
-"""Median or spread of the vertical disparity above which calibration and photographs do not fit, px. Chosen by eye: a
-right calibration leaves less than 0.1 (docs/decisions/0011).
+"""Smooth vertical disparity above which calibration and photographs do not fit, px. Chosen by eye: a right calibration
+leaves less than 0.1 (docs/decisions/0011).
 """
+_CERTAIN_SIGMAS = 3.0  # of the smooth part, before it is called one: single pixels scatter where texture is poor
+_BLOCKS = 6  # down and across the map, whose medians show the smooth part
+_LEAST_PIXELS = 20  # matched in a block, so that its median counts
+_SMOOTH_TERMS = 6  # 1, x, y, x², xy, y²: what turns of cameras and other lenses do to rows
 _MUCH_WEAK_PERCENT = 10.0  # of the surface, worth a warning; chosen by eye
 
 
@@ -30,6 +35,10 @@ class MatchQuality:
     """Median vertical disparity: 0 with a right calibration. Here and below pixels of the rectified pair."""
     d_v_spread_px: float
     """Half the width of its middle 68 %, px."""
+    d_v_smooth_px: float
+    """RMS of its smooth part over the picture: what a moved camera or another lens does. 0 where too little matched."""
+    d_v_smooth_std_px: float
+    """Standard error of that, px."""
     sigma_median_px: float
     """Median expected standard deviation of the horizontal disparity, px."""
     confidence_median: float
@@ -41,7 +50,7 @@ class MatchQuality:
 
         A camera moved, or the photographs are another rig's.
         """
-        return max(abs(self.d_v_median_px), self.d_v_spread_px) > ALARMING_D_V_PX
+        return self.d_v_smooth_px > max(ALARMING_D_V_PX, _CERTAIN_SIGMAS * self.d_v_smooth_std_px)
 
 
 def assess(found: DisparityMap) -> MatchQuality:
@@ -49,6 +58,7 @@ def assess(found: DisparityMap) -> MatchQuality:
     matched, weak = int(found.valid.sum()), int((found.weak & ~found.valid).sum())
     d_v = found.pair_px * found.d_v_px[found.valid].astype(np.float64)
     low, median, high = np.percentile(d_v, (16, 50, 84)) if matched else (0.0, 0.0, 0.0)
+    smooth_px, smooth_std_px = _smooth_part(found.pair_px * found.d_v_px.astype(np.float64), found.valid)
     height, width = found.valid.shape
     return MatchQuality(
         size_wh=(width, height),
@@ -56,17 +66,40 @@ def assess(found: DisparityMap) -> MatchQuality:
         weak_percent=100 * weak / max(matched + weak, 1),
         d_v_median_px=float(median),
         d_v_spread_px=float(high - low) / 2,
+        d_v_smooth_px=smooth_px,
+        d_v_smooth_std_px=smooth_std_px,
         sigma_median_px=found.pair_px * float(np.median(found.sigma_px[found.valid])) if matched else 0.0,
         confidence_median=float(np.median(found.confidence[found.valid])) if matched else 0.0,
     )
+
+
+def _smooth_part(d_v_px: Float64[Array, "h w"], valid: Bool[Array, "h w"]) -> tuple[float, float]:
+    """RMS and standard error, px, of a quadratic through the medians of blocks."""
+    rows, columns = np.flatnonzero(valid.any(axis=1)), np.flatnonzero(valid.any(axis=0))
+    places, medians = [], []
+    for i, row in enumerate(np.array_split(rows, _BLOCKS)):
+        for j, column in enumerate(np.array_split(columns, _BLOCKS)):
+            block = np.ix_(row, column)
+            inside = d_v_px[block][valid[block]]
+            if inside.size >= _LEAST_PIXELS:
+                places.append((2 * i / _BLOCKS - 1, 2 * j / _BLOCKS - 1))
+                medians.append(float(np.median(inside)))
+    if len(medians) < 2 * _SMOOTH_TERMS:
+        return 0.0, 0.0
+    y, x = np.array(places).T
+    terms = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
+    smooth = terms @ np.linalg.lstsq(terms, np.array(medians), rcond=None)[0]
+    rest = np.array(medians) - smooth
+    std = np.sqrt(np.sum(rest**2) / (len(rest) - _SMOOTH_TERMS) * _SMOOTH_TERMS / len(rest))
+    return float(np.sqrt(np.mean(smooth**2))), float(std)
 
 
 def concerns(pair: str, quality: MatchQuality) -> Iterator[str]:
     """Sentences that a user must read before trusting the pair."""
     if quality.calibration_alarm:
         yield (
-            f"Pair {pair}: vertical disparity of {quality.d_v_median_px:+.2f} ± {quality.d_v_spread_px:.2f} px shows "
-            "that a camera moved after the calibration, or that the photographs belong to another one."
+            f"Pair {pair}: a vertical disparity of {quality.d_v_smooth_px:.2f} ± {quality.d_v_smooth_std_px:.2f} px "
+            "shows that a camera moved after the calibration, or that the photographs belong to another one."
         )
     if quality.weak_percent > _MUCH_WEAK_PERCENT:
         yield (

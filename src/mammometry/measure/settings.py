@@ -315,6 +315,8 @@ class CompareSettings:
     """Difference in lean above which poses count as different, because breasts hang differently, degrees."""
     doubt_deg: float = 15.0
     """Difference in lean above which there is a warning, degrees. The intervals were not measured for more."""
+    other_posture: bool = False
+    """Whether dates of different postures are compared, with a warning, instead of refused."""
 
     def __post_init__(self) -> None:
         if not 0 < self.doubt_mm <= self.refuse_mm:

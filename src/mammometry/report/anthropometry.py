@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from mammometry.measure.boundary.breasts import NoBreast
 from mammometry.measure.landmarks.landmarks import Landmark
+from mammometry.measure.landmarks.names import LANDMARKS
 from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.shape.anthropometry import Dimensions
 from mammometry.measure.shape.symmetry import Symmetry
@@ -64,8 +65,13 @@ def difference_number(
     )
 
 
-def planning_lengths(dimensions: Dimensions | None) -> tuple[Table | None, str]:
-    """Lengths that surgeons plan with, and what their table leaves out."""
+def planning_lengths(dimensions: Dimensions | None, landmarks: Sequence[Landmark] = ()) -> tuple[Table | None, str]:
+    """Lengths that surgeons plan with, what their table leaves out, and what they rest on.
+
+    Args:
+        dimensions: of the measurement. None: there are no lengths.
+        landmarks: from which they were measured.
+    """
     if dimensions is None:
         return None, ""
     laid_out = length_table([*quantities_of(dimensions), *projections_of(dimensions)])
@@ -82,6 +88,9 @@ def planning_lengths(dimensions: Dimensions | None) -> tuple[Table | None, str]:
     lacking = [row.title[0].lower() + row.title[1:] for row in laid_out.rows if row.sides == (None, None)]
     note = [] if laid_out.nipples is None else [f"Nipple to nipple: {length_words(laid_out.nipples)} mm."]
     note += [f"Not measured, since a landmark is not marked: {'; '.join(lacking)}."] if lacking else []
+    guessed = {mark.name for mark in landmarks if mark.proposed}
+    titles = [mark.title for mark in LANDMARKS["torso"] if mark.name in guessed and mark.kind == "point"]
+    note += [f"Proposed by the program, not confirmed by anybody: {', '.join(titles)}."] if titles else []
     return table, " ".join(note)
 
 

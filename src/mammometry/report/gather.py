@@ -108,7 +108,7 @@ def gather(
         sizes = None if plan.measured.dimensions is None else plan.measured.dimensions()
         measured_words = describe.measure_report(measurements)
         stages.append(replace(measured_words, tables=measured_words.tables + dimension_tables(sizes, marks)))
-    lengths, lengths_note = planning_lengths(sizes)
+    lengths, lengths_note = planning_lengths(sizes, marks)
     progress(0.9)
 
     run = RunResults(

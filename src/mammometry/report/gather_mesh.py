@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
+from mammometry.base.posture import NOT_TO_BE_COMPARED
 from mammometry.base.progress import Progress, no_progress
 from mammometry.geometry.camera import Rig
 from mammometry.job.inputs import SubjectKind
@@ -48,6 +49,8 @@ class MeshOrigin:
     """What the frame is, one sentence."""
     scanner: str = ""
     """Name of the device. Empty: not given."""
+    posture: str = ""
+    """How the patient held herself, as was said. Empty: nobody said."""
     notes: tuple[str, ...] = ()
     """What was changed in the mesh, and what was taken for granted, one sentence each."""
 
@@ -90,7 +93,7 @@ def gather_mesh(
     pictures = {"measure": previews.draw(shown)}
     progress(0.5)
     words = describe.measure_report(measurements)
-    lengths, lengths_note = planning_lengths(sizes)
+    lengths, lengths_note = planning_lengths(sizes, marks)
     changed, everything = describe.settings_facts(page.settings)
     scene = viewer_scene(
         front_of(viewer, body),
@@ -154,8 +157,10 @@ def _warnings(measurements: Sequence[VolumeMeasurement], body: Body | None) -> I
 def _mesh_facts(finished: FinishedSurface, origin: MeshOrigin) -> StageReport:
     mesh = finished.repaired.mesh
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    posture = ". ".join(filter(None, (origin.posture, NOT_TO_BE_COMPARED)))
     facts = (
         *([Fact(label="Scanner", value=origin.scanner)] if origin.scanner else []),
+        *([Fact(label="Posture", value=posture)] if origin.kind == "torso" else []),
         Fact(label="Unit in the file", value=origin.units),
         Fact(
             label="Mesh",

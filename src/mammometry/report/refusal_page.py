@@ -27,6 +27,7 @@ def refusal_page(identity: Identity, error: MammometryError, pictures: Mapping[s
             Fact(label="Expected", value=error.expected),
         ),
         remedy=sentence(error.remedy),
+        lines=[sentence(line) for line in error.details],
         pictures=[embed(png) for png in pictures.values()],
     )
 

@@ -42,7 +42,8 @@ def cause(found: Stillness) -> str:
     share = worst.body_mm / worst.effect_mm if worst.effect_mm > 0 else 0.0
     named = ", ".join(f"{each.camera} by {each.turn_deg:.3f} ± {each.std_deg:.3f}°" for each in found.turns[:_NAMED])
     if found.alone in found.asked.cameras:
-        return f"A camera turned after the calibration: {named}. Calibrate again before the next capture."
+        turned = f"after the calibration: {named}" if named else f"after the calibration, probably {found.alone}"
+        return f"A camera turned {turned}. Calibrate again before the next capture."
     if share >= _MOST_PART or found.alone is not None:
         return (
             f"The body, or a pair of cameras as a whole, moved between the exposures of the pairs, most for pair "

@@ -24,6 +24,7 @@ from mammometry.measure.volume.uncertainty import Evidence
 from mammometry.report import change_page
 from mammometry.report.change_page import ChangeReport
 from mammometry.report.privacy import Privacy
+from mammometry.settings import Settings
 from mammometry.simulate.subjects.torso import torso_shape
 
 pytestmark = pytest.mark.slow
@@ -236,12 +237,12 @@ def test_walls_of_two_kinds_are_named_and_made_one(
     assert kinds == {"cylinder-membrane"}
 
 
-def scan_of(folder: Path, how: tuple[int, float]) -> Path:
+def scan_of(folder: Path, how: tuple[int, float], posture: str = "") -> Path:
     """The body's own surface as the scan of another device."""
     folder.mkdir()
     mesh = body(*how).torso.solid.mesh
     trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(folder / "scanner.ply")
-    about = Scan(scanner="Vectra M5", units="mm", head="y", ahead="z")
+    about = Scan(scanner="Vectra M5", units="mm", head="y", ahead="z", posture=posture)
     files = import_scan(folder / "scanner.ply", about, units="mm")
     (folder / "scanner.ply").unlink()
     for name, content in files.items():
@@ -263,6 +264,17 @@ def test_scans_are_compared_with_scans_and_with_photographs(
         assert left.volume.beyond_error
         assert "scale" in left.volume.terms_cc  # each device has a scale of its own
         assert compared.folder.parent == other / "results" / "compare"
+
+
+@pytest.mark.xdist_group("two dates")
+def test_a_standing_scan_is_compared_with_photographs_only_on_request(
+    folders: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scan = scan_of(tmp_path / "after", AFTER, posture="standing")
+    assert run(["compare", str(folders[0]), str(scan)]) == 3
+    assert "compare.other_posture=true" in capsys.readouterr().err
+    found = compare(folders[0], scan, Settings().overridden(["compare.other_posture=true"]))
+    assert found.warnings[0].startswith("The patient was leaning at the earlier date and standing later.")
 
 
 def session_of(folder: Path, subject: str) -> Path:

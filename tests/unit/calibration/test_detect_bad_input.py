@@ -114,9 +114,24 @@ CASES = {
     "over-exposed": (lambda r: shoot(40 * np.maximum(r, 0.01)), BOARD, "over-exposed", "Expose it less"),
     "black": (lambda r: shoot(0.005 * r), BOARD, "nearly black", "flash"),
     "blurred": (lambda r: shoot(gaussian_filter(r, 14.0)), BOARD, "without one sharp edge", "Focus"),
-    "other dictionary": (lambda r: shoot(light(OTHER)), BOARD, "another dictionary (DICT_4X4", "DICT_5X5_250"),
-    "smaller board": (lambda r: shoot(light(SMALL)), BOARD, "do not lie as on a board of 14 × 10", "[target]"),
-    "larger board": (lambda r: shoot(light(LARGE)), BOARD, "that a board of 14 × 10 squares does not have", "squares"),
+    "other dictionary": (
+        lambda r: shoot(light(OTHER)),
+        BOARD,
+        'dictionary = "DICT_4X4_50" and squares = [8, 6]',
+        'Write dictionary = "DICT_4X4_50" and squares',
+    ),
+    "smaller board": (
+        lambda r: shoot(light(SMALL)),
+        BOARD,
+        "a board with squares = [8, 6]",
+        "Write squares = [8, 6] in [target]",
+    ),
+    "larger board": (
+        lambda r: shoot(light(LARGE)),
+        BOARD,
+        "a board with squares = [16, 12]",
+        "Write squares = [16, 12]",
+    ),
     "larger markers": (
         lambda r: shoot(r),
         replace(BOARD, marker_mm=16.0),

@@ -8,8 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
-from virtual_rig import BOARD, PAIRS, cameras_in_rig, observe, placements, see, with_views
+from virtual_rig import BOARD, PAIRS, cameras_in_rig, observe, placements, see, shifted, turned, with_views
 
 from mammometry.base.errors import CalibrationError
 from mammometry.calibration.adjust.bundle import calibrate
@@ -18,27 +17,11 @@ from mammometry.calibration.judge.quality import CalibrationQuality, assess
 from mammometry.calibration.judge.sides import require_sides
 from mammometry.calibration.targets.chessboard import ChessboardTarget
 from mammometry.geometry.camera import Camera
-from mammometry.geometry.transform import Transform
 
 CAMERAS = cameras_in_rig()
 POSES = placements(6)
 LATE = list(POSES)[3:]
 Shot = tuple[str, str]
-
-
-def shifted(camera: Camera, centre_mm: Sequence[float]) -> Camera:
-    """The camera displaced along its own axes."""
-    back = Transform(rotation=np.eye(3), translation_mm=-np.array(centre_mm, float))
-    return replace(camera, camera_from_world=back @ camera.camera_from_world)
-
-
-def turned(camera: Camera, degrees: Sequence[float]) -> Camera:
-    """The camera turned about its own axes."""
-    rotation = Rotation.from_rotvec(np.radians(degrees)).as_matrix()
-    return replace(
-        camera,
-        camera_from_world=Transform(rotation=rotation, translation_mm=np.zeros(3)) @ camera.camera_from_world,
-    )
 
 
 def observed(

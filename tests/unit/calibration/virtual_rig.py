@@ -50,6 +50,21 @@ def cameras_in_rig() -> dict[str, Camera]:
     }
 
 
+def shifted(camera: Camera, centre_mm: Sequence[float]) -> Camera:
+    """The camera displaced along its own axes."""
+    back = Transform(rotation=np.eye(3), translation_mm=-np.array(centre_mm, float))
+    return replace(camera, camera_from_world=back @ camera.camera_from_world)
+
+
+def turned(camera: Camera, degrees: Sequence[float]) -> Camera:
+    """The camera turned about its own axes."""
+    rotation = Rotation.from_rotvec(np.radians(degrees)).as_matrix()
+    return replace(
+        camera,
+        camera_from_world=Transform(rotation=rotation, translation_mm=np.zeros(3)) @ camera.camera_from_world,
+    )
+
+
 def placements(count: int, *, target: Target = BOARD, seed: int = 0) -> dict[str, Transform]:
     """rig_from_target of a target tilted up to 25° or so, its middle near the origin."""
     rng = np.random.default_rng(seed)

@@ -9,6 +9,7 @@ from tests.unit.io.scan_files import scanned
 
 from mammometry.api.mesh import MeshJob, scan_files, scan_job
 from mammometry.base.errors import CrossingError
+from mammometry.cli.main import run
 from mammometry.editor.desk import Desk
 from mammometry.editor.messages import PlaceChange, Save, SentHandle, Sketch, SketchChange
 from mammometry.editor.page import EditorPage
@@ -27,6 +28,17 @@ def scan(tmp_path: Path) -> Path:
 
 
 @pytest.mark.slow
+def test_a_scan_is_exported_as_a_session_is(scan: Path, tmp_path: Path) -> None:
+    assert run(["export", "fhir", str(scan), "--out", str(tmp_path / "fhir")]) == 0
+    bundle = json.loads((tmp_path / "fhir" / "bundle.json").read_text())
+    kinds = [entry["resource"]["resourceType"] for entry in bundle["entry"]]
+    assert "DiagnosticReport" in kinds
+    assert kinds.count("Observation") > 4
+    assert run(["export", "table", str(scan), "--out", str(tmp_path / "table")]) == 0
+    assert "volume" in (tmp_path / "table" / "measurements.csv").read_text()
+
+
+@pytest.mark.slow
 def test_a_scan_is_drawn_on_measured_and_shown(scan: Path) -> None:
     results = scan / "results"
     first = MeshJob(scan_files(scan), results).run()
@@ -37,6 +49,11 @@ def test_a_scan_is_drawn_on_measured_and_shown(scan: Path) -> None:
     left = drawing["boundaries"]["left"]
     assert left["measured"]["volumeCc"] == first.volumes_cc["left"]
     assert left["measured"]["of"] == left["of"]
+
+    # What is proposed is offered until somebody picks it.
+    places = drawing["places"]
+    assert {name for name, place in places.items() if place["proposed"]} >= {"medial_left", "lateral_right"}
+    assert not any(place["points"] for place in places.values())
 
     # One breast is changed: the other stays automatic, and its number the same.
     sketch = Sketch(of=left["of"], handles=[SentHandle.model_validate(each) for each in left["handles"]])

@@ -148,11 +148,20 @@ def test_a_picture_that_is_too_large_is_refused_by_its_header(scan: Path, tmp_pa
         taken(tmp_path / scan.name, limits=LimitSettings(megapixels=0.1))
 
 
-@pytest.mark.parametrize("changed", [{"scanner": " "}, {"scanner": "a\nb"}, {"head": "up"}, {"subject": "a/b"}])
+@pytest.mark.parametrize(
+    "changed", [{"scanner": " "}, {"scanner": "a\nb"}, {"head": "up"}, {"subject": "a/b"}, {"posture": "sitting"}]
+)
 def test_what_is_said_of_it_is_checked(scan: Path, changed: dict[str, str]) -> None:
     about = {"scanner": "Artec", "units": "", **changed}
     with pytest.raises(SessionError):
         import_scan(scan, Scan(**about), units="cm")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("posture", ["", "standing", "leaning", "lying"])
+def test_the_posture_is_kept(scan: Path, tmp_path: Path, posture: str) -> None:
+    made = import_scan(scan, Scan(scanner="Artec", units="", posture=posture), units="cm")
+    (tmp_path / ABOUT).write_bytes(made[ABOUT])
+    assert read_scan(tmp_path).posture == posture
 
 
 @pytest.mark.parametrize("text", ["", "format = 2", "format = 1\nscanner = 3", "format = 1\nwhat = 1", "=", "a\x00"])

@@ -42,14 +42,24 @@ def with_vertical(d_v_px: np.ndarray) -> DisparityMap:
     )
 
 
-@pytest.mark.parametrize(("offset", "spread", "alarm"), [(0.0, 0.1, False), (-0.5, 0.0, True), (0.0, 0.5, True)])
+@pytest.mark.parametrize(("offset", "spread", "alarm"), [(0.0, 0.1, False), (-0.5, 0.0, True), (0.01, 0.47, False)])
 def test_the_vertical_disparity_is_the_calibrations_alarm(offset: float, spread: float, alarm: bool) -> None:
+    """Scatter of single pixels is no sign that a camera moved."""
     noise = np.random.default_rng(1).normal(0, 1, (50, 60))
     quality = assess(with_vertical(offset + spread * noise))
     assert quality.d_v_median_px == pytest.approx(offset, abs=0.05)
     assert quality.d_v_spread_px == pytest.approx(spread, abs=0.05)  # three standard errors of 1700 pixels
     assert quality.calibration_alarm == alarm
     assert any("vertical disparity" in words for words in concerns("front", quality)) == alarm
+
+
+def test_a_camera_that_rolled_leaves_no_median_but_a_slope() -> None:
+    noise = 0.1 * np.random.default_rng(1).normal(0, 1, (50, 60))
+    found = with_vertical(0.7 * np.linspace(-1, 1, 60) + noise)
+    quality = assess(found)
+    assert quality.calibration_alarm
+    assert quality.d_v_smooth_px == pytest.approx(found.d_v_px[found.valid].std(), rel=0.15)
+    assert quality.d_v_smooth_std_px < 0.03
 
 
 def test_a_maps_figures_are_in_pixels_of_the_rectified_pair() -> None:

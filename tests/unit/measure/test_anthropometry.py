@@ -236,7 +236,7 @@ def _breast_with_nipple(tip_mm: float, red: float) -> tuple[TriangleMesh, np.nda
 @pytest.mark.parametrize(
     ("tip_mm", "red", "how", "within_mm", "seen"),
     [
-        (5.0, 0.15, "then the tip", 2.0, True),
+        (5.0, 0.15, "and the tip within", 2.0, True),
         (0.0, 0.15, "no tip stands out", 3.0, True),
         (5.0, 0.0, "tip near", 3.0, True),
         (0.0, 0.0, "neither", 20.0, False),

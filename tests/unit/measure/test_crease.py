@@ -14,7 +14,8 @@ from mammometry.base.errors import MeasureError
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.nearest import closest_on_mesh
 from mammometry.measure.boundary.breasts import _check_base, find_breasts
-from mammometry.measure.boundary.crease import _best_way, _own, follow_crease
+from mammometry.measure.boundary.closed_path import best_paths, spread_steps
+from mammometry.measure.boundary.crease import _own, follow_crease
 from mammometry.measure.trunk.skin_map import PIXEL_MM, Relief, dense_samples
 from mammometry.measure.trunk.thorax import Trunk
 
@@ -119,9 +120,40 @@ def test_the_best_way_is_the_best_of_all_ways(worth: list[list[float]], stiffnes
         moves = np.diff(np.concatenate([ways, ways[:, :1]], axis=1), axis=1)
         return np.asarray(table[np.arange(5), ways].sum(axis=1) - stiffness * (moves**2).sum(axis=1))
 
-    found = _best_way(table, stiffness)
+    found = best_paths(table[None], stiffness)[0]
     # The middle one of three turns may differ from the best closed one by what closing it once would cost, no more.
     assert value(found[None])[0] >= value(EVERY_WAY).max() - stiffness * 9
+
+
+@pytest.mark.parametrize("stiffness", [0.02, 0.3])
+def test_a_place_is_known_as_well_as_all_ways_say(stiffness: float) -> None:
+    """Against the probabilities of all 4⁵ closed ways, which three turns know nearly."""
+    table = np.random.default_rng(4).uniform(-1, 1, (5, 4))
+    table[2] += np.array([0.0, 4.0, 0.0, 0.0])  # sharp
+    moves = np.diff(np.concatenate([EVERY_WAY, EVERY_WAY[:, :1]], axis=1), axis=1)
+    share = np.exp(2 * (table[np.arange(5), EVERY_WAY].sum(axis=1) - stiffness * (moves**2).sum(axis=1)))
+    expected = [np.sqrt(np.cov(EVERY_WAY[:, place], aweights=share, ddof=0)) for place in range(5)]
+    found = spread_steps(table, stiffness, 2.0)
+    np.testing.assert_allclose(found, expected, atol=0.05)
+    assert np.argmin(found) == 2
+
+
+def test_where_nothing_shows_the_border_it_runs_as_real_womens_do_and_says_that_it_is_unsure() -> None:
+    """A breast whose upper pole runs out with the slope of the chest above it: no place of it is an edge."""
+    x, y = np.meshgrid(AXES, AXES)
+    below = np.clip(40.0 - 0.3 * np.maximum(y, 0.0), 5.0, None)
+    pole = np.where(np.abs(x) < 60, below * np.clip(1 - (x / 60.0) ** 2, 0, None) ** 2, 0.0)
+    bulge = np.where(y > -60, np.where(y > 0, pole, cap(60.0, 40.0)), 0.0)
+    found = follow_crease(relief_of(bulge), np.zeros(2), base_mm=125.0)
+    assert found.flat[:, 1].max() < 125  # real women's: .67 of the root of 156 cm² above the middle, 84 mm
+    assert found.flat[:, 1].min() == pytest.approx(-60, abs=4)
+    top, bottom = np.argmax(found.flat[:, 1]), np.argmin(found.flat[:, 1])
+    assert found.sigma_mm[top] > 1.5 * found.sigma_mm[bottom]
+
+
+def test_a_border_stays_on_its_own_side() -> None:
+    found = follow_crease(relief_of(cap(60.0, 45.0)), np.array([5.0, 0.0]), between_mm=(-40.0, np.inf))
+    assert found.flat[:, 0].min() > -45
 
 
 def test_samples_lie_on_the_faces_and_close_together() -> None:

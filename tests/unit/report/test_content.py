@@ -160,9 +160,15 @@ def test_each_fault_has_its_warning(rig) -> None:
     quality = replace(assess(synthetic.calibration(rig)), verdict="warn", reasons=("camera one_left moved",))
     assert "Check the calibration. Camera one_left moved." in warned(rig, quality=quality)
     assert "cameras were imported" in warned(rig, calibration=None, quality=None)
-    assert "vertical disparity of +0.50 ± 0.00 px" in warned(rig, matching=synthetic.matching(rig, d_v_px=0.5))
+    assert "vertical disparity of 0.50 ± 0.00 px" in warned(rig, matching=synthetic.matching(rig, d_v_px=0.5))
     assert "matched only 40 %" in warned(rig, shares={"one": 0.4, "two": 0.9})
     assert "not separated from the background" in warned(rig, foregrounds=synthetic.foregrounds(rig, everything=True))
+    blind = synthetic.foregrounds(rig, everything=True)
+    reasons = {"one_left": "it does not fit the others", "one_right": "its partner's silhouette is not known"}
+    said = warned(rig, foregrounds=blind, shares={}, unseparated=reasons)
+    assert "No outline of the subject is used in the photographs of one_left, one_right: it does not fit the" in said
+    assert "not separated from the background in two_left, two_right." in said  # as the settings asked
+    assert "matched only" not in said
     rail = Blocked(camera="one_left", blocks=np.ones((2, 2), dtype=bool), step=2, share=0.123)
     strap = replace(rail, camera="two_left", share=0.004)
     hidden = warned(rig, blocked={"one_left": rail, "two_left": strap})
@@ -204,6 +210,8 @@ def test_reports_of_the_stages_have_one_row_a_pair_or_camera(rig) -> None:
     assert all(len(row) == len(table.columns) for table in imported.tables for row in table.rows)
     matched = describe.matching_report(synthetic.foregrounds(rig), synthetic.matching(rig), {"one": 0.5, "two": 1.0})
     assert matched.tables[0].rows[0][2] == "50.0"
+    blind = describe.matching_report(synthetic.foregrounds(rig), synthetic.matching(rig), {"two": 1.0})
+    assert [row[2] for row in blind.tables[0].rows] == ["–", "100.0"]
     images = synthetic.ranges(rig)
     surfaced = describe.surface_report(
         thinned_ranges(images, synthetic.valid(images)), synthetic.repaired(synthetic.ball())

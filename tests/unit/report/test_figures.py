@@ -196,6 +196,9 @@ def test_all_of_the_silhouette_is_matched_or_half_of_it(rig) -> None:
     upper[: upper.shape[0] // 2] = True
     halved = {name: replace(each, valid=each.valid & upper) for name, each in found.items()}
     assert matched_shares(rig, seen, halved)["one"] == pytest.approx(0.5, abs=0.02)
+    unknown = rig.pair_names["one"][0]
+    seen = {**seen, unknown: replace(seen[unknown], everything=True)}
+    assert matched_shares(rig, seen, found) == {"two": 1.0}  # of what has no silhouette, nothing is a share
 
 
 def test_provenance_shares_of_a_ball_are_those_of_its_zones() -> None:

@@ -16,6 +16,7 @@ from mammometry.report.anthropometry import comparison, difference_number
 from mammometry.report.clinical import Clinical, Signed
 from mammometry.report.content import ReportContent
 from mammometry.report.figures import previews
+from mammometry.report.figures.canvas import Caption, Sheet
 from mammometry.report.figures.catalogue import PREVIEWS
 from mammometry.report.figures.matching import disparity
 from mammometry.report.figures.stage_results import MatchingResult
@@ -195,3 +196,10 @@ def test_pictures_lie_inside_the_page_and_the_text_is_text() -> None:
 
 def test_the_same_content_gives_the_same_bytes() -> None:
     assert rendered_with(page_content("left", "right")) == rendered("left", "right")
+
+
+def test_the_views_of_an_open_surface_are_on_paper() -> None:
+    """Where a breast was measured, its own pictures are."""
+    png = Sheet(1, 1, (60, 40)).png(Caption(title="Views", text="From the front."))
+    assert all_encoded({"surface": {"views": png}})["surface"]["views"].jpeg
+    assert not all_encoded({"surface": {"views": png}, "measure": {"sections": png}})["surface"]["views"].jpeg

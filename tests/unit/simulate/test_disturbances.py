@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from mammometry.simulate.disturbances.about import Surroundings
-from mammometry.simulate.disturbances.draw import draw, is_held_out
+from mammometry.simulate.disturbances.draw import OF_OTHER_CAPTURES, draw, is_held_out
 from mammometry.simulate.disturbances.exposure import Exposure, plain_exposure, shifted
 from mammometry.simulate.disturbances.registry import DISTURBANCES, Word, check, disturbed
 from mammometry.simulate.disturbances.surfaces import ball, bar, box, merged, straight
@@ -332,7 +332,10 @@ def test_every_disturbance_is_drawn_by_some_seed_for_development():
     names = {
         one.name for seed in range(400) if not is_held_out(seed) for d in (2, 3) for one in draw(seed, d).disturbances
     }
-    assert names == set(_NAMES) - {"posture"}  # before a rig everybody leans: scans have other postures
+    assert names == set(_NAMES) - {
+        "posture",
+        *OF_OTHER_CAPTURES,
+    }  # before a rig everybody leans: scans have other postures
 
 
 def test_the_page_lists_every_disturbance(repository):
@@ -343,3 +346,23 @@ def test_the_page_lists_every_disturbance(repository):
 
 def test_a_third_of_the_seeds_is_held_out():
     assert [seed for seed in range(9) if is_held_out(seed)] == [2, 5, 8]
+
+
+def test_soft_focus_blurs_every_camera_by_the_same_share_of_the_picture():
+    films = exposed("soft-focus=9").films.values()
+    assert {round(film.blur_px, 3) for film in films} == {round(math.hypot(0.5, 9.0 * 225 / 4504), 3)}
+
+
+def test_a_table_is_level_below_a_body_and_behind_a_cast():
+    for name, kind in (("figure", "surface"), ("plaster_2", "model")):
+        solid = make_subject(name, 7, edge_mm=4.0)
+        assert solid.subject_kind == kind
+        placed = rig_from_solid(solid, 7)
+        about: Surroundings = disturbed(
+            Surroundings(solid=solid, rig_from_solid=placed, skin=SKINS["skin"]), "thing", parse_situation("table"), 7
+        )
+        (table,) = about.things
+        up = table.props.normals[0]
+        heights = placed.apply(solid.mesh.vertices) @ up - table.props.vertices[0] @ up
+        assert 0.0 < heights.min() < 2.0
+        assert up == pytest.approx([0.0, 1.0, 0.0] if kind == "surface" else placed.rotation[:, 2], abs=1e-9)

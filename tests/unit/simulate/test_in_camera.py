@@ -89,3 +89,14 @@ def test_a_camera_that_processes_nothing_counts_as_before():
     # The same light through the longer way, which rounds to 16 bits in between.
     nearly = develop(image, replace(film, gain_rgb=(1.0, 1.0, 1.0 + 1e-9)), name="p", seed=3).pixels.astype(int)
     assert np.abs(plain - nearly).max() <= 1
+
+
+def test_a_grey_sensor_writes_one_channel_of_all_light():
+    rng = np.random.default_rng(3)
+    light = rng.uniform(0.1, 0.8, (12, 16, 3)).astype(np.float32)
+    film = replace(Film(blur_px=0.0, vignetting=0.0).with_noise(0.0), grey=True)
+    for one in (film, replace(film, sharpening=0.5)):
+        assert develop(light, one, name="a", seed=1).pixels.shape == (12, 16)
+    luma = light @ np.array([0.2126, 0.7152, 0.0722], dtype=np.float32)
+    found = develop(light, film, name="a", seed=1).pixels
+    assert np.abs(found - 255 * srgb_encoded(luma)).max() < 1.5

@@ -67,7 +67,7 @@ def test_cylinder_and_plate_are_exact_prisms():
     assert plate(220.0, 160.0, 6.0).volume_cc == pytest.approx(211.2, rel=1e-6)
 
 
-@pytest.mark.parametrize("name", ["plaster_1", "plaster_4", "plaster", "sphere", "cylinder", "plate"])
+@pytest.mark.parametrize("name", ["plaster_1", "plaster_4", "plaster", "sphere", "cylinder", "plate", "head", "figure"])
 def test_solids_are_closed_and_of_one_piece(name):
     mesh = make_subject(name, 3, edge_mm=3.0).mesh
     assert mesh.is_watertight()

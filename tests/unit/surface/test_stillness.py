@@ -195,6 +195,8 @@ def test_one_camera_that_turned_is_named():
     assert found.turns[0].turn_deg == pytest.approx(0.06, rel=0.35)
     assert found.displaced[0].pair == "left"
     assert "left_r" in " ".join(concerns(found))
+    uncertain = replace(found, turns=())
+    assert next(concerns(uncertain)).startswith("A camera turned after the calibration, probably left_r. Calibrate")
 
 
 def test_a_body_that_moved_between_exposures_is_put_right_and_told_from_a_camera():

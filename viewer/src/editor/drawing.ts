@@ -45,6 +45,8 @@ export interface StoredBoundary extends Stored {
 
 export interface StoredPlace extends Stored {
   points: Vector[];
+  /** Where the measurement proposes it, until somebody picks it. */
+  proposed: Vector[];
 }
 
 export interface Job {
@@ -108,6 +110,20 @@ export class Drawing {
 
   stored({ group, name }: Item, state = this.state): Stored {
     return group === "boundaries" ? state.boundaries[name]! : state.places[name]!;
+  }
+
+  /** Where a landmark is proposed that nobody has picked. */
+  proposed(item: Item): Vector[] {
+    return item.group === "boundaries" || this.handles(item).length > 0 ? [] : this.state.places[item.name]!.proposed;
+  }
+
+  /** Pick all landmarks where they are proposed, in one step. */
+  takeProposed(): void {
+    this.step(this.sketches);
+    for (const item of this.items) {
+      const places = this.proposed(item);
+      if (places.length > 0) this.replace(item, places.map((point) => ({ point, at: null })));
+    }
   }
 
   isChanged({ group, name }: Item): boolean {

@@ -5,6 +5,7 @@ All cameras and all target placements are adjusted at once.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -119,15 +120,18 @@ def _check_pairs(pair_names: Mapping[str, tuple[str, str]], observations: Observ
 
 
 def _require_every_camera(views: Sequence[View], observations: Observations, set_aside: Sequence[SetAside]) -> None:
-    for camera in observations.sizes_wh:
-        poses = [view.pose for view in set_aside if view.camera == camera]
-        if len(poses) > sum(view.camera == camera and not view.own for view in views):
-            raise CalibrationError(
-                f"camera {camera}",
-                found=f"pictures that do not fit the other cameras' in most poses ({', '.join(poses)})",
-                expected="pictures exposed together with the other cameras'",
-                remedy="Check that its files are of the poses they are named after and that nothing moved",
-            )
+    left = Counter(view.camera for view in views if not view.own)
+    aside = {camera: [view.pose for view in set_aside if view.camera == camera] for camera in observations.sizes_wh}
+    wrong = [camera for camera, poses in aside.items() if len(poses) > left[camera]]
+    if wrong:
+        poses = ", ".join(sorted({pose for camera in wrong for pose in aside[camera]}))
+        raise CalibrationError(
+            f"camera{'s' if len(wrong) > 1 else ''} {', '.join(wrong)}",
+            found=f"pictures that do not fit the other cameras' in most poses ({poses})",
+            expected="pictures exposed together with the other cameras'",
+            remedy="Check that its files are of the poses they are named after, that none was mirrored, and that "
+            "nothing moved",
+        )
     require_connected([(view.camera, view.pose) for view in views if not view.own])
 
 

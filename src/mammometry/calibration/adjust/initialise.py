@@ -38,6 +38,22 @@ _THREAD_COUNT = Lock()
 """Held while OpenCV's number of threads, one for the whole process, is changed."""
 
 
+class TooFewViewsError(CalibrationError):
+    """Cameras saw the target too rarely, or never together with the others.
+
+    Args:
+        subject: the cameras, in words.
+        cameras: their names.
+        found: how often they saw it.
+        expected: how often they should.
+        remedy: what the user can do about it.
+    """
+
+    def __init__(self, subject: str, *, cameras: Sequence[str], found: str, expected: str, remedy: str) -> None:
+        super().__init__(subject, found=found, expected=expected, remedy=remedy)
+        self.cameras = tuple(cameras)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class InitialRig:
     """Where the adjustment starts. Good to a pixel or so."""
@@ -95,8 +111,9 @@ def initialise(
         mine = [view for view in usable if view.camera == camera]
         camera_from_target |= _poses(mine, observations, intrinsics[camera])
         if not any(seer == camera for seer, _ in camera_from_target):
-            raise CalibrationError(
+            raise TooFewViewsError(
                 f"camera {camera}",
+                cameras=[camera],
                 found="no usable view of the rig's target",
                 expected=f"at least one with {_LEAST_POINTS} points",
                 remedy="Check its photographs: focus, light, and that the target is inside the frame",
@@ -122,8 +139,9 @@ def require_connected(views: Sequence[tuple[str, str]]) -> None:
         return  # only poses without a camera of their own are left, which cannot be
     if len(groups) > 1:
         rest = [" with ".join(sorted(cameras)) for cameras, _ in groups[1:]]
-        raise CalibrationError(
+        raise TooFewViewsError(
             f"cameras {', '.join(rest)}",
+            cameras=sorted(camera for cameras, _ in groups[1:] for camera in cameras),
             found=f"no pose shared with {', '.join(sorted(groups[0][0]))}",
             expected="the target seen by cameras of both groups in at least one pose",
             remedy="Add a calibration pose that both see, exposed together",
@@ -187,8 +205,9 @@ def _intrinsics(camera: str, source: Observations, views: Sequence[Detection], m
     flat = _is_flat(points)
     least = least_views(source.target)
     if len(views) < least:
-        raise CalibrationError(
+        raise TooFewViewsError(
             f"camera {camera}",
+            cameras=[camera],
             found=f"{len(views)} usable {'view' if len(views) == 1 else 'views'} of the target",
             expected=f"at least {least}" + (", tilted differently" if flat else ""),
             remedy=f"Add {least - len(views)} or more calibration poses that this camera sees",

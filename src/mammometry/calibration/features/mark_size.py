@@ -24,6 +24,8 @@ _DIRECTIONS = 16
 """Lines from a disc's middle. Chosen by eye."""
 _BESIDE = (-0.2, 0.0, 0.2)
 """Places of the lines across a square, in lengths of a line: between its corners for all but the smallest squares."""
+_OUTER = 0.7
+"""Share of a line beyond which the bright around a mark is sought: a marker's own bright cells end before it."""
 _LEAST_MARKS = 4
 """Fewest marks wholly in the picture. Chosen by eye."""
 _DARKER = 0.6
@@ -80,7 +82,7 @@ def mark_size(
         to_image: from the target's surface, mm, to distorted pixels.
         centres_mm: the marks' middles on the surface.
         shape: whether they are round, or square along the surface's axes.
-        reach_mm: distance from a middle to the next dark, or to midway between two marks. A mark ends before it.
+        reach_mm: distance from a middle to the next dark, or to midway between two marks. A mark ends well before it.
 
     Returns:
         The size. None where too few marks are in the picture, or they are not darker than what is around them.
@@ -96,7 +98,7 @@ def mark_size(
     uv = uv[whole]
     light = ndimage.map_coordinates(linear, [uv[..., 1], uv[..., 0]], order=1)
     profile = np.median(light.reshape(-1, _STEPS), axis=0).astype(np.float64)
-    outer = profile[_STEPS // 2 :]
+    outer = profile[int(_OUTER * _STEPS) :]
     bright = _STEPS - 1 - int(outer[::-1].argmax())  # the outermost, where several are saturated
     dark = int(profile[: bright + 1].argmin())
     if profile[dark] > _DARKER * profile[bright]:

@@ -34,6 +34,7 @@ from mammometry.calibration.judge.findings import (
 from mammometry.calibration.judge.reconstruction import PairQuality, reconstruct
 from mammometry.calibration.judge.sighting import sightings
 from mammometry.calibration.judge.stillness import Movement, movements
+from mammometry.calibration.judge.target_shape import about_target
 from mammometry.calibration.judge.view_quality import ViewQuality, pooled_rms, view_qualities
 from mammometry.calibration.settings import QualitySettings
 
@@ -51,6 +52,8 @@ class CalibrationQuality:
     verdict: Verdict
     reasons: tuple[str, ...]
     """One sentence each, worst first. Good findings are listed too."""
+    refusals: tuple[str, ...]
+    """Those of the reasons for which the calibration is refused."""
     rms_px: float
     rms_px_per_camera: Mapping[str, float]
     rms_px_per_pose: Mapping[str, float]
@@ -96,6 +99,7 @@ def assess(calibration: Calibration, settings: QualitySettings = QualitySettings
     findings: list[Finding] = [
         *about_names(calibration),
         *about_missed(calibration),
+        *about_target(calibration),
         *about_movements(moved, settings),
         *(() if moved else about_bias(calibration, views, settings)),
         *about_fit(calibration, views, settings),
@@ -111,6 +115,7 @@ def assess(calibration: Calibration, settings: QualitySettings = QualitySettings
     return CalibrationQuality(
         verdict=findings[0][0],
         reasons=tuple(reason for _, reason in findings),
+        refusals=tuple(reason for verdict, reason in findings if verdict == "refuse"),
         rms_px=calibration.rms_px,
         rms_px_per_camera={name: pooled_rms([v for v in views if v.camera == name]) for name in coverage},
         rms_px_per_pose={

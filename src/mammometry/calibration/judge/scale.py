@@ -132,6 +132,6 @@ def _sizes(rig: Rig, depths_mm: Mapping[str, float], subject_kind: str, where: s
         mm=float(np.median(views)),
         possible_mm=(least_mm, SUBJECT_MM[1]),
         usual_mm=_USUAL_VIEW_MM,
-        words=f"the pictures are {{}} high {where}",
+        words=f"the pictures' shorter side is {{}} {where}",
     )
     return view, baseline

@@ -37,5 +37,6 @@ def require_sides(rig: Rig, upside_down: Collection[str]) -> None:
                 remedy="Say in session.toml which of the two is mounted upside down, such as "
                 f'rig.mounting = {{ {pair.left.name} = "upside-down" }}'
                 if opposed and not told
-                else "Exchange left and right in the pair, or the two cameras' files if those are swapped",
+                else "Exchange left and right in the pair, or the two cameras' files if those are swapped. If all "
+                "photographs were mirrored, export them as the cameras took them",
             )

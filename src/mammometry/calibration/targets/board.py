@@ -14,7 +14,7 @@ from mammometry.calibration.targets.sheet import Pattern, Sheet
 from mammometry.calibration.targets.target import Target, require_grid, require_measured, require_positive
 from mammometry.geometry.arrays import Array, Float64, read_only
 
-_LEAST_SQUARES = 3
+LEAST_SQUARES = 3
 """Fewest columns and rows: two inner corners each way make the smallest grid."""
 
 
@@ -104,7 +104,7 @@ class SquaresBoard(Board):
 
     def __post_init__(self) -> None:
         Board.__post_init__(self)
-        require_grid("squares", self.squares, _LEAST_SQUARES)
+        require_grid("squares", self.squares, LEAST_SQUARES)
         require_positive(square_mm=self.square_mm)
 
     @property

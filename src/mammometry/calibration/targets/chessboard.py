@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from mammometry.base.photograph import Photograph
 from mammometry.calibration.features.found_points import Cause, FoundPoints
-from mammometry.calibration.targets.board import SquaresBoard
+from mammometry.calibration.targets.board import LEAST_SQUARES, SquaresBoard
 from mammometry.calibration.targets.registry import TARGETS
 from mammometry.calibration.targets.sheet import DARK, WHITE, Pattern
 from mammometry.geometry.arrays import Array, UInt8
@@ -26,7 +27,9 @@ class ChessboardTarget(SquaresBoard):
         ValueError: fewer than 3 × 3 squares, or a size that is not positive.
     """
 
-    def find(self, photograph: Photograph, *, search_width_px: int, window_squares: float) -> FoundPoints | None:
+    def find(
+        self, photograph: Photograph, *, search_width_px: int, window_squares: float
+    ) -> FoundPoints | Cause | None:
         """Find the corners. See `find_chessboard`."""
         from mammometry.calibration.targets.find_chessboard import find_chessboard
 
@@ -37,6 +40,13 @@ class ChessboardTarget(SquaresBoard):
         from mammometry.calibration.targets.find_chessboard import explain_missed_chessboard
 
         return explain_missed_chessboard(small, self)
+
+    def mistaken(self) -> Iterator[tuple[str, ChessboardTarget]]:
+        """Yield boards whose squares were counted wrongly, first those counted between the squares."""
+        for more in ((1, 1), (1, 0), (0, 1), (-1, -1), (-1, 0), (0, -1)):
+            columns, rows = self.squares[0] + more[0], self.squares[1] + more[1]
+            if min(columns, rows) >= LEAST_SQUARES:
+                yield f"squares = [{columns}, {rows}]", replace(self, squares=(columns, rows))
 
     @property
     def looks_alike_turned(self) -> bool:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import product
 from typing import ClassVar
 
 import numpy as np
@@ -92,6 +94,14 @@ class CirclesTarget(Board):
         from mammometry.calibration.targets.find_circles import find_circles
 
         return find_circles(photograph, self, search_width_px=search_width_px)
+
+    def mistaken(self) -> Iterator[tuple[str, CirclesTarget]]:
+        """Yield boards with rows and columns exchanged, or one more or less."""
+        columns, rows = self.grid
+        counts = [(rows, columns), *((columns + a, rows + b) for a, b in product((1, 0, -1), repeat=2) if a or b)]
+        for grid in counts:
+            if min(grid) >= _LEAST_CIRCLES:
+                yield f"grid = [{grid[0]}, {grid[1]}]", replace(self, grid=grid)
 
     @property
     def pattern(self) -> Pattern:

@@ -20,6 +20,7 @@ from mammometry.calibration.features.mark_size import mark_size
 from mammometry.calibration.features.pixels import enlarge, grey_bytes, linear_luma, reduced
 from mammometry.calibration.targets.charuco import CharucoTarget
 from mammometry.calibration.targets.charuco_board import charuco_board
+from mammometry.calibration.targets.marker_layout import FITTING_SHARE, TOLERANCE_SQUARES
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, UInt8
 
 DOUBLED_MARKERS = 4
@@ -70,6 +71,9 @@ def find_charuco(
     if found is None:
         return None
     board_map, used = found
+    off_mm = np.linalg.norm(board_map.board(uv) - board_mm, axis=1)
+    if (off_mm < TOLERANCE_SQUARES * target.square_mm).mean() < FITTING_SHARE:
+        return None  # on a board of the other pattern every second row fits
     linear = linear_luma(photograph)
     markers_mm = board_mm[:markers].reshape(-1, 4, 2).mean(axis=1)
     if cause := _about_marker_size(linear, board_map, markers_mm, target):

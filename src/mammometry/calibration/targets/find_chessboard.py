@@ -14,7 +14,12 @@ from mammometry.calibration.features.corners import CornerGrid, refine_corners
 from mammometry.calibration.features.found_points import Cause, FoundPoints
 from mammometry.calibration.features.pixels import enlarge, grey_bytes, linear_luma, reduced
 from mammometry.calibration.targets.chessboard import ChessboardTarget
-from mammometry.geometry.arrays import Array, Float32, Float64, UInt8
+from mammometry.geometry.arrays import Array, Float32, Float64, Int64, UInt8
+
+_LEAST_BEYOND = 2
+"""Squares of each colour, beyond a side of the board, by which it is seen to go on."""
+_GOES_ON = 0.4
+"""Difference of such squares, in that of the board's own. A rim has none. Chosen by eye."""
 
 
 def find_chessboard(
@@ -23,11 +28,11 @@ def find_chessboard(
     *,
     search_width_px: int,
     window_squares: float,
-) -> FoundPoints | None:
+) -> FoundPoints | Cause | None:
     """Find the inner corners of a board wholly in the picture.
 
-    None if it is not. The first corner is the one at a dark square. If half a turn leaves the pattern unchanged, the
-    first is the one that makes the board's x axis point to the picture's right.
+    None if it is not, the cause if it is part of a larger one. The first corner is the one at a dark square. If half a
+    turn leaves the pattern unchanged, the first is the one that makes the board's x axis point to the picture's right.
     """
     columns, rows = target.squares[0] - 1, target.squares[1] - 1
     small, scale = reduced(grey_bytes(photograph), search_width_px)
@@ -47,6 +52,11 @@ def find_chessboard(
     if not candidates:
         return None
     starts_dark, _, board_map = max(candidates, key=lambda candidate: candidate[:2])
+    if _goes_on(linear, board_map, target):
+        return Cause(
+            found=f"a chessboard of more than {target.squares[0]} × {target.squares[1]} squares",
+            remedy="Count its squares, not the corners between them, and correct [target] squares",
+        )
     column, row = np.meshgrid(np.arange(columns), np.arange(rows))
     return refine_corners(
         linear,
@@ -97,15 +107,42 @@ def _orders(grid: Float64[Array, "r c 2"]) -> list[Float64[Array, "r c 2"]]:
     return orders
 
 
+def _goes_on(linear: Float32[Array, "h w"], board_map: BoardMap, target: ChessboardTarget) -> bool:
+    """Whether dark and bright squares go on beyond the board, where a rim should be."""
+    columns, rows = target.squares
+    inside = _light_in(linear, board_map, target, *np.meshgrid(np.arange(1, columns - 1), np.arange(1, rows - 1)))
+    contrast = float(np.ptp(np.nanpercentile(inside, (20, 80))))
+    across, down = np.arange(columns), np.arange(rows)
+    for column, row in ((across, -1), (across, rows), (-1, down), (columns, down)):
+        beyond = _light_in(linear, board_map, target, *np.broadcast_arrays(column, row))
+        even, odd = beyond[::2], beyond[1::2]
+        seen = min(np.isfinite(even).sum(), np.isfinite(odd).sum()) >= _LEAST_BEYOND
+        if seen and abs(np.nanmedian(even) - np.nanmedian(odd)) > _GOES_ON * contrast:
+            return True
+    return False
+
+
+def _light_in(
+    linear: Float32[Array, "h w"],
+    board_map: BoardMap,
+    target: ChessboardTarget,
+    column: Int64[Array, "*n"],
+    row: Int64[Array, "*n"],
+) -> Float64[Array, "*n"]:
+    """Linear light in the middles of squares. NaN outside the picture."""
+    uv = np.rint(board_map.image((np.stack([column, row], axis=-1) + 0.5) * target.square_mm)).astype(np.int64)
+    height, width = linear.shape
+    inside = np.all((uv >= 0) & (uv < (width, height)), axis=-1)
+    u, v = np.where(inside, uv[..., 0], 0), np.where(inside, uv[..., 1], 0)
+    return np.where(inside, linear[v, u].astype(np.float64), np.nan)
+
+
 def _starts_dark(linear: Float32[Array, "h w"], board_map: BoardMap, target: ChessboardTarget) -> bool:
     """Whether the square before the first corner is dark.
 
     From the middles of the squares between the corners.
     """
     column, row = np.meshgrid(np.arange(1, target.squares[0] - 1), np.arange(1, target.squares[1] - 1))
-    middles_mm = (np.stack([column.ravel(), row.ravel()], axis=1) + 0.5) * target.square_mm
-    uv = np.rint(board_map.image(middles_mm)).astype(np.int64)
-    height, width = linear.shape
-    value = linear[np.clip(uv[:, 1], 0, height - 1), np.clip(uv[:, 0], 0, width - 1)]
-    even = (column + row).ravel() % 2 == 0
-    return bool(value[even].mean() < value[~even].mean())
+    light = _light_in(linear, board_map, target, column, row)
+    even = (column + row) % 2 == 0
+    return bool(np.nanmean(light[even]) < np.nanmean(light[~even]))

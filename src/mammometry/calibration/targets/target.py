@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import ClassVar
 
 import numpy as np
@@ -102,6 +102,13 @@ class Target(ABC):
     def explain_miss(self, small: UInt8[Array, "h w"]) -> Cause | None:
         """Report what a reduced grey picture shows instead, if visible."""
         return None
+
+    def mistaken(self) -> Iterator[tuple[str, Target]]:
+        """Yield targets that this description commonly stands for by mistake, the likeliest first.
+
+        Each with the keys of session.toml that would have to be written for it.
+        """
+        yield from ()
 
     # --- what is printed ---
 

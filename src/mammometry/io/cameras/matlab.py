@@ -6,10 +6,6 @@ their centres. Matrices named ``IntrinsicMatrix`` and ``Rotation…`` are for ro
 
 from __future__ import annotations
 
-import io
-import struct
-import warnings
-import zlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -17,14 +13,14 @@ from typing import Any
 import numpy as np
 
 from mammometry.base.errors import SessionError
-from mammometry.base.parse import numbers, parsing, read_bytes, said, shown
+from mammometry.base.parse import numbers, parsing, read_bytes, shown
 from mammometry.geometry.camera import Camera
 from mammometry.io.cameras.own import camera_from_entry, pair_of_two, unfit
+from mammometry.io.mat_file import OBJECT, read_variables
 
 _EXPECTED = "a structure of stereoParameters, or of cameraParameters with rotationMatrix and translationVector"
 _MOST_MIB = 64  # with all points of the board's pictures
 _HDF5 = b"MATLAB 7.3 MAT-file"
-_OBJECTS = "__function_workspace__"  # where scipy puts what objects are made of
 _MM = {
     **dict.fromkeys(("mm", "millimeters", "millimetres", ""), 1.0),
     **dict.fromkeys(("cm", "centimeters", "centimetres"), 10.0),
@@ -63,7 +59,7 @@ def read_matlab(path: Path, pair_names: Mapping[str, tuple[str, str]]) -> dict[s
         if not {"rotationMatrix", "translationVector"} <= set(variables):
             raise unfit(path.name, "one camera without its place in the rig", _EXPECTED)
         poses = [(variables["rotationMatrix"], variables["translationVector"])]
-    elif _OBJECTS in variables:
+    elif any(value is OBJECT for value in variables.values()):
         raise SessionError(path.name, found="MATLAB's objects", expected=_EXPECTED, remedy=_AS_STRUCT)
     else:
         raise unfit(path.name, f"variables {', '.join(variables) or 'none'}", _EXPECTED)
@@ -79,19 +75,11 @@ def read_matlab(path: Path, pair_names: Mapping[str, tuple[str, str]]) -> dict[s
 
 
 def _variables(path: Path) -> dict[str, Any]:
-    from scipy.io import loadmat
-    from scipy.io.matlab import MatReadError
-
     content = read_bytes(path, path.name, "a MAT-file", most_mib=_MOST_MIB)
     if content.startswith(_HDF5):
         raise SessionError(path.name, found="a MAT-file of version 7.3", expected="version 7", remedy=_AS_STRUCT)
-    try:
-        with warnings.catch_warnings(), parsing("no MAT-file", path.name, "a MAT-file of version 7"):
-            warnings.simplefilter("ignore")  # of variables that no camera is made of
-            loaded = loadmat(io.BytesIO(content), simplify_cells=True)  # type: ignore[arg-type]  # any open file
-    except (MatReadError, NotImplementedError, OSError, EOFError, MemoryError, zlib.error, struct.error) as error:
-        raise unfit(path.name, f"no MAT-file ({said(error)})", "a MAT-file of version 7") from None
-    return {name: value for name, value in loaded.items() if not name.startswith("__") or name == _OBJECTS}
+    with parsing("no MAT-file", path.name, "a MAT-file of version 7"):
+        return read_variables(content)
 
 
 def _part(path: Path, table: Mapping[str, Any], name: str) -> Any:
@@ -101,7 +89,7 @@ def _part(path: Path, table: Mapping[str, Any], name: str) -> Any:
 
 
 def _lens(path: Path, table: Any) -> dict[str, Any]:
-    if not isinstance(table, Mapping):
+    if table is OBJECT:
         raise SessionError(path.name, found="MATLAB's objects", expected=_EXPECTED, remedy=_AS_STRUCT)
     matrix = numbers(_part(path, table, "K"), 3, 3) if "K" in table else _rows(path, table)
     radial = numbers(_part(path, table, "RadialDistortion"), -1)

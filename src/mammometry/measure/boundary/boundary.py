@@ -42,6 +42,7 @@ _HELD = 0.25  # weight from which a silhouette point counts as rim; chosen by ey
 _ALL_AROUND = 0.995  # share of a breast that is written as 100 %
 _FLAT_MM = 0.1  # a base that sags less than this towards its rim is called flat; chosen by eye
 _FOLDED = 0.5  # share of the lower quarter that must be creased for a fold to be seen there; chosen by eye
+_SURE_TO_VAGUE = (0.1, 0.9)  # quantiles of a curve's uncertainty that are said
 _COARSE_PX = 1.0  # outliers are left out little by little, else the nearest of several minima is found; chosen by eye
 _BENDS = (0.15, 0.3, 0.45)  # curvatures tried, as the rim's radius over the cylinder's; chosen by eye
 _FINISHED = 3  # of the ways of bending that settled, as many bend freely; chosen by eye
@@ -74,9 +75,9 @@ class Boundary:
     """Points seen in the photographs that the curve follows (a cast's rim), mm, world frame. For figures."""
     sigma_mm: float | None = None
     """Standard uncertainty of the whole curve along the wall's normal, mm. None if not known."""
-    across_mm: float = 0.0
-    """Standard uncertainty of a torso's curve across itself beyond what any drawn curve has, mm: how softly a mound
-    without a fold ends."""
+    across_mm: Float64[Array, " n"] | None = None
+    """Standard uncertainty of each point across a torso's curve beyond what any drawn curve has, mm: how little the
+    skin shows of the border there. None: nothing beyond."""
 
     def __post_init__(self) -> None:
         if len(self.points_world) < 3 or not np.isfinite(self.points_world).all():
@@ -308,14 +309,16 @@ def _creased(name: BreastName, outline: Outline, head: str) -> Boundary:
     fold = (
         "" if outline.folded > _FOLDED else "No fold is seen below the breast: its edge is where its curve runs out. "
     )
-    bridged = " and bridged elsewhere" if outline.creased < _ALL_AROUND else ""
+    elsewhere = "" if outline.creased > _ALL_AROUND else "; elsewhere the shape of real women's breasts decided"
+    surest, vaguest = np.quantile(outline.sigma_mm, _SURE_TO_VAGUE)
     method = (
         "automatic: along the outer side of the crease between breast and trunk. The crease was found around "
-        f"{100 * outline.creased:.0f} % of the breast{bridged}. {100 * outline.seen:.0f} % of the curve "
-        f"lies on measured skin. {fold}{head[:1].upper()}{head[1:]}; {TO_BE_CONFIRMED}"
+        f"{100 * outline.creased:.0f} % of the breast{elsewhere}. The curve is known to "
+        f"± {surest:.0f} to {vaguest:.0f} mm (standard uncertainty). "
+        f"{100 * outline.seen:.0f} % of it lies on measured skin. "
+        f"{fold}{head[:1].upper()}{head[1:]}; {TO_BE_CONFIRMED}"
     )
-    across_mm = 0.0 if outline.folded > _FOLDED else outline.sigma_mm
-    return Boundary(name=name, points_world=outline.points_world, method=method, across_mm=across_mm)
+    return Boundary(name=name, points_world=outline.points_world, method=method, across_mm=outline.sigma_mm)
 
 
 def landmark_boundaries(

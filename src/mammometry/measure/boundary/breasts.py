@@ -1,21 +1,18 @@
-"""Outline each breast of a torso along its crease, if any.
-
-The crease is between breast and trunk.
-"""
+"""Outline the breast of each side of a torso, or say that there is none."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal, TypeAlias
 
 import numpy as np
-from scipy.ndimage import label, maximum_filter, median_filter
+from scipy.ndimage import median_filter
 
 from mammometry.base.errors import MeasureError
 from mammometry.geometry.arrays import Array, Bool, Float64, read_only
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.nearest import closest_on_mesh
-from mammometry.measure.boundary.crease import CREASE_PER_MM, Crease, crease_worth, follow_crease
+from mammometry.measure.boundary.crease import CREASE_PER_MM, Crease, follow_crease
+from mammometry.measure.boundary.middles import Middle, SideName, breast_middles
 from mammometry.measure.boundary.standing import Standing, Verdict, standing_out
 from mammometry.measure.settings import BreastSettings, ThoraxSettings
 from mammometry.measure.trunk.body import Body, find_body
@@ -24,23 +21,16 @@ from mammometry.measure.trunk.skin_map import PIXEL_MM, Relief, dense_samples, l
 from mammometry.measure.trunk.thorax import Skin, Thorax, Trunk, find_trunk, fit_thorax, seen_faces, seen_skin
 from mammometry.surface.repair import RepairedSurface
 
-SideName: TypeAlias = Literal["left", "right"]
 _OTHER: dict[SideName, SideName] = {"left": "right", "right": "left"}
-_ROUNDS = 3  # times that trunk and breasts are found, each from the other; chosen by eye
-_CREASE_LOST = 0.03
-"""Share of the crease by which a round may have less than the best before it. Each round's thorax rests on the outlines
-of the one before, so that a wrong outline can make the next one worse. Chosen by eye: rounds that settle differ by
-less."""
-_PEAK_SIGMA_MM = 8.0  # the relief is smoothed over this to look for peaks; chosen by eye
-_PEAK_RADIUS_MM = 25.0  # a peak is the highest place within this distance, in both coordinates; chosen by eye
-_LOWEST_PEAK = 0.5
-"""Share of the least height from which peaks are looked for. The thorax fit is off by some mm, and what stands out is
-measured again over the skin along its outline.
-"""
-_PEAK_DIRECTIONS = 36  # in which a peak must fall off, 10° apart
-_WIDEST_RAD = np.deg2rad(80.0)  # a breast's peak lies no further around the trunk than this; chosen by eye
-_SURROUNDED = 0.75  # share of the directions in which a peak must fall to half its height; chosen by eye
-_LIKE_MM = 60.0  # a pair whose places differ by this from mirrored ones counts 1/e; chosen by eye
+_ROUNDS = 3  # times that trunk and middles are found, each from the other; chosen by eye
+_DISC_MM = 75.0
+"""Skin this near to a breast's middle, laid flat, is not the trunk's: half the height of real women's bases is 84 mm,
+half the width 60."""
+_FAINT = 0.25  # a dome this much flatter than the other side's is left in the trunk; chosen by eye
+_HIGHEST_SIGMA_MM = 8.0  # the relief is smoothed over this to look for the highest place; chosen by eye
+_BESIDE_MM = 25.0  # the highest place of a side lies this far from the midline; chosen by eye
+_WIDEST_RAD = np.deg2rad(78.0)  # a border lies no further around the trunk than this, before the armpit; chosen by eye
+_OUTSIDE_MM = 4.0  # outside a curve at a fold the innermost skin is the trunk's, and not the breast's; two pixels
 _NEAR_MM = 20.0  # surface around an outline onto which it is laid; chosen by eye
 _SHEET_TURN = 0.15  # of a turn, over which an outline's running median is taken: 60 to 80 mm; chosen by eye
 _LEAP_MM = 10.0  # off the running median: another layer of skin. On whole captures no outline has any; chosen by eye
@@ -63,16 +53,17 @@ class Outline:
     points_world: Float64[Array, "n 3"]
     """Closed curve on the surface, mm, world frame."""
     creased: float
-    """Share of the curve that follows a crease. Elsewhere its neighbours decided."""
+    """Share of the curve that follows a crease. Elsewhere the shape of other breasts decided."""
     folded: float
     """Share of the curve's lower quarter that follows a crease as sharp as a fold: it shows whether there is a fold."""
     seen: float
     """Share of the curve that lies on visible skin."""
-    sigma_mm: float
-    """Standard uncertainty of the curve across itself, mm: the sharpness of the crease's end on plain skin."""
+    sigma_mm: Float64[Array, " n"]
+    """Standard uncertainty of each point across the curve, mm: small along a fold, large where nothing shows it."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "points_world", read_only(self.points_world))
+        object.__setattr__(self, "sigma_mm", read_only(self.sigma_mm))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -137,8 +128,8 @@ def find_breasts(
     """
     skin = seen_skin(surface)
     body = find_body(surface, frame, thorax_settings, skin=skin, stated=head_stated)
-    best = _best_round(surface, skin, body, settings, thorax_settings)
-    thorax, relief, sides = best.thorax, best.relief, best.sides
+    thorax, relief, middles = _trunk_beside(surface, skin, body, thorax_settings)
+    sides = _sides(relief, thorax.trunk, middles, settings)
     outlined = [side.crease for side in sides.values() if side.verdict == "breast"]
     signs = head_signs(skin, thorax.trunk, [fuller_below(crease, relief) for crease in outlined])
     head = check_head(signs, stated=head_stated)
@@ -146,7 +137,7 @@ def find_breasts(
     refused: list[MeasureError] = []
     for name, side in sides.items():
         try:
-            results[name] = _result(name, side, sides[_OTHER[name]], relief, thorax, surface, settings)
+            results[name] = _result(name, side, relief, thorax, surface, settings)
         except MeasureError as error:
             refused.append(error)
             place = _on_skin(side.middle[None], relief, thorax, surface.mesh)[0]
@@ -167,87 +158,81 @@ class _Side:
     verdict: Verdict
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Round:
-    """A trunk, and the sides that were seen on it."""
-
-    thorax: Thorax
-    relief: Relief
-    sides: dict[SideName, _Side]
-
-    @property
-    def gathered(self) -> dict[SideName, float]:
-        """How much of a crease each breast's outline follows, 0 to 1."""
-        return {
-            name: float(crease_worth(side.crease.concavity_per_mm).mean())
-            for name, side in self.sides.items()
-            if side.verdict == "breast"
-        }
-
-
-def _best_round(
-    surface: RepairedSurface, skin: Skin, body: Body, settings: BreastSettings, thorax_settings: ThoraxSettings
-) -> _Round:
-    """Find trunk and breasts in turn, and keep the last good round.
-
-    It ends when an outline clearly loses the crease that it followed before.
-    """
+def _trunk_beside(
+    surface: RepairedSurface, skin: Skin, body: Body, settings: ThoraxSettings
+) -> tuple[Thorax, Relief, dict[SideName, Middle | None]]:
+    """Find the trunk and what stands out from it like a breast, each from the other."""
     samples = dense_samples(surface.mesh.submesh(seen_faces(surface)))
+    middle_of = None if body.plane is None else body.point_world
     outside = np.ones(len(skin.points_world), dtype=bool)
     height_of: Float64[Array, 3] | None = None
-    most: dict[SideName, float] = {}
-    best: _Round | None = None
+    between_mm: float | None = None
+    frame = body.frame
     for _ in range(_ROUNDS):
-        middle_of = None if body.plane is None else body.point_world
-        trunk = find_trunk(skin, body.frame, thorax_settings, height_of=height_of, middle_of=middle_of)
-        thorax = fit_thorax(trunk, skin.chosen(outside), thorax_settings, breasts_left_out=not outside.all())
-        relief = lay_flat(thorax, samples, thorax_settings)
-        this = _Round(thorax=thorax, relief=relief, sides=_sides(relief, trunk, settings))
-        gathered = this.gathered
-        if best is not None and any(share < most.get(name, 0.0) - _CREASE_LOST for name, share in gathered.items()):
+        trunk = find_trunk(skin, frame, settings, height_of=height_of, middle_of=middle_of)
+        thorax = fit_thorax(
+            trunk,
+            skin.chosen(outside),
+            settings,
+            breasts_left_out=not outside.all(),
+            breastbone_mm=between_mm,
+        )
+        relief = lay_flat(thorax, samples, settings)
+        middles = breast_middles(relief, trunk)
+        domes = sorted((each for each in middles.values() if each is not None), key=lambda each: -each.roundness_per_mm)
+        if not domes:
             break
-        best, most = this, {name: max(share, most.get(name, 0.0)) for name, share in gathered.items()}
+        between_mm = 0.0 if body.plane is not None else _between_mm(middles)
+        frame = trunk.facing(between_mm / trunk.half_width_mm)  # straight ahead is between both breasts
         flat = trunk.cylindrical(skin.points_world)[:, :2]
-        found = [side.crease.flat for side in _fullest_first(this.sides) if side.verdict == "breast"]
-        # A breast's mirror image is left out too: so the trunk beside it is the same whatever the other side has.
-        left_out = [curve * sign for curve in found for sign in ([1.0, 1.0], [-1.0, 1.0])]
-        outside = np.ones(len(skin.points_world), dtype=bool)
-        for curve in left_out:
-            outside &= ~within_outline(flat, curve)
-        if found:
-            # At the height of the fuller breast, which does not depend on what the other side has.
-            height_of = trunk.world(np.array([[0.0, found[0][:, 1].mean(), 0.0]]))[0]
-    assert best is not None
-    return best
+        outside = np.ones(len(flat), dtype=bool)
+        for dome in domes:
+            if dome.roundness_per_mm > _FAINT * domes[0].roundness_per_mm:
+                # Its mirror image is left out too: so the trunk is the same whatever the other side has.
+                for across in (dome.flat[0], 2 * between_mm - dome.flat[0]):
+                    outside &= np.hypot(flat[:, 0] - across, flat[:, 1] - dome.flat[1]) > _DISC_MM
+        # At the height of the rounder breast, which does not depend on what the other side has.
+        height_of = trunk.world(np.array([[0.0, domes[0].flat[1], 0.0]]))[0]
+    return thorax, relief, middles
 
 
-def _sides(relief: Relief, trunk: Trunk, settings: BreastSettings) -> dict[SideName, _Side]:
+def _between_mm(middles: dict[SideName, Middle | None]) -> float:
+    """Place around the trunk between both breasts, half width × θ."""
+    left, right = middles["left"], middles["right"]
+    return 0.0 if left is None or right is None else float(left.flat[0] + right.flat[0]) / 2
+
+
+def _sides(
+    relief: Relief, trunk: Trunk, middles: dict[SideName, Middle | None], settings: BreastSettings
+) -> dict[SideName, _Side]:
     found: dict[SideName, _Side] = {}
-    for name, middle in breast_middles(relief, trunk, settings).items():
+    between_mm = _between_mm(middles)
+    widest_mm = _WIDEST_RAD * trunk.half_width_mm
+    for name, middle in middles.items():
+        sign = 1.0 if name == "left" else -1.0
         if middle is None:
-            place = _highest(relief, 1.0 if name == "left" else -1.0, trunk)
+            place = _highest(relief, sign, trunk)
             empty = Crease(
                 flat=place[None].repeat(3, axis=0),
                 concavity_per_mm=np.zeros(3),
                 seen=np.ones(3, dtype=bool),
-                blur_mm=np.zeros(3),
+                sigma_mm=np.zeros(3),
             )
             found[name] = _Side(middle=place, crease=empty, standing=None, verdict="none")
             continue
-        crease = follow_crease(relief, middle, settings)
+        ends = sorted((between_mm + sign * _MIDLINE_MM, between_mm + sign * widest_mm))
+        crease = follow_crease(
+            relief, middle.flat, settings, side=name, base_mm=middle.base_mm, between_mm=(ends[0], ends[1])
+        )
         creased = float((crease.concavity_per_mm > CREASE_PER_MM).mean())
         standing = standing_out(relief, _pixels_within(relief, crease.flat), creased)
-        found[name] = _Side(middle=middle, crease=crease, standing=standing, verdict=standing.verdict(settings))
+        found[name] = _Side(middle=middle.flat, crease=crease, standing=standing, verdict=standing.verdict(settings))
     for name, side in found.items():
         other = found[_OTHER[name]]
         if side.verdict == "unclear" and side.standing is not None and other.verdict == "breast":
             astray_mm = float(np.linalg.norm(side.middle - other.middle * [-1.0, 1.0]))
             found[name] = replace(side, verdict=side.standing.verdict(settings, astray_mm))
     return found
-
-
-def _fullest_first(sides: dict[SideName, _Side]) -> list[_Side]:
-    return sorted(sides.values(), key=lambda side: 0.0 if side.standing is None else -side.standing.volume_cc)
 
 
 def _pixels_within(relief: Relief, outline: Float64[Array, "k 2"]) -> Bool[Array, "h w"]:
@@ -258,72 +243,14 @@ def _pixels_within(relief: Relief, outline: Float64[Array, "k 2"]) -> Bool[Array
 
 def _highest(relief: Relief, sign: float, trunk: Trunk) -> Float64[Array, 2]:
     """Place on one side's front that stands out most, laid flat, mm."""
-    smooth = relief.smooth_mm(_PEAK_SIGMA_MM)
+    smooth = relief.smooth_mm(_HIGHEST_SIGMA_MM)
     rows, columns = np.indices(smooth.shape)
     flat = relief.low + np.stack([columns, rows], axis=-1) * PIXEL_MM
     across = sign * flat[..., 0]
-    there = relief.known & (across > _PEAK_RADIUS_MM) & (across < _FRONT_RAD * trunk.half_width_mm)
+    there = relief.known & (across > _BESIDE_MM) & (across < _FRONT_RAD * trunk.half_width_mm)
     there &= np.abs(flat[..., 1]) < _FRONT_MM
     best = np.unravel_index(np.argmax(np.where(there, smooth, -np.inf)), smooth.shape)
     return np.asarray(flat[best])
-
-
-def breast_middles(
-    relief: Relief, trunk: Trunk, settings: BreastSettings = BreastSettings()
-) -> dict[SideName, Float64[Array, 2] | None]:
-    """Middles of the left and right breast, laid flat, mm.
-
-    None on a side where no peak stands out. A breast is a peak that falls off all around. Belly and shoulders do not:
-    they end with the picture. Where both sides have peaks, the pair is taken that stands out most and lies most alike
-    on both sides. The middle is that of all skin that stands out at least half as far as the peak.
-    """
-    smooth = relief.smooth_mm(_PEAK_SIGMA_MM)
-    size = 2 * int(_PEAK_RADIUS_MM / PIXEL_MM) + 1
-    row, column = np.nonzero(
-        (smooth == maximum_filter(smooth, size=size)) & relief.known & (smooth > _LOWEST_PEAK * settings.fewest_mm)
-    )
-    peaks = relief.low + np.stack([column, row], axis=1) * PIXEL_MM
-    tops = smooth[row, column]
-    worth = tops * np.array([_surrounded(relief, smooth, peak, settings) for peak in peaks])
-    usable = (np.abs(peaks[:, 0]) < _WIDEST_RAD * trunk.half_width_mm) & (worth > _SURROUNDED * tops)
-    sides = [np.flatnonzero(usable & (peaks[:, 0] * sign > _MIDLINE_MM)) for sign in (1, -1)]
-    chosen: list[int | None] = [int(side[np.argmax(worth[side])]) if len(side) else None for side in sides]
-    if all(len(side) for side in sides):
-        left, right = sides[0][:, None], sides[1][None]
-        apart = np.hypot(peaks[left, 1] - peaks[right, 1], peaks[left, 0] + peaks[right, 0])
-        alike = worth[left] * worth[right] * np.exp(-((apart / _LIKE_MM) ** 2))
-        pair = np.unravel_index(np.argmax(alike), apart.shape)
-        chosen = [int(sides[0][pair[0]]), int(sides[1][pair[1]])]
-    first, second = (None if peak is None else _half_height(relief, smooth, peaks[peak], settings) for peak in chosen)
-    return {"left": first, "right": second}
-
-
-def _surrounded(
-    relief: Relief, smooth: Float64[Array, "h w"], peak: Float64[Array, 2], settings: BreastSettings
-) -> float:
-    """Share of directions in which the skin falls to half the height.
-
-    Within a breast's reach of the peak.
-    """
-    angles = np.arange(_PEAK_DIRECTIONS) * 2 * np.pi / _PEAK_DIRECTIONS
-    rays = np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    places = peak + rays[:, None] * np.arange(0.0, settings.reach_mm, 2 * PIXEL_MM)[:, None]
-    height = np.where(relief.within(places), relief.at(places, smooth), np.inf)
-    return float((height < height[:, :1] / 2).any(axis=1).mean())
-
-
-def _half_height(
-    relief: Relief,
-    smooth: Float64[Array, "h w"],
-    peak: Float64[Array, 2],
-    settings: BreastSettings,
-) -> Float64[Array, 2]:
-    column, row = np.round((peak - relief.low) / PIXEL_MM).astype(int)
-    regions, _ = label(smooth > smooth[row, column] / 2)
-    rows, columns = np.nonzero(regions == regions[row, column])
-    places = relief.low + np.stack([columns, rows], axis=1) * PIXEL_MM
-    near = (np.linalg.norm(places - peak, axis=1) < settings.reach_mm) & (places[:, 0] * peak[0] > 0)
-    return np.asarray(places[near].mean(axis=0))
 
 
 def within_outline(flat: Float64[Array, "n 2"], outline: Float64[Array, "k 2"]) -> Bool[Array, " n"]:
@@ -346,7 +273,6 @@ def within_outline(flat: Float64[Array, "n 2"], outline: Float64[Array, "k 2"]) 
 def _result(
     name: SideName,
     side: _Side,
-    other: _Side,
     relief: Relief,
     thorax: Thorax,
     surface: RepairedSurface,
@@ -366,12 +292,7 @@ def _result(
     if side.verdict == "unclear":
         raise _no_crease(creased, name, settings.low_creased)
     _check_base(crease.flat, name, thorax.trunk)
-    sign = 1.0 if name == "left" else -1.0
-    flat = crease.flat.copy()
-    between_mm = 0.0
-    if other.verdict == "breast":
-        between_mm = sign * ((sign * flat[:, 0]).min() + (sign * other.crease.flat[:, 0]).max()) / 2
-    flat[:, 0] = between_mm + sign * np.maximum(sign * (flat[:, 0] - between_mm), _MIDLINE_MM)
+    flat = crease.flat
     below = np.arange(len(flat)) / len(flat)  # of a turn, from the patient's left by the head
     lower = (below > _LOWER_QUARTER[0]) & (below < _LOWER_QUARTER[1])
     return Outline(
@@ -379,7 +300,7 @@ def _result(
         creased=creased,
         folded=float((crease.concavity_per_mm[lower] > _FOLD_PER_MM).mean()),
         seen=float(crease.seen.mean()),
-        sigma_mm=float(np.sqrt(np.mean(crease.blur_mm**2))),
+        sigma_mm=crease.sigma_mm,
     )
 
 
@@ -398,7 +319,11 @@ def _on_skin(flat: Float64[Array, "n 2"], relief: Relief, thorax: Thorax, mesh: 
     Several are a closed curve.
     """
     bulge_mm = relief.at(flat, relief.bulge_mm)
-    radius = thorax.radius_mm(flat) + (bulge_mm if len(flat) == 1 else on_one_sheet(bulge_mm))
+    if len(flat) > 1:
+        away = flat - flat.mean(axis=0)
+        outside = flat + away * (_OUTSIDE_MM / np.linalg.norm(away, axis=1, keepdims=True))
+        bulge_mm = on_one_sheet(np.minimum(bulge_mm, relief.at(outside, relief.bulge_mm)))
+    radius = thorax.radius_mm(flat) + bulge_mm
     world = thorax.trunk.world(np.concatenate([flat, radius[:, None]], axis=1))
     return closest_on_mesh(world, _near(mesh, world)).points
 

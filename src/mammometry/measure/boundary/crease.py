@@ -1,24 +1,25 @@
-"""The crease around a breast.
+"""The border of a breast: its crease, and where there is none, what breasts are like.
 
-It is the closed curve along which the breast's skin turns most sharply into the trunk's. Every curve s(φ) around the
-breast's middle is a path through a table of directions and distances. Dynamic programming finds the smooth one that
-gathers most concavity, exactly. So a stretch without a fold (the upper pole of many breasts) is bridged by its
-neighbours, and not by whatever is deepest there.
+The crease is where the breast's skin turns most sharply into the trunk's. Every curve s(φ) around the breast's middle
+is a path through a table of directions and distances (`closed_path`). Where no crease is (the upper pole of many
+breasts), the neighbours, the skin's height and the shape of real women's boundaries decide, and not what is deepest.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from mammometry.geometry.arrays import Array, Bool, Float64, read_only
+from mammometry.measure.boundary.closed_path import best_paths, gathered, spread_steps
 from mammometry.measure.settings import BreastSettings
 from mammometry.measure.trunk.skin_map import PIXEL_MM, Relief
 
 CREASE_PER_MM = 0.01
-"""Concavity that counts half as a crease, 1/mm, twice a mean curvature. A chest has below .005, a fold .1 to 1."""
+"""Concavity from which the skin has a crease, 1/mm, twice a mean curvature. A chest has below .005, a fold .1 to 1."""
 DIRECTIONS = 144  # from the breast's middle in which its end is looked for, 2.5° apart
 _SIGMA_MM = 4.0
 """Scale at which the skin's curvature is looked at, mm: wider than the matcher's and the skin's unevenness, narrower
@@ -30,23 +31,34 @@ curvature steps, where slope steps (a crease), where height steps (a fold under 
 _NEAR_STEPS = 6  # steps on either side of the path in which the crease is looked for at the finer scale
 _EVEN_DIRECTIONS = 3.0  # over which abruptness is averaged; chosen by eye
 _VANISH_MM = 2.0  # height over the thorax fit at which a breast ends; the fit's own scatter is 1–2 mm
-_HEIGHT_COST = 0.05
-"""Cost, in creases, of a boundary on skin that stands as high again above that level. Weak: it only keeps the boundary
-out of the nipple's and other creases on the breast."""
-_STIFFNESS = 0.05
-"""Cost, in creases, of a boundary that moves in or out by 1 mm from one direction to the next. Grows with the square
-of the movement. Chosen by eye.
-"""
+_CREASE = 0.6  # worth of a crease of .017 per mm; a fold's, .1 per mm, is 1.4
+_HEIGHT_COST, _MOST_HEIGHT_COST = 0.05, 0.3
+"""Cost of a border on skin that stands as high again above that level, and its limit. Weak: it only keeps the border
+out of the nipple's and other creases on the breast. A trunk that is fitted beside breasts is off by more above them."""
+_STIFFNESS = 0.1
+"""Cost of a border that moves in or out by 1 mm from one direction to the next. Grows with the square of the movement.
+Chosen by eye."""
+_USUAL_SHAPE = np.array([0.43, 0.54, 0.67, 0.55, 0.47, 0.58, 0.62, 0.59])
+"""Distance of real women's boundaries from their middle over the root of their area, every 45° from lateral upwards:
+the mean of 145 breasts (docs/decisions/0029). One woman's differ from it by .04, 7 %."""
+_SHAPE_SCATTER, _UNLIKE_COST = 0.12, 0.03
+"""Relative scatter about that shape that is expected of bodies in other poses, and what one scatter costs. A fold holds
+the border against four."""
+_SIZES_MM = np.geomspace(80.0, 180.0, 11)
+"""Roots of a base's area that are tried, mm: 64 to 324 cm²."""
+_SIZE_SCATTER, _SIZE_COST = 0.12, 5.0
+"""Relative scatter of that root about what the breast's dome tells, and what one scatter costs in all."""
+_CENTRINGS = 3  # times that the border is looked for about its own middle; chosen by eye
+_NATS = 0.2  # log of how much more probable a curve is that gathers 1 more; calibrated on virtual women (decision 43)
+_FALLEN = 0.9  # share of the height to which a breast has fallen before it may end; chosen by eye
 _RISE_MM = 6.0  # skin that rises again by this much belongs to something else (arm, belly, other breast)
 _SUNK_MM = 12.0
 """Skin this far behind the thorax fit is no trunk: it has ended there. The fit itself takes skin beyond 12 mm (three
 scatters of 4 mm) for something else; its own errors are 2 to 6 mm."""
 _STEP_MM = 1.0  # of the table of distances
 _LEVEL_MM = 1.0  # over 8 mm: skin that rises or falls less is level; chosen by eye
-_TURNS = 3  # of the dynamic programming: one to forget the ends on either side of the one that is kept
-_FURTHEST_STEPS = 3  # that the curve may move in or out from one direction to the next; 50° from the tangent at 60 mm
 _SHIFT_MM = 15.0  # farthest that the outer flank is looked for outside the crease; chosen by eye
-_FORBIDDEN = -1e3  # worth of a place where a breast cannot end
+_FORBIDDEN = -50.0  # worth of a place where a breast cannot end
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -59,62 +71,103 @@ class Crease:
     """Concavity of the crease in each direction, 1/mm."""
     seen: Bool[Array, " n"]
     """Whether the skin is visible there."""
-    blur_mm: Float64[Array, " n"]
-    """Half the distance over which the concavity halves outside the crease, mm: how sharply it ends."""
+    sigma_mm: Float64[Array, " n"]
+    """Standard uncertainty of each distance from the middle, mm: small along a fold, large where nothing shows the
+    border."""
 
     def __post_init__(self) -> None:
-        for name in ("flat", "concavity_per_mm", "seen", "blur_mm"):
+        for name in ("flat", "concavity_per_mm", "seen", "sigma_mm"):
             object.__setattr__(self, name, read_only(getattr(self, name)))
 
 
-def follow_crease(relief: Relief, middle: Float64[Array, 2], settings: BreastSettings = BreastSettings()) -> Crease:
-    """Follow the crease around a breast.
+def follow_crease(
+    relief: Relief,
+    middle: Float64[Array, 2],
+    settings: BreastSettings = BreastSettings(),
+    *,
+    side: Literal["left", "right"] = "left",
+    base_mm: float = 130.0,
+    between_mm: tuple[float, float] = (-np.inf, np.inf),
+) -> Crease:
+    """Follow the border of a breast: its crease, and where there is none, what breasts are like.
 
-    The concavity κ of the relief, smoothed over σ, is worth κ/(κ + κ₀) where it is positive, and less where skin rises
-    outside it more than it falls to it from the breast: that is the foot of something else. Skin that stands higher
-    than the level at which a breast ends costs. The curve is then drawn on the crease's outer flank, where κ has fallen
-    to half, less what smoothing has put outside: nothing where curved skin joins straight skin, up to 2 σ at a fold.
+    Each distance from the middle is worth log(1 + κ/κ₀) for the concavity κ of the relief, smoothed over σ, where that
+    is positive, and less where skin rises outside it more than it falls to it from the breast: that is the foot of
+    something else. Skin that stands higher than the level at which a breast ends costs. So does a curve that is unlike
+    real women's boundaries, or larger or smaller than the breast's dome tells. The curve is then drawn on the crease's
+    outer flank, where κ has fallen to half, less what smoothing has put outside: nothing where curved skin joins
+    straight skin, up to 2 σ at a fold.
 
     Args:
         relief: the skin laid flat.
         middle: the breast's middle on it, mm.
-        settings: how far out the crease may lie.
+        settings: how far out the border may lie.
+        side: of the patient.
+        base_mm: root of the area of its base, roughly, mm.
+        between_mm: the border lies between these places around the trunk, half width × θ.
     """
-    count = DIRECTIONS
-    angles = np.arange(count) * 2 * np.pi / count
+    angles = np.arange(DIRECTIONS) * 2 * np.pi / DIRECTIONS
     rays = np.stack([np.cos(angles), np.sin(angles)], axis=1)
     steps = np.arange(_STEP_MM, settings.reach_mm, _STEP_MM)
-    places = middle + rays[:, None] * steps[:, None]
-    bulge = relief.at(places, relief.smooth_mm(_SIGMA_MM))
-    concavity = relief.at(places, relief.concavity_per_mm(_SIGMA_MM))
-    allowed = _beyond_the_top(bulge) & relief.within(places)
-    worth = crease_worth(concavity) * _own(bulge)
-    worth = worth - np.clip(bulge / _VANISH_MM - 1, 0.0, None) * _HEIGHT_COST
-    way = _best_way(np.where(allowed, worth, _FORBIDDEN), _STIFFNESS)
-    deepest = concavity[np.arange(count), way]
+    unlike = _unlike(steps, angles if side == "left" else np.pi - angles)
+    size_cost = _SIZE_COST * (np.log(_SIZES_MM / base_mm) / _SIZE_SCATTER) ** 2
+    bulge_mm, concavity_per_mm = relief.smooth_mm(_SIGMA_MM), relief.concavity_per_mm(_SIGMA_MM)
+    for last in range(_CENTRINGS):
+        places = middle + rays[:, None] * steps[:, None]
+        bulge, concavity = relief.at(places, bulge_mm), relief.at(places, concavity_per_mm)
+        allowed = _beyond_the_top(bulge) & relief.within(places)
+        allowed &= (places[..., 0] > between_mm[0]) & (places[..., 0] < between_mm[1])
+        worth = _CREASE * np.log1p(np.clip(concavity, 0.0, None) / CREASE_PER_MM) * _own(bulge)
+        worth = worth - np.minimum(np.clip(bulge / _VANISH_MM - 1, 0.0, None) * _HEIGHT_COST, _MOST_HEIGHT_COST)
+        tables = np.maximum(np.where(allowed, worth, _FORBIDDEN) - unlike, 4 * _FORBIDDEN)
+        ways = best_paths(tables, _STIFFNESS)
+        score = gathered(tables, ways, _STIFFNESS) - size_cost
+        share = np.exp(_NATS * (score - score.max()))
+        share /= share.sum()
+        way = share @ ways  # where evidence is sharp all sizes agree; elsewhere none of them alone is right
+        if last < _CENTRINGS - 1:
+            middle = _centroid(middle + rays * (_STEP_MM * (1 + way))[:, None])
+    likeliest = int(np.argmax(score))
+    spread = np.hypot(spread_steps(tables[likeliest], _STIFFNESS, _NATS), np.sqrt(share @ (ways - way) ** 2))
+    reach, way = _STEP_MM * (1 + way), np.round(way).astype(np.int64)
+    row = np.arange(DIRECTIONS)
     flank_mm = _outer_flank_mm(concavity, allowed, way)
     fine = relief.at(places, relief.concavity_per_mm(_FINE_MM))
     # Each pixel has its innermost skin, which is that of its outer edge: half a pixel too far in.
-    reach = steps[way] + flank_mm - _smeared_mm(concavity, fine, way) + PIXEL_MM / 2
+    reach = reach + flank_mm - _smeared_mm(concavity, fine, way) + PIXEL_MM / 2
     # Smooth as the directions' own distances are, in mm along the curve.
-    apart = float(np.mean(reach)) * 2 * np.pi / count
+    apart = float(np.mean(reach)) * 2 * np.pi / DIRECTIONS
     reach = np.asarray(gaussian_filter1d(reach, _SIGMA_MM / apart, mode="wrap"))
     flat = middle + rays * reach[:, None]
     return Crease(
         flat=flat,
-        concavity_per_mm=deepest,
+        concavity_per_mm=concavity[row, way],
         seen=relief.at(flat, relief.known.astype(np.float64)) > 0.5,
-        blur_mm=flank_mm / 2,
+        sigma_mm=_STEP_MM * spread,
     )
 
 
-def crease_worth(concavity_per_mm: Float64[Array, "*n"]) -> Float64[Array, "*n"]:
-    """How far places are a crease, 0 to 1.
+def _unlike(steps: Float64[Array, " s"], angles: Float64[Array, " d"]) -> Float64[Array, "k d s"]:
+    """What a distance costs that real women's boundaries do not have in that direction, for each size.
 
-    By their concavity κ, 1/mm: κ/(κ + κ₀) where it is positive.
+    Args:
+        steps: distances from the middle, mm.
+        angles: directions from lateral, upwards.
     """
-    concave = np.clip(concavity_per_mm, 0.0, None)
-    return np.asarray(concave / (concave + CREASE_PER_MM))
+    waves = np.fft.rfft(_USUAL_SHAPE) / len(_USUAL_SHAPE)
+    weights = np.array([1.0, *[2.0] * (len(waves) - 2), 1.0])
+    around = np.exp(1j * np.outer(angles, np.arange(len(waves))))
+    shape = (around * waves * weights).real.sum(axis=1)
+    shape /= np.sqrt(np.pi * np.mean(shape**2))
+    usual = _SIZES_MM[:, None, None] * shape[:, None]
+    return np.asarray(_UNLIKE_COST * ((steps / usual - 1) / _SHAPE_SCATTER) ** 2)
+
+
+def _centroid(flat: Float64[Array, "n 2"]) -> Float64[Array, 2]:
+    """Of the area within a closed curve."""
+    following = np.roll(flat, -1, axis=0)
+    twice = flat[:, 0] * following[:, 1] - following[:, 0] * flat[:, 1]
+    return np.asarray(((flat + following) * twice[:, None]).sum(axis=0) / (3 * twice.sum()))
 
 
 def _beyond_the_top(bulge: Float64[Array, "d s"]) -> Bool[Array, "d s"]:
@@ -123,7 +176,7 @@ def _beyond_the_top(bulge: Float64[Array, "d s"]) -> Bool[Array, "d s"]:
     From where it has fallen to half its height until the skin rises again for good, or the trunk ends.
     """
     top = np.maximum.accumulate(bulge, axis=1)
-    low = bulge < np.maximum(top / 2, _VANISH_MM)
+    low = bulge < np.maximum(_FALLEN * top, _VANISH_MM)
     begun = np.maximum.accumulate(low, axis=1)
     lowest = np.minimum.accumulate(np.where(begun, bulge, np.inf), axis=1)
     risen = begun & (bulge > np.maximum(lowest, 0.0) + _RISE_MM)
@@ -142,29 +195,6 @@ def _own(bulge: Float64[Array, "d s"]) -> Float64[Array, "d s"]:
     padded = np.pad(bulge, ((0, 0), (reach, reach)), mode="edge")
     fall, rise = padded[:, : -2 * reach] - bulge, padded[:, 2 * reach :] - bulge
     return np.clip((np.maximum(fall, 0) + _LEVEL_MM) / (np.maximum(rise, 0) + _LEVEL_MM), 0.0, 1.0)
-
-
-def _best_way(worth: Float64[Array, "d s"], stiffness: float) -> Array:
-    """Closed path of greatest worth − stiffness × (change of step)².
-
-    One step for each direction. Dynamic programming over several turns: in the middle one the ends no longer matter,
-    and the path closes by itself.
-    """
-    count, length = worth.shape
-    shifts = np.arange(-_FURTHEST_STEPS, _FURTHEST_STEPS + 1)
-    best = worth[0].copy()
-    came = np.zeros((_TURNS * count, length), dtype=np.int64)
-    for turn in range(1, _TURNS * count):
-        padded = np.pad(best, _FURTHEST_STEPS, constant_values=-1e9)
-        options = np.stack([padded[_FURTHEST_STEPS + shift :][:length] - stiffness * shift**2 for shift in shifts])
-        chosen = np.argmax(options, axis=0)
-        came[turn] = np.arange(length) + shifts[chosen]
-        best = options[chosen, np.arange(length)] + worth[turn % count]
-    way = np.empty(_TURNS * count, dtype=np.int64)
-    way[-1] = int(np.argmax(best))
-    for turn in range(_TURNS * count - 1, 0, -1):
-        way[turn - 1] = came[turn, way[turn]]
-    return way[count : 2 * count]
 
 
 def _outer_flank_mm(concavity: Float64[Array, "d s"], allowed: Bool[Array, "d s"], way: Array) -> Float64[Array, " d"]:

@@ -20,6 +20,10 @@ _OFF_SURFACE_MM = 10.0  # farther off, a landmark was picked on another surface 
 _WRONG_SIDE_MM = 5.0  # a landmark may lie this far beyond the middle, which is not known better; chosen by eye
 
 
+PROPOSED = "proposed"
+"""Word with which the method of a landmark begins that nobody picked."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Landmark:
     """Where a landmark lies.
@@ -45,6 +49,11 @@ class Landmark:
         if not len(self.points_world) or not np.isfinite(self.points_world).all():
             raise ValueError(f"landmark {self.name} needs finite points, found {len(self.points_world)}")
         object.__setattr__(self, "points_world", read_only(self.points_world))
+
+    @property
+    def proposed(self) -> bool:
+        """Whether nobody has confirmed it yet."""
+        return self.method.startswith(PROPOSED)
 
 
 def picked_landmarks(

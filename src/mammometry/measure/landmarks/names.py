@@ -34,6 +34,7 @@ def _of_torso() -> tuple[LandmarkName, ...]:
     middle = (
         LandmarkName(name="sternal_notch", title="sternal notch", kind="point"),
         LandmarkName(name="midline", title="midline", kind="line"),
+        LandmarkName(name="umbilicus", title="umbilicus", kind="point"),
     )
     sided = (
         LandmarkName(name=f"{name}_{side}", title=f"{side} {title}", kind=kind)

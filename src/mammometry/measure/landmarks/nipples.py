@@ -1,8 +1,8 @@
 """Propose where a nipple lies.
 
-It is on the tip in the middle of the areola, or on the breast's tip if no areola is seen. Colour is ln R − ln G of
-linear light, which shading does not change: an areola is redder and darker than the skin around it. A tip stands out
-from the ring of skin around it.
+It is between the middle of the areola and the tip within it, or on the breast's tip if no areola is seen. Colour is
+ln R − ln G of linear light, which shading does not change: an areola is redder and darker than the skin around it. A
+tip stands out from the ring of skin around it.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from mammometry.measure.settings import NippleSettings
 _SAMPLE_MM = 2.5  # one vertex is taken in every cube of this side
 _DISC_MM, _RING_MM = 10.0, (22.0, 36.0)  # radius of the areola's disc, and of the ring of skin that it is compared with
 _TIP_MM, _FOOT_MM = 4.5, (8.0, 14.0)  # radius of the nipple's disc, and of the ring above which it stands
+_WIDEST_MM, _CENTRING_ROUNDS = 32.0, 8  # radius of the widest areola, and times that its middle is found from itself
 _NEAR_TIP_MM, _NEAR_APEX_MM = 14.0, 30.0  # how far a tip may lie from the areola's middle, and from the apex
 _HEIGHT = 0.85  # a tip without an areola lies at least this high, as a share of the apex's height
 _FEWEST = 60  # samples below which a piece of skin is too small to tell
@@ -83,7 +84,8 @@ def propose_nipple(
         near = inner & (np.linalg.norm(samples.points - areola, axis=1) < _NEAR_TIP_MM)
         tip = _tip(samples, protrusion, near, settings.tip_mm)
         if tip is not None:
-            how, place, sigma = "middle of the areola's colour, then the tip within it", tip, settings.tip_sigma_mm
+            how = "half way between the middle of the areola's colour and the tip within it"
+            place, sigma = (areola + tip) / 2, settings.tip_sigma_mm
             probability = settings.areola_tip_probability
         else:
             how, place, sigma = "middle of the areola's colour; no tip stands out", areola, settings.areola_sigma_mm
@@ -165,14 +167,16 @@ def _areola(samples: _Samples, inner: Bool[Array, " n"], settings: NippleSetting
     best = int(np.argmax(np.where(inner, contrast, -np.inf)))
     if contrast[best] - middle < max(settings.areola_contrast, _AREOLA_SCATTERS * scatter):
         return None
-    around = np.linalg.norm(samples.points - samples.points[best], axis=1) < _RING_MM[0]
-    ring = np.linalg.norm(samples.points - samples.points[best], axis=1)
-    plain = float(np.median(samples.redness[(ring > _RING_MM[0]) & (ring < _RING_MM[1])]))
-    red = _mean(samples, redness, 1.5 * _SAMPLE_MM)[:, 0] - plain
-    weight = np.where(around, np.clip(red - red[around].max() / 2, 0.0, None), 0.0)
-    if weight.sum() <= 0:
-        return samples.points[best]
-    return np.asarray((samples.points * weight[:, None]).sum(axis=0) / weight.sum())
+    red = _mean(samples, redness, 1.5 * _SAMPLE_MM)[:, 0] - float(np.median(samples.redness[inner]))
+    place = samples.points[best]
+    disc = np.linalg.norm(samples.points - place, axis=1) < _DISC_MM
+    coloured = red > np.median(red[disc]) / 2
+    for _ in range(_CENTRING_ROUNDS):
+        around = coloured & (np.linalg.norm(samples.points - place, axis=1) < _WIDEST_MM)
+        if not around.any():
+            break
+        place = samples.points[around].mean(axis=0)
+    return np.asarray(place)
 
 
 def _protrusion(samples: _Samples) -> Float64[Array, " n"]:

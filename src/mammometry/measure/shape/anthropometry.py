@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,6 +10,8 @@ import numpy as np
 from mammometry.geometry.arrays import Array, Float64, UInt8, read_only
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.nearest import closest_on_mesh, point_tree
+from mammometry.measure.landmarks.ends import EndSigmas, propose_ends
+from mammometry.measure.landmarks.hollows import propose_on_midline
 from mammometry.measure.landmarks.landmarks import Landmark, picked_landmarks
 from mammometry.measure.landmarks.nipples import propose_nipple
 from mammometry.measure.settings import MeasureSettings
@@ -40,8 +42,12 @@ def find_landmarks(
     picked: Mapping[str, Float64[Array, "k 3"]],
     frame: Float64[Array, "3 3"] | None,
     settings: MeasureSettings = MeasureSettings(),
+    *,
+    plane: MirrorPlane | None = None,
 ) -> tuple[Landmark, ...]:
-    """Picked landmarks, and proposed nipples where none was picked.
+    """Picked landmarks, and proposed ones where none was picked.
+
+    Proposed are nipples, the ends of the boundaries, and what the trunk shows on its mid-sagittal plane.
 
     Args:
         mesh: the whole surface, mm, world frame.
@@ -50,6 +56,7 @@ def find_landmarks(
         picked: landmark → its points, mm.
         frame: rows: the patient's left, the head, straight ahead; None if not known.
         settings: how nipples are proposed, and how well a picked landmark is known.
+        plane: the mid-sagittal plane. Without it nothing on the midline is proposed.
 
     Raises:
         MeasureError: a picked landmark lies off the surface or on the wrong side.
@@ -68,7 +75,28 @@ def find_landmarks(
         if proposal is not None:
             place = closest_on_mesh(proposal.points_world, mesh).points
             found.append(replace(proposal, points_world=place))
+    if frame is not None:
+        found += [mark for mark in _of_torso(mesh, measurements, frame, plane, settings) if mark.name not in picked]
     return tuple(found)
+
+
+def _of_torso(
+    mesh: TriangleMesh,
+    measurements: Sequence[VolumeMeasurement],
+    frame: Float64[Array, "3 3"],
+    plane: MirrorPlane | None,
+    settings: MeasureSettings,
+) -> Iterator[Landmark]:
+    """Yield the ends of the breasts, and what lies on the midline."""
+    scatter = settings.observers
+    sigmas = EndSigmas(lower_mm=scatter.lower_mm, medial_mm=scatter.medial_mm, lateral_mm=scatter.lateral_mm)
+    curves = {each.name: each.boundary_world for each in measurements if each.name != "model"}
+    for side, curve in curves.items():
+        yield from propose_ends(side, curve, frame, sigmas)
+    if plane is not None and curves:
+        heights = (np.concatenate(list(curves.values())) - plane.point_world) @ frame[1]
+        lowest, highest = float(heights.min()), float(heights.max())
+        yield from propose_on_midline(mesh, frame, plane.point_world, plane.sigma_mm, lowest, highest)
 
 
 def dimensions(
@@ -101,7 +129,7 @@ def dimensions(
             measured,
             frame[1],
             named[f"nipple_{measured.name}"],
-            named.get(f"inframammary_fold_{measured.name}"),
+            _picked(named.get(f"inframammary_fold_{measured.name}")),
             boundary_sigma_mm=sigma,
         )
         for measured in measurements
@@ -116,3 +144,8 @@ def dimensions(
         lengths=linear_measures(named, mesh, midline=midline),
         ptosis=tuple(sagging),
     )
+
+
+def _picked(landmark: Landmark | None) -> Landmark | None:
+    """The landmark, unless it is but proposed: the boundary's own lowest point is surer than the middle of its foot."""
+    return None if landmark is None or landmark.proposed else landmark

@@ -104,8 +104,8 @@ def linear_measures(
         if nipple is None:
             continue
         name, title = f"N-midline {side}", f"{side} nipple to midline"
-        if "midline" in landmarks:
-            line = landmarks["midline"]
+        line = landmarks.get("midline")
+        if line is not None and (midline is None or not line.proposed):
             foot = _foot(nipple.points_world[0], line.points_world)
             there = Landmark(name="midline", points_world=foot[None], method=line.method, sigma_mm=line.sigma_mm)
             found.append(_between(name, title, nipple, there, mesh, skin))

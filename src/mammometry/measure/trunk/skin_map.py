@@ -10,7 +10,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt, gaussian_filter, gaussian_laplace, grey_opening, map_coordinates
+from scipy.ndimage import (
+    distance_transform_edt,
+    gaussian_filter,
+    gaussian_laplace,
+    grey_opening,
+    label,
+    map_coordinates,
+)
 
 from mammometry.base.cores import in_bands
 from mammometry.base.errors import MeasureError
@@ -25,6 +32,7 @@ _SPECK = 3  # pixels; smaller specks of an outer layer are taken out
 _FINEST_MM = 1.5  # distance of samples on the skin, below a pixel so that none is missed
 _MOST_SAMPLES = 1_000_000  # of the skin; chosen for memory
 _KNOWN_MM = 5.0  # a pixel is known if skin was seen this near; chosen by eye
+_EDGE_MM = 13.0  # from the end of the seen skin: three scales of 4 mm at which creases are looked at, and a pixel
 _STEEP_MM = 60.0  # bulges above this count as this; chosen by eye
 
 
@@ -56,11 +64,19 @@ class Relief:
     def concavity_per_mm(self, sigma_mm: float) -> Float64[Array, "h w"]:
         """Laplacian of the smoothed bulge, 1/mm, above 0 in a valley.
 
-        It is twice the mean curvature of gently sloping skin. Zero where no skin was seen.
+        It is twice the mean curvature of gently sloping skin. Zero where no skin was seen, and towards the end of the
+        seen skin: there it is the filling's. Holes within the skin are no end.
         """
         shallow = np.minimum(self.bulge_mm, _STEEP_MM)  # how high a breast stands over its fold makes no fold deeper
         laplacian = gaussian_laplace(shallow, sigma_mm / PIXEL_MM) / PIXEL_MM**2
-        return np.where(self.known, laplacian, 0.0)
+        return np.where(self.known, laplacian * self.within_its_end(_EDGE_MM), 0.0)
+
+    def within_its_end(self, reach_mm: float) -> Float64[Array, "h w"]:
+        """0 at the outer end of the skin that was seen, 1 from `reach_mm` inwards."""
+        around = np.pad(~self.known, 1, constant_values=True)
+        parts, _ = label(around)
+        away_mm = distance_transform_edt(parts != parts[0, 0])[1:-1, 1:-1] * PIXEL_MM
+        return np.clip((away_mm - _KNOWN_MM) / (reach_mm - _KNOWN_MM), 0.0, 1.0)
 
     def at(self, flat: Float64[Array, "*n 2"], values: Float64[Array, "h w"]) -> Float64[Array, "*n"]:
         """Sample a picture at (half width × θ, y), mm, bilinearly.

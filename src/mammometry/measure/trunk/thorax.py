@@ -42,6 +42,7 @@ _AXIS_ROUNDS = 20  # of reweighting the normals at most; it ends when the axis i
 _AXIS_SAMPLES = 60_000  # of the skin from which the axis is found; chosen for speed
 _FIT_SAMPLES = 20_000  # of the skin to which the radius is fitted; chosen for speed
 _FIT_ROUNDS = 25  # of reweighting the skin; chosen by eye
+_BONE_MM = 25.0  # skin this near to the middle between both breasts is the breastbone's; chosen by eye
 _LEAN = 0.2  # sine of the angle between normal and level at which a normal counts half; chosen by eye
 ARM = 1.15  # skin further to the side than this many half widths is an arm's; chosen by eye
 _RIDGE = 1e-4  # slight pull of the higher harmonics to zero, since the back is not seen; chosen by eye
@@ -220,8 +221,12 @@ def find_trunk(
     """
     every = max(1, len(skin.points_world) // _AXIS_SAMPLES)
     sampled = skin.chosen(slice(None, None, every))
-    turned_up = orthonormal(_axis(sampled.normals_world, frame, settings), frame[2])
-    found = _between_sides(_front(sampled, turned_up, height_of, middle_of), turned_up)
+    axis = _axis(sampled.normals_world, frame, settings)
+    if middle_of is not None:
+        axis = axis - frame[0] * (axis @ frame[0])  # the axis lies in the body's plane
+    turned_up = orthonormal(axis, frame[2])
+    front = _front(sampled, turned_up, height_of, middle_of)
+    found = _between_sides(front, turned_up, symmetric=middle_of is not None)
     return _behind_breastbone(_front(sampled, frame, height_of, middle_of), frame) if found is None else found
 
 
@@ -293,8 +298,8 @@ def _middle(across: Float64[Array, " n"], ahead: Float64[Array, " n"]) -> float:
     return float(across[order][min(int(np.searchsorted(covered, covered[-1] / 2)), len(order) - 1)])
 
 
-def _between_sides(front: _Front, frame: Float64[Array, "3 3"]) -> Trunk | None:
-    """The axis between the trunk's sides.
+def _between_sides(front: _Front, frame: Float64[Array, "3 3"], *, symmetric: bool) -> Trunk | None:
+    """The axis between the trunk's sides, or behind the breastbone where that lies in a plane of symmetry.
 
     None where they were not seen, or are none that a trunk has.
     """
@@ -306,13 +311,14 @@ def _between_sides(front: _Front, frame: Float64[Array, "3 3"]) -> Trunk | None:
         return None
     most, least = np.median(left[:, 0]), np.median(right[:, 0])
     half_width, depth = float(most - least) / 2, float(np.median(np.concatenate([left, right])[:, 2]))
-    place = np.array([(most + least) / 2, bone[1], depth])
+    middle = float(most + least) / 2
     narrowest, widest = _HALF_WIDTHS_MM
     nearest, deepest = _DEPTHS_MM
     if not (narrowest < half_width < widest and nearest < bone[2] - depth < deepest):
         return None
-    if abs(place[0] - bone[0]) > _ASKEW * half_width:
+    if abs(middle - bone[0]) > _ASKEW * half_width:
         return None
+    place = np.array([bone[0] if symmetric else middle, bone[1], depth])
     return Trunk(frame=frame, origin=place @ frame, half_width_mm=half_width)
 
 
@@ -327,6 +333,7 @@ def fit_thorax(
     settings: ThoraxSettings = ThoraxSettings(),
     *,
     breasts_left_out: bool = True,
+    breastbone_mm: float | None = None,
 ) -> Thorax:
     """Fit r(θ, y) to the skin without what stands out.
 
@@ -341,6 +348,8 @@ def fit_thorax(
         settings: orders of the fit, and what belongs to the trunk.
         breasts_left_out: whether the skin is already without the breasts. Then skin that stands out a little is chest,
             and only arms are left out.
+        breastbone_mm: place of the breastbone around the trunk, half width × θ, if known. Its skin is the chest's
+            however far it stands out from the rest.
 
     Raises:
         MeasureError: too little skin.
@@ -355,6 +364,7 @@ def fit_thorax(
         & (_facing_out(skin, trunk) > _FACING_OUT)
     )
     flat, radius = flat[inside], radius[inside]
+    bone = np.zeros(len(flat), dtype=bool) if breastbone_mm is None else np.abs(flat[:, 0] - breastbone_mm) < _BONE_MM
     design = _design(flat, trunk.half_width_mm, settings)
     order = np.concatenate([[0], np.repeat(np.arange(1, _HARMONICS + 1), 2)])
     ridge = np.diag(np.tile(order.astype(np.float64) ** 4, _HEIGHT_DEGREE + 1) * _RIDGE + 1e-9) * len(radius)
@@ -376,7 +386,9 @@ def fit_thorax(
         scale = max(_MAD * float(np.median(np.abs(error[weights > 0.1]))), finest)
         reach = _CUT_OFF * scale
         weights = np.where(
-            error > 0, np.clip(1 - (error / reach) ** 2, 0, None) ** 2, 1 / np.maximum(1, -error / reach)
+            (error > 0) & ~bone,
+            np.clip(1 - (error / reach) ** 2, 0, None) ** 2,
+            1 / np.maximum(1, np.abs(error) / reach),
         )
     return Thorax(trunk=trunk, coefficients=coefficients, settings=settings, rms_mm=scale)
 

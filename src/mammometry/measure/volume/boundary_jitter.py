@@ -91,7 +91,9 @@ def _sigma_mm(breast: OpenBreast) -> Float64[Array, " n"]:
     measured = surface.mesh.vertices[surface.provenance == Provenance.MEASURED]
     away_mm = np.asarray(point_tree(measured).query(points)[0]) if len(measured) else np.zeros(len(points))
     away_mm = gaussian_filter1d(away_mm, len(points) / _SMOOTH, mode="wrap")
-    drawn_mm = np.hypot(drawn_sigma_mm(boundary, breast.body_frame, settings.observers), boundary.across_mm)
+    drawn_mm = drawn_sigma_mm(boundary, breast.body_frame, settings.observers)
+    if boundary.across_mm is not None:
+        drawn_mm = np.hypot(drawn_mm, boundary.across_mm)
     return np.hypot(drawn_mm, settings.unseen_slope * away_mm)
 
 

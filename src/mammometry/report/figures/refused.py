@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
@@ -51,17 +51,22 @@ def photographs_seen(
     return sheet.png(Caption(title="The photographs", text="As they were brought." if blocks is None else text))
 
 
-def targets_seen(photographs: Mapping[tuple[str, str], Photograph], looked: Mapping[str, Observations]) -> bytes:
+def targets_seen(
+    photographs: Mapping[tuple[str, str], Photograph],
+    looked: Mapping[str, Observations],
+    suspects: Collection[tuple[str, str]] = (),
+) -> bytes:
     """Photographs of the target with the points found on it.
 
-    Those with the fewest points come first.
+    Suspects if there are any, otherwise those with the fewest points first.
 
     Args:
         photographs: (pose, camera) → photograph. Those shown are read, one at a time.
         looked: pose → what was found there.
+        suspects: (pose, camera) of the photographs that the others contradict.
     """
     found = {(each.pose, each.camera): each.uv for part in looked.values() for each in part.detections}
-    there = [key for key in photographs if key[0] in looked]
+    there = [key for key in photographs if key in suspects or (not suspects and key[0] in looked)]
     shown = sorted(there, key=lambda key: (len(found.get(key, ())), key))[:_TARGETS]
     small = []
     for key in shown:
@@ -76,8 +81,9 @@ def targets_seen(photographs: Mapping[tuple[str, str], Photograph], looked: Mapp
         axes.imshow(pixels, extent=canvas.pixel_extent(size_wh), interpolation="antialiased", aspect="auto")
         if uv is not None:
             axes.plot(*uv.T, ".", color=canvas.SKY, markersize=2.2)
+    title = "The photographs that the others contradict" if suspects else "The target"
     part = "" if len(shown) == len(there) else f" The {len(shown)} of {len(there)} photographs with the fewest."
-    return sheet.png(Caption(title="The target", text=f"The points that were found on it.{part}"))
+    return sheet.png(Caption(title=title, text=f"The points that were found on the target.{part}"))
 
 
 def surface_seen(

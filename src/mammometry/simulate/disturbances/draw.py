@@ -14,11 +14,12 @@ import numpy as np
 from mammometry.simulate.disturbances.registry import DISTURBANCES, DisturbanceKind, Stage
 from mammometry.simulate.situation import Disturbance, Situation
 
+OF_OTHER_CAPTURES = ("grey", "soft-focus", "table")
+"""Disturbances of heads, figures and casts, which no clinic's capture gets."""
 HARDEST = 3
 """Greatest difficulty."""
 _THIRD = 3  # one seed in so many is held out
 _NOT_AT_RANDOM = ("rail", "upright")  # of a posing frame: one of the two at most, or neither is seen past
-_OF_OTHER_CAPTURES = ("grey", "soft-focus", "table")  # of heads, figures and casts; no clinic's
 _ROLLED = "mounted"
 _ROLLED_FROM, _ROLLED_SHARE = 2, 0.2  # least difficulty at which rigs are rolled, and how many are
 # Shares below are those of a clinic that rebuilds breasts, as guessed by eye, not those of any register.
@@ -97,7 +98,7 @@ def _faults(rng: np.random.Generator, difficulty: int) -> Iterable[Disturbance]:
 
 
 def _of(stage: Stage) -> list[str]:
-    return [name for name, kind in DISTURBANCES.items() if kind.stage == stage and name not in _OF_OTHER_CAPTURES]
+    return [name for name, kind in DISTURBANCES.items() if kind.stage == stage and name not in OF_OTHER_CAPTURES]
 
 
 def _sized(kind: DisturbanceKind, rng: np.random.Generator, share: float = 1.0) -> Disturbance:

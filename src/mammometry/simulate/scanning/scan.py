@@ -18,7 +18,8 @@ from mammometry.simulate.scanning.fusion import fuse
 from mammometry.simulate.subjects.solid import Solid
 from mammometry.study.rays import RayScene
 
-_LIGHT = 1.3  # of the room: skin is neither dark nor burnt out
+_LIGHT, _AMBIENT = 1.5, 0.45  # of the room's lamp, and the share of it that comes from all sides; chosen by eye
+_LAMP = np.array([0.25, 0.55, 0.8])  # where it hangs: above, before her
 _ASIDE_MM, _BELOW_MM, _ABOVE_MM, _BACK_MM = 235.0, 235.0, 190.0, 150.0  # scanned around the chest's middle
 
 
@@ -113,4 +114,6 @@ def _colours(solid: Solid, mesh: TriangleMesh) -> UInt8[Array, "n 3"]:
     colour = (1.0 - share) * np.array(skin.base_rgb) + share * np.array(skin.areola_rgb)
     if solid.tint is not None:
         colour = colour * solid.tint[nearest]
-    return np.round(255.0 * srgb_encoded(np.clip(_LIGHT * colour, 0.0, 1.0))).astype(np.uint8)
+    facing = np.clip(solid.mesh.vertex_normals()[nearest] @ (_LAMP / np.linalg.norm(_LAMP)), 0.0, 1.0)
+    light = _LIGHT * (_AMBIENT + (1.0 - _AMBIENT) * facing)[:, None]
+    return np.round(255.0 * srgb_encoded(np.clip(light * colour, 0.0, 1.0))).astype(np.uint8)

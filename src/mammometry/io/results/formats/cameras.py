@@ -30,7 +30,7 @@ def _write(path: Path, value: CameraSet) -> None:
 def _read(path: Path) -> CameraSet:
     table = json.loads(path.read_text(encoding="utf-8"))
     pairs = {name: (left, right) for name, (left, right) in table["pairs"].items()}
-    middle = table["target_middle"]
+    middle = table.get("target_middle")
     rig = Rig(
         name=table["rig"],
         cameras=cameras_from_table(table, path.name),

@@ -1,0 +1,24 @@
+"""Dates of two postures."""
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from mammometry.api.dated import check_posture, posture_warnings
+from mammometry.base.errors import SessionError
+
+
+def dated(path: str, posture: str) -> Any:
+    return SimpleNamespace(path=Path(path), posture=posture)
+
+
+def test_dates_of_two_postures_are_refused_unless_somebody_wants_them() -> None:
+    standing, leaning, unknown = dated("a", "standing"), dated("b", "leaning"), dated("c", "")
+    with pytest.raises(SessionError, match=r"standing at one date and leaning at the other.*other_posture"):
+        check_posture(standing, leaning)
+    assert "not to be compared" in next(posture_warnings(standing, leaning))
+    for other in (standing, unknown):
+        check_posture(standing, other)
+        assert list(posture_warnings(standing, other)) == []
