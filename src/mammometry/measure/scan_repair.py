@@ -29,6 +29,8 @@ WIDEST_HOLE_MM = 30.0
 _LONGEST_HOLE_MM = 120.0  # a slit that is longer is no hole in a breast; chosen by eye
 _CRUMB = 0.01  # share of the area below which a piece is a crumb
 _BESIDE = 0.2  # share of the area that all pieces beside the body may have together; chosen by eye
+_FEW_FINS = 0.01  # share of the faces that may be left out because three or more meet at an edge; chosen by eye
+_FIN_ROUNDS = 5
 _RING_MM = 12.0  # skin around a hole that shows how it curves; chosen by eye
 _RING_POINTS = 300  # of that skin; chosen for speed
 _SMOOTHING = 30.0  # of the thin plate, mm²; follows a breast's tip, and not a millimetre of noise; chosen by eye
@@ -69,7 +71,7 @@ def repair_scan(mesh: TriangleMesh, *, largest: bool = False) -> RepairedScan:
         )
     notes: list[str] = []
     mesh = _without_doubles(mesh)
-    mesh = _joined(mesh, notes)
+    mesh = _without_fins(_joined(mesh, notes))
     mesh = _body(mesh, notes, largest=largest)
     turned = _facing_out(mesh, notes)
     if turned is None:  # `scanned.check_mesh` names what is wrong
@@ -107,6 +109,20 @@ def _joined(mesh: TriangleMesh, notes: list[str]) -> TriangleMesh:
     return joined
 
 
+def _without_fins(mesh: TriangleMesh) -> TriangleMesh:
+    """Leave out faces at edges where three or more meet, where these are few. Their holes are closed later."""
+    left = mesh
+    for _ in range(_FIN_ROUNDS):
+        rings = mesh_kernels.edge_rings(len(left.vertices), left.faces)
+        crowded = rings[rings] != np.arange(len(rings))
+        if not crowded.any():
+            return left
+        left = left.submesh(~crowded.reshape(-1, 3).any(axis=1))
+        if len(left.faces) < (1 - _FEW_FINS) * len(mesh.faces):
+            break
+    return mesh
+
+
 def _open_sides(mesh: TriangleMesh) -> Int64[Array, " s"]:
     """Sides of faces that are alone on their edge. Side 3 f + k runs from corner k of face f to the next."""
     rings = mesh_kernels.edge_rings(len(mesh.vertices), mesh.faces)
@@ -131,6 +147,7 @@ def _split_at_neighbours(mesh: TriangleMesh) -> TriangleMesh:
         along = (mesh.vertices[other] - start) @ direction / long
         off = np.linalg.norm(mesh.vertices[other] - start - along[:, None] * direction / long, axis=1)
         on = (along > TOUCHING_MM) & (along < long - TOUCHING_MM) & (off <= TOUCHING_MM)
+        on &= ~np.isin(other, mesh.faces[side // 3])  # a sliver's own corner
         if on.any():
             corners = other[on][np.argsort(along[on])].tolist()
             inserted.setdefault(side // 3, [[], [], []])[side % 3] = corners
@@ -258,7 +275,17 @@ def _filled(mesh: TriangleMesh, notes: list[str]) -> tuple[TriangleMesh, Bool[Ar
     holes = [loop for loop in loops if _width_mm(mesh.vertices[loop]) <= WIDEST_HOLE_MM]
     if not holes:
         return mesh, np.zeros(len(mesh.vertices), dtype=bool)
-    patches = [(loop, *_patch(mesh, loop, holes)) for loop in holes]
+    edges = mesh.edges()
+    taken = set((edges[:, 0] * len(mesh.vertices) + edges[:, 1]).tolist())
+    patches = []
+    for loop in holes:
+        points, triangles = _patch(mesh, loop, holes)
+        chords = _chords(triangles, loop, len(mesh.vertices))
+        if taken.isdisjoint(chords):
+            taken |= chords
+        else:  # the skin beside the hole has an edge there already
+            points, triangles = mesh.vertices[loop].mean(axis=0, keepdims=True), _fan(len(loop))
+        patches.append((loop, points, triangles))
     vertices, faces = [mesh.vertices], [mesh.faces]
     count, widest_mm = len(mesh.vertices), 0.0
     for loop, points, triangles in patches:
@@ -279,6 +306,21 @@ def _filled(mesh: TriangleMesh, notes: list[str]) -> tuple[TriangleMesh, Bool[Ar
     return filled, invented
 
 
+def _fan(count: int) -> Int64[Array, "m 3"]:
+    """Triangles about the middle of a hole with so many corners."""
+    number = np.arange(count)
+    return np.stack([np.roll(number, -1), number, np.full(count, count)], axis=1)
+
+
+def _chords(triangles: Int64[Array, "m 3"], loop: Int64[Array, " n"], vertex_count: int) -> set[int]:
+    """Edges of a hole's triangles from corner to corner of the hole, but those along it, as numbers."""
+    starts, stops = triangles.ravel(), triangles[:, [1, 2, 0]].ravel()
+    count = len(loop)
+    across = (starts < count) & (stops < count) & ~np.isin((starts - stops) % max(count, 1), (1, count - 1))
+    a, b = loop[starts[across]], loop[stops[across]]
+    return set((np.minimum(a, b) * vertex_count + np.maximum(a, b)).tolist())
+
+
 def _width_mm(rim: Float64[Array, "n 3"]) -> float:
     """Width of a hole by its edge, mm. Infinite where it is too long to be one."""
     if np.ptp(rim, axis=0).max() > _LONGEST_HOLE_MM:
@@ -297,8 +339,7 @@ def _patch(
     """
     rim = mesh.vertices[loop]
     middle = rim.mean(axis=0)
-    number = np.arange(len(loop))
-    fan = np.stack([np.roll(number, -1), number, np.full(len(loop), len(loop))], axis=1)
+    fan = _fan(len(loop))
     outwards = np.cross(np.roll(rim, -1, axis=0) - middle, rim - middle).sum(axis=0)
     if np.linalg.norm(outwards) < _NO_AREA_MM2:
         return middle[None], fan

@@ -12,8 +12,8 @@ from mammometry.geometry.mesh import TriangleMesh, joined
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.boundary.trace import edge_loop
 from mammometry.measure.scan_repair import WIDEST_HOLE_MM, RepairedScan, repair_scan
-from mammometry.measure.scanned import as_scanned, finer_scan
-from mammometry.measure.solid.cut import inside_curve
+from mammometry.measure.scanned import as_scanned, check_mesh, finer_scan
+from mammometry.measure.solid.cut import inside_curve, opening_loops
 from mammometry.measure.volume.uncertainty import Evidence
 from mammometry.measure.volume.volumes import measured_or_refused
 from mammometry.measure.wall import chest_wall
@@ -167,6 +167,28 @@ def test_what_is_inside_out_is_turned(mesh: TriangleMesh) -> None:
     assert scan.mesh.face_vectors() == pytest.approx(mesh.face_vectors())
 
 
+def test_a_few_fins_are_cut_off_and_slivers_stay() -> None:
+    fins = np.stack([TRUNK.faces[500:510:3, 0], TRUNK.faces[500:510:3, 1], TRUNK.faces[900:910:3, 2]], axis=1)
+    scan = repair_scan(TriangleMesh(vertices=TRUNK.vertices, faces=np.concatenate([TRUNK.faces, fins])))
+    assert scan.mesh.is_watertight()
+    assert scan.mesh.volume_mm3() == pytest.approx(TRUNK.volume_mm3(), rel=1e-4)
+    a, b = opening_loops(FRONT.faces.astype(np.int64), len(FRONT.vertices))[0][:2]
+    near = (FRONT.vertices[a] + FRONT.vertices[b]) / 2 + [0, 0, 0.01]
+    sliver = np.array([[b, a, len(FRONT.vertices)]], dtype=np.int32)
+    mesh = TriangleMesh(vertices=np.concatenate([FRONT.vertices, [near]]), faces=np.concatenate([FRONT.faces, sliver]))
+    assert repair_scan(mesh).mesh.area_mm2() == pytest.approx(FRONT.area_mm2(), rel=1e-4)
+
+
 def test_both_sides_of_a_surface_are_one_surface() -> None:
     both = TriangleMesh(vertices=FRONT.vertices, faces=np.concatenate([FRONT.faces, FRONT.faces[:, ::-1]]))
     assert len(repair_scan(both).mesh.faces) == len(FRONT.faces)
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_skin_full_of_holes_that_touch_is_closed(seed: int) -> None:
+    """A patch may need an edge that the skin beside the hole has already."""
+    whole = ball(50.0, 4)
+    scan = repair_scan(whole.submesh(np.random.default_rng(seed).random(len(whole.faces)) > 0.06))
+    check_mesh(scan.mesh)
+    assert scan.mesh.is_watertight()
+    assert scan.mesh.volume_mm3() == pytest.approx(whole.volume_mm3(), rel=2e-3)
