@@ -215,14 +215,14 @@ def _apart(found: Float64[Array, "n 3"], truth: Float64[Array, "m 3"]) -> float:
 
 
 def _landmarks(rows: Sequence[Row]) -> Iterator[str]:
-    names = list(dict.fromkeys(name for row in rows for name in row["landmarks"] if name in row["truth"]["landmarks"]))
+    names = list(dict.fromkeys(name for row in rows for name in row["landmarks"] if name in points_of(row)))
     if not names:
         return
     yield "| landmark | scan | proposed | error mm median | 95 % | worst |"
     yield "|" + " --- |" * 6
     for name in names:
         for quality in dict.fromkeys(row["quality"] for row in rows):
-            own = [row for row in rows if row["quality"] == quality and name in row["truth"]["landmarks"]]
+            own = [row for row in rows if row["quality"] == quality and name in points_of(row)]
             error = [
                 float(np.linalg.norm(np.subtract(row["landmarks"][name], row["truth"]["landmarks"][name])))
                 for row in own
@@ -232,6 +232,11 @@ def _landmarks(rows: Sequence[Row]) -> Iterator[str]:
                 shown = f"{len(error)} of {len(own)} | {_median(error)} | {_quantile(error)} | {max(error):.1f}"
                 yield f"| {name} | {quality} | {shown} |"
     yield ""
+
+
+def points_of(row: Row) -> set[str]:
+    """True landmarks that are one point."""
+    return set(row["truth"]["landmarks"]) - {"midline"}
 
 
 def _repeatability(rows: Sequence[Row]) -> Iterator[str]:

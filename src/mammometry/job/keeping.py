@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from mammometry.base.progress import Progress
+from mammometry.job.inputs import Inputs
 from mammometry.job.products import Memo, Product, Remade
 from mammometry.job.stage_values import CameraSet
 
@@ -21,20 +22,17 @@ if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a pla
 
 
 def kept_data(
+    inputs: Inputs,
     cameras: Product[CameraSet],
     stillness: Product[Stillness],
     ranges: Mapping[str, Product[RangeImage]],
     subjects: Product[Subjects] | None,
-    subject_kind: str,
     settings: SurfaceSettings,
     memo: Memo,
-    *,
-    inputs: Mapping[str, str],
 ) -> tuple[Product[Kept], Product[ValidPatches]]:
     """Which range data are kept, and those data.
 
-    Only the former are stored: the data themselves are in the range images. `inputs` has the digest of the subject's
-    kind.
+    Only the former are stored: the data themselves are in the range images.
     """
 
     def choose(
@@ -53,7 +51,9 @@ def kept_data(
         keep = [image.valid for image in valid.range_images]
         unseen = set() if subjects is None else set(subjects.blind)
         blind = [name for name, pair in cameras.rig.pair_names.items() if unseen & set(pair)]
-        if blind or subject_kind == "surface":  # a solid's pieces beside the largest are left out when it is meshed
+        if (
+            blind or inputs.subject_kind == "surface"
+        ):  # a solid's pieces beside the largest are left out when it is meshed
             keep = scraps.subject_data(valid.range_images, blind, None if subjects is None else subjects.middle_world)
         return dents.Kept(keep=tuple(keep), angles_rad=valid.angles_rad)
 
@@ -69,7 +69,7 @@ def kept_data(
         choose,
         parents={"cameras": cameras, "stillness": stillness, "ranges": ranges, "subjects": subjects},
         settings=(settings.decompose, settings.dents),
-        inputs=inputs,
+        inputs={"subject": inputs.digests["subject"]},
     )
     valid: Product[ValidPatches] = Product(
         Remade(),

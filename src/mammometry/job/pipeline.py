@@ -358,8 +358,7 @@ def surface(
     stillness = what_moved(calibrated.cameras, calibrated.calibration, ranges, matched.rows, settings.stillness, memo)
     cameras = where_they_stood(calibrated.cameras, stillness, memo)
     given = {"subject": inputs.digests["subject"]}
-    of_subject = matched.subjects, inputs.subject_kind
-    kept, valid = kept_data(calibrated.cameras, stillness, ranges, *of_subject, settings, memo, inputs=given)
+    kept, valid = kept_data(inputs, calibrated.cameras, stillness, ranges, matched.subjects, settings, memo)
     seen: dict[str, Parent] = {"cameras": cameras, "valid": valid, "foregrounds": matched.foregrounds}
     blocked: Product[Mapping[str, Blocked]] = Product(memo, "surface", "blocked", find_blocked, parents=seen)
     solid: Product[Solid | None] = Product(

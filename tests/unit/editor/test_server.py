@@ -58,7 +58,7 @@ def job(folder: Path, kind: str = "model") -> SimpleNamespace:
         settings=SimpleNamespace(measure=MeasureSettings()),
         rig=rig,
         surface=lambda: finished,
-        measured=SimpleNamespace(boundaries=lambda: (found,), sides=None, measurements=None),
+        measured=SimpleNamespace(boundaries=lambda: (found,), sides=None, measurements=None, landmarks=None),
         mesh=SimpleNamespace(key=None),
         content_key=None,
         render_report=lambda: None,

@@ -70,7 +70,7 @@ def working_volume(calibration: Calibration, *, steps: int = 9) -> WorkingVolume
 
 
 def middle_world(rig: Rig) -> Float64[Array, 3]:
-    """Middle of the places where the target was held, world, mm; of imported cameras, where their axes meet."""
+    """Middle of the target's places, world, mm. Of imported cameras: where their axes meet."""
     return meeting_point(rig) if rig.target_middle_world is None else rig.target_middle_world
 
 

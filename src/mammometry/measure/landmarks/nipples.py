@@ -85,7 +85,7 @@ def propose_nipple(
         tip = _tip(samples, protrusion, near, settings.tip_mm)
         if tip is not None:
             how = "half way between the middle of the areola's colour and the tip within it"
-            place, sigma = (areola + tip) / 2, settings.tip_sigma_mm
+            place, sigma = tip + _along_skin(samples, tip, (areola - tip) / 2), settings.tip_sigma_mm
             probability = settings.areola_tip_probability
         else:
             how, place, sigma = "middle of the areola's colour; no tip stands out", areola, settings.areola_sigma_mm
@@ -116,6 +116,14 @@ def propose_nipple(
         sigma_mm=sigma,
         probability=probability,
     )
+
+
+def _along_skin(samples: _Samples, at: Float64[Array, 3], offset: Float64[Array, 3]) -> Float64[Array, 3]:
+    """The part of an offset that runs along the skin: an areola's middle lies below the skin that curves around it."""
+    near = np.linalg.norm(samples.points - at, axis=1) < _RING_MM[0]
+    normal = samples.normals[near].mean(axis=0)
+    normal /= max(float(np.linalg.norm(normal)), 1e-9)
+    return np.asarray(offset - (offset @ normal) * normal)
 
 
 def _sampled(skin: TriangleMesh, colours: UInt8[Array, "n 3"], boundary: Float64[Array, "b 3"]) -> _Samples:

@@ -27,7 +27,7 @@ _VIEW_PX = 470  # size of a view, px; chosen by eye
 def photographs_seen(
     photographs: Mapping[str, Photograph], blocks: Mapping[str, Bool[Array, "h w"]] | None = None
 ) -> bytes:
-    """The photographs as they were brought, each under its camera's name, with the outlines that were found.
+    """The photographs under their cameras' names, with the outlines that were found.
 
     Args:
         photographs: camera → photograph.
