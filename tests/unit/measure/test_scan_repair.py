@@ -184,7 +184,7 @@ def test_both_sides_of_a_surface_are_one_surface() -> None:
     assert len(repair_scan(both).mesh.faces) == len(FRONT.faces)
 
 
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", [pytest.param(0, marks=pytest.mark.slow), 1])
 def test_skin_full_of_holes_that_touch_is_closed(seed: int) -> None:
     """A patch may need an edge that the skin beside the hole has already."""
     whole = ball(50.0, 4)
