@@ -179,7 +179,7 @@ def test_the_search_covers_every_kind_of_input() -> None:
 def test_an_input_is_read_from_a_folder_of_any_name(subject: Input, tmp_path: Path) -> None:
     unchanged = Change(name="nothing", suits=frozenset(), apply=lambda files, rng: files)
     wrong = []
-    for number, place in enumerate(ODD_NAMES):
+    for number, place in enumerate(ODD_NAMES[INPUTS.index(subject) % 3 :: 3]):  # all of them, by kinds of files
         link = LINKS[number % len(LINKS)]
         wrong.append(outcome(subject, (unchanged,), Random(0), tmp_path / str(number), place, link))
     assert not any(wrong), "\n".join(filter(None, wrong))
