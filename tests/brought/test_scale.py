@@ -133,7 +133,7 @@ def test_centimetres_are_refused_before_anything_is_matched(name: str, kind: str
     refused, sentence = noticed(calibrated(pair_of(*RIGS[name]), 200.0, 0.1), kind)
     assert refused
     assert sentence.startswith("session.toml: target.square_mm: found 2.5 mm, by which the pictures' shorter side is ")
-    assert sentence.endswith((": 25 mm would fit.", ": 25 mm or 63.5 mm would fit."))
+    assert sentence.endswith((": 25 mm would fit.", ": 25 mm or 63.5 mm (if it was in inches) would fit."))
 
 
 @pytest.mark.parametrize(
@@ -144,7 +144,7 @@ def test_centimetres_are_refused_before_anything_is_matched(name: str, kind: str
         ({"kind": "charuco", "squares": [14, 10], "square_mm": 250.0, "marker_mm": 180.0, "dictionary": "DICT_5X5_250"},
          r"\[target\] square_mm: found 250 mm.*: 25 mm would fit"),
         ({"kind": "chessboard", "squares": [10, 7], "square_mm": 0.98},
-         r"\[target\] square_mm: found 0.98 mm.*: 9.8 mm or 24.89 mm would fit"),
+         r"\[target\] square_mm: found 0.98 mm.*: 9.8 mm or 24.89 mm \(if it was in inches\) would fit"),
         ({"kind": "circles", "grid": [11, 8], "pitch_mm": 0.02, "diameter_mm": 0.012},
          r"\[target\] pitch_mm: found 0.02 mm.*: 20 mm would fit"),
         ({"kind": "dotted-cylinder", "dots": [20, 36], "radius_mm": 0.05715, "row_pitch_mm": 0.01,

@@ -67,5 +67,9 @@ def fitting(stated_mm: float, sizes: Sequence[Size]) -> str:
     Returns:
         The end of a sentence, such as ``: 25 mm would fit``. Empty where no unit fits.
     """
-    values = [f"{stated_mm * factor:.4g} mm" for factor in likely_units(sizes).values()]
+    units = likely_units(sizes)
+    values = [
+        f"{stated_mm * factor:.4g} mm" + (" (if it was in inches)" if unit == "inches" and len(units) > 1 else "")
+        for unit, factor in units.items()
+    ]
     return f": {' or '.join(values)} would fit" if values else ""
