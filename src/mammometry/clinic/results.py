@@ -60,7 +60,7 @@ def latest(visits: Iterable[Visit]) -> list[VisitResult]:
 
 
 def add_volumes(measurement: Measurement, volumes: Iterable[Volume]) -> None:
-    """Store the volumes of a measurement, and which of each side leads: of many, that is too slow to find again."""
+    """Store the volumes of a measurement, and which of each side leads."""
     leaders: dict[str, Volume] = {}
     ordered = sorted(volumes, key=lambda volume: (_rank(volume), volume.definition))
     for volume in ordered:
