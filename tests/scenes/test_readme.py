@@ -23,6 +23,8 @@ ELSEWHERE = {
     "make demo": ".ci/run",
     "make test": ".ci/run",
     "make clinic": ".ci/run",  # and test_a_demo_clinic_is_made_and_served_by_one_command
+    "measure scan.ply --automatic": "tests/unit/api/test_mesh_job.py",
+    "demo --scan": "tests/scenes/test_demo.py",
     "capture SESSION --rig rig.toml": "tests/scenes/test_capture_measured.py",
     "edit SESSION": "tests/unit/editor/test_server.py",
     "clinic serve my-clinic": "tests/unit/clinic/test_clinic_server.py",
