@@ -114,6 +114,7 @@ FIELDS = {
     "subject.kind": ('kind = "model"', 'kind = "surface"'),
     "subject.id": ("[subject]\n", f'[subject]\nid = "{ID}"\n'),
     "subject.rim_radius_mm": ("[subject]\n", "[subject]\nrim_radius_mm = 0.5\n"),
+    "subject.posture": ("[subject]\n", '[subject]\nposture = "standing"\n'),
     "date": ("[rig]\n", "date = 2026-01-31\n[rig]\n"),
     "target": ("square_mm = ", "edge_std_mm = 0.05\nedge_mm = 350.5\nsquare_mm = "),
     "intrinsics.target": (

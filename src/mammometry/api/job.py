@@ -318,6 +318,7 @@ class Job:
             identity=self.identity,
             settings=self.settings,
             stage_seconds=self._all_seconds(),
+            posture=self.session.manifest.subject.posture,
         )
 
     def keys(self, stage: Stage) -> tuple[Key, ...]:

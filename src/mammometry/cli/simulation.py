@@ -106,7 +106,7 @@ def simulate(
         str,
         typer.Option(
             help="plaster, plaster_1 … plaster_9, torso, torso_1 …, woman, woman_1 … (also leaning-woman, woman-wide, "
-            "leaning-woman-wide), sphere, cylinder, plate, or a PLY, OBJ or STL file."
+            "leaning-woman-wide), head, figure, sphere, cylinder, plate, or a PLY, OBJ or STL file."
         ),
     ] = _RECIPE.subject,
     units: Annotated[

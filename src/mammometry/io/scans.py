@@ -34,8 +34,6 @@ from mammometry.io.jpeg import without_tags
 from mammometry.io.meshes import read_ply, write_ply
 from mammometry.io.obj_texture import CoveredObj, read_covered_obj
 from mammometry.io.scene_files import covered_parts
-from mammometry.measure.scan_repair import repair_scan
-from mammometry.measure.scanned import check_mesh
 
 ABOUT, MESH = "scan.toml", "scan.ply"
 OBJ, MTL = "scan.obj", "scan.mtl"
@@ -130,6 +128,10 @@ def _check_written(mesh: Path, files: Mapping[str, bytes], foreign: ForeignMesh)
         SessionError: the files hold another surface than was read.
         MeasureError: it is no surface that can be measured.
     """
+    # Here, since sessions are opened without algorithms.
+    from mammometry.measure.scan_repair import repair_scan
+    from mammometry.measure.scanned import check_mesh
+
     check_mesh(repair_scan(foreign.mesh).mesh)
     with tempfile.TemporaryDirectory(prefix="mammometry-") as folder:
         path = Path(folder) / MESH

@@ -21,6 +21,7 @@ from mammometry.matching.silhouette import block_means, sub_pixel_coverage
 
 _REFERENCE_DIAGONAL_PX = 1353.0  # of the 1126 × 750 images, a quarter of the paper's, on which widths were measured
 _BLOCK_PX = 2.0  # pixels a block, at that size, for what needs no sub-pixel position; for speed
+_EVEN = 0.02  # difference of encoded values (sRGB), five of 255, that noise leaves in the blocks of an empty picture
 _BLACK = 0.1  # encoded value (sRGB) that no block of a black photograph reaches: 1 % of the light; chosen by eye
 _BLUR_OF_A_DRAWN_MASK_PX = 1.0  # Gaussian σ that gives a drawn mask an edge to interpolate; chosen by eye
 
@@ -79,12 +80,12 @@ def subject_blocks(
         seeds: what is near and what far by a coarse stereo of each pair that the camera is in.
 
     Raises:
-        MatchingError: the photograph is black.
+        MatchingError: the photograph is black, or even all over.
     """
     bright = segment(blocks.encoded, blocks.unit / blocks.step, settings.background_margin)
     subject = agreed(blocks.encoded, bright, seeds, blocks.step, blocks.unit / blocks.step)
     if subject is None:
-        _refuse_black(name, blocks.encoded)
+        _refuse_empty(name, blocks.encoded)
     return subject
 
 
@@ -119,14 +120,21 @@ def estimate_foreground(
     return Foreground(camera=camera_name, coverage=coverage, contour_level=settings.contour_level, everything=False)
 
 
-def _refuse_black(name: str, encoded: Float32[Array, "H W c"]) -> None:
-    brightest = float(encoded.max())
+def _refuse_empty(name: str, encoded: Float32[Array, "H W c"]) -> None:
+    brightest, darkest = float(encoded.max()), float(encoded.min())
     if brightest < _BLACK:
         raise MatchingError(
             name,
             found=f"a photograph that is black: its brightest place has {100 * brightest:.0f} % of full brightness",
             expected=f"a lit subject, with at least {100 * _BLACK:.0f} %",
             remedy="Check that this camera's flash fires and its lens is uncovered, and take the capture again",
+        )
+    if brightest - darkest < _EVEN:
+        raise MatchingError(
+            name,
+            found="a photograph of one even tone",
+            expected="a subject",
+            remedy="Look at the photograph, and take the capture again",
         )
 
 

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from mammometry.base.posture import NOT_TO_BE_COMPARED
 from mammometry.calibration.adjust.bundle import Calibration
 from mammometry.calibration.judge.quality import CalibrationQuality
 from mammometry.calibration.targets.target import Target
@@ -299,6 +300,11 @@ def surface_report(
         rows=tuple(rows),
     )
     return StageReport(stage="surface", title="Surface", facts=facts, tables=(table,))
+
+
+def posture_fact(posture: str) -> Fact:
+    """How the patient held herself, as far as that is known."""
+    return Fact(label="Posture", value=". ".join(filter(None, (posture, NOT_TO_BE_COMPARED))))
 
 
 def measure_report(measurements: Sequence[VolumeMeasurement]) -> StageReport:

@@ -107,6 +107,9 @@ def gather(
     if measurements:
         sizes = None if plan.measured.dimensions is None else plan.measured.dimensions()
         measured_words = describe.measure_report(measurements)
+        if page.posture:
+            facts = (describe.posture_fact(page.posture), *measured_words.facts)
+            measured_words = replace(measured_words, facts=facts)
         stages.append(replace(measured_words, tables=measured_words.tables + dimension_tables(sizes, marks)))
     lengths, lengths_note = planning_lengths(sizes, marks)
     progress(0.9)

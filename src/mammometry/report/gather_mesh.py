@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
-from mammometry.base.posture import NOT_TO_BE_COMPARED
 from mammometry.base.progress import Progress, no_progress
 from mammometry.geometry.camera import Rig
 from mammometry.job.inputs import SubjectKind
@@ -157,10 +156,9 @@ def _warnings(measurements: Sequence[VolumeMeasurement], body: Body | None) -> I
 def _mesh_facts(finished: FinishedSurface, origin: MeshOrigin) -> StageReport:
     mesh = finished.repaired.mesh
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
-    posture = ". ".join(filter(None, (origin.posture, NOT_TO_BE_COMPARED)))
     facts = (
         *([Fact(label="Scanner", value=origin.scanner)] if origin.scanner else []),
-        *([Fact(label="Posture", value=posture)] if origin.kind == "torso" else []),
+        *([describe.posture_fact(origin.posture)] if origin.kind == "torso" else []),
         Fact(label="Unit in the file", value=origin.units),
         Fact(
             label="Mesh",

@@ -25,6 +25,8 @@ class PageInputs:
     """Of all stages. The page lists them."""
     stage_seconds: Mapping[str, float] = field(default_factory=dict)
     """Stage → what it took when it was made, s."""
+    posture: str = ""
+    """How the patient held herself. Empty: nobody said."""
 
     def key(self, products: Iterable[Product[Any]], inputs: Mapping[str, str] | None = None) -> Key:
         """Key of a report's content that shows this and these products.
