@@ -76,7 +76,7 @@ def repair_scan(mesh: TriangleMesh, *, largest: bool = False) -> RepairedScan:
     turned = _facing_out(mesh, notes)
     if turned is None:  # `scanned.check_mesh` names what is wrong
         return RepairedScan(mesh=mesh, invented=np.zeros(len(mesh.vertices), dtype=bool), notes=tuple(notes))
-    mesh, invented = _filled(turned, notes)
+    mesh, invented = _filled(_without_loose_triangles(turned), notes)
     return RepairedScan(mesh=mesh, invented=invented, notes=tuple(notes))
 
 
@@ -121,6 +121,13 @@ def _without_fins(mesh: TriangleMesh) -> TriangleMesh:
         if len(left.faces) < (1 - _FEW_FINS) * len(mesh.faces):
             break
     return mesh
+
+
+def _without_loose_triangles(mesh: TriangleMesh) -> TriangleMesh:
+    """Leave out triangles that hang on by a corner: closed as a hole, one would be a face with two sides."""
+    rings = mesh_kernels.edge_rings(len(mesh.vertices), mesh.faces)
+    loose = (rings == np.arange(len(rings))).reshape(-1, 3).all(axis=1)
+    return mesh.submesh(~loose) if loose.any() and not loose.all() else mesh
 
 
 def _open_sides(mesh: TriangleMesh) -> Int64[Array, " s"]:

@@ -179,6 +179,20 @@ def test_a_few_fins_are_cut_off_and_slivers_stay() -> None:
     assert repair_scan(mesh).mesh.area_mm2() == pytest.approx(FRONT.area_mm2(), rel=1e-4)
 
 
+def test_a_triangle_that_hangs_on_by_a_corner_is_left_out() -> None:
+    """Where a body was cut off some stay. Closed as a hole each would have two faces, which finer edges then join."""
+    rim = opening_loops(FRONT.faces.astype(np.int64), len(FRONT.vertices))[0]
+    beside = FRONT.vertices[rim[0]] + np.array([[0.0, -2.0, -3.0], [0.0, 2.0, -3.0]])
+    count = len(FRONT.vertices)
+    hanging = TriangleMesh(
+        vertices=np.concatenate([FRONT.vertices, beside]),
+        faces=np.concatenate([FRONT.faces, [[rim[0], count, count + 1]]]).astype(np.int32),
+    )
+    scan = repair_scan(hanging)
+    check_mesh(finer_scan(scan, [scan.mesh.vertices]).mesh)
+    assert len(scan.mesh.faces) == len(FRONT.faces)
+
+
 def test_both_sides_of_a_surface_are_one_surface() -> None:
     both = TriangleMesh(vertices=FRONT.vertices, faces=np.concatenate([FRONT.faces, FRONT.faces[:, ::-1]]))
     assert len(repair_scan(both).mesh.faces) == len(FRONT.faces)
