@@ -296,6 +296,7 @@ def test_two_material_files_are_both_read(tmp_path: Path) -> None:
     require_covered(import_scan(mesh, SCAN, units="mm"), tmp_path)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["my  skin.jpg", "a b.jpg", "Größe.jpg", "-s.jpg", "1 2.jpg"])
 def test_a_picture_may_have_any_name(tmp_path: Path, name: str) -> None:
     mesh = covered(tmp_path, obj_head="mtllib a.mtl", mtl=f"newmtl skin\nmap_Kd {name}\n".encode(), picture=name)
@@ -314,6 +315,7 @@ def test_a_material_file_named_in_latin_1_is_found(tmp_path: Path, on_disk: byte
     require_covered(import_scan(mesh, SCAN, units="mm"), tmp_path)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("orientation", [1, 3, 6, 8])
 def test_a_pictures_orientation_tag_is_not_obeyed(tmp_path: Path, orientation: int) -> None:
     """Places in a texture count from the pixels as stored, as every program that shows an OBJ has it."""
@@ -321,6 +323,7 @@ def test_a_pictures_orientation_tag_is_not_obeyed(tmp_path: Path, orientation: i
     require_covered(import_scan(mesh, SCAN, units="mm"), tmp_path)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", ["L", "CMYK"])
 def test_a_picture_in_other_colours_is_read(tmp_path: Path, mode: str) -> None:
     mesh = covered(tmp_path, obj_head="mtllib a.mtl", mtl=MTL, mode=mode)

@@ -95,6 +95,7 @@ def test_the_format_does_not_change_the_volume(tmp_path: Path, name: str) -> Non
     assert volumes_cc(read(tmp_path / name)) == pytest.approx(true_cc(), rel=2e-3)
 
 
+@pytest.mark.slow
 @settings(max_examples=4, deadline=None)
 @given(seed=st.integers(0, 10**6), turned=st.booleans(), far_m=st.sampled_from([0.0, 0.3, 10.0]), doubled=st.booleans())
 def test_order_place_and_doubled_vertices_do_not_change_the_volume(
@@ -128,6 +129,7 @@ def test_faces_split_in_three_do_not_change_the_volume() -> None:
     assert volumes_cc(split) == pytest.approx(true_cc(), rel=5e-3)
 
 
+@pytest.mark.slow
 def test_the_trunks_axis_does_not_hang_on_the_order_of_faces_or_on_a_micron() -> None:
     """It was off by a millimetre and a fifth of a degree: one in so many faces was sampled, in their order."""
     mesh = scanned.finer_along(front(), [front().vertices])

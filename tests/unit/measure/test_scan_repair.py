@@ -145,6 +145,7 @@ def test_pieces_that_touch_are_joined() -> None:
         repair_scan(joined([left, right.mapped(lambda points: points + np.array([-0.5, 0.3, 1.0]))]))
 
 
+@pytest.mark.slow
 def test_edges_that_one_side_alone_has_split_are_joined() -> None:
     torn = split_once(FRONT)
     scan = repair_scan(torn)
