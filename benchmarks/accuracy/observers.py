@@ -44,9 +44,7 @@ _SCALE_STD = 1e-3  # of lengths, drawn; the interval is told the same
 
 
 def drawn_by(boundary: Boundary, mesh: TriangleMesh, habit: float, rng: np.random.Generator) -> Boundary:
-    """A curve as one person draws it.
-
-    Marks that are off, joined smoothly and laid onto the skin.
+    """A curve as one person draws it. Marks that are off, joined smoothly and laid onto the skin.
 
     Args:
         boundary: the true curve.

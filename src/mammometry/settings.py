@@ -1,7 +1,4 @@
-"""All stages' settings as one value, read from and written to TOML.
-
-An unknown name is an error.
-"""
+"""All stages' settings as one value, read from and written to TOML. An unknown name is an error."""
 
 from __future__ import annotations
 
@@ -52,9 +49,7 @@ class Settings:
 
     @classmethod
     def from_toml(cls, text: str, *, name: str = "settings") -> Settings:
-        """Read settings from TOML text: one table a stage.
-
-        What is absent keeps its default.
+        """Read settings from TOML text: one table a stage. What is absent keeps its default.
 
         Args:
             text: the TOML document.

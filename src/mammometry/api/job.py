@@ -252,9 +252,7 @@ class Job:
         return self._report_page
 
     def run(self, *, report: bool = True) -> Results:
-        """Calibrate, match, build the surface, measure, report.
-
-        What is current is not done again.
+        """Calibrate, match, build the surface, measure, report. What is current is not done again.
 
         Args:
             report: whether to write the report too.

@@ -150,10 +150,7 @@ def scan_job(folder: Path, results: Path, settings: Settings | None = None) -> M
 
 
 class MeshJob:
-    """Measure a mesh.
-
-    What is in the folder and current is not done again.
-    """
+    """Measure a mesh. What is in the folder and current is not done again."""
 
     def __init__(
         self, files: MeshFiles, folder: Path, settings: Settings | None = None, *, watch: Watch = unwatched

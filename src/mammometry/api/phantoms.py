@@ -56,9 +56,7 @@ def measure_phantoms(
     settings: Settings | None = None,
     each: Each = one_after_another,
 ) -> tuple[PhantomResult, ...]:
-    """Simulate, calibrate and measure each model.
-
-    What is there already is not made again.
+    """Simulate, calibrate and measure each model. What is there already is not made again.
 
     Args:
         out: folder of the study, with one session a model.
@@ -121,10 +119,7 @@ def measure_model(tell: Tell, session: Path, recipe: SessionRecipe, settings: st
 
 
 def paired(results: tuple[PhantomResult, ...]) -> PairedMeasurements:
-    """The results as a table of an agreement study.
-
-    The reference is the exact volume, cc.
-    """
+    """The results as a table of an agreement study. The reference is the exact volume, cc."""
     return PairedMeasurements(
         names=tuple(result.name for result in results),
         reference=np.array([result.true_cc for result in results]),
@@ -176,10 +171,7 @@ def _worded(values: dict[str, float]) -> str:
 
 
 def _share_calibration(first: Path, session: Path) -> None:
-    """Copy the first session's calibration.
-
-    The memo takes it only if the photographs are the very same.
-    """
+    """Copy the first session's calibration. The memo takes it only if the photographs are the very same."""
     made, wanted = first / "results" / "calibrate", session / "results" / "calibrate"
     if session == first or wanted.exists() or not made.is_dir():
         return

@@ -78,9 +78,7 @@ class Previews:
 
     @contextmanager
     def drawing(self, stages: Sequence[Stage]) -> Iterator[Drawing]:
-        """Draw pictures as their stages are made.
-
-        All are there when the block ends.
+        """Draw pictures as their stages are made. All are there when the block ends.
 
         Args:
             stages: what will be made, in order. Without pictures to draw beside a later one there is no second process.
@@ -156,9 +154,7 @@ class Drawing:
         return not all(each.done() for each in self._begun.values())
 
     def facts(self) -> dict[Stage, Facts]:
-        """Wait for all pictures that were begun.
-
-        Returns what the report says of their stages.
+        """Wait for all pictures that were begun. Returns what the report says of their stages.
 
         Raises:
             MammometryError: whatever stood in the way, in one sentence.

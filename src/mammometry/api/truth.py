@@ -1,7 +1,4 @@
-"""Compare a session's results with its truth.
-
-Only this module and studies may read both.
-"""
+"""Compare a session's results with its truth. Only this module and studies may read both."""
 
 from __future__ import annotations
 

@@ -24,10 +24,7 @@ def kernel(function: Callable[..., Any]) -> Any:
 
 
 def fast_kernel(function: Callable[..., Any]) -> Any:
-    """Compile so that sums may be taken in any order.
-
-    Neither infinity nor NaN may occur.
-    """
+    """Compile so that sums may be taken in any order. Neither infinity nor NaN may occur."""
     return keep(njit(nogil=True, error_model="numpy", fastmath=True)(function))
 
 

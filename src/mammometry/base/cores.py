@@ -60,9 +60,6 @@ def in_bands(work: Callable[[slice], _R], count: int) -> list[_R]:
 
 
 def each_at_once(work: Callable[[_T], _R], things: Sequence[_T]) -> list[_R]:
-    """Run lock-free work on each of a few things, in threads.
-
-    Returns the results in order.
-    """
+    """Run lock-free work on each of a few things, in threads. Returns the results in order."""
     with ThreadPoolExecutor(available_cores()) as pool:
         return list(pool.map(work, things))

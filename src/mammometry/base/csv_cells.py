@@ -18,10 +18,7 @@ _NUMBER = re.compile(r"-[0-9]+(\.[0-9]+)?([eE][+-]?[0-9]+)?")
 
 
 def harmless(cell: object) -> str | int | float:
-    """Return a cell that no spreadsheet takes for a formula.
-
-    None is an empty cell.
-    """
+    """Return a cell that no spreadsheet takes for a formula. None is an empty cell."""
     if cell is None:
         return ""
     if isinstance(cell, int | float):

@@ -37,10 +37,7 @@ class Identity:
 
     @property
     def beside(self) -> str:
-        """Line below the heading: the folder and the date.
-
-        The folder is left out if it is the heading.
-        """
+        """Line below the heading: the folder and the date. The folder is left out if it is the heading."""
         folder = "" if self.subject in (None, self.name) else self.name
         return " · ".join(filter(None, (folder, self.date and f"photographed {self.date}")))
 
@@ -50,10 +47,7 @@ NAMELESS = Identity(name="De-identified case")
 
 
 def shown_name(path: Path) -> str:
-    r"""Name of a file or folder as printable text.
-
-    Bytes that are not UTF-8 appear as ``\xfc``.
-    """
+    r"""Name of a file or folder as printable text. Bytes that are not UTF-8 appear as ``\xfc``."""
     name = path.resolve().name.encode("utf-8", "surrogateescape").decode("utf-8", "backslashreplace")
     return "".join(each if each.isprintable() else each.encode("unicode_escape").decode("ascii") for each in name)
 
@@ -78,9 +72,7 @@ def subject_id(text: str) -> str:
 
 
 def one_subject(named: Iterable[tuple[str, str | None]], *, remedy: str) -> str | None:
-    """Return the one identifier that all sources agree on.
-
-    None where none gives one.
+    """Return the one identifier that all sources agree on. None where none gives one.
 
     Args:
         named: a file or an option, and the identifier that it gives, or None.

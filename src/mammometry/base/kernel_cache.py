@@ -31,9 +31,7 @@ _IMPORT = re.compile(r"^(?:from|import) mammometry(?:\.([\w.]+))?(?: import (\([
 
 
 def choose_cpu() -> None:
-    """Have numba compile for the common processor.
-
-    Only where this one can do what that can.
+    """Have numba compile for the common processor. Only where this one can do what that can.
 
     ``NUMBA_CPU_NAME`` and ``NUMBA_CPU_FEATURES`` override it.
     """
@@ -137,8 +135,5 @@ def keep(dispatcher: Any) -> Any:
 
 
 def is_kept(dispatcher: Any) -> bool:
-    """Whether a kernel was compiled before.
-
-    From this source and for this processor.
-    """
+    """Whether a kernel was compiled before. From this source and for this processor."""
     return bool(dispatcher._cache.is_there(dispatcher.targetctx.codegen()))

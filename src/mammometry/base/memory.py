@@ -31,10 +31,7 @@ def return_freed_arrays() -> None:
 
 
 def peak_memory_mb() -> float | None:
-    """Peak memory of this process or a finished child, MB to 0.1.
-
-    None on Windows.
-    """
+    """Peak memory of this process or a finished child, MB to 0.1. None on Windows."""
     try:
         import resource
     except ImportError:  # Windows has no such module

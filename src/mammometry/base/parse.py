@@ -204,9 +204,7 @@ def number(text: str) -> float:
 
 
 def numbers(value: object, *shape: int) -> Float64[np.ndarray, "*shape"]:
-    """An array of finite numbers out of nested lists.
-
-    Text and truth values are no numbers.
+    """An array of finite numbers out of nested lists. Text and truth values are no numbers.
 
     Args:
         value: lists of equal length, or an array.

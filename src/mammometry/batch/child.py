@@ -37,10 +37,7 @@ class Order:
 
 
 def main() -> None:
-    """Run one order and exit with code 0.
-
-    An error is part of the answer.
-    """
+    """Run one order and exit with code 0. An error is part of the answer."""
     answers = os.fdopen(os.dup(1), "w", buffering=1, encoding="utf-8")
     os.dup2(2, 1)  # what libraries print is no answer
     orders = sys.stdin.buffer
@@ -68,10 +65,7 @@ def main() -> None:
 
 
 def _end_with(pipe: BinaryIO) -> None:
-    """End this process when its worker is gone.
-
-    Results are written so that this is safe at any moment.
-    """
+    """End this process when its worker is gone. Results are written so that this is safe at any moment."""
     pipe.read()
     os._exit(1)
 

@@ -43,10 +43,7 @@ class Machines:
         return len(self.client.scheduler_info(n_workers=-1)["workers"])
 
     def largest(self) -> dict[str, float]:
-        """Resource → what the worker offers that offers most of it.
-
-        Empty while there is no worker.
-        """
+        """Resource → what the worker offers that offers most of it. Empty while there is no worker."""
         most: dict[str, float] = {}
         for offers in self._offers():
             for resource, offer in offers.items():
@@ -132,10 +129,7 @@ def _connected(scheduler: str) -> Iterator[Client]:
 
 
 def _require_same(client: Client, scheduler: str) -> None:
-    """Refuse workers that would come to other results.
-
-    Later ones are asked with their first task.
-    """
+    """Refuse workers that would come to other results. Later ones are asked with their first task."""
     try:
         client.wait_for_workers(1, timeout=_ANSWER_S)
     except TimeoutError:

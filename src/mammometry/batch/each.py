@@ -19,9 +19,7 @@ def side_by_side(
     watch: Callable[[Began | Ended], None] = lambda event: None,
     wish: Callable[[], Wish] = lambda: Wish.GO_ON,
 ) -> Each:
-    """Make a loop that runs each turn as a Dask task.
-
-    Each task has its own process.
+    """Make a loop that runs each turn as a Dask task. Each task has its own process.
 
     Args:
         machines: the workers.

@@ -237,10 +237,7 @@ class Engine:
         future.add_done_callback(self._said.put)
 
     def _ended(self, future: Any) -> Ended | None:
-        """What a future came to.
-
-        None where it is tried again, or was dropped.
-        """
+        """What a future came to. None where it is tried again, or was dropped."""
         name = self._names.pop(future.key)
         if name not in self._at_work or self._at_work[name][0].key != future.key:
             return None

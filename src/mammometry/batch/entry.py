@@ -24,10 +24,7 @@ class Entry:
 
     @property
     def remote(self) -> bool:
-        """Whether photographs are fetched and results sent back.
-
-        Workers cannot see such a folder.
-        """
+        """Whether photographs are fetched and results sent back. Workers cannot see such a folder."""
         return is_address(self.address) or self.results is not None
 
     @property

@@ -39,8 +39,5 @@ class Offer(WorkerPlugin):  # type: ignore[misc]  # half of distributed is typed
 
 
 def memory_mb() -> float:
-    """Memory of this machine for tasks, MB.
-
-    Less where the system's control group allows less.
-    """
+    """Memory of this machine for tasks, MB. Less where the system's control group allows less."""
     return float(round(_SHARE * min(psutil.virtual_memory().total, MEMORY_LIMIT) / _MIB))

@@ -89,10 +89,7 @@ class Record(BaseModel):
 
 
 def software() -> dict[str, str]:
-    """Versions that must be equal on every machine of a batch.
-
-    With other versions, results would differ.
-    """
+    """Versions that must be equal on every machine of a batch. With other versions, results would differ."""
     versions = json.dumps(dict(VERSIONS), sort_keys=True).encode()
     return {"mammometry": mammometry.__version__, "results": hashlib.sha256(versions).hexdigest()[:12]}
 
@@ -109,10 +106,7 @@ def key_of(settings: Settings, limits: LimitSettings | None = None) -> str:
 
 
 def stats_of(session: Path) -> dict[str, Stat]:
-    """Size and change time of every file in a session.
-
-    The record itself and hidden files are left out.
-    """
+    """Size and change time of every file in a session. The record itself and hidden files are left out."""
     return {name: stat for name, stat in _stats(str(session), "") if name != f"results/{RECORD}"}
 
 
@@ -138,10 +132,7 @@ def write_record(session: Path, record: Record) -> None:
 
 
 def read_record(data: bytes) -> Record | None:
-    """A record out of a file's content.
-
-    None where it is none of this version.
-    """
+    """A record out of a file's content. None where it is none of this version."""
     try:
         return Record.model_validate_json(data)
     except _UNREADABLE:
@@ -149,10 +140,7 @@ def read_record(data: bytes) -> Record | None:
 
 
 def look_up(session: Path, key: str) -> tuple[Row | None, bool]:
-    """Record of a session, and whether its files still match it.
-
-    Files match by size and change time.
-    """
+    """Record of a session, and whether its files still match it. Files match by size and change time."""
     path = session / "results" / RECORD
     try:
         record = read_record(path.read_bytes()) if path.stat().st_size <= _MOST_BYTES else None

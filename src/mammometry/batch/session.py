@@ -71,10 +71,7 @@ def measure_entry(tell: Tell, entry: Entry, settings: str) -> dict[str, Any]:
 
 @contextmanager
 def _scratch() -> Iterator[Path]:
-    """A folder of this task alone.
-
-    What a killed one has left is removed by the next on the same machine.
-    """
+    """A folder of this task alone. What a killed one has left is removed by the next on the same machine."""
     base = Path(tempfile.gettempdir())
     for left in base.glob(f"{_SCRATCH}*"):
         pid = left.name.removeprefix(_SCRATCH).partition("-")[0]
@@ -142,10 +139,7 @@ def _row_of(job: Job, peak_mb: float | None) -> Row:
 
 
 def _thumbnail(results: Path) -> str | None:
-    """A small picture of what was measured, WebP in base64.
-
-    None where there is none.
-    """
+    """A small picture of what was measured, WebP in base64. None where there is none."""
     for name in _PICTURES:
         if not (results / name).is_file():
             continue

@@ -79,9 +79,7 @@ def fetch(entry: Entry, folder: Path) -> dict[str, Stat]:
 
 
 def put(entry: Entry, results: Path, digest: str) -> None:
-    """Put results back, whole or not at all.
-
-    Former ones are removed afterwards.
+    """Put results back, whole or not at all. Former ones are removed afterwards.
 
     Raises:
         StorageError: the storage does not answer or refuses.
@@ -102,9 +100,7 @@ def put(entry: Entry, results: Path, digest: str) -> None:
 
 
 def look_up(entry: Entry, key: str) -> tuple[Row | None, bool]:
-    """Record of a session, and whether its files still match it.
-
-    Files match by the storage's own tags.
+    """Record of a session, and whether its files still match it. Files match by the storage's own tags.
 
     Raises:
         StorageError: the storage does not answer.
@@ -116,9 +112,7 @@ def look_up(entry: Entry, key: str) -> tuple[Row | None, bool]:
 
 
 def record_of(entry: Entry) -> Record | None:
-    """The record of the results that are there.
-
-    None where there are none.
+    """The record of the results that are there. None where there are none.
 
     Raises:
         StorageError: the storage does not answer.

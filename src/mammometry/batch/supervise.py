@@ -109,10 +109,7 @@ def stop_all(batch: str) -> int:
 
 
 def stop(batch: str, tasks: Collection[str]) -> int:
-    """End the processes of some tasks of a batch on this worker.
-
-    Return how many there were.
-    """
+    """End the processes of some tasks of a batch on this worker. Return how many there were."""
     there = [process for (of, task), process in list(running.items()) if of == batch and task in tasks]
     for process in there:
         with suppress(OSError):

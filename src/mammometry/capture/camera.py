@@ -96,15 +96,10 @@ class Backend(Protocol):
         """
 
     def arm(self) -> None:
-        """Make all cameras wait for the pulse.
-
-        What they took before is dropped.
-        """
+        """Make all cameras wait for the pulse. What they took before is dropped."""
 
     def fire(self) -> float:
-        """Expose.
-
-        With a wire, somebody's button does.
+        """Expose. With a wire, somebody's button does.
 
         Returns:
             When, by ``time.time()``.

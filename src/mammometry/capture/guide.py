@@ -64,10 +64,7 @@ class Progress:
 
 
 def opening(pair_names: tuple[str, ...], taken: int) -> str:
-    """What to do while there is no calibration yet.
-
-    The board is turned towards each pair.
-    """
+    """What to do while there is no calibration yet. The board is turned towards each pair."""
     if not taken:
         return "Hold the board in the middle, so that as many cameras as possible see it."
     pair = pair_names[(taken - 1) % len(pair_names)]
@@ -90,9 +87,7 @@ def progress(calibration: Calibration) -> Progress:
 
 
 def suggest(calibration: Calibration, *, seed: int = 0) -> Suggestion | None:
-    """Where to hold the board next.
-
-    None where no place is seen by two cameras.
+    """Where to hold the board next. None where no place is seen by two cameras.
 
     Args:
         calibration: of the poses so far.

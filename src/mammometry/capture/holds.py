@@ -19,10 +19,7 @@ from mammometry.base.errors import CaptureError
 
 
 class Holds:
-    """The cameras that a rig holds.
-
-    Until `release`, or the end of the process.
-    """
+    """The cameras that a rig holds. Until `release`, or the end of the process."""
 
     def __init__(self, rig: str, backend: str, ids: Mapping[str, str]) -> None:
         """Take them all, or none.

@@ -87,9 +87,7 @@ class LiveView:
         self._pool = ThreadPoolExecutor(max(1, len(cameras)))
 
     def look(self, *, calibrating: bool = False, subject_kind: str | None = None) -> dict[str, Aids | str]:
-        """One live picture of every camera.
-
-        A camera that gives none has a sentence instead.
+        """One live picture of every camera. A camera that gives none has a sentence instead.
 
         Args:
             calibrating: whether to look for the target, and not for the subject.

@@ -144,9 +144,7 @@ class Rigged:
         return {name: state.fault for name, state in states.items() if state.fault}
 
     def fire_into(self, session: Path, *, subject_id: str | None = None) -> Fired:
-        """Fire, write and judge.
-
-        The pictures become the session's capture if nothing speaks against that.
+        """Fire, write and judge. The pictures become the session's capture if nothing speaks against that.
 
         Args:
             session: made if there is none.
@@ -182,9 +180,7 @@ class Rigged:
         return Fired(shot=folder, verdict=verdict, accepted=verdict.may_be_measured, written_s=written_s)
 
     def fire_pose(self, session: Path) -> Posed:
-        """Fire at the calibration board.
-
-        Calibrate with all poses so far, and say where to hold it next.
+        """Fire at the calibration board. Calibrate with all poses so far, and say where to hold it next.
 
         Args:
             session: of the calibration; made if there is none.
@@ -320,9 +316,7 @@ class Rigged:
 
 
 def prepare(session: Path, file: RigFile, calibration: Path | None, *, subject_id: str | None = None) -> None:
-    """Make the session's folder, with the rig's calibration.
-
-    A manifest that is there stays as it is.
+    """Make the session's folder, with the rig's calibration. A manifest that is there stays as it is.
 
     Raises:
         StorageError: the disk is full or refuses.

@@ -1,7 +1,4 @@
-"""rig.toml: a rig, and how its cameras are driven.
-
-Pairs, target and subject are as in session.toml.
-"""
+"""rig.toml: a rig, and how its cameras are driven. Pairs, target and subject are as in session.toml."""
 
 from __future__ import annotations
 

@@ -83,9 +83,7 @@ def make_session(folder: Path, manifest: str) -> None:
 
 
 def share_calibration(calibration: Path, session: Path) -> None:
-    """Put a rig's calibration photographs into a visit's folder.
-
-    They replace what was there.
+    """Put a rig's calibration photographs into a visit's folder. They replace what was there.
 
     Raises:
         StorageError: the disk is full or refuses.

@@ -1,7 +1,4 @@
-"""What a capture page asks for.
-
-Whoever serves it: the local server or the clinic.
-"""
+"""What a capture page asks for. Whoever serves it: the local server or the clinic."""
 
 from __future__ import annotations
 

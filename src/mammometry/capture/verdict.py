@@ -42,10 +42,7 @@ class Verdict:
 
     @property
     def said(self) -> tuple[str, ...]:
-        """Sentences for the technician, the gravest first.
-
-        What was good is said once a kind.
-        """
+        """Sentences for the technician, the gravest first. What was good is said once a kind."""
         bad = [(who, one) for who, one in self.found if one.level in ("refuse", "warn")]
         lines = [f"{who}: {one.sentence}" if who else one.sentence for who, one in bad]
         for check in dict.fromkeys(one.check for _, one in self.found):

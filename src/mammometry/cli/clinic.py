@@ -235,10 +235,7 @@ def restore(
     json: Json = False,
     verbose: Verbose = 0,
 ) -> Answer:
-    """Make a clinic out of a backup.
-
-    In a new folder, with an empty database.
-    """
+    """Make a clinic out of a backup. In a new folder, with an empty database."""
     from mammometry.clinic.keep.restore import fill, unpack
 
     config, manifest = unpack(archive, folder, database)

@@ -89,10 +89,7 @@ def start_logging(verbose: int) -> None:
 
 
 class Bars:
-    """Progress bars on standard error, one per stage.
-
-    Without a terminal, one line when a stage begins.
-    """
+    """Progress bars on standard error, one per stage. Without a terminal, one line when a stage begins."""
 
     def __init__(self, quiet: bool) -> None:
         self._quiet = quiet
@@ -148,10 +145,7 @@ class Bars:
         return self.task(key.stage, key.product.replace("/", " "))
 
     def watch_as(self, number: int) -> Callable[[Key], AbstractContextManager[Progress]]:
-        """Watch the products of one of several sessions.
-
-        Each session has its own bars.
-        """
+        """Watch the products of one of several sessions. Each session has its own bars."""
         return lambda key: self.task(f"{key.stage} {number}", key.product.replace("/", " "))
 
     def _show(self, stage: str, what: str) -> None:

@@ -20,10 +20,7 @@ from mammometry.base.cores import available_cores
 
 
 def listed() -> list[tuple[str, str]]:
-    """Name and argument types of each kernel, in order of use.
-
-    The types are in numba's notation.
-    """
+    """Name and argument types of each kernel, in order of use. The types are in numba's notation."""
     lines = files("mammometry.cli").joinpath("kernels.txt").read_text(encoding="utf-8").splitlines()
     return [(name, types) for name, _, types in (line.partition(" ") for line in lines)]
 

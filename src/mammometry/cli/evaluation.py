@@ -59,10 +59,7 @@ def evaluate(
 
 
 def table_lines(table: Table) -> list[Any]:
-    """A table for the terminal, under its title.
-
-    Columns of words are left to the page.
-    """
+    """A table for the terminal, under its title. Columns of words are left to the page."""
     from rich.table import Table as RichTable
 
     shown = RichTable(box=None, pad_edge=False)

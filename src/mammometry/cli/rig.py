@@ -202,10 +202,7 @@ def export_cameras(
     json: Json = False,
     verbose: Verbose = 0,
 ) -> Answer:
-    """Write the cameras for OpenCV, COLMAP or Kalibr.
-
-    Calibrates first if needed.
-    """
+    """Write the cameras for OpenCV, COLMAP or Kalibr. Calibrates first if needed."""
     from mammometry.cli.stages import opened
     from mammometry.io.cameras.formats import camera_file_names, camera_texts
     from mammometry.io.outputs import require_apart, require_free, write_outputs

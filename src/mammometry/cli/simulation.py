@@ -166,10 +166,7 @@ def simulate(
     json: Json = False,
     verbose: Verbose = 0,
 ) -> Answer:
-    """Render a session of a virtual rig.
-
-    The truth is written to OUT/truth.
-    """
+    """Render a session of a virtual rig. The truth is written to OUT/truth."""
     from mammometry.simulate.disturbances.draw import draw
     from mammometry.simulate.disturbances.registry import check
     from mammometry.simulate.rendering.skin import make_skin
@@ -229,10 +226,7 @@ def target(
     json: Json = False,
     verbose: Verbose = 0,
 ) -> Answer:
-    """Draw a calibration board as a PDF to print at true scale.
-
-    Check the ruler on the print.
-    """
+    """Draw a calibration board as a PDF to print at true scale. Check the ruler on the print."""
     from mammometry.calibration.targets.pdf import target_pdf
     from mammometry.calibration.targets.table import target_from_table
     from mammometry.io.outputs import require_apart, require_free, write_output
@@ -259,10 +253,7 @@ def target(
 
 
 def _mesh_file(subject: str, units: str | None, mm_per_unit: float | None, turn: str) -> MeshFile | None:
-    """How to read the subject's mesh file.
-
-    None for a subject that is not a file.
-    """
+    """How to read the subject's mesh file. None for a subject that is not a file."""
     from mammometry.simulate.subjects.user_mesh import MM_PER_UNIT, MeshFile, names_a_mesh
 
     if not names_a_mesh(subject):

@@ -113,10 +113,7 @@ def calibrate(
     json: Json = False,
     verbose: Verbose = 0,
 ) -> Answer:
-    """Calibrate the cameras from photographs of the target.
-
-    Writes results/calibrate/cameras.json.
-    """
+    """Calibrate the cameras from photographs of the target. Writes results/calibrate/cameras.json."""
     job, table = _stage("calibrate", session, assignments, settings, quiet or json)
     cameras = job.plan.calibrated.cameras()
     table |= {"rms_px": cameras.rms_px, "world": cameras.world, "cameras": len(cameras.rig.cameras)}

@@ -218,10 +218,7 @@ def phantoms(
 
 @contextmanager
 def _side_by_side(bars: Bars, count: int, scale: float) -> Iterator[Each]:
-    """Measure on all cores, each model in its own process.
-
-    The workers start with the first model.
-    """
+    """Measure on all cores, each model in its own process. The workers start with the first model."""
     from mammometry.batch.cluster import machines
     from mammometry.batch.each import side_by_side
     from mammometry.batch.engine import Began, Ended

@@ -1,6 +1,4 @@
-"""Who may open which page.
-
-A view is mounted with its roles, or not at all.
+"""Who may open which page. A view is mounted with its roles, or not at all.
 
 `guarded` wraps a view: it refuses who may not, requires the second factor, makes each change and its audit entry one
 transaction, and enters into the audit who saw which patient's, visit's or rig's page.
@@ -126,9 +124,7 @@ def guarded(view: View, access: Access) -> View:
 
 
 def refused(request: HttpRequest, access: Access) -> HttpResponseBase | None:
-    """What somebody gets who may not.
-
-    The login page, the second factor's page, 401 for a program.
+    """What somebody gets who may not. The login page, the second factor's page, 401 for a program.
 
     Raises:
         PermissionDenied: logged in, without a role that may.

@@ -1,6 +1,4 @@
-"""The audit.
-
-Who saw and who changed what. Entries can be added and read, and never changed.
+"""The audit. Who saw and who changed what. Entries can be added and read, and never changed.
 
 django-auditlog enters each change of a registered model. `record_view` enters each page that was opened, and
 `record_refusal` each that was refused; signals of the login enter who came, who left and whose login failed. Entries
@@ -114,9 +112,7 @@ def record_wrong_code(person: Model, request: HttpRequest | None) -> None:
 
 
 def record_view(request: HttpRequest, response: HttpResponseBase, parameters: Mapping[str, Any]) -> None:
-    """Enter who opened what.
-
-    The deepest object that the path names, else the page itself.
+    """Enter who opened what. The deepest object that the path names, else the page itself.
 
     A view that shows several objects puts their ids into ``request.shown``.
     """

@@ -1,7 +1,4 @@
-"""Charts of the clinic's pages.
-
-Places of points and lines, which a template draws as SVG.
-"""
+"""Charts of the clinic's pages. Places of points and lines, which a template draws as SVG."""
 
 from __future__ import annotations
 
@@ -179,10 +176,7 @@ def round_levels(low: float, high: float) -> tuple[float, ...]:
 
 
 def _date_ticks(dates: Sequence[datetime.datetime], x_of: Callable[[datetime.datetime], float]) -> list[Tick]:
-    """Dates whose words do not lie on one another.
-
-    The last one always has its own.
-    """
+    """Dates whose words do not lie on one another. The last one always has its own."""
     ticks: list[Tick] = []
     for at in reversed(dates):
         x = x_of(at)

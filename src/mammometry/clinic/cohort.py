@@ -94,9 +94,7 @@ class Pooled:
         return self.volume_cc[~np.isnan(self.volume_cc)]
 
     def repeated(self, within_days: int) -> list[tuple[str, float, float]]:
-        """Volumes of breasts that were measured twice within some days.
-
-        Name, first cc, second cc.
+        """Volumes of breasts that were measured twice within some days. Name, first cc, second cc.
 
         One pair a breast, since pairs of one breast are not independent.
         """

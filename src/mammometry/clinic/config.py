@@ -118,10 +118,7 @@ class Backup(BaseModel):
 
 
 class OpenId(BaseModel):
-    """The hospital's own login, by OpenID Connect.
-
-    Its secret is in the file openid.secret.
-    """
+    """The hospital's own login, by OpenID Connect. Its secret is in the file openid.secret."""
 
     model_config = _STRICT
 

@@ -1,7 +1,4 @@
-"""Results to archives.
-
-A queue whose rows are tried again, later each time.
-"""
+"""Results to archives. A queue whose rows are tried again, later each time."""
 
 from __future__ import annotations
 
@@ -49,10 +46,7 @@ def require_libraries(*modules: str) -> None:
 
 
 def enqueue(visit: Visit, destination: Destination, person: Person | None) -> Delivery:
-    """Have a visit's results sent.
-
-    One that is on its way already is not sent twice.
-    """
+    """Have a visit's results sent. One that is on its way already is not sent twice."""
     waiting = (Delivery.State.QUEUED, Delivery.State.SENDING)
     there = visit.deliveries.filter(destination=destination, state__in=waiting).first()
     if there is not None:
@@ -68,9 +62,7 @@ def again(delivery: Delivery) -> None:
 
 
 def test(destination: Destination) -> None:
-    """Ask an archive whether it answers.
-
-    C-ECHO, or a search of its web service.
+    """Ask an archive whether it answers. C-ECHO, or a search of its web service.
 
     Raises:
         MammometryError: it does not, in one sentence.
@@ -87,10 +79,7 @@ def test(destination: Destination) -> None:
 
 
 def claim() -> Delivery | None:
-    """Take the next one that is due.
-
-    Also from somebody who died while sending.
-    """
+    """Take the next one that is due. Also from somebody who died while sending."""
     now = timezone.now()
     waiting = (Delivery.State.QUEUED, Delivery.State.SENDING)
     rows = Delivery.objects.filter(state__in=waiting, next_try__lte=now, visit__binned_at=None)
@@ -193,10 +182,7 @@ def study_of(config: ClinicConfig, visit: Visit, *, deidentify: bool = False) ->
 
 
 def order_of(visit: Visit) -> Order:
-    """What was ordered.
-
-    Empty where the visit did not come from a worklist.
-    """
+    """What was ordered. Empty where the visit did not come from a worklist."""
     found = VisitOrder.objects.filter(visit=visit).first()
     if found is None:
         return Order()

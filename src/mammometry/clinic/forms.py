@@ -177,10 +177,7 @@ class RigForm(_RigForm):
         widgets = {"note": forms.Textarea(attrs={"rows": 2})}  # noqa: RUF012
 
     def clean_described_by(self) -> dict[str, Any] | None:
-        """Tables of the file.
-
-        None without one.
-        """
+        """Tables of the file. None without one."""
         file = self.cleaned_data["described_by"]
         if file is None:
             if not self.instance.definition:

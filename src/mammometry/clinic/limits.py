@@ -94,10 +94,7 @@ class Limited:
         return None
 
     def _may_ask(self, address: str) -> bool:
-        """Whether an address may ask now, by a token bucket.
-
-        It fills with time. Each request takes one.
-        """
+        """Whether an address may ask now, by a token bucket. It fills with time. Each request takes one."""
         now = self._clock()
         if len(self._spent) > _ADDRESSES:
             self._spent = {key: each for key, each in self._spent.items() if now - each[1] < _BURST_S}

@@ -1,7 +1,4 @@
-"""The log.
-
-What failed and where in the code, and nothing of a patient.
-"""
+"""The log. What failed and where in the code, and nothing of a patient."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""What stands in a visit's session folder beside the database.
-
-The report, its scene, its warnings.
-"""
+"""What stands in a visit's session folder beside the database. The report, its scene, its warnings."""
 
 from __future__ import annotations
 
@@ -30,10 +27,7 @@ class Facts:
 
 
 def report_file(visit: Visit, name: str) -> Path | None:
-    """A file of the visit's report.
-
-    None if there is none.
-    """
+    """A file of the visit's report. None if there is none."""
     return readable(visit.folder / "results" / "report" / name)
 
 
@@ -58,9 +52,6 @@ def facts(visit: Visit) -> Facts:
 
 
 def scene_of(visit: Visit) -> str | None:
-    """The 3D scene of the visit's report, as JSON.
-
-    None if there is none.
-    """
+    """The 3D scene of the visit's report, as JSON. None if there is none."""
     path = report_file(visit, "report.html")
     return None if path is None else json_in_page(path.read_text(encoding="utf-8"))

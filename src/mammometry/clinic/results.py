@@ -47,10 +47,7 @@ class VisitResult:
 
 
 def latest(visits: Iterable[Visit]) -> list[VisitResult]:
-    """Newest measurement of each visit, in the order of the visits.
-
-    Visits without one are left out.
-    """
+    """Newest measurement of each visit, in the order of the visits. Visits without one are left out."""
     found = []
     for visit in visits:
         measurement = next(iter(visit.measurements.all()), None)  # the newest first

@@ -1,7 +1,4 @@
-"""The one table of routes.
-
-Each line says who may open it: `access.route`.
-"""
+"""The one table of routes. Each line says who may open it: `access.route`."""
 
 from __future__ import annotations
 

@@ -41,9 +41,7 @@ def page_policy() -> str:
 
 
 def report_policy(page: bytes) -> str:
-    """Policy of a report.
-
-    It is one file with its own scripts: these, by their digests, and no others.
+    """Policy of a report. It is one file with its own scripts: these, by their digests, and no others.
 
     It is sandboxed: whatever a report holds, it has no cookies and cannot call the clinic.
     """
@@ -58,10 +56,7 @@ def report_policy(page: bytes) -> str:
 
 @sync_and_async_middleware
 def Headers(get_response: Any) -> Any:  # named like the other middleware
-    """Every answer's headers.
-
-    A view sets its own Content-Security-Policy where it answers with a report.
-    """
+    """Every answer's headers. A view sets its own Content-Security-Policy where it answers with a report."""
 
     def put(response: HttpResponseBase) -> HttpResponseBase:
         response.headers.setdefault("Content-Security-Policy", page_policy())
@@ -133,10 +128,7 @@ class DeniedByDefault:
 
 
 def for_all_pages(request: HttpRequest) -> dict[str, Any]:
-    """What every template knows.
-
-    The clinic's name, and what the person may do.
-    """
+    """What every template knows. The clinic's name, and what the person may do."""
     person = getattr(request, "user", None)
     roles = list(person.roles) if person is not None and person.is_authenticated else []
     return {"clinic_name": the_clinic().name, "roles": roles}

@@ -14,9 +14,7 @@ from mammometry.clinic.site import application
 
 
 def migrate(config: ClinicConfig) -> list[str]:
-    """Bring the database's tables to what this version needs.
-
-    Return the migrations that were applied.
+    """Bring the database's tables to what this version needs. Return the migrations that were applied.
 
     Each migration is one transaction, so a killed one leaves nothing, and the same command goes on.
     """
@@ -40,9 +38,7 @@ def migrate(config: ClinicConfig) -> list[str]:
 
 
 def require_current(config: ClinicConfig) -> None:
-    """Refuse a database of another version.
-
-    Or one whose audit can be changed.
+    """Refuse a database of another version. Or one whose audit can be changed.
 
     Raises:
         ClinicError: migrations are waiting, the database is newer, or the audit's triggers are gone.

@@ -1,7 +1,4 @@
-"""Django's settings, made of a clinic's.
-
-A process opens one clinic.
-"""
+"""Django's settings, made of a clinic's. A process opens one clinic."""
 
 from __future__ import annotations
 

@@ -36,10 +36,7 @@ class Threaded(ASGIHandler):
         self._threads = ThreadPoolExecutor(_THREADS, thread_name_prefix="clinic")
 
     async def handle(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer one request.
-
-        Its whole body is read first, so a slow line holds no thread.
-        """
+        """Answer one request. Its whole body is read first, so a slow line holds no thread."""
         try:
             body = await self.read_body(receive)
         except RequestAborted:  # the browser has gone
@@ -76,10 +73,7 @@ class Threaded(ASGIHandler):
 
 
 class Dispatcher:
-    """Django as an ASGI application.
-
-    Coroutine views run on the event loop, all others in threads.
-    """
+    """Django as an ASGI application. Coroutine views run on the event loop, all others in threads."""
 
     def __init__(self) -> None:
         self._threaded = Threaded()

@@ -1,7 +1,4 @@
-"""Between page and session.
-
-What can be drawn on, and what somebody changed or confirmed.
-"""
+"""Between page and session. What can be drawn on, and what somebody changed or confirmed."""
 
 from __future__ import annotations
 
@@ -94,10 +91,7 @@ class Drawable(Protocol):
 
 
 class Desk:
-    """A session or a scan that is drawn on.
-
-    Its methods may be called from several threads.
-    """
+    """A session or a scan that is drawn on. Its methods may be called from several threads."""
 
     def __init__(self, job: Drawable, subject: str | None = None) -> None:
         """Prepare the surface for drawing.
@@ -156,9 +150,7 @@ class Desk:
         }
 
     def state(self) -> dict[str, Any]:
-        """State of the page as JSON.
-
-        Exact curves, how each was made, and digests for saving.
+        """State of the page as JSON. Exact curves, how each was made, and digests for saving.
 
         Raises:
             SessionError: a drawn file is not as documented.
@@ -189,10 +181,7 @@ class Desk:
         }
 
     def live(self, sent: Measure) -> dict[str, Any]:
-        """Measure what is on the page.
-
-        A curve that was measured already has exactly the measured number.
-        """
+        """Measure what is on the page. A curve that was measured already has exactly the measured number."""
         with self._lock:
             curves = {str(name): self._curve(name, sketch) for name, sketch in sent.boundaries.items()}
             known = {
@@ -281,10 +270,7 @@ class Desk:
         return states
 
     def _shown(self, drawn: DrawnBoundaries) -> dict[str, Float64[Array, "n 3"]]:
-        """Breast → its boundary.
-
-        The given one, else the automatic one, if there is any.
-        """
+        """Breast → its boundary. The given one, else the automatic one, if there is any."""
         curves = dict(drawn.curves)
         if not drawn.curves or drawn.automatic:
             names = drawn.automatic if drawn.curves else BREASTS[self.kind]
@@ -292,10 +278,7 @@ class Desk:
         return curves
 
     def _found(self) -> dict[str, Boundary]:
-        """Automatic boundaries.
-
-        Empty if they cannot be found. The page then says why.
-        """
+        """Automatic boundaries. Empty if they cannot be found. The page then says why."""
         if self._automatic is None:
             measured, given = self.job.measured, self.job.inputs.boundaries
             assert measured.boundaries is not None  # a model and a torso have boundaries

@@ -1,6 +1,4 @@
-"""Access to the page.
-
-A key that works once is exchanged for a cookie. Other requests are refused.
+"""Access to the page. A key that works once is exchanged for a cookie. Other requests are refused.
 
 The key is not in any address with which a program is started, because other users of the computer can read those.
 """
@@ -103,10 +101,7 @@ def sealed(response: _Response) -> _Response:
 
 
 def entrance() -> HttpResponse:
-    """The page of the printed address.
-
-    It moves the key from the address bar into a form and sends it.
-    """
+    """The page of the printed address. It moves the key from the address bar into a form and sends it."""
     return HttpResponse(
         _document(
             "",
@@ -120,9 +115,7 @@ def entrance() -> HttpResponse:
 
 @contextmanager
 def local_page(address: str, key: str) -> Iterator[Path]:
-    """Write a private file that sends a key.
-
-    Only its owner can read it. The browser is started with it.
+    """Write a private file that sends a key. Only its owner can read it. The browser is started with it.
 
     Args:
         address: of the server: ``http://127.0.0.1:PORT``.

@@ -126,10 +126,7 @@ class DrawingBoard:
         check_curve(name, curve_world, self.surface.mesh)
 
     def laid(self, points_world: Float64[Array, "k 3"]) -> Float64[Array, "n 3"]:
-        """Smooth closed curve through points, on the surface.
-
-        A periodic cubic spline over their distances.
-        """
+        """Smooth closed curve through points, on the surface. A periodic cubic spline over their distances."""
         closed = np.concatenate([points_world, points_world[:1]])
         along = _along(closed)
         at = np.linspace(0.0, along[-1], max(int(along[-1] / _STEP_MM), 12), endpoint=False)
@@ -233,10 +230,7 @@ def handle_indices(curve_world: Float64[Array, "n 3"], spacing_mm: float = _HAND
 
 
 def _along(points: Float64[Array, "n 3"]) -> Float64[Array, " n"]:
-    """Distance along a chain of points, mm.
-
-    It always grows, even if a point occurs twice.
-    """
+    """Distance along a chain of points, mm. It always grows, even if a point occurs twice."""
     return np.concatenate([[0.0], np.cumsum(np.maximum(np.linalg.norm(np.diff(points, axis=0), axis=1), 1e-6))])
 
 

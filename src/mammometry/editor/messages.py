@@ -1,7 +1,4 @@
-"""Messages from the page, checked as far as possible without the session.
-
-Lengths in mm, world frame.
-"""
+"""Messages from the page, checked as far as possible without the session. Lengths in mm, world frame."""
 
 from __future__ import annotations
 
@@ -39,10 +36,7 @@ class SentHandle(Message):
 
 
 class Sketch(Message):
-    """A boundary on the page.
-
-    The curve it began from, and the places of its handles.
-    """
+    """A boundary on the page. The curve it began from, and the places of its handles."""
 
     of: Annotated[str, Field(max_length=64)] | None = None
     handles: Annotated[list[SentHandle], Field(min_length=3, max_length=5000)]

@@ -1,7 +1,4 @@
-"""What the page shows and what it may change.
-
-Whoever serves it: the local server or the clinic.
-"""
+"""What the page shows and what it may change. Whoever serves it: the local server or the clinic."""
 
 from __future__ import annotations
 
@@ -30,10 +27,7 @@ _Message = TypeVar("_Message", bound=Message)
 
 
 class EditorPage:
-    """One session or scan that is drawn on.
-
-    Its methods may be called from several threads.
-    """
+    """One session or scan that is drawn on. Its methods may be called from several threads."""
 
     def __init__(self, job: Drawable, *, author: str | None = None) -> None:
         """Prepare the surface and the scene of the page.

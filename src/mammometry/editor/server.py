@@ -1,6 +1,4 @@
-"""The local page.
-
-Serves the surface, measures what is drawn, saves changes into the session.
+"""The local page. Serves the surface, measures what is drawn, saves changes into the session.
 
 It listens only on 127.0.0.1, and answers only those who entered with a key (`door`).
 """
@@ -156,10 +154,7 @@ def entrance_route(door: Door) -> URLPattern:
 
 
 def page_view(**by_method: Callable[[HttpRequest], HttpResponse | dict[str, Any]]) -> Callable[..., HttpResponseBase]:
-    """Answer the methods that are named.
-
-    Errors become sentences.
-    """
+    """Answer the methods that are named. Errors become sentences."""
 
     def view(request: HttpRequest) -> HttpResponseBase:
         answer = by_method.get(request.method or "")

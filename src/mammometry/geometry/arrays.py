@@ -21,10 +21,7 @@ _A = TypeVar("_A", bound=np.ndarray)
 
 
 def read_only(array: _A) -> _A:
-    """Return a view of `array` that cannot be written through.
-
-    The data are not copied.
-    """
+    """Return a view of `array` that cannot be written through. The data are not copied."""
     view = array.view()
     view.flags.writeable = False
     return view

@@ -69,10 +69,7 @@ class Camera:
         return self.size_wh[1], self.size_wh[0]
 
     def project(self, points_world: Float64[Array, "*n 3"]) -> Float64[Array, "*n 2"]:
-        """Project world points, mm, to distorted `uv`, pixels.
-
-        Points behind the camera give NaN.
-        """
+        """Project world points, mm, to distorted `uv`, pixels. Points behind the camera give NaN."""
         points_camera = self.camera_from_world.apply(points_world)
         with np.errstate(divide="ignore", invalid="ignore"):
             normalised = points_camera[..., :2] / points_camera[..., 2:]
@@ -98,10 +95,7 @@ class Camera:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StereoPair:
-    """Two cameras that look at the same skin.
-
-    Disparity is u_left − u_right.
-    """
+    """Two cameras that look at the same skin. Disparity is u_left − u_right."""
 
     name: str
     left: Camera

@@ -43,10 +43,7 @@ def distorted(x: Value, y: Value, coefficients: Value) -> tuple[Value, Value]:
 
 
 def jacobian(x: Value, y: Value, coefficients: Value) -> tuple[Value, Value, Value]:
-    """Derivatives xx, xy, yy of the distorted point by the ideal one.
-
-    The matrix is symmetric.
-    """
+    """Derivatives xx, xy, yy of the distorted point by the ideal one. The matrix is symmetric."""
     k1, k2, p1, p2, k3 = coefficients[0], coefficients[1], coefficients[2], coefficients[3], coefficients[4]
     r2 = x * x + y * y
     radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))

@@ -53,10 +53,7 @@ class TriangleMesh:
         return vectors
 
     def vertex_normals(self) -> Float64[Array, "n 3"]:
-        """Unit outward normals, the faces' weighted by area.
-
-        Zero at a vertex without area.
-        """
+        """Unit outward normals, the faces' weighted by area. Zero at a vertex without area."""
         from mammometry.geometry import mesh_kernels
 
         normals: Float64[Array, "n 3"] = mesh_kernels.vertex_normals(
@@ -103,10 +100,7 @@ class TriangleMesh:
         return self.faces.ravel(), self.faces[:, [1, 2, 0]].ravel(), across
 
     def components(self) -> tuple[int, Int32[Array, " n"]]:
-        """Number of connected parts and each vertex's part.
-
-        A vertex without faces is a part of its own.
-        """
+        """Number of connected parts and each vertex's part. A vertex without faces is a part of its own."""
         from mammometry.geometry import mesh_kernels
 
         count, labels = mesh_kernels.parts(len(self.vertices), self.faces)
@@ -144,19 +138,13 @@ class TriangleMesh:
         return np.flatnonzero(inside)
 
     def vertices_used_by(self, chosen_faces: Array) -> Bool[Array, " n"]:
-        """Whether each vertex is a corner of a chosen face.
-
-        Faces are chosen by mask or index.
-        """
+        """Whether each vertex is a corner of a chosen face. Faces are chosen by mask or index."""
         used = np.zeros(len(self.vertices), dtype=bool)
         used[self.faces[chosen_faces]] = True
         return used
 
     def submesh(self, keep_faces: Array) -> TriangleMesh:
-        """Return the faces chosen by mask or index.
-
-        Unused vertices are dropped, the others keep their order.
-        """
+        """Return the faces chosen by mask or index. Unused vertices are dropped, the others keep their order."""
         used = self.vertices_used_by(keep_faces)
         number = np.cumsum(used, dtype=np.int32) - 1
         return TriangleMesh(vertices=self.vertices[used], faces=number[self.faces[keep_faces]].astype(np.int32))

@@ -1,7 +1,4 @@
-"""Triangles from mesh files of other programs: PLY, OBJ, STL, GLB.
-
-The files do not say their unit.
-"""
+"""Triangles from mesh files of other programs: PLY, OBJ, STL, GLB. The files do not say their unit."""
 
 from __future__ import annotations
 
@@ -124,10 +121,7 @@ def _is_text(head: bytes) -> bool:
 
 
 def _loaded(path: Path, content: bytes) -> Any:
-    """One mesh of all that the file holds.
-
-    Without a path, trimesh cannot follow what a file refers to.
-    """
+    """One mesh of all that the file holds. Without a path, trimesh cannot follow what a file refers to."""
     import trimesh
 
     kind = path.suffix.lower()[1:]

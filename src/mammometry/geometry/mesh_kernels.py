@@ -26,10 +26,7 @@ def area_vectors(vertices: Float64[Array, "n 3"], faces: Int32[Array, "m 3"]) ->
 
 @kernel
 def vertex_normals(n: int, faces: Int32[Array, "m 3"], vectors: Float64[Array, "m 3"]) -> Float64[Array, "n 3"]:
-    """Unit sum of the faces' vectors at each of n vertices.
-
-    Zero where there is none.
-    """
+    """Unit sum of the faces' vectors at each of n vertices. Zero where there is none."""
     normals = np.zeros((n, 3))
     for face in range(len(faces)):
         for corner in range(3):
@@ -197,10 +194,7 @@ def face_parts(rings: Int32[Array, " h"], walls: Bool[Array, " h"]) -> tuple[int
 def part_volumes(
     vertices: Float64[Array, "n 3"], faces: Int32[Array, "m 3"], part: Int32[Array, " n"], count: int
 ) -> Float64[Array, " c"]:
-    """Signed volume that each closed part encloses.
-
-    Coordinates are taken from the first vertex.
-    """
+    """Signed volume that each closed part encloses. Coordinates are taken from the first vertex."""
     volumes = np.zeros(count)
     for face in range(len(faces)):
         a, b, c = vertices[faces[face, 0]], vertices[faces[face, 1]], vertices[faces[face, 2]]

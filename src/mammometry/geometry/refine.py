@@ -24,9 +24,7 @@ def edge_table(faces: Int32[Array, "m 3"]) -> tuple[Int64[Array, "e 2"], Int64[A
 def split_edges(
     faces: Int32[Array, "m 3"], edges_of_face: Int64[Array, "m 3"], split: Bool[Array, " e"], first_new: int
 ) -> Int32[Array, "k 3"]:
-    """Split the marked edges at one new vertex each.
-
-    Each face at them becomes two, three or four.
+    """Split the marked edges at one new vertex each. Each face at them becomes two, three or four.
 
     Args:
         faces: vertex indices.

@@ -43,10 +43,7 @@ class Transform:
 
     @classmethod
     def from_matrix(cls, matrix: Float64[Array, "4 4"]) -> Transform:
-        """Read a homogeneous 4 × 4 matrix.
-
-        Its last row must be 0 0 0 1.
-        """
+        """Read a homogeneous 4 × 4 matrix. Its last row must be 0 0 0 1."""
         if not np.allclose(matrix[3], (0.0, 0.0, 0.0, 1.0)):
             raise ValueError(f"last row of a rigid transform is 0 0 0 1, found {matrix[3]}")
         return cls(rotation=matrix[:3, :3].copy(), translation_mm=matrix[:3, 3].copy())

@@ -66,10 +66,7 @@ NO_VOLUME = Coded(value="no-volume", scheme=OWN_SCHEME, meaning="Why there is no
 
 
 def own(code: str, meaning: str) -> Coded:
-    """Return a concept of our own code system.
-
-    DICOM allows 64 characters of meaning.
-    """
+    """Return a concept of our own code system. DICOM allows 64 characters of meaning."""
     return Coded(value=code, scheme=OWN_SCHEME, meaning=meaning[:64])
 
 

@@ -182,10 +182,7 @@ def covered(atlas: Atlas, measured: Sequence[VolumeMeasurement]) -> CoveredModel
 
 
 def _source(job: Job, deidentify: bool) -> str:
-    """Digest of the capture, and of who was photographed.
-
-    De-identified: of the measured solids alone.
-    """
+    """Digest of the capture, and of who was photographed. De-identified: of the measured solids alone."""
     if deidentify:
         return _shapes(tuple(job.measure().values()), str(job.inputs.subject_kind))
     shots = {name: job.inputs.digests[name] for name in job.inputs.digests if name.startswith("capture/")}

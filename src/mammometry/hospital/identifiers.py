@@ -14,10 +14,7 @@ def identifier(*parts: str) -> str:
 
 
 def uid(*parts: str) -> str:
-    """Return a DICOM UID of these words.
-
-    It lies below 2.25, the root for UUIDs (PS3.5, B.2).
-    """
+    """Return a DICOM UID of these words. It lies below 2.25, the root for UUIDs (PS3.5, B.2)."""
     return f"2.25.{_uuid(parts).int}"
 
 

@@ -51,9 +51,7 @@ _WHYS = {"why_left": "Why the left breast has no volume", "why_right": "Why the 
 
 
 def tables(sessions: Sequence[Exported]) -> dict[str, bytes]:
-    """Name of a file → its content.
-
-    The same sessions give the same bytes, in whatever order.
+    """Name of a file → its content. The same sessions give the same bytes, in whatever order.
 
     Raises:
         TableError: two sessions of the same photographs.

@@ -41,10 +41,7 @@ _DECIMALS = 4  # of written figures: finer than any uncertainty here
 
 
 def tables(sessions: Sequence[Exported]) -> dict[str, bytes]:
-    """Name of a file → its content.
-
-    The same sessions give the same bytes, in whatever order.
-    """
+    """Name of a file → its content. The same sessions give the same bytes, in whatever order."""
     rows = sorted((row for each in sessions for row in _rows(each)), key=lambda row: [str(cell or "") for cell in row])
     files = {TABLE: csv_text(_COLUMNS, rows).encode(), CODEBOOK: codebook(sessions).encode()}
     parquet = _parquet(rows)

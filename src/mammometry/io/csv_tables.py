@@ -26,10 +26,7 @@ _STATED = re.compile(r'"?sep=([^\w\s"\'.]|\t)"?[,;\t ]*', re.IGNORECASE)  # as s
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Table:
-    """A table with named columns.
-
-    Its cells are text without blanks around them.
-    """
+    """A table with named columns. Its cells are text without blanks around them."""
 
     name: str
     """What to call it in messages."""

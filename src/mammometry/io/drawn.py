@@ -128,9 +128,7 @@ def landmarks_in(path: Path, kind: SubjectKind, subject: str | None = None) -> d
 
 
 def read_table(path: Path, key: str, subject: str | None = None) -> dict[str, Any]:
-    """Read a drawn file with its units, frame and subject checked.
-
-    Its entries are known to be tables.
+    """Read a drawn file with its units, frame and subject checked. Its entries are known to be tables.
 
     Raises:
         SessionError: it cannot be read, is not as documented, or is another subject's.
@@ -159,10 +157,7 @@ def read_table(path: Path, key: str, subject: str | None = None) -> dict[str, An
 
 
 def origin_words(entry: Mapping[str, Any]) -> str | None:
-    """How an entry was made: "drawn by hand by A on 2026-11-22".
-
-    None if nothing says.
-    """
+    """How an entry was made: "drawn by hand by A on 2026-11-22". None if nothing says."""
     return _chain(entry, _who)
 
 

@@ -1,7 +1,4 @@
-"""Changes of what was drawn: item by item.
-
-Late ones are refused, and every earlier version is kept.
-"""
+"""Changes of what was drawn: item by item. Late ones are refused, and every earlier version is kept."""
 
 from __future__ import annotations
 

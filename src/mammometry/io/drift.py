@@ -119,9 +119,7 @@ def entry_table(entry: Entry) -> dict[str, Any]:
 
 
 def read_history(session: Path) -> History:
-    """All checks of the rig of a session, the oldest first.
-
-    None where there is no history.
+    """All checks of the rig of a session, the oldest first. None where there is no history.
 
     Raises:
         StorageError: the disk refuses.

@@ -1,7 +1,4 @@
-"""Which camera took a photograph, and when.
-
-Read from EXIF, without pixels.
-"""
+"""Which camera took a photograph, and when. Read from EXIF, without pixels."""
 
 from __future__ import annotations
 
@@ -35,9 +32,7 @@ class Exposure:
 
 
 def read_exposure(path: Path) -> Exposure:
-    """Read which camera took a photograph, and when.
-
-    What is missing, or damaged, is left out.
+    """Read which camera took a photograph, and when. What is missing, or damaged, is left out.
 
     Raises:
         OSError: the file cannot be read.

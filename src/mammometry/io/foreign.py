@@ -1,7 +1,4 @@
-"""Meshes of other scanners: PLY, OBJ, STL and GLB.
-
-The user or the file gives the unit.
-"""
+"""Meshes of other scanners: PLY, OBJ, STL and GLB. The user or the file gives the unit."""
 
 from __future__ import annotations
 

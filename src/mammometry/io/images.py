@@ -1,7 +1,4 @@
-"""Photographs and masks: JPEG, PNG, TIFF, 8 or 16 bit.
-
-The content decides the format, not the name.
-"""
+"""Photographs and masks: JPEG, PNG, TIFF, 8 or 16 bit. The content decides the format, not the name."""
 
 from __future__ import annotations
 
@@ -337,10 +334,7 @@ def is_tiff(path: Path) -> bool:
 
 
 def _png_chunks(path: Path) -> Iterator[tuple[bytes, int]]:
-    """Kind and end, bytes, of each chunk of a PNG.
-
-    The last chunk may be truncated. Empty for other files.
-    """
+    """Kind and end, bytes, of each chunk of a PNG. The last chunk may be truncated. Empty for other files."""
     size = path.stat().st_size
     with path.open("rb") as file:
         position, kind = 8, b"" if file.read(8) == _PNG_SIGNATURE else b"IEND"
@@ -353,10 +347,7 @@ def _png_chunks(path: Path) -> Iterator[tuple[bytes, int]]:
 
 
 def _require_complete(path: Path, name: str) -> None:
-    """Find truncation before a decoder does.
-
-    Some decoders fill the rest with grey and report nothing.
-    """
+    """Find truncation before a decoder does. Some decoders fill the rest with grey and report nothing."""
     size = path.stat().st_size
     if any(end > size for _, end in _png_chunks(path)):
         raise _truncated(name)

@@ -1,7 +1,4 @@
-"""One run at a time in a results folder.
-
-This holds on every system and on network drives.
-"""
+"""One run at a time in a results folder. This holds on every system and on network drives."""
 
 from __future__ import annotations
 

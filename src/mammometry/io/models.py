@@ -75,10 +75,7 @@ def obj_text(atlas: Atlas, library: str, wall: Int32[Array, "k 3"] | None = None
 
 
 def _lines(line: str, rows: Array) -> str:
-    """Every row as a line of text.
-
-    All in one go, for there are hundreds of thousands.
-    """
+    """Every row as a line of text. All in one go, for there are hundreds of thousands."""
     return line * len(rows) % tuple(rows.ravel().tolist())
 
 

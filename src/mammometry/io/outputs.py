@@ -96,17 +96,12 @@ def require_free(folder: Path, names: Iterable[str], *, command: str) -> None:
 
 
 def write_output(path: Path, data: bytes, *, command: str) -> None:
-    """Write a single file as `write_outputs` does.
-
-    Other files of the same command beside it stay.
-    """
+    """Write a single file as `write_outputs` does. Other files of the same command beside it stay."""
     _write(path.parent, {path.name: data}, command=command, remove_former=False)
 
 
 def write_outputs(folder: Path, files: Mapping[str, bytes], *, command: str) -> None:
-    """Write small files into a folder.
-
-    What the same command wrote there before is replaced.
+    """Write small files into a folder. What the same command wrote there before is replaced.
 
     Args:
         folder: made if there is none.
@@ -183,10 +178,7 @@ def take_folder(folder: Path, *, command: str) -> None:
 
 
 def _in_the_way(path: Path, written: _Written | None, command: str) -> str | None:
-    """What is wrong with a file that is to be replaced.
-
-    None where there is none, or it is ours.
-    """
+    """What is wrong with a file that is to be replaced. None where there is none, or it is ours."""
     if path.name == RECORD:
         return "the record of what is written here"
     if not os.path.lexists(path):
@@ -199,10 +191,7 @@ def _in_the_way(path: Path, written: _Written | None, command: str) -> str | Non
 
 
 def _put(fresh: Path, path: Path) -> None:
-    """Give a file its name where nothing has it.
-
-    Unlike renaming, this fails if somebody was quicker.
-    """
+    """Give a file its name where nothing has it. Unlike renaming, this fails if somebody was quicker."""
     try:
         os.link(fresh, path)
     except FileExistsError:

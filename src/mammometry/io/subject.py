@@ -100,10 +100,7 @@ def rename_subject(folder: Path, subject: str, taken: datetime.date) -> bool:
 
 
 def _drawn(files: Iterable[Path]) -> Iterator[tuple[Path, str | None]]:
-    """Each file that was drawn with its subject.
-
-    Whoever reads the whole file judges the rest.
-    """
+    """Each file that was drawn with its subject. Whoever reads the whole file judges the rest."""
     return ((path, _subject(_table(path))) for path in files)
 
 

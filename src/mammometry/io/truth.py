@@ -1,7 +1,4 @@
-"""Read the ``truth/`` folder of a virtual capture.
-
-Only comparisons with truth may import this.
-"""
+"""Read the ``truth/`` folder of a virtual capture. Only comparisons with truth may import this."""
 
 from __future__ import annotations
 

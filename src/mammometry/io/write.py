@@ -84,9 +84,7 @@ def write_bytes(path: Path, data: bytes) -> None:
 
 @contextmanager
 def staged(path: Path, data: bytes) -> Iterator[Path]:
-    """Write a hidden file beside `path`, ready to be renamed to it.
-
-    Removed at the end where it was not.
+    """Write a hidden file beside `path`, ready to be renamed to it. Removed at the end where it was not.
 
     Raises:
         OSError: the disk is full or refuses.

@@ -11,9 +11,7 @@ _MOST_MIB = 16  # a large project of photogrammetry has some MiB of cameras
 
 
 def read_xml(path: Path, expected: str) -> ElementTree.Element:
-    """Read the root of an XML file.
-
-    Declarations are refused: a few entities unfold to gigabytes.
+    """Read the root of an XML file. Declarations are refused: a few entities unfold to gigabytes.
 
     Raises:
         SessionError: it cannot be read, or is no such XML.

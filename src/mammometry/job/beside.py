@@ -19,10 +19,7 @@ class Beside:
         self._begun: list[Future[None]] = []
 
     def ensure(self, stage: Products) -> None:
-        """Make what the memo lacks of a stage.
-
-        Its late products may be made afterwards.
-        """
+        """Make what the memo lacks of a stage. Its late products may be made afterwards."""
         self._begun += stage.ensure(self._pool)
 
     def wait(self) -> None:

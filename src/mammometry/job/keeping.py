@@ -1,7 +1,4 @@
-"""Plan of the removal of dents.
-
-Which range data are kept, and those data.
-"""
+"""Plan of the removal of dents. Which range data are kept, and those data."""
 
 from __future__ import annotations
 

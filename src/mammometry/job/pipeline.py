@@ -72,10 +72,7 @@ class Calibrated(Products):
 
 
 def calibrate(inputs: Inputs, settings: CalibrateSettings, memo: Memo) -> Calibrated:
-    """Find the target in every photograph, then adjust cameras and poses.
-
-    Paper 2.2.
-    """
+    """Find the target in every photograph, then adjust cameras and poses. Paper 2.2."""
     if inputs.cameras is not None:
 
         def ready_made(*, progress: Progress) -> CameraSet:
@@ -195,10 +192,7 @@ class Matched(Products):
 
 
 def match(inputs: Inputs, cameras: Product[CameraSet], settings: MatchSettings, memo: Memo) -> Matched:
-    """Compare names, find the subject in every photograph, then match all pairs densely.
-
-    Paper 2.3.
-    """
+    """Compare names, find the subject in every photograph, then match all pairs densely. Paper 2.3."""
     names = right_names(inputs, cameras)
     photographs, subjects, foregrounds = find_subjects(inputs, cameras, settings, memo)
 
@@ -284,10 +278,7 @@ class Surfaced(Products):
 def surface(
     inputs: Inputs, calibrated: Calibrated, matched: Matched, settings: SurfaceSettings, memo: Memo
 ) -> Surfaced:
-    """Triangulate, remove dents, extract, repair and colour the surface.
-
-    Paper 2.4 to 2.6.
-    """
+    """Triangulate, remove dents, extract, repair and colour the surface. Paper 2.4 to 2.6."""
     extraction = settings.extract.of(inputs.subject_kind)
 
     def ranged(pair: str) -> Product[RangeImage]:

@@ -113,10 +113,7 @@ class Forgetful:
 
 
 class Remade(Forgetful):
-    """The memo of a product that is never stored.
-
-    It is made from others in a moment.
-    """
+    """The memo of a product that is never stored. It is made from others in a moment."""
 
 
 class Product(Generic[T]):
@@ -170,10 +167,7 @@ class Product(Generic[T]):
         self._lock = Lock()
 
     def letting_go(self, *parents: Product[Any]) -> Self:
-        """Release parents once this is made from them.
-
-        They are large and rarely wanted again.
-        """
+        """Release parents once this is made from them. They are large and rarely wanted again."""
         self._let_go = (*parents, *self._let_go)
         return self
 
@@ -238,20 +232,14 @@ def _values(parent: Parent, values: Mapping[Product[Any], Any]) -> Any:
 
 
 def fleeting(product: Product[T]) -> T:
-    """A product's value, made or recalled.
-
-    It is not kept.
-    """
+    """A product's value, made or recalled. It is not kept."""
     value = product()
     product.release()
     return value
 
 
 class Fleeting(Mapping[str, T]):
-    """Values of products by name, made or recalled at each look-up.
-
-    They are not kept.
-    """
+    """Values of products by name, made or recalled at each look-up. They are not kept."""
 
     def __init__(self, products: Mapping[str, Product[T]]) -> None:
         self._products = products

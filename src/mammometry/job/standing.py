@@ -67,10 +67,7 @@ def what_moved(
 
 
 def where_they_stood(cameras: Product[CameraSet], stillness: Product[Stillness], memo: Memo) -> Product[CameraSet]:
-    """The cameras as they most probably stood at the exposures.
-
-    As calibrated, if nothing moved.
-    """
+    """The cameras as they most probably stood at the exposures. As calibrated, if nothing moved."""
 
     def stand(cameras: CameraSet, stillness: Stillness, *, progress: Progress) -> CameraSet:
         return replace(cameras, rig=stillness.rig(cameras.rig))

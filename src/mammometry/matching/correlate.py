@@ -32,10 +32,7 @@ def _cubic_weights(t):  # type: ignore[no-untyped-def]
 
 @fast_kernel
 def _knots(image, row, column):  # type: ignore[no-untyped-def]
-    """The four coefficients around the fraction after a column.
-
-    Mirrored at both ends, as the spline is.
-    """
+    """The four coefficients around the fraction after a column. Mirrored at both ends, as the spline is."""
     width = image.shape[1]
     after = column + 2 if column + 2 < width else 2 * (width - 1) - (column + 2)
     return image[row, abs(column - 1)], image[row, column], image[row, column + 1], image[row, after]
@@ -102,10 +99,7 @@ def weighted_channels(
 def spline_along_rows(
     coefficients: Float64[Array, "h knots"], first: Int64[Array, " w"], weights: Float64[Array, "w 4"]
 ) -> Float32[Array, "h w"]:
-    """Evaluate cubic B-splines along rows at columns j.
-
-    Σ_k weights[j, k] · coefficients[i, first[j] + k].
-    """
+    """Evaluate cubic B-splines along rows at columns j. Σ_k weights[j, k] · coefficients[i, first[j] + k]."""
     height, width = coefficients.shape[0], first.shape[0]
     out = np.empty((height, width), dtype=np.float32)
     for i in range(height):
@@ -164,10 +158,7 @@ def warp_rows(
 
 @fast_kernel
 def _own_slope(line, shift, j):  # type: ignore[no-untyped-def]
-    """Derivative along the row at this image's pixel.
-
-    In the other image's pixels.
-    """
+    """Derivative along the row at this image's pixel. In the other image's pixels."""
     width = line.shape[0]
     before, after = max(j - 1, 0), min(j + 1, width - 1)
     slope = np.float32(0.5) * (line[after] - line[before]) if 0 < j < width - 1 else np.float32(0.0)

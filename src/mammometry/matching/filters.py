@@ -13,10 +13,7 @@ _CELL = 16  # pixels, for speed alone: a cell of an image that is all inside or 
 
 
 def gaussian_taps(sigma_px: float) -> Float32[Array, " taps"]:
-    """Sampled Gaussian out to 3 σ, of sum 1.
-
-    It is the window of every local fit.
-    """
+    """Sampled Gaussian out to 3 σ, of sum 1. It is the window of every local fit."""
     radius = max(1, int(np.ceil(3 * sigma_px)))
     taps = np.exp(-0.5 * (np.arange(-radius, radius + 1) / sigma_px) ** 2)
     return (taps / taps.sum()).astype(np.float32)

@@ -58,10 +58,7 @@ def jumps(shift: Float32[Array, "h w"], mask: Bool[Array, "h w"]) -> Bool[Array,
 
 @kernel
 def without_specks(marks: Bool[Array, "h w"], fewest: int) -> Bool[Array, "h w"]:
-    """The marks in groups of at least `fewest`.
-
-    Marks touch at sides or corners.
-    """
+    """The marks in groups of at least `fewest`. Marks touch at sides or corners."""
     height, width = marks.shape
     out = marks.copy()
     waiting = marks.copy()
@@ -105,10 +102,7 @@ def discs(seeds: Bool[Array, "h w"], radius: int) -> Bool[Array, "h w"]:
 
 @fast_kernel
 def _tangent(layers, i, j):  # type: ignore[no-untyped-def]
-    """Slopes of the shift at a pixel, along columns and rows.
-
-    Each is taken from the flatter side.
-    """
+    """Slopes of the shift at a pixel, along columns and rows. Each is taken from the flatter side."""
     height, width = layers.shape
     here = layers[i, j]
     before = here - layers[i, j - 1] if j > 0 else layers[i, j + 1] - here

@@ -36,10 +36,7 @@ class LevelWork:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Levels:
-    """Levels of one match, coarse to fine.
-
-    Level 0 is the rectified picture, each next one half of it.
-    """
+    """Levels of one match, coarse to fine. Level 0 is the rectified picture, each next one half of it."""
 
     coarsest: int
     """The semi-global start is made here."""

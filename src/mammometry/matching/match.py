@@ -40,10 +40,7 @@ _ISLAND_WINDOWS = 4  # of a Gaussian window's area, 4πσ²: smaller islands are
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class DisparityMap:
-    """Where each left pixel is seen in the right image.
-
-    (u, v) → (u − d_h, v − d_v).
-    """
+    """Where each left pixel is seen in the right image. (u, v) → (u − d_h, v − d_v)."""
 
     name: str
     left: Camera
@@ -117,10 +114,7 @@ class Finest:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Trusted:
-    """The finest level and what to trust of it.
-
-    Not yet 0 where not valid.
-    """
+    """The finest level and what to trust of it. Not yet 0 where not valid."""
 
     shift: Float32[Array, "h w"]
     """−d_h, pixels of the level."""
@@ -193,10 +187,7 @@ def prepare(pair: RectifiedPair, settings: MatchSettings, pool: Executor, progre
 
 
 def _eroded(mask: Bool[Array, "h w"], pixels: int) -> Bool[Array, "h w"]:
-    """Take the rim off a mask.
-
-    Pixels within so many steps of it, along rows and columns.
-    """
+    """Take the rim off a mask. Pixels within so many steps of it, along rows and columns."""
     for _ in range(pixels):
         smaller = np.zeros_like(mask)
         middle = mask[1:-1, 1:-1]
@@ -256,10 +247,7 @@ def _solve_both(begun: Start, settings: MatchSettings, pool: Executor, progress:
 
 
 def finish(pair: RectifiedPair, found: Finest, settings: MatchSettings, pool: Executor) -> DisparityMap:
-    """Decide which matches to accept, and return the map.
-
-    The map has the requested resolution.
-    """
+    """Decide which matches to accept, and return the map. The map has the requested resolution."""
     levels, window = found.levels, found.window
     trusted = _believed(pair.name, found, settings, pool)
     del found  # of a full-size pair 50 MB, while as much again is made

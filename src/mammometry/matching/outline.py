@@ -87,10 +87,7 @@ def outline(foreground: Foreground) -> Contour:
 
 
 def follow(foreground: Foreground) -> Trace:
-    """Follow the longest contour, and mark where it is an edge.
-
-    Empty where there is none.
-    """
+    """Follow the longest contour, and mark where it is an edge. Empty where there is none."""
     contour = _sampled_contour(foreground)
     seen = np.isfinite(_edge_in_px(contour, foreground))
     if not seen.any():
@@ -99,9 +96,7 @@ def follow(foreground: Foreground) -> Trace:
 
 
 def edge_places(profiles: Float64[Array, "n k"], x: Float64[Array, " k"], unit: float) -> Float64[Array, " n"]:
-    """Place x₀ of the edge in each profile, by least squares.
-
-    The module describes the model.
+    """Place x₀ of the edge in each profile, by least squares. The module describes the model.
 
     Args:
         profiles: brightness across the edge, growing inwards.
@@ -189,10 +184,7 @@ def _sampled_contour(foreground: Foreground) -> Contour:
 
 
 def _edge_in_px(contour: Contour, foreground: Foreground) -> Float64[Array, " n"]:
-    """How far inside the contour the edge lies, pixels.
-
-    NaN where there is none.
-    """
+    """How far inside the contour the edge lies, pixels. NaN where there is none."""
 
     def across(x: Float64[Array, " k"]) -> Float64[Array, "n k"]:
         u, v = np.moveaxis(contour.uv[:, None] + x[:, None] * contour.inward[:, None], 2, 0)

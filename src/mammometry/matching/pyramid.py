@@ -37,10 +37,7 @@ def coarser_camera(camera: Camera) -> Camera:
 
 
 def _half_band_taps() -> Float32[Array, " 14"]:
-    """Low-pass at a quarter cycle a pixel, centred between two pixels.
-
-    Windowed sinc, 14 taps, sum 1.
-    """
+    """Low-pass at a quarter cycle a pixel, centred between two pixels. Windowed sinc, 14 taps, sum 1."""
     offset = np.arange(-7, 7) + 0.5
     taps = np.sinc(offset / 2) * np.cos(np.pi * offset / 15) ** 2
     return (taps / taps.sum()).astype(np.float32)
@@ -87,10 +84,7 @@ def build(image: Float32[Array, "h w"], mask: Bool[Array, "h w"], finest: int, c
 
 
 def continued(image: Float32[Array, "h w"], mask: Bool[Array, "h w"]) -> Float32[Array, "h w"]:
-    """The image inside the mask, its normalised blur outside.
-
-    No backdrop leaks in through filters.
-    """
+    """The image inside the mask, its normalised blur outside. No backdrop leaks in through filters."""
     if mask.all() or not mask.any():
         return image
     # Read-only, as the photograph itself is: the kernel is compiled for one kind of array.

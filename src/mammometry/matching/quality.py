@@ -1,7 +1,4 @@
-"""Judge a disparity map, and the calibration, without a truth.
-
-In a few figures and sentences.
-"""
+"""Judge a disparity map, and the calibration, without a truth. In a few figures and sentences."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass

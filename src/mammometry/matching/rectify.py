@@ -171,20 +171,14 @@ def _outline(
 
 
 def _field_radius(camera: Camera) -> float:
-    """Ideal radius up to which the lens does not fold back.
-
-    As tan of the angle off the axis.
-    """
+    """Ideal radius up to which the lens does not fold back. As tan of the angle off the axis."""
     return min(fold_radius(camera.distortion), _WIDEST_TANGENT)
 
 
 def _parallax(
     pair: StereoPair, rotation: Float64[Array, "3 3"], focal: float, point_world: Float64[Array, "3"]
 ) -> float:
-    """Disparity of a point, pixels.
-
-    Principal columns are equal.
-    """
+    """Disparity of a point, pixels. Principal columns are equal."""
     length = float(np.linalg.norm(pair.right.centre_world - pair.left.centre_world))
     return focal * length / float(rotation[2] @ (point_world - pair.left.centre_world))
 
@@ -249,10 +243,7 @@ def _ideal_cameras(
 def _resample(
     side: tuple[Photograph, Foreground, Camera], ideal: Camera
 ) -> tuple[Float32[Array, "h w"], Bool[Array, "h w"]]:
-    """Luma and mask of the rectified image.
-
-    Cubic B-spline values. The mask is taken from the coverage.
-    """
+    """Luma and mask of the rectified image. Cubic B-spline values. The mask is taken from the coverage."""
     photograph, foreground, camera = side
     height, width = ideal.shape_hw
     image = np.empty((height, width), dtype=np.float32)

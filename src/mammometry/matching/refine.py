@@ -32,10 +32,7 @@ _HALO_ROWS = 64  # even; 4.4 σ of two passes of the widest smoothing
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Refined:
-    """What is known of the left picture on one level.
-
-    And of the right one, to check it.
-    """
+    """What is known of the left picture on one level. And of the right one, to check it."""
 
     matches: Estimate
     """The last step's."""
@@ -99,10 +96,7 @@ def _side(side: Side, rows: slice) -> Side:
 
 
 def _rows(known: Known, rows: slice) -> Known:
-    """Some rows of what a level of half as many knows.
-
-    The first row is even.
-    """
+    """Some rows of what a level of half as many knows. The first row is even."""
     half = slice(rows.start // 2, (rows.stop + 1) // 2)
     return Known(
         shift=known.shift[rows],

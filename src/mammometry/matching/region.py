@@ -56,10 +56,7 @@ def _large_parts(mask: Bool[Array, "h w"]) -> Bool[Array, "h w"]:
 
 
 def at_level(window: Window, steps: int, shape_hw: tuple[int, int]) -> Window:
-    """A window in the pixels of a finer level.
-
-    It is `steps` finer, and its image has the given shape.
-    """
+    """A window in the pixels of a finer level. It is `steps` finer, and its image has the given shape."""
     return (
         slice(window[0].start << steps, min(window[0].stop << steps, shape_hw[0])),
         slice(window[1].start << steps, min(window[1].stop << steps, shape_hw[1])),
@@ -92,10 +89,7 @@ def _cut(level: Level, mask: Bool[Array, "h w"], part: Window) -> Level:
 
 
 def cut_solved(solved: Solved, window: Window, level: int) -> Solved:
-    """A level's results within a window of it.
-
-    Both images are cut alike, so the shifts stay as they are.
-    """
+    """A level's results within a window of it. Both images are cut alike, so the shifts stay as they are."""
 
     def one(match: Estimate) -> Estimate:
         return Estimate(

@@ -55,10 +55,7 @@ class DepthSeeds:
 
 
 def laid_out(seeds: DepthSeeds, shape: tuple[int, int], step: int) -> tuple[Bool[Array, "H W"], Bool[Array, "H W"]]:
-    """Near and far, for blocks of another step.
-
-    Without the rims that may be carried over a border.
-    """
+    """Near and far, for blocks of another step. Without the rims that may be carried over a border."""
     places = [((np.arange(size) + 0.5) * step / seeds.step).astype(np.intp) for size in shape]
     made = []
     for mask in (seeds.near, seeds.far):
@@ -193,9 +190,7 @@ def segment_by_depth(
     far: Bool[Array, "h w"],
     unit: float,
 ) -> ByDepth | None:
-    """Grow the subject's blocks from seeds.
-
-    None where these have no colour of their own.
+    """Grow the subject's blocks from seeds. None where these have no colour of their own.
 
     Args:
         encoded: means over blocks of sRGB-encoded values, 0…1; one channel or three.
@@ -291,10 +286,7 @@ def _solid(mask: Bool[Array, "h w"], unit: float) -> Bool[Array, "h w"]:
 
 
 def _closed(near: Bool[Array, "h w"], far: Bool[Array, "h w"]) -> Bool[Array, "h w"]:
-    """Near seeds with what they enclose: an areola, a shade.
-
-    Not what something far is seen through.
-    """
+    """Near seeds with what they enclose: an areola, a shade. Not what something far is seen through."""
     labels, count = ndimage.label(ndimage.binary_fill_holes(near) & ~near)
     through = np.bincount(labels[far], minlength=count + 1) > 0
     through[0] = True
@@ -303,10 +295,7 @@ def _closed(near: Bool[Array, "h w"], far: Bool[Array, "h w"]) -> Bool[Array, "h
 
 
 def _from_outside(backdrop: Bool[Array, "h w"], far: Bool[Array, "h w"]) -> Bool[Array, "h w"]:
-    """Parts that reach the frame or hold far seeds.
-
-    An areola does neither.
-    """
+    """Parts that reach the frame or hold far seeds. An areola does neither."""
     labels, count = ndimage.label(backdrop)
     reaching = np.bincount(labels[far], minlength=count + 1) > 0
     for edge in (labels[0], labels[-1], labels[:, 0], labels[:, -1]):

@@ -65,10 +65,7 @@ def sub_pixel_coverage(
 
 
 def _around(subject: Bool[Array, "H W"], margin: int) -> tuple[slice, slice]:
-    """Rows and columns of the subject and `margin` blocks around it.
-
-    As far as the picture goes.
-    """
+    """Rows and columns of the subject and `margin` blocks around it. As far as the picture goes."""
     held = (np.nonzero(subject.any(axis=axis))[0] for axis in (1, 0))
     rows, columns = (
         slice(max(int(there[0]) - margin, 0), min(int(there[-1]) + 1 + margin, size))
@@ -80,10 +77,7 @@ def _around(subject: Bool[Array, "H W"], margin: int) -> tuple[slice, slice]:
 def _beside(
     light: Float32[Array, "H W channels"], where: Bool[Array, "H W"], px_per_block: float
 ) -> Float32[Array, "H W channels"]:
-    """Mean of the chosen blocks around each block.
-
-    The neighbourhood is wider where none is near.
-    """
+    """Mean of the chosen blocks around each block. The neighbourhood is wider where none is near."""
     share = where.astype(np.float32)
     total = np.where(where[..., None], light, np.float32(0))
     mean = np.empty_like(light)

@@ -121,10 +121,7 @@ def adaptively_smooth(
 
 
 def smoothed_noise(scale_px: float, window_sigma_px: float) -> float:
-    """Variance of smoothed noise.
-
-    The noise has variance 1 and is correlated by the matching window.
-    """
+    """Variance of smoothed noise. The noise has variance 1 and is correlated by the matching window."""
     return _noise(_smoothing_gain(scale_px), window_sigma_px)
 
 
@@ -148,10 +145,7 @@ def _noise(gain: Float64[Array, "n n"], window_sigma_px: float) -> float:
 
 
 def _response(sigma_px: float, length: int = 256) -> Float64[Array, " n"]:
-    """Fourier transform of the Gaussian window along a row.
-
-    For the frequencies 0 … 1 cycle a pixel.
-    """
+    """Fourier transform of the Gaussian window along a row. For the frequencies 0 … 1 cycle a pixel."""
     taps = gaussian_taps(sigma_px).astype(np.float64)
     radius = len(taps) // 2
     signal = np.zeros(length)

@@ -38,10 +38,7 @@ _T = TypeVar("_T")
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Known:
-    """What a level starts from in one direction.
-
-    The semi-global start, or the coarser level's matches.
-    """
+    """What a level starts from in one direction. The semi-global start, or the coarser level's matches."""
 
     shift: Float32[Array, "h w"]
     """Pixels of this level."""
@@ -127,10 +124,7 @@ def initial(shifts: Both[Float32[Array, "h w"]], masks: Both[Bool[Array, "h w"]]
 
 
 def handed_down(solved: Solved, agreement_px: float, shape_hw: tuple[int, int]) -> Both[Known]:
-    """A level's result for the next finer level.
-
-    Its smoothed fields, their uncertainty, what it accepted.
-    """
+    """A level's result for the next finer level. Its smoothed fields, their uncertainty, what it accepted."""
     (left, right), (ours, theirs) = solved.matches, solved.shifts
     return (
         carried(left, ours, agreeing(ours, theirs, agreement_px), shape_hw),
@@ -180,10 +174,7 @@ def _stepped(
 
 
 def judged(ours: Estimate, agrees: Bool[Array, "h w"], known: Known) -> Estimate:
-    """Replace what fails, or disagrees, by what is known.
-
-    The arrays are changed in place.
-    """
+    """Replace what fails, or disagrees, by what is known. The arrays are changed in place."""
     plausible = np.logical_and(ours.plausible, agrees, out=agrees)
     fine = (ours.shift, ours.step, ours.correlation, ours.variance, plausible)
     compete(fine, known.shift, known.correlation, known.variance, known.plausible, known.halved, _YIELDS_AT)

@@ -50,10 +50,7 @@ class LevelState:
 
 @runtime_checkable
 class Vertical(Protocol):
-    """A vertical disparity, and how matching refines it.
-
-    d_v = v_left − v_right over the right image.
-    """
+    """A vertical disparity, and how matching refines it. d_v = v_left − v_right over the right image."""
 
     refinements: ClassVar[int]
     """How many of a level's last steps refine it."""
@@ -62,10 +59,7 @@ class Vertical(Protocol):
         """Whether a level's right image is better resampled by it."""
 
     def at(self, u: Float32[Array, "h w"], level: int) -> Float32[Array, "h w"]:
-        """d_v at columns u of the right image, on every row.
-
-        Pixels of the level.
-        """
+        """d_v at columns u of the right image, on every row. Pixels of the level."""
 
     def cut(self, window: tuple[slice, slice], level: int) -> Vertical:
         """The same for a part of a level's rows and columns."""
@@ -119,10 +113,7 @@ class VerticalField:
         return self.typical_px > _HARMLESS_PX * 2**level
 
     def at(self, u: Float32[Array, "h w"], level: int) -> Float32[Array, "h w"]:
-        """d_v at columns u of the right image, on every row.
-
-        Pixels of the level.
-        """
+        """d_v at columns u of the right image, on every row. Pixels of the level."""
         out = np.empty(u.shape, dtype=np.float32)
         for top in range(0, u.shape[0], _BAND_ROWS):  # the monomials of the whole image would take six times its memory
             band = u[top : top + _BAND_ROWS]
@@ -133,10 +124,7 @@ class VerticalField:
         return out
 
     def terms_at(self, u: Shaped[Array, "*n"], v: Shaped[Array, "*m"], level: int) -> list[Shaped[Array, "*n"]]:
-        """The six monomials at columns u and rows v of a level.
-
-        Columns and rows are those of the right image.
-        """
+        """The six monomials at columns u and rows v of a level. Columns and rows are those of the right image."""
         x = 2 * ((u + 0.5) * 2**level + self.origin_uv[0]) / self.size_wh[0] - 1
         y = np.broadcast_to(2 * ((v + 0.5) * 2**level + self.origin_uv[1]) / self.size_wh[1] - 1, u.shape)
         return [np.ones_like(x), x, y, x * x, x * y, y * y]

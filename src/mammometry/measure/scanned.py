@@ -101,10 +101,7 @@ def finer_scan(scan: RepairedScan, curves: Sequence[Float64[Array, "_ 3"]]) -> R
 
 
 def finer_along(mesh: TriangleMesh, curves: Sequence[Float64[Array, "_ 3"]]) -> TriangleMesh:
-    """Shorten edges near the curves, so that the mesh can be cut.
-
-    New vertices come last.
-    """
+    """Shorten edges near the curves, so that the mesh can be cut. New vertices come last."""
     return _finer(mesh, np.zeros(len(mesh.vertices), dtype=bool), curves)[0]
 
 
@@ -131,9 +128,7 @@ def _finer(
 
 
 def check_cut(name: str, points_world: Float64[Array, "n 3"], mesh: TriangleMesh) -> None:
-    """Refuse a boundary that does not cut out a whole breast.
-
-    The mesh may be open or closed.
+    """Refuse a boundary that does not cut out a whole breast. The mesh may be open or closed.
 
     Raises:
         MeasureError: the mesh has a hole within the curve, or is inside out there.
@@ -251,10 +246,7 @@ def in_mesh_unit(points_mm: Float64[Array, "n 3"], mesh: TriangleMesh, mm_per_un
 
 
 def _frame_from_landmarks(places: Places) -> Float64[Array, "3 3"] | None:
-    """Frame from fold, medial and lateral end of each complete side.
-
-    None if no side has all three.
-    """
+    """Frame from fold, medial and lateral end of each complete side. None if no side has all three."""
     across, up = np.zeros(3), np.zeros(3)
     for side, sign in (("left", 1.0), ("right", -1.0)):
         needed = [f"{name}_{side}" for name in ("medial", "lateral", "inframammary_fold")]
@@ -270,9 +262,7 @@ def _frame_from_landmarks(places: Places) -> Float64[Array, "3 3"] | None:
 
 
 def viewer(frame: Float64[Array, "3 3"], mesh: TriangleMesh) -> Rig:
-    """Two eyes in front of the mesh, level and upright.
-
-    They took no photograph.
+    """Two eyes in front of the mesh, level and upright. They took no photograph.
 
     Args:
         frame: patient's left, head, straight ahead (rows).

@@ -10,10 +10,7 @@ _THICKEST_LAYER_MM = 100.0  # real women have 24 ± 8 mm where it is thickest; m
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BaseRimSettings:
-    """How the base of a cast is found from its visible rim.
-
-    docs/method, volume.
-    """
+    """How the base of a cast is found from its visible rim. docs/method, volume."""
 
     rim_radius_mm: float = 0.24
     """Assumed rounding radius of the rim if session.toml gives none, mm. A camera sees where the rounding turns away,

@@ -129,10 +129,7 @@ def without_nipple(
 
 
 def symmetry_facts(symmetry: Symmetry | None) -> tuple[Fact, ...]:
-    """How the breasts differ in place and in shape.
-
-    Empty without a symmetry.
-    """
+    """How the breasts differ in place and in shape. Empty without a symmetry."""
     if symmetry is None:
         return ()
     across, up, ahead = symmetry.shift_mm

@@ -25,10 +25,7 @@ def breast_pictures(content: ReportContent, breast: str) -> list[Picture]:
 
 
 def stage_pictures(content: ReportContent, stage: str) -> list[Picture]:
-    """Pictures of one stage for the technician.
-
-    Those of the measurement stand with the breasts.
-    """
+    """Pictures of one stage for the technician. Those of the measurement stand with the breasts."""
     return [picture for _, picture in _of_stage(content, stage)]
 
 

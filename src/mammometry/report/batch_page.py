@@ -137,10 +137,7 @@ def _shown(line: BatchLine) -> dict[str, object]:
 
 
 def _paired(lines: Sequence[BatchLine]) -> PairedMeasurements | None:
-    """Volumes that have a reference.
-
-    None where they are too few for a study.
-    """
+    """Volumes that have a reference. None where they are too few for a study."""
     pairs = [
         (line.subject or line.session, each) for line in lines for each in line.volumes if each.reference_cc is not None
     ]

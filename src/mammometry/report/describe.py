@@ -138,10 +138,7 @@ def _without(absent: NoBreast) -> str:
 
 
 def wall_label(measured: VolumeMeasurement) -> str:
-    """Name of what closes a breast at its back.
-
-    The chest wall, or a cast's base.
-    """
+    """Name of what closes a breast at its back. The chest wall, or a cast's base."""
     return "Chest wall" if measured.name != "model" else "Base"
 
 

@@ -1,7 +1,4 @@
-"""Collect the report from the job's plan, stage by stage.
-
-Stage by stage, little is held in memory.
-"""
+"""Collect the report from the job's plan, stage by stage. Stage by stage, little is held in memory."""
 
 from __future__ import annotations
 
@@ -49,9 +46,7 @@ def gather(
     privacy: Privacy = Privacy(),
     progress: Progress = no_progress,
 ) -> ReportContent:
-    """Collect the report of a session.
-
-    Products that are missing are made.
+    """Collect the report of a session. Products that are missing are made.
 
     Args:
         plan: the whole job.

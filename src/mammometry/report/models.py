@@ -218,10 +218,7 @@ def _length_words(length: LinearMeasure) -> str:
 
 
 def thinned(mesh: TriangleMesh, triangles: int) -> tuple[TriangleMesh, Array]:
-    """A simplified mesh for viewing, and each vertex's nearest original one.
-
-    Quadric edge collapse.
-    """
+    """A simplified mesh for viewing, and each vertex's nearest original one. Quadric edge collapse."""
     if len(mesh.faces) <= triangles:
         return mesh, np.arange(len(mesh.vertices))
     small = thinning.thinned(mesh, triangles)
@@ -287,10 +284,7 @@ def _breast(
     symmetry: Symmetry | None,
     triangles: int,
 ) -> Model:
-    """One breast's skin and wall.
-
-    The left one is unchanged, the right one mirrored and laid onto it.
-    """
+    """One breast's skin and wall. The left one is unchanged, the right one mirrored and laid onto it."""
     mirrored = measured.name == "right"
     skin, _ = thinned(measured.skin, triangles)
     origin = _nearest(repaired.mesh, skin)
@@ -317,10 +311,7 @@ def _breast(
 
 
 def _symmetry_layer(symmetry: Symmetry | None, measured: VolumeMeasurement, skin: TriangleMesh) -> tuple[Layer, ...]:
-    """Distance by which this breast stands out of the mirrored other.
-
-    Both breasts share one scale.
-    """
+    """Distance by which this breast stands out of the mirrored other. Both breasts share one scale."""
     if symmetry is None:
         return ()
     out_mm = symmetry.right_mm if measured.name == "right" else symmetry.left_mm

@@ -61,10 +61,7 @@ def render(template: str, *, styles: tuple[str, ...] = (STYLE,), **values: Any) 
 
 
 def tied(value: object) -> object:
-    """Words whose numbers keep to their signs and units.
-
-    Everything else as it is.
-    """
+    """Words whose numbers keep to their signs and units. Everything else as it is."""
     if type(value) is not str or value.startswith("data:"):
         return value
     return _TORN.sub("\u00a0", value)

@@ -22,9 +22,7 @@ _LINE, _EDGE, _WARN_GROUND = "#dde2e8", "#d08700", "#fff4dc"
 
 
 def document(title: str, subject: str, story: Callable[[float], Iterable[Any]]) -> bytes:
-    """A document's bytes.
-
-    The same content gives the same bytes.
+    """A document's bytes. The same content gives the same bytes.
 
     Args:
         title: of the document, and at the foot of each page.

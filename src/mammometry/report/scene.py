@@ -116,10 +116,7 @@ def json_in_page(page: str) -> str | None:
 
 
 def to_json(scene: ViewerScene) -> str:
-    """The scene as the viewer reads it.
-
-    Safe inside a script element of a page.
-    """
+    """The scene as the viewer reads it. Safe inside a script element of a page."""
     table = {
         "version": FORMAT_VERSION,
         "worldFromView": scene.world_from_view.matrix.ravel().tolist(),

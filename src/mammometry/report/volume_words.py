@@ -1,7 +1,4 @@
-"""A volume, its 95 % interval and its meaning in words.
-
-The interval decides the number of digits.
-"""
+"""A volume, its 95 % interval and its meaning in words. The interval decides the number of digits."""
 
 from __future__ import annotations
 
@@ -27,10 +24,7 @@ def volume_words(volume_cc: float, interval_cc: tuple[float, float] | None = Non
 
 
 def interval_words(interval_cc: tuple[float, float] | None) -> str:
-    """The 95 % interval in words: half-width and both ends.
-
-    Only the ends if it is cut off at zero.
-    """
+    """The 95 % interval in words: half-width and both ends. Only the ends if it is cut off at zero."""
     if interval_cc is None:
         return "no interval: the error of this volume is not known"
     low, high = interval_cc

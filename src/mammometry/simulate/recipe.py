@@ -18,10 +18,7 @@ _UNDISTURBED = Situation()
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SessionRecipe:
-    """Recipe of a virtual session, except for how pictures are taken.
-
-    Those are taken by `studio.Studio`.
-    """
+    """Recipe of a virtual session, except for how pictures are taken. Those are taken by `studio.Studio`."""
 
     rig: str = "reference"
     """``reference`` (eight cameras, four pairs), or a rig's TOML file. ``reference:front,floor`` keeps only these

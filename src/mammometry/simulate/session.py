@@ -144,9 +144,7 @@ def write_session(
 
 
 def true_volumes_cc(recipe: SessionRecipe) -> dict[str, float]:
-    """Exact volumes of a drawn subject in its session, cc.
-
-    They come from its recipe alone.
+    """Exact volumes of a drawn subject in its session, cc. They come from its recipe alone.
 
     Raises:
         ValueError: there is no subject of that name.

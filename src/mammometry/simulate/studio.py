@@ -1,7 +1,4 @@
-"""Take all pictures of a virtual session, on all cores.
-
-The target in its poses, and the subject.
-"""
+"""Take all pictures of a virtual session, on all cores. The target in its poses, and the subject."""
 
 from __future__ import annotations
 

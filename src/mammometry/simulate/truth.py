@@ -32,9 +32,7 @@ def write_truth(
     *,
     progress: Progress = no_progress,
 ) -> None:
-    """Write all that is true of a session.
-
-    Rig frame, mm. The files are listed in docs/how-to/simulate.md.
+    """Write all that is true of a session. Rig frame, mm. The files are listed in docs/how-to/simulate.md.
 
     Args:
         folder: to make.

@@ -51,10 +51,7 @@ def _claim(workplace: Path, out: Path) -> dict[str, str]:
 
 
 def _is_workplace(folder: Path, out: Path) -> bool:
-    """Whether a folder is marked as a workplace for `out`.
-
-    A copied or renamed one is not.
-    """
+    """Whether a folder is marked as a workplace for `out`. A copied or renamed one is not."""
     try:
         said = json.loads((folder / _MAKER).read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError):

@@ -25,10 +25,7 @@ _TANGENT_MM = 1.0  # farther away, the height over the nearest face is no distan
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SurfaceAccuracy:
-    """Distances of true points from a measured surface, mm.
-
-    Weighted by the true points' area.
-    """
+    """Distances of true points from a measured surface, mm. Weighted by the true points' area."""
 
     mean_mm: float
     """Mean unsigned distance of the true points from the measured surface."""

@@ -30,9 +30,7 @@ class BoundaryAccuracy:
 def compare_boundaries(
     measured: Float64[Array, "n 3"], truth: Float64[Array, "m 3"], towards_front: Float64[Array, 3]
 ) -> BoundaryAccuracy:
-    """Compare two closed curves in one frame, mm.
-
-    The last point of each joins the first.
+    """Compare two closed curves in one frame, mm. The last point of each joins the first.
 
     Args:
         measured: the curve under test.

@@ -131,10 +131,7 @@ def compare_rigs(calibrated: Rig, true: Rig, points_rig: Float64[Array, "n 3"]) 
 def triangulate(
     pair: StereoPair, left_uv: Float64[Array, "n 2"], right_uv: Float64[Array, "n 2"]
 ) -> Float64[Array, "n 3"]:
-    """Points with projections nearest to given pixels of both pictures.
-
-    World frame, mm (Gauss–Newton).
-    """
+    """Points with projections nearest to given pixels of both pictures. World frame, mm (Gauss–Newton)."""
     origins = np.stack([pair.left.centre_world, pair.right.centre_world])
     rays = np.stack([pair.left.rays_world(left_uv), pair.right.rays_world(right_uv)], axis=1)
     across = np.eye(3) - rays[..., :, None] * rays[..., None, :]  # the midpoint of both rays is the start
@@ -164,10 +161,7 @@ def _aligned(
     pixels: Mapping[str, Array],
     seen: Mapping[str, Array],
 ) -> Transform:
-    """rig_from_world that brings the projections together.
-
-    From centres and axes, then least squares.
-    """
+    """rig_from_world that brings the projections together. From centres and axes, then least squares."""
     reach = float(np.linalg.norm(np.ptp(points_rig, axis=0)))
     here, there = (
         np.concatenate(

@@ -57,10 +57,7 @@ class TrueDisparity:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MatchingAccuracy:
-    """Disparity and range errors of one pair, over the judged pixels.
-
-    In pixels of the rectified pair.
-    """
+    """Disparity and range errors of one pair, over the judged pixels. In pixels of the rectified pair."""
 
     median_px: float
     """Median size of the disparity's error, px."""
@@ -88,10 +85,7 @@ class MatchingAccuracy:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RangeAccuracy:
-    """Errors of one pair's range image over the judged pixels, mm.
-
-    Matching and cameras together.
-    """
+    """Errors of one pair's range image over the judged pixels, mm. Matching and cameras together."""
 
     bias_mm: float
     """Median of measured less true range. Positive is too far."""
@@ -103,10 +97,7 @@ class RangeAccuracy:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SilhouetteAccuracy:
-    """Distance of a found silhouette from the true one.
-
-    The picture's frame does not count.
-    """
+    """Distance of a found silhouette from the true one. The picture's frame does not count."""
 
     mean_px: float
     """Mean signed distance, px. Positive outside."""
@@ -249,10 +240,7 @@ def judge_silhouette(scene: RayScene, true: Camera, foreground: Foreground) -> S
 
 
 def silhouette_overlap(scene: RayScene, true: Camera, foreground: Foreground) -> tuple[float, float]:
-    """Common area and joint area of both silhouettes, px².
-
-    The found and the true one.
-    """
+    """Common area and joint area of both silhouettes, px². The found and the true one."""
     step = max(1, true.size_wh[0] // 300)
     seen = scene.cast(true.centre_world, true.rays_world(pixel_grid(true, step))).hit
     found = foreground.coverage[::step, ::step] >= foreground.contour_level
@@ -273,10 +261,7 @@ def _contours(image: Array, level: float) -> list[Float64[Array, "n 2"]]:
 
 
 def _from_edge(range_mm: Float64[Array, "h w"]) -> Float64[Array, "h w"]:
-    """Distance of each pixel to the nearest jump in range.
-
-    In pixels of this grid.
-    """
+    """Distance of each pixel to the nearest jump in range. In pixels of this grid."""
     filled = np.where(np.isfinite(range_mm), range_mm, 1e4)
     jump = ndimage.maximum_filter(filled, 3) - ndimage.minimum_filter(filled, 3) > _JUMP_MM
     distance: Float64[Array, "h w"] = ndimage.distance_transform_edt(~jump)

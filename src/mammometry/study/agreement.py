@@ -56,10 +56,7 @@ class PairedMeasurements:
 
     @property
     def means(self) -> Float64[Array, " n"]:
-        """Mean of both methods.
-
-        It is the best guess of the true value if neither is exact.
-        """
+        """Mean of both methods. It is the best guess of the true value if neither is exact."""
         return (self.measured + self.reference) / 2
 
 
@@ -73,10 +70,7 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Trend:
-    """A straight line through the differences.
-
-    NaN if the abscissae are all equal.
-    """
+    """A straight line through the differences. NaN if the abscissae are all equal."""
 
     slope: Estimate
     intercept: float
@@ -86,10 +80,7 @@ class Trend:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Agreement:
-    """Agreement of two methods.
-
-    Differences are measured less reference, in the table's unit.
-    """
+    """Agreement of two methods. Differences are measured less reference, in the table's unit."""
 
     subjects: int
     mean_difference: Estimate

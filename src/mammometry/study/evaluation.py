@@ -54,10 +54,7 @@ _REMEDY = "Name the truth of this session with --truth, or measure the session a
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SessionResults:
-    """Results of a session, as far as they exist.
-
-    World frame, mm. Large values are loaded when called.
-    """
+    """Results of a session, as far as they exist. World frame, mm. Large values are loaded when called."""
 
     rig: Rig
     """The calibrated cameras."""
@@ -94,10 +91,7 @@ class SurfaceJudgement:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Evaluation:
-    """Errors of the instrument, stage by stage.
-
-    A stage without current results is empty.
-    """
+    """Errors of the instrument, stage by stage. A stage without current results is empty."""
 
     frame: str
     """How the truth was brought into the world frame, in words."""
@@ -261,10 +255,7 @@ def _compare_pairs(
 
 
 def _truths_place(results: SessionResults, truth: Truth, cameras: RigAccuracy) -> tuple[Transform, str]:
-    """world_from_rig, and how it is known.
-
-    By the world's own target if there is one, else by the cameras.
-    """
+    """world_from_rig, and how it is known. By the world's own target if there is one, else by the cameras."""
     for pose, world_from_target in results.world_from_target.items():
         if pose in truth.rig_from_target and np.allclose(world_from_target.matrix, np.eye(4), atol=1e-9):
             return truth.rig_from_target[pose].inverse(), f"the true place of the target in pose {pose}"

@@ -52,9 +52,7 @@ class IntraclassCorrelation:
 
 
 def mean_squares(ratings: Float64[Array, "n k"]) -> MeanSquares:
-    """Analyse the variance of ratings.
-
-    One row a subject, one column a method.
+    """Analyse the variance of ratings. One row a subject, one column a method.
 
     Raises:
         ValueError: fewer than two rows or columns, or a value that is not finite.
@@ -177,10 +175,7 @@ def _agreement(ms: MeanSquares, confidence: float) -> IntraclassCorrelation:
 
 
 def _of_the_mean(single: IntraclassCorrelation, k: int) -> IntraclassCorrelation:
-    """The same for the mean of k measurements (Spearman–Brown).
-
-    Exact for values and intervals alike.
-    """
+    """The same for the mean of k measurements (Spearman–Brown). Exact for values and intervals alike."""
 
     def stepped(value: float) -> float:
         return _divided(k * value, 1 + (k - 1) * value)

@@ -90,10 +90,7 @@ class Scatter:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Apart:
-    """How far two curves around one breast lie apart, by region.
-
-    Over all pairs of drawings.
-    """
+    """How far two curves around one breast lie apart, by region. Over all pairs of drawings."""
 
     pairs: int
     mean_mm: float
@@ -167,9 +164,7 @@ def observer_study(drawings: Sequence[Drawing]) -> ObserverStudy:
 
 
 def scatter_of(groups: Sequence[Sequence[Float64[Array, " _"]]]) -> tuple[Scatter | None, Scatter | None]:
-    """Scatter of one person's repeats, and of whoever draws.
-
-    Breasts count by their degrees of freedom.
+    """Scatter of one person's repeats, and of whoever draws. Breasts count by their degrees of freedom.
 
     Args:
         groups: breast → person → volumes of that person's drawings, cc.
@@ -203,10 +198,7 @@ def scatter_of(groups: Sequence[Sequence[Float64[Array, " _"]]]) -> tuple[Scatte
 
 
 def _scatter(variance: float, df: float, mean_cc: float) -> Scatter:
-    """A standard deviation with its χ² interval.
-
-    The degrees of freedom of a sum are Satterthwaite's.
-    """
+    """A standard deviation with its χ² interval. The degrees of freedom of a sum are Satterthwaite's."""
     sd = math.sqrt(variance)
     low, high = (float(np.sqrt(df / scipy.stats.chi2.ppf(q, df))) for q in (0.975, 0.025))
     return Scatter(sem=Estimate(value=sd, interval=(sd * low, sd * high)), df=float(df), percent=100 * sd / mean_cc)

@@ -86,10 +86,7 @@ def observers_tables(found: ObserverStudy, drawings: Sequence[Drawing]) -> list[
 
 
 def observers_json(found: ObserverStudy, drawings: Sequence[Drawing]) -> dict[str, Any]:
-    """Everything as plain JSON-ready data.
-
-    What is not known is null.
-    """
+    """Everything as plain JSON-ready data. What is not known is null."""
 
     def scatter(each: Scatter | None) -> dict[str, Any] | None:
         return None if each is None else {**asdict(each), "mdc": asdict(each.mdc)}

@@ -81,19 +81,13 @@ class RayScene:
         return Hits(range_mm=ranges.reshape(shape), cosine=cosines.reshape(shape))
 
     def hides(self, origin: Float64[Array, 3], points: Float64[Array, "n 3"]) -> Bool[Array, " n"]:
-        """Whether the mesh hides given points of its own.
-
-        A ray may slip between two triangles there.
-        """
+        """Whether the mesh hides given points of its own. A ray may slip between two triangles there."""
         offsets = points - origin
         distance = np.linalg.norm(offsets, axis=-1)
         return self.cast(origin, offsets / distance[:, None]).range_mm < distance - _SEEN_MM
 
     def seen_from(self, origin: Float64[Array, 3], points: Float64[Array, "*n 3"]) -> Hits:
-        """Look at given points.
-
-        A point that is hidden or NaN is not met.
-        """
+        """Look at given points. A point that is hidden or NaN is not met."""
         offsets = points - origin
         distance = np.linalg.norm(offsets, axis=-1)
         with np.errstate(divide="ignore", invalid="ignore"):

@@ -30,10 +30,7 @@ def number(value: float | None, form: str = ".3f") -> str:
 
 
 def signed(value: float, digits: int = 1) -> str:
-    """A number with its sign and a true minus.
-
-    No sign before zero.
-    """
+    """A number with its sign and a true minus. No sign before zero."""
     words = number(value, f"+.{digits}f")
     return words.lstrip("+−") if value == value and not float(f"{value:.{digits}f}") else words
 
@@ -44,10 +41,7 @@ def thousands(count: int) -> str:
 
 
 def plain(value: Any) -> Any:
-    """Return what JSON can hold.
-
-    null for an unknown or infinite number, lists for tuples.
-    """
+    """Return what JSON can hold. null for an unknown or infinite number, lists for tuples."""
     if isinstance(value, Mapping):
         return {key: plain(each) for key, each in value.items()}
     if isinstance(value, Iterable) and not isinstance(value, str):

@@ -73,9 +73,7 @@ class RowErrors:
 
 
 def differences(range_images: Sequence[RangeImage], other_skin_mm: float = OTHER_SKIN_MM) -> tuple[Differences, ...]:
-    """Compare each two views where they see the same skin well.
-
-    Views without common skin are left out.
+    """Compare each two views where they see the same skin well. Views without common skin are left out.
 
     Args:
         range_images: one for each pair.
@@ -190,10 +188,7 @@ def _point(left: Camera, right: Camera, at: tuple[int, int], d_h_px: float) -> F
 
 
 def _angle(right: Camera, point: Float64[Array, 3], d_v_px: float) -> float:
-    """Vertical disparity as an angle across the epipolar plane.
-
-    The plane turns about the baseline.
-    """
+    """Vertical disparity as an angle across the epipolar plane. The plane turns about the baseline."""
     x, y, z = right.camera_from_world.apply(point)
     from_baseline = float(np.hypot(y, z))
     return (

@@ -92,10 +92,7 @@ def cover(
     *,
     progress: Progress = no_progress,
 ) -> Atlas:
-    """Thin a surface for looking and cover it with its photographs.
-
-    World frame, mm.
-    """
+    """Thin a surface for looking and cover it with its photographs. World frame, mm."""
     mesh = thinned(surface, settings.triangles)
     progress(0.1)
     names = tuple(name for name in photographs if name in rig.cameras)
@@ -179,10 +176,7 @@ def _charts(
     pixels: Sequence[Float64[Array, "n 2"]],
     sizes_wh: Sequence[tuple[int, int]],
 ) -> list[_Chart]:
-    """The charts of all photographs.
-
-    Last one for the faces that show none.
-    """
+    """The charts of all photographs. Last one for the faces that show none."""
     group = _groups(mesh, view)
     charts = []
     for k, (uv, size_wh) in enumerate(zip(pixels, sizes_wh, strict=True)):

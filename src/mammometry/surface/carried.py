@@ -1,7 +1,4 @@
-"""Range data after a correction of the camera poses.
-
-The same two rays are intersected again.
-"""
+"""Range data after a correction of the camera poses. The same two rays are intersected again."""
 
 from __future__ import annotations
 

@@ -72,10 +72,7 @@ def _boxes(
 def _reaching(
     boxes: Float64[Array, "m 6"], chosen: Bool[Array, " m"], cell: float, shape: Int64[Array, " 3"]
 ) -> Bool[Array, " m"]:
-    """Faces whose box shares a cell with a chosen one's.
-
-    The chosen faces are included.
-    """
+    """Faces whose box shares a cell with a chosen one's. The chosen faces are included."""
     marked = np.zeros((shape[0], shape[1], shape[2]), dtype=np.bool_)
     reaching = np.zeros(len(boxes), dtype=np.bool_)
     for reading in range(2):
@@ -96,10 +93,7 @@ def _reaching(
 def _sorted_into_cells(
     boxes: Float64[Array, "m 6"], cell: float, shape: Int64[Array, " 3"]
 ) -> tuple[Int32[Array, " c1"], Int32[Array, " e"]]:
-    """Faces whose box reaches into each cell.
-
-    Those of cell c are owners[starts[c] : starts[c + 1]].
-    """
+    """Faces whose box reaches into each cell. Those of cell c are owners[starts[c] : starts[c + 1]]."""
     starts = np.zeros(shape[0] * shape[1] * shape[2] + 1, dtype=np.int32)
     owners = np.empty(0, dtype=np.int32)
     for filling in range(2):
@@ -134,10 +128,7 @@ def _crossings(
     faces: Int32[Array, "m 3"],
     boxes: Float64[Array, "m 6"],
 ) -> Int64[Array, "k 2"]:
-    """Crossing pairs in the cell layers from the first to the last.
-
-    The last layer is not included.
-    """
+    """Crossing pairs in the cell layers from the first to the last. The last layer is not included."""
     found, count = np.empty((16, 2), dtype=np.int64), 0
     for i in range(first, last):
         for j in range(shape[1]):

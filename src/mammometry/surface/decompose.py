@@ -56,10 +56,7 @@ def decompose(range_images: Sequence[RangeImage], settings: DecomposeSettings = 
 
 
 def _components(labels: UInt8[Array, "h w"], valid: Bool[Array, "h w"]) -> Int32[Array, "h w"]:
-    """Number the 4-connected regions of equal label from 1.
-
-    Only valid elements count.
-    """
+    """Number the 4-connected regions of equal label from 1. Only valid elements count."""
     numbers = np.zeros(labels.shape, dtype=np.int32)
     count = 0
     for value in Label:

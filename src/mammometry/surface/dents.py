@@ -197,10 +197,7 @@ def patch_angle_rad(
 
 
 def _flat_patches(image: RangeImage, patches: Patches, neighbourhood_mm: float, limit_rad: float) -> Bool[Array, "h w"]:
-    """Elements in no steep patch of any comparison.
-
-    Nor in a patch of fewer than three elements.
-    """
+    """Elements in no steep patch of any comparison. Nor in a patch of fewer than three elements."""
     keep = image.valid.copy()
     for (name, _), numbers in patches.patches.items():
         if name == image.name:
@@ -228,10 +225,7 @@ def _patch_angles_rad(
 def _seen_through(
     index: int, images: Sequence[RangeImage], angles: Sequence[Float32[Array, "h w"]], settings: DentSettings
 ) -> Bool[Array, "h w"]:
-    """Elements of view `index` in front of what another view saw.
-
-    The other view saw it at a better angle.
-    """
+    """Elements of view `index` in front of what another view saw. The other view saw it at a better angle."""
     image = images[index]
     points = image.valid_points_world()
     own_sigma = image.sigma_mm[image.valid]

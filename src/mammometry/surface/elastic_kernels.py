@@ -13,10 +13,7 @@ _STEPS = 6  # of the walk to the nearest datum, at most; chosen by eye
 
 @kernel
 def adjacency(n: int, edges: Int32[Array, "e 2"]) -> tuple[Int64[Array, " n1"], Int32[Array, " k"]]:
-    """Each vertex's neighbours in rising order, once, as (indptr, indices).
-
-    Edges may be given repeatedly.
-    """
+    """Each vertex's neighbours in rising order, once, as (indptr, indices). Edges may be given repeatedly."""
     start = np.zeros(n + 1, dtype=np.int64)
     for edge in range(len(edges)):
         start[edges[edge, 0] + 1] += 1

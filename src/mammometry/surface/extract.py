@@ -58,10 +58,7 @@ def extract(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Solid:
-    """The signed distance to mesh.
-
-    Silhouettes, which are large, are needed no more.
-    """
+    """The signed distance to mesh. Silhouettes, which are large, are needed no more."""
 
     distance: Field
     seen: tuple[RangeImage, ...]
@@ -125,10 +122,7 @@ def meshed(
 def _surface(
     solid: Solid, settings: ExtractSettings, near_mm: float, progress: Progress
 ) -> tuple[Isosurface, TriangleMesh]:
-    """Sample and mesh.
-
-    Where fine and coarse cubes do not fit together, all are fine.
-    """
+    """Sample and mesh. Where fine and coarse cubes do not fit together, all are fine."""
     corners = solid.distance.box.corners
     grid = sample_blocks(
         solid.distance.sample,
@@ -193,17 +187,12 @@ def extract_open(
 
 
 def _euler_number(closed: TriangleMesh) -> int:
-    """V − E + F of a closed mesh without unused vertices.
-
-    Every edge has two faces: E = 3F/2.
-    """
+    """V − E + F of a closed mesh without unused vertices. Every edge has two faces: E = 3F/2."""
     return len(closed.vertices) - len(closed.faces) // 2
 
 
 def usable(range_images: Sequence[RangeImage]) -> list[RangeImage]:
-    """Return the views that have data.
-
-    One that saw nothing is left out.
+    """Return the views that have data. One that saw nothing is left out.
 
     Raises:
         SurfaceError: none has any; names the pairs.

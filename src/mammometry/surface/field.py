@@ -292,10 +292,7 @@ def silhouette_distance_px(foreground: Foreground, step: int = 1, lost_slope: fl
 
 
 def _let_out(distances: Float32[Array, "h w"], foreground: Foreground, step: int, lost_slope: float) -> None:
-    """Join discs to the silhouette where its edge is lost.
-
-    The discs are around points of the contour.
-    """
+    """Join discs to the silhouette where its edge is lost. The discs are around points of the contour."""
     traced = follow(foreground)
     lost = traced.lost_px > 0
     for (column, row), radius in zip(traced.uv[lost] / step, lost_slope * traced.lost_px[lost] / step, strict=True):
@@ -307,10 +304,7 @@ def _let_out(distances: Float32[Array, "h w"], foreground: Foreground, step: int
 
 
 def _small_holes(mask: Bool[Array, "h w"]) -> Bool[Array, "h w"]:
-    """Small background regions enclosed by the subject.
-
-    They are too small to be a gap between body parts.
-    """
+    """Small background regions enclosed by the subject. They are too small to be a gap between body parts."""
     holes, count = ndimage.label(~mask)
     sizes = np.bincount(holes.ravel(), minlength=count + 1)
     for border in (holes[0], holes[-1], holes[:, 0], holes[:, -1]):
@@ -320,10 +314,7 @@ def _small_holes(mask: Bool[Array, "h w"]) -> Bool[Array, "h w"]:
 
 
 def _subject_mask(image: RangeImage, left: Camera, foreground: Foreground | None) -> Bool[Array, "h w"]:
-    """Pixels of the range image that show the subject.
-
-    By its silhouette, else by the outline of the data.
-    """
+    """Pixels of the range image that show the subject. By its silhouette, else by the outline of the data."""
     if foreground is None or foreground.everything:
         radius = max(1, round(_CLOSING_MM / image.pixel_mm()))
         padded = np.pad(image.valid, radius)
@@ -343,8 +334,5 @@ def _subject_mask(image: RangeImage, left: Camera, foreground: Foreground | None
 
 
 def block_seeds(range_images: Sequence[RangeImage]) -> Float64[Array, "n 3"]:
-    """Return all measured points, world frame, mm.
-
-    The surface certainly passes near them.
-    """
+    """Return all measured points, world frame, mm. The surface certainly passes near them."""
     return np.concatenate([image.valid_points_world() for image in range_images if image.valid.any()])

@@ -76,10 +76,7 @@ class Isosurface:
     def _meshed(
         self, chunks: list[tuple[int, ...]], progress: Progress = no_progress
     ) -> dict[tuple[int, ...], _Piece | None]:
-        """Pieces of some chunks, on all cores.
-
-        Filters and marching cubes hold no lock.
-        """
+        """Pieces of some chunks, on all cores. Filters and marching cubes hold no lock."""
         pieces: dict[tuple[int, ...], _Piece | None] = {}
         with ThreadPoolExecutor(available_cores()) as pool:
             for chunk, piece in zip(chunks, pool.map(self._piece, chunks), strict=True):
@@ -97,10 +94,7 @@ class Isosurface:
         return np.asarray(((at > low - reach) & (at < high + reach)).all(axis=1))
 
     def _smoothed_coarse(self, points: Float64[Array, "n 3"], reach_mm: float, sigma_mm: float) -> bool:
-        """Smooth the coarse field around the points.
-
-        Whether any far block is reached.
-        """
+        """Smooth the coarse field around the points. Whether any far block is reached."""
         step, shape = self._grid.cube_mm * FAR_CUBES, np.array(self._coarse.shape)
         self._coarse, touched = self._coarse.copy(), False
         for point in points:
@@ -140,10 +134,7 @@ class Isosurface:
         return tuple(slice(number * _CHUNK, min((number + 1) * _CHUNK, count)) for number, count in ends)
 
     def _piece(self, chunk: tuple[int, ...]) -> _Piece | None:
-        """Vertices, in cubes from the grid's origin, and faces of one chunk.
-
-        None where no surface passes.
-        """
+        """Vertices, in cubes from the grid's origin, and faces of one chunk. None where no surface passes."""
         grid, blocks = self._grid, self._blocks(chunk)
         wide = tuple(slice(max(axis.start - 1, 0), axis.stop + 1) for axis in blocks)
         used = ndimage.find_objects((grid.index[wide] >= 0).astype(np.uint8))[0]  # a surface fills few of the blocks
@@ -204,10 +195,7 @@ class Isosurface:
 def _marched(
     field: Float32[Array, "x y z"], cells: Bool[Array, "x1 y1 z1"], first: Int64[Array, 3], step: int
 ) -> OpenMesh | None:
-    """Marching cubes on the chosen cells.
-
-    Vertices in fine cubes, the field's first corner at `first`.
-    """
+    """Marching cubes on the chosen cells. Vertices in fine cubes, the field's first corner at `first`."""
     if field.min() > 0 or field.max() < 0:
         return None
     vertices, faces = march(np.ascontiguousarray(field), cells)
@@ -219,10 +207,7 @@ def _repeated(blocks: Bool[Array, "x y z"], times: int) -> Bool[Array, "x2 y2 z2
 
 
 def _interpolated(values: Float32[Array, "x y z"], axis: int) -> Float32[Array, "x2 y2 z2"]:
-    """Linear interpolation to `FAR_CUBES` steps along one axis.
-
-    Exact at the corners given.
-    """
+    """Linear interpolation to `FAR_CUBES` steps along one axis. Exact at the corners given."""
     values = np.moveaxis(values, axis, 0)
     between = np.arange(FAR_CUBES, dtype=np.float32)[:, None, None] / np.float32(FAR_CUBES)
     fine = values[:-1, None] + between * (values[1:] - values[:-1])[:, None]
@@ -256,10 +241,7 @@ def _blurred(values: Float32[Array, "x y z"], sigma: float) -> Float32[Array, "x
 def _nearness(
     low: Float64[Array, 3], shape: tuple[int, ...], step_mm: float, places: Float64[Array, "n 4"]
 ) -> Float32[Array, "x y z"]:
-    """1 within reach of any place, 0 beyond twice that.
-
-    Places are (x, y, z, reach), mm.
-    """
+    """1 within reach of any place, 0 beyond twice that. Places are (x, y, z, reach), mm."""
     strength = np.zeros(shape, dtype=np.float32)
     axes = [low[axis] + np.arange(shape[axis]) * step_mm for axis in range(3)]
     for *point, reach_mm in places:
@@ -270,10 +252,7 @@ def _nearness(
 
 
 def _joined(pieces: list[_Piece]) -> OpenMesh:
-    """Join the vertices that two pieces share.
-
-    They lie on the same cube edge.
-    """
+    """Join the vertices that two pieces share. They lie on the same cube edge."""
     if not pieces:
         return _EMPTY
     starts = np.cumsum([0] + [len(piece.mesh.vertices) for piece in pieces])[:-1]

@@ -129,10 +129,7 @@ def sample_field(
 
 @kernel
 def _bound_by_planes(planes, block, truncation):  # type: ignore[no-untyped-def]
-    """Signed distance of a block's samples from the closing box, mm.
-
-    At least −truncation.
-    """
+    """Signed distance of a block's samples from the closing box, mm. At least −truncation."""
     bound = np.empty(block.side * block.side * block.side)
     for index in range(len(bound)):
         i, j, k = index // (block.side * block.side), (index // block.side) % block.side, index % block.side
@@ -151,10 +148,7 @@ def _bound_by_planes(planes, block, truncation):  # type: ignore[no-untyped-def]
 
 @kernel
 def _merged(total: float, weight: float, free: bool, supported: bool, truncation: float, rule: int) -> float:
-    """Signed distance of one sample as all views together have it, mm.
-
-    The first four are its `Evidence`.
-    """
+    """Signed distance of one sample as all views together have it, mm. The first four are its `Evidence`."""
     averaged = rule in (RULE_DEFAULT, RULE_TSDF)
     if averaged and weight > 0.0:
         return total / weight
@@ -304,10 +298,7 @@ def _project_block(
 def empty_cells(
     points: Float64[Array, "n 3"], origin: Float64[Array, " 3"], edge_mm: float, shape: tuple[int, int, int]
 ) -> Bool[Array, "x y z"]:
-    """Cells of a grid that hold none of the points.
-
-    Points outside the grid do not count.
-    """
+    """Cells of a grid that hold none of the points. Points outside the grid do not count."""
     empty = np.ones(shape, dtype=np.bool_)
     for point in points:
         i = int(np.floor((point[0] - origin[0]) / edge_mm))

@@ -78,10 +78,7 @@ class Unknowns:
         return slice(start, start + 3)
 
     def of_group(self, pair: str) -> slice:
-        """A group's rotation vector about the centre, rad, and translation, mm.
-
-        World axes.
-        """
+        """A group's rotation vector about the centre, rad, and translation, mm. World axes."""
         number = next(i for i, names in enumerate(self.groups) if pair in names)
         start = 3 * len(self.cameras) + 6 * number
         return slice(start, start + 6)

@@ -121,10 +121,7 @@ def find_blocked(
 
 
 def unblocked(foregrounds: Mapping[str, Foreground], blocked: Mapping[str, Blocked]) -> dict[str, Foreground]:
-    """Silhouettes that carve nothing where the view is blocked.
-
-    The others as they are.
-    """
+    """Silhouettes that carve nothing where the view is blocked. The others as they are."""
     opened = {}
     for name, foreground in foregrounds.items():
         if name in blocked:
@@ -165,10 +162,7 @@ class _View:
         )
 
     def places(self, points_world: Float64[Array, "n 3"]) -> tuple[_Places, Float64[Array, " k"]]:
-        """Where the picture holds which points, and how deep.
-
-        Depths are along the optical axis, mm.
-        """
+        """Where the picture holds which points, and how deep. Depths are along the optical axis, mm."""
         height, width = self.subject.shape
         column, row, depth_mm = projected(self.camera, points_world).T
         column, row = column / self.step, row / self.step

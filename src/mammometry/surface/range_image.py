@@ -88,10 +88,7 @@ class RangeImage:
         return points
 
     def pixel_mm(self) -> float:
-        """Median size of a pixel on the surface, across the ray, mm.
-
-        NaN without data.
-        """
+        """Median size of a pixel on the surface, across the ray, mm. NaN without data."""
         ranges = self.range_mm[self.valid]
         ranges = ranges[:: max(1, len(ranges) // _SAMPLES)]
         return float(np.median(ranges) / self.camera.matrix[0, 0]) if len(ranges) else float("nan")
@@ -122,10 +119,7 @@ class RangeImage:
         return self.normals_camera(neighbourhood_mm) @ self.camera.camera_from_world.rotation
 
     def incidence_rad(self, neighbourhood_mm: float = 2.5) -> Float32[Array, "h w"]:
-        """Angle between the local normal and the direction to the camera, rad.
-
-        NaN where there is no normal.
-        """
+        """Angle between the local normal and the direction to the camera, rad. NaN where there is no normal."""
         cosine = image_kernels.incidence_cosines(self.normals_camera(neighbourhood_mm), self.camera.intrinsics)
         return np.arccos(np.clip(cosine, -1.0, 1.0))
 
@@ -139,10 +133,7 @@ class RangeImage:
         return np.clip(inside * (self.pixel_mm() / max(taper_mm, 1e-6)), 0.05, 1.0).astype(np.float32)
 
     def keeping(self, keep: Bool[Array, "h w"]) -> RangeImage:
-        """Return the same image with data only where `keep` and valid.
-
-        The rest is zeroed.
-        """
+        """Return the same image with data only where `keep` and valid. The rest is zeroed."""
         valid = self.valid & keep
         zero = np.float32(0)
         return replace(
@@ -192,10 +183,7 @@ def triangulate(disparity: DisparityMap, settings: TriangulateSettings = Triangu
 def _intersected(
     disparity: DisparityMap, rows: Int64[Array, " n"], columns: Int64[Array, " n"]
 ) -> tuple[Float64[Array, " n"], Float64[Array, " n"], Float64[Array, " n"]]:
-    """Distances along both rays, and σ of the left one, mm.
-
-    Only for the given pixels.
-    """
+    """Distances along both rays, and σ of the left one, mm. Only for the given pixels."""
     left, right = disparity.left, disparity.right
     left_from_right = left.camera_from_world.rotation @ right.camera_from_world.rotation.T
     baseline = left.camera_from_world.rotation @ (right.centre_world - left.centre_world)
@@ -226,10 +214,7 @@ def _step(disparity: DisparityMap, spacing_mm: float) -> int:
 
 
 def thinned_camera(camera: Camera, step: int) -> Camera:
-    """Camera of an image thinned to every `step`-th pixel and row.
-
-    Counted from the first.
-    """
+    """Camera of an image thinned to every `step`-th pixel and row. Counted from the first."""
     width, height = camera.size_wh
     scale = np.array([1.0 / step, 1.0 / step, 1.0])
     return replace(camera, size_wh=(-(-width // step), -(-height // step)), matrix=camera.matrix * scale[:, None])

@@ -141,10 +141,7 @@ def _drawn_to_data(
 
 
 def as_measured(mesh: TriangleMesh, valid: ValidPatches) -> RepairedSurface:
-    """Provenance of an open surface's vertices, which are range data.
-
-    Nothing is moved.
-    """
+    """Provenance of an open surface's vertices, which are range data. Nothing is moved."""
     images = valid.range_images
     data = np.concatenate([image.valid_points_world() for image in images])
     sigma_mm = np.concatenate([image.sigma_mm[image.valid] for image in images])
@@ -161,10 +158,7 @@ def as_measured(mesh: TriangleMesh, valid: ValidPatches) -> RepairedSurface:
 
 
 def _near_data(mesh: TriangleMesh, valid: ValidPatches, settings: RepairSettings) -> Bool[Array, " m"]:
-    """Faces near enough to data to move or count as repaired.
-
-    All faces if displacements do not fade.
-    """
+    """Faces near enough to data to move or count as repaired. All faces if displacements do not fade."""
     if settings.fade_mm == 0:
         return np.ones(len(mesh.faces), dtype=bool)
     reach_mm = settings.reach_mm + max(settings.repaired_reach_mm, _FADED * settings.fade_mm)

@@ -57,10 +57,7 @@ class Turn:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Displaced:
-    """Displacement of a pair's points by the motions.
-
-    What moves all pairs together is left out.
-    """
+    """Displacement of a pair's points by the motions. What moves all pairs together is left out."""
 
     pair: str
     effect_mm: float

@@ -12,10 +12,7 @@ _NAMED = 3  # cameras in a sentence, at most
 
 
 def concerns(found: Stillness) -> Iterator[str]:
-    """Sentences that a user must read beside the volume.
-
-    None where nothing moved.
-    """
+    """Sentences that a user must read beside the volume. None where nothing moved."""
     if not found.moved:
         return
     before_mm, after_mm = found.apart_mm

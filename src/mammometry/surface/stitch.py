@@ -18,10 +18,7 @@ from mammometry.geometry.arrays import Array, Bool, Float64, Int32, Int64
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class OpenMesh:
-    """Vertices and faces of a part of a surface.
-
-    Vertices are in fine cubes from the grid's origin.
-    """
+    """Vertices and faces of a part of a surface. Vertices are in fine cubes from the grid's origin."""
 
     vertices: Float64[Array, "n 3"]
     faces: Int32[Array, "m 3"]
@@ -130,10 +127,7 @@ def _fans(
     outlines: dict[int, dict[tuple[int, int], list[int]]],
     vertices: Float64[Array, "n 3"],
 ) -> tuple[Int32[Array, "k 3"], Float64[Array, "j 3"]]:
-    """Replace each face with stepped sides by a fan about its middle.
-
-    Also gives the middles.
-    """
+    """Replace each face with stepped sides by a fan about its middle. Also gives the middles."""
     fans: list[list[int]] = []
     middles: list[Float64[Array, 3]] = []
     for face, stepped in outlines.items():

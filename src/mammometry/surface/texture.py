@@ -101,10 +101,7 @@ def view_samples(
 
 
 def read_ahead(photographs: Mapping[str, Photograph], names: Sequence[str]) -> Iterator[Photograph]:
-    """The photographs one by one.
-
-    While one is worked on, the next is read.
-    """
+    """The photographs one by one. While one is worked on, the next is read."""
     with ThreadPoolExecutor(1) as reader:
         waiting = [reader.submit(photographs.__getitem__, name) for name in names[:1]]
         for following in [*names[1:], None]:

@@ -22,9 +22,7 @@ def facing(
     least_cosine: float,
     sharpness: float,
 ) -> tuple[Float32[Array, " n"], Float64[Array, "n 3"]]:
-    """Weight of one photograph at each vertex, and its place there.
-
-    As if nothing stood between.
+    """Weight of one photograph at each vertex, and its place there. As if nothing stood between.
 
     Args:
         vertices: world frame, mm.

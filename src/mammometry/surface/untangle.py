@@ -64,10 +64,7 @@ def _with_rings(chosen: Bool[Array, " n"], faces: Int32[Array, "m 3"], rings: in
 
 
 def touching(chosen: Bool[Array, " n"], faces: Int32[Array, "m 3"]) -> Bool[Array, " m"]:
-    """Faces with any of the vertices chosen.
-
-    Column by column, for a reduction over three values is slow.
-    """
+    """Faces with any of the vertices chosen. Column by column, for a reduction over three values is slow."""
     a, b, c = faces.T
     touched: Bool[Array, " m"] = chosen[a] | chosen[b] | chosen[c]
     return touched

@@ -37,10 +37,7 @@ class View(NamedTuple):
 
 
 def view_row(camera: Camera, shape_hw: tuple[int, ...], start: int) -> Float64[Array, 24]:
-    """Pack a camera, its picture's size, and its first pixel's place.
-
-    Size is height and width.
-    """
+    """Pack a camera, its picture's size, and its first pixel's place. Size is height and width."""
     pose = camera.camera_from_world
     return np.concatenate(
         [

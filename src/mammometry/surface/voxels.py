@@ -54,10 +54,7 @@ class BlockGrid:
             object.__setattr__(self, field, read_only(getattr(self, field)))
 
     def dense(self, low: Int64[Array, 3], high: Int64[Array, 3]) -> Float32[Array, "x y z"]:
-        """Values of the blocks low ≤ block < high as one array.
-
-        Blocks beyond the grid are outside.
-        """
+        """Values of the blocks low ≤ block < high as one array. Blocks beyond the grid are outside."""
         return _dense(self.index, self.outside, self.values, self.truncation_mm, low, high)
 
 
@@ -152,10 +149,7 @@ def _dense(
     low: Int64[Array, 3],
     high: Int64[Array, 3],
 ) -> Float32[Array, "x8 y8 z8"]:
-    """Values of the blocks low ≤ block < high as one array.
-
-    Blocks beyond the grid are outside.
-    """
+    """Values of the blocks low ≤ block < high as one array. Blocks beyond the grid are outside."""
     window = tuple(slice(max(a, 0), b) for a, b in zip(low, high, strict=True))
     pads = [(max(-a, 0), max(b - n, 0)) for a, b, n in zip(low, high, index.shape, strict=True)]
     index = np.pad(index[window], pads, constant_values=-1)

@@ -1,7 +1,4 @@
-"""The observed network as a least-squares problem.
-
-Whitened reprojection errors, Huber's loss, priors.
-"""
+"""The observed network as a least-squares problem. Whitened reprojection errors, Huber's loss, priors."""
 
 from __future__ import annotations
 
@@ -51,10 +48,7 @@ class Adjustment:
     """Whitened residual length beyond which the loss grows linearly. Infinite for plain least squares."""
 
     def cost(self, state: State) -> float:
-        """Half the sum of the loss.
-
-        Infinite if a point that takes part lies behind its camera.
-        """
+        """Half the sum of the loss. Infinite if a point that takes part lies behind its camera."""
         residual_px, depth = residuals(self.network, state)
         if (depth[self.active] <= 0).any():
             return float("inf")
@@ -65,10 +59,7 @@ class Adjustment:
         return 0.5 * float(loss.sum()) + 0.5 * prior
 
     def normal_equations(self, state: State) -> NormalEquations:
-        """Gauss–Newton matrix and gradient, the loss by reweighting.
-
-        Held parameters are ones on the diagonal.
-        """
+        """Gauss–Newton matrix and gradient, the loss by reweighting. Held parameters are ones on the diagonal."""
         network = self.network
         size, free = network.pose_count, network.free_points
         matrix, gradient = np.zeros((size, size)), np.zeros(size)

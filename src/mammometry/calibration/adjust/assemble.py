@@ -105,10 +105,7 @@ def network_of(
 
 
 def held_at_first(network: Network, priors: Mapping[str, CameraPrior]) -> Bool[Array, " p"]:
-    """Parameters that keep their values.
-
-    The world's placement, what priors fix, and k3 at first.
-    """
+    """Parameters that keep their values. The world's placement, what priors fix, and k3 at first."""
     held = np.zeros(network.pose_count, bool)
     held[network.columns_of_station(0)] = True
     held[network.columns_of_intrinsic("k3")] = True

@@ -34,10 +34,7 @@ class ParameterCovariance:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SetAside:
-    """A view left out as a whole.
-
-    It is a picture of another pose, or a camera or target moved.
-    """
+    """A view left out as a whole. It is a picture of another pose, or a camera or target moved."""
 
     camera: str
     pose: str

@@ -226,10 +226,7 @@ def _intrinsics(camera: str, source: Observations, views: Sequence[Detection], m
 def _from_flat(
     camera: str, points: Float64[Array, "n 3"], views: Sequence[Detection], size_wh: tuple[int, int]
 ) -> tuple[Float64[Array, 10], Float64[Array, " v"]]:
-    """Zhang's method as OpenCV has it: aspect fixed, no tangential terms.
-
-    And each view's RMS, px.
-    """
+    """Zhang's method as OpenCV has it: aspect fixed, no tangential terms. And each view's RMS, px."""
     flags = cv2.CALIB_FIX_ASPECT_RATIO | cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_K3
     try:
         with _one_opencv_thread():  # several would add up their sums in the order in which they finish
@@ -253,10 +250,7 @@ def _from_flat(
 
 @contextmanager
 def _one_opencv_thread() -> Iterator[None]:
-    """Limit OpenCV to one thread, so that sums are reproducible.
-
-    They come out the same to the last bit.
-    """
+    """Limit OpenCV to one thread, so that sums are reproducible. They come out the same to the last bit."""
     with _THREAD_COUNT:
         before = cv2.getNumThreads()
         cv2.setNumThreads(1)
@@ -276,10 +270,7 @@ def _undetermined(camera: str, found: str) -> CalibrationError:
 
 
 def _direct_linear(camera: str, points: Float64[Array, "n 3"], uv: Float64[Array, "n 2"]) -> Float64[Array, 10]:
-    """Direct linear transformation from one view of a solid target.
-
-    Lens distortion zero.
-    """
+    """Direct linear transformation from one view of a solid target. Lens distortion zero."""
     centre, spread = points.mean(axis=0), float(points.std())
     middle, extent = uv.mean(axis=0), float(uv.std())
     ideal = np.column_stack([(points - centre) / spread, np.ones(len(points))])

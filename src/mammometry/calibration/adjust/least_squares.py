@@ -99,10 +99,7 @@ class NormalEquations:
 
 @runtime_checkable
 class Problem(Protocol[S]):
-    """Problem to minimise: half a sum of squares, or a robust cost.
-
-    The state may be of any kind.
-    """
+    """Problem to minimise: half a sum of squares, or a robust cost. The state may be of any kind."""
 
     def cost(self, state: S) -> float:
         """Half the (robust) sum of squares. Infinite where the state is impossible."""
@@ -171,9 +168,7 @@ def minimise(problem: Problem[S], start: S, *, max_iterations: int, tolerance: f
 
 
 def inverse(equations: NormalEquations) -> Float64[Array, "p p"]:
-    """Covariance of the coupled parameters, for observations of unit weight.
-
-    The triples are left out.
+    """Covariance of the coupled parameters, for observations of unit weight. The triples are left out.
 
     Raises:
         SingularNormalEquationsError: the matrix is not positive definite to working precision.

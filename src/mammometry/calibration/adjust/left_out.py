@@ -59,10 +59,7 @@ class LeftOut:
 
     @property
     def excess(self) -> float:
-        """`ratio` over `chance_ratio`: 1 where the model is right.
-
-        More where a pose errs as a whole.
-        """
+        """`ratio` over `chance_ratio`: 1 where the model is right. More where a pose errs as a whole."""
         return self.ratio / self.chance_ratio
 
 
@@ -126,10 +123,7 @@ def _left_out(solved: Solved, group: int) -> tuple[int, float, float] | None:
 
 
 def _adjusted_without(without: Adjustment, state: State, equations: NormalEquations) -> State:
-    """Take one Newton step from the minimum of all poses.
-
-    Minimise in full where the cost falls otherwise.
-    """
+    """Take one Newton step from the minimum of all poses. Minimise in full where the cost falls otherwise."""
     step = damped_step(equations.holding(without.held), _DAMPING)
     if step is not None:
         stepped = without.moved(state, step)
@@ -163,10 +157,7 @@ def _holding(problem: Adjustment, stations: Sequence[int]) -> Adjustment:
 
 
 def _placing(problem: Adjustment, members: Int64[Array, " v"], stations: Sequence[int]) -> Adjustment:
-    """Problem of these stations' placements alone.
-
-    Cameras and the target's points stay fixed.
-    """
+    """Problem of these stations' placements alone. Cameras and the target's points stay fixed."""
     network = problem.network.of_views(members.tolist())
     network = replace(network, prior_mm=np.full_like(network.prior_mm, np.inf))
     held = np.ones_like(problem.held)

@@ -22,10 +22,7 @@ POSE_NAMES_STATION = ("rotation_x_rad", "rotation_y_rad", "rotation_z_rad", "x_m
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Network:
-    """What was observed, flattened.
-
-    Views in order, their points one after the other.
-    """
+    """What was observed, flattened. Views in order, their points one after the other."""
 
     cameras: tuple[str, ...]
     stations: tuple[str, ...]
@@ -94,10 +91,7 @@ class Network:
         return len(self.cameras) * self.per_camera + 6 * station + np.arange(6)
 
     def columns_of_intrinsic(self, name: str) -> Int64[Array, " c"]:
-        """Which parameter is this intrinsic one of each camera.
-
-        Empty where the model has none.
-        """
+        """Which parameter is this intrinsic one of each camera. Empty where the model has none."""
         if name not in self.intrinsic_names:
             return np.empty(0, np.int64)
         return np.arange(len(self.cameras)) * self.per_camera + self.intrinsic_names.index(name)
@@ -170,8 +164,5 @@ def into_camera(network: Network, state: State, part: slice) -> tuple[Float64[Ar
 
 
 def before_camera(points_camera: Float64[Array, "n 3"], keep: Bool[Array, " n"]) -> Float64[Array, "n 3"]:
-    """Put points behind the camera onto its axis, unless kept.
-
-    Their depth is judged, not their image.
-    """
+    """Put points behind the camera onto its axis, unless kept. Their depth is judged, not their image."""
     return np.where(((points_camera[:, 2] <= 0) & ~keep)[:, None], (0.0, 0.0, 1.0), points_camera)

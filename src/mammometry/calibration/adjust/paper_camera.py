@@ -42,10 +42,7 @@ class PaperCamera:
 
     @classmethod
     def of(cls, camera: Camera) -> PaperCamera | None:
-        """The camera's eleven parameters.
-
-        None where it has more: another focal length along y, p1, p2 or k3.
-        """
+        """The camera's eleven parameters. None where it has more: another focal length along y, p1, p2 or k3."""
         f_px, fy_px = float(camera.matrix[0, 0]), float(camera.matrix[1, 1])
         if f_px != fy_px or np.any(camera.distortion[2:]):
             return None

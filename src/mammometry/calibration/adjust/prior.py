@@ -46,10 +46,7 @@ class CameraPrior:
 
     @property
     def intrinsics_std(self) -> Float64[Array, 10]:
-        """Standard deviations of the intrinsics' pull.
-
-        Infinite if free, or fixed and in need of none.
-        """
+        """Standard deviations of the intrinsics' pull. Infinite if free, or fixed and in need of none."""
         return np.array([self.std.get(name) or np.inf for name in INTRINSIC_NAMES])
 
     @property

@@ -44,10 +44,7 @@ def project(points_camera: Float64[Array, "n 3"], intrinsics: Float64[Array, "n 
 
 
 def project_with_derivatives(points_camera: Float64[Array, "n 3"], intrinsics: Float64[Array, "n 10"]) -> Projection:
-    """Project as `project` does, with analytic derivatives.
-
-    They are by the point and by the intrinsics.
-    """
+    """Project as `project` does, with analytic derivatives. They are by the point and by the intrinsics."""
     fx, fy, skew = intrinsics[:, 0], intrinsics[:, 1], intrinsics[:, 9]
     coefficients = intrinsics.T[4:9]
     inverse_z = 1.0 / points_camera[:, 2]

@@ -83,10 +83,7 @@ def bad_views(network: Network, state: State, ratio: float, least_px: float) -> 
 
 
 def robust_sigma(lengths: Float64[Array, " n"]) -> float:
-    """Standard deviation per coordinate of two-dimensional residuals.
-
-    From the median of their lengths.
-    """
+    """Standard deviation per coordinate of two-dimensional residuals. From the median of their lengths."""
     return float(np.median(lengths)) / RAYLEIGH_MEDIAN
 
 

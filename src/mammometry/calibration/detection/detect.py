@@ -204,10 +204,7 @@ def _look_or_explain(photograph: Photograph, target: Target, settings: DetectSet
 
 
 def detection_of(found: FoundPoints, settings: DetectSettings, *, camera: str, pose: str) -> Detection | None:
-    """Name what was found after its camera and pose.
-
-    None for fewer than ``settings.min_points`` points.
-    """
+    """Name what was found after its camera and pose. None for fewer than ``settings.min_points`` points."""
     if len(found.ids) < settings.min_points:
         return None
     return _named(found, settings, camera, pose)

@@ -1,7 +1,4 @@
-"""Find duplicate photographs.
-
-Two exposures never agree to hundredths of a pixel everywhere.
-"""
+"""Find duplicate photographs. Two exposures never agree to hundredths of a pixel everywhere."""
 
 from __future__ import annotations
 
@@ -66,10 +63,7 @@ def _stood_still(observations: Observations, a: Detection, b: Detection) -> bool
 
 
 def _distance_px(a: Detection, b: Detection) -> float:
-    """Median distance of the points that both have.
-
-    Infinite where they are hardly the same points.
-    """
+    """Median distance of the points that both have. Infinite where they are hardly the same points."""
     _, i, j = np.intersect1d(a.ids, b.ids, assume_unique=True, return_indices=True)
     if len(i) < _COMMON * max(len(a.ids), len(b.ids)) or not len(i):
         return float("inf")

@@ -18,10 +18,7 @@ from mammometry.geometry.arrays import Array, Float64, Int64, read_only
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MeasuredPoints:
-    """Image points of one photograph from a table, not yet checked.
-
-    The check is against a target.
-    """
+    """Image points of one photograph from a table, not yet checked. The check is against a target."""
 
     name: str
     """What to call the table in messages, e.g. ``calibration/00/front_left.csv``."""

@@ -28,10 +28,7 @@ _RIDGE = 1e-6
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class BoardMap:
-    """A smooth map between the board's plane, mm, and the photograph, pixels.
-
-    Both ways.
-    """
+    """A smooth map between the board's plane, mm, and the photograph, pixels. Both ways."""
 
     ideal_from_board: Float64[Array, "3 3"]
     """Homography to ideal pixels, those of a lens without distortion."""
@@ -54,10 +51,7 @@ class BoardMap:
         return _project(np.linalg.inv(self.ideal_from_board), ideal)
 
     def jacobian(self, board_mm: Float64[Array, "n 2"], step_mm: float = 0.5) -> Float64[Array, "n 2 2"]:
-        """Derivative of uv by board coordinates, pixels per mm.
-
-        Column j belongs to board axis j.
-        """
+        """Derivative of uv by board coordinates, pixels per mm. Column j belongs to board axis j."""
         steps = np.eye(2) * step_mm
         columns = [(self.image(board_mm + step) - self.image(board_mm - step)) / (2 * step_mm) for step in steps]
         return np.stack(columns, axis=-1)

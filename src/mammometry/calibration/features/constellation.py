@@ -149,10 +149,7 @@ def _triples(points: Float64[Array, "n 3"]) -> Int64[Array, "t 3"]:
 def _orthographic(
     points: Float64[Array, "n 3"], triples: Int64[Array, "t 3"], uv: Float64[Array, "3 2"]
 ) -> Float64[Array, "s 3 4"]:
-    """Both scaled orthographic cameras of each triple.
-
-    Rows u, v and depth (pixels) of homogeneous points.
-    """
+    """Both scaled orthographic cameras of each triple. Rows u, v and depth (pixels) of homogeneous points."""
     origin, w1 = points[triples[:, 0]], points[triples[:, 1]] - points[triples[:, 0]]
     w2 = points[triples[:, 2]] - origin
     d1, d2 = uv[1] - uv[0], uv[2] - uv[0]
@@ -188,10 +185,7 @@ def _local_scores(
     spacing: Float64[Array, " m"],
     tree: cKDTree,
 ) -> Float64[Array, " s"]:
-    """Number of points around each triple that fall on dots.
-
-    Nearness adds a little.
-    """
+    """Number of points around each triple that fall on dots. Nearness adds a little."""
     around = np.asarray(cKDTree(points).query(points, k=min(_AROUND, len(points)))[1])
     first = np.tile(triples[:, 0], 2)
     nearby = points[around[first]]

@@ -71,9 +71,7 @@ def fit_windows(
     blank_half_mm: Float64[Array, " n"],
     sigma_px: float,
 ) -> Float64[Array, "n 16"]:
-    """Gauss–Newton of the corner's model, one corner after the other.
-
-    See `RESULTS` for what is returned.
+    """Gauss–Newton of the corner's model, one corner after the other. See `RESULTS` for what is returned.
 
     Args:
         linear: the photograph in linear light.
@@ -155,10 +153,7 @@ def _select(  # type: ignore[no-untyped-def]  # compiled: types are those of `fi
 
 @kernel
 def _fit(pixels, used, sigma_px, out):  # type: ignore[no-untyped-def]
-    """Photometric terms first, while those of the shape are zero.
-
-    Then all nine until the step is small.
-    """
+    """Photometric terms first, while those of the shape are zero. Then all nine until the step is small."""
     shift_u, shift_v, sigma = 0.0, 0.0, sigma_px
     solution = np.zeros(_TERMS)
     normal, inverse, right = np.empty((_TERMS, _TERMS)), np.empty((_TERMS, _TERMS)), np.empty(_TERMS)
@@ -222,9 +217,7 @@ def _invert(matrix, ridge, inverse):  # type: ignore[no-untyped-def]
 
 @fast_kernel
 def _fill_terms(pixels, first, count, shape, last, terms):  # type: ignore[no-untyped-def]
-    """Derivatives of the model by its nine terms at some pixels.
-
-    The last row holds the pixels' values.
+    """Derivatives of the model by its nine terms at some pixels. The last row holds the pixels' values.
 
     Written without calls, and into rows at fixed distances, so that the compiler makes vectors of it. exp(−z) is the
     sixteenth power of 1 / e^(z / 16), that by its series: right to 1e-8 where it matters. The error function follows

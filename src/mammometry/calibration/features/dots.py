@@ -95,10 +95,7 @@ def measure_dots(
 def area_centroids(
     to_image: ToImage, centres_mm: Float64[Array, "n 2"], shape: Literal["disc", "square"], half_mm: float
 ) -> Float64[Array, "n 2"]:
-    """Centroids of the pictures of dots, pixels.
-
-    Gauss quadrature of the map over the dot's area.
-    """
+    """Centroids of the pictures of dots, pixels. Gauss quadrature of the map over the dot's area."""
     node, weight = np.polynomial.legendre.leggauss(_QUADRATURE)
     if shape == "square":
         offsets = np.stack(np.meshgrid(node, node), axis=-1).reshape(-1, 2)

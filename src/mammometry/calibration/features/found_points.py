@@ -1,7 +1,4 @@
-"""What a detector returns for one photograph.
-
-It knows neither camera nor pose.
-"""
+"""What a detector returns for one photograph. It knows neither camera nor pose."""
 
 from __future__ import annotations
 

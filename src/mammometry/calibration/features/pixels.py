@@ -39,18 +39,12 @@ def reduced(grey: UInt8[Array, "h w"], width_px: int) -> tuple[UInt8[Array, "p q
 
 
 def enlarge(uv: Float64[Array, "*n 2"], scale: Float64[Array, 2]) -> Float64[Array, "*n 2"]:
-    """Original pixels of reduced pixels: ``(x + ½) · s − ½``.
-
-    Integers are at pixel centres.
-    """
+    """Original pixels of reduced pixels: ``(x + ½) · s − ½``. Integers are at pixel centres."""
     return (uv + 0.5) * scale - 0.5
 
 
 def linear_luma(photograph: Photograph) -> Float32[Array, "h w"]:
-    """Rec. 709 luminance in linear light, 0…1.
-
-    There a blurred edge is symmetric about its place.
-    """
+    """Rec. 709 luminance in linear light, 0…1. There a blurred edge is symmetric about its place."""
     if photograph.pixels.dtype == np.uint8:
         # The same values as Photograph.linear(), by look-up: ten times as fast, and no picture in between.
         levels = Photograph(name=photograph.name, pixels=np.arange(256, dtype=np.uint8)[None]).linear()[0]

@@ -253,10 +253,7 @@ def _start(camera: Camera, detection: Detection, points: Float64[Array, "p 3"]) 
 
 
 def _nearest_to_all(seen: Sequence[Sighting]) -> dict[str, Transform]:
-    """Sighting of each exposure that is nearest to the others.
-
-    A moved camera does not pull it.
-    """
+    """Sighting of each exposure that is nearest to the others. A moved camera does not pull it."""
     placed = {}
     for pose in sorted({one.pose for one in seen}):
         views = [one for one in seen if one.pose == pose]

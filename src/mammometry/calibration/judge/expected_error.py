@@ -143,10 +143,7 @@ def derivatives(
 
 
 def _without_similarity(points: Float64[Array, "n 3"], moved: Float64[Array, "n 3 p"]) -> Float64[Array, "n 3 p"]:
-    """Remove the best motion, turn and scale from the points' shifts.
-
-    For each parameter.
-    """
+    """Remove the best motion, turn and scale from the points' shifts. For each parameter."""
     centred = points - points.mean(axis=0)
     turns = np.cross(np.eye(3)[None], centred[:, None, :]).transpose(0, 2, 1)  # axis × point, column by column
     whole = np.concatenate([turns, np.tile(np.eye(3), (len(points), 1, 1)), centred[:, :, None]], axis=2).reshape(-1, 7)

@@ -226,10 +226,7 @@ def about_left_out(calibration: Calibration, settings: QualitySettings) -> Itera
 
 
 def about_scale(calibration: Calibration) -> Iterator[Finding]:
-    """Report how well all lengths are known.
-
-    No residual shows a print of another scale.
-    """
+    """Report how well all lengths are known. No residual shows a print of another scale."""
     name, stated_mm = calibration.observations.target.stated_size
     sizes = calibrated_sizes(calibration)
     if rare := [size for size in sizes if not size.is_usual()]:

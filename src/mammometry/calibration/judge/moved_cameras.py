@@ -50,10 +50,7 @@ class Motion:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Agreement:
-    """Sightings and the motions that would make them agree.
-
-    Linear about the placements.
-    """
+    """Sightings and the motions that would make them agree. Linear about the placements."""
 
     seen: tuple[Sighting, ...]
     cameras: tuple[str, ...]
@@ -63,9 +60,7 @@ class Agreement:
     """Covariance of the sightings' twists, six each, in their order."""
 
     def explanations(self, chance: float) -> list[tuple[str, ...]]:
-        """Find the fewest cameras whose motion explains all.
-
-        Several sets, best first, where each does.
+        """Find the fewest cameras whose motion explains all. Several sets, best first, where each does.
 
         Args:
             chance: probability below which a disagreement is not taken for noise.
@@ -92,10 +87,7 @@ class Agreement:
         }
 
     def motion(self, camera: Camera, moved: Sequence[str], chance: float) -> Motion:
-        """Motion of a camera against those that stood still.
-
-        The camera itself is not counted among them.
-        """
+        """Motion of a camera against those that stood still. The camera itself is not counted among them."""
         others = (*(name for name in moved if name != camera.name), camera.name)
         unknown, covariance, *_ = self._solved(others)
         motion = as_motion(-unknown[-6:]).inverse()  # exact for one exposure, however far it moved

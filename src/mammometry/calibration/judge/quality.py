@@ -146,10 +146,7 @@ def _rms_mm(calibration: Calibration) -> float:
 
 
 def _coverage(calibration: Calibration, name: str) -> float:
-    """Share of grid cells in which the camera saw an active point.
-
-    Its separate photographs are included.
-    """
+    """Share of grid cells in which the camera saw an active point. Its separate photographs are included."""
     seen = list(zip(calibration.observations.detections, calibration.residuals_px, strict=True))
     if name in calibration.intrinsics_observations:
         separate = calibration.intrinsics_observations[name].detections

@@ -1,7 +1,4 @@
-"""The target as a pair reconstructs it, mm.
-
-This is an independent check of a calibration.
-"""
+"""The target as a pair reconstructs it, mm. This is an independent check of a calibration."""
 
 from __future__ import annotations
 
@@ -47,10 +44,7 @@ class MovedPair:
 
 
 def moved_pair(pair: StereoPair, left: Camera, right: Camera, points_world: Float64[Array, "n 3"]) -> MovedPair | None:
-    """Points measured by a pair whose true cameras are `left` and `right`.
-
-    None if it sees too few.
-    """
+    """Points measured by a pair whose true cameras are `left` and `right`. None if it sees too few."""
     uv = [camera.project(points_world) for camera in (left, right)]
     seen = np.ones(len(points_world), bool)
     for camera, at in zip((left, right), uv, strict=True):
@@ -124,10 +118,7 @@ def _pooled(rms: list[float], weights: list[int]) -> float:
 
 
 def _aligned(nominal: Float64[Array, "n 3"], points: Float64[Array, "n 3"]) -> tuple[float, float]:
-    """Scale of `points` over `nominal`, and aligned RMS distance, mm.
-
-    Rigid alignment (Kabsch, Umeyama).
-    """
+    """Scale of `points` over `nominal`, and aligned RMS distance, mm. Rigid alignment (Kabsch, Umeyama)."""
     a, b = nominal - nominal.mean(axis=0), points - points.mean(axis=0)
     u, values, vt = np.linalg.svd(b.T @ a)
     sign = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])

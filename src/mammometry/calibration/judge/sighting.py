@@ -139,10 +139,7 @@ def sight(
 
 
 def sightings(calibration: Calibration) -> tuple[Sighting, ...]:
-    """Each view of a calibration by itself, about the adjusted placement.
-
-    Only points that took part.
-    """
+    """Each view of a calibration by itself, about the adjusted placement. Only points that took part."""
     found = []
     for detection, residual_px in zip(calibration.observations.detections, calibration.residuals_px, strict=True):
         good = np.isfinite(residual_px).all(axis=1)
@@ -166,9 +163,7 @@ def sightings(calibration: Calibration) -> tuple[Sighting, ...]:
 def covariance_of(
     seen: Sequence[Sighting], cameras: ParameterCovariance | None, *, inflation: float = 1.0
 ) -> Float64[Array, "s s"]:
-    """Joint covariance of the sightings' twists, six each.
-
-    Their own noise, and the cameras' calibration.
+    """Joint covariance of the sightings' twists, six each. Their own noise, and the cameras' calibration.
 
     Args:
         seen: the sightings.

@@ -28,10 +28,7 @@ _UNDETERMINED = 1e-9
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Movement:
-    """One or two cameras that moved relative to the others.
-
-    From one pose on, or in one pose only.
-    """
+    """One or two cameras that moved relative to the others. From one pose on, or in one pose only."""
 
     cameras: tuple[str, ...]
     """One camera. Or both of a pair, which an unsteadily held target also looks like."""
@@ -104,10 +101,7 @@ def movements(calibration: Calibration, seen: Sequence[Sighting], least_sigma: f
 def _suspicions(
     pair_names: Mapping[str, tuple[str, str]], seen: Sequence[Sighting], poses: Sequence[str]
 ) -> Iterator[_Suspicion]:
-    """A camera from one pose on.
-
-    A camera, or a pair, in one pose only.
-    """
+    """A camera from one pose on. A camera, or a pair, in one pose only."""
     for camera in dict.fromkeys(one.camera for one in seen):
         mine = [pose for pose in poses if any((one.camera, one.pose) == (camera, pose) for one in seen)]
         for k, pose in enumerate(mine):

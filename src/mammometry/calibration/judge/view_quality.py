@@ -35,10 +35,7 @@ class ViewQuality:
 
 
 def view_qualities(calibration: Calibration) -> tuple[ViewQuality, ...]:
-    """All views in the order of the detections.
-
-    Residuals are formed again with the finished cameras.
-    """
+    """All views in the order of the detections. Residuals are formed again with the finished cameras."""
     pairs = zip(calibration.observations.detections, calibration.residuals_px, strict=True)
     return tuple(_view_quality(calibration, detection, residual_px) for detection, residual_px in pairs)
 
@@ -63,10 +60,7 @@ def sees_badly(calibration: Calibration, camera: str, pose: str) -> bool:
 
 
 def pooled_rms(views: Sequence[ViewQuality]) -> float:
-    """RMS over all points of the views that took part, px.
-
-    NaN where none did.
-    """
+    """RMS over all points of the views that took part, px. NaN where none did."""
     used = np.array([view.points - view.rejected for view in views], float)
     squares = np.nan_to_num([view.rms_px for view in views]) ** 2
     return float(np.sqrt(used @ squares / used.sum())) if used.sum() else float("nan")

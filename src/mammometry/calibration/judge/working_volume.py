@@ -1,7 +1,4 @@
-"""Working volume: points seen by both cameras of some pair.
-
-They are where the target was held.
-"""
+"""Working volume: points seen by both cameras of some pair. They are where the target was held."""
 
 from __future__ import annotations
 
@@ -43,10 +40,7 @@ class WorkingVolume:
 
     @property
     def coverage(self) -> float:
-        """Share of what is seen that was shown.
-
-        NaN where no pair sees anything.
-        """
+        """Share of what is seen that was shown. NaN where no pair sees anything."""
         return float(self.shown[self.seen].mean()) if self.seen.any() else float("nan")
 
 
@@ -75,10 +69,7 @@ def middle_world(rig: Rig) -> Float64[Array, 3]:
 
 
 def meeting_point(rig: Rig) -> Float64[Array, 3]:
-    """Find the point nearest to all optical axes, world, mm.
-
-    For parallel ones near the cameras' mean.
-    """
+    """Find the point nearest to all optical axes, world, mm. For parallel ones near the cameras' mean."""
     centres = np.stack([camera.centre_world for camera in rig.cameras.values()])
     across = np.stack([np.eye(3) - np.outer(c.axis_world, c.axis_world) for c in rig.cameras.values()])
     weak = 1e-6 * np.eye(3)

@@ -26,10 +26,7 @@ class Shot:
 
 
 def true_shot(calibration: Calibration, detection: Detection) -> Shot | None:
-    """Find the camera and pose that a misfitting view really shows.
-
-    None if none is known.
-    """
+    """Find the camera and pose that a misfitting view really shows. None if none is known."""
     least, found = np.inf, None
     for pose, placed in calibration.world_from_target.items():
         points = placed.apply(calibration.target_points[detection.ids])

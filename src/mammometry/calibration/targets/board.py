@@ -20,10 +20,7 @@ LEAST_SQUARES = 3
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Board(Target):
-    """A flat print that is moved about.
-
-    Frame: x right, y down, z into the board, mm.
-    """
+    """A flat print that is moved about. Frame: x right, y down, z into the board, mm."""
 
     may_be_cropped: ClassVar[bool] = False
     """Whether a part of it in the picture suffices to identify its points."""
@@ -44,10 +41,7 @@ class Board(Target):
     @property
     @abstractmethod
     def extent_mm(self) -> Float64[Array, "2 2"]:
-        """First and last printed corner (x, y), board frame, mm.
-
-        The white border is outside.
-        """
+        """First and last printed corner (x, y), board frame, mm. The white border is outside."""
 
     @property
     def scale_std(self) -> float | None:
@@ -64,9 +58,7 @@ class Board(Target):
 
     @property
     def pattern(self) -> Pattern | None:
-        """What is printed, as a regular pattern.
-
-        None where it is none.
+        """What is printed, as a regular pattern. None where it is none.
 
         Raises:
             SessionError: there is no marker dictionary of the target's name.

@@ -52,10 +52,7 @@ class Body(ABC):
 
     @property
     def looks_alike_turned(self) -> bool:
-        """Whether half a turn gives the same picture.
-
-        Then only its direction in the picture decides.
-        """
+        """Whether half a turn gives the same picture. Then only its direction in the picture decides."""
         return False
 
     @property

@@ -39,9 +39,7 @@ class CharucoTarget(SquaresBoard):
     def find(
         self, photograph: Photograph, *, search_width_px: int, window_squares: float
     ) -> FoundPoints | Cause | None:
-        """Find the corners.
-
-        See `find_charuco`.
+        """Find the corners. See `find_charuco`.
 
         Raises:
             SessionError: there is no dictionary of the target's name.

@@ -67,10 +67,7 @@ class CirclesTarget(Board):
 
     @property
     def edge_mm(self) -> float:
-        """Length of the pattern along x, mm.
-
-        From the first column's centres to the last one's.
-        """
+        """Length of the pattern along x, mm. From the first column's centres to the last one's."""
         return float(np.ptp(self.points_target[:, 0]))
 
     @property

@@ -73,10 +73,7 @@ class DottedCylinderTarget(Target):
 
     @property
     def closes(self) -> bool:
-        """Whether the columns go all the way round.
-
-        Then the last is the first one's neighbour.
-        """
+        """Whether the columns go all the way round. Then the last is the first one's neighbour."""
         girth_mm = 2 * math.pi * self.radius_mm
         return abs(self.dots[1] * self.column_pitch_mm - girth_mm) < _CLOSING_PITCH * self.column_pitch_mm
 
@@ -101,10 +98,7 @@ class DottedCylinderTarget(Target):
     def find(
         self, photograph: Photograph, *, search_width_px: int, window_squares: float
     ) -> FoundPoints | Cause | None:
-        """Find the dots, their columns counted from the first one seen.
-
-        See `find_cylinder`.
-        """
+        """Find the dots, their columns counted from the first one seen. See `find_cylinder`."""
         from mammometry.calibration.targets.find_cylinder import find_cylinder
 
         return find_cylinder(photograph, self, search_width_px=search_width_px)

@@ -1,7 +1,4 @@
-"""The dotted cylinder as a solid: a tube with lids.
-
-Rays meet it exactly.
-"""
+"""The dotted cylinder as a solid: a tube with lids. Rays meet it exactly."""
 
 from __future__ import annotations
 
@@ -34,10 +31,7 @@ _DOT_SHARE = 0.5
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CylinderBody(Body):
-    """A white tube with dots and labels.
-
-    Its labels are random cells, others than on the printed sheet.
-    """
+    """A white tube with dots and labels. Its labels are random cells, others than on the printed sheet."""
 
     attitude: ClassVar[Literal["facing", "upright", "any"]] = "upright"
 
@@ -112,10 +106,7 @@ class CylinderBody(Body):
         return np.asarray(dark)
 
     def _label_dark(self, column: Array, across: Array, above: Array) -> Array:
-        """Whether places beyond the last row are ink.
-
-        Each column has its own random square of cells.
-        """
+        """Whether places beyond the last row are ink. Each column has its own random square of cells."""
         columns = self.target.dots[1]
         cells = np.random.default_rng(columns).random((columns, _LABEL_CELLS, _LABEL_CELLS)) < 0.5
         low, high = _LABEL_ROWS

@@ -99,10 +99,7 @@ def _within_target(
 
 
 def _best_offset(a: CylinderView, b: CylinderView, around: int | None) -> tuple[int, float]:
-    """Offset of column 0 of `b` in columns of `a`, and score.
-
-    The score is 0 if it is not sure.
-    """
+    """Offset of column 0 of `b` in columns of `a`, and score. The score is 0 if it is not sure."""
     samples = len(a.labels)
     width_a, width_b = a.labels.shape[1] // samples, b.labels.shape[1] // samples
     scores: dict[int, float] = {}
@@ -122,10 +119,7 @@ def _best_offset(a: CylinderView, b: CylinderView, around: int | None) -> tuple[
 
 
 def _correlate(a: CylinderView, b: CylinderView, shift: int) -> float:
-    """Weighted correlation of the strips where both are seen.
-
-    The best within ± `_WIGGLE` samples.
-    """
+    """Weighted correlation of the strips where both are seen. The best within ± `_WIGGLE` samples."""
     best = -1.0
     for small in range(-_WIGGLE, _WIGGLE + 1):
         first_a, first_b = max(shift + small, 0), max(-shift - small, 0)

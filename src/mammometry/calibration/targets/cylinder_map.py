@@ -45,10 +45,7 @@ class CylinderMap:
         return ideal + monomials((ideal - self.centre_px) / self.scale_px) @ self.to_distorted
 
     def jacobian(self, unrolled_mm: Float64[Array, "*n 2"], step_mm: float = 0.2) -> Float64[Array, "*n 2 2"]:
-        """Derivative of uv by unrolled coordinates, pixels per mm.
-
-        Column j belongs to coordinate j.
-        """
+        """Derivative of uv by unrolled coordinates, pixels per mm. Column j belongs to coordinate j."""
         steps = np.eye(2) * step_mm
         columns = [(self.image(unrolled_mm + step) - self.image(unrolled_mm - step)) / (2 * step_mm) for step in steps]
         return np.stack(columns, axis=-1)
@@ -104,10 +101,7 @@ def fit_cylinder_map(
 
 
 def _direct_linear(points: Float64[Array, "n 3"], uv: Float64[Array, "n 2"]) -> Float64[Array, "3 4"]:
-    """Projective camera by the normalised direct linear transform.
-
-    Positive depth, unit third row.
-    """
+    """Projective camera by the normalised direct linear transform. Positive depth, unit third row."""
     middle, spread = points.mean(axis=0), float(np.abs(points - points.mean(axis=0)).max())
     centre, scale = uv.mean(axis=0), float(np.abs(uv - uv.mean(axis=0)).max())
     homogeneous = np.column_stack([(points - middle) / spread, np.ones(len(points))])

@@ -1,7 +1,4 @@
-"""Find ChArUco boards by their markers and measure their corners.
-
-The model fit measures the corners.
-"""
+"""Find ChArUco boards by their markers and measure their corners. The model fit measures the corners."""
 
 from __future__ import annotations
 

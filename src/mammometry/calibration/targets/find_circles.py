@@ -83,10 +83,7 @@ def _search(small: UInt8[Array, "h w"], target: CirclesTarget) -> Float64[Array,
 def _orient(
     grid: Float64[Array, "r c 2"], centres_mm: Float64[Array, "n 2"], target: CirclesTarget, tolerance_px: float
 ) -> BoardMap | None:
-    """Map of the reading order that fits.
-
-    Of several, the one whose x axis points most to the right.
-    """
+    """Map of the reading order that fits. Of several, the one whose x axis points most to the right."""
     orders = [grid, grid[::-1], grid[:, ::-1], grid[::-1, ::-1]]
     if target.grid[0] == target.grid[1] and not target.asymmetric:
         orders += [order.transpose(1, 0, 2) for order in orders]

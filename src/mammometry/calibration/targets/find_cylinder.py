@@ -1,7 +1,4 @@
-"""Find a dotted cylinder in one photograph.
-
-Columns are counted from the first one seen.
-"""
+"""Find a dotted cylinder in one photograph. Columns are counted from the first one seen."""
 
 from __future__ import annotations
 
@@ -44,10 +41,7 @@ _STRIP_SAMPLES = 24
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CylinderView(FoundPoints):
-    """The dots in one photograph.
-
-    Columns count from 0 at the leftmost dot that faces the camera.
-    """
+    """The dots in one photograph. Columns count from 0 at the leftmost dot that faces the camera."""
 
     target: DottedCylinderTarget
     columns: Int64[Array, " n"]
@@ -60,10 +54,7 @@ class CylinderView(FoundPoints):
     """Column, in this view's numbering, with its dots in the middle of the strip's first `_STRIP_SAMPLES`."""
 
     def starting_at(self, first_column: int) -> FoundPoints:
-        """Dots by their final ids, given the number of column 0.
-
-        Column 0 is this view's.
-        """
+        """Dots by their final ids, given the number of column 0. Column 0 is this view's."""
         around = self.target.dots[1]
         ids = self.ids // around * around + (first_column + self.columns) % around
         order = np.argsort(ids)

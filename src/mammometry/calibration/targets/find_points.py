@@ -1,7 +1,4 @@
-"""Find a surveyed target of round dots by its constellation.
-
-The dots are measured as discs.
-"""
+"""Find a surveyed target of round dots by its constellation. The dots are measured as discs."""
 
 from __future__ import annotations
 

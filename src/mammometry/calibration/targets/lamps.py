@@ -37,10 +37,7 @@ class LampStrip:
 
     @property
     def period_ms(self) -> float:
-        """After which the counter begins again.
-
-        Moments are known but for whole periods.
-        """
+        """After which the counter begins again. Moments are known but for whole periods."""
         return self.tick_ms * 2**self.bits
 
     def places_mm(self, board: Board) -> Float64[Array, "l 3"]:
@@ -54,9 +51,7 @@ class LampStrip:
         return np.stack([x, np.full(count, bottom + self.below_mm), np.zeros(count)], axis=1)
 
     def lit_share(self, begin_ms: Float64[Array, " n"], exposure_ms: float) -> Float64[Array, "n bits"]:
-        """Share of an exposure for which each lamp is lit.
-
-        The highest bit comes first.
+        """Share of an exposure for which each lamp is lit. The highest bit comes first.
 
         Args:
             begin_ms: when the exposure begins, after the counter's 0.

@@ -48,9 +48,7 @@ _MM_PER_INCH = 25.4  # by definition; matplotlib sizes pages in inches
 
 
 def target_pdf(target: Target, *, page: str = "fit", margin_mm: float = 10.0) -> bytes:
-    """Draw a board at true scale.
-
-    Returns the PDF file's content.
+    """Draw a board at true scale. Returns the PDF file's content.
 
     Args:
         target: of any kind that is printed: a board, or the sheet to wrap round a dotted cylinder.
@@ -112,10 +110,7 @@ def _draw(sheet: Sheet, caption: str, page_mm: tuple[float, float], corner_mm: C
 
 
 def _outline(sheet: Sheet, corner_mm: Corner) -> Path:
-    """All dark shapes in one path.
-
-    Otherwise viewers draw hairlines where two of them meet.
-    """
+    """All dark shapes in one path. Otherwise viewers draw hairlines where two of them meet."""
     from matplotlib.path import Path
 
     shift = np.asarray(corner_mm) - sheet.extent_mm[0]

@@ -22,9 +22,7 @@ _LEAST_POINTS = 4
 @TARGETS.add("points")
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PointsTarget(Target):
-    """Surveyed points in the object's own frame, which is the world.
-
-    Ids are positions in the list.
+    """Surveyed points in the object's own frame, which is the world. Ids are positions in the list.
 
     Raises:
         ValueError: fewer than four points, or a coordinate that is not finite.
@@ -64,10 +62,7 @@ class PointsTarget(Target):
 
     @property
     def body(self) -> DottedBox:
-        """A box around the origin.
-
-        The simulation makes no other object of points.
-        """
+        """A box around the origin. The simulation makes no other object of points."""
         return DottedBox(target=self)
 
 

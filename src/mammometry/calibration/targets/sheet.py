@@ -22,10 +22,7 @@ def _none(columns: int) -> np.ndarray:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Sheet:
-    """Dark shapes in millimetres, x right and y down.
-
-    A board's sheet is in the board's frame.
-    """
+    """Dark shapes in millimetres, x right and y down. A board's sheet is in the board's frame."""
 
     extent_mm: Float64[Array, "2 2"]
     """First and last printed corner (x, y). The white border is outside."""
@@ -49,10 +46,7 @@ class Sheet:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Pattern:
-    """A regular pattern on a board, drawn with exact edges.
-
-    The simulation's kernel draws it.
-    """
+    """A regular pattern on a board, drawn with exact edges. The simulation's kernel draws it."""
 
     grid: Literal["squares", "circles", "staggered"]
     """Squares from the frame's origin. Or circles, from a centre there, with every second row shifted if staggered."""

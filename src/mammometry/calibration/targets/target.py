@@ -63,10 +63,7 @@ class Target(ABC):
 
     @property
     def flatness_mm(self) -> float | None:
-        """Standard deviation of the points from a plane, mm, as measured.
-
-        None: not measured, or not flat.
-        """
+        """Standard deviation of the points from a plane, mm, as measured. None: not measured, or not flat."""
         return None
 
     # --- how it is found ---

@@ -1,6 +1,4 @@
-"""Tethered cameras by gphoto2 (extra ``tethered``).
-
-USB sets them up and fetches, a wire fires.
+"""Tethered cameras by gphoto2 (extra ``tethered``). USB sets them up and fetches, a wire fires.
 
 ``ids`` are ports as ``gphoto2 --auto-detect`` lists them (``usb:001,004``). Each camera has a process of its own: its
 library blocks while a file comes, and a camera that hangs must not hold the others.
@@ -46,10 +44,7 @@ class TetheredRig:
         self._software = False
 
     def settings(self, wanted: CameraSettings) -> None:
-        """Shutter time, and where pictures go.
-
-        The gain stays as it is: ISO steps are the camera's own.
-        """
+        """Shutter time, and where pictures go. The gain stays as it is: ISO steps are the camera's own."""
         self._software = wanted.trigger == "software"
         for worker in self._workers.values():
             if not worker.fault:
@@ -62,10 +57,7 @@ class TetheredRig:
                 worker.ask("arm", within_s=_ANSWER_S)
 
     def fire(self) -> float:
-        """Send the command, if no wire does.
-
-        By USB that takes 0.3 to 8 s: for tests alone.
-        """
+        """Send the command, if no wire does. By USB that takes 0.3 to 8 s: for tests alone."""
         fired_s = time.time()
         if self._software:
             for worker in self._workers.values():

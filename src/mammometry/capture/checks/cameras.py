@@ -1,7 +1,4 @@
-"""Which camera took a photograph.
-
-And whether it fits what the calibration knows of that camera.
-"""
+"""Which camera took a photograph. And whether it fits what the calibration knows of that camera."""
 
 from __future__ import annotations
 
@@ -50,9 +47,7 @@ class KnownCamera:
 
 
 def clocks(taken: Mapping[tuple[str, str], float]) -> dict[str, float]:
-    """How far each camera's clock is ahead of the others.
-
-    By exposures that were made together.
+    """How far each camera's clock is ahead of the others. By exposures that were made together.
 
     Args:
         taken: (pose, camera) → moment by the camera's own clock, s.
@@ -72,10 +67,7 @@ def clocks(taken: Mapping[tuple[str, str], float]) -> dict[str, float]:
 
 
 def camera_of_name(name: str, cameras: Sequence[str]) -> str | None:
-    """The one camera that a file's name names as a whole word.
-
-    None if none or several do.
-    """
+    """The one camera that a file's name names as a whole word. None if none or several do."""
     stem = re.sub(r"\.[A-Za-z]+$", "", name).lower()
     found = [camera for camera in cameras if re.search(rf"(?<![a-z0-9]){re.escape(camera.lower())}(?![a-z0-9])", stem)]
     longest = [camera for camera in found if not any(camera != other and camera in other for other in found)]

@@ -1,4 +1,1 @@
-"""How people come in.
-
-Names, passwords, second factor, the hospital's own login, invitations.
-"""
+"""How people come in. Names, passwords, second factor, the hospital's own login, invitations."""

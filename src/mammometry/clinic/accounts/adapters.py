@@ -1,7 +1,4 @@
-"""What allauth asks us.
-
-Nobody signs up alone. Codes are kept encrypted.
-"""
+"""What allauth asks us. Nobody signs up alone. Codes are kept encrypted."""
 
 from __future__ import annotations
 
@@ -54,10 +51,7 @@ class Accounts(DefaultAccountAdapter):
             super().add_message(request, level, message=sentence)
 
     def is_reauthentication_required(self, *, app: str, **kwargs: Any) -> bool:
-        """Whether the password is asked again.
-
-        Not for a first second factor, just after the login.
-        """
+        """Whether the password is asked again. Not for a first second factor, just after the login."""
         from allauth.account.authentication import get_authentication_records
 
         request = context.request
@@ -80,10 +74,7 @@ class HospitalLogin(DefaultSocialAccountAdapter):
 
 
 class SecondFactor(DefaultMFAAdapter):
-    """Secrets of authenticators are kept encrypted.
-
-    A copy of the database alone opens nothing.
-    """
+    """Secrets of authenticators are kept encrypted. A copy of the database alone opens nothing."""
 
     error_messages = {  # noqa: RUF012
         **DefaultMFAAdapter.error_messages,

@@ -1,7 +1,4 @@
-"""Entry of people by an administrator.
-
-They set their own password through a link that works once.
-"""
+"""Entry of people by an administrator. They set their own password through a link that works once."""
 
 from __future__ import annotations
 
@@ -38,10 +35,7 @@ def add_person(username: str, roles: Sequence[Role], *, full_name: str = "", ema
 
 
 def invitation(person: Person) -> str:
-    """Path of the page on which this person sets a password.
-
-    It works once, for three days.
-    """
+    """Path of the page on which this person sets a password. It works once, for three days."""
     from allauth.account.forms import default_token_generator
     from allauth.account.utils import user_pk_to_url_str
 

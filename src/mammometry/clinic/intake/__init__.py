@@ -1,4 +1,1 @@
-"""Photographs that come in.
-
-Resumable uploads, and what is checked while they come.
-"""
+"""Photographs that come in. Resumable uploads, and what is checked while they come."""

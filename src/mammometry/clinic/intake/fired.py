@@ -1,7 +1,4 @@
-"""Photographs that the rig's cameras took.
-
-They lie in the visit's folder already, and get their rows.
-"""
+"""Photographs that the rig's cameras took. They lie in the visit's folder already, and get their rows."""
 
 from __future__ import annotations
 

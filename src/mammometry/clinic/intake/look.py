@@ -56,10 +56,7 @@ def look(upload: Upload, target: Target) -> tuple[list[Found], dict[str, Any]]:
 
 
 def known_cameras(target: Target) -> dict[str, KnownCamera]:
-    """What the calibration that a target belongs to knows of its cameras.
-
-    Nothing for a new calibration.
-    """
+    """What the calibration that a target belongs to knows of its cameras. Nothing for a new calibration."""
     if isinstance(target, Calibration):
         return {}
     figures = target.calibration.figures if target.calibration is not None else {}

@@ -1,7 +1,4 @@
-"""Smaller pictures of a photograph, drawn again.
-
-Nothing of the sender's bytes is in them.
-"""
+"""Smaller pictures of a photograph, drawn again. Nothing of the sender's bytes is in them."""
 
 from __future__ import annotations
 
@@ -46,10 +43,7 @@ def _roughly(photograph: Photograph, longest_px: int) -> Image.Image:
 
 
 def small_picture(picture: Image.Image, path: Path) -> None:
-    """Write a picture that Pillow has open.
-
-    Of a JPEG only as much is decoded as that needs.
-    """
+    """Write a picture that Pillow has open. Of a JPEG only as much is decoded as that needs."""
     picture.draft("RGB", (_LONGEST_PX, _LONGEST_PX))
     picture.thumbnail((_LONGEST_PX, _LONGEST_PX))
     small = picture if picture.mode in ("L", "RGB") else picture.convert("RGB")

@@ -1,6 +1,4 @@
-"""Resumable uploads.
-
-A photograph comes in pieces, each appended where the last one ended.
+"""Resumable uploads. A photograph comes in pieces, each appended where the last one ended.
 
 What has arrived is the length of the file in ``uploads/``, so nothing need be sent twice after a cut, a restart or a
 kill. The whole file is checked against the digest that the sender gave, looked at, and then moved to its place in the
@@ -142,9 +140,7 @@ def _has_photograph(target: Target, pose: str, camera: str) -> bool:
 
 
 def append(upload: Upload, offset: int, data: bytes) -> Upload:
-    """Append a piece.
-
-    After the last one, check the photograph and put it into its place.
+    """Append a piece. After the last one, check the photograph and put it into its place.
 
     Raises:
         UploadError: the piece does not begin where the last one ended, or is longer than the file.
@@ -179,19 +175,14 @@ def arrived(upload: Upload) -> int:
 
 
 def resumed(upload: Upload) -> Upload:
-    """An upload as it is.
-
-    One whose last byte arrived as the server was killed is finished now.
-    """
+    """An upload as it is. One whose last byte arrived as the server was killed is finished now."""
     if upload.state == Upload.State.RECEIVING and arrived(upload) == upload.size_bytes:
         return append(upload, upload.size_bytes, b"")
     return upload
 
 
 def place(upload: Upload, camera: str) -> Upload:
-    """Say by hand which camera took a photograph.
-
-    For files whose name and EXIF do not say it.
+    """Say by hand which camera took a photograph. For files whose name and EXIF do not say it.
 
     Raises:
         UploadError: it has a place already, or the rig has no such camera.

@@ -1,4 +1,1 @@
-"""Jobs.
-
-A queue in the database, and a runner that gives its jobs to workers.
-"""
+"""Jobs. A queue in the database, and a runner that gives its jobs to workers."""

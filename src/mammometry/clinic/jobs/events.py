@@ -54,10 +54,7 @@ def table_of(job: Job, place: int | None = None) -> dict[str, Any]:
 
 
 def tables(jobs: list[Job]) -> list[dict[str, Any]]:
-    """Jobs as JSON, each with its place in the queue.
-
-    All that wait must be among them.
-    """
+    """Jobs as JSON, each with its place in the queue. All that wait must be among them."""
     waiting = sorted((job for job in jobs if job.state == Job.State.QUEUED), key=lambda job: (job.created, job.pk))
     places = {job.pk: place for place, job in enumerate(waiting, start=1)}
     return [table_of(job, places.get(job.pk)) for job in jobs]
@@ -75,10 +72,7 @@ def newest() -> dict[str, dict[str, Any]]:
 
 
 class Board:
-    """News of the jobs, and who waits for them.
-
-    One for each event loop.
-    """
+    """News of the jobs, and who waits for them. One for each event loop."""
 
     def __init__(self) -> None:
         self.jobs: dict[str, dict[str, Any]] = {}
@@ -87,10 +81,7 @@ class Board:
         self._poller: asyncio.Task[None] | None = None
 
     async def listen(self) -> AsyncIterator[Mapping[str, dict[str, Any]]]:
-        """The jobs now, and again after each change.
-
-        Or after a while without news.
-        """
+        """The jobs now, and again after each change. Or after a while without news."""
         self._listeners += 1
         try:
             if self._poller is None or self._poller.done():
@@ -133,9 +124,7 @@ def board() -> Board:
 
 
 async def stream(about: Mapping[str, str], *, visits: bool = True) -> AsyncIterator[bytes]:
-    """Events of jobs, until the last of them has ended.
-
-    Of all open jobs, or of those about one object.
+    """Events of jobs, until the last of them has ended. Of all open jobs, or of those about one object.
 
     Args:
         about: field of a job's JSON → the value that it must have; empty: all.

@@ -111,10 +111,7 @@ def retry(job: Job, by: Person | None) -> Job:
 
 
 def cancel(job: Job) -> bool:
-    """Take a job out of the queue, or stop it.
-
-    Say whether it was still open.
-    """
+    """Take a job out of the queue, or stop it. Say whether it was still open."""
     with transaction.atomic():
         done = Job.objects.filter(pk=job.pk, state__in=OPEN).update(state=Job.State.CANCELLED, ended=timezone.now())
         if done:
@@ -136,10 +133,7 @@ def open_jobs() -> list[Job]:
 
 
 def place(job: Job) -> int | None:
-    """How many are before it in the queue, with itself.
-
-    None where it does not wait.
-    """
+    """How many are before it in the queue, with itself. None where it does not wait."""
     if job.state != Job.State.QUEUED:
         return None
     before = Q(created__lt=job.created) | Q(created=job.created, pk__lt=job.pk)
@@ -155,10 +149,7 @@ def anything() -> bool:
 
 
 def claim(owner: str, room: int) -> list[Job]:
-    """Take up to so many jobs, the oldest first.
-
-    No other runner has them.
-    """
+    """Take up to so many jobs, the oldest first. No other runner has them."""
     now = timezone.now()
     taken: list[Job] = []
     for job in Job.objects.filter(state=Job.State.QUEUED).order_by("created", "pk")[: 2 * room]:
@@ -213,10 +204,7 @@ def requeue_abandoned() -> int:
 
 
 def release(owner: str) -> int:
-    """Queue again what a runner holds that ends of its own will.
-
-    That was no attempt.
-    """
+    """Queue again what a runner holds that ends of its own will. That was no attempt."""
     return Job.objects.filter(lease_owner=owner, state=Job.State.RUNNING).update(
         state=Job.State.QUEUED, lease_owner="", lease_until=None, stage="", fraction=0.0, attempt=F("attempt") - 1
     )
@@ -237,10 +225,7 @@ def progressed(key: UUID, owner: str, stage: str, fraction: float) -> None:
 
 
 def done(key: UUID, owner: str, answer: Mapping[str, Any]) -> bool:
-    """Enter what a job came to.
-
-    Say whether it was still this runner's.
-    """
+    """Enter what a job came to. Say whether it was still this runner's."""
     with transaction.atomic():
         held = Job.objects.filter(pk=key, lease_owner=owner, state=Job.State.RUNNING)
         if not held.update(
@@ -296,10 +281,7 @@ def new_owner(names: Iterable[str] = ()) -> str:
 
 
 def _is_dead(owner: str) -> bool:
-    """Whether the runner was a process of this machine that is gone.
-
-    Its lease need not be waited for.
-    """
+    """Whether the runner was a process of this machine that is gone. Its lease need not be waited for."""
     import psutil
 
     host, _, rest = owner.partition(":")

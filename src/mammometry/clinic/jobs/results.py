@@ -1,6 +1,4 @@
-"""What jobs change besides their own row.
-
-The state of visits and calibrations, and what was measured.
+"""What jobs change besides their own row. The state of visits and calibrations, and what was measured.
 
 Called within the transaction that changes the job's row.
 """

@@ -1,6 +1,4 @@
-"""The runner.
-
-Takes jobs from the queue and has them done by Dask's workers.
+"""The runner. Takes jobs from the queue and has them done by Dask's workers.
 
 Any number of runners may serve one database, on any machines that see the clinic's folder under the same path.
 """
@@ -175,8 +173,5 @@ def _megapixels(visit: Visit) -> float | None:
 
 
 def _without_paths(message: str, folder: Path) -> str:
-    """A sentence for a page.
-
-    What lies where on this machine is nobody's business.
-    """
+    """A sentence for a page. What lies where on this machine is nobody's business."""
     return message.replace(f"{folder}/", "")

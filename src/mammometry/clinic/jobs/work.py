@@ -283,10 +283,7 @@ def _digest(value: object) -> str:
 
 
 def _finite(value: Any) -> Any:
-    """The same without what JSON in a database cannot hold.
-
-    Numbers that are none.
-    """
+    """The same without what JSON in a database cannot hold. Numbers that are none."""
     if isinstance(value, Mapping):
         return {str(name): _finite(each) for name, each in value.items()}
     if isinstance(value, (list, tuple)):

@@ -1,6 +1,4 @@
-"""A backup.
-
-One tar of the database as lines of JSON, the settings, the keys and all files.
+"""A backup. One tar of the database as lines of JSON, the settings, the keys and all files.
 
 The database is read first, in one snapshot, and the files after it: a file belongs to its row before the row is
 written, so every row of the snapshot has its files. The same archive goes into SQLite and into PostgreSQL.
@@ -37,9 +35,7 @@ _LEFT_OUT = ("sessions", "contenttypes", "axes")
 
 
 def make_backup(config: ClinicConfig, target: Path | None = None) -> Path:
-    """Write a backup.
-
-    The clinic may be in use. Return its file, which nobody else may read.
+    """Write a backup. The clinic may be in use. Return its file, which nobody else may read.
 
     Args:
         config: the open clinic.
@@ -82,10 +78,7 @@ def make_backup(config: ClinicConfig, target: Path | None = None) -> Path:
 
 
 def known_migrations() -> list[str]:
-    """All migrations of this version.
-
-    A backup's rows fit the tables that they make.
-    """
+    """All migrations of this version. A backup's rows fit the tables that they make."""
     return sorted(f"{app} {name}" for app, name in MigrationLoader(None).disk_migrations)
 
 
@@ -111,10 +104,7 @@ def _kept_models() -> list[type[Model]]:
 
 @contextmanager
 def _snapshot() -> Iterator[None]:
-    """All that is read within is of one moment.
-
-    Writers are not held up.
-    """
+    """All that is read within is of one moment. Writers are not held up."""
     if connection.in_atomic_block:
         yield
         return
@@ -140,10 +130,7 @@ def _files(folder: Path) -> Iterator[tuple[str, Path]]:
 
 
 def _add(tar: tarfile.TarFile, name: str, file: BinaryIO, digests: dict[str, str]) -> None:
-    """Add as many bytes as the file has now.
-
-    An upload may be growing.
-    """
+    """Add as many bytes as the file has now. An upload may be growing."""
     entry = tarfile.TarInfo(name)
     start = file.tell()
     entry.size = file.seek(0, os.SEEK_END) - start

@@ -80,9 +80,7 @@ def rows_of(patient: Patient) -> list[Model]:
 
 
 def export_patient(config: ClinicConfig, patient: Patient, target: Path) -> int:
-    """Write one patient's data as a private ZIP.
-
-    Rows, session folders and audit.
+    """Write one patient's data as a private ZIP. Rows, session folders and audit.
 
     Returns:
         Number of files in it.
@@ -112,9 +110,7 @@ def export_patient(config: ClinicConfig, patient: Patient, target: Path) -> int:
 
 
 def erase_patient(config: ClinicConfig, patient: Patient, by: Person | None = None) -> int:
-    """Erase one patient.
-
-    Files, then rows. Killed in between, the same command goes on.
+    """Erase one patient. Files, then rows. Killed in between, the same command goes on.
 
     What stays are the audit's entries, which hold the pseudonym and no name, and backups made before.
 

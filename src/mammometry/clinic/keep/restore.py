@@ -1,7 +1,4 @@
-"""A clinic out of a backup.
-
-Checked file by file, then whole or not at all.
-"""
+"""A clinic out of a backup. Checked file by file, then whole or not at all."""
 
 from __future__ import annotations
 
@@ -20,9 +17,7 @@ _CHUNK = 1 << 20  # bytes
 
 
 def unpack(archive: Path, folder: Path, database: str | None = None) -> tuple[ClinicConfig, dict[str, Any]]:
-    """Unpack a backup beside the folder that is to be.
-
-    Nothing is opened yet.
+    """Unpack a backup beside the folder that is to be. Nothing is opened yet.
 
     Args:
         archive: what `backup` wrote.
@@ -67,9 +62,7 @@ def unpack(archive: Path, folder: Path, database: str | None = None) -> tuple[Cl
 
 
 def fill(config: ClinicConfig, manifest: dict[str, Any], folder: Path) -> int:
-    """Fill an unpacked clinic's database and put it into its place.
-
-    Returns the number of its people.
+    """Fill an unpacked clinic's database and put it into its place. Returns the number of its people.
 
     Raises:
         ClinicError: the backup is of another version, or the database is not empty.

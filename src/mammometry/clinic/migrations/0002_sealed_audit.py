@@ -1,7 +1,4 @@
-"""The audit's table is only added to.
-
-Triggers of the database refuse changes (`audit.seal`).
-"""
+"""The audit's table is only added to. Triggers of the database refuse changes (`audit.seal`)."""
 
 from django.apps.registry import Apps
 from django.db import migrations

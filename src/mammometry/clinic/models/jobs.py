@@ -1,7 +1,4 @@
-"""Jobs: what is computed, by whom, how far it is.
-
-The row is the truth. Workers hold it on a lease.
-"""
+"""Jobs: what is computed, by whom, how far it is. The row is the truth. Workers hold it on a lease."""
 
 from __future__ import annotations
 

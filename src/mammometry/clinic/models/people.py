@@ -22,10 +22,7 @@ def require_roles(value: Any) -> None:
 
 
 class Person(AbstractUser):
-    """Somebody who logs in.
-
-    Never deleted, since the audit names them: set inactive instead.
-    """
+    """Somebody who logs in. Never deleted, since the audit names them: set inactive instead."""
 
     id = models.UUIDField(primary_key=True, default=uuid.uuid4, editable=False)
     full_name = models.CharField(max_length=200, blank=True)

@@ -72,10 +72,7 @@ class Volume(Keyed):
 
 
 class Drawing(Keyed):
-    """Who drew or confirmed a boundary or landmark.
-
-    The curve itself lies in the session folder.
-    """
+    """Who drew or confirmed a boundary or landmark. The curve itself lies in the session folder."""
 
     class Action(models.TextChoices):
         """What somebody did."""

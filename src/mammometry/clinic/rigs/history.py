@@ -1,7 +1,4 @@
-"""A rig's history out of the database.
-
-Its calibrations, its checks, and today's answer.
-"""
+"""A rig's history out of the database. Its calibrations, its checks, and today's answer."""
 
 from __future__ import annotations
 
@@ -55,10 +52,7 @@ def today(rig: Rig) -> Today:
 
 
 def entries(rig: Rig) -> list[Entry]:
-    """The newest judged checks, the oldest first.
-
-    As the drift chart takes them.
-    """
+    """The newest judged checks, the oldest first. As the drift chart takes them."""
     found = rig.checks.exclude(figures={}).select_related("calibration").order_by("-taken_at")[:_SHOWN]
     return [_entry(check) for check in reversed(found)]
 
@@ -86,10 +80,7 @@ def new_calibration(rig: Rig, by: Any) -> Calibration:
 
 
 def new_check(rig: Rig, by: Any) -> DailyCheck | None:
-    """A daily check without photographs yet.
-
-    None where the rig is not calibrated.
-    """
+    """A daily check without photographs yet. None where the rig is not calibrated."""
     calibration = current(rig)
     if calibration is None:
         return None
@@ -100,9 +91,7 @@ def new_check(rig: Rig, by: Any) -> DailyCheck | None:
 
 
 def may_queue(target: Visit | Calibration | DailyCheck | Comparison, *, anyway: bool = False) -> str | None:
-    """Why something cannot be computed now, in a sentence.
-
-    None where it can.
+    """Why something cannot be computed now, in a sentence. None where it can.
 
     A visit takes its rig's current calibration when it is queued first, and keeps it.
     """

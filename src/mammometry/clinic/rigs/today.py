@@ -1,7 +1,4 @@
-"""The answer to whether a rig may be used today.
-
-With its reasons and what to do.
-"""
+"""The answer to whether a rig may be used today. With its reasons and what to do."""
 
 from __future__ import annotations
 

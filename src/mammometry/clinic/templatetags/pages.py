@@ -1,7 +1,4 @@
-"""What every page of the clinic shows.
-
-Its ways, its name, numbers in clinical words.
-"""
+"""What every page of the clinic shows. Its ways, its name, numbers in clinical words."""
 
 from __future__ import annotations
 
@@ -92,10 +89,7 @@ def administration_ways(context: Any) -> list[Place]:
 
 @register.simple_tag(takes_context=True)
 def may(context: Any, name: str, *parameters: Any) -> bool:
-    """Whether this person may open a page.
-
-    Links to others are not shown.
-    """
+    """Whether this person may open a page. Links to others are not shown."""
     return allowed(context["request"], reverse(name, args=parameters))
 
 

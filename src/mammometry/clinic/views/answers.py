@@ -1,7 +1,4 @@
-"""What programs of a page are answered.
-
-JSON, and one sentence where something cannot be done.
-"""
+"""What programs of a page are answered. JSON, and one sentence where something cannot be done."""
 
 from __future__ import annotations
 
@@ -53,9 +50,7 @@ def answered(*methods: str) -> Callable[[Callable[..., HttpResponseBase]], Calla
 
 
 def asked(request: HttpRequest) -> dict[str, Any]:
-    """What the request's JSON says.
-
-    Nothing where it has none.
+    """What the request's JSON says. Nothing where it has none.
 
     Raises:
         Refused: it is no JSON object.
@@ -72,9 +67,7 @@ def asked(request: HttpRequest) -> dict[str, Any]:
 
 
 def text_of(table: dict[str, Any], name: str, *, most: int = 200) -> str:
-    """A text of the request.
-
-    Empty where there is none.
+    """A text of the request. Empty where there is none.
 
     Raises:
         Refused: it is no text, or too long.

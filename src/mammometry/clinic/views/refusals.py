@@ -55,10 +55,7 @@ def not_installed(request: HttpRequest, error: MissingLibraryError) -> HttpRespo
 
 
 def broken(request: HttpRequest) -> HttpResponse:
-    """500: a defect of ours, or no database.
-
-    So the page asks nothing of it, not even who is logged in.
-    """
+    """500: a defect of ours, or no database. So the page asks nothing of it, not even who is logged in."""
     sentence = "Something went wrong on our side. It is in the log. Nothing that was saved is lost."
     if is_program(request):
         return JsonResponse({"error": sentence}, status=500)

@@ -1,7 +1,4 @@
-"""A visit's result.
-
-Report, 3D view, boundaries and landmarks to draw or confirm.
-"""
+"""A visit's result. Report, 3D view, boundaries and landmarks to draw or confirm."""
 
 from __future__ import annotations
 
@@ -63,10 +60,7 @@ class FinishMessage(Message):
 
 
 class _Desks:
-    """Surfaces that are drawn on, the last few.
-
-    A new measurement makes a new one.
-    """
+    """Surfaces that are drawn on, the last few. A new measurement makes a new one."""
 
     def __init__(self) -> None:
         self._held: OrderedDict[tuple[uuid.UUID, str], EditorPage] = OrderedDict()
@@ -103,10 +97,7 @@ def _opened(visit: Visit) -> Drawable:
 
 
 def report(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
-    """The report with names, confirmation and conclusion.
-
-    Sealed off from the clinic's pages.
-    """
+    """The report with names, confirmation and conclusion. Sealed off from the clinic's pages."""
     try:
         page = rendered_report(_measured(visit)).html
     except MammometryError as error:
@@ -254,10 +245,7 @@ def _digest(path: Path) -> str:
 
 
 def _told(visit: uuid.UUID, answer: Callable[[Visit, EditorPage, Job | None], dict[str, Any]]) -> HttpResponseBase:
-    """Answer as JSON.
-
-    The sentence of a refusal is passed on.
-    """
+    """Answer as JSON. The sentence of a refusal is passed on."""
     shown = _visit(visit)
     job = _newest_job(shown)  # first: a page that hears of a job's end hears its numbers too, and asks no more
     try:

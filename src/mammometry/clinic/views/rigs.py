@@ -1,7 +1,4 @@
-"""Pages of rigs.
-
-May we measure today, calibrations and their history, drift, the daily check.
-"""
+"""Pages of rigs. May we measure today, calibrations and their history, drift, the daily check."""
 
 from __future__ import annotations
 

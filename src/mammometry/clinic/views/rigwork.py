@@ -1,7 +1,4 @@
-"""Rigs, for programs of a page.
-
-May we measure today, the drift chart, a new calibration or check.
-"""
+"""Rigs, for programs of a page. May we measure today, the drift chart, a new calibration or check."""
 
 from __future__ import annotations
 

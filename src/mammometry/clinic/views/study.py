@@ -1,7 +1,4 @@
-"""Pooled figures under pseudonyms.
-
-The cohort, agreement of repeated visits, a table to take along.
-"""
+"""Pooled figures under pseudonyms. The cohort, agreement of repeated visits, a table to take along."""
 
 from __future__ import annotations
 
@@ -77,10 +74,7 @@ def study(request: HttpRequest) -> HttpResponse:
 
 
 def study_csv(request: HttpRequest) -> HttpResponse:
-    """The cohort as a table.
-
-    Pseudonyms only.
-    """
+    """The cohort as a table. Pseudonyms only."""
     response = HttpResponse(content_type="text/csv; charset=utf-8")
     response["Content-Disposition"] = f'attachment; filename="cohort_{timezone.localdate():%Y-%m-%d}.csv"'
     writer = CsvWriter(response)

@@ -65,10 +65,7 @@ def new(request: HttpRequest) -> HttpResponseBase:
 
 @answered("GET", "PATCH", "DELETE")
 def one(request: HttpRequest, upload: UUID) -> HttpResponseBase:
-    """Ask where to go on.
-
-    Send the next piece. Set it aside.
-    """
+    """Ask where to go on. Send the next piece. Set it aside."""
     row = _find(request, upload)
     if request.method == "DELETE":
         uploads.remove(row)

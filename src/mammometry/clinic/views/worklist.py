@@ -53,10 +53,7 @@ def worklist(request: HttpRequest) -> HttpResponse:
 
 
 def _begun(request: HttpRequest) -> HttpResponse:
-    """Begin a visit out of the entry, which is asked for again.
-
-    Nothing of it is taken from the page.
-    """
+    """Begin a visit out of the entry, which is asked for again. Nothing of it is taken from the page."""
     source = get_object_or_404(_sources(), pk=_key(request.POST.get("worklist", "")))
     rig = get_object_or_404(Rig.objects.filter(active=True), pk=_key(request.POST.get("rig", "")))
     accession, number = request.POST.get("accession", ""), request.POST.get("patient", "")

@@ -63,10 +63,7 @@ def models(study: Study, *, series: int) -> list[Dataset]:
 
 
 def covered(study: Study, texture: Dataset, *, series: int) -> list[Dataset]:
-    """Covered models as Encapsulated OBJ, and their MTL.
-
-    The MTL names the texture.
-    """
+    """Covered models as Encapsulated OBJ, and their MTL. The MTL names the texture."""
     files = study.exported.covered
     if files is None:
         return []

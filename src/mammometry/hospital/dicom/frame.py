@@ -120,10 +120,7 @@ def coded(concept: Coded) -> Dataset:
 
 
 def finished(made: Dataset, transfer_syntax: UID = ExplicitVRLittleEndian) -> Dataset:
-    """Give an object its UID and its file's header.
-
-    The UID is a hash of the whole content.
-    """
+    """Give an object its UID and its file's header. The UID is a hash of the whole content."""
     made.SOPInstanceUID = "2.25.0"
     _head(made, transfer_syntax)
     made.SOPInstanceUID = uid("object", hashlib.sha256(encoded(made)).hexdigest())

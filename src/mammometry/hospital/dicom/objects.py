@@ -45,8 +45,5 @@ def possible_names(photographs: int) -> list[str]:
 
 
 def files(made: list[Dataset]) -> dict[str, bytes]:
-    """Name of a file → its content.
-
-    Names say series and instance.
-    """
+    """Name of a file → its content. Names say series and instance."""
     return {f"{each.SeriesNumber:02d}-{each.Modality}-{each.InstanceNumber:03d}.dcm": encoded(each) for each in made}

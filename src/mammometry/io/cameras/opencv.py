@@ -142,10 +142,7 @@ def _array(storage: Mapping[str, Any], *names: str) -> Float64[Array, ...] | Non
 
 
 def opencv_text(camera: Camera) -> str:
-    """One camera as a YAML file that `read_opencv` and ``cv::FileStorage`` read.
-
-    T in mm.
-    """
+    """One camera as a YAML file that `read_opencv` and ``cv::FileStorage`` read. T in mm."""
     import cv2
 
     storage = cv2.FileStorage(".yml", cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY)

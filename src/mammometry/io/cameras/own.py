@@ -84,9 +84,7 @@ def read_cameras(path: Path) -> dict[str, Camera]:
 
 
 def read_priors(path: Path) -> dict[str, CameraPrior]:
-    """Read a cameras.json as priors on lenses.
-
-    Each camera's lens is weighted by its ``std``.
+    """Read a cameras.json as priors on lenses. Each camera's lens is weighted by its ``std``.
 
     Raises:
         SessionError: as `read_cameras`, or a standard deviation that is none.

@@ -111,10 +111,7 @@ def write_records(stage: str, records: dict[str, Record]) -> bytes:
 
 
 def read_ready(folder: Path) -> Ready | None:
-    """Read the record of a product that is written whole.
-
-    None where there is no valid one.
-    """
+    """Read the record of a product that is written whole. None where there is no valid one."""
     try:
         if not is_plain(folder / READY_RECORD):
             return None
@@ -153,10 +150,7 @@ def status(path: Path) -> os.stat_result | None:
 
 
 def file_of(results: Path, stage: str, name: str) -> os.stat_result | None:
-    """Size and times of a product's file.
-
-    None where it is missing, or is or lies behind a link.
-    """
+    """Size and times of a product's file. None where it is missing, or is or lies behind a link."""
     path = results / stage / name
     folders = [results / stage, *(results / stage / above for above in Path(name).parents)]
     return None if any(is_link(folder) for folder in folders) else status(path)

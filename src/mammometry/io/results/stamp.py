@@ -44,10 +44,7 @@ def stamped(name: str, data: bytes, subject: str | None) -> bytes:
 
 
 def subject_of_mesh(path: Path) -> str | None:
-    """Subject that a PLY, OBJ or GLB of ours carries.
-
-    None where it carries none, or cannot be read.
-    """
+    """Subject that a PLY, OBJ or GLB of ours carries. None where it carries none, or cannot be read."""
     try:
         with path.open("rb") as file:
             head = file.read(_HEAD)
@@ -96,10 +93,7 @@ def _glb(data: bytes, subject: str) -> bytes:
 
 
 def _png(data: bytes, subject: str) -> bytes:
-    """An iTXt chunk named Subject after the header chunk.
-
-    Pixels are not touched.
-    """
+    """An iTXt chunk named Subject after the header chunk. Pixels are not touched."""
     chunk = b"iTXt" + b"Subject\0\0\0\0\0" + subject.encode()
     whole = struct.pack(">I", len(chunk) - 4) + chunk + struct.pack(">I", zlib.crc32(chunk))
     at = 8 + 25  # signature, IHDR

@@ -67,10 +67,7 @@ def unwatched(key: Key) -> AbstractContextManager[Progress]:
 
 
 class Store:
-    """Remembers products in a results folder.
-
-    One process at a time may write there.
-    """
+    """Remembers products in a results folder. One process at a time may write there."""
 
     def __init__(self, folder: Path, watch: Watch = unwatched, subject: str | None = None) -> None:
         self.folder = folder
@@ -87,9 +84,7 @@ class Store:
 
     @contextmanager
     def taken(self) -> Iterator[None]:
-        """Take the folder for writing, and tidy up after an interrupted run.
-
-        May be nested.
+        """Take the folder for writing, and tidy up after an interrupted run. May be nested.
 
         Raises:
             StorageError: it cannot be written to, or another run is working there.
@@ -161,10 +156,7 @@ class Store:
             self._set_aside(left)
 
     def _set_aside(self, path: Path) -> None:
-        """Rename what is not ours.
-
-        A link itself, not what it leads to.
-        """
+        """Rename what is not ours. A link itself, not what it leads to."""
         name = f"{ASIDE}{path.name.lstrip('.')}"
         number = 1
         while os.path.lexists(self.folder / f"{name}-{number}"):
@@ -188,10 +180,7 @@ class Store:
         return "current" if whole else "damaged"
 
     def states(self, keys: Iterable[Key]) -> list[State]:
-        """States of many products, read in parallel.
-
-        This takes about a second for half a gigabyte and core.
-        """
+        """States of many products, read in parallel. This takes about a second for half a gigabyte and core."""
         with ThreadPoolExecutor(available_cores()) as pool:
             return list(pool.map(self.state, keys))
 
@@ -200,10 +189,7 @@ class Store:
         return self.state(key) == "current"
 
     def record(self, key: Key) -> Record | None:
-        """What provenance.json says of a product.
-
-        None where it says nothing, or nothing valid.
-        """
+        """What provenance.json says of a product. None where it says nothing, or nothing valid."""
         return self._stage_records(key.stage).get(key.product)
 
     def files(self, key: Key) -> dict[str, bytes]:
@@ -230,10 +216,7 @@ class Store:
         return content
 
     def made_at(self, keys: Iterable[Key]) -> str | None:
-        """When the newest of these products was made, ISO 8601, UTC.
-
-        None where none is there.
-        """
+        """When the newest of these products was made, ISO 8601, UTC. None where none is there."""
         records = map(self.record, keys)
         return max((record.made for record in records if record is not None), default=None)
 
@@ -262,10 +245,7 @@ class Store:
         return value
 
     def write_folder(self, key: Key, prepare: Callable[[], Callable[[Path, Progress], None]]) -> bool:
-        """Write a product as a whole folder of its stage, unless current.
-
-        Returns whether it was written.
-        """
+        """Write a product as a whole folder of its stage, unless current. Returns whether it was written."""
         if self._is_current(key):
             return False
         write = prepare()
@@ -329,10 +309,7 @@ class Store:
         self.made.append(f"{key.stage}/{key.product}")
 
     def _put_in_place(self, ready: Path, about: Ready) -> None:
-        """Move a whole product's files, then its record.
-
-        May be begun again wherever it was interrupted.
-        """
+        """Move a whole product's files, then its record. May be begun again wherever it was interrupted."""
         stage, files = about.stage, about.record.files
         folder = self._folder_in_place(self.folder / stage)
         parents = {folder}

@@ -73,9 +73,7 @@ moving code makes no result stale.
 
 
 def to_tree(value: object, arrays: dict[str, np.ndarray[Any, Any]]) -> Any:
-    """Turn a value into JSON-ready data.
-
-    Its arrays go into `arrays` by name.
+    """Turn a value into JSON-ready data. Its arrays go into `arrays` by name.
 
     Raises:
         TypeError: a type that no result should have.

@@ -1,7 +1,4 @@
-"""Whether every byte of a results folder is as it was written.
-
-Changes nothing.
-"""
+"""Whether every byte of a results folder is as it was written. Changes nothing."""
 
 from __future__ import annotations
 
@@ -47,9 +44,7 @@ class Findings:
 
 
 def results_in(folder: Path) -> Path:
-    """Results folder of a session.
-
-    A measured mesh's folder is one itself.
+    """Results folder of a session. A measured mesh's folder is one itself.
 
     Raises:
         SessionError: it holds neither.
@@ -103,10 +98,7 @@ def verify(results: Path) -> Findings:
 
 
 def _half_in_place(results: Path, names: Iterable[str]) -> Mapping[str, set[str]]:
-    """Files by stage that an interrupted run was moving into place.
-
-    The next run goes on with them.
-    """
+    """Files by stage that an interrupted run was moving into place. The next run goes on with them."""
     moving: dict[str, set[str]] = {stage: set() for stage in STAGES}
     for name in names:
         about = read_ready(results / name) if name.startswith(READY) else None
@@ -141,8 +133,5 @@ def _files(folder: Path) -> Iterator[str]:
 
 
 def shown(name: str) -> str:
-    """A name from the disk as printable text.
-
-    Control characters and lone surrogates are replaced.
-    """
+    """A name from the disk as printable text. Control characters and lone surrogates are replaced."""
     return "".join(letter if letter.isprintable() else "?" for letter in name)

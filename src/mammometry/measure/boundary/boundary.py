@@ -96,9 +96,7 @@ def find_boundaries(
     rim_radius_mm: float | None = None,
     progress: Progress = no_progress,
 ) -> tuple[Boundary, ...]:
-    """Find the boundary of a cast, or of a torso's two breasts.
-
-    An open surface has none.
+    """Find the boundary of a cast, or of a torso's two breasts. An open surface has none.
 
     Args:
         surface: the closed, repaired mesh; world frame, mm.
@@ -250,10 +248,7 @@ def _ways_to_fit(
 def leaving_whole(
     tried: list[AdjustedBase], surface_points: Float64[Array, "m 3"], settings: BaseRimSettings = BaseRimSettings()
 ) -> list[AdjustedBase]:
-    """Bases that cut off no more measured surface than the best one.
-
-    The surface is in mm, world frame.
-    """
+    """Bases that cut off no more measured surface than the best one. The surface is in mm, world frame."""
     below = [float((each.base.height(surface_points) < -INLIER_MM).mean()) for each in tried]
     return [each for each, cut in zip(tried, below, strict=True) if cut <= min(below) + _CUT_SHARE]
 
@@ -358,9 +353,7 @@ def given_boundary(
     rim_sigma_mm: float | None = None,
     how: str | None = None,
 ) -> Boundary:
-    """Use a drawn curve as the boundary.
-
-    Landmarks in order around the breast serve as well.
+    """Use a drawn curve as the boundary. Landmarks in order around the breast serve as well.
 
     Args:
         name: name of the breast.

@@ -254,10 +254,7 @@ def _highest(relief: Relief, sign: float, trunk: Trunk) -> Float64[Array, 2]:
 
 
 def within_outline(flat: Float64[Array, "n 2"], outline: Float64[Array, "k 2"]) -> Bool[Array, " n"]:
-    """Whether points are inside a closed, star-shaped curve.
-
-    It is star-shaped about its mean.
-    """
+    """Whether points are inside a closed, star-shaped curve. It is star-shaped about its mean."""
     middle = outline.mean(axis=0)
     around = np.arctan2(*(outline - middle).T[::-1])
     away = np.linalg.norm(outline - middle, axis=1)
@@ -314,10 +311,7 @@ def _why_none(standing: Standing | None) -> str:
 
 
 def _on_skin(flat: Float64[Array, "n 2"], relief: Relief, thorax: Thorax, mesh: TriangleMesh) -> Float64[Array, "n 3"]:
-    """Put places that were laid flat back on the skin, mm, world frame.
-
-    Several are a closed curve.
-    """
+    """Put places that were laid flat back on the skin, mm, world frame. Several are a closed curve."""
     bulge_mm = relief.at(flat, relief.bulge_mm)
     if len(flat) > 1:
         away = flat - flat.mean(axis=0)
@@ -413,10 +407,7 @@ def _no_crease(creased: float, name: str, least: float) -> MeasureError:
 
 
 def _near(mesh: TriangleMesh, points_world: Float64[Array, "n 3"]) -> TriangleMesh:
-    """The part of a mesh around some points on it.
-
-    All of it where they are not.
-    """
+    """The part of a mesh around some points on it. All of it where they are not."""
     inside = np.zeros(len(mesh.vertices), dtype=bool)
     inside[mesh.vertices_between(points_world.min(axis=0) - _NEAR_MM, points_world.max(axis=0) + _NEAR_MM)] = True
     part = mesh.submesh(mesh.faces_within(inside))

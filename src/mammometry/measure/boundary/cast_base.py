@@ -65,29 +65,20 @@ class Base:
         return "plane" if self.is_plane else "convex-cylinder"
 
     def height(self, points_world: Float64[Array, "n 3"]) -> Float64[Array, " n"]:
-        """Signed distance above the base, mm.
-
-        Positive on the viewer's side. Exact for plane and cylinder.
-        """
+        """Signed distance above the base, mm. Positive on the viewer's side. Exact for plane and cylinder."""
         s, _, w = ((points_world - self.origin) @ self.frame.T).T
         k = self.curvature_per_mm
         excess = 2 * w + k * (w * w + s * s)
         return excess / (1 + np.sqrt(np.maximum(1 + k * excess, 0.0)))
 
     def flatten(self, points_world: Float64[Array, "n 3"]) -> Float64[Array, "n 2"]:
-        """Unroll the base, mm.
-
-        Arc length along the bend, and distance along the straight lines.
-        """
+        """Unroll the base, mm. Arc length along the bend, and distance along the straight lines."""
         s, t, w = ((points_world - self.origin) @ self.frame.T).T
         k = self.curvature_per_mm
         return np.stack([s if k == 0 else np.arctan2(k * s, k * w + 1) / k, t], axis=1)
 
     def lift(self, flat: Float64[Array, "n 2"]) -> Float64[Array, "n 3"]:
-        """World points of unrolled coordinates, mm.
-
-        The inverse of `flatten` on the base.
-        """
+        """World points of unrolled coordinates, mm. The inverse of `flatten` on the base."""
         arc, t = flat.T
         half_turn = self.curvature_per_mm * arc / 2
         s = arc * np.sinc(2 * half_turn / np.pi)
@@ -97,10 +88,7 @@ class Base:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class BaseFit:
-    """Best plane and best convex cylinder through the candidates.
-
-    One is chosen after adjustment.
-    """
+    """Best plane and best convex cylinder through the candidates. One is chosen after adjustment."""
 
     plane: Base
     cylinder: Base
@@ -199,10 +187,7 @@ def no_rim(found: str, settings: BaseRimSettings) -> MeasureError:
 def _sectors(
     points: Float64[Array, "n 3"], centre: Float64[Array, 3], viewer: Float64[Array, 3], count: int
 ) -> Int64[Array, " n"]:
-    """Direction of each point from the centre, as the viewer sees it.
-
-    By number.
-    """
+    """Direction of each point from the centre, as the viewer sees it. By number."""
     frame = frame_towards(viewer)
     x, y = ((points - centre) @ frame[:2].T).T
     return (np.floor((np.arctan2(y, x) / (2 * np.pi) + 0.5) * count).astype(np.int64)) % count
@@ -217,10 +202,7 @@ def frame_towards(direction: Float64[Array, 3]) -> Float64[Array, "3 3"]:
 
 
 def _tukey(residuals: Float64[Array, "*n"], constant: float) -> Float64[Array, "*n"]:
-    """Weights: Tukey's above the base.
-
-    Below it the weight is never less than a quarter (see the module).
-    """
+    """Weights: Tukey's above the base. Below it the weight is never less than a quarter (see the module)."""
     weights = np.clip(1 - (residuals / constant) ** 2, 0.0, None) ** 2
     return np.where((residuals < 0) & (residuals > -3 * constant), np.maximum(weights, 0.25), weights)
 
@@ -261,10 +243,7 @@ def _plane_seeds(data: _Data, viewer: Float64[Array, 3], rng: np.random.Generato
 
 
 def _cylinder_seeds(plane: Base, data: _Data, rng: np.random.Generator) -> list[Base]:
-    """Best parabolic bases over a plane.
-
-    One minimal sample of four candidates at a time.
-    """
+    """Best parabolic bases over a plane. One minimal sample of four candidates at a time."""
     local = (data.points - plane.origin) @ plane.frame.T
     surface = (data.surface[::3] - plane.origin) @ plane.frame.T
     probability = data.balance() / data.balance().sum()
@@ -299,10 +278,7 @@ def _cylinder_seeds(plane: Base, data: _Data, rng: np.random.Generator) -> list[
 
 
 def _from_parabola(plane: Base, solution: Float64[Array, 4], angle: float, s_centre: float) -> Base:
-    """Cylinder touching a parabolic sheet at s = `s_centre`.
-
-    w = c₀ + c₁ x + c₂ y − κ s²/2.
-    """
+    """Cylinder touching a parabolic sheet at s = `s_centre`. w = c₀ + c₁ x + c₂ y − κ s²/2."""
     c0, cx, cy, kappa = solution
     across = np.array([np.cos(angle), np.sin(angle)])
     foot = across * s_centre
@@ -376,9 +352,7 @@ def base_through(
     *,
     kind: BaseKind | None = None,
 ) -> Base:
-    """The plane or convex cylinder of least squares through rim points.
-
-    Without `kind` the better one.
+    """The plane or convex cylinder of least squares through rim points. Without `kind` the better one.
 
     Args:
         points: a closed curve on or near the base, mm, world frame.

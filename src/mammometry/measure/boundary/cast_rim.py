@@ -36,10 +36,7 @@ _FEWEST = 40  # vertices of a patch at least; its quadratic has 6 coefficients
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RimCandidates:
-    """Silhouette points that may lie on the rim, and their rays.
-
-    World frame.
-    """
+    """Silhouette points that may lie on the rim, and their rays. World frame."""
 
     points_world: Float64[Array, "n 3"]
     """Where each ray meets the continued surface, mm."""

@@ -64,10 +64,7 @@ def check_curve(name: str, points_world: Float64[Array, "n 3"], mesh: TriangleMe
 
 
 def crossing_points(points: Float64[Array, "n 3"]) -> Float64[Array, "k 3"]:
-    """Places where a closed curve crosses itself.
-
-    In its best plane, and less than 5 mm apart in depth.
-    """
+    """Places where a closed curve crosses itself. In its best plane, and less than 5 mm apart in depth."""
     centred = points - points.mean(axis=0)
     flat = centred @ np.linalg.svd(centred, full_matrices=False)[2].T
     start, step = flat, np.roll(flat, -1, axis=0) - flat
@@ -166,10 +163,7 @@ def _path(
 
 
 def _before(graph: csr_matrix, start: int, stop: int) -> Array:
-    """Predecessors on the cheapest paths from a vertex.
-
-    Known at least along the path to a vertex nearby.
-    """
+    """Predecessors on the cheapest paths from a vertex. Known at least along the path to a vertex nearby."""
     reach = _LEG_COST
     while True:  # a way found within a limit is the cheapest: all others cost more than the limit
         distance, before = dijkstra(  # type: ignore[call-overload]  # the stubs know only arrays of one kind

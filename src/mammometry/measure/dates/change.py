@@ -157,9 +157,7 @@ def compare(
 
 
 def judged(fit: TrunkFit, settings: CompareSettings = CompareSettings()) -> tuple[Pairing, bool]:
-    """Whether both dates show one pose, and whether one body.
-
-    The trunks decide.
+    """Whether both dates show one pose, and whether one body. The trunks decide.
 
     Raises:
         MeasureError: they are those of two bodies.
@@ -264,17 +262,11 @@ def _seen(surface: RepairedSurface, mesh: TriangleMesh) -> TriangleMesh:
 
 
 def _standing_out(mesh: TriangleMesh, surface: RepairedSurface, other: TriangleMesh) -> Float64[Array, " n"]:
-    """Distance of each visible vertex out of the other date's skin, mm.
-
-    NaN for the others.
-    """
+    """Distance of each visible vertex out of the other date's skin, mm. NaN for the others."""
     return signed_mm(mesh, other, asked=surface.provenance != Provenance.INVENTED)
 
 
 def _rms_mm(measured: VolumeMeasurement, surface: RepairedSurface, out_mm: Float64[Array, " m"]) -> float:
-    """Root mean square of a map over one breast's surface.
-
-    The breast was cut out of the mapped surface.
-    """
+    """Root mean square of a map over one breast's surface. The breast was cut out of the mapped surface."""
     skin = measured.skin
     return rms_mm(skin, out_mm[np.asarray(point_tree(surface.mesh.vertices).query(skin.vertices)[1])])

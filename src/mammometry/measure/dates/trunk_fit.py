@@ -135,10 +135,7 @@ def fit_trunks(before: TrunkSkin, after: TrunkSkin) -> TrunkFit:
 def _within_mm(
     motion: Transform, after: TrunkSkin, fixed: tuple[Float64[Array, "m 3"], Float64[Array, "m 3"]]
 ) -> float:
-    """Distance along the normal that holds four fifths of the trunk.
-
-    The trunk is moved first.
-    """
+    """Distance along the normal that holds four fifths of the trunk. The trunk is moved first."""
     moved = motion.apply(_every(after, _JUDGED)[0])
     there, outward = fixed
     nearest = np.asarray(point_tree(there).query(moved)[1])

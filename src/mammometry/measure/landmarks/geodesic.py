@@ -43,9 +43,7 @@ class SurfacePath:
 
 
 def geodesic(mesh: TriangleMesh, start_world: Float64[Array, 3], stop_world: Float64[Array, 3]) -> SurfacePath:
-    """Find the shortest path over the surface between two points.
-
-    Each point is moved onto the mesh.
+    """Find the shortest path over the surface between two points. Each point is moved onto the mesh.
 
     Args:
         mesh: the surface, mm, world frame; open or closed.

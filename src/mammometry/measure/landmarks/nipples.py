@@ -151,10 +151,7 @@ def _pairs(points: Float64[Array, "n 3"], chosen: Array, within_mm: float) -> _P
 def _mean(
     samples: _Samples, values: Float64[Array, "n k"], within_mm: float, beyond_mm: float = 0.0
 ) -> Float64[Array, "n k"]:
-    """Mean over the samples at a distance from each sample.
-
-    Its own value where there are none.
-    """
+    """Mean over the samples at a distance from each sample. Its own value where there are none."""
     pairs = samples.near if within_mm <= _FOOT_MM[1] else samples.far
     kept = (pairs.distance_mm >= beyond_mm) & (pairs.distance_mm < within_mm)
     row, column = pairs.row[kept], pairs.column[kept]
@@ -164,10 +161,7 @@ def _mean(
 
 
 def _areola(samples: _Samples, inner: Bool[Array, " n"], settings: NippleSettings) -> Float64[Array, 3] | None:
-    """Middle of a disc that is redder than the ring around it.
-
-    None if none stands out from the scatter.
-    """
+    """Middle of a disc that is redder than the ring around it. None if none stands out from the scatter."""
     redness = samples.redness[:, None]
     contrast = (_mean(samples, redness, _DISC_MM) - _mean(samples, redness, _RING_MM[1], _RING_MM[0]))[:, 0]
     middle = float(np.median(contrast[inner]))

@@ -1,7 +1,4 @@
-"""Left breast against the mirrored right one.
-
-The mirror is the trunk's mid-sagittal plane.
-"""
+"""Left breast against the mirrored right one. The mirror is the trunk's mid-sagittal plane."""
 
 from __future__ import annotations
 
@@ -65,10 +62,7 @@ class Symmetry:
             object.__setattr__(self, name, read_only(getattr(self, name)))
 
     def mirrored(self, points_world: Float64[Array, "n 3"]) -> Float64[Array, "n 3"]:
-        """Mirrored points of the right side, laid onto the left, mm.
-
-        The mirror is the plane. World frame.
-        """
+        """Mirrored points of the right side, laid onto the left, mm. The mirror is the plane. World frame."""
         plain = mirror(points_world, self.plane_point_world, self.plane_normal_world)
         return self.left_from_mirrored.apply(plain)
 

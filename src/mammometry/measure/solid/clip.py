@@ -32,10 +32,7 @@ def volume_within_mm3(solid: TriangleMesh, origin: Float64[Array, 3], normals: S
 
 
 def _clipped(triangles: Float64[Array, "m 3 3"], normal: Float64[Array, 3]) -> Float64[Array, "k 3 3"]:
-    """Parts of triangles above the plane through the origin.
-
-    They are triangles of the same orientation.
-    """
+    """Parts of triangles above the plane through the origin. They are triangles of the same orientation."""
     height = triangles @ normal
     inside = height >= 0
     count = inside.sum(axis=1)

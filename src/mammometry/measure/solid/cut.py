@@ -76,9 +76,7 @@ def above(mesh: TriangleMesh, height: Height) -> OpenPart:
 
 
 def inside_curve(mesh: TriangleMesh, curve: Int64[Array, " n"]) -> OpenPart:
-    """Keep the smaller part of a closed mesh cut by a curve.
-
-    The closed curve consists of edges.
+    """Keep the smaller part of a closed mesh cut by a curve. The closed curve consists of edges.
 
     Args:
         mesh: a closed mesh.
@@ -218,10 +216,7 @@ def _without_necks(part: OpenPart, mesh: TriangleMesh, faces: Bool[Array, " m"],
 
 
 def faces_around(points: Float64[Array, "n 3"], mesh: TriangleMesh) -> Bool[Array, " m"]:
-    """Faces within a sphere that holds more than the breast.
-
-    The breast is the one over a curve.
-    """
+    """Faces within a sphere that holds more than the breast. The breast is the one over a curve."""
     centre = points.mean(axis=0)
     reach = _SPHERE * float(np.linalg.norm(points - centre, axis=1).max()) + _SPHERE_MM
     within = np.linalg.norm(mesh.vertices - centre, axis=1) < reach
@@ -229,10 +224,7 @@ def faces_around(points: Float64[Array, "n 3"], mesh: TriangleMesh) -> Bool[Arra
 
 
 def opening_loops(faces: Int64[Array, "m 3"], n_vertices: int) -> tuple[Int64[Array, " n"], ...]:
-    """Closed loops of the edges with one face, longest first.
-
-    In the faces' direction.
-    """
+    """Closed loops of the edges with one face, longest first. In the faces' direction."""
     a, b = faces.ravel(), faces[:, [1, 2, 0]].ravel()
     rings = mesh_kernels.edge_rings(n_vertices, read_only(faces.astype(np.int32)))
     single = rings == np.arange(len(rings))
@@ -338,10 +330,7 @@ def _areas_mm2(mesh: TriangleMesh) -> Float64[Array, " m"]:
 
 
 def _largest(mesh: TriangleMesh) -> OpenPart:
-    """Compact the connected part with the largest area.
-
-    Parts are joined by edges or corners.
-    """
+    """Compact the connected part with the largest area. Parts are joined by edges or corners."""
     part = mesh.components()[1][mesh.faces[:, 0]]
     return _compact(mesh, part == np.argmax(np.bincount(part, _areas_mm2(mesh), minlength=1)))
 

@@ -87,10 +87,7 @@ def signed_area_mm2(loop: Float64[Array, "n 2"]) -> float:
 
 
 def harmonic(patch: Patch, boundary_values: Float64[Array, "b k"]) -> Float64[Array, "n k"]:
-    """Harmonic values over the patch, from values on its loops.
-
-    Linear finite elements.
-    """
+    """Harmonic values over the patch, from values on its loops. Linear finite elements."""
     laplacian = cotangent_laplacian(patch.points, patch.faces)
     b = patch.n_loop
     values = np.zeros((len(patch.points), boundary_values.shape[1]))
@@ -123,10 +120,7 @@ def cotangent_laplacian(points: Float64[Array, "n d"], faces: Int64[Array, "m 3"
 def _inner_grid(
     loops: Sequence[Float64[Array, "_ 2"]], spacing: float
 ) -> tuple[Float64[Array, "n 2"], Int64[Array, "m 3"]]:
-    """Square cells inside the loops, as points and triangles.
-
-    They keep a cell's distance from the loops.
-    """
+    """Square cells inside the loops, as points and triangles. They keep a cell's distance from the loops."""
     points = np.concatenate(loops)
     low = points.min(axis=0) - 2 * spacing
     width, height = (int(size) for size in np.ceil((points.max(axis=0) + 2 * spacing - low) / spacing))

@@ -45,10 +45,7 @@ def without_curls(loop: Float64[Array, "n 2"]) -> Float64[Array, "n 2"]:
 
 
 def self_crossings(loop: Float64[Array, "n 2"]) -> Int64[Array, "k 2"]:
-    """Pairs of edges of a closed curve that cross.
-
-    Edge i leads from corner i to the next.
-    """
+    """Pairs of edges of a closed curve that cross. Edge i leads from corner i to the next."""
     a, b = loop, np.roll(loop, -1, axis=0)
     low, high = np.minimum(a, b), np.maximum(a, b)
     order = np.argsort(low[:, 0], kind="stable")

@@ -38,10 +38,7 @@ _STEEP_MM = 60.0  # bulges above this count as this; chosen by eye
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Relief:
-    """Bulge of the innermost skin over a grid, mm.
-
-    The grid is (half width × θ, y), both in mm.
-    """
+    """Bulge of the innermost skin over a grid, mm. The grid is (half width × θ, y), both in mm."""
 
     low: Float64[Array, 2]
     """Position of the first pixel's centre, mm."""
@@ -79,10 +76,7 @@ class Relief:
         return np.clip((away_mm - _KNOWN_MM) / (reach_mm - _KNOWN_MM), 0.0, 1.0)
 
     def at(self, flat: Float64[Array, "*n 2"], values: Float64[Array, "h w"]) -> Float64[Array, "*n"]:
-        """Sample a picture at (half width × θ, y), mm, bilinearly.
-
-        Beyond its edge take the nearest value.
-        """
+        """Sample a picture at (half width × θ, y), mm, bilinearly. Beyond its edge take the nearest value."""
         column, row = np.moveaxis((flat - self.low) / PIXEL_MM, -1, 0)
         sampled: Float64[Array, "*n"] = map_coordinates(values, [row, column], order=1, mode="nearest")
         return sampled

@@ -77,10 +77,7 @@ class Trunk:
         object.__setattr__(self, "origin", read_only(self.origin))
 
     def cylindrical(self, points_world: Float64[Array, "n 3"]) -> Float64[Array, "n 3"]:
-        """(half width × θ, y, r) of world points, laid flat, mm.
-
-        As seen from in front of the patient.
-        """
+        """(half width × θ, y, r) of world points, laid flat, mm. As seen from in front of the patient."""
         x, y, z = ((points_world - self.origin) @ self.frame.T).T
         return np.stack([self.half_width_mm * np.arctan2(x, z), y, np.hypot(x, z)], axis=1)
 
@@ -115,10 +112,7 @@ class Thorax:
         object.__setattr__(self, "coefficients", read_only(self.coefficients))
 
     def radius_mm(self, arc_y: Float64[Array, "n 2"]) -> Float64[Array, " n"]:
-        """Radius of the trunk without breasts at (half width × θ, y).
-
-        All in mm.
-        """
+        """Radius of the trunk without breasts at (half width × θ, y). All in mm."""
         return _design(arc_y, self.trunk.half_width_mm, self.settings) @ self.coefficients
 
     def bulge_mm(self, points_world: Float64[Array, "n 3"]) -> Float64[Array, " n"]:
@@ -146,10 +140,7 @@ class Skin:
 
 
 def seen_faces(surface: RepairedSurface) -> Int64[Array, " k"]:
-    """Faces that are not invented.
-
-    All faces if nothing is known to be measured.
-    """
+    """Faces that are not invented. All faces if nothing is known to be measured."""
     seen = surface.mesh.faces_within(surface.provenance != Provenance.INVENTED)
     return np.flatnonzero(seen) if seen.any() else np.arange(len(surface.mesh.faces))
 
@@ -231,10 +222,7 @@ def find_trunk(
 
 
 def _axis(normals: Float64[Array, "n 3"], frame: Float64[Array, "3 3"], settings: ThoraxSettings) -> Float64[Array, 3]:
-    """The direction that the skin's normals avoid.
-
-    The head's where none near to it is.
-    """
+    """The direction that the skin's normals avoid. The head's where none near to it is."""
     axis = frame[1]
     for _ in range(_AXIS_ROUNDS):
         weights = 1 / (1 + ((normals @ axis) / _LEAN) ** 2)
@@ -418,10 +406,7 @@ def _design(arc_y: Float64[Array, "n 2"], half_width: float, settings: ThoraxSet
 
 
 def orthonormal(up: Float64[Array, 3], ahead: Float64[Array, 3]) -> Float64[Array, "3 3"]:
-    """Frame with the head along `up`, looking nearly ahead.
-
-    Rows: patient's left, head, straight ahead.
-    """
+    """Frame with the head along `up`, looking nearly ahead. Rows: patient's left, head, straight ahead."""
     up = up / np.linalg.norm(up)
     ahead = ahead - up * (ahead @ up)
     ahead /= np.linalg.norm(ahead)

@@ -1,7 +1,4 @@
-"""Change of the volume when the boundary is drawn again.
-
-Linear theory on the real cut.
-"""
+"""Change of the volume when the boundary is drawn again. Linear theory on the real cut."""
 
 from __future__ import annotations
 
@@ -82,10 +79,7 @@ def boundary_std_cc(breast: OpenBreast, wall: ChestWall, *, progress: Progress =
 
 
 def _sigma_mm(breast: OpenBreast) -> Float64[Array, " n"]:
-    """Standard uncertainty of each boundary point across the curve, mm.
-
-    Smooth along the curve.
-    """
+    """Standard uncertainty of each boundary point across the curve, mm. Smooth along the curve."""
     boundary, surface, settings = breast.boundary, breast.surface, breast.settings
     points = boundary.points_world
     measured = surface.mesh.vertices[surface.provenance == Provenance.MEASURED]

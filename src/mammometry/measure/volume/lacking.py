@@ -105,10 +105,7 @@ def _between(
     rim_world: Float64[Array, "b 3"],
     mirrored_rim_world: Float64[Array, "b 3"],
 ) -> tuple[float, float]:
-    """Volume of one wall in front of another, and their rims' distance.
-
-    cc, and RMS in mm.
-    """
+    """Volume of one wall in front of another, and their rims' distance. cc, and RMS in mm."""
     first, second = (trunk.cylindrical(points) for points in (wall_world, mirrored_world))
     rims = [trunk.cylindrical(points) for points in (rim_world, mirrored_rim_world)]
     low, high = first[:, :2].min(axis=0), first[:, :2].max(axis=0)
@@ -122,10 +119,7 @@ def _between(
 
 
 def _within(flat: Float64[Array, "n 2"], outline: Float64[Array, "k 2"]) -> Array:
-    """Whether points are inside a closed polygon.
-
-    An odd number of its edges is then to their right.
-    """
+    """Whether points are inside a closed polygon. An odd number of its edges is then to their right."""
     inside = np.zeros(len(flat), dtype=bool)
     for (ax, ay), (bx, by) in zip(outline, np.roll(outline, -1, axis=0), strict=True):
         crosses = (ay > flat[:, 1]) != (by > flat[:, 1])

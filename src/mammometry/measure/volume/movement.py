@@ -74,10 +74,7 @@ def movement_std_cc(
 def _displacements(
     movement: Movement, points: Float64[Array, "n 3"], surface: RepairedSurface
 ) -> Float64[Array, "n 3 p"]:
-    """Displacement of surface points by a unit of each unknown.
-
-    Mean of the pairs that measured there.
-    """
+    """Displacement of surface points by a unit of each unknown. Mean of the pairs that measured there."""
     bits = _measured_by(points, surface)
     total = np.zeros((len(points), 3, movement.found.asked.count))
     count = np.zeros(len(points))

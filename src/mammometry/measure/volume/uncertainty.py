@@ -45,10 +45,7 @@ class EarlierErrors:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Evidence:
-    """What earlier stages know about the errors of a volume.
-
-    Each may be unknown.
-    """
+    """What earlier stages know about the errors of a volume. Each may be unknown."""
 
     surface: RepairedSurface | None = None
     """Where the skin was measured, repaired and invented. None: all of it counts as measured."""

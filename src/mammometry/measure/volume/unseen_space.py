@@ -43,10 +43,7 @@ class Silhouette:
             object.__setattr__(self, name, read_only(getattr(self, name)))
 
     def excludes(self, points_world: Float64[Array, "n 3"]) -> Bool[Array, " n"]:
-        """Which points lie outside the silhouette by more than its doubt.
-
-        Points are in mm, world frame.
-        """
+        """Which points lie outside the silhouette by more than its doubt. Points are in mm, world frame."""
         seen, column, row = _pixels(self.camera, points_world)
         outside = seen[self.background[row, column]]
         uv = self.camera.project(points_world[outside])
@@ -75,10 +72,7 @@ class SeenThrough:
 
     @classmethod
     def of(cls, image: RangeImage, margin_mm: float) -> SeenThrough:
-        """Cut out what holds data.
-
-        The rest of a range image excludes nothing.
-        """
+        """Cut out what holds data. The rest of a range image excludes nothing."""
         top, bottom, left, right = raster_kernels.extent(image.valid).tolist()
         window = (slice(top, bottom), slice(left, right))
         return cls(

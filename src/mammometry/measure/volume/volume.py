@@ -1,7 +1,4 @@
-"""Volume of the closed breast, exact for its mesh.
-
-By the divergence theorem.
-"""
+"""Volume of the closed breast, exact for its mesh. By the divergence theorem."""
 
 from __future__ import annotations
 

@@ -19,9 +19,7 @@ from mammometry.measure.wall.open_breast import OpenBreast
 def measure_volumes(
     breasts: Sequence[OpenBreast], evidence: Evidence = Evidence(), *, progress: Progress = no_progress
 ) -> tuple[VolumeMeasurement, ...]:
-    """Close every breast with every fitting wall, and measure it.
-
-    The wanted wall comes first.
+    """Close every breast with every fitting wall, and measure it. The wanted wall comes first.
 
     Args:
         breasts: of one subject (`open_breasts`).
@@ -61,9 +59,7 @@ def measured_or_refused(
 
 
 def measure_volume(breast: OpenBreast, evidence: Evidence = Evidence()) -> VolumeMeasurement:
-    """Close one breast with every fitting wall, and measure it.
-
-    The wanted wall comes first.
+    """Close one breast with every fitting wall, and measure it. The wanted wall comes first.
 
     Raises:
         MeasureError: the wanted wall does not fit, or skin and wall do not make a closed solid.

@@ -1,7 +1,4 @@
-"""The wall that closes a breast at its back.
-
-Every result names and defines the chosen one.
-"""
+"""The wall that closes a breast at its back. Every result names and defines the chosen one."""
 
 from __future__ import annotations
 
@@ -76,10 +73,7 @@ def fit_all(breast: OpenBreast) -> tuple[ChestWall, ...]:
 
 
 def _wanted(breast: OpenBreast, wanted: str) -> str:
-    """Name of the wall to take first.
-
-    By default a separately measured one, else the subject's own.
-    """
+    """Name of the wall to take first. By default a separately measured one, else the subject's own."""
     names = in_order(breast.walls)
     if wanted != DEFAULT and wanted not in names:
         raise MeasureError(
@@ -96,10 +90,7 @@ def _wanted(breast: OpenBreast, wanted: str) -> str:
 
 
 def _close_first(breast: OpenBreast, kind: str) -> ChestWall:
-    """The wanted wall.
-
-    If the boundary crosses itself on skin that was not measured, the error says so.
-    """
+    """The wanted wall. If the boundary crosses itself on skin that was not measured, the error says so."""
     try:
         return _close(breast, kind)
     except CrossingError as error:

@@ -97,9 +97,7 @@ class TrunkChart:
 
 
 def through(part: OpenPart, chart: Chart, height: Height | None = None, *, subject: str) -> Closed:
-    """Close a skin with a height over a chart.
-
-    The misfit on the opening is added, harmonic inside.
+    """Close a skin with a height over a chart. The misfit on the opening is added, harmonic inside.
 
     Raises:
         MeasureError: the opening laid flat crosses itself, or the height is not known everywhere within it.
@@ -115,10 +113,7 @@ def through(part: OpenPart, chart: Chart, height: Height | None = None, *, subje
 
 
 def plate(places: Float64[Array, "n 3"]) -> Height:
-    """Thin-plate spline through evenly chosen places and heights.
-
-    Of coincident places the first.
-    """
+    """Thin-plate spline through evenly chosen places and heights. Of coincident places the first."""
     knots = places[np.unique(np.linspace(0, len(places) - 1, min(_PLATE_KNOTS, len(places))).astype(int))]
     knots = knots[np.sort(np.unique(knots[:, :2].round(_SAME_PLACE_DIGITS), axis=0, return_index=True)[1])]
     spline = RBFInterpolator(knots[:, :2], knots[:, 2], kernel="thin_plate_spline", degree=1)
@@ -131,9 +126,7 @@ def plate(places: Float64[Array, "n 3"]) -> Height:
 
 
 def layer(places: Float64[Array, "n 3"], subject: str) -> Height:
-    """A height between scattered places.
-
-    The mean of each 4 mm cell, linear between them.
+    """A height between scattered places. The mean of each 4 mm cell, linear between them.
 
     Raises:
         MeasureError: when asked for places of which many lie beyond the scattered ones.

@@ -101,10 +101,7 @@ class OpenBreast:
         return self._base_through(None)
 
     def base_as(self, kind: BaseKind) -> Base:
-        """A cast's base as a plane, or as a convex cylinder.
-
-        A cylinder through a flat rim is a plane.
-        """
+        """A cast's base as a plane, or as a convex cylinder. A cylinder through a flat rim is a plane."""
         return self.own_base if self.own_base.kind == kind else self._base_through(kind)
 
     def _base_through(self, kind: BaseKind | None) -> Base:
@@ -120,10 +117,7 @@ class OpenBreast:
 
     @cached_property
     def body_frame(self) -> Float64[Array, "3 3"] | None:
-        """The body's frame, or None where nothing shows it.
-
-        Given, or from a boundary on each side.
-        """
+        """The body's frame, or None where nothing shows it. Given, or from a boundary on each side."""
         if self.frame is not None:
             return self.frame
         curves = {boundary.name: boundary.points_world for boundary in self._all_boundaries()}
@@ -175,9 +169,7 @@ def open_breasts(
     frame: Float64[Array, "3 3"] | None = None,
     back: TriangleMesh | None = None,
 ) -> tuple[OpenBreast, ...]:
-    """All breasts of one subject.
-
-    The visible skin is found once for all of them.
+    """All breasts of one subject. The visible skin is found once for all of them.
 
     Args:
         boundaries: one for each breast.

@@ -70,10 +70,7 @@ def add_wall(
     measured: bool = False,
     flat_u95_mm: float = _UNTRIED_MM,
 ) -> Callable[[Close], Close]:
-    """Register a function that closes a breast as a wall.
-
-    The facts are those of `WallModel`.
-    """
+    """Register a function that closes a breast as a wall. The facts are those of `WallModel`."""
 
     def enter(close: Close) -> Close:
         model = WallModel(

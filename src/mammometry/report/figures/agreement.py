@@ -84,10 +84,7 @@ def scatter(data: PairedMeasurements) -> bytes:
 
 
 def _stretched(values: Array, share: float) -> tuple[float, float]:
-    """Range of the values with some room at either end.
-
-    Never of zero width.
-    """
+    """Range of the values with some room at either end. Never of zero width."""
     low, high = float(values.min()), float(values.max())
     room = share * (high - low) or max(abs(high), 1.0) * share
     return low - room, high + room

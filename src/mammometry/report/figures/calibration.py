@@ -103,10 +103,7 @@ def residuals(result: CalibrationResult) -> bytes | None:
 
 @preview("residual-field", stage="calibrate", place=4, photographs=False, on_paper=True)
 def residual_field(result: CalibrationResult) -> bytes | None:
-    """Mean residual in cells of each camera's image.
-
-    What remains here is systematic.
-    """
+    """Mean residual in cells of each camera's image. What remains here is systematic."""
     from matplotlib.ticker import MaxNLocator
 
     calibration = result.calibration

@@ -1,7 +1,4 @@
-"""Sheet of panels in pixels, written as a PNG with caption.
-
-No text can overlap.
-"""
+"""Sheet of panels in pixels, written as a PNG with caption. No text can overlap."""
 
 from __future__ import annotations
 
@@ -50,10 +47,7 @@ _TEXT_PT = 8.5  # size of text, points; chosen by eye
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Caption:
-    """What a picture is called and what it shows.
-
-    Kept inside the PNG itself.
-    """
+    """What a picture is called and what it shows. Kept inside the PNG itself."""
 
     title: str
     text: str
@@ -126,10 +120,7 @@ class Sheet:
         return axes
 
     def bar(self, row: int, mappable: Any, label: str, **options: Any) -> None:
-        """Draw the colour bar of a row.
-
-        Its label says what and the unit.
-        """
+        """Draw the colour bar of a row. Its label says what and the unit."""
         top = self._margin + self._header + row * self._step[1] + self._title
         inset = min(18, self._panel[1] // 10)
         place = self._box(self.width - self._margin - _BAR + 10, top + inset, 12, self._panel[1] - 2 * inset)
@@ -141,10 +132,7 @@ class Sheet:
         axes.set_ylabel(label, fontsize=_TEXT_PT, color=INK)
 
     def legend(self, entries: Sequence[tuple[str, str]]) -> None:
-        """Write a legend in the header, from left to right.
-
-        Each entry has a colour and its meaning.
-        """
+        """Write a legend in the header, from left to right. Each entry has a colour and its meaning."""
         from matplotlib.patches import Rectangle
 
         x = float(self._margin)
@@ -211,10 +199,7 @@ def _frame(axes: Axes) -> None:
 
 
 def scale_bar(axes: Axes, extent_mm: tuple[float, float, float, float]) -> None:
-    """Draw a scale bar of round length in a panel's lower left.
-
-    The panel's units are mm.
-    """
+    """Draw a scale bar of round length in a panel's lower left. The panel's units are mm."""
     left, right, bottom, top = extent_mm
     length = round_length((right - left) * 0.3)
     x, y = left + 0.03 * (right - left), bottom + 0.035 * (top - bottom)
@@ -259,10 +244,7 @@ def round_length(length: float) -> float:
 
 
 def grid(count: int, most: int = 4) -> tuple[int, int]:
-    """Columns and rows for `count` panels, at most `most` in a row.
-
-    Rows are filled as evenly as possible.
-    """
+    """Columns and rows for `count` panels, at most `most` in a row. Rows are filled as evenly as possible."""
     rows = max(1, -(-count // most))
     return -(-count // rows), rows
 
@@ -280,10 +262,7 @@ def encode(pixels: UInt8[Array, "h w 3"], caption: Caption) -> bytes:
 
 
 def caption_of(png: bytes) -> Caption:
-    """Read the caption back from a preview.
-
-    A PNG of other origin has an empty one.
-    """
+    """Read the caption back from a preview. A PNG of other origin has an empty one."""
     with Image.open(io.BytesIO(png), formats=("PNG",)) as image:
         return caption_in(image)
 
@@ -339,28 +318,19 @@ def diverging_scale(limit: float) -> Any:
 
 
 def coloured(values: Float64[Array, " n"], scale: Any) -> Float32[Array, "n 3"]:
-    """Each value in the scale's colour, 0…1.
-
-    NaN in its colour for nothing.
-    """
+    """Each value in the scale's colour, 0…1. NaN in its colour for nothing."""
     colours: Float32[Array, "n 3"] = np.asarray(scale.to_rgba(np.ma.masked_invalid(values)))[:, :3].astype(np.float32)
     return colours
 
 
 def rounded_up(value: float) -> float:
-    """Round up to a scale's end.
-
-    The result is one of 1, 1.5, 2, 3, 5, 7 × 10ⁿ.
-    """
+    """Round up to a scale's end. The result is one of 1, 1.5, 2, 3, 5, 7 × 10ⁿ."""
     power = 10.0 ** np.floor(np.log10(value))
     return float(next(step * power for step in (1, 1.5, 2, 3, 5, 7, 10) if step * power >= value * (1 - 1e-9)))
 
 
 def pixel_extent(size_wh: tuple[int, int]) -> tuple[float, float, float, float]:
-    """Extent of a picture in its own pixels, row 0 on top.
-
-    Pixel centres are at integers.
-    """
+    """Extent of a picture in its own pixels, row 0 on top. Pixel centres are at integers."""
     return -0.5, size_wh[0] - 0.5, size_wh[1] - 0.5, -0.5
 
 

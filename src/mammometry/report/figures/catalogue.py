@@ -56,10 +56,7 @@ PAPER_FIGURES: Registry[DrawPaper] = Registry("figure of the paper", package=__p
 def preview(
     name: str, *, stage: Stage, place: int, photographs: bool, on_paper: bool = False, per_breast: bool = False
 ) -> Callable[[_Figure], _Figure]:
-    """Decorate a function to enter it as a preview.
-
-    The facts are those of `Preview`.
-    """
+    """Decorate a function to enter it as a preview. The facts are those of `Preview`."""
 
     def enter(draw: _Figure) -> _Figure:
         entry = Preview(
@@ -113,10 +110,7 @@ def in_order(stage: str, names: Iterable[str]) -> list[str]:
 
 
 def shows_photographs(name: str) -> bool:
-    """Whether a picture shows photographs.
-
-    One that nobody knows is taken to show them.
-    """
+    """Whether a picture shows photographs. One that nobody knows is taken to show them."""
     known = [each for each in PREVIEWS.values() if each.is_called(name)]
     return not known or any(each.photographs for each in known)
 

@@ -58,9 +58,7 @@ class Dated:
 
 
 def change_map(frame: Float64[Array, "3 3"], dates: tuple[Dated, Dated], change: Change) -> bytes:
-    """Both dates in colour, and the later coloured by the change.
-
-    Seen from three directions.
+    """Both dates in colour, and the later coloured by the change. Seen from three directions.
 
     Args:
         frame: rows right, up and towards the viewer of the front view, world frame of the earlier date.
@@ -150,9 +148,6 @@ def _around_breasts(dates: Sequence[Dated]) -> TriangleMesh:
 
 
 def _turned(angle_deg: float) -> Any:
-    """Turn the view's frame about its upward axis.
-
-    Positive: the viewer walks to the picture's left.
-    """
+    """Turn the view's frame about its upward axis. Positive: the viewer walks to the picture's left."""
     sine, cosine = np.sin(np.deg2rad(angle_deg)), np.cos(np.deg2rad(angle_deg))
     return np.array([[cosine, 0.0, sine], [0.0, 1.0, 0.0], [-sine, 0.0, cosine]])

@@ -174,10 +174,7 @@ def _map(
 
 
 def resampled(photograph: Photograph, camera: Camera, ideal: Camera, longest_px: int) -> UInt8[Array, "h w 3"]:
-    """A photograph as an ideal camera sees it, at preview resolution.
-
-    White outside the photograph.
-    """
+    """A photograph as an ideal camera sees it, at preview resolution. White outside the photograph."""
     from scipy import ndimage
 
     _, _, source = source_grid(camera, ideal, longest_px)

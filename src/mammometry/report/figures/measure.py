@@ -206,10 +206,7 @@ def curve(
     size_px: int,
     width: float = 1.8,
 ) -> None:
-    """Draw a closed curve into a rendered view of that size.
-
-    The curve is dashed where the mesh hides it.
-    """
+    """Draw a closed curve into a rendered view of that size. The curve is dashed where the mesh hides it."""
     loop = _dense(np.concatenate([points_world, points_world[:1]]))
     seen = visible(loop, view, scene.cast(view, 2 * size_px))
     x, y, _ = view.project(loop).T
@@ -224,10 +221,7 @@ def _not(side: NoBreast) -> str:
 
 
 def _dense(line: Float64[Array, "n 3"], step_mm: float = 1.0) -> Float64[Array, "m 3"]:
-    """The same line with a point about every millimetre.
-
-    So it can be hidden piece by piece.
-    """
+    """The same line with a point about every millimetre. So it can be hidden piece by piece."""
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
     count = min(max(int(along[-1] / step_mm), len(line)), 4000)
     wanted = np.linspace(0.0, along[-1], count)
@@ -243,9 +237,6 @@ def _middle(measured: VolumeMeasurement) -> Float64[Array, 3]:
 
 
 def _turn(angle_rad: float) -> Float64[Array, "3 3"]:
-    """Turn the view's frame about its upward axis.
-
-    The viewer walks to the picture's right.
-    """
+    """Turn the view's frame about its upward axis. The viewer walks to the picture's right."""
     sine, cosine = np.sin(angle_rad), np.cos(angle_rad)
     return np.array([[cosine, 0.0, -sine], [0.0, 1.0, 0.0], [sine, 0.0, cosine]])

@@ -30,9 +30,7 @@ _ARROW_MM = 40.0  # length of the arrows towards the cameras; chosen by eye
 
 
 def write_figure(number: int, source: Source, path: Path, subject: str | None = None) -> None:
-    """Draw one of the paper's figures from a session and write it.
-
-    An earlier one of ours is replaced.
+    """Draw one of the paper's figures from a session and write it. An earlier one of ours is replaced.
 
     Args:
         number: 1 to 7.
@@ -52,10 +50,7 @@ def write_figure(number: int, source: Source, path: Path, subject: str | None = 
 
 @paper_figure(1)
 def stereo_and_matching(source: Source) -> Sheet:
-    """Fig. 1: stereo pair, disparities, confidence and range image.
-
-    One row a pair.
-    """
+    """Fig. 1: stereo pair, disparities, confidence and range image. One row a pair."""
     plan, inputs, _ = source
     rig = plan.calibrated.cameras().rig
     found = {pair: product() for pair, product in plan.matched.disparities.items()}
@@ -222,10 +217,7 @@ def _surface(plan: Plan, mesh: TriangleMesh) -> Sheet:
 
 
 def _side(mesh: TriangleMesh, image: RangeImage) -> View:
-    """Look at a pair's mesh 50° off its camera's axis.
-
-    There dents are visible.
-    """
+    """Look at a pair's mesh 50° off its camera's axis. There dents are visible."""
     rows = image.camera.camera_from_world.rotation
     frame = np.stack([rows[0], -rows[1], -rows[2]])
     turn = np.radians(50.0)

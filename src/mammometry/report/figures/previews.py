@@ -14,10 +14,7 @@ from mammometry.surface.texture import TexturedMesh
 
 
 def draw(result: StageResult) -> dict[str, bytes]:
-    """Draw every preview of a stage's result: name → PNG.
-
-    An open surface has nothing measured to show.
-    """
+    """Draw every preview of a stage's result: name → PNG. An open surface has nothing measured to show."""
     measurements = result.measurements if isinstance(result, MeasureResult) else ()
     pictures: dict[str, bytes | None] = {}
     for each in previews_of(result.stage):

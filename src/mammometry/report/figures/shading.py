@@ -112,9 +112,7 @@ class Scene:
         face_colours: Float32[Array, "m 3"] | None = None,
         lit: bool | float = True,
     ) -> UInt8[Array, "h w 4"]:
-        """Picture of the mesh, RGBA, transparent where there is none.
-
-        Edges smoothed by four samples a pixel.
+        """Picture of the mesh, RGBA, transparent where there is none. Edges smoothed by four samples a pixel.
 
         Args:
             view: from where.
@@ -167,9 +165,7 @@ def picture_wh(view: View, size_px: int) -> tuple[int, int]:
 def standard_views(
     mesh: TriangleMesh, frame: Float64[Array, "3 3"], *, of_patient: bool = False, margin: float = 1.06
 ) -> tuple[View, ...]:
-    """Four standard views: front, 45° from either side, from below.
-
-    All have one scale and centre.
+    """Four standard views: front, 45° from either side, from below. All have one scale and centre.
 
     Args:
         mesh: what to look at.
@@ -189,10 +185,7 @@ def standard_views(
 
 
 def views_of(mesh: TriangleMesh, frames: dict[str, Float64[Array, "3 3"]], *, margin: float = 1.06) -> tuple[View, ...]:
-    """Views of a mesh from given directions, at one scale.
-
-    Below each is a strip for the scale bar.
-    """
+    """Views of a mesh from given directions, at one scale. Below each is a strip for the scale bar."""
     low, high = bounds(mesh.vertices)
     centre = (low + high) / 2
     placed = {}
@@ -239,9 +232,7 @@ def front_frame(
 
 
 def front_of(rig: Rig, body: Body | None) -> Float64[Array, "3 3"]:
-    """Axes of the front view: the body's own, else the cameras'.
-
-    Rows: right, up and towards the viewer.
+    """Axes of the front view: the body's own, else the cameras'. Rows: right, up and towards the viewer.
 
     Args:
         rig: the cameras.
@@ -253,10 +244,7 @@ def front_of(rig: Rig, body: Body | None) -> Float64[Array, "3 3"]:
 def section(
     mesh: TriangleMesh, point_world: Float64[Array, 3], normal_world: Float64[Array, 3]
 ) -> tuple[Float64[Array, "k 2 3"], Int64[Array, " k"]]:
-    """Segments of a mesh cut by a plane, world frame, mm.
-
-    Each comes with its face.
-    """
+    """Segments of a mesh cut by a plane, world frame, mm. Each comes with its face."""
     heights = (mesh.vertices - point_world) @ normal_world
     above = (heights > 0)[mesh.faces]
     crossed = np.flatnonzero(above.any(axis=1) & ~above.all(axis=1))
@@ -322,10 +310,7 @@ def _interpolated(
 
 
 def _halved(picture: Float32[Array, "h w 4"]) -> UInt8[Array, "h2 w2 4"]:
-    """Mean of 2 × 2 pixels.
-
-    Colour is averaged where there is any.
-    """
+    """Mean of 2 × 2 pixels. Colour is averaged where there is any."""
     sums = picture[::2, ::2] + picture[1::2, ::2] + picture[::2, 1::2] + picture[1::2, 1::2]
     alpha = sums[..., 3:]
     sums[..., :3] /= np.maximum(alpha, 1)

@@ -73,10 +73,7 @@ class MatchingResult:
         foregrounds: Mapping[str, Foreground],
         disparities: Mapping[str, DisparityMap],
     ) -> MatchingResult:
-        """Thin everything for pictures.
-
-        Each value is looked up once: at full size they are large.
-        """
+        """Thin everything for pictures. Each value is looked up once: at full size they are large."""
         with ThreadPoolExecutor(2) as pool:
             small = dict(zip(foregrounds, pool.map(partial(_small, photographs), foregrounds), strict=True))
         maps, quality = thinned_maps(disparities)
@@ -155,10 +152,7 @@ class MeasureResult:
 
     @cached_property
     def frame(self) -> Float64[Array, "3 3"]:
-        """Right, up and towards the viewer of the front view, world frame.
-
-        Rows of a rotation.
-        """
+        """Right, up and towards the viewer of the front view, world frame. Rows of a rotation."""
         return front_of(self.rig, self.body)
 
 
@@ -207,8 +201,5 @@ def stage_result(stage: Stage, plan: Plan, inputs: Inputs, textured: TexturedMes
 
 
 def _small(photographs: Mapping[str, Photograph], name: str) -> Photograph:
-    """A small copy of a photograph.
-
-    Photographs are large and read from disk at each look-up.
-    """
+    """A small copy of a photograph. Photographs are large and read from disk at each look-up."""
     return Photograph(name=name, pixels=canvas.reduced(photographs[name], LARGEST_WIDTH_PX))

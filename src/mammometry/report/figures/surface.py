@@ -28,10 +28,7 @@ PROVENANCE_COLOURS: Mapping[Provenance, tuple[str, str]] = {
 
 @preview("range", stage="surface", place=1, photographs=False, on_paper=True)
 def range_images(result: SurfaceResult) -> bytes:
-    """Each pair's range image in the paper's grey, darker where nearer.
-
-    As in Fig. 1.
-    """
+    """Each pair's range image in the paper's grey, darker where nearer. As in Fig. 1."""
     ranges = result.ranges
     low, high = canvas.robust_range(np.concatenate([each.ranges_mm for each in ranges]), 0.002)
     sheet = _map_sheet([each.size_wh[::-1] for each in ranges], bars=True)
@@ -177,10 +174,7 @@ def convergence(result: SurfaceResult) -> bytes:
 
 
 def provenance_shares(repaired: RepairedSurface) -> dict[Provenance, float]:
-    """Share of the surface's area of each origin.
-
-    A face counts by thirds with its corners.
-    """
+    """Share of the surface's area of each origin. A face counts by thirds with its corners."""
     areas = np.linalg.norm(repaired.mesh.face_vectors(), axis=1)
     weights = np.bincount(
         repaired.provenance[repaired.mesh.faces].ravel(), np.repeat(areas / 3, 3), minlength=len(Provenance)

@@ -24,10 +24,7 @@ _TURN_DEG = 50.0  # of the view from the outside; chosen by eye
 
 @preview("symmetry", stage="measure", place=2, photographs=False)
 def symmetry_map(result: MeasureResult) -> bytes | None:
-    """Left and mirrored right breast, coloured by which is fuller.
-
-    Both are seen from the same directions.
-    """
+    """Left and mirrored right breast, coloured by which is fuller. Both are seen from the same directions."""
     symmetry = result.symmetry
     if symmetry is None:
         return None
@@ -84,8 +81,5 @@ def reach_mm(symmetry: Symmetry) -> float:
 
 
 def _skin(measured: VolumeMeasurement) -> TriangleMesh:
-    """The closed solid without its wall.
-
-    All its vertices stay, so that values keep their places.
-    """
+    """The closed solid without its wall. All its vertices stay, so that values keep their places."""
     return TriangleMesh(vertices=measured.closed.vertices, faces=measured.closed.faces[~wall_faces(measured)])

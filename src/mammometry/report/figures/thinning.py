@@ -31,10 +31,7 @@ def thinned_foreground(known: Foreground) -> Foreground:
 
 
 def thinned_map(found: DisparityMap) -> DisparityMap:
-    """Thin a disparity map for pictures.
-
-    Its values become pixels of the rectified pair.
-    """
+    """Thin a disparity map for pictures. Its values become pixels of the rectified pair."""
     step = max(1, -(-max(found.valid.shape) // _MAP_PX))
 
     def thin(values: Array) -> Array:
@@ -56,10 +53,7 @@ def thinned_map(found: DisparityMap) -> DisparityMap:
 def thinned_maps(
     disparities: Mapping[str, DisparityMap],
 ) -> tuple[dict[str, DisparityMap], dict[str, MatchQuality]]:
-    """Thin all pairs' maps, and judge the whole ones.
-
-    Each is looked up once: at full size they are large.
-    """
+    """Thin all pairs' maps, and judge the whole ones. Each is looked up once: at full size they are large."""
     maps, quality = {}, {}
     for pair, found in disparities.items():
         maps[pair], quality[pair] = thinned_map(found), assess(found)
@@ -68,10 +62,7 @@ def thinned_maps(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ThinnedRange:
-    """What pictures and tables show of a range image.
-
-    Before and after the removal of dents.
-    """
+    """What pictures and tables show of a range image. Before and after the removal of dents."""
 
     name: str
     """The pair's."""

@@ -235,10 +235,7 @@ def _with(shape: TorsoShape, side: str, breast: BreastShape) -> TorsoShape:
 
 
 def _across(breast: BreastShape, rng: np.random.Generator) -> tuple[Point, ...]:
-    """Line of a mastectomy's scar, slightly bent.
-
-    From near the breastbone to below the armpit.
-    """
+    """Line of a mastectomy's scar, slightly bent. From near the breastbone to below the armpit."""
     inner, outer, upper, _ = breast.radii_mm
     bend, rise = rng.uniform(-8.0, 2.0), rng.uniform(0.05, 0.35) * upper
     share = np.linspace(0.0, 1.0, 13)

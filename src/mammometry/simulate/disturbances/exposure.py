@@ -41,10 +41,7 @@ class Exposure:
         return replace(self, films=films)
 
     def shift_mm(self, camera: str, points: Float64[Array, "n 3"]) -> Float64[Array, " n"]:
-        """Displacement of the subject's points when a camera fires, mm.
-
-        Relative to the middle of all moments.
-        """
+        """Displacement of the subject's points when a camera fires, mm. Relative to the middle of all moments."""
         if self.motion is None:
             return np.zeros(len(points))
         moved: Float64[Array, " n"] = np.linalg.norm(self.motion.at(points, self.seconds[camera]) - points, axis=1)
@@ -63,10 +60,7 @@ def plain_exposure(rig: Rig, lights: Float64[Array, "l 4"], film: Film) -> Expos
 
 
 def turned(camera: Camera, rotation_rad: Float64[Array, 3]) -> Camera:
-    """Return the camera turned about its perspective centre.
-
-    Axis times angle in its own frame, rad.
-    """
+    """Return the camera turned about its perspective centre. Axis times angle in its own frame, rad."""
     turn = Rotation.from_rotvec(rotation_rad).as_matrix() @ camera.camera_from_world.rotation
     pose = Transform(rotation=turn, translation_mm=-turn @ camera.centre_world)
     return replace(camera, camera_from_world=pose)

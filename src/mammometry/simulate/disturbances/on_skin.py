@@ -1,7 +1,4 @@
-"""Skins and marks on them: dark, pale, older, wet, hairy, tattooed.
-
-Measures are chosen by eye.
-"""
+"""Skins and marks on them: dark, pale, older, wet, hairy, tattooed. Measures are chosen by eye."""
 
 from __future__ import annotations
 

@@ -55,10 +55,7 @@ class Number:
         return number
 
     def drawn(self, rng: np.random.Generator, share: float = 1.0) -> str:
-        """A size at random.
-
-        From the lowest `share` of its likely range.
-        """
+        """A size at random. From the lowest `share` of its likely range."""
         low, high = self.likely or self.within
         number = rng.uniform(low, low + share * (high - low))
         return f"{round(number) if self.whole else number:.3g}"
@@ -84,10 +81,7 @@ class Word:
         return text
 
     def drawn(self, rng: np.random.Generator, share: float = 1.0) -> str:
-        """A word at random.
-
-        Words have no order, so that `share` changes nothing.
-        """
+        """A word at random. Words have no order, so that `share` changes nothing."""
         return str(rng.choice(self.words))
 
 
@@ -126,10 +120,7 @@ DISTURBANCES: Registry[DisturbanceKind] = Registry(
 def disturbance(
     name: str, stage: Stage, what: str, size: Number | Word, *, turn: int = 0
 ) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Decorate a function to enter it as a disturbance.
-
-    See `DisturbanceKind` for the arguments.
-    """
+    """Decorate a function to enter it as a disturbance. See `DisturbanceKind` for the arguments."""
 
     def enter(apply: Callable[..., Any]) -> Callable[..., Any]:
         DISTURBANCES.add(name)(DisturbanceKind(name=name, stage=stage, what=what, size=size, turn=turn, apply=apply))

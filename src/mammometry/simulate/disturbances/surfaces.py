@@ -23,10 +23,7 @@ _NOT_FOUND_MM = 150.0
 
 
 def bar(line: Float64[Array, "j 3"], radius_mm: float | Sequence[float], sides: int = 16) -> Props:
-    """Make a round bar along a line, closed at its ends.
-
-    A radius for each point, or one for all.
-    """
+    """Make a round bar along a line, closed at its ends. A radius for each point, or one for all."""
     radius = np.broadcast_to(np.asarray(radius_mm, dtype=np.float64), len(line))
     along = np.gradient(line, axis=0)
     along /= np.linalg.norm(along, axis=1, keepdims=True)
@@ -59,10 +56,7 @@ def straight(start: ArrayLike, end: ArrayLike, step_mm: float = 15.0) -> Float64
 
 
 def sheet(middle: ArrayLike, right: ArrayLike, up: ArrayLike, step_mm: float = 30.0) -> Props:
-    """Make a flat sheet along `right` and `up`, centred on its middle.
-
-    It faces right × up.
-    """
+    """Make a flat sheet along `right` and `up`, centred on its middle. It faces right × up."""
     a, b = np.asarray(right, dtype=np.float64), np.asarray(up, dtype=np.float64)
     columns, rows = (max(1, math.ceil(2.0 * float(np.linalg.norm(side)) / step_mm)) for side in (a, b))
     s, t = np.meshgrid(np.linspace(-1.0, 1.0, columns + 1), np.linspace(-1.0, 1.0, rows + 1))
@@ -119,10 +113,7 @@ class Outside:
         EmbreeMesh(self._rays, mesh.vertices.astype(np.float32), mesh.faces)
 
     def radius_mm(self, height_mm: Array, angle_rad: Array, axis_z_mm: float = 0.0) -> Float64[Array, " n"]:
-        """Distance of the skin from the point (0, height, axis_z).
-
-        At angles from straight ahead to the left.
-        """
+        """Distance of the skin from the point (0, height, axis_z). At angles from straight ahead to the left."""
         height, angle = (np.ravel(each) for each in np.broadcast_arrays(height_mm, angle_rad))
         origins = np.stack([np.zeros(len(height)), height, np.full(len(height), axis_z_mm)], axis=1)
         ahead = np.stack([np.sin(angle), np.zeros(len(height)), np.cos(angle)], axis=1)

@@ -1,7 +1,4 @@
-"""Pictures of a board with a regular pattern.
-
-The kernel knows the pattern's edges exactly.
-"""
+"""Pictures of a board with a regular pattern. The kernel knows the pattern's edges exactly."""
 
 from __future__ import annotations
 
@@ -98,10 +95,7 @@ def irradiance(
     positions: Float64[Array, "l 3"],
     strengths: Float64[Array, " l"],
 ) -> Float64[Array, "*n"]:
-    """Irradiance by point lights, white under full light = 1.
-
-    Cosine over the square of the distance.
-    """
+    """Irradiance by point lights, white under full light = 1. Cosine over the square of the distance."""
     towards = positions - points[..., None, :]
     cosine = (towards * normals[..., None, :]).sum(axis=-1)
     total: Float64[Array, "*n"] = (strengths * np.maximum(cosine, 0.0) / np.linalg.norm(towards, axis=-1) ** 3).sum(

@@ -41,10 +41,7 @@ def true_depth(scene: Scene, camera: Camera) -> Float32[Array, "h w"]:
 
 
 def write_depth(path: Path, depth_mm: Float32[Array, "h w"]) -> None:
-    """Write depth and its mask as a float32 TIFF of two pages.
-
-    Packed losslessly (deflate).
-    """
+    """Write depth and its mask as a float32 TIFF of two pages. Packed losslessly (deflate)."""
     import tifffile
 
     known = np.isfinite(depth_mm)

@@ -98,8 +98,5 @@ class Film:
         return Aperture(diameter_mm=focal_mm / self.f_number, focus_mm=self.focused_mm(camera))
 
     def focused_mm(self, camera: Camera) -> float:
-        """Depth of this camera's sharp plane, mm from its centre.
-
-        The camera is in the rig's frame.
-        """
+        """Depth of this camera's sharp plane, mm from its centre. The camera is in the rig's frame."""
         return float(camera.camera_from_world.translation_mm[2]) if self.focus_mm is None else self.focus_mm

@@ -67,10 +67,7 @@ def processed(counted: UInt16[Array, "h w 3"], film: Film, bits: Literal[8, 16])
 
 
 def mosaicked(light: Float64[Array, "h w 3"]) -> Float64[Array, "h w"]:
-    """One colour a pixel (RGGB).
-
-    Red is at even rows and columns, blue at odd ones, green elsewhere.
-    """
+    """One colour a pixel (RGGB). Red is at even rows and columns, blue at odd ones, green elsewhere."""
     raw = light[:, :, 1].copy()
     raw[0::2, 0::2] = light[0::2, 0::2, 0]
     raw[1::2, 1::2] = light[1::2, 1::2, 2]
@@ -78,10 +75,7 @@ def mosaicked(light: Float64[Array, "h w 3"]) -> Float64[Array, "h w"]:
 
 
 def demosaicked(raw: Float64[Array, "h w"]) -> Float64[Array, "h w 3"]:
-    """All three colours at every pixel of an RGGB mosaic.
-
-    Malvar, He and Cutler's filters.
-    """
+    """All three colours at every pixel of an RGGB mosaic. Malvar, He and Cutler's filters."""
     green, in_row, in_column, across = (
         convolve(raw, weights, mode="mirror") for weights in (_GREEN, _IN_ROW, _IN_COLUMN, _ACROSS)
     )

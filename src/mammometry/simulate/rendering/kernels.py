@@ -119,10 +119,7 @@ def in_plane(
 
 @small_kernel
 def _ink(x: float, y: float, layout: Array, bits: Array) -> int:
-    """Print of a board: 1 white, 0 black, −1 outside.
-
-    At (x, y), mm.
-    """
+    """Print of a board: 1 white, 0 black, −1 outside. At (x, y), mm."""
     if x < layout[5] or y < layout[6] or x > layout[7] or y > layout[8]:
         return -1
     kind, columns, rows, step, size = layout[0], int(layout[1]), int(layout[2]), layout[3], layout[4]

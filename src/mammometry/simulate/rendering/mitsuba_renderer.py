@@ -60,9 +60,7 @@ def render_by_mitsuba(
     aperture: Aperture = PINHOLE,
     background: float = 0.0,
 ) -> Float32[Array, "h w 3"]:
-    """Radiance of the scene at the camera, by path tracing.
-
-    As `render.render_subject`.
+    """Radiance of the scene at the camera, by path tracing. As `render.render_subject`.
 
     Args:
         scene: lit; rig frame. Of its lighting only the flashes' places and strengths are used.
@@ -193,10 +191,7 @@ def _painted_subject(scene: Scene, skin: Skin, seed: int, bsdf: Any) -> Any:
 
 
 def _quartered(values: Float64[Array, "n c"], faces: Int32[Array, "m 3"]) -> tuple[Array, Int32[Array, "k 3"]]:
-    """Cut every face in four at the middles of its edges.
-
-    Values there are the means of the edges' ends.
-    """
+    """Cut every face in four at the middles of its edges. Values there are the means of the edges' ends."""
     edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
     once, which = np.unique(edges, axis=0, return_inverse=True)
     a, b, c = (len(values) + which.reshape(3, -1)).astype(np.int32)

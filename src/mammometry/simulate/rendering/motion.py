@@ -11,10 +11,7 @@ from mammometry.geometry.arrays import Array, Float64
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Motion:
-    """Velocities, rig frame.
-
-    Over a fifth of a second neither sway nor breath reverses.
-    """
+    """Velocities, rig frame. Over a fifth of a second neither sway nor breath reverses."""
 
     sway_mm_s: Float64[Array, 3]
     """Of the whole body."""

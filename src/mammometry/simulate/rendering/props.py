@@ -38,10 +38,7 @@ class Props:
 
 
 def board(z: float) -> Props:
-    """Return a board in the plane z, centred, facing +z.
-
-    It is fine enough to carry shadows.
-    """
+    """Return a board in the plane z, centred, facing +z. It is fine enough to carry shadows."""
     columns, rows = (math.ceil(side / _BOARD_STEP_MM) for side in BOARD_MM)
     x, y = np.meshgrid(
         np.linspace(-0.5, 0.5, columns + 1) * BOARD_MM[0], np.linspace(-0.5, 0.5, rows + 1) * BOARD_MM[1]
@@ -133,10 +130,7 @@ def strands(
 
 
 def tubes(lines: Float32[Array, "k j 3"]) -> Props:
-    """Three-sided tubes of 0.1 mm around hairs' middle lines.
-
-    Vertices hair by hair.
-    """
+    """Three-sided tubes of 0.1 mm around hairs' middle lines. Vertices hair by hair."""
     count = len(lines)
     along = np.gradient(lines.astype(np.float64), axis=1)
     along /= np.linalg.norm(along, axis=2, keepdims=True)

@@ -1,7 +1,4 @@
-"""Registry of renderers.
-
-A new one is one file in this folder and one line here.
-"""
+"""Registry of renderers. A new one is one file in this folder and one line here."""
 
 from __future__ import annotations
 

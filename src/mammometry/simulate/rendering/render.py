@@ -48,9 +48,7 @@ def render_subject(
     aperture: Aperture = PINHOLE,
     background: float = 0.0,
 ) -> Float32[Array, "h w 3"]:
-    """Radiance of the scene at the camera, before the lens's blur.
-
-    Linear RGB, full scale 1.
+    """Radiance of the scene at the camera, before the lens's blur. Linear RGB, full scale 1.
 
     Args:
         scene: lit; rig frame.
@@ -133,10 +131,7 @@ def paint_seed(seed: int) -> np.uint64:
 
 
 def subject_coverage(scene: Scene, camera: Camera, samples: int = 64) -> Float32[Array, "h w"]:
-    """Share of every pixel's square that the subject fills.
-
-    By counting rays: the truth for silhouettes.
-    """
+    """Share of every pixel's square that the subject fills. By counting rays: the truth for silhouettes."""
     coverage = np.zeros(camera.shape_hw, dtype=np.float32)
     top, bottom, left, right = _frame(scene, camera)
     row, column = (grid.ravel() for grid in np.mgrid[top:bottom, left:right])
@@ -149,10 +144,7 @@ def subject_coverage(scene: Scene, camera: Camera, samples: int = 64) -> Float32
 
 
 def _frame(scene: Scene, camera: Camera) -> tuple[int, int, int, int]:
-    """Rows and columns (from, to) that the scene can touch.
-
-    Uses every tenth vertex of the fine subject.
-    """
+    """Rows and columns (from, to) that the scene can touch. Uses every tenth vertex of the fine subject."""
     vertices = scene.mesh.vertices
     few = np.concatenate([vertices[: scene.subject_vertices : 10], vertices[scene.subject_vertices :]])
     return picture_window(camera, few, margin_px=8)
@@ -175,10 +167,7 @@ def _rays(
 
 
 def _cast(scene: Scene, camera: Camera, uv: Array) -> tuple[Array, dict[str, Array]]:
-    """First face along each pixel position's ray (−1: none).
-
-    Also embree's record of the hit.
-    """
+    """First face along each pixel position's ray (−1: none). Also embree's record of the hit."""
     hit = scene.rays.run(*_rays(camera, uv, PINHOLE, np.zeros((len(uv), 2))), output=True)
     return hit["primID"], hit
 

@@ -41,10 +41,7 @@ _ROOM_LIGHT = 2.2
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Scene:
-    """A subject, perhaps on a backdrop, in a room, with hair, lit.
-
-    Rig frame, mm.
-    """
+    """A subject, perhaps on a backdrop, in a room, with hair, lit. Rig frame, mm."""
 
     mesh: TriangleMesh
     """Subject first, everything else after it."""
@@ -245,10 +242,7 @@ def _pieces(
     subject_faces: int,
     bent: Sequence[int],
 ) -> Int32[Array, " m"]:
-    """Props are of flat pieces: a material and a direction each.
-
-    What is of a bent material is one piece.
-    """
+    """Props are of flat pieces: a material and a direction each. What is of a bent material is one piece."""
     piece = np.zeros(len(faces), dtype=np.int32)
     props_faces = faces[subject_faces:]
     curved = np.isin(material[subject_faces:], bent)
@@ -298,10 +292,7 @@ def _scattered(
 
 
 def _smooth_normals(solid: Solid, rig_from_solid: Transform) -> Float64[Array, "n 3"]:
-    """Normals for shading.
-
-    The rim belongs to the front, since that is the part seen of it.
-    """
+    """Normals for shading. The rim belongs to the front, since that is the part seen of it."""
     mesh = solid.mesh
     normals = mesh.vertex_normals()
     if solid.back_vertices:

@@ -281,9 +281,7 @@ def shade(
     background: float,
     image: Array,
 ) -> None:
-    """Add the light of n samples to `image` (n / samples, 3).
-
-    White under full light = 1.
+    """Add the light of n samples to `image` (n / samples, 3). White under full light = 1.
 
     Args:
         samples: of each pixel, one after the other.

@@ -1,7 +1,4 @@
-"""An object in front of, behind or on the subject.
-
-A mesh of plain colours, lit like the skin.
-"""
+"""An object in front of, behind or on the subject. A mesh of plain colours, lit like the skin."""
 
 from __future__ import annotations
 

@@ -49,10 +49,7 @@ class CameraPlan:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PairPlan:
-    """A convergent pair, by where its middle stands.
-
-    Directions in the rig frame.
-    """
+    """A convergent pair, by where its middle stands. Directions in the rig frame."""
 
     name: str
     """Its cameras are called NAME_left and NAME_right."""
@@ -71,10 +68,7 @@ class PairPlan:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RigErrors:
-    """Standard deviations of a built rig's differences from its plan.
-
-    Defaults are chosen by eye.
-    """
+    """Standard deviations of a built rig's differences from its plan. Defaults are chosen by eye."""
 
     position_mm: float = 8.0
     """Of each coordinate of a camera, mm."""

@@ -74,10 +74,7 @@ def draw_poses(rig: Rig, target: Target, count: int, seed: int) -> dict[str, Tra
 def _drawn(
     rig: Rig, target: Target, pair_axes: Float64[Array, "p 3"], count: int, rng: np.random.Generator
 ) -> tuple[list[Transform], int]:
-    """Draw all poses.
-
-    Returns them, and how many the camera that sees fewest sees well.
-    """
+    """Draw all poses. Returns them, and how many the camera that sees fewest sees well."""
     poses: list[Transform] = []
     seen = np.zeros(len(rig.cameras))
     for index in range(count):
@@ -119,10 +116,7 @@ def _turned_at_random(
 def _facing(
     rig: Rig, target: Target, pair_axes: Float64[Array, "p 3"], first: bool, rng: np.random.Generator
 ) -> Transform:
-    """Printed side towards a mixture of the pairs.
-
-    Towards all of them in the first pose.
-    """
+    """Printed side towards a mixture of the pairs. Towards all of them in the first pose."""
     middle = _unit(pair_axes.sum(axis=0))
     mixture = _unit(rng.dirichlet(np.full(len(pair_axes), _MIXING)) @ pair_axes)
     facing = middle if first else _unit(mixture + _MIDDLE_SHARE * middle + rng.normal(0.0, _FACING_STD, 3))
@@ -139,10 +133,7 @@ _HELD = {"facing": _facing, "upright": _upright, "any": _turned_at_random}
 
 
 def _usefulness(camera: Camera, pose: Transform, target: Target) -> float:
-    """Share of the points that are well seen.
-
-    Falls to 0 where the view is too oblique.
-    """
+    """Share of the points that are well seen. Falls to 0 where the view is too oblique."""
     if not sees_target(camera, pose, target):
         return 0.0
     share = float(visible_points(camera, pose, target).mean())
@@ -153,10 +144,7 @@ def _usefulness(camera: Camera, pose: Transform, target: Target) -> float:
 
 
 def _obliquity_deg(camera: Camera, pose: Transform, target: Target) -> float:
-    """Angle between a board's normal and the line of sight, degrees.
-
-    At the board's middle.
-    """
+    """Angle between a board's normal and the line of sight, degrees. At the board's middle."""
     to_camera = _unit(camera.centre_world - pose.apply(target.body.middle_mm))
     normal = pose.rotate(target.body.normals_target[:1])[0]
     return math.degrees(math.acos(np.clip(normal @ to_camera, -1.0, 1.0)))

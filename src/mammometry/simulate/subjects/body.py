@@ -115,10 +115,7 @@ class Body:
     def onto(
         self, points: Float64[Array, "n 3"], gradient: Float64[Array, "n 3"], rounds: int = 2
     ) -> Float64[Array, "n 3"]:
-        """Move points near the skin onto it (Newton's steps).
-
-        Along a gradient close to their own.
-        """
+        """Move points near the skin onto it (Newton's steps). Along a gradient close to their own."""
         step = gradient / np.maximum((gradient**2).sum(axis=1, keepdims=True), 1e-12)
         for _ in range(rounds):
             points = points - self(points)[:, None] * step
@@ -143,10 +140,7 @@ class Body:
         return self.outwards(np.stack([x, y, np.zeros(len(x))], axis=1), np.array([0.0, 0.0, 1.0]), 260.0)
 
     def coarse_mesh(self, step_mm: float = 7.0) -> TriangleMesh:
-        """Closed triangulation of the skin with edges of about `step_mm`.
-
-        Its vertices are on the skin.
-        """
+        """Closed triangulation of the skin with edges of about `step_mm`. Its vertices are on the skin."""
         reach = np.abs(self._elbow[0]) + 70.0
         low = np.array([-reach, _BOTTOM_MM - 12.0, -250.0])
         high = np.array([reach, _TOP_MM + 12.0, max(190.0 + 1.5 * self.shape.belly_mm, self._elbow[2] + 70.0)])

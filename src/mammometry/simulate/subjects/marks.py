@@ -55,10 +55,7 @@ class Marked:
 
 
 def mark(marks: Sequence[Mark], places_mm: Mapping[str, Float64[Array, "n 2"]]) -> Marked | None:
-    """Sum of marks on vertices placed in each breast's plane.
-
-    None if there are none.
-    """
+    """Sum of marks on vertices placed in each breast's plane. None if there are none."""
     if not marks:
         return None
     count = len(next(iter(places_mm.values())))
@@ -87,10 +84,7 @@ def distance_mm(place: Float64[Array, "n 2"], line: Sequence[Point]) -> Float64[
 
 
 def _within(place: Float64[Array, "n 2"], outline: Sequence[Point]) -> Array:
-    """Whether places are inside a closed line.
-
-    A ray to the side crosses it an odd number of times.
-    """
+    """Whether places are inside a closed line. A ray to the side crosses it an odd number of times."""
     x, y = place.T
     inside = np.zeros(len(place), dtype=bool)
     corners = np.array(outline)

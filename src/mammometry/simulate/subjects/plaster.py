@@ -176,10 +176,7 @@ def _plaster(wanted: SubjectRequest) -> Solid:
 
 
 def _dome(rho: Array, theta: Array, shape: PlasterShape) -> Float64[Array, "n 3"]:
-    """Breast side over the unit disc (rho, theta), about final size.
-
-    Its rim is in z = 0.
-    """
+    """Breast side over the unit disc (rho, theta), about final size. Its rim is in z = 0."""
     radius = _base_radius(shape)
     height = shape.projection * radius
     angle = 0.5 * math.pi * rho
@@ -205,10 +202,7 @@ def _base_radius(shape: PlasterShape) -> float:
 
 
 def _flat_back(rim: Float64[Array, "r 3"], rho: Array, theta: Array) -> Float64[Array, "b 3"]:
-    """Interior points of the flat back inside the rim.
-
-    The rim is drawn together towards its mean.
-    """
+    """Interior points of the flat back inside the rim. The rim is drawn together towards its mean."""
     inside = rho < 1.0
     angle = np.arange(len(rim)) * (2 * math.pi / len(rim))
     outline = np.stack([np.interp(theta[inside], angle, rim[:, k], period=2 * math.pi) for k in range(3)], axis=1)

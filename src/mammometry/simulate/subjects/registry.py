@@ -1,7 +1,4 @@
-"""Registry of the virtual subjects by family.
-
-A new one is one file in this folder and one line here.
-"""
+"""Registry of the virtual subjects by family. A new one is one file in this folder and one line here."""
 
 from __future__ import annotations
 

@@ -87,10 +87,7 @@ def head(seed: int, height_mm: float = 265.0, edge_mm: float = 0.7) -> Solid:
 
 
 def plate(width_mm: float = 220.0, height_mm: float = 160.0, thickness_mm: float = 6.0, edge_mm: float = 2.0) -> Solid:
-    """Make a flat plate, front at z = thickness / 2.
-
-    It is for the paper's depth check.
-    """
+    """Make a flat plate, front at z = thickness / 2. It is for the paper's depth check."""
     columns, rows = math.ceil(width_mm / edge_mm), math.ceil(height_mm / edge_mm)
     x, y = np.meshgrid(
         np.linspace(-0.5 * width_mm, 0.5 * width_mm, columns + 1),

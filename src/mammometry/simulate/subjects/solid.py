@@ -74,19 +74,13 @@ class Solid:
 
     @property
     def volumes_cc(self) -> dict[str, float]:
-        """Name → exact volume, cc.
-
-        Each breast of a torso, or the "model". Empty if the mesh is open.
-        """
+        """Name → exact volume, cc. Each breast of a torso, or the "model". Empty if the mesh is open."""
         if self.breasts:
             return {name: self.closed_breast(name).volume_mm3() / 1000.0 for name in self.breasts}
         return {"model": self.volume_cc} if self.mesh.is_watertight() else {}
 
     def chest_wall(self, name: str) -> TriangleMesh:
-        """Skin without the breast, inside its boundary.
-
-        An open mesh that faces outwards.
-        """
+        """Skin without the breast, inside its boundary. An open mesh that faces outwards."""
         body = TriangleMesh(vertices=self._wall(), faces=self.mesh.faces)
         return body.submesh(self.breasts[name].skin_faces)
 
@@ -120,10 +114,7 @@ class Solid:
 
 
 def rig_from_solid(solid: Solid, seed: int) -> Transform:
-    """Place a solid in the rig, leaning forward over the floor pair.
-
-    With small random errors by seed.
-    """
+    """Place a solid in the rig, leaning forward over the floor pair. With small random errors by seed."""
     rng = np.random.default_rng([seed, 73])
     turn = Transform.from_rotation_vector(
         np.array([solid.lean_rad, 0.0, 0.0]) + np.radians(rng.normal(0.0, 2.0, 3)), np.zeros(3)

@@ -1,7 +1,4 @@
-"""The user's mesh as a subject: PLY, OBJ or STL.
-
-The user names its unit.
-"""
+"""The user's mesh as a subject: PLY, OBJ or STL. The user names its unit."""
 
 from __future__ import annotations
 

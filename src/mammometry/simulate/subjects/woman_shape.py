@@ -224,9 +224,6 @@ def _sectors(rng: np.random.Generator) -> Float64[Array, 4]:
 
 
 def _muscle(rng: np.random.Generator) -> Float64[Array, 5]:
-    """Five numbers of unit variance: heights of one muscle.
-
-    Near heights are alike.
-    """
+    """Five numbers of unit variance: heights of one muscle. Near heights are alike."""
     apart = np.abs(MUSCLE_ASIDE_MM[:, None] - MUSCLE_ASIDE_MM[None])
     return np.linalg.cholesky(np.exp(-apart / 60.0)) @ rng.normal(size=5)

@@ -27,10 +27,7 @@ def flat_base(breast: OpenBreast) -> Closed:
     "photographs show",
 )
 def curved_base(breast: OpenBreast) -> Closed:
-    """A cast closed by the cylinder through its rim.
-
-    By the plane where the rim is flat.
-    """
+    """A cast closed by the cylinder through its rim. By the plane where the rim is flat."""
     return _closed_by(breast.base_as("convex-cylinder"), breast)
 
 

@@ -17,8 +17,5 @@ from mammometry.measure.wall.registry import TORSO_WALLS, add_wall
     "the axis is harmonic); the breast is what lies in front of it",
 )
 def cylinder_membrane(breast: OpenBreast) -> Closed:
-    """Harmonic radius from the trunk's axis, fixed on the boundary.
-
-    Harmonic over (θ, y).
-    """
+    """Harmonic radius from the trunk's axis, fixed on the boundary. Harmonic over (θ, y)."""
     return through(breast.part, TrunkChart(trunk=breast.trunk), subject="cylinder-membrane wall")

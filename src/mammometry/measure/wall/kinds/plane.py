@@ -21,10 +21,7 @@ from mammometry.measure.wall.registry import TORSO_WALLS, add_wall
     definition="the boundary's best-fitting plane, joined to it by a skirt along the plane's normal",
 )
 def plane(breast: OpenBreast) -> Closed:
-    """The boundary's best plane, joined to it by a skirt.
-
-    The skirt runs along the plane's normal.
-    """
+    """The boundary's best plane, joined to it by a skirt. The skirt runs along the plane's normal."""
     part = breast.part
     chart = best_plane(part)
     patch = fill(tuple(chart.flatten(part.mesh.vertices[loop])[:, :2] for loop in part.loops))

@@ -19,10 +19,7 @@ from mammometry.measure.wall.registry import CAST_WALLS, TORSO_WALLS, add_wall
     definition="the plate of least bending through the boundary: a thin-plate spline over its best plane",
 )
 def thin_plate(breast: OpenBreast) -> Closed:
-    """Plate of least bending through the boundary.
-
-    A thin-plate spline over its best plane (Duchon).
-    """
+    """Plate of least bending through the boundary. A thin-plate spline over its best plane (Duchon)."""
     part = breast.part
     chart = best_plane(part)
     rim = chart.flatten(part.mesh.vertices[np.concatenate(part.loops)])
