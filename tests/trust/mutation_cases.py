@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -75,7 +75,9 @@ def _dated(folder: Path, place: int = 2, date: str = "2026-03-01", growth: float
     """A torso that was measured, with all that can be drawn or brought beside it; everything is current."""
     visit = true_visit(grown(torso_shape("torso_2", 0), {"left": growth}), "torso_2", place, edge_mm=_EDGE_MM)
     marks = ("sternal_notch", "nipple_left", "nipple_right")
-    back = visit.torso.surface.mesh
+    skin = visit.torso.surface.mesh
+    inwards = -skin.vertex_normals().mean(axis=0)
+    back = replace(skin, vertices=skin.vertices + 60.0 * inwards / np.linalg.norm(inwards))  # a wall 60 mm behind it
     write_session(folder, visit, place, date=date, landmarks=marks, back=back)
     left, right = (folder / "capture" / f"{camera}.png" for camera in _PAIR)
     with Image.open(left) as image:
