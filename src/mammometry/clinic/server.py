@@ -8,6 +8,7 @@ import socket
 from contextlib import nullcontext
 from pathlib import Path
 
+import mammometry
 from mammometry.clinic.config import ClinicConfig, ClinicError, host_and_port
 from mammometry.clinic.jobs.process import beside
 from mammometry.clinic.site import application
@@ -60,8 +61,9 @@ def require_current(config: ClinicConfig) -> None:
     unknown = [key for key in executor.loader.applied_migrations if key not in executor.loader.disk_migrations]
     if unknown:
         raise ClinicError(
-            "the database", found="tables of a newer version", expected="those of this version",
-            remedy="Install the newer version of mammometry again",
+            "the database", found="tables of another version of mammometry",
+            expected=f"those of this version, {mammometry.__version__}",
+            remedy="Serve the clinic with the version that served it last",
         )  # fmt: skip
     if executor.migration_plan(executor.loader.graph.leaf_nodes()):
         raise ClinicError(

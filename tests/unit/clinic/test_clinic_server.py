@@ -99,6 +99,15 @@ def test_a_database_that_waits_for_migrations_is_not_served(
         require_current(clinic)
 
 
+def test_a_database_with_migrations_that_this_version_lacks_is_not_served(
+    clinic: ClinicConfig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    applied = {("clinic", "0003_deliveries"): None}
+    monkeypatch.setattr("django.db.migrations.recorder.MigrationRecorder.applied_migrations", lambda _: applied)
+    with pytest.raises(ClinicError, match="tables of another version of mammometry"):
+        require_current(clinic)
+
+
 def test_what_is_secret_is_readable_by_its_owner_alone(tmp_path: Path) -> None:
     folder = tmp_path / "clinic"
     new_clinic(folder, name="Clinic")
