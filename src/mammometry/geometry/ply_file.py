@@ -89,7 +89,7 @@ def _header(content: bytes, name: str) -> tuple[str, list[_Element], bytes]:
                 )
             elements.append(_Element(rest[0], int(rest[1])))
             if not 0 <= elements[-1].count <= len(content):
-                raise ValueError("counts that it cannot hold")
+                raise ValueError("it ends before all that its header counts")
         elif word == "property" and rest[0] == "list":
             elements[-1].properties.append(_Property(rest[3], _TYPES[rest[2]], _TYPES[rest[1]]))
         elif word == "property":
@@ -122,7 +122,7 @@ class _Text:
     def _take(self, count: int) -> list[bytes]:
         words = self._words[self._at : self._at + count]
         if len(words) < count or count < 0:
-            raise ValueError("fewer numbers than its header says")
+            raise ValueError("it ends before all that its header counts")
         self._at += count
         return words
 
@@ -165,7 +165,7 @@ class _Binary:
         if self._at + element.count * row.itemsize > len(self._body):
             if any(each.length for each in element.properties):
                 return None
-            raise ValueError("fewer rows than its header says")
+            raise ValueError("it ends before all that its header counts")
         table = np.frombuffer(self._body, row, element.count, self._at)
         for place, (each, length) in enumerate(zip(element.properties, lengths, strict=True)):
             if each.length and not (table[f"n{place}"] == length).all():
@@ -185,7 +185,7 @@ class _Binary:
     def _take(self, kind: str, count: int) -> Array:
         size = np.dtype(kind).itemsize * count
         if count < 0 or self._at + size > len(self._body):
-            raise ValueError("fewer numbers than its header says")
+            raise ValueError("it ends before all that its header counts")
         found = np.frombuffer(self._body, self._order + kind, count, self._at)
         self._at += size
         return found
