@@ -120,7 +120,7 @@ def test_a_glb_holds_what_it_says(tmp_path: Path) -> None:
         read_triangles(path)
     huge = [{"componentType": 5126, "count": 10**9, "type": "VEC3"}]
     path.write_bytes(glb(triangle(accessors=huge), TRIANGLE))
-    with pytest.raises(SessionError, match="it ends before all that its header counts"):
+    with pytest.raises(SessionError, match="counts that it cannot hold"):
         read_triangles(path)
     many = triangle(nodes=[{"mesh": 0, "name": str(i)} for i in range(3000)], scenes=[{"nodes": list(range(3000))}])
     path.write_bytes(glb(many, TRIANGLE))
