@@ -53,7 +53,7 @@ MEANINGS = {
 }
 """Meaning of "the breast" (docs/decisions/0029) → a few plain words that follow a volume."""
 MEANINGS_INTRODUCTION = (
-    "No camera sees the back of a breast. How much is counted behind it is a matter of agreement, so one breast has "
+    "The back of a breast cannot be seen. How much is counted behind it is a matter of agreement, so one breast has "
     "several volumes. Compare only volumes of the same kind."
 )
 _EXPLAINED = {
@@ -63,7 +63,7 @@ _EXPLAINED = {
     "named wall": "The part of the breast in front of one fixed surface ({wall}), drawn by the same rule at every "
     "visit. Visits are compared by this volume. It does not say where the chest really is.",
     "muscle": "The breast with the layer of fat behind it, down to the chest muscle: what is weighed after a "
-    "mastectomy. No camera sees this layer. Its thickness was entered, or is the mean of other women.",
+    "mastectomy. This layer cannot be seen. Its thickness was entered, or is the mean of other women.",
 }
 
 
