@@ -20,6 +20,7 @@ from tests.unit.io.scan_files import scanned, texture
 from mammometry.clinic.config import ClinicConfig
 from mammometry.clinic.jobs import queue, work
 from mammometry.clinic.models import Consent, Job, Patient, Scan, Visit
+from mammometry.clinic.page_words import on_pages
 from mammometry.clinic.roles import Role
 
 
@@ -136,7 +137,7 @@ def test_what_is_no_scan_is_one_sentence_and_leaves_nothing(
     assert nothing_is_left(clinic)
 
 
-@pytest.mark.parametrize("wrong", [{"units": ""}, {"units": "m"}, {"units": "inch"}, {"scanner": ""}, {"head": "up"}])
+@pytest.mark.parametrize("wrong", [{"units": "m"}, {"units": "inch"}, {"scanner": ""}, {"head": "up"}])
 def test_what_is_said_of_it_is_checked(
     client_of: Callable[..., Client],
     patient: Patient,
@@ -146,6 +147,33 @@ def test_what_is_said_of_it_is_checked(
 ) -> None:
     assert 'class="wrong"' in send(client_of(Role.TECHNICIAN), patient, files, **wrong).content.decode()
     assert nothing_is_left(clinic)
+
+
+def test_the_unit_is_not_needed(client_of: Callable[..., Client], patient: Patient, files: dict[str, bytes]) -> None:
+    send(client_of(Role.TECHNICIAN), patient, files, units="")
+    assert Visit.objects.get().scan.units == "cm, as the body's size shows"
+
+
+def test_a_refusal_names_the_forms_fields_and_the_sent_file(
+    client_of: Callable[..., Client], patient: Patient, files: dict[str, bytes]
+) -> None:
+    page = send(client_of(Role.TECHNICIAN), patient, files, units="m").content.decode()
+    assert "Check the unit of the mesh: cm" in page
+    assert "--" not in page.partition("<main")[2]
+    assert "uploads/" not in page
+
+
+@pytest.mark.parametrize(
+    ("sentence", "words"),
+    [
+        ("Draw its boundary with `mammometry edit`", "Draw its boundary (a clinician, on the page of boundaries)"),
+        ("Say which axis points ahead: --ahead z, for example", "Say which axis points ahead"),
+        ("Correct --head or --ahead", "Correct the axis towards the head or the axis straight ahead"),
+        ("Add --units mm, cm or m", "Add the unit of the mesh"),
+    ],
+)
+def test_pages_name_fields_and_not_options(sentence: str, words: str) -> None:
+    assert on_pages(sentence) == words
 
 
 def test_a_visit_without_files_is_refused(client_of: Callable[..., Client], patient: Patient) -> None:

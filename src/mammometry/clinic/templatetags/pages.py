@@ -12,11 +12,13 @@ from django.urls import resolve, reverse
 from django.utils import timezone
 
 import mammometry
+from mammometry.clinic import page_words
 from mammometry.clinic.charts import Event, Reading, time_line
 from mammometry.clinic.confirmations import CHANGED
 from mammometry.clinic.roles import Role
 
 register = template.Library()
+register.filter(page_words.on_pages)
 _BYTES = ((1e12, "TB"), (1e9, "GB"), (1e6, "MB"), (1e3, "kB"))
 
 _MENU = {
@@ -104,12 +106,6 @@ def chip(state: str) -> dict[str, str]:
     """A state in a word and a colour."""
     kind, words = _CHIPS.get(str(state), ("", str(state)))
     return {"kind": kind, "words": words}
-
-
-@register.filter
-def on_pages(sentence: str) -> str:
-    """A sentence of the report with the clinic's page in place of a command, and who opens it."""
-    return sentence.replace("with `mammometry edit`", "(a clinician, on the page of boundaries)")
 
 
 @register.filter

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +17,7 @@ from mammometry.clinic.forms import DAY_AND_TIME, ask_about_day
 from mammometry.clinic.intake.scans import taken_in
 from mammometry.clinic.jobs import queue
 from mammometry.clinic.models import Patient, Scan, Visit
+from mammometry.clinic.page_words import on_pages
 from mammometry.clinic.site import the_clinic
 from mammometry.clinic.views.choose import chosen_patient, is_part, search_context
 from mammometry.clinic.views.who import person_of
@@ -30,6 +32,7 @@ else:  # it cannot be subscripted while the program runs
     _ScanForm = forms.ModelForm
 BODY_BYTES = 520 * 10**6
 """Largest request: the largest `scan_mb` that a clinic may set, and the form."""
+_SCRATCH = re.compile(r"uploads/scan-[^/]+/")  # into which the sent files are unpacked
 _UNITS = {"mm": "Millimetres", "cm": "Centimetres", "m": "Metres"}
 _AXIS_WORDS = {axis: f"{'minus ' if axis.startswith('-') else ''}{axis.strip('-').upper()}" for axis in AXES}
 
@@ -106,7 +109,7 @@ def scan_new(request: HttpRequest) -> HttpResponse:
         try:
             visit = _entered(request, form, about)
         except MammometryError as error:
-            form.add_error("sent", str(error).replace(f"{the_clinic().folder}/", ""))
+            form.add_error("sent", on_pages(_SCRATCH.sub("", str(error).replace(f"{the_clinic().folder}/", ""))))
         else:
             return redirect("visit", visit=visit.pk)
     context = {"form": form, "chosen": patient, "limit_mb": the_clinic().limits.scan_mb}
@@ -117,7 +120,7 @@ def _entered(request: HttpRequest, form: ScanForm, about: ScanFacts) -> Visit:
     given = form.cleaned_data
     patient: Patient = given["patient"]
     about = replace(about, subject=patient.pseudonym)
-    made = taken_in(given["sent"], about, units=given["units"], texture=not given["shape_alone"])
+    made = taken_in(given["sent"], about, units=given["units"] or None, texture=not given["shape_alone"])
     visit: Visit = form.save(commit=False)
     visit.created_by, visit.state = person_of(request), Visit.State.READY
     visit.folder.mkdir(mode=0o700, parents=True)
