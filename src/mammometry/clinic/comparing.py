@@ -13,6 +13,7 @@ from pathlib import Path
 from django.utils import timezone
 
 import mammometry
+from mammometry.base.posture import NOT_TO_BE_COMPARED
 from mammometry.clinic.confirmations import is_changed
 from mammometry.clinic.models import Comparison, Measurement, Visit
 from mammometry.report.change_words import change_sentence, date_words
@@ -101,8 +102,9 @@ def _verdict(before: Visit, after: Visit, row: Comparison | None) -> Verdict:
     changed = is_changed(before) or is_changed(after)
     if row is not None and is_current(row) and not changed:
         if row.state == Comparison.State.REFUSED:
-            why = f"It cannot be compared with {day}. {row.message}"
-            return Verdict(before=before, after=after, state="refused", sentences=(why,))
+            why = f"It cannot be compared with {day}. {row.message[:1].upper()}{row.message[1:]}"
+            cautions = _posture_cautions(before, after)
+            return Verdict(before=before, after=after, state="refused", sentences=(why,), cautions=cautions)
         return Verdict(before=before, after=after, state="done", sentences=_sentences(row), cautions=_cautions(row))
     if not may_compare(before, after):
         sentence = f"Not yet compared with {day}: one of both visits is not measured as it stands."
@@ -140,14 +142,18 @@ def _sentences(comparison: Comparison) -> tuple[str, ...]:
 
 
 def _cautions(comparison: Comparison) -> tuple[str, ...]:
-    postures = [visit.posture for visit in (comparison.before, comparison.after)]
-    cautions = []
-    if all(postures) and postures[0] != postures[1]:
-        was, now = (Visit.Posture(posture).label.lower() for posture in postures)
-        cautions.append(f"The postures differ ({was}, then {now}): part of the change may come from that.")
+    cautions = _posture_cautions(comparison.before, comparison.after)
     if comparison.table["registration"]["doubtful"]:
-        cautions.append("The trunks of both dates fit badly: check that both visits are of this patient.")
-    return tuple(cautions)
+        cautions += ("The trunks of both dates fit badly: check that both visits are of this patient.",)
+    return cautions
+
+
+def _posture_cautions(before: Visit, after: Visit) -> tuple[str, ...]:
+    postures = before.posture, after.posture
+    if not all(postures) or postures[0] == postures[1]:
+        return ()
+    was, now = (Visit.Posture(posture).label.lower() for posture in postures)
+    return (f"The postures differ ({was}, then {now}). {NOT_TO_BE_COMPARED}.",)
 
 
 def _newest(visit: Visit) -> Measurement | None:

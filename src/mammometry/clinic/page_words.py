@@ -6,6 +6,7 @@ import re
 
 _INSTEAD = (
     (r"with `mammometry edit`", "(a clinician, on the page of boundaries)"),
+    (r"; compare\.refuse_mm sets the limit", ""),
     (r": --(?:head|ahead) -?[xyz], for example", ""),
     (r", or measure the largest alone with --largest", ""),
     (r"--units(?: mm, cm or m)?", "the unit of the mesh"),

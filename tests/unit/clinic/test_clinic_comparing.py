@@ -135,9 +135,16 @@ def test_a_refusal_holds_for_the_same_measurements_and_the_same_software(
 ) -> None:
     measure(visits[0], "a")
     measure(visits[1], "b")
-    do("compare", lambda job: "The breasts of both dates: found left before.")
+    do("compare", lambda job: "the breasts of both dates: found left before.")
     (sentence,) = comparing.verdicts(visits[1])
     assert sentence.startswith("It cannot be compared with 12 March 2026. The breasts of both dates")
+    Visit.objects.filter(pk=visits[0].pk).update(posture="lying")
+    _, caution = comparing.verdicts(visits[1])
+    assert (
+        caution
+        == "The postures differ (lying, then leaning forward). Volumes of different postures are not to be compared."
+    )
+    Visit.objects.filter(pk=visits[0].pk).update(posture=visits[0].posture)
     queue.compare(visits[0], visits[1], None)
     assert open_pairs() == set()
     measure(visits[0], "a2")  # its cause is mended
@@ -179,7 +186,7 @@ def test_postures_that_differ_and_trunks_that_fit_badly_are_cautioned(visits: li
     do("compare", lambda job: compared(job, doubtful=True))
     assert comparing.verdicts(visits[1]) == (
         SENTENCE,
-        "The postures differ (standing, then leaning forward): part of the change may come from that.",
+        "The postures differ (standing, then leaning forward). Volumes of different postures are not to be compared.",
         "The trunks of both dates fit badly: check that both visits are of this patient.",
     )
 

@@ -169,6 +169,7 @@ def test_a_refusal_names_the_forms_fields_and_the_sent_file(
         ("Draw its boundary with `mammometry edit`", "Draw its boundary (a clinician, on the page of boundaries)"),
         ("Say which axis points ahead: --ahead z, for example", "Say which axis points ahead"),
         ("Correct --head or --ahead", "Correct the axis towards the head or the axis straight ahead"),
+        ("Check both; compare.refuse_mm sets the limit.", "Check both."),
         ("Add --units mm, cm or m", "Add the unit of the mesh"),
     ],
 )
