@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
 
 import numpy as np
 
+from mammometry.base.value import value
 from mammometry.calibration.adjust.calibrated import Calibration
 from mammometry.calibration.judge.expected_error import derivatives, expected_error, shape_shifts
 from mammometry.calibration.judge.working_volume import working_volume
@@ -31,7 +31,7 @@ _TILT_STD = 0.35  # of each coordinate of the direction that the board faces, of
 _FEWEST_CAMERAS = 2  # that must see the board; one alone ties nothing together
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class Suggestion:
     """Where to hold the board, and what that is expected to bring."""
 
@@ -46,10 +46,6 @@ class Suggestion:
     """The same as shares of the picture's width and height, for a live picture of any size. Read-only."""
     sentence: str
     """For whoever holds the board."""
-
-    def __post_init__(self) -> None:
-        for name in ("outlines_px", "outlines"):
-            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

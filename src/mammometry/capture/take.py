@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from types import MappingProxyType
 
 from mammometry.base.errors import CaptureError, MammometryError
+from mammometry.base.value import value
 from mammometry.calibration.features.keypoints import Keypoints, keypoints
 from mammometry.capture.camera import Backend, Frame
 from mammometry.capture.checks.pixels import QUICK_PX, Seen, look
@@ -36,7 +36,7 @@ class Delivered:
     """From the pulse until it was on the disk."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class Taken:
     """One firing."""
 
@@ -48,10 +48,6 @@ class Taken:
     """Camera → why it gave nothing. Read-only."""
     seconds: float
     """From the pulse until all were on the disk and looked at."""
-
-    def __post_init__(self) -> None:
-        for name in ("frames", "faults"):
-            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
 
 
 def take(backend: Backend, cameras: tuple[str, ...], shot: Shot, *, timeout_s: float, features: bool = True) -> Taken:

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
 
 import numpy as np
 from scipy.optimize import least_squares
 
+from mammometry.base.value import value
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.camera import Camera, Rig, StereoPair
 from mammometry.geometry.mesh import TriangleMesh
@@ -36,7 +36,7 @@ class CameraAccuracy:
     """Error of the focal length (mean of fx and fy), %."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class RigAccuracy:
     """The whole rig's error after rigid alignment."""
 
@@ -48,10 +48,6 @@ class RigAccuracy:
     """Root mean square over all cameras."""
     rig_from_world: Transform
     """The alignment."""
-
-    def __post_init__(self) -> None:
-        for name in ("cameras", "triangulation_rms_mm"):
-            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
 
     @property
     def centre_rms_mm(self) -> float:

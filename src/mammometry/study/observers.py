@@ -11,13 +11,13 @@ import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from types import MappingProxyType
 
 import numpy as np
 import scipy  # it imports scipy.stats, which takes half a second, when that is used
 from scipy.spatial import cKDTree
 
-from mammometry.geometry.arrays import Array, Float64, Int64, read_only
+from mammometry.base.value import value
+from mammometry.geometry.arrays import Array, Float64, Int64
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.study.agreement import Estimate
 from mammometry.study.icc import IntraclassCorrelation, intraclass_correlations
@@ -29,7 +29,7 @@ _DETECTABLE_95 = 1.96 * math.sqrt(2)  # times the standard error: a change beyon
 _ICC = "ICC(2,1)"  # absolute agreement of single measurements: whoever drew is taken from all who might
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class Drawing:
     """One curve around one breast, and the volume that it gives."""
 
@@ -46,11 +46,8 @@ class Drawing:
     lateral_up_mm: Float64[Array, "n 3"]
     """The closed curve, mm: towards the armpit, towards the head, straight ahead; one origin for all of a breast."""
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "lateral_up_mm", read_only(self.lateral_up_mm))
 
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class DrawnSurface:
     """A surface and all that was drawn on it."""
 
@@ -62,9 +59,6 @@ class DrawnSurface:
     """The body's, rows: the patient's left, the head, straight ahead."""
     curves: tuple[tuple[str, Float64[Array, "n 3"]], ...]
     """Who drew it, and a closed curve, mm."""
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "frame", read_only(self.frame))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -102,7 +96,7 @@ class Apart:
     `measure.observers`."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value
 class ObserverStudy:
     """Everything about the agreement of persons who draw."""
 
@@ -123,10 +117,6 @@ class ObserverStudy:
     """Region → distance between curves of one person; empty without repeats."""
     apart_between: Mapping[str, Apart]
     """Region → distance between curves of two persons; empty with one person."""
-
-    def __post_init__(self) -> None:
-        for name in ("icc_within", "apart_within", "apart_between"):
-            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
 
 
 def observer_study(drawings: Sequence[Drawing]) -> ObserverStudy:

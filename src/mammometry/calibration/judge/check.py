@@ -10,12 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from types import MappingProxyType
 from typing import Literal, TypeAlias
 
 import numpy as np
 
 from mammometry.base.errors import CalibrationError, ImageError
+from mammometry.base.value import value
 from mammometry.calibration.adjust.bundle import Calibration, ParameterCovariance
 from mammometry.calibration.adjust.initialise import resect
 from mammometry.calibration.adjust.projection import intrinsics_of
@@ -33,7 +33,7 @@ from mammometry.calibration.judge.sighting import (
 )
 from mammometry.calibration.settings import CheckSettings
 from mammometry.calibration.targets.target import Target
-from mammometry.geometry.arrays import Array, Float64, read_only
+from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.transform import Transform
 
@@ -45,7 +45,7 @@ _LEAST_POINTS = 6
 _UNKNOWN_ERRORS = 5.0  # what ready-made cameras may disagree by more than one exposure's noise says
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class Reference:
     """Calibrated rig to compare an exposure with, and its known errors."""
 
@@ -62,10 +62,6 @@ class Reference:
     """Factor by which views of one pose disagree beyond their own noise."""
     rms_px: Mapping[str, float] = field(default_factory=dict)
     """Camera → what was left of its views in the calibration, px."""
-
-    def __post_init__(self) -> None:
-        for name in ("target_points", "volume_world"):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
 
     @classmethod
     def of(cls, calibration: Calibration) -> Reference:
@@ -102,7 +98,7 @@ class CameraCheck:
     """Residual when this camera alone places the target, px: large if its lens or the target changed."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class RigCheck:
     """What a later exposure of the target says of a calibration."""
 
@@ -120,10 +116,6 @@ class RigCheck:
     """Pair of a moved camera → effect on the points it measures. Read-only."""
     world_from_target: Mapping[str, Transform]
     """Exposure → where the cameras that stood still see the target. Read-only."""
-
-    def __post_init__(self) -> None:
-        for name in ("cameras", "pairs", "world_from_target"):
-            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
 
     @property
     def effect_mm(self) -> float:

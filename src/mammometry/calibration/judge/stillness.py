@@ -13,10 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chdtri
 
+from mammometry.base.value import value
 from mammometry.calibration.adjust.bundle import Calibration
 from mammometry.calibration.judge.reconstruction import moved_pair
 from mammometry.calibration.judge.sighting import Sighting, as_motion, moved
-from mammometry.geometry.arrays import Array, Float64, read_only
+from mammometry.geometry.arrays import Array, Float64
 
 _MOST_MOVEMENTS = 6
 """Movements that are named, at most: with more, nothing stood still."""
@@ -26,7 +27,7 @@ _UNDETERMINED = 1e-9
 """Relative singular value below which a direction is not determined: rounding."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class Movement:
     """One or two cameras that moved relative to the others. From one pose on, or in one pose only."""
 
@@ -46,10 +47,6 @@ class Movement:
     """Length of the motion in its standard errors, from the scatter of all views."""
     effect_mm: float
     """RMS displacement of the pair's points between before and after. For one pose, that pose's share."""
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "shift_mm", read_only(self.shift_mm))
-        object.__setattr__(self, "turn_rad", read_only(self.turn_rad))
 
 
 @dataclass(frozen=True, slots=True)

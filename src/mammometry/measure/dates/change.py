@@ -14,7 +14,8 @@ import numpy as np
 
 from mammometry.base.errors import MeasureError
 from mammometry.base.progress import Progress, no_progress
-from mammometry.geometry.arrays import Array, Float64, read_only
+from mammometry.base.value import value
+from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.nearest import point_tree
 from mammometry.measure.dates.trunk_fit import TrunkFit, fit_trunks, trunk_of
@@ -30,7 +31,7 @@ EARLIER, LATER = "before", "after"
 """What the two dates are called."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class Visit:
     """The measurements of one date, in its own world frame, mm."""
 
@@ -41,9 +42,6 @@ class Visit:
     """Rows: the patient's left, the head, straight ahead, roughly, as in the photographs."""
     lengths: tuple[LinearMeasure, ...] = ()
     """Lengths between the landmarks of that date."""
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "frame", read_only(self.frame))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -86,7 +84,7 @@ class BreastChange:
     """Root mean square distance between both dates' skin within the later boundary, mm."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class Change:
     """What has changed between two dates."""
 
@@ -103,9 +101,6 @@ class Change:
     """For each vertex of the later surface, distance by which it stands out of the earlier skin, mm. NaN if a date did
     not see it.
     """
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "after_mm", read_only(self.after_mm))
 
 
 def compare(

@@ -13,7 +13,8 @@ from itertools import product
 import numpy as np
 
 from mammometry.base.errors import MeasureError
-from mammometry.geometry.arrays import Array, Float64, read_only
+from mammometry.base.value import value
+from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.nearest import point_tree
 from mammometry.geometry.transform import Transform
 from mammometry.measure.settings import ThoraxSettings
@@ -28,7 +29,7 @@ _STARTS_MM = (0.0, -25.0, 25.0)  # along the axis, along which a trunk slides; s
 _SHARE = 0.8  # four fifths: the robust scatter does not tell bodies apart (decision 22)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class TrunkSkin:
     """The part of a torso that a registration may trust."""
 
@@ -40,10 +41,6 @@ class TrunkSkin:
     """Its axis and frame."""
     frame: Float64[Array, "3 3"]
     """Rows: the patient's left, the head, straight ahead, roughly, as in the photographs. World frame."""
-
-    def __post_init__(self) -> None:
-        for name in ("points_world", "normals_world", "frame"):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from mammometry.base.cores import available_cores
-from mammometry.geometry.arrays import Array, Bool, Float64, read_only
+from mammometry.base.value import value
+from mammometry.geometry.arrays import Array, Bool, Float64
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.nearest import point_tree
 from mammometry.geometry.transform import Transform
@@ -23,7 +23,7 @@ _OBLIQUE, _FLUSH_MM = 0.8, 3.0
 _FARTHEST_MM = 80.0  # a counterpart is looked for within this distance; chosen by eye
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class Symmetry:
     """How both breasts of a torso differ."""
 
@@ -56,10 +56,6 @@ class Symmetry:
     """
     right_mm: Float64[Array, " m"]
     """For each vertex of the right closed solid, distance by which the right skin stands out of the left one, mm."""
-
-    def __post_init__(self) -> None:
-        for name in ("plane_point_world", "plane_normal_world", "shift_mm", "left_mm", "right_mm"):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
 
     def mirrored(self, points_world: Float64[Array, "n 3"]) -> Float64[Array, "n 3"]:
         """Mirrored points of the right side, laid onto the left, mm. The mirror is the plane. World frame."""

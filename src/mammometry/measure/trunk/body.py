@@ -8,13 +8,13 @@ for agreement.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
 import numpy as np
 
 from mammometry.base.errors import MeasureError
-from mammometry.geometry.arrays import Array, Bool, Float64, read_only
+from mammometry.base.value import value
+from mammometry.geometry.arrays import Array, Bool, Float64
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.measure.settings import ThoraxSettings
 from mammometry.measure.trunk.mirror_plane import MirrorPlane, mirror_plane
@@ -41,7 +41,7 @@ _STARTS_DEG = (0.0, -10.0, 10.0, -20.0, 20.0)  # turns about the axis that are t
 _FACING_ROUNDS = 3  # of finding the axis and straight ahead, each from the other; chosen by eye
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class Body:
     """The patient's own directions, and where the middle is."""
 
@@ -57,10 +57,6 @@ class Body:
     """Robust standard deviation of the trunk from its mirror image, without the breasts, mm. None without a plane."""
     how: str
     """What the frame rests on, one sentence."""
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "frame", read_only(self.frame))
-        object.__setattr__(self, "point_world", read_only(self.point_world))
 
     @property
     def left(self) -> Float64[Array, 3]:

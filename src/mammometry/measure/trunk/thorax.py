@@ -10,7 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from mammometry.base.errors import MeasureError
-from mammometry.geometry.arrays import Array, Bool, Float64, Int64, read_only
+from mammometry.base.value import value
+from mammometry.geometry.arrays import Array, Bool, Float64, Int64
 from mammometry.measure.settings import ThoraxSettings
 from mammometry.surface.repair import Provenance, RepairedSurface
 
@@ -56,7 +57,7 @@ _CUT_OFF = 3.0  # scatters at which skin that stands out counts no more
 _MAD = 1.4826  # standard deviation of a normal distribution over its median absolute deviation
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class Trunk:
     """Cylindrical coordinates of a trunk.
 
@@ -71,10 +72,6 @@ class Trunk:
     """Half the distance between the trunk's sides, mm. Scale of θ when laid flat."""
     assumed: bool = False
     """Whether the sides were not seen, so that the axis has its usual depth behind the breastbone."""
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "frame", read_only(self.frame))
-        object.__setattr__(self, "origin", read_only(self.origin))
 
     def cylindrical(self, points_world: Float64[Array, "n 3"]) -> Float64[Array, "n 3"]:
         """(half width × θ, y, r) of world points, laid flat, mm. As seen from in front of the patient."""
@@ -97,7 +94,7 @@ class Trunk:
         return np.stack([cosine * left - sine * ahead, up, sine * left + cosine * ahead])
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class Thorax:
     """A trunk and its smooth radius without breasts."""
 
@@ -107,9 +104,6 @@ class Thorax:
     settings: ThoraxSettings
     rms_mm: float
     """Scatter of the skin that was fitted, mm."""
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "coefficients", read_only(self.coefficients))
 
     def radius_mm(self, arc_y: Float64[Array, "n 2"]) -> Float64[Array, " n"]:
         """Radius of the trunk without breasts at (half width × θ, y). All in mm."""
@@ -121,7 +115,7 @@ class Thorax:
         return cylindrical[:, 2] - self.radius_mm(cylindrical[:, :2])
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class Skin:
     """Samples of the visible skin."""
 
@@ -129,10 +123,6 @@ class Skin:
     """Middles of faces, mm, world frame."""
     normals_world: Float64[Array, "n 3"]
     """Their unit outward normals."""
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "points_world", read_only(self.points_world))
-        object.__setattr__(self, "normals_world", read_only(self.normals_world))
 
     def chosen(self, which: Bool[Array, " n"] | slice) -> Skin:
         """Part of the samples."""

@@ -8,12 +8,11 @@ Errors that they share cancel in the difference. The others stay.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Literal, TypeAlias
 
 import numpy as np
 
+from mammometry.base.value import value
 from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.measure.volume.uncertainty import AXIS, SCALE, WALL
@@ -22,7 +21,7 @@ Pairing: TypeAlias = Literal["sides", "same pose", "across poses"]
 """What is compared: both sides of one capture, or one breast in two captures, standing alike or differently."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value
 class VolumeDifference:
     """Difference and ratio of two volumes, with 95 % intervals."""
 
@@ -44,9 +43,6 @@ class VolumeDifference:
     """Half-width at 95 % that each named source contributes to the difference, cc. Empty without an interval."""
     note: str
     """What the interval covers and which shared errors it leaves out, one sentence."""
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "terms_cc", MappingProxyType(dict(self.terms_cc)))
 
     @property
     def beyond_error(self) -> bool | None:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from types import MappingProxyType
 
 import numpy as np
 
+from mammometry.base.value import value
 from mammometry.geometry.arrays import Array, Bool, Float64
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.nearest import point_tree
@@ -62,7 +62,7 @@ class Evidence:
     """Whether the trunk's sides were not seen, and the depth of its axis is assumed."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value
 class Uncertainty:
     """A 95 % interval and what it is made of."""
 
@@ -75,9 +75,6 @@ class Uncertainty:
     """Half-width at 95 % of each source, cc."""
     note: str
     """What the interval covers and what not, one sentence."""
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "terms_cc", MappingProxyType(dict(self.terms_cc)))
 
 
 def interval(
