@@ -34,7 +34,7 @@ for module in pkgutil.walk_packages(mammometry.__path__, "mammometry.", onerror=
 """
 _MAY_NEED_ONE = (
     *("mammometry.clinic", "mammometry.hospital", "mammometry.editor.server", "mammometry.editor.door"),
-    *("mammometry.capture.page", "mammometry.batch.offer"),
+    *("mammometry.capture.page", "mammometry.batch.worker_resources"),
 )
 
 

@@ -131,8 +131,8 @@ def test_only_what_serves_pages_exports_and_batches_speaks_to_the_network(reposi
         # Shares of a batch go to the cluster, and sessions come from the store, that the command names:
         "batch/cluster.py imports distributed",
         "batch/engine.py imports distributed",
-        "batch/offer.py imports distributed",
-        "batch/offer.py imports distributed.system",
+        "batch/worker_resources.py imports distributed",
+        "batch/worker_resources.py imports distributed.system",
         "batch/supervise.py imports distributed",
         "batch/storage.py imports fsspec",
         "batch/storage.py imports fsspec.core",

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from mammometry.base.cores import available_cores
 from mammometry.base.errors import BatchError
 from mammometry.base.extras import require
-from mammometry.batch.names import CORES, MEMORY
+from mammometry.batch.worker_resources import CORES, MEMORY
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -76,7 +76,7 @@ def machines(scheduler: str | None, cores: int | None = None, memory_mb: float |
     import dask
     from distributed import Client, LocalCluster
 
-    from mammometry.batch.offer import Offer
+    from mammometry.batch.worker_resources import WorkerResources
 
     for name in ("distributed", *(name for name in logging.root.manager.loggerDict if name.startswith("distributed."))):
         logging.getLogger(name).setLevel(logging.CRITICAL)  # what matters of it we say ourselves
@@ -85,7 +85,7 @@ def machines(scheduler: str | None, cores: int | None = None, memory_mb: float |
         if scheduler is not None:
             with _connected(scheduler) as client:
                 _require_same(client, scheduler)
-                client.register_plugin(Offer())
+                client.register_plugin(WorkerResources())
                 yield Machines(client=client, local=False, dashboard=client.dashboard_link)
             return
         threads = cores or available_cores()
@@ -104,7 +104,7 @@ def machines(scheduler: str | None, cores: int | None = None, memory_mb: float |
             ) as cluster,
             Client(cluster, set_as_default=False) as client,
         ):
-            client.register_plugin(Offer())
+            client.register_plugin(WorkerResources())
             yield Machines(client=client, local=True, dashboard=client.dashboard_link if pages else None)
 
 

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
 
     from mammometry.batch.batch import Line
-    from mammometry.batch.engine import Began, Ended, Wish
+    from mammometry.batch.engine import Began, Ended, StopRequest
     from mammometry.report.batch_page import BatchLine
 
 app = typer.Typer()
@@ -122,14 +122,14 @@ def batch(
     todo = [entry.address for entry in entries if entry.address not in looked.current]
     show = _Show(len(entries), todo, quiet=quiet, json=json)
     lines: Sequence[Line]
-    wish = _Wishes()
-    with wish.heard():
+    stop = _Wishes()
+    with stop.heard():
         if todo:
             with machines(scheduler, at_once, None if memory is None else 1000 * memory) as there:
                 show.begin(there.dashboard)
                 with show.live():
                     lines = measure_batch(
-                        entries, chosen, there, looked, cores=cores, watch=show.happened, wish=wish.now
+                        entries, chosen, there, looked, cores=cores, watch=show.happened, stop=stop.now
                     )
         else:
             lines = measure_batch(entries, chosen, None, looked)  # type: ignore[arg-type]  # nobody is asked
@@ -200,11 +200,11 @@ class _Wishes:
     def __init__(self) -> None:
         self._pressed = 0
 
-    def now(self) -> Wish:
+    def now(self) -> StopRequest:
         """What the user wants."""
-        from mammometry.batch.engine import Wish
+        from mammometry.batch.engine import StopRequest
 
-        return (Wish.GO_ON, Wish.FINISH, Wish.STOP)[min(self._pressed, 2)]
+        return (StopRequest.NONE, StopRequest.FINISH, StopRequest.STOP)[min(self._pressed, 2)]
 
     @contextmanager
     def heard(self) -> Iterator[None]:

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from mammometry.api.phantoms import PhantomResult
-    from mammometry.base.each import Each
+    from mammometry.base.progress import MapTasks
     from mammometry.study.agreement import Agreement, CheckedFigure, PairedMeasurements
     from mammometry.study.tables import Table
 
@@ -200,8 +200,8 @@ def phantoms(
     chosen = load_settings(settings, assignments)
     require_apart(out, [settings])
     require_free(out / "report", (*FILES, "table.csv"), command="study phantoms")
-    with Bars(quiet or json) as bars, _side_by_side(bars, len(MODELS), scale) as each:
-        results = measure_phantoms(out, scale=scale, seed=seed, settings=chosen, each=each)
+    with Bars(quiet or json) as bars, _tasks_side_by_side(bars, len(MODELS), scale) as map_tasks:
+        results = measure_phantoms(out, scale=scale, seed=seed, settings=chosen, map_tasks=map_tasks)
     data = paired(results)
     found = agree(data)
     intervals = interval_table(results)
@@ -217,11 +217,11 @@ def phantoms(
 
 
 @contextmanager
-def _side_by_side(bars: Bars, count: int, scale: float) -> Iterator[Each]:
+def _tasks_side_by_side(bars: Bars, count: int, scale: float) -> Iterator[MapTasks]:
     """Measure on all cores, each model in its own process. The workers start with the first model."""
     from mammometry.batch.cluster import machines
-    from mammometry.batch.each import side_by_side
     from mammometry.batch.engine import Began, Ended
+    from mammometry.batch.map_tasks import map_tasks_on
     from mammometry.simulate.rigs.plan import FULL_SIZE_WH
 
     width, height = FULL_SIZE_WH
@@ -233,8 +233,8 @@ def _side_by_side(bars: Bars, count: int, scale: float) -> Iterator[Each]:
             progress(done["models"] / count)
 
         @cache
-        def loop() -> Each:
-            return side_by_side(stack.enter_context(machines(None)), megapixels=megapixels, watch=watch)
+        def loop() -> MapTasks:
+            return map_tasks_on(stack.enter_context(machines(None)), megapixels=megapixels, watch=watch)
 
         yield lambda function, arguments: loop()(function, arguments)
 

@@ -4,8 +4,7 @@ import dask
 import pytest
 from distributed import Client, LocalCluster
 
-from mammometry.batch.names import CORES, MEMORY
-from mammometry.batch.offer import Offer, memory_mb
+from mammometry.batch.worker_resources import CORES, MEMORY, WorkerResources, memory_mb
 
 
 @pytest.mark.slow
@@ -18,7 +17,7 @@ def test_a_task_that_no_worker_could_take_is_given_to_one_that_comes_later():
         LocalCluster(n_workers=0, host="127.0.0.1", **quiet) as cluster,
         Client(cluster, set_as_default=False) as client,
     ):
-        client.register_plugin(Offer())
+        client.register_plugin(WorkerResources())
         waiting = client.submit(abs, -3, resources={CORES: 1, MEMORY: memory_mb()})
         cluster.scale(1)
         assert waiting.result(timeout=20) == 3

@@ -12,48 +12,48 @@ import numpy as np
 import psutil
 import pytest
 
+from mammometry.base.child_process import ChildProcess, Ended, NotDone
 from mammometry.base.cores import available_cores
-from mammometry.base.second_process import Ended, NotDone, SecondProcess
 
 _ENDS_WITHIN_S = 20.0  # on a machine that is very busy
 
 
 def test_it_calls_one_after_another_in_a_process_of_its_own() -> None:
-    with SecondProcess() as second:
-        assert second.call(math.hypot, 3, 4) == 5
-        assert second.call(os.getpid) not in (os.getpid(), None)
-        assert second.call(os.getpgrp) != os.getpgrp()  # Ctrl-C at the terminal goes to this process alone
-        assert second.call(available_cores) == 1  # the first has the others
+    with ChildProcess() as child:
+        assert child.call(math.hypot, 3, 4) == 5
+        assert child.call(os.getpid) not in (os.getpid(), None)
+        assert child.call(os.getpgrp) != os.getpgrp()  # Ctrl-C at the terminal goes to this process alone
+        assert child.call(available_cores) == 1  # the first has the others
         large = np.arange(300_000.0)  # more than a pipe holds, in both directions
-        np.testing.assert_array_equal(second.call(np.flip, large), large[::-1])
+        np.testing.assert_array_equal(child.call(np.flip, large), large[::-1])
 
 
 def test_what_it_prints_is_no_answer() -> None:
-    with SecondProcess() as second:
-        assert second.call(print, "this goes elsewhere") is None
-        assert second.call(math.sqrt, 4) == 2
+    with ChildProcess() as child:
+        assert child.call(print, "this goes elsewhere") is None
+        assert child.call(math.sqrt, 4) == 2
 
 
 def test_an_error_there_is_told_and_the_next_call_is_done() -> None:
-    with SecondProcess() as second:
+    with ChildProcess() as child:
         with pytest.raises(NotDone, match="math domain error"):
-            second.call(math.sqrt, -1)
-        assert second.call(math.sqrt, 4) == 2
+            child.call(math.sqrt, -1)
+        assert child.call(math.sqrt, 4) == 2
 
 
 def test_a_process_that_is_gone_is_told() -> None:
-    with SecondProcess() as second:
-        pid = second.call(os.getpid)
+    with ChildProcess() as child:
+        pid = child.call(os.getpid)
         os.kill(pid, signal.SIGKILL)
         with pytest.raises(NotDone, match="gone"):
-            second.call(math.sqrt, 4)
+            child.call(math.sqrt, 4)
 
 
 def test_the_end_of_the_block_ends_a_call() -> None:
     with ThreadPoolExecutor(1) as pool:
-        with SecondProcess() as second:
-            pid = second.call(os.getpid)
-            waiting = pool.submit(second.call, time.sleep, 600)
+        with ChildProcess() as child:
+            pid = child.call(os.getpid)
+            waiting = pool.submit(child.call, time.sleep, 600)
             time.sleep(0.1)
         with pytest.raises(Ended):
             waiting.result()
@@ -62,8 +62,8 @@ def test_the_end_of_the_block_ends_a_call() -> None:
 
 _PARENT = """
 import os, time
-from mammometry.base.second_process import SecondProcess
-with SecondProcess() as second:
+from mammometry.base.child_process import ChildProcess
+with ChildProcess() as second:
     print(second.call(os.getpid), flush=True)
     second.call(time.sleep, 600)
 """

@@ -5,37 +5,37 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from mammometry.base.each import Each
+from mammometry.base.child_process import Call
 from mammometry.base.errors import BatchError
-from mammometry.batch.child import Order
+from mammometry.base.progress import MapTasks
 from mammometry.batch.cluster import Machines
-from mammometry.batch.engine import Began, Ended, Engine, Task, Wish
+from mammometry.batch.engine import Began, Ended, Engine, StopRequest, Task
 
 
-def side_by_side(
+def map_tasks_on(
     machines: Machines,
     *,
     megapixels: float | None = None,
     watch: Callable[[Began | Ended], None] = lambda event: None,
-    wish: Callable[[], Wish] = lambda: Wish.GO_ON,
-) -> Each:
+    stop: Callable[[], StopRequest] = lambda: StopRequest.NONE,
+) -> MapTasks:
     """Make a loop that runs each turn as a Dask task. Each task has its own process.
 
     Args:
         machines: the workers.
         megapixels: of the photographs in each turn, by which memory is learned.
         watch: called for all that happens.
-        wish: what the user wants now.
+        stop: what the user wants now.
     """
     known: list[tuple[float, float]] = []
 
-    def each(function: Callable[..., Any], arguments: Mapping[str, tuple[Any, ...]]) -> dict[str, Any]:
+    def map_tasks(function: Callable[..., Any], arguments: Mapping[str, tuple[Any, ...]]) -> dict[str, Any]:
         tasks = [
-            Task(name=name, order=Order(function=function, arguments=given), megapixels=megapixels)
+            Task(name=name, call=Call(function=function, arguments=given), megapixels=megapixels)
             for name, given in arguments.items()
         ]
         done: dict[str, Any] = {}
-        for event in Engine(machines, known=known, wish=wish).run(tasks):
+        for event in Engine(machines, known=known, stop=stop).run(tasks):
             watch(event)
             if isinstance(event, Ended):
                 if event.failed:
@@ -52,4 +52,4 @@ def side_by_side(
             raise KeyboardInterrupt
         return done
 
-    return each
+    return map_tasks

@@ -9,14 +9,16 @@ import psutil
 from distributed import Status, Worker, WorkerPlugin
 from distributed.system import MEMORY_LIMIT
 
-from mammometry.batch.names import CORES, MEMORY
-
+MEMORY = "mammometry_mb"
+"""Resource of a worker: memory that its tasks may take together, MB."""
+CORES = "mammometry_cores"
+"""Resource of a worker: cores that its tasks may take together."""
 _SHARE = 0.85
 """Share of a machine's memory for the tasks. The rest is for the system and the disk."""
 _MIB = 1 << 20  # bytes in a MiB
 
 
-class Offer(WorkerPlugin):  # type: ignore[misc]  # half of distributed is typed
+class WorkerResources(WorkerPlugin):  # type: ignore[misc]  # half of distributed is typed
     """Offer the worker's threads as cores, and its machine's memory.
 
     A worker that was started with an offer keeps it. A machine is assumed to run one worker: start one worker a
@@ -27,9 +29,9 @@ class Offer(WorkerPlugin):  # type: ignore[misc]  # half of distributed is typed
 
     async def setup(self, worker: Worker) -> None:
         """Say so to the scheduler."""
-        there = worker.state.total_resources
+        resources = worker.state.total_resources
         await worker.set_resources(
-            **{CORES: there.get(CORES, float(worker.state.nthreads)), MEMORY: there.get(MEMORY, memory_mb())}
+            **{CORES: resources.get(CORES, float(worker.state.nthreads)), MEMORY: resources.get(MEMORY, memory_mb())}
         )
         # Dask looks again for a task that no worker could take when a worker joins, which was before this offer, or
         # when one goes on after a pause.
