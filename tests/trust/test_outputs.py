@@ -144,7 +144,7 @@ def nine_models(place: Path, patch: pytest.MonkeyPatch) -> Case:
 
     patch.setattr(phantoms, "write_session", write_session)
     patch.setattr(phantoms, "open_session", open_session)
-    patch.setattr(study_commands, "_side_by_side", lambda bars, count, scale: nullcontext(map_in_sequence))
+    patch.setattr(study_commands, "_tasks_side_by_side", lambda bars, count, scale: nullcontext(map_in_sequence))
     out = place / "study"
     (place / "settings.toml").write_text("")
     return Case(

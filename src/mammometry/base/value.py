@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
+import sys
 from collections.abc import Callable
 from types import MappingProxyType
-from typing import Any, TypeVar, dataclass_transform, overload
+from typing import TYPE_CHECKING, Any, TypeVar, dataclass_transform, overload
 
-import numpy as np
+if TYPE_CHECKING:
+    import numpy as np
 
 _T = TypeVar("_T")
-_A = TypeVar("_A", bound=np.ndarray)
+_A = TypeVar("_A", bound="np.ndarray")
 
 
 @overload
@@ -52,7 +54,8 @@ def _frozen_class(cls: Any, *, eq: bool, slots: bool) -> Any:
 
 def freeze(content: Any) -> Any:
     """Arrays read-only, dictionaries and lists immutable, to any depth. Everything else as it is."""
-    if isinstance(content, np.ndarray):
+    numpy = sys.modules.get("numpy")  # where it is not imported nothing is an array: the command line begins at once
+    if numpy is not None and isinstance(content, numpy.ndarray):
         return read_only(content) if content.flags.writeable else content
     if type(content) is dict:
         return MappingProxyType({key: freeze(item) for key, item in content.items()})

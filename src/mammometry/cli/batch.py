@@ -15,17 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mammometry.cli.common import (
-    Answer,
-    Assignments,
-    Bars,
-    Json,
-    Quiet,
-    SettingsFile,
-    Verbose,
-    examples,
-    load_settings,
-)
+from mammometry.cli.common import Answer, Bars, Options, command
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -43,15 +33,15 @@ _OUT = Path("batch")
 _SHOWN = 12  # sessions at work that the live table shows
 
 
-@app.command(
-    epilog=examples(
-        "mammometry batch ARCHIVE",
-        "mammometry batch 'ARCHIVE/2026-*' --out trial --cores 2",
-        "mammometry batch sessions.csv --scheduler tcp://host:8786 --json",
-        "mammometry batch s3://bucket/trial --results s3://bucket/results",
-    )
+@command(
+    app,
+    "mammometry batch ARCHIVE",
+    "mammometry batch 'ARCHIVE/2026-*' --out trial --cores 2",
+    "mammometry batch sessions.csv --scheduler tcp://host:8786 --json",
+    "mammometry batch s3://bucket/trial --results s3://bucket/results",
 )
 def batch(
+    options: Options,
     sessions: Annotated[
         list[str],
         typer.Argument(
@@ -83,11 +73,6 @@ def batch(
         float | None,
         typer.Option(metavar="GB", help="Memory of this machine to use.", min=0.1, show_default="nearly all"),
     ] = None,
-    assignments: Assignments = None,
-    settings: SettingsFile = None,
-    quiet: Quiet = False,
-    json: Json = False,
-    verbose: Verbose = 0,
 ) -> Answer:
     """Measure many sessions, some at a time.
 
@@ -105,10 +90,10 @@ def batch(
     if scheduler is not None and (at_once or memory):
         raise typer.BadParameter("--at-once and --memory are for this machine: leave them out with --scheduler")
     begun = time.monotonic()
-    chosen = load_settings(settings, assignments)
+    chosen = options.settings()
     entries = find_entries(sessions, results)
     local = [Path(entry.address) for entry in entries if not is_address(entry.address)]
-    require_apart(out, [*local, *(Path(each) for each in sessions if each.lower().endswith(".csv")), settings])
+    require_apart(out, [*local, *(Path(each) for each in sessions if each.lower().endswith(".csv")), options.file])
     require_free(out, FILES, command="batch")
     for entry in entries:
         try:
@@ -117,10 +102,10 @@ def batch(
             raise SettingsError(
                 f"{entry.address}, {error.subject}", found=error.found, expected=error.expected, remedy=error.remedy
             ) from None
-    with Bars(quiet or json) as bars, bars.task("look", "sessions") as progress:
+    with Bars(options.silent) as bars, bars.task("look", "sessions") as progress:
         looked = look(entries, chosen, progress)
     todo = [entry.address for entry in entries if entry.address not in looked.current]
-    show = _Show(len(entries), todo, quiet=quiet, json=json)
+    show = _Show(len(entries), todo, options)
     lines: Sequence[Line]
     stop = _Wishes()
     with stop.heard():
@@ -228,9 +213,9 @@ class _Wishes:
 class _Show:
     """Progress of a batch as a live table, lines or JSON lines."""
 
-    def __init__(self, count: int, todo: Sequence[str], *, quiet: bool, json: bool) -> None:
+    def __init__(self, count: int, todo: Sequence[str], options: Options) -> None:
         self._count, self._todo = count, len(todo)
-        self._quiet, self._json = quiet or json, json
+        self._quiet, self._json = options.silent, options.json
         self._at_work: dict[str, tuple[str, float, float]] = {}
         self._ended = Counter[str]()
         self._begun = time.monotonic()

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
-from mammometry.cli.common import Answer, Bars, Json, Quiet, SessionFolder, Verbose, examples
+from mammometry.cli.common import Answer, Bars, OutputOptions, SessionFolder, command
 
 app = typer.Typer()
 RigToml = Annotated[
@@ -24,16 +24,16 @@ REFUSED = 12
 """Exit code of a firing that must not be measured."""
 
 
-@app.command(
-    epilog=examples(
-        "mammometry capture SESSION --rig rig.toml",
-        "mammometry capture SESSION --rig rig.toml --page",
-        "mammometry capture CALIBRATION-SESSION --rig rig.toml --pose",
-        "mammometry capture CALIBRATION-SESSION --rig rig.toml --pose --page",
-        "mammometry capture SESSION --rig rig.toml --backend virtual && mammometry run SESSION",
-    )
+@command(
+    app,
+    "mammometry capture SESSION --rig rig.toml",
+    "mammometry capture SESSION --rig rig.toml --page",
+    "mammometry capture CALIBRATION-SESSION --rig rig.toml --pose",
+    "mammometry capture CALIBRATION-SESSION --rig rig.toml --pose --page",
+    "mammometry capture SESSION --rig rig.toml --backend virtual && mammometry run SESSION",
 )
 def capture(
+    options: OutputOptions,
     session: SessionFolder,
     rig: RigToml,
     backend: BackendName = None,
@@ -47,9 +47,6 @@ def capture(
         bool, typer.Option("--page", help="Aim, focus and fire on a page in the browser. Ctrl-C ends it.")
     ] = False,
     browser: Annotated[bool, typer.Option(help="With --page: open it in the browser.")] = True,
-    quiet: Quiet = False,
-    json: Json = False,
-    verbose: Verbose = 0,
 ) -> Answer:
     """Fire all cameras, and judge the pictures at once.
 
@@ -61,8 +58,8 @@ def capture(
     if page:
         return _on_a_page(session, rig, backend, subject_id, browser=browser, posing=pose)
     if pose:
-        return _pose(session, rig, backend, quiet or json)
-    with Bars(quiet or json) as bars, bars.task("open", "cameras"), Rigged(rig, backend=backend) as rigged:
+        return _pose(session, rig, backend, options.silent)
+    with Bars(options.silent) as bars, bars.task("open", "cameras"), Rigged(rig, backend=backend) as rigged:
         faults = rigged.faults()
         fired = rigged.fire_into(session, subject_id=subject_id)
     table: dict[str, Any] = {
@@ -124,15 +121,13 @@ def _on_a_page(
     return Answer({"session": str(session), "accepted": taken}, lines, exit_code=0 if taken else REFUSED)
 
 
-@app.command(epilog=examples("mammometry skew CALIBRATION-SESSION --rig rig.toml"))
+@command(app, "mammometry skew CALIBRATION-SESSION --rig rig.toml")
 def skew(
+    options: OutputOptions,
     session: SessionFolder,
     rig: RigToml,
     backend: BackendName = None,
     firings: Annotated[int, typer.Option(min=1, max=100, help="Firings of which the median counts.")] = 5,
-    quiet: Quiet = False,
-    json: Json = False,
-    verbose: Verbose = 0,
 ) -> Answer:
     """Measure how far apart the cameras expose, with the counting lamps.
 
@@ -140,7 +135,7 @@ def skew(
     """
     from mammometry.capture.loop import Rigged
 
-    with Bars(quiet or json) as bars, bars.task("open", "cameras"), Rigged(rig, backend=backend) as rigged:
+    with Bars(options.silent) as bars, bars.task("open", "cameras"), Rigged(rig, backend=backend) as rigged:
         measured = rigged.measure_skew(session, firings=firings)
         limit_ms = rigged.file.capture.skew_limit_ms
     good = measured.spread_ms <= limit_ms

@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mammometry.cli.common import Answer, Assignments, Bars, SettingsFile, load_settings
+from mammometry.cli.common import Answer, Bars, Options
 from mammometry.cli.stages import volume_lines
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ _WOMAN, _SITUATION, _QUALITY, _SEED = "torso_2", "posture=standing", "telephone"
 _EDGE_MM = 2.0  # of the woman's triangles, on the breasts
 
 
-def scan_demo(folder: Path, settings: SettingsFile, assignments: Assignments, *, quiet: bool, json: bool) -> Answer:
+def scan_demo(folder: Path, options: Options) -> Answer:
     """Scan and measure a virtual standing woman, and compare with her volumes.
 
     Raises:
@@ -31,12 +31,12 @@ def scan_demo(folder: Path, settings: SettingsFile, assignments: Assignments, *,
     from mammometry.io.outputs import require_free, write_outputs
     from mammometry.io.scans import FILES, MESH, is_scan, read_scan
 
-    chosen = load_settings(settings, assignments)
+    chosen = options.settings()
     there = is_scan(folder)
     if not there or read_scan(folder).scanner != _SCANNER:
         require_free(folder, FILES, command=_COMMAND)
     begun = time.monotonic()
-    with Bars(quiet or json) as bars:
+    with Bars(options.silent) as bars:
         with bars.task("simulate", "depth pictures") as progress:
             woman = _woman()
             progress(0.6)
