@@ -102,7 +102,7 @@ def command(
 
     def register(function: Callable[..., Answer]) -> Callable[..., Answer]:
         own = inspect.signature(function, eval_str=True).parameters.values()
-        values = {each.name: each.annotation for each in own if is_dataclass(each.annotation)}
+        values: dict[str, type] = {each.name: each.annotation for each in own if is_dataclass(each.annotation)}
         options = {
             name: [
                 inspect.Parameter(field.name, inspect.Parameter.KEYWORD_ONLY, default=field.default, annotation=hint)
