@@ -102,7 +102,7 @@ def command(
 
     def register(function: Callable[..., Answer]) -> Callable[..., Answer]:
         own = inspect.signature(function, eval_str=True).parameters.values()
-        values: dict[str, type] = {each.name: each.annotation for each in own if is_dataclass(each.annotation)}
+        values: dict[str, Any] = {one.name: one.annotation for one in own if is_dataclass(one.annotation)}
         options = {
             name: [
                 inspect.Parameter(field.name, inspect.Parameter.KEYWORD_ONLY, default=field.default, annotation=hint)
