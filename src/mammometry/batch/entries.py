@@ -97,7 +97,7 @@ def _sessions_in(folder: Path) -> list[Path]:
     if not resolved.is_dir():
         return []
     with os.scandir(resolved) as there:
-        names = sorted(each.name for each in there if not each.name.startswith("."))
+        names = sorted(path.name for path in there if not path.name.startswith("."))
     return [(resolved / name).resolve() for name in names if (resolved / name / MANIFEST).is_file()]
 
 

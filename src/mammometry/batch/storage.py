@@ -36,8 +36,8 @@ def sessions_at(address: str) -> list[str]:
         system.invalidate_cache()
         if system.isfile(f"{root}/{MANIFEST}"):
             return [address.rstrip("/")]
-        below = sorted(each.rstrip("/") for each in system.ls(root, detail=False)) if system.isdir(root) else []
-        found = [each for each in below if system.isfile(f"{each}/{MANIFEST}")]
+        below = sorted(folder.rstrip("/") for folder in system.ls(root, detail=False)) if system.isdir(root) else []
+        found = [folder for folder in below if system.isfile(f"{folder}/{MANIFEST}")]
     if not found:
         raise SessionError(
             address,
@@ -45,7 +45,7 @@ def sessions_at(address: str) -> list[str]:
             expected=f"a folder with a {MANIFEST}, or of such folders",
             remedy="Check the address",
         )
-    return [f"{address.rstrip('/')}/{each.rpartition('/')[2]}" for each in found]
+    return [f"{address.rstrip('/')}/{folder.rpartition('/')[2]}" for folder in found]
 
 
 def fetch(entry: Entry, folder: Path) -> dict[str, Stat]:

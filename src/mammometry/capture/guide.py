@@ -181,8 +181,8 @@ def _pair_axes(rig: Rig) -> Float64[Array, "p 3"]:
 
 def _variance_px2(calibration: Calibration) -> float:
     """Of one coordinate of a point, as the calibration found it."""
-    each = [np.trace(one.covariance_px2, axis1=1, axis2=2) / 2 for one in calibration.observations.detections]
-    return float(np.median(np.concatenate(each))) * calibration.noise_factor**2
+    variances = [np.trace(one.covariance_px2, axis1=1, axis2=2) / 2 for one in calibration.observations.detections]
+    return float(np.median(np.concatenate(variances))) * calibration.noise_factor**2
 
 
 def _outlines(calibration: Calibration, placed: Transform) -> dict[str, Float64[Array, "4 2"]]:

@@ -80,8 +80,8 @@ def take(backend: Backend, cameras: tuple[str, ...], shot: Shot, *, timeout_s: f
         got = dict(zip(cameras, pool.map(one, cameras), strict=True))
     return Taken(
         fired_s=fired_s,
-        frames={name: each for name, each in got.items() if isinstance(each, Delivered)},
-        faults={name: each for name, each in got.items() if isinstance(each, MammometryError)},
+        frames={name: outcome for name, outcome in got.items() if isinstance(outcome, Delivered)},
+        faults={name: outcome for name, outcome in got.items() if isinstance(outcome, MammometryError)},
         seconds=time.monotonic() - begun,
     )
 

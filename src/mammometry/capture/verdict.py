@@ -38,7 +38,7 @@ class Verdict:
     @property
     def may_be_measured(self) -> bool:
         """Whether nothing refuses."""
-        return not refuses(each for _, each in self.found)
+        return not refuses(finding for _, finding in self.found)
 
     @property
     def said(self) -> tuple[str, ...]:
@@ -107,9 +107,9 @@ def judge(taken: Taken, expected: Expected) -> Verdict:
         *_names_and_stillness(taken, expected),
     ]
     for name, frame in taken.frames.items():
-        found += [(name, each) for each in pixels.judge(frame.seen, expected.subject_kind)]
+        found += [(name, finding) for finding in pixels.judge(frame.seen, expected.subject_kind)]
     order = {"refuse": 0, "warn": 1, "unknown": 2, "ok": 3}
-    found.sort(key=lambda each: order[each[1].level])
+    found.sort(key=lambda named: order[named[1].level])
     return Verdict(found=tuple(found), seconds=taken.seconds + time.monotonic() - begun)
 
 
@@ -120,7 +120,7 @@ def _delivered(taken: Taken, expected: Expected) -> Iterator[tuple[str, Found]]:
             yield name, _refuse("delivered", f"No picture: {fault.found}. {fault.remedy.rstrip('.')}.")
         elif name in taken.frames:
             yield name, Found(check="delivered", level="ok", sentence="Delivered.")
-    yield from (("", each) for each in cameras.twice({name: one.sha256 for name, one in taken.frames.items()}))
+    yield from (("", finding) for finding in cameras.twice({name: one.sha256 for name, one in taken.frames.items()}))
 
 
 def _sizes(taken: Taken, expected: Expected) -> Iterator[tuple[str, Found]]:
@@ -139,7 +139,7 @@ def _serials(taken: Taken, expected: Expected) -> Iterator[tuple[str, Found]]:
         if frame.serial == wanted[name]:
             yield name, Found(check="serial", level="ok", sentence="Its serial number is right.")
             continue
-        other = next((each for each, serial in wanted.items() if serial == frame.serial), None)
+        other = next((camera for camera, serial in wanted.items() if serial == frame.serial), None)
         by = other or f"a camera with serial number {frame.serial}, which the rig's file does not have"
         yield (
             name,
@@ -226,7 +226,7 @@ def _names_and_stillness(taken: Taken, expected: Expected) -> Iterator[tuple[str
         and one.size_wh == expected.rig.cameras[name].size_wh
     }  # fmt: skip
     names = check_names(expected.rig, sizes_fit)
-    yield from (("", each) for each in _named(names, expected.rig))
+    yield from (("", finding) for finding in _named(names, expected.rig))
     if names.right:
         yield "", _stillness(names)
 

@@ -93,7 +93,9 @@ def batch(
     chosen = options.settings()
     entries = find_entries(sessions, results)
     local = [Path(entry.address) for entry in entries if not is_address(entry.address)]
-    require_apart(out, [*local, *(Path(each) for each in sessions if each.lower().endswith(".csv")), options.file])
+    require_apart(
+        out, [*local, *(Path(session) for session in sessions if session.lower().endswith(".csv")), options.file]
+    )
     require_free(out, FILES, command="batch")
     for entry in entries:
         try:
@@ -161,12 +163,12 @@ def _said(line: Line) -> BatchLine:
         date=row.date or "",
         volumes=tuple(
             BatchVolume(
-                name=each.name,
-                volume_cc=each.volume_cc,
-                interval_cc=each.interval_cc,
-                reference_cc=line.entry.reference_cc.get(each.name),
+                name=side.name,
+                volume_cc=side.volume_cc,
+                interval_cc=side.interval_cc,
+                reference_cc=line.entry.reference_cc.get(side.name),
             )
-            for each in row.measured
+            for side in row.measured
         ),
         no_breast=row.no_breast,
         warnings=row.warnings,

@@ -325,8 +325,13 @@ def people_list(options: JsonOptions, folder: Folder) -> Answer:
     from mammometry.clinic.models import Person
 
     rows: list[dict[str, Any]] = [
-        {"name": each.username, "full_name": each.full_name, "roles": list(each.roles), "active": each.is_active}
-        for each in Person.objects.all()
+        {
+            "name": person.username,
+            "full_name": person.full_name,
+            "roles": list(person.roles),
+            "active": person.is_active,
+        }
+        for person in Person.objects.all()
     ]
     lines = [f"{row['name']}  {', '.join(row['roles'])}{'' if row['active'] else '  (inactive)'}" for row in rows]
     return Answer({"people": rows}, [*lines])
@@ -352,7 +357,7 @@ def _invite(config: ClinicConfig, username: str, roles: list[str], name: str, em
     unknown = sorted(set(roles) - {role.value for role in Role})
     if unknown:
         raise typer.BadParameter(f"no such role: {', '.join(unknown)}; there are {', '.join(Role.values)}")
-    chosen = [Role(each) for each in dict.fromkeys(roles)]
+    chosen = [Role(role) for role in dict.fromkeys(roles)]
     return _invitation(config, add_person(username, chosen, full_name=name, email=email))
 
 

@@ -53,7 +53,7 @@ def check(
     if image_set is None:
         return _history(session, known, drawn, loaded.calibration.check.refuse_mm)
     # Another check may have ended meanwhile: ours is the last of its photographs.
-    entry = next(each for each in reversed(known.entries) if each.image_set == str(image_set))
+    entry = next(entry for entry in reversed(known.entries) if entry.image_set == str(image_set))
     table = drift.entry_table(entry) | {
         "unseen": list(result.unseen),
         "alternatives": [list(names) for names in result.alternatives],
@@ -97,7 +97,7 @@ def _history(session: Path, history: History, drawn: Path, limit_mm: float) -> A
         shown.add_row(entry.when[:16], Path(entry.image_set).name, entry.verdict, f"{entry.effect_mm:.3f}", moved)
     table = {
         "session": str(session),
-        "checks": [drift.entry_table(each) for each in history.entries],
+        "checks": [drift.entry_table(entry) for entry in history.entries],
         "warnings": list(history.warnings),
         "plot": str(drawn),
     }

@@ -140,7 +140,7 @@ def _drawn_words(job: Job) -> dict[str, str]:
 
     product, inputs = job.plan.measured.boundaries, job.inputs
     found = product() if inputs.attributions and product is not None and job.store.has(product.key) else ()
-    curves = {each.name: each.points_world for each in found} | dict(inputs.boundaries)
+    curves = {boundary.name: boundary.points_world for boundary in found} | dict(inputs.boundaries)
     words = {}
     for name, attribution in inputs.attributions.items():
         how = attribution.origin or ("given" if name in inputs.boundaries else "automatic")
@@ -156,7 +156,7 @@ def _overall(states: list[str]) -> str:
     if not states:
         return "not needed"
     for state in ("current", "absent"):
-        if all(each == state for each in states):
+        if all(product_state == state for product_state in states):
             return state
     return next((state for state in ("damaged", "stale") if state in states), "partial")
 

@@ -131,8 +131,8 @@ def observers(
 
     chosen = options.settings()
     drawn = read_drawn_by(curves, mesh)
-    meshes = tuple(dict.fromkeys(each.mesh for each in drawn))
-    require_apart(out, [curves, options.file, *meshes, *(each.boundary for each in drawn)])
+    meshes = tuple(dict.fromkeys(drawing.mesh for drawing in drawn))
+    require_apart(out, [curves, options.file, *meshes, *(drawing.boundary for drawing in drawn)])
     require_free(out, observers_names(len(meshes)), command="study observers")
     with Bars(options.silent) as bars:
         with bars.task("observers", "drawings") as progress:

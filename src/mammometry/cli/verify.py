@@ -60,8 +60,8 @@ def _renewed(session: Path, results: Path, findings: Findings, options: Options)
     from mammometry.job.products import STAGES
 
     loaded = options.settings()
-    damaged = {f"{each.stage}/{each.product}": None for each in findings.damaged if each.product is not None}
-    stages = [each.stage for each in findings.damaged if each.product is None]
+    damaged = {f"{damage.stage}/{damage.product}": None for damage in findings.damaged if damage.product is not None}
+    stages = [damage.stage for damage in findings.damaged if damage.product is None]
     if results == session:
         return [*damaged, *stages], [], ""
     if not damaged and not stages:

@@ -93,7 +93,7 @@ def close_idle(*, idle_s: float = 0.0) -> int:
         How many rigs are still open.
     """
     with _one:
-        for key in [key for key, each in _open.items() if time.monotonic() - each.used_s >= idle_s]:
+        for key in [key for key, opened in _open.items() if time.monotonic() - opened.used_s >= idle_s]:
             _close(key)
         return len(_open)
 

@@ -136,7 +136,7 @@ class Desk:
         product = self.job.measured.measurements
         if product is None or not self.job.store.has(product.key):
             return {}
-        return {each.name: each for each in product()}
+        return {boundary.name: boundary for boundary in product()}
 
     def _proposed(self) -> dict[str, Any]:
         """Landmark → where the measurement proposes it. Empty if that is not current."""
@@ -285,7 +285,9 @@ class Desk:
             try:
                 with one_blas_thread():
                     boundaries = measured.boundaries() if measured.sides is None else measured.sides().boundaries
-                found: dict[str, Boundary] = {each.name: each for each in boundaries if each.name not in given}
+                found: dict[str, Boundary] = {
+                    boundary.name: boundary for boundary in boundaries if boundary.name not in given
+                }
                 self._remark = ""
             except StorageError as error:  # another run may be at work, but not for long
                 self._remark = f"No automatic boundary: {error}"

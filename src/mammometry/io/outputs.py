@@ -52,15 +52,15 @@ def require_apart(out: Path, inputs: Iterable[Path | None]) -> None:
     Raises:
         StorageError: names `out` and the input.
     """
-    for each in inputs:
-        if each is None or not os.path.lexists(each):
+    for path in inputs:
+        if path is None or not os.path.lexists(path):
             continue
-        if _same(out, each):
+        if _same(out, path):
             found = "a file or folder that this command reads"
-        elif any(_same(out, above) for above in _above(each)):
-            found = f"a folder that holds {each}, which this command reads"
-        elif any(_same(each, above) for above in _above(out)):
-            found = f"a place in {each}, which this command reads"
+        elif any(_same(out, above) for above in _above(path)):
+            found = f"a folder that holds {path}, which this command reads"
+        elif any(_same(path, above) for above in _above(out)):
+            found = f"a place in {path}, which this command reads"
         else:
             continue
         raise StorageError(
@@ -258,7 +258,7 @@ def _plain(name: str) -> str:
 
 
 def _written(entry: Mapping[str, Any]) -> _Written:
-    return _Written(command=str(entry["command"]), sha256=tuple(str(each) for each in entry["sha256"]))
+    return _Written(command=str(entry["command"]), sha256=tuple(str(digest) for digest in entry["sha256"]))
 
 
 def _record(folder: Path, record: _Record) -> None:

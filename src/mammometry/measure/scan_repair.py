@@ -206,7 +206,7 @@ def _body(mesh: TriangleMesh, notes: list[str], *, largest: bool) -> TriangleMes
         others = np.sort(areas)[::-1][:3] / areas.sum()
         raise MeasureError(
             "mesh",
-            found=f"{len(areas)} separate pieces, the largest with {', '.join(f'{each:.0%}' for each in others)} "
+            found=f"{len(areas)} separate pieces, the largest with {', '.join(f'{other:.0%}' for other in others)} "
             "of the area",
             expected="one connected surface, beside it at most crumbs",
             remedy="Delete the others in the program that made it, or measure the largest alone with --largest",

@@ -148,16 +148,16 @@ def as_table(report: ChangeReport) -> dict[str, Any]:
         },
         "lengths": [
             {
-                "name": each.name,
-                "title": each.title,
-                "along_the_skin": each.along,
-                "before_mm": round(each.before_mm, 2),
-                "after_mm": round(each.after_mm, 2),
-                "change_mm": round(each.change_mm, 2),
-                "sigma_mm": round(each.sigma_mm, 2),
-                "beyond_error": each.beyond_error,
+                "name": length.name,
+                "title": length.title,
+                "along_the_skin": length.along,
+                "before_mm": round(length.before_mm, 2),
+                "after_mm": round(length.after_mm, 2),
+                "change_mm": round(length.change_mm, 2),
+                "sigma_mm": round(length.sigma_mm, 2),
+                "beyond_error": length.beyond_error,
             }
-            for each in change.lengths
+            for length in change.lengths
         ],
     }
 
@@ -228,14 +228,14 @@ def length_tables(lengths: Sequence[LengthChange]) -> tuple[Table, ...]:
         return ()
     rows = tuple(
         (
-            each.title,
-            "along the skin" if each.along else "straight",
-            f"{each.before_mm:.1f}",
-            f"{each.after_mm:.1f}",
-            f"{signed(each.change_mm, 1)} ± {each.sigma_mm:.1f}",
-            "yes" if each.beyond_error else "no",
+            length.title,
+            "along the skin" if length.along else "straight",
+            f"{length.before_mm:.1f}",
+            f"{length.after_mm:.1f}",
+            f"{signed(length.change_mm, 1)} ± {length.sigma_mm:.1f}",
+            "yes" if length.beyond_error else "no",
         )
-        for each in lengths
+        for length in lengths
     )
     columns = ("from, to", "path", "before, mm", "after, mm", "change ± σ, mm", "larger than the error")
     return (Table(title="Lengths between landmarks", columns=columns, rows=rows),)

@@ -193,7 +193,9 @@ def signature_line(width: float, room: float) -> Iterator[Any]:
 
 def height_of(flowables: Sequence[Any], width: float) -> float:
     """Height that these take in a column, with the room around them, points."""
-    heights = [each.wrap(width, 1e6)[1] + each.getSpaceBefore() + each.getSpaceAfter() for each in flowables]
+    heights = [
+        flowable.wrap(width, 1e6)[1] + flowable.getSpaceBefore() + flowable.getSpaceAfter() for flowable in flowables
+    ]
     return float(sum(heights))
 
 

@@ -108,7 +108,11 @@ def run_concerns(run: RunResults) -> Iterator[str]:
     for name, share in run.shares.items():
         if share < _MATCHED:
             yield f"Pair {name} matched only {100 * share:.0f} % of the subject's silhouette."
-    hidden = [f"{name} ({100 * each.share:.0f} %)" for name, each in run.blocked.items() if each.share > _BLOCKED]
+    hidden = [
+        f"{name} ({100 * occlusion.share:.0f} %)"
+        for name, occlusion in run.blocked.items()
+        if occlusion.share > _BLOCKED
+    ]
     if hidden:
         yield (
             f"Something hides part of the subject in the photographs of {', '.join(hidden)}. The skin there was kept "

@@ -101,7 +101,7 @@ def compare_rigs(calibrated: Rig, true: Rig, points_rig: Float64[Array, "n 3"]) 
         camera, truth = calibrated.cameras[name], true.cameras[name]
         gaps = np.linalg.norm(camera.project(points_world[seen[name]]) - pixels[name][seen[name]], axis=1)
         squares.append(gaps**2)
-        focal, true_focal = (float(np.diag(each.matrix)[:2].mean()) for each in (camera, truth))
+        focal, true_focal = (float(np.diag(camera_model.matrix)[:2].mean()) for camera_model in (camera, truth))
         cameras[name] = CameraAccuracy(
             projection_rms_px=float(np.sqrt(np.mean(gaps**2))),
             centre_mm=float(np.linalg.norm(rig_from_world.apply(camera.centre_world) - truth.centre_world)),

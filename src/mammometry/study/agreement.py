@@ -207,13 +207,13 @@ def check_published(found: Agreement, published: Sequence[PublishedFigure]) -> t
     """
     figures = found.figures()
     checked = []
-    for each in published:
-        if each.figure not in figures:
-            raise ValueError(f"no figure is called {each.figure!r}; there are {', '.join(figures)}")
-        digits = len(each.published.partition(".")[2])
-        recomputed = figures[each.figure]
-        follows = abs(recomputed - float(each.published)) <= 0.5 * 10.0**-digits * (1 + 1e-9)
-        checked.append(CheckedFigure(published=each, recomputed=recomputed, follows=follows))
+    for study in published:
+        if study.figure not in figures:
+            raise ValueError(f"no figure is called {study.figure!r}; there are {', '.join(figures)}")
+        digits = len(study.published.partition(".")[2])
+        recomputed = figures[study.figure]
+        follows = abs(recomputed - float(study.published)) <= 0.5 * 10.0**-digits * (1 + 1e-9)
+        checked.append(CheckedFigure(published=study, recomputed=recomputed, follows=follows))
     return tuple(checked)
 
 

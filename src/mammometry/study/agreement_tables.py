@@ -96,13 +96,13 @@ def agreement_tables(data: PairedMeasurements, found: Agreement, checked: Sequen
                 columns=("figure", "published", "recomputed", "follows", "remark"),
                 rows=tuple(
                     (
-                        each.published.what,
-                        each.published.published,
-                        number(each.recomputed, f".{max(2, len(each.published.published.partition('.')[2]))}f"),
-                        "yes" if each.follows else "no",
-                        each.published.note,
+                        check.published.what,
+                        check.published.published,
+                        number(check.recomputed, f".{max(2, len(check.published.published.partition('.')[2]))}f"),
+                        "yes" if check.follows else "no",
+                        check.published.note,
                     )
-                    for each in checked
+                    for check in checked
                 ),
             )
         )
@@ -140,7 +140,8 @@ def agreement_json(data: PairedMeasurements, found: Agreement, checked: Sequence
             "unit": data.unit,
             **asdict(found),
             "published": [
-                {**asdict(each.published), "recomputed": each.recomputed, "follows": each.follows} for each in checked
+                {**asdict(check.published), "recomputed": check.recomputed, "follows": check.follows}
+                for check in checked
             ],
             "measurements": [
                 {"subject": name, "reference": float(reference), "measured": float(measured)}

@@ -126,14 +126,14 @@ def observer_study(drawings: Sequence[Drawing]) -> ObserverStudy:
         ValueError: no breast was drawn twice, or one person's drawing is there twice.
     """
     table: dict[str, dict[str, dict[str, Drawing]]] = {}
-    for each in drawings:
-        own = table.setdefault(each.breast, {}).setdefault(each.observer, {})
-        if each.repeat in own:
-            raise ValueError(f"two drawings {each.repeat} of {each.breast} by {each.observer}")
-        own[each.repeat] = each
+    for drawing in drawings:
+        own = table.setdefault(drawing.breast, {}).setdefault(drawing.observer, {})
+        if drawing.repeat in own:
+            raise ValueError(f"two drawings {drawing.repeat} of {drawing.breast} by {drawing.observer}")
+        own[drawing.repeat] = drawing
     if len(drawings) == len(table):
         raise ValueError("no breast was drawn twice")
-    mean_cc = float(np.mean([each.volume_cc for each in drawings]))
+    mean_cc = float(np.mean([drawing.volume_cc for drawing in drawings]))
     groups = [
         [np.array([one.volume_cc for one in own.values()]) for own in persons.values()] for persons in table.values()
     ]
@@ -141,7 +141,7 @@ def observer_study(drawings: Sequence[Drawing]) -> ObserverStudy:
     pairs = [pair for persons in table.values() for pair in _pairs(persons)]
     return ObserverStudy(
         breasts=tuple(table),
-        observers=tuple(dict.fromkeys(each.observer for each in drawings)),
+        observers=tuple(dict.fromkeys(drawing.observer for drawing in drawings)),
         drawings=len(drawings),
         mean_cc=mean_cc,
         within=within,
@@ -227,18 +227,18 @@ def _apart(pairs: Sequence[tuple[Drawing, Drawing]]) -> dict[str, Apart]:
         return {}
     found = [distances_by_region_mm(*pair) for pair in pairs]
     distances: dict[str, Float64[Array, " n"]] = {
-        region: np.concatenate([each[region] for each in found]) for region in REGIONS
+        region: np.concatenate([by_region[region] for by_region in found]) for region in REGIONS
     }
     distances[WHOLE] = np.concatenate(list(distances.values()))
     return {
         region: Apart(
             pairs=len(pairs),
-            mean_mm=float(each.mean()),
-            q95_mm=float(np.quantile(each, 0.95)),
-            across_mm=float(np.sqrt(np.mean(each**2) / 2)),
+            mean_mm=float(values.mean()),
+            q95_mm=float(np.quantile(values, 0.95)),
+            across_mm=float(np.sqrt(np.mean(values**2) / 2)),
         )
-        for region, each in distances.items()
-        if len(each)
+        for region, values in distances.items()
+        if len(values)
     }
 
 
@@ -247,7 +247,7 @@ def distances_by_region_mm(first: Drawing, second: Drawing) -> dict[str, Float64
 
     A point's region is the direction in which it lies from the middle of both curves, seen from the front.
     """
-    curves = [evenly(each.lateral_up_mm) for each in (first, second)]
+    curves = [evenly(drawing.lateral_up_mm) for drawing in (first, second)]
     middle = (curves[0].mean(axis=0) + curves[1].mean(axis=0)) / 2
     taken: dict[str, list[Float64[Array, " n"]]] = {region: [] for region in REGIONS}
     for own, other in (curves, curves[::-1]):
@@ -255,7 +255,7 @@ def distances_by_region_mm(first: Drawing, second: Drawing) -> dict[str, Float64
         which = regions_of(own - middle)
         for number, region in enumerate(REGIONS):
             taken[region].append(away[which == number])
-    return {region: np.concatenate(each) for region, each in taken.items()}
+    return {region: np.concatenate(arrays) for region, arrays in taken.items()}
 
 
 def regions_of(from_middle_mm: Float64[Array, "n 3"]) -> Int64[Array, " n"]:

@@ -101,7 +101,7 @@ def _spanning_tree(
         ]
         if relative:
             other_from_one = median_transform(relative)
-            agreeing = sum(_agree(each, other_from_one) for each in relative)
+            agreeing = sum(_agree(motion, other_from_one) for motion in relative)
             edges[one, other] = agreeing, other_from_one
             edges[other, one] = agreeing, other_from_one.inverse()
     root = max(edges, key=lambda edge: edges[edge][0])[0] if edges else cameras[0]

@@ -333,7 +333,7 @@ def check_board_names(rig: Rig, seen: Mapping[str, Detection]) -> tuple[str, str
     def judged(source: Mapping[str, str]) -> dict[tuple[str, str], bool]:
         """Two cameras → whether their pictures agree, where they show it."""
         found = {both: agreement(*both, source[both[0]], source[both[1]]) for both in combinations(rig.cameras, 2)}
-        return {both: each.fits for both, each in found.items() if each is not None}
+        return {both: agreement.fits for both, agreement in found.items() if agreement is not None}
 
     own = {name: name for name in rig.cameras}
     wrong = [set(both) for both, fits in judged(own).items() if not fits]

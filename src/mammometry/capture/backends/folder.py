@@ -130,7 +130,7 @@ class WatchedFolder:
                 found.append(self._read[key])
             except OSError:
                 continue  # it was removed meanwhile
-        return [each for each in found if each is not None]
+        return [name for name in found if name is not None]
 
     def _about(self, path: Path) -> _File | None:
         exposure = read_exposure(path)

@@ -139,8 +139,8 @@ def volume_rows(
     for side, found in measured.items():
         if not found.definitions:
             rows.append(_row(side, _WHOLE, found.volume_cc, found.interval_cc))
-        for each in found.definitions:
-            rows.append(_row(side, each.meaning, each.volume_cc, each.interval_cc))
+        for definition in found.definitions:
+            rows.append(_row(side, definition.meaning, definition.volume_cc, definition.interval_cc))
     for side, why in no_breast.items():
         rows.append({**_row(side, _REFUSED, None, None), "refused": why})
     if {"left", "right"} <= set(measured):
@@ -228,12 +228,12 @@ def check(progress: StageProgress, calibration: str, folder: str, settings: str)
     progress("check", 0.0)
     now = job.plan.calibrated.cameras.key.digest[:12]
     entries = drift.read_history(Path(calibration)).entries
-    entry = next((each for each in entries if each.image_set == folder and each.calibration == now), None)
+    entry = next((entry for entry in entries if entry.image_set == folder and entry.calibration == now), None)
     unseen: list[str] = []
     if entry is None:
         result = job.check(folder, progress=lambda fraction: progress("check", fraction))
         unseen = list(result.unseen)
-        entry = next(each for each in drift.read_history(Path(calibration)).entries if each.image_set == folder)
+        entry = next(entry for entry in drift.read_history(Path(calibration)).entries if entry.image_set == folder)
     else:
         unseen = sorted(set(job.session.cameras) - set(entry.cameras))
     figures = {**drift.entry_table(entry), "image_set": Path(folder).name, "unseen": unseen}
@@ -286,9 +286,9 @@ def _digest(value: object) -> str:
 def _finite(value: Any) -> Any:
     """The same without what JSON in a database cannot hold. Numbers that are none."""
     if isinstance(value, Mapping):
-        return {str(name): _finite(each) for name, each in value.items()}
+        return {str(name): _finite(item) for name, item in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_finite(each) for each in value]
+        return [_finite(item) for item in value]
     if isinstance(value, float) and not (value == value and abs(value) != float("inf")):
         return None
     return value

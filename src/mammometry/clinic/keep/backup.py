@@ -94,12 +94,12 @@ def write_database(file: BinaryIO) -> None:
 
 def _kept_models() -> list[type[Model]]:
     chosen = [
-        (each, None)
-        for each in apps.get_app_configs()
-        if each.label not in _LEFT_OUT and each.models_module is not None
+        (config, None)
+        for config in apps.get_app_configs()
+        if config.label not in _LEFT_OUT and config.models_module is not None
     ]
     models = serializers.sort_dependencies(cast(Any, chosen), allow_cycles=True)
-    return [each for each in models if each._meta.label != "auth.Permission" and not each._meta.proxy]
+    return [model for model in models if model._meta.label != "auth.Permission" and not model._meta.proxy]
 
 
 @contextmanager
@@ -123,8 +123,8 @@ def _files(folder: Path) -> Iterator[tuple[str, Path]]:
     for name in SMALL_FILES:
         if (folder / name).is_file():
             yield name, folder / name
-    for each in KEPT_FOLDERS:
-        for path in sorted((folder / each).rglob("*")):
+    for kept in KEPT_FOLDERS:
+        for path in sorted((folder / kept).rglob("*")):
             if path.is_file() and not path.is_symlink():
                 yield path.relative_to(folder).as_posix(), path
 

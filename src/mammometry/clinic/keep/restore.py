@@ -52,8 +52,8 @@ def unpack(archive: Path, folder: Path, database: str | None = None) -> tuple[Cl
     if manifest.get("format") != FORMAT:
         found, expected = f"format {manifest.get('format')}", f"format {FORMAT}"
         raise ClinicError(archive.name, found=found, expected=expected, remedy="Use the version that made it")
-    for each in FOLDERS:
-        (staging / each).mkdir(mode=0o700, exist_ok=True)
+    for kept in FOLDERS:
+        (staging / kept).mkdir(mode=0o700, exist_ok=True)
     if database is not None:
         text = (staging / FILE).read_text(encoding="utf-8")
         line = f"database = {quoted(database)}"

@@ -67,7 +67,7 @@ class DestinationForm(_DestinationForm):
                 Peer.parse(address)
         except MammometryError as error:
             self.add_error("address", str(error))
-        named = Destination(**{each: values.get(each) or "" for each in ("authorities", "certificate", "key")})
+        named = Destination(**{field: values.get(field) or "" for field in ("authorities", "certificate", "key")})
         named.encrypted = bool(values.get("encrypted"))
         try:
             if (tls := deliveries.tls_of(named)) is not None:

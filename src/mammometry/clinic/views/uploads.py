@@ -149,7 +149,7 @@ def _find(request: HttpRequest, key: UUID) -> Upload:
 def _state(target: Visit | Calibration | DailyCheck) -> JsonResponse:
     table = uploads.state_of(target)
     for name in ("unplaced", "set_aside"):
-        table[name] = [as_json(each) for each in table[name]]
+        table[name] = [as_json(row) for row in table[name]]
     if isinstance(target, Visit):
         table["together"] += [
             {"check": "elsewhere", "level": "warn", "sentence": elsewhere(other, cameras),
@@ -160,6 +160,6 @@ def _state(target: Visit | Calibration | DailyCheck) -> JsonResponse:
         row["upload"] = None if row["upload"] is None else as_json(row["upload"])
     if "poses" in table:
         table["poses"] = {
-            pose: {camera: as_json(each) for camera, each in shots.items()} for pose, shots in table["poses"].items()
+            pose: {camera: as_json(shot) for camera, shot in shots.items()} for pose, shots in table["poses"].items()
         }
     return JsonResponse(table)

@@ -48,7 +48,7 @@ def committed(
         ArchiveError: it refused the question, or does not keep all objects.
     """
     answered, failed = Event(), list[str]()
-    transaction = uid("commitment", *sorted(each.SOPInstanceUID for each in made))
+    transaction = uid("commitment", *sorted(dataset.SOPInstanceUID for dataset in made))
 
     def on_report(event: Any) -> tuple[int, None]:
         report = event.event_information
@@ -96,9 +96,9 @@ def _question(made: Sequence[Dataset], transaction: str) -> Dataset:
     question = Dataset()
     question.TransactionUID = transaction
     items = []
-    for each in made:
+    for dataset in made:
         item = Dataset()
-        item.ReferencedSOPClassUID, item.ReferencedSOPInstanceUID = each.SOPClassUID, each.SOPInstanceUID
+        item.ReferencedSOPClassUID, item.ReferencedSOPInstanceUID = dataset.SOPClassUID, dataset.SOPInstanceUID
         items.append(item)
     question.ReferencedSOPSequence = Items(items)
     return question

@@ -55,16 +55,16 @@ def send(
     """
     wanted = [(StudyRootQueryRetrieveInformationModelFind, None)]
     syntaxes: dict[str, set[str]] = defaultdict(set)
-    for each in made:
-        syntaxes[each.SOPClassUID].add(each.file_meta.TransferSyntaxUID)
+    for dataset in made:
+        syntaxes[dataset.SOPClassUID].add(dataset.file_meta.TransferSyntaxUID)
     # A context each, so that the archive cannot choose one transfer syntax of several.
     contexts = [*wanted, *((sop_class, [one]) for sop_class, all_ in syntaxes.items() for one in sorted(all_))]
     with associated(peer, contexts, own_title=own_title, tls=tls) as association:
         _require_all(association, made, peer)
         there = _there(association, made, peer)
-        missing = [each for each in made if each.SOPInstanceUID not in there]
-        for number, each in enumerate(missing):
-            _store(association, each, peer, f"after {number} of {len(missing)} objects")
+        missing = [dataset for dataset in made if dataset.SOPInstanceUID not in there]
+        for number, dataset in enumerate(missing):
+            _store(association, dataset, peer, f"after {number} of {len(missing)} objects")
             progress((number + 1) / len(missing))
     return Sent(sent=len(missing), there=len(made) - len(missing))
 
@@ -74,9 +74,9 @@ def _require_all(association: Any, made: Sequence[Dataset], peer: Peer) -> None:
     taken = {(context.abstract_syntax, context.transfer_syntax[0]) for context in association.accepted_contexts}
     refused = sorted(
         {
-            f"{each.SOPClassUID.name} ({each.file_meta.TransferSyntaxUID.name})"
-            for each in made
-            if (each.SOPClassUID, each.file_meta.TransferSyntaxUID) not in taken
+            f"{dataset.SOPClassUID.name} ({dataset.file_meta.TransferSyntaxUID.name})"
+            for dataset in made
+            if (dataset.SOPClassUID, dataset.file_meta.TransferSyntaxUID) not in taken
         }
     )
     if refused:
@@ -93,7 +93,7 @@ def _there(association: Any, made: Sequence[Dataset], peer: Peer) -> set[str]:
     if not accepts(association, StudyRootQueryRetrieveInformationModelFind):
         return set()
     there: set[str] = set()
-    for series in sorted({each.SeriesInstanceUID for each in made}):
+    for series in sorted({dataset.SeriesInstanceUID for dataset in made}):
         query = Dataset()
         query.QueryRetrieveLevel = "IMAGE"
         query.StudyInstanceUID = made[0].StudyInstanceUID

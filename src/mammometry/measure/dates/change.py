@@ -172,7 +172,7 @@ def judged(fit: TrunkFit, settings: CompareSettings = CompareSettings()) -> tupl
 
 def length_changes(before: Sequence[LinearMeasure], after: Sequence[LinearMeasure]) -> list[LengthChange]:
     """Lengths that both dates have, straight and along the skin."""
-    earlier = {each.name: each for each in before}
+    earlier = {measurement.name: measurement for measurement in before}
     found = []
     for later in after:
         one = earlier.get(later.name)
@@ -209,7 +209,9 @@ def _paired(before: Visit, after: Visit) -> list[tuple[VolumeMeasurement, Volume
     Raises:
         MeasureError: there is none, or one date has a wall of another kind.
     """
-    earlier, later = ({each.name: each for each in visit.measurements} for visit in (before, after))
+    earlier, later = (
+        {measurement.name: measurement for measurement in visit.measurements} for visit in (before, after)
+    )
     if not earlier.keys() & later.keys() or "model" in earlier:
         raise MeasureError(
             "the breasts of both dates",
@@ -235,7 +237,10 @@ def _listed(names: Iterable[str]) -> str:
 
 def _fit(before: Visit, after: Visit, settings: ThoraxSettings) -> TrunkFit:
     """Lay the later trunk onto the earlier one, without what is a breast at either date."""
-    curves = [{each.name: each.boundary_world for each in visit.measurements} for visit in (before, after)]
+    curves = [
+        {measurement.name: measurement.boundary_world for measurement in visit.measurements}
+        for visit in (before, after)
+    ]
     fit = fit_trunks(
         trunk_of(before.surface, list(curves[0].values()), before.frame, settings),
         trunk_of(after.surface, list(curves[1].values()), after.frame, settings),

@@ -118,7 +118,7 @@ def fit_trunks(before: TrunkSkin, after: TrunkSkin) -> TrunkFit:
             found.append((_within_mm(laid.fixed_from_moving, after, fixed), laid))
     if not found:
         raise refused[0]
-    within_mm, best = min(found, key=lambda each: each[0])
+    within_mm, best = min(found, key=lambda scored: scored[0])
     upright = best.fixed_from_moving.rotate(after.frame[1:2])[0]
     return TrunkFit(
         before_from_after=best.fixed_from_moving,

@@ -88,7 +88,9 @@ def _of_torso(
     """Yield the ends of the breasts, and what lies on the midline."""
     scatter = settings.observers
     sigmas = EndSigmas(lower_mm=scatter.lower_mm, medial_mm=scatter.medial_mm, lateral_mm=scatter.lateral_mm)
-    curves = {each.name: each.boundary_world for each in measurements if each.name != "model"}
+    curves = {
+        measurement.name: measurement.boundary_world for measurement in measurements if measurement.name != "model"
+    }
     for side, curve in curves.items():
         yield from propose_ends(side, curve, frame, sigmas)
     if plane is not None and curves:

@@ -175,7 +175,7 @@ def _between(
     a, b = first.points_world[0], second.points_world[0]
     straight = float(np.linalg.norm(b - a))
     direction = (b - a) / max(straight, 1e-9)
-    moved = [each.sigma_mm * _tangential(each, direction, skin) for each in (first, second)]
+    moved = [landmark.sigma_mm * _tangential(landmark, direction, skin) for landmark in (first, second)]
     return LinearMeasure(
         name=name,
         title=title,

@@ -178,7 +178,7 @@ def _facing_ahead(skin: Skin, first: Trunk, settings: ThoraxSettings, middle: Fl
             tried.append(turned(first, np.deg2rad(angle_deg)))
         except MeasureError:
             continue  # no skin of the sides is seen in that direction
-    best = min(tried, key=lambda each: each[0]) if tried else turned(first, 0.0)
+    best = min(tried, key=lambda scored: scored[0]) if tried else turned(first, 0.0)
     for _ in range(_FACING_ROUNDS):
         again = turned(best[2], best[1])
         if again[0] > best[0]:

@@ -68,7 +68,7 @@ def register(
     Raises:
         MeasureError: too few partners are found.
     """
-    points, normals = (each[:: max(1, len(moving[0]) // _SAMPLES)] for each in moving)
+    points, normals = (array[:: max(1, len(moving[0]) // _SAMPLES)] for array in moving)
     there, outward = fixed
     tree = point_tree(there)
     motion = start or Transform.identity()

@@ -94,10 +94,10 @@ def difference(
     terms: dict[str, float] = {}
     relative: dict[str, float] = {}
     for name in {**own[0], **own[1]}:
-        each = np.array([part.get(name, 0.0) for part in own])
+        contributions = np.array([part.get(name, 0.0) for part in own])
         # An axis that is assumed for both is off alike, since both have one trunk.
-        if (name == SCALE and common_scale) or (name == AXIS and alike and each.min() > 0):
-            terms[name], relative[name] = float((each / volumes).max() * abs(gap)), 0.0
+        if (name == SCALE and common_scale) or (name == AXIS and alike and contributions.min() > 0):
+            terms[name], relative[name] = float((contributions / volumes).max() * abs(gap)), 0.0
         elif name == WALL and alike:
             areas = np.array([first.base_area_cm2, second.base_area_cm2]) / 10
             unshared = {
@@ -106,10 +106,10 @@ def difference(
                 "across poses": settings.wall_across_poses_u95_mm / np.sqrt(2),
             }[pairing]
             # Walls that are known better by themselves (measured ones) are no worse together.
-            terms[name] = float(min(unshared * np.hypot(*areas), np.hypot(*each)))
-            relative[name] = float(min(unshared * np.hypot(*(areas / volumes)), np.hypot(*(each / volumes))))
+            terms[name] = float(min(unshared * np.hypot(*areas), np.hypot(*contributions)))
+            relative[name] = float(min(unshared * np.hypot(*(areas / volumes)), np.hypot(*(contributions / volumes))))
         else:
-            terms[name], relative[name] = float(np.hypot(*each)), float(np.hypot(*(each / volumes)))
+            terms[name], relative[name] = float(np.hypot(*contributions)), float(np.hypot(*(contributions / volumes)))
     half = float(np.sqrt(sum(term**2 for term in terms.values())))
     log_half = float(np.sqrt(sum(term**2 for term in relative.values())))
     common = f"The chest walls are of two kinds ({first.wall_kind}, {second.wall_kind}), so their errors do not cancel."

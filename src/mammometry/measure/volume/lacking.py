@@ -111,7 +111,7 @@ def _between(
     low, high = first[:, :2].min(axis=0), first[:, :2].max(axis=0)
     across, up = (np.arange(low[k], high[k], _STEP_MM) for k in (0, 1))
     flat = np.stack(np.meshgrid(across, up), axis=-1).reshape(-1, 2)
-    radii = [LinearNDInterpolator(each[:, :2], each[:, 2])(flat) for each in (first, second)]
+    radii = [LinearNDInterpolator(surface[:, :2], surface[:, 2])(flat) for surface in (first, second)]
     inside = _within(flat, rims[0][:, :2]) & np.isfinite(radii[0]) & np.isfinite(radii[1])
     cell = _STEP_MM**2 / trunk.half_width_mm  # dθ dy
     volume_mm3 = float(((radii[0][inside] ** 2 - radii[1][inside] ** 2) / 2).sum() * cell)

@@ -57,7 +57,7 @@ def movement_std_cc(
     some = slice(None, None, max(1, len(skin.vertices) // _SAMPLES))
     points, normals, weights = skin.vertices[some], skin.vertex_normals()[some], area_mm2[some]
     weights = weights * (area_mm2.sum() / weights.sum())
-    own, around = (_displacements(movement, each, surface) for each in (points, boundary_world))
+    own, around = (_displacements(movement, array, surface) for array in (points, boundary_world))
     centre = boundary_world.mean(axis=0)
     unknowns = around.shape[2]
     rigid = np.linalg.lstsq(

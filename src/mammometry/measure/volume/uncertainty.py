@@ -168,8 +168,8 @@ def interval(
             " Too little of the trunk's sides was seen: its axis is taken to lie as far behind the breastbone as it "
             f"usually does, which makes ± {terms[AXIS]:.1f} cc of it."
         )
-    for each in missing:
-        note += f" It does not cover {each}."
+    for omission in missing:
+        note += f" It does not cover {omission}."
     return Uncertainty(interval_cc=_around(volume_cc, terms), as_defined_cc=as_defined, terms_cc=terms, note=note)
 
 
@@ -191,7 +191,7 @@ def _of_skin(
     nearest = np.asarray(point_tree(surface.mesh.vertices).query(skin.vertices, workers=1)[1])
     origin = surface.provenance[nearest]
     seen, repaired, invented = (
-        origin == each for each in (Provenance.MEASURED, Provenance.REPAIRED, Provenance.INVENTED)
+        origin == provenance for provenance in (Provenance.MEASURED, Provenance.REPAIRED, Provenance.INVENTED)
     )
     sigma_mm = np.nan_to_num(surface.sigma_mm[nearest[seen]].astype(np.float64))
     # Windows overlap: errors of measured vertices are alike within a patch, and but for a share independent beyond it.

@@ -140,7 +140,7 @@ def change_sections(frame: Float64[Array, "3 3"], dates: tuple[Dated, Dated], ch
 def _around_breasts(dates: Sequence[Dated]) -> TriangleMesh:
     """Both dates' skin in and near the boundaries, to frame pictures."""
     edges = np.concatenate(
-        [one.world_from_own.apply(each.closed.vertices) for one in dates for each in one.measurements]
+        [one.world_from_own.apply(measurement.closed.vertices) for one in dates for measurement in one.measurements]
     )
     low, high = edges.min(axis=0) - _ROOM_MM, edges.max(axis=0) + _ROOM_MM
     corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)]) * (high - low) + low

@@ -72,10 +72,10 @@ def write_raster(path: Path, value: object) -> None:
                 contiguous=False,
             )
     with tifffile.TiffFile(path, mode="r+") as written:
-        each: Any
-        for each in written.pages:
-            if each.dtype == np.int32:
-                each.tags[_SAMPLE_FORMAT].overwrite(_IEEE_FLOAT)
+        image: Any
+        for image in written.pages:
+            if image.dtype == np.int32:
+                image.tags[_SAMPLE_FORMAT].overwrite(_IEEE_FLOAT)
 
 
 def _places(tree: Any, place: str) -> Iterator[tuple[str, str]]:
