@@ -160,10 +160,10 @@ def _line(entry: Entry, event: Ended) -> Line:
     except MammometryError as error:
         return Line(entry=entry, state="failed", failed=str(error), kind="StorageError", exit_code=error.exit_code)
     if found is None or found.digest != event.value["digest"]:
-        said = (
+        refusal = (
             "Its results are not those that were measured: somebody changed them, or this machine sees other storage."
         )
-        return Line(entry=entry, state="failed", failed=said, kind="StorageError", exit_code=9)
+        return Line(entry=entry, state="failed", failed=refusal, kind="StorageError", exit_code=9)
     return Line(entry=entry, state="measured", row=found.row, **about)  # type: ignore[arg-type]
 
 

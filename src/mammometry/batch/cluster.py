@@ -55,8 +55,8 @@ class Machines:
         return int(sum(offers.get(CORES, 0.0) for offers in self._offers()))
 
     def _offers(self) -> list[dict[str, float]]:
-        there = self.client.sync(self.client.scheduler.identity, n_workers=-1)["workers"]
-        return [about["resources"] for about in there.values()]
+        workers = self.client.sync(self.client.scheduler.identity, n_workers=-1)["workers"]
+        return [about["resources"] for about in workers.values()]
 
 
 @contextmanager
@@ -115,10 +115,10 @@ def _connected(scheduler: str) -> Iterator[Client]:
     try:
         client = Client(scheduler, timeout=_ANSWER_S, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:
-        said = str(error).partition("\n")[0]
+        reason = str(error).partition("\n")[0]
         raise BatchError(
             scheduler,
-            found=f"no scheduler that answers ({said})",
+            found=f"no scheduler that answers ({reason})",
             expected="the address of a Dask scheduler, such as tcp://host:8786",
             remedy="Start one with `dask scheduler`, or leave --scheduler out to use this machine",
         ) from None
@@ -141,8 +141,8 @@ def _require_same(client: Client, scheduler: str) -> None:
         ) from None
     ours = importlib.metadata.version("mammometry")
     # A function of the standard library: a worker without mammometry can run no other.
-    said = client.run(importlib.metadata.version, "mammometry", on_error="return")
-    for address, theirs in said.items():
+    versions = client.run(importlib.metadata.version, "mammometry", on_error="return")
+    for address, theirs in versions.items():
         if theirs != ours:
             raise other_version(
                 address, "no mammometry" if isinstance(theirs, Exception) else f"version {theirs}", ours

@@ -111,8 +111,8 @@ def stats_of(session: Path) -> dict[str, Stat]:
 
 
 def _stats(folder: str, above: str) -> Iterator[tuple[str, Stat]]:
-    with os.scandir(folder) as there:
-        for path in sorted(there, key=lambda entry: entry.name):
+    with os.scandir(folder) as found_entries:
+        for path in sorted(found_entries, key=lambda entry: entry.name):
             if path.name.startswith("."):
                 continue
             if path.is_dir():

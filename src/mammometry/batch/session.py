@@ -60,8 +60,8 @@ def measure_entry(progress: StageProgress, entry: Entry, settings: str) -> dict[
         with _scratch() as scratch, disk_errors(scratch):
             folder = scratch / entry.name
             progress("fetch", 0.0)
-            there = storage.fetch(entry, folder)
-            record = _measured(folder, chosen, progress).model_copy(update={"files": there})
+            files = storage.fetch(entry, folder)
+            record = _measured(folder, chosen, progress).model_copy(update={"files": files})
             write_record(folder, record)
             progress("put", 0.0)
             storage.put(entry, folder / "results", record.digest)
@@ -116,7 +116,7 @@ def _when_free(run: Callable[[], _R]) -> _R:
 
 
 def _row_of(job: Job, peak_mb: float | None) -> Row:
-    said = json.loads((job.session.results / "report" / WARNINGS).read_text(encoding="utf-8"))
+    warnings = json.loads((job.session.results / "report" / WARNINGS).read_text(encoding="utf-8"))
     made = [job.store.record(key) for stage in STAGES for key in job.keys(stage)]
     return Row(
         session=job.identity.name,
@@ -127,7 +127,7 @@ def _row_of(job: Job, peak_mb: float | None) -> Row:
             for name, found in job.measure().items()
         ),
         no_breast=job.no_breast(),
-        warnings=tuple(said),
+        warnings=tuple(warnings),
         made_at=job.made_at("report"),
         seconds=round(sum(record.seconds for record in made if record is not None), 3),
         peak_memory_mb=peak_mb,

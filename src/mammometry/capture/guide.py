@@ -181,7 +181,9 @@ def _pair_axes(rig: Rig) -> Float64[Array, "p 3"]:
 
 def _variance_px2(calibration: Calibration) -> float:
     """Of one coordinate of a point, as the calibration found it."""
-    variances = [np.trace(one.covariance_px2, axis1=1, axis2=2) / 2 for one in calibration.observations.detections]
+    variances = [
+        np.trace(detection.covariance_px2, axis1=1, axis2=2) / 2 for detection in calibration.observations.detections
+    ]
     return float(np.median(np.concatenate(variances))) * calibration.noise_factor**2
 
 
@@ -190,7 +192,7 @@ def _outlines(calibration: Calibration, placed: Transform) -> dict[str, Float64[
     corners = target.points_target[:, :2]
     (left, top), (right, bottom) = corners.min(axis=0), corners.max(axis=0)
     outline = np.array([[left, top, 0.0], [right, top, 0.0], [right, bottom, 0.0], [left, bottom, 0.0]])
-    seeing = [one for one in calibration.rig.cameras.values() if sees_target(one, placed, target)]
+    seeing = [camera for camera in calibration.rig.cameras.values() if sees_target(camera, placed, target)]
     return {camera.name: camera.project(placed.apply(outline)) for camera in seeing}
 
 

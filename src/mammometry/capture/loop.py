@@ -176,7 +176,7 @@ class Rigged:
             accept(session, folder)
             if self.skew is not None:
                 write_skew(session, self.skew)
-        written_s = max(one.seconds for one in taken.frames.values())
+        written_s = max(frame.seconds for frame in taken.frames.values())
         return Fired(shot=folder, verdict=verdict, accepted=verdict.may_be_measured, written_s=written_s)
 
     def fire_pose(self, session: Path) -> Posed:
@@ -217,7 +217,9 @@ class Rigged:
 
         with ThreadPoolExecutor(available_cores()) as pool:
             found = dict(zip(taken.frames, pool.map(detected, taken.frames), strict=True))
-        swapped = check_board_names(known, {name: one for name, one in found.items() if one is not None})
+        swapped = check_board_names(
+            known, {name: detection for name, detection in found.items() if detection is not None}
+        )
         if swapped is not None:
             raise CaptureError(
                 " and ".join(swapped), found="exchanged: by the board, each shows the other's view",
@@ -297,7 +299,9 @@ class Rigged:
             except BaseException:
                 shot.drop()
                 raise
-            moments = {name: {"begin_ms": one.begin_ms, "std_ms": one.std_ms} for name, one in seen[-1].items()}
+            moments = {
+                name: {"begin_ms": moment.begin_ms, "std_ms": moment.std_ms} for name, moment in seen[-1].items()
+            }
             shot.finish({"format": 1, "moments": moments})
         self.skew = skew_of(seen, exposure_ms)
         write_skew(session, self.skew)
@@ -338,15 +342,15 @@ def record_of(taken: Taken, verdict: Verdict, backend: str) -> dict[str, object]
         "backend": backend,
         "cameras": {
             name: {
-                "file": one.path.name,
-                "sha256": one.sha256,
-                "taken_s": one.taken_s,
-                "clock": one.clock,
-                "number": one.number,
-                "serial": one.serial,
-                "seconds": round(one.seconds, 3),
+                "file": frame.path.name,
+                "sha256": frame.sha256,
+                "taken_s": frame.taken_s,
+                "clock": frame.clock,
+                "number": frame.number,
+                "serial": frame.serial,
+                "seconds": round(frame.seconds, 3),
             }
-            for name, one in taken.frames.items()
+            for name, frame in taken.frames.items()
         },
         "faults": {name: str(error) for name, error in taken.faults.items()},
         "verdict": verdict.as_table(),

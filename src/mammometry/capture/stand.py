@@ -56,7 +56,7 @@ class Stand:
         """
         with self._one:
             seen = self._live.look(calibrating=_asked(body, "calibrating"), subject_kind=subject_kind)
-        return {"cameras": {name: _shown(one) for name, one in seen.items()}, "wanted": dict(self._live.wanted())}
+        return {"cameras": {name: _shown(aids) for name, aids in seen.items()}, "wanted": dict(self._live.wanted())}
 
     def fire(self, session: Path, *, subject_id: str | None = None) -> Fired:
         """One firing, written and judged: `Rigged.fire_into`."""
@@ -67,10 +67,10 @@ class Stand:
         """One pose of the calibration board, for the page."""
         with self._one:
             posed = self.rigged.fire_pose(session)
-        said = [f"Pose {posed.pose} is taken, {posed.count} in all."]
-        said.append(f"Not calibrated yet: {posed.why}" if posed.progress is None else posed.progress.sentence)
+        lines = [f"Pose {posed.pose} is taken, {posed.count} in all."]
+        lines.append(f"Not calibrated yet: {posed.why}" if posed.progress is None else posed.progress.sentence)
         good = posed.progress is not None and posed.progress.good_enough
-        return {"accepted": True, "said": said, "good_enough": good, **_guidance(posed)}
+        return {"accepted": True, "said": lines, "good_enough": good, **_guidance(posed)}
 
     def close(self) -> None:
         """End the live pictures and let the cameras go."""
@@ -96,7 +96,7 @@ def told(fired: Fired, then: str) -> dict[str, Any]:
 
 def _guidance(posed: Posed) -> dict[str, Any]:
     found = posed.suggestion
-    outlines = {} if found is None else {name: one.round(4).tolist() for name, one in found.outlines.items()}
+    outlines = {} if found is None else {name: outline.round(4).tolist() for name, outline in found.outlines.items()}
     return {"next": posed.sentence, "outlines": outlines}
 
 
@@ -110,7 +110,7 @@ def _asked(body: bytes, name: str) -> bool:
     return value
 
 
-def _shown(one: Aids | str) -> dict[str, Any]:
-    if isinstance(one, str):
-        return {"fault": one}
-    return {**one.as_table(), "picture": base64.b64encode(one.jpeg).decode("ascii")}
+def _shown(aids: Aids | str) -> dict[str, Any]:
+    if isinstance(aids, str):
+        return {"fault": aids}
+    return {**aids.as_table(), "picture": base64.b64encode(aids.jpeg).decode("ascii")}

@@ -43,13 +43,13 @@ class Verdict:
     @property
     def said(self) -> tuple[str, ...]:
         """Sentences for the technician, the gravest first. What was good is said once a kind."""
-        bad = [(who, one) for who, one in self.found if one.level in ("refuse", "warn")]
-        lines = [f"{who}: {one.sentence}" if who else one.sentence for who, one in bad]
-        for check in dict.fromkeys(one.check for _, one in self.found):
-            alike = [one for _, one in self.found if one.check == check]
-            if all(one.level == "ok" for one in alike):
+        bad = [(who, finding) for who, finding in self.found if finding.level in ("refuse", "warn")]
+        lines = [f"{who}: {finding.sentence}" if who else finding.sentence for who, finding in bad]
+        for check in dict.fromkeys(finding.check for _, finding in self.found):
+            alike = [finding for _, finding in self.found if finding.check == check]
+            if all(finding.level == "ok" for finding in alike):
                 lines.append(_WELL.get(check, alike[0].sentence))
-            lines += [one.sentence for one in alike if one.level == "unknown"][:1]
+            lines += [finding.sentence for finding in alike if finding.level == "unknown"][:1]
         return tuple(lines)
 
     def as_table(self) -> dict[str, Any]:
@@ -57,7 +57,7 @@ class Verdict:
         return {
             "may_be_measured": self.may_be_measured,
             "seconds": round(self.seconds, 3),
-            "checks": [{"camera": who, **one.as_table()} for who, one in self.found],
+            "checks": [{"camera": who, **finding.as_table()} for who, finding in self.found],
         }
 
 
@@ -120,7 +120,9 @@ def _delivered(taken: Taken, expected: Expected) -> Iterator[tuple[str, Found]]:
             yield name, _refuse("delivered", f"No picture: {fault.found}. {fault.remedy.rstrip('.')}.")
         elif name in taken.frames:
             yield name, Found(check="delivered", level="ok", sentence="Delivered.")
-    yield from (("", finding) for finding in cameras.twice({name: one.sha256 for name, one in taken.frames.items()}))
+    yield from (
+        ("", finding) for finding in cameras.twice({name: frame.sha256 for name, frame in taken.frames.items()})
+    )
 
 
 def _sizes(taken: Taken, expected: Expected) -> Iterator[tuple[str, Found]]:
@@ -150,7 +152,7 @@ def _serials(taken: Taken, expected: Expected) -> Iterator[tuple[str, Found]]:
 def _fresh(taken: Taken, expected: Expected) -> Iterator[tuple[str, Found]]:
     """Whether each picture is of this firing."""
     before = (expected.before or {}).get("cameras", {})
-    counts = {name: one.number for name, one in taken.frames.items() if one.number is not None}
+    counts = {name: frame.number for name, frame in taken.frames.items() if frame.number is not None}
     usual = statistics.mode(counts.values()) if counts else None
     for name, frame in taken.frames.items():
         earlier = before.get(name, {})
@@ -171,8 +173,8 @@ def _fresh(taken: Taken, expected: Expected) -> Iterator[tuple[str, Found]]:
 
 
 def _together(taken: Taken, expected: Expected) -> Found:
-    times = {name: one.taken_s for name, one in taken.frames.items() if one.taken_s is not None}
-    clocks = {one.clock for one in taken.frames.values()}
+    times = {name: frame.taken_s for name, frame in taken.frames.items() if frame.taken_s is not None}
+    clocks = {frame.clock for frame in taken.frames.values()}
     if len(times) < 2 or clocks - {"ptp", "exif"}:
         return Found(
             check="times", level="unknown", sentence="The cameras do not say when they exposed. Measure their skew."
@@ -204,15 +206,15 @@ def _skew(expected: Expected) -> Found:
     missing = [name for name in expected.cameras if name not in skew.offset_ms]
     if missing:
         return Found(check="skew", level="warn", sentence=f"The skew of {', '.join(missing)} was not measured.")
-    said = f"Measured skew of the cameras: {skew.spread_ms:.2f} ± {skew.std_ms:.2f} ms"
+    sentence = f"Measured skew of the cameras: {skew.spread_ms:.2f} ± {skew.std_ms:.2f} ms"
     if skew.spread_ms > expected.skew_limit_ms:
         level = "refuse" if expected.subject_kind == "torso" else "warn"
         return Found(
             check="skew", level=level,  # type: ignore[arg-type]
-            sentence=f"{said}, most at {skew.worst}. For a patient {expected.skew_limit_ms:g} ms are allowed. "
+            sentence=f"{sentence}, most at {skew.worst}. For a patient {expected.skew_limit_ms:g} ms are allowed. "
             "Check the trigger wires.",
         )  # fmt: skip
-    return Found(check="skew", level="ok", sentence=f"{said}.")
+    return Found(check="skew", level="ok", sentence=f"{sentence}.")
 
 
 def _names_and_stillness(taken: Taken, expected: Expected) -> Iterator[tuple[str, Found]]:
@@ -220,10 +222,10 @@ def _names_and_stillness(taken: Taken, expected: Expected) -> Iterator[tuple[str
         yield "", Found(check="names", level="unknown", sentence="Names are not compared: the rig is not calibrated.")
         return
     sizes_fit = {
-        name: one.features
-        for name, one in taken.frames.items()
-        if one.features is not None and name in expected.rig.cameras
-        and one.size_wh == expected.rig.cameras[name].size_wh
+        name: frame.features
+        for name, frame in taken.frames.items()
+        if frame.features is not None and name in expected.rig.cameras
+        and frame.size_wh == expected.rig.cameras[name].size_wh
     }  # fmt: skip
     names = check_names(expected.rig, sizes_fit)
     yield from (("", finding) for finding in _named(names, expected.rig))
@@ -245,7 +247,7 @@ def _named(names: Names, rig: Rig) -> Iterator[Found]:
 
 
 def _stillness(names: Names) -> Found:
-    known = {name: one for name, one in names.pairs.items() if one.tells and np.isfinite(one.offset_mm)}
+    known = {name: pair for name, pair in names.pairs.items() if pair.tells and np.isfinite(pair.offset_mm)}
     if not known:
         return Found(check="moved", level="unknown", sentence="Too little texture to tell whether anybody moved.")
     worst = max(known, key=lambda name: abs(known[name].offset_mm))
@@ -257,7 +259,8 @@ def _stillness(names: Names) -> Found:
         )
     return Found(
         check="moved", level="ok",
-        sentence=f"Nobody moved: views agree to {max(abs(one.offset_mm) for one in known.values()):.2f} mm.",
+        sentence="Nobody moved: views agree to "
+        f"{max(abs(agreement.offset_mm) for agreement in known.values()):.2f} mm.",
     )  # fmt: skip
 
 

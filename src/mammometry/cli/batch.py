@@ -112,17 +112,17 @@ def batch(
     stop = _Wishes()
     with stop.heard():
         if todo:
-            with machines(scheduler, at_once, None if memory is None else 1000 * memory) as there:
-                show.begin(there.dashboard)
+            with machines(scheduler, at_once, None if memory is None else 1000 * memory) as workers:
+                show.begin(workers.dashboard)
                 with show.live():
                     lines = measure_batch(
-                        entries, chosen, there, looked, cores=cores, watch=show.happened, stop=stop.now
+                        entries, chosen, workers, looked, cores=cores, watch=show.happened, stop=stop.now
                     )
         else:
             lines = measure_batch(entries, chosen, None, looked)  # type: ignore[arg-type]  # nobody is asked
-    said = [_said(line) for line in lines]
+    texts = [_said(line) for line in lines]
     title = Path(sessions[0]).stem if len(sessions) == 1 else f"{len(sessions)} folders"
-    written = batch_files(title, said)
+    written = batch_files(title, texts)
     write_outputs(out, written, command="batch")
     counts = Counter(line.state for line in lines)
     code = INTERRUPTED if counts["stopped"] else SOME_FAILED if counts["failed"] else 0
@@ -137,7 +137,7 @@ def batch(
     shown: list[RenderableType] = [f"{line.entry.name}: {line.failed}" for line in lines if line.failed]
     if counts["stopped"]:
         shown.append("Interrupted: finished sessions are kept. The same command goes on with the others.")
-    return Answer(table, [*shown, counted(said), f"Page and tables: {out / 'batch.html'}"], code)
+    return Answer(table, [*shown, counted(texts), f"Page and tables: {out / 'batch.html'}"], code)
 
 
 def _said(line: Line) -> BatchLine:

@@ -102,7 +102,9 @@ def command(
 
     def register(function: Callable[..., Answer]) -> Callable[..., Answer]:
         own = inspect.signature(function, eval_str=True).parameters.values()
-        values: dict[str, Any] = {one.name: one.annotation for one in own if is_dataclass(one.annotation)}
+        values: dict[str, Any] = {
+            parameter.name: parameter.annotation for parameter in own if is_dataclass(parameter.annotation)
+        }
         options = {
             name: [
                 inspect.Parameter(field.name, inspect.Parameter.KEYWORD_ONLY, default=field.default, annotation=hint)

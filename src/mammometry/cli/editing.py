@@ -55,6 +55,6 @@ def edit(
             opened(session, options, bars).ensure("surface")
     with suppress(KeyboardInterrupt):  # the way to stop it
         serve(drawable, ready=ready, author=author)
-    there = [name for name in (BOUNDARIES, LANDMARK_FILE) if (session / name).is_file()]
+    present = [name for name in (BOUNDARIES, LANDMARK_FILE) if (session / name).is_file()]
     then = f"mammometry measure {session / MESH}" if scan else f"mammometry run {session}"
-    return Answer({"session": str(session), "drawn": there}, [f"Then: {then}"] if there else [])
+    return Answer({"session": str(session), "drawn": present}, [f"Then: {then}"] if present else [])

@@ -121,7 +121,7 @@ def dicom(
     require_text(own_title, "AE", "--own-title")
     patient, order = _who(patient_id, patient_name, born, sex, accession, study_uid, referring)
     peer = None if send is None else Peer.parse(send)
-    asked = None if worklist is None else Peer.parse(worklist)
+    worklist_peer = None if worklist is None else Peer.parse(worklist)
     encrypted = Tls(authorities=tls_ca, certificate=tls_certificate, key=tls_key)
     chosen = encrypted if tls or encrypted != Tls() else None
     if stow is not None:
@@ -133,8 +133,8 @@ def dicom(
         capture = session / "capture"
         taken = len(list(capture.iterdir())) if capture.is_dir() else 0
         require_free(out, possible_names(taken), command="export dicom")
-    if asked is not None:
-        patient, order = _from_worklist(asked, patient, order, own_title, chosen)
+    if worklist_peer is not None:
+        patient, order = _from_worklist(worklist_peer, patient, order, own_title, chosen)
 
     from mammometry.hospital.dicom.objects import files, objects
     from mammometry.hospital.dicom.store import Sent
@@ -160,8 +160,8 @@ def dicom(
             with bars.task("send", stow) as progress:
                 sent[stow] = stow_to(made, stow, tls=chosen, progress=progress)
     for where, what in sent.items():
-        table[where] = {"sent": what.sent, "there_before": what.there}
-        before = f", {what.there} were there before" if what.there else ""
+        table[where] = {"sent": what.sent, "there_before": what.stored}
+        before = f", {what.stored} were there before" if what.stored else ""
         lines.append(f"{where}: {what.sent} objects sent{before}")
     if commitment and peer is not None:
         from mammometry.hospital.dicom.commitment import committed

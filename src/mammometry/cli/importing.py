@@ -66,5 +66,5 @@ def mesh(
     made = import_scan(file, about, units=None if units is None else units.value, texture=not without_texture)
     write_outputs(out, made, command=_COMMAND)
     pictures = sum(name.startswith("texture-") for name in made)
-    said = f"{out / MESH}: with {pictures} pictures" if pictures else f"{out / MESH}: without pictures"
-    return Answer({"folder": str(out), "mesh": str(out / MESH), "files": sorted(made)}, [said])
+    sentence = f"{out / MESH}: with {pictures} pictures" if pictures else f"{out / MESH}: without pictures"
+    return Answer({"folder": str(out), "mesh": str(out / MESH), "files": sorted(made)}, [sentence])

@@ -93,7 +93,7 @@ def _history(session: Path, history: History, drawn: Path, limit_mm: float) -> A
     write_output(drawn, draw(history.entries, limit_mm), command="check")
     shown = Table("when", "image set", "verdict", "error, mm", "moved cameras", box=None, pad_edge=False)
     for entry in history.entries:
-        moved = ", ".join(name for name, one in entry.cameras.items() if one.moved)
+        moved = ", ".join(name for name, camera in entry.cameras.items() if camera.moved)
         shown.add_row(entry.when[:16], Path(entry.image_set).name, entry.verdict, f"{entry.effect_mm:.3f}", moved)
     table = {
         "session": str(session),

@@ -32,15 +32,15 @@ def scan_demo(folder: Path, options: Options) -> Answer:
     from mammometry.io.scans import FILES, MESH, is_scan, read_scan
 
     chosen = options.settings()
-    there = is_scan(folder)
-    if not there or read_scan(folder).scanner != _SCANNER:
+    present = is_scan(folder)
+    if not present or read_scan(folder).scanner != _SCANNER:
         require_free(folder, FILES, command=_COMMAND)
     begun = time.monotonic()
     with Bars(options.silent) as bars:
         with bars.task("simulate", "depth pictures") as progress:
             woman = _woman()
             progress(0.6)
-            if not there:
+            if not present:
                 write_outputs(folder, _scanned(woman), command=_COMMAND)
         simulated = time.monotonic() - begun
         with bars.task("measure", "mesh"):
@@ -54,9 +54,9 @@ def scan_demo(folder: Path, options: Options) -> Answer:
     lines: list[Any] = []
     for name, true_cc in truth.items():
         found = results.volumes_cc.get(name)
-        said = "not measured" if found is None else f"measured {found:.0f} cc"
+        result = "not measured" if found is None else f"measured {found:.0f} cc"
         off = "" if found is None else f" ({100 * (found / true_cc - 1):+.0f} %)"
-        lines.append(f"{name}: {said}, true {true_cc:.0f} cc{off}")
+        lines.append(f"{name}: {result}, true {true_cc:.0f} cc{off}")
     return Answer(table, [*lines, *volume_lines(results)])
 
 

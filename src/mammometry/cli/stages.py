@@ -81,8 +81,8 @@ def calibrate(options: Options, session: SessionFolder) -> Answer:
     table |= {"rms_px": cameras.rms_px, "world": cameras.world, "cameras": len(cameras.rig.cameras)}
     table |= {"verdict": cameras.verdict, "reasons": list(cameras.reasons)}
     rms = "ready-made" if cameras.rms_px is None else f"verdict: {cameras.verdict}"
-    said = [f"- {reason}" for reason in cameras.reasons]
-    return Answer(table, [f"{len(cameras.rig.cameras)} cameras, {rms}. World: {cameras.world}", *said, _made(table)])
+    reasons = [f"- {reason}" for reason in cameras.reasons]
+    return Answer(table, [f"{len(cameras.rig.cameras)} cameras, {rms}. World: {cameras.world}", *reasons, _made(table)])
 
 
 @command(app, "mammometry match SESSION", _SET.format("match", "matching.window_px=11"))
@@ -133,8 +133,8 @@ def surface(options: Options, session: SessionFolder) -> Answer:
         "warnings": list(concerns(stillness)),
     }
     closed = "closed" if table["watertight"] else "open"
-    said = [f"Cameras and body: {summary(stillness)}", *(f"Warning: {words}" for words in table["warnings"])]
-    return Answer(table, [f"{path}: {len(mesh.vertices)} vertices, {closed}", *said, _made(table)])
+    remarks = [f"Cameras and body: {summary(stillness)}", *(f"Warning: {words}" for words in table["warnings"])]
+    return Answer(table, [f"{path}: {len(mesh.vertices)} vertices, {closed}", *remarks, _made(table)])
 
 
 @command(

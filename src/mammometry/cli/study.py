@@ -68,15 +68,15 @@ def agreement(
         paper = files("mammometry.study").joinpath("paper")
         with as_file(paper.joinpath("table_1.csv")) as path, as_file(paper.joinpath("published.toml")) as figures:
             data = read_pairs(path, reference="water_cc", measured="imaging_cc")
-            said = read_published(published or figures)
+            stated = read_published(published or figures)
         title = "Table 1: nine plaster models, water displacement and 3D imaging"
     else:
         data = read_pairs(table, reference=reference, measured=measured)
-        said = () if published is None else read_published(published)
+        stated = () if published is None else read_published(published)
         title = shown_name(table.with_suffix(""))
     found = agree(data)
     try:
-        checked = check_published(found, said)
+        checked = check_published(found, stated)
     except ValueError as error:
         raise typer.BadParameter(f"--published: {error}") from None
     with Bars(options.silent) as bars, bars.task("agreement", "figures"):

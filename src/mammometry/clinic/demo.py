@@ -339,9 +339,9 @@ def _note(number: int) -> str:
 
 def _bring(visit: Visit, made: Path) -> None:
     """Upload a visit's photographs; those that are there already stay."""
-    there = set(visit.uploads.filter(state="placed").values_list("camera", flat=True))
+    placed = set(visit.uploads.filter(state="placed").values_list("camera", flat=True))
     for path in sorted((made / "capture").glob("*.jpg")):
-        if path.stem not in there:
+        if path.stem not in placed:
             _send(visit, path)
     visit.refresh_from_db()
 

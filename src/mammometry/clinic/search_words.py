@@ -86,9 +86,9 @@ def _meanings(day: str, month: str, year: str) -> frozenset[datetime.date]:
     years = [int(year)] if len(year) == 4 else [1900 + int(year), 2000 + int(year)]
     found = set()
     for full_year in years:
-        for one, other in ((number, int(day)), (int(day), number)):  # 05/14/1979 has its month first
+        for month_number, other in ((number, int(day)), (int(day), number)):  # 05/14/1979 has its month first
             try:
-                found.add(datetime.date(full_year, one, other))
+                found.add(datetime.date(full_year, month_number, other))
                 break
             except ValueError:
                 continue

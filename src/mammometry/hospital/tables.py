@@ -84,8 +84,8 @@ def _rows(exported: Exported) -> list[tuple[Cell, ...]]:
     for quantity in exported.quantities:
         low, high = quantity.interval_95 or (None, None)
         error = (rounded(low), rounded(high), rounded(quantity.sigma))
-        said = (quantity.side, quantity.code, quantity.title, rounded(quantity.value), quantity.unit)
-        rows.append((*begin, *said, *error, quantity.method, quantity.wall, "", *end))
+        cells = (quantity.side, quantity.code, quantity.title, rounded(quantity.value), quantity.unit)
+        rows.append((*begin, *cells, *error, quantity.method, quantity.wall, "", *end))
     for side in exported.absent:
         nothing = (side.side, "volume", "Volume", None, "cm3", None, None, None)
         rows.append((*begin, *nothing, "", "", side.kind, *end))

@@ -48,10 +48,10 @@ class Table:
             MammometryError: there is no such column, or it is there twice.
         """
         if (count := self.columns.count(column)) != 1:
-            there = ", ".join(name for name in self.columns if name) or "no names"
+            names = ", ".join(name for name in self.columns if name) or "no names"
             raise self.refusal(
                 self.name,
-                found=f"two columns {column}" if count else f"columns {there}",
+                found=f"two columns {column}" if count else f"columns {names}",
                 expected=f"one column {column}",
                 remedy="Correct the first line, which names the columns",
             )

@@ -125,16 +125,16 @@ def _write(folder: Path, files: Mapping[str, bytes], *, command: str, remove_for
             for name, written in record.files.items()
             if remove_former and name not in files and _in_the_way(folder / name, written, command) is None
         ]
-        there = {name: [file_digest(folder / name)] if os.path.lexists(folder / name) else [] for name in files}
+        present = {name: [file_digest(folder / name)] if os.path.lexists(folder / name) else [] for name in files}
         written = {**record.files} | {
-            name: _Written(command=command, sha256=(*there[name], hashlib.sha256(data).hexdigest()))
+            name: _Written(command=command, sha256=(*present[name], hashlib.sha256(data).hexdigest()))
             for name, data in files.items()
         }
         require_free(folder, files, command=command)  # somebody may have come in between
         # The record comes first: whatever an interruption leaves of the files, the next run knows it as ours.
         _record(folder, _Record(command=record.command, files=written))
         for name, path in fresh.items():
-            if there[name]:
+            if present[name]:
                 path.replace(folder / name)
             else:
                 _put(path, folder / name)

@@ -82,10 +82,10 @@ def _page(title: str, lines: Sequence[BatchLine]) -> str:
     found = None if paired is None else agreement(paired)
     pictures: list[object] = []
     tables: list[Table] = []
-    said: list[str] = []
+    paragraphs: list[str] = []
     if paired is not None and found is not None:
         pictures = [embed(bland_altman(paired, found)), embed(scatter(paired))]
-        tables, said = [*agreement_tables(paired, found)], [*summary(paired, found)]
+        tables, paragraphs = [*agreement_tables(paired, found)], [*summary(paired, found)]
     return render(
         "batch.html.j2",
         title=title,
@@ -93,7 +93,7 @@ def _page(title: str, lines: Sequence[BatchLine]) -> str:
         lines=[_shown(line) for line in lines],
         pictures=pictures,
         tables=tables,
-        summary=said,
+        summary=paragraphs,
     )
 
 

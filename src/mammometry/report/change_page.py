@@ -192,15 +192,15 @@ def breast_card(breast: BreastChange, before: datetime.date | None) -> BreastCar
         Fact(label=f"Uncertainty from {name}", value=f"± {term_words(term)} cc (95 %)")
         for name, term in volume.terms_cc.items()
     ]
-    said = "no interval, because one of the volumes has none"
+    interval_words = "no interval, because one of the volumes has none"
     if interval is not None:
         low, high = (signed(bound, digits) for bound in interval)
         half = (interval[1] - interval[0]) / 2
-        said = f"± {half:.{digits}f} cc (95 %: {low} to {high} cc)"
+        interval_words = f"± {half:.{digits}f} cc (95 %: {low} to {high} cc)"
     return BreastCard(
         title=f"{title[:1].upper()}{title[1:]}",
         change=f"{signed(volume.difference_cc, digits)} cc",
-        interval=said,
+        interval=interval_words,
         verdict=verdict_of(breast, before),
         facts=tuple(facts),
     )

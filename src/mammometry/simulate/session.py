@@ -155,7 +155,7 @@ def true_volumes_cc(recipe: SessionRecipe) -> dict[str, float]:
 
 def _subject(recipe: SessionRecipe) -> Solid:
     """The subject, operated as the situation says."""
-    operated = any(DISTURBANCES[one.name].stage == "patient" for one in recipe.situation.disturbances)
+    operated = any(DISTURBANCES[disturbance.name].stage == "patient" for disturbance in recipe.situation.disturbances)
     return make_subject(
         recipe.subject,
         recipe.seed,

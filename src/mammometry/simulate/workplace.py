@@ -53,10 +53,10 @@ def _claim(workplace: Path, out: Path) -> dict[str, str]:
 def _is_workplace(folder: Path, out: Path) -> bool:
     """Whether a folder is marked as a workplace for `out`. A copied or renamed one is not."""
     try:
-        said = json.loads((folder / _MAKER).read_text(encoding="utf-8"))
+        record = json.loads((folder / _MAKER).read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError):
         return False
-    return not folder.is_symlink() and said == _claim(folder, out)
+    return not folder.is_symlink() and record == _claim(folder, out)
 
 
 def _remove_unlocked(workplace: Path) -> None:

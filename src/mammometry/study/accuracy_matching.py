@@ -133,8 +133,8 @@ def true_disparity(
     right_rays, _ = _true_rays(pixel_grid(right, step), right, calibrated.right, true.right)
     right_edge = _from_edge(scene.cast(true.right.centre_world, right_rays).range_mm)
     place = np.nan_to_num(right_uv, nan=-1.0)[..., ::-1] / step
-    there = ndimage.map_coordinates(right_edge, np.moveaxis(place, -1, 0), order=1)
-    edge_px = pair_px * step * np.minimum(_from_edge(hits.range_mm), there)
+    edge = ndimage.map_coordinates(right_edge, np.moveaxis(place, -1, 0), order=1)
+    edge_px = pair_px * step * np.minimum(_from_edge(hits.range_mm), edge)
     return TrueDisparity(
         step=step,
         focal_px=float(left.matrix[0, 0]),

@@ -135,7 +135,8 @@ def observer_study(drawings: Sequence[Drawing]) -> ObserverStudy:
         raise ValueError("no breast was drawn twice")
     mean_cc = float(np.mean([drawing.volume_cc for drawing in drawings]))
     groups = [
-        [np.array([one.volume_cc for one in own.values()]) for own in persons.values()] for persons in table.values()
+        [np.array([drawing.volume_cc for drawing in own.values()]) for own in persons.values()]
+        for persons in table.values()
     ]
     within, between = scatter_of(groups)
     pairs = [pair for persons in table.values() for pair in _pairs(persons)]
@@ -195,7 +196,7 @@ def _scatter(variance: float, df: float, mean_cc: float) -> Scatter:
 
 
 def _volumes(own: Mapping[str, Drawing]) -> list[float]:
-    return [one.volume_cc for one in own.values()]
+    return [drawing.volume_cc for drawing in own.values()]
 
 
 def _icc(rows: Sequence[Mapping[str, float]]) -> IntraclassCorrelation | None:
@@ -219,7 +220,7 @@ def _icc_of_repeats(table: Mapping[str, Mapping[str, Mapping[str, Drawing]]]) ->
 
 
 def _pairs(persons: Mapping[str, Mapping[str, Drawing]]) -> Iterator[tuple[Drawing, Drawing]]:
-    return itertools.combinations([one for own in persons.values() for one in own.values()], 2)
+    return itertools.combinations([drawing for own in persons.values() for drawing in own.values()], 2)
 
 
 def _apart(pairs: Sequence[tuple[Drawing, Drawing]]) -> dict[str, Apart]:

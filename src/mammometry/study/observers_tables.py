@@ -17,10 +17,10 @@ def observers_summary(found: ObserverStudy) -> list[str]:
     """What a reader wants to know first, in sentences."""
     breasts, persons = (_counted(len(count), word) for count, word in
                         ((found.breasts, "breast"), (found.observers, "person")))  # fmt: skip
-    said = [f"{found.drawings} curves around {breasts} by {persons}; mean volume {number(found.mean_cc, '.0f')} cc."]
+    lines = [f"{found.drawings} curves around {breasts} by {persons}; mean volume {number(found.mean_cc, '.0f')} cc."]
     for scatter, who in ((found.within, "One person who draws again"), (found.between, "Whoever draws")):
         if scatter is not None:
-            said.append(
+            lines.append(
                 f"{who}: one volume scatters by {number(scatter.sem.value, '.1f')} cc "
                 f"({number(scatter.percent, '.1f')} %). "
                 f"A change of less than {number(scatter.mdc.value, '.0f')} cc may be drawing alone."
@@ -33,17 +33,17 @@ def observers_summary(found: ObserverStudy) -> list[str]:
         ),
         key=lambda pair: pair[1].mean_mm,
     )
-    said.append(
+    lines.append(
         f"The curves lie furthest apart at the {worst[0]} border: {number(worst[1].mean_mm, '.1f')} mm on average."
     )
     if found.icc_between is None and found.between is not None:
-        said.append(
+        lines.append(
             "There is no intraclass correlation between persons: it compares breasts, and takes two that the same two "
             "persons drew."
         )
     if found.between is not None and found.between.df < 5:
-        said.append("So few drawings tell little: see the intervals.")
-    return said
+        lines.append("So few drawings tell little: see the intervals.")
+    return lines
 
 
 def observers_tables(found: ObserverStudy, drawings: Sequence[Drawing]) -> list[Table]:
@@ -126,7 +126,8 @@ def observers_json(found: ObserverStudy, drawings: Sequence[Drawing]) -> dict[st
 
 def _scatter_row(words: str, scatter: Scatter) -> tuple[str, ...]:
     spans = [
-        f"{number(one.interval[0], '.1f')} … {number(one.interval[1], '.1f')}" for one in (scatter.sem, scatter.mdc)
+        f"{number(estimate.interval[0], '.1f')} … {number(estimate.interval[1], '.1f')}"
+        for estimate in (scatter.sem, scatter.mdc)
     ]
     return (words, number(scatter.sem.value, ".2f"), spans[0], number(scatter.percent, ".2f"),
             number(scatter.mdc.value, ".1f"), spans[1], number(scatter.df, ".1f"))  # fmt: skip

@@ -328,10 +328,10 @@ def resect(
             continue
         turn, shift = cv2.solvePnPRefineLM(points, ideal, np.eye(3), None, turn.reshape(3, 1), shift.reshape(3, 1))
         pose = Transform.from_rotation_vector(turn.ravel(), shift.ravel())
-        there = pose.apply(points)
-        if (there[:, 2] <= 0).any():
+        placed = pose.apply(points)
+        if (placed[:, 2] <= 0).any():
             continue
-        error = float(np.sum((there[:, :2] / there[:, 2:] - ideal) ** 2))
+        error = float(np.sum((placed[:, :2] / placed[:, 2:] - ideal) ** 2))
         if error < least:
             best, least = pose, error
     return best

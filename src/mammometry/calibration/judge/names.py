@@ -278,7 +278,7 @@ def _best_exchange(
         yield from assignments(left[1:], taken, score)
 
     at_least = sum(own[pair].sure for pair in pairs) + 1, 0.0
-    ordered = sorted(assignments(list(pairs), {}, (0, 0.0)), key=lambda one: one[0], reverse=True)
+    ordered = sorted(assignments(list(pairs), {}, (0, 0.0)), key=lambda ranked: ranked[0], reverse=True)
     for score, right in ordered:
         moves = {camera: name for camera, name in right.items() if camera != name}
         if score < at_least:

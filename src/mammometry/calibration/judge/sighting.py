@@ -169,15 +169,15 @@ def covariance_of(
     """
     size = 6 * len(seen)
     covariance = np.zeros((size, size))
-    for i, one in enumerate(seen):
+    for i, sighting in enumerate(seen):
         covariance[6 * i : 6 * i + 6, 6 * i : 6 * i + 6] = inflation**2 * np.linalg.pinv(
-            one.information, hermitian=True
+            sighting.information, hermitian=True
         )
     if cameras is not None:
         effect = np.zeros((size, len(cameras.names)))
-        for i, one in enumerate(seen):
-            columns = [k for k, name in enumerate(cameras.names) if name.startswith(f"{one.camera}.")]
-            effect[6 * i : 6 * i + 6, columns] = one.by_camera
+        for i, sighting in enumerate(seen):
+            columns = [k for k, name in enumerate(cameras.names) if name.startswith(f"{sighting.camera}.")]
+            effect[6 * i : 6 * i + 6, columns] = sighting.by_camera
         covariance += effect @ cameras.matrix @ effect.T
     return covariance
 

@@ -56,8 +56,8 @@ def take_in(visit: Visit, fired: Fired, by: Person | None) -> None:
 
 
 def _checks(fired: Fired, camera: str, about: dict[str, Any]) -> list[dict[str, Any]]:
-    own = [one for who, one in fired.verdict.found if who == camera]
+    own = [finding for who, finding in fired.verdict.found if who == camera]
     fact = Found(check="camera", level="ok", sentence="Taken by the rig, from this page.")
     # Times are the verdict's matter, whose clocks are better than EXIF's.
-    told = {"serial": about["serial"], "taken_s": None, "named": None}
-    return [{**one.as_table(), **told} for one in (fact, *own)]
+    shared = {"serial": about["serial"], "taken_s": None, "named": None}
+    return [{**finding.as_table(), **shared} for finding in (fact, *own)]

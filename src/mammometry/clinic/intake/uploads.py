@@ -134,9 +134,9 @@ def begin(target: Target, by: Person | None, file: Announced, *, replace: bool =
 
 def _has_photograph(target: Target, pose: str, camera: str) -> bool:
     """Whether a camera's place is taken, or a photograph is on its way there."""
-    there = _of(target).filter(camera=camera, state__in=(Upload.State.PLACED, Upload.State.RECEIVING))
+    uploads = _of(target).filter(camera=camera, state__in=(Upload.State.PLACED, Upload.State.RECEIVING))
     of_pose = pose if isinstance(target, Calibration) else ""
-    return any(_pose(upload) == of_pose for upload in there)
+    return any(_pose(upload) == of_pose for upload in uploads)
 
 
 def append(upload: Upload, offset: int, data: bytes) -> Upload:
@@ -150,16 +150,16 @@ def append(upload: Upload, offset: int, data: bytes) -> Upload:
         raise UploadError("This photograph has arrived already.")
     try:
         with FileLock(f"{upload.path}.lock", timeout=_LOCK_S), disk_errors(upload.path):
-            there = arrived(upload)
-            if offset != there:
-                raise UploadError(f"The next byte is {there}, not {offset}. Go on from there.")
-            if there + len(data) > upload.size_bytes:
+            arrived_bytes = arrived(upload)
+            if offset != arrived_bytes:
+                raise UploadError(f"The next byte is {arrived_bytes}, not {offset}. Go on from there.")
+            if arrived_bytes + len(data) > upload.size_bytes:
                 raise UploadError(f"That is more than the {upload.size_bytes} bytes that were announced.", 413)
             with upload.path.open("ab") as file:
                 file.write(data)
-            there += len(data)
-            Upload.objects.filter(pk=upload.pk).update(received_bytes=there)
-            if there == upload.size_bytes:
+            arrived_bytes += len(data)
+            Upload.objects.filter(pk=upload.pk).update(received_bytes=arrived_bytes)
+            if arrived_bytes == upload.size_bytes:
                 _finish(upload)
     except Timeout:
         raise UploadError("Another piece of this photograph is just arriving. Ask again where to go on.") from None

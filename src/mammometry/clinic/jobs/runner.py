@@ -63,8 +63,8 @@ class Runner:
                 if not queue.anything():  # no worker is started before there is work
                     self._stopped.wait(_LOOK_S)
                     continue
-                with self._workers() as there:
-                    self._serve(there)
+                with self._workers() as workers:
+                    self._serve(workers)
             except (MammometryError, DatabaseError, OSError) as error:
                 _LOG.warning("The queue waits: %s", type(error).__name__ if isinstance(error, DatabaseError) else error)
                 close_old_connections()
@@ -89,8 +89,8 @@ class Runner:
                 close_old_connections()
         close_old_connections()
 
-    def _serve(self, there: Machines) -> None:
-        engine = Engine(there, known=self._known(), stop=self._stop_request)
+    def _serve(self, workers: Machines) -> None:
+        engine = Engine(workers, known=self._known(), stop=self._stop_request)
         for event in engine.serve(self._claim, lambda: queue.unwanted(self.owner)):
             key = UUID(event.name)
             if isinstance(event, Began):

@@ -65,8 +65,8 @@ def drift_rows(rig: Rig) -> Iterator[dict[str, Any]]:
             "verdict": entry.verdict,
             "effect_mm": entry.effect_mm,
             "reasons": entry.reasons,
-            "moved": [name for name, one in entry.cameras.items() if one.moved],
-            "cameras": {name: {"px": one.shift_px, "mm": one.shift_mm} for name, one in entry.cameras.items()},
+            "moved": [name for name, camera in entry.cameras.items() if camera.moved],
+            "cameras": {name: {"px": camera.shift_px, "mm": camera.shift_mm} for name, camera in entry.cameras.items()},
         }
 
 
@@ -121,9 +121,9 @@ def may_queue(target: Visit | Calibration | DailyCheck | Comparison, *, anyway: 
             return f"{answer.sentence} {answer.remedy}"
     state = state_of(target)
     if not state["ready"]:
-        said = [finding["sentence"] for finding in state["together"] if finding["level"] == "refuse"]
+        sentences = [finding["sentence"] for finding in state["together"] if finding["level"] == "refuse"]
         missing = f"Photographs are missing: {', '.join(state['missing'])}." if state["missing"] else ""
-        why = " ".join(filter(None, [missing, state.get("needed"), *said]))
+        why = " ".join(filter(None, [missing, state.get("needed"), *sentences]))
         return why or "This rig has no cameras. Describe it first."
     if isinstance(target, Visit) and not anyway:
         return " ".join(elsewhere(other, cameras) for other, cameras in same_photographs(target)) or None
@@ -149,7 +149,7 @@ def _entry(check: DailyCheck) -> Entry:
         effect_mm=float(figures.get("effect_mm") or 0.0),
         reasons=tuple(figures.get("reasons", ())),
         cameras={
-            name: CameraDrift(moved=bool(one.get("moved")), **{name: float(one.get(name) or 0.0) for name in names})
-            for name, one in figures.get("cameras", {}).items()
+            name: CameraDrift(moved=bool(drift.get("moved")), **{name: float(drift.get(name) or 0.0) for name in names})
+            for name, drift in figures.get("cameras", {}).items()
         },
     )

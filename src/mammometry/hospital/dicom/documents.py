@@ -127,10 +127,10 @@ def _manufacturing(made: Dataset, study: Study, title: str) -> None:
     made.ModelGroupUID = uid("models", study.uid)
 
 
-def _named(there: Dataset, name: str) -> Dataset:
+def _named(target: Dataset, name: str) -> Dataset:
     """A reference from a document to another object, by the name that the document uses."""
     item = Dataset()
-    item.ReferencedSOPClassUID = there.SOPClassUID
-    item.ReferencedSOPInstanceUID = there.SOPInstanceUID
+    item.ReferencedSOPClassUID = target.SOPClassUID
+    item.ReferencedSOPInstanceUID = target.SOPInstanceUID
     item.RelativeURIReferenceWithinEncapsulatedDocument = name
     return item

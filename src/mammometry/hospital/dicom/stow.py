@@ -39,12 +39,12 @@ def stow(made: Sequence[Dataset], url: str, *, tls: Tls | None = None, progress:
     """
     base = web_address(url)
     context = tls.context() if tls is not None else None
-    there = _there(base, made[0].StudyInstanceUID, context)
-    missing = [dataset for dataset in made if dataset.SOPInstanceUID not in there]
+    stored = _there(base, made[0].StudyInstanceUID, context)
+    missing = [dataset for dataset in made if dataset.SOPInstanceUID not in stored]
     for number, dataset in enumerate(missing):
         _store(base, dataset, context, f"after {number} of {len(missing)} objects")
         progress((number + 1) / len(missing))
-    return Sent(sent=len(missing), there=len(made) - len(missing))
+    return Sent(sent=len(missing), stored=len(made) - len(missing))
 
 
 def answers(url: str, *, tls: Tls | None = None) -> None:

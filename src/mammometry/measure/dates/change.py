@@ -138,13 +138,13 @@ def compare(
         pairing=pairing,
         breasts=tuple(
             BreastChange(
-                name=one.name,
-                before=one,
+                name=pair.name,
+                before=pair,
                 after=other,
-                volume=difference(other, one, pairing, measure, names=(LATER, EARLIER), common_scale=common_scale),
+                volume=difference(other, pair, pairing, measure, names=(LATER, EARLIER), common_scale=common_scale),
                 rms_mm=_rms_mm(other, after.surface, after_mm),
             )
-            for one, other in pairs
+            for pair, other in pairs
         ),
         lengths=tuple(length_changes(before.lengths, after.lengths)),
         after_mm=after_mm,
@@ -175,27 +175,29 @@ def length_changes(before: Sequence[LinearMeasure], after: Sequence[LinearMeasur
     earlier = {measurement.name: measurement for measurement in before}
     found = []
     for later in after:
-        one = earlier.get(later.name)
-        if one is None or one.title != later.title:  # a midline that was picked is not one that was computed
+        earlier_one = earlier.get(later.name)
+        if (
+            earlier_one is None or earlier_one.title != later.title
+        ):  # a midline that was picked is not one that was computed
             continue
         found.append(
             LengthChange(
                 name=later.name,
                 title=later.title,
                 along=False,
-                before_mm=one.straight_mm,
+                before_mm=earlier_one.straight_mm,
                 after_mm=later.straight_mm,
-                sigma_mm=float(np.hypot(one.straight_sigma_mm, later.straight_sigma_mm)),
+                sigma_mm=float(np.hypot(earlier_one.straight_sigma_mm, later.straight_sigma_mm)),
             )
         )
-        sigmas = one.geodesic_sigma_mm, later.geodesic_sigma_mm
-        if one.geodesic_mm is not None and later.geodesic_mm is not None and None not in sigmas:
+        sigmas = earlier_one.geodesic_sigma_mm, later.geodesic_sigma_mm
+        if earlier_one.geodesic_mm is not None and later.geodesic_mm is not None and None not in sigmas:
             found.append(
                 LengthChange(
                     name=later.name,
                     title=later.title,
                     along=True,
-                    before_mm=one.geodesic_mm,
+                    before_mm=earlier_one.geodesic_mm,
                     after_mm=later.geodesic_mm,
                     sigma_mm=float(np.hypot(*sigmas)),  # type: ignore[arg-type]  # neither is None
                 )
@@ -219,12 +221,12 @@ def _paired(before: Visit, after: Visit) -> list[tuple[VolumeMeasurement, Volume
             expected="a breast of a torso at both dates",
             remedy="Draw the missing boundary with `mammometry edit`, or remove the one too many at the other date",
         )
-    earlier = {name: one for name, one in earlier.items() if name in later}
-    for name, one in earlier.items():
-        if one.wall_kind != later[name].wall_kind:
+    earlier = {name: earlier_measurement for name, earlier_measurement in earlier.items() if name in later}
+    for name, earlier_measurement in earlier.items():
+        if earlier_measurement.wall_kind != later[name].wall_kind:
             raise MeasureError(
                 f"the chest wall of the {name} breast",
-                found=f"{one.wall_kind} before, {later[name].wall_kind} after",
+                found=f"{earlier_measurement.wall_kind} before, {later[name].wall_kind} after",
                 expected="one kind at both dates",
                 remedy="Measure both with the same --set measure.wall",
             )
@@ -263,7 +265,7 @@ def _seen(surface: RepairedSurface, mesh: TriangleMesh) -> TriangleMesh:
 
 def _standing_out(mesh: TriangleMesh, surface: RepairedSurface, other: TriangleMesh) -> Float64[Array, " n"]:
     """Distance of each visible vertex out of the other date's skin, mm. NaN for the others."""
-    return signed_mm(mesh, other, asked=surface.provenance != Provenance.INVENTED)
+    return signed_mm(mesh, other, selected=surface.provenance != Provenance.INVENTED)
 
 
 def _rms_mm(measured: VolumeMeasurement, surface: RepairedSurface, out_mm: Float64[Array, " m"]) -> float:

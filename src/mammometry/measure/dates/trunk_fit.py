@@ -134,9 +134,9 @@ def _within_mm(
 ) -> float:
     """Distance along the normal that holds four fifths of the trunk. The trunk is moved first."""
     moved = motion.apply(_every(after, _JUDGED)[0])
-    there, outward = fixed
-    nearest = np.asarray(point_tree(there).query(moved)[1])
-    away = ((moved - there[nearest]) * outward[nearest]).sum(axis=1)
+    fixed_points, outward = fixed
+    nearest = np.asarray(point_tree(fixed_points).query(moved)[1])
+    away = ((moved - fixed_points[nearest]) * outward[nearest]).sum(axis=1)
     return float(np.quantile(np.abs(away), _SHARE))
 
 

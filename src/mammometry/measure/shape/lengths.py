@@ -107,8 +107,10 @@ def linear_measures(
         line = landmarks.get("midline")
         if line is not None and (midline is None or not line.proposed):
             foot = _foot(nipple.points_world[0], line.points_world)
-            there = Landmark(name="midline", points_world=foot[None], method=line.method, sigma_mm=line.sigma_mm)
-            found.append(_between(name, title, nipple, there, mesh, skin))
+            foot_landmark = Landmark(
+                name="midline", points_world=foot[None], method=line.method, sigma_mm=line.sigma_mm
+            )
+            found.append(_between(name, title, nipple, foot_landmark, mesh, skin))
         elif midline is not None:
             point, normal, sigma = midline
             from_plane = float((nipple.points_world[0] - point) @ normal)

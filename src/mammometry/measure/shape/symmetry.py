@@ -125,7 +125,7 @@ def trunk_skin(
 
 
 def signed_mm(
-    skin: TriangleMesh, other: TriangleMesh, *, asked: Bool[Array, " n"] | None = None
+    skin: TriangleMesh, other: TriangleMesh, *, selected: Bool[Array, " n"] | None = None
 ) -> Float64[Array, " n"]:
     """How far each vertex stands out of another, finely triangulated surface, mm.
 
@@ -133,13 +133,13 @@ def signed_mm(
     beyond the other's edge, where the way to the nearest place runs along the surface, or further away than 80 mm.
 
     Args:
-        skin: the surface whose vertices are asked for.
+        skin: the surface whose vertices are compared.
         other: the surface that they stand out of.
-        asked: which of the vertices are asked for; the others are NaN. None: all.
+        selected: which of its vertices are compared; the others are NaN. None: all.
     """
-    asked = np.ones(len(skin.vertices), dtype=bool) if asked is None else asked
+    selected = np.ones(len(skin.vertices), dtype=bool) if selected is None else selected
     found = np.full(len(skin.vertices), np.nan)
-    points = skin.vertices[asked]
+    points = skin.vertices[selected]
     tree = point_tree(other.vertices)
     distance, place = tree.query(points, distance_upper_bound=_FARTHEST_MM, workers=available_cores())
     near = np.isfinite(distance)
@@ -150,7 +150,7 @@ def signed_mm(
     along = np.linalg.norm(away - normals * signed[:, None], axis=1)
     values = np.full(len(points), np.nan)
     values[near] = np.where(along <= np.maximum(_FLUSH_MM, _OBLIQUE * np.abs(signed)), signed, np.nan)
-    found[asked] = values
+    found[selected] = values
     return found
 
 

@@ -210,8 +210,8 @@ def _ahead_rad(skin: Skin, trunk: Trunk, settings: ThoraxSettings) -> tuple[floa
     place = np.arange(columns)
     for number, twice in enumerate(shifts):
         partner = twice - place
-        there = (partner > place) & (partner < columns)
-        apart = np.abs(radius[:, place[there]] - radius[:, partner[there]])
+        inside = (partner > place) & (partner < columns)
+        apart = np.abs(radius[:, place[inside]] - radius[:, partner[inside]])
         apart = apart[np.isfinite(apart)]
         if len(apart) >= _FEWEST_CELLS:  # a breast that the other side lacks counts no more than a limited misfit
             turned_deg = abs(twice / 2 - middle) * _CELL_DEG

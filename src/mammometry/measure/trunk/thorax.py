@@ -250,15 +250,15 @@ def _front(
     """
     local, turned = skin.points_world @ frame.T, skin.normals_world @ frame.T
     height = float(np.median(local[:, 1]) if height_of is None else height_of @ frame[1])
-    there = np.abs(local[:, 1] - height) < _SIDE_BAND_MM
-    if there.sum() < _FEWEST_SIDE:
+    band = np.abs(local[:, 1] - height) < _SIDE_BAND_MM
+    if band.sum() < _FEWEST_SIDE:
         raise MeasureError(
             "torso",
             found="no skin at the height of the breasts",
             expected="the trunk beside the breasts",
             remedy="Check that the boundaries are of this surface, and in millimetres",
         )
-    local, turned = local[there], turned[there]
+    local, turned = local[band], turned[band]
     middle = _middle(local[:, 0], turned[:, 2]) if middle_of is None else float(middle_of @ frame[0])
     between = np.abs(local[:, 0] - middle) < _MIDDLE_MM
     ahead = float(np.median(local[between, 2] if between.any() else local[:, 2]))

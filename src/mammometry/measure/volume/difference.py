@@ -90,7 +90,7 @@ def difference(
         )  # fmt: skip
     alike = first.wall_kind == second.wall_kind
     volumes = np.array([first.volume_cc, second.volume_cc])
-    own = [dict(one.interval_terms_cc) for one in (first, second)]
+    own = [dict(measurement.interval_terms_cc) for measurement in (first, second)]
     terms: dict[str, float] = {}
     relative: dict[str, float] = {}
     for name in {**own[0], **own[1]}:

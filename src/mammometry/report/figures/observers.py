@@ -25,8 +25,8 @@ def curves_on(surface: DrawnSurface, observers: Sequence[str]) -> bytes:
     views = [view for view in standard_views(surface.mesh, surface.frame, of_patient=True) if "below" not in view.name]
     sheet = Sheet(len(views), 1, picture_wh(views[0], _VIEW_PX), header=26)
     colours = _colours(observers)
-    there = {name for name, _ in surface.curves}
-    sheet.legend([(colours[name], name) for name in observers if name in there])
+    names = {name for name, _ in surface.curves}
+    sheet.legend([(colours[name], name) for name in observers if name in names])
     scene = Scene(surface.mesh)
     for index, view in enumerate(views):
         axes = sheet.panel(index, view.name)

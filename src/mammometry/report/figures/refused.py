@@ -68,8 +68,8 @@ def targets_seen(
     found = {
         (detection.pose, detection.camera): detection.uv for part in looked.values() for detection in part.detections
     }
-    there = [key for key in photographs if key in suspects or (not suspects and key[0] in looked)]
-    shown = sorted(there, key=lambda key: (len(found.get(key, ())), key))[:_TARGETS]
+    keys = [key for key in photographs if key in suspects or (not suspects and key[0] in looked)]
+    shown = sorted(keys, key=lambda key: (len(found.get(key, ())), key))[:_TARGETS]
     small = []
     for key in shown:
         photograph = photographs[key]
@@ -84,7 +84,7 @@ def targets_seen(
         if uv is not None:
             axes.plot(*uv.T, ".", color=canvas.SKY, markersize=2.2)
     title = "The photographs that the others contradict" if suspects else "The target"
-    part = "" if len(shown) == len(there) else f" The {len(shown)} of {len(there)} photographs with the fewest."
+    part = "" if len(shown) == len(keys) else f" The {len(shown)} of {len(keys)} photographs with the fewest."
     return sheet.png(Caption(title=title, text=f"The points that were found on the target.{part}"))
 
 

@@ -291,9 +291,9 @@ def _walk(start: int, neighbours: dict[int, list[int]]) -> Sequence[int]:
     path = [start]
     while neighbours[path[-1]]:
         here = path[-1]
-        there = neighbours[here].pop()
-        neighbours[there].remove(here)
-        path.append(there)
+        following = neighbours[here].pop()
+        neighbours[following].remove(here)
+        path.append(following)
     return path
 
 

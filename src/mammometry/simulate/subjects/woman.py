@@ -309,8 +309,8 @@ def _straight_behind(wall: Array, muscle: Array, faces: Array) -> Float64[Array,
     """Muscle points straight behind the flat chest, else below."""
     front = muscle[:, 2] > muscle[:, 2].max() - 90.0
     found = LinearNDInterpolator(muscle[front, :2], muscle[front, 2])(wall[:, :2])
-    there = front & np.isfinite(found)
-    behind = np.where(there[:, None], np.stack([wall[:, 0], wall[:, 1], found], axis=1), muscle)
+    seen = front & np.isfinite(found)
+    behind = np.where(seen[:, None], np.stack([wall[:, 0], wall[:, 1], found], axis=1), muscle)
     return np.asarray(rounded_mesh(behind, faces).vertices)
 
 
