@@ -1,7 +1,6 @@
 """Kinds of calibration target.
 
-A new kind is one file in this folder and one line here. To be stored with a calibration, it also needs a label in
-`io.results.tree.STORED_TYPES`, since a label is permanent.
+A new kind is one file in this folder and one line here.
 """
 
 from __future__ import annotations

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from mammometry.base.errors import StorageError
+from mammometry.calibration.targets.registry import TARGETS
 
 STORED_TYPES: Mapping[str, str] = MappingProxyType(
     {
@@ -68,8 +69,9 @@ STORED_TYPES: Mapping[str, str] = MappingProxyType(
     }
 )
 """Label on disk → current place of the type. A label never changes: a type that moves keeps its first label, so that
-moving code makes no result stale.
+moving code makes no result stale. Other kinds of target are labelled by their name.
 """
+_TARGET = "target:"  # before the name of a kind of target
 
 
 def to_tree(value: object, arrays: dict[str, np.ndarray[Any, Any]]) -> Any:
@@ -135,13 +137,17 @@ def from_tree(tree: Any, arrays: Mapping[str, np.ndarray[Any, Any]]) -> Any:
 
 
 def _label(kind: type) -> str:
-    try:
-        return _labels()[f"{kind.__module__}:{kind.__qualname__}"]
-    except KeyError:
-        raise TypeError(f"a result holds a {kind.__module__}.{kind.__qualname__}, which has no label on disk") from None
+    label = _labels().get(f"{kind.__module__}:{kind.__qualname__}")
+    if label is None and (name := next((name for name, target in TARGETS.items() if target is kind), None)) is not None:
+        label = f"{_TARGET}{name}"
+    if label is None:
+        raise TypeError(f"a result holds a {kind.__module__}.{kind.__qualname__}, which has no label on disk")
+    return label
 
 
 def _type(label: str) -> Any:
+    if label.startswith(_TARGET):
+        return TARGETS[label.removeprefix(_TARGET)]
     module, _, name = STORED_TYPES[label].partition(":")
     return getattr(importlib.import_module(module), name)
 
