@@ -20,9 +20,9 @@ from contextlib import suppress
 from types import TracebackType
 from typing import IO, Any, Self, TypeVar
 
-from mammometry.base.cores import CORES
 from mammometry.base.errors import MammometryError
-from mammometry.base.memory import peak_memory_mb, return_freed_arrays
+from mammometry.base.machine.cores import CORES
+from mammometry.base.machine.memory import peak_memory_mb, return_freed_arrays
 from mammometry.base.progress import StageProgress
 from mammometry.base.value import value
 

@@ -81,8 +81,8 @@ def measure_mesh(
         MammometryError: the mesh cannot be measured.
     """
     from mammometry.api.mesh import SCALE_STD, SURFACE_STD_MM, MeshFiles, MeshJob, folder_for, scan_files
+    from mammometry.io.meshes.scans import MESH, is_scan, read_scan
     from mammometry.io.outputs import require_apart
-    from mammometry.io.scans import MESH, is_scan, read_scan
 
     if given.posture not in (None, *POSTURES):
         raise typer.BadParameter(f"--posture is {', '.join(POSTURES)}, found {given.posture!r}")

@@ -43,7 +43,7 @@ def _stage(stage: Stage, session: Path, options: Options) -> tuple[Job, dict[str
 
 def _summary(job: Job, stage: Stage, begun: float) -> dict[str, Any]:
     """What a stage made and took since `begun`, by `time.monotonic`."""
-    from mammometry.base.memory import peak_memory_mb
+    from mammometry.base.machine.memory import peak_memory_mb
 
     return {
         "made": job.store.made,
@@ -118,7 +118,7 @@ def surface(options: Options, session: SessionFolder) -> Answer:
     Writes results/surface/mesh.ply (mm, world frame), model.glb and the range images.
     """
     job, table = _stage("surface", session, options)
-    from mammometry.surface.stillness_words import concerns, summary
+    from mammometry.surface.motion.motion_messages import concerns, summary
 
     mesh, stillness = job.surface().repaired.mesh, job.plan.surfaced.stillness()
     path = job.session.results / "surface" / "mesh.ply"
@@ -219,7 +219,7 @@ def report(
 
 def volume_lines(results: Results) -> list[Any]:
     """Volumes in words, and where the report is."""
-    from mammometry.report.volume_words import MEANINGS, definition_words, interval_words, volume_words
+    from mammometry.report.words.volume_words import MEANINGS, definition_words, interval_words, volume_words
 
     lines: list[Any] = []
     for name, measured in results.measurements.items():

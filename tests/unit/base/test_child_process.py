@@ -13,7 +13,7 @@ import psutil
 import pytest
 
 from mammometry.base.child_process import ChildProcess, Ended, NotDone
-from mammometry.base.cores import available_cores
+from mammometry.base.machine.cores import available_cores
 
 _ENDS_WITHIN_S = 20.0  # on a machine that is very busy
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mammometry.base.cores import available_cores
+from mammometry.base.machine.cores import available_cores
 from mammometry.base.value import value
 from mammometry.geometry.arrays import Array, Bool, Float64
 from mammometry.geometry.mesh import TriangleMesh
@@ -16,7 +16,7 @@ from mammometry.measure.trunk.body import within_boundary
 from mammometry.measure.trunk.mirror_plane import MirrorPlane, mirror
 from mammometry.measure.trunk.register import register
 from mammometry.measure.volume.measurement import VolumeMeasurement
-from mammometry.surface.repair import Provenance, RepairedSurface
+from mammometry.surface.repair.repair import Provenance, RepairedSurface
 
 _OBLIQUE, _FLUSH_MM = 0.8, 3.0
 """Largest distance of a counterpart from the normal, as a share of its distance along it, or in mm. Chosen by eye."""

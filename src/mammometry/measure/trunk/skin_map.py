@@ -17,8 +17,8 @@ from scipy.ndimage import (
     map_coordinates,
 )
 
-from mammometry.base.cores import in_bands
 from mammometry.base.errors import MeasureError
+from mammometry.base.machine.cores import in_bands
 from mammometry.base.value import value
 from mammometry.geometry.arrays import Array, Bool, Float64
 from mammometry.geometry.mesh import TriangleMesh

@@ -13,7 +13,7 @@ from mammometry.base.errors import MeasureError
 from mammometry.base.value import value
 from mammometry.geometry.arrays import Array, Bool, Float64, Int64
 from mammometry.measure.settings import ThoraxSettings
-from mammometry.surface.repair import Provenance, RepairedSurface
+from mammometry.surface.repair.repair import Provenance, RepairedSurface
 
 _HARMONICS = 4  # Fourier order of the radius around the trunk; 4 follows a thorax and not a breast
 AROUND = 2 * _HARMONICS + 1  # Fourier terms

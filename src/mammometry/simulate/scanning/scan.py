@@ -13,7 +13,7 @@ from mammometry.base.value import value
 from mammometry.geometry.arrays import Array, Bool, Float64, UInt8
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.simulate.rendering.in_camera import srgb_encoded
-from mammometry.simulate.rendering.skin import SKINS
+from mammometry.simulate.rendering.objects.skin import SKINS
 from mammometry.simulate.scanning.depth_camera import depth_pictures
 from mammometry.simulate.scanning.fusion import fuse
 from mammometry.simulate.subjects.solid import Solid
