@@ -7,7 +7,8 @@ import numpy as np
 
 from mammometry.base.errors import MatchingError
 from mammometry.base.progress import Progress, no_progress
-from mammometry.geometry.arrays import Array, Bool, Float32, read_only
+from mammometry.base.value import value
+from mammometry.geometry.arrays import Array, Bool, Float32
 from mammometry.geometry.camera import Camera
 from mammometry.geometry.rounding import SIGMA_BITS, to_bits, to_step
 from mammometry.matching.dense.consistency_kernels import agreeing
@@ -46,7 +47,7 @@ _CONFIDENCE_STEP = 2.0**-7  # shown with two decimals
 _ISLAND_WINDOWS = 4  # of a Gaussian window's area, 4πσ²: smaller islands are not believed (docs/decisions/0015)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class DisparityMap:
     """Where each left pixel is seen in the right image. (u, v) → (u − d_h, v − d_v)."""
 
@@ -76,10 +77,6 @@ class DisparityMap:
     def pair_px(self) -> float:
         """Pixels of the rectified pair in one of the map."""
         return 2.0**self.halvings
-
-    def __post_init__(self) -> None:
-        for name in ("d_h_px", "d_v_px", "confidence", "sigma_px", "valid", "weak"):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

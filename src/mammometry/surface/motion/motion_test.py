@@ -13,8 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mammometry.base.errors import SurfaceError
+from mammometry.base.value import value
 from mammometry.calibration.adjust.calibrated import ParameterCovariance
-from mammometry.geometry.arrays import Array, Float64, read_only
+from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.transform import Transform
 from mammometry.surface.motion.agreement import RowErrors, differences
@@ -68,7 +69,7 @@ class Displaced:
     """Part of it caused by the body, or by both cameras together, and not by a turn of one camera."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class Stillness:
     """Motion between calibration and exposures, as the pairs show it."""
 
@@ -97,10 +98,6 @@ class Stillness:
     """Of cameras that certainly turned, the largest first."""
     displaced: tuple[Displaced, ...] = ()
     """Each pair, the most displaced first."""
-
-    def __post_init__(self) -> None:
-        for field in ("motions", "covariance"):
-            object.__setattr__(self, field, read_only(getattr(self, field)))
 
     def rig(self, calibrated: Rig) -> Rig:
         """The cameras where they most probably stood."""

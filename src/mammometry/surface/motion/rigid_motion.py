@@ -16,10 +16,11 @@ import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 from scipy.spatial.distance import cdist
 
+from mammometry.base.value import value
 from mammometry.calibration.adjust.calibrated import ParameterCovariance
 from mammometry.calibration.adjust.network import POSE_NAMES_CAMERA
 from mammometry.calibration.judge.cameras.shifts import shifts
-from mammometry.geometry.arrays import Array, Bool, Float64, Int64, read_only
+from mammometry.geometry.arrays import Array, Bool, Float64, Int64
 from mammometry.geometry.camera import Rig
 from mammometry.surface.motion.agreement import Differences, RowErrors
 
@@ -51,7 +52,7 @@ _UNLIKELY = 10.0  # natural logarithm of a share of the probability that is left
 _MAD = 1.4826  # standard deviation over median of the absolute deviations, of a normal distribution
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class Unknowns:
     """Unknowns: three turns of each camera, then a motion of each group.
 
@@ -63,9 +64,6 @@ class Unknowns:
     """Pairs that share cameras, and so are exposed together."""
     centre_world: Float64[Array, 3]
     """The point about which groups turn, mm."""
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "centre_world", read_only(self.centre_world))
 
     @property
     def count(self) -> int:

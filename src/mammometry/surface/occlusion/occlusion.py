@@ -23,7 +23,8 @@ import numpy as np
 from scipy import ndimage
 
 from mammometry.base.machine.cores import each_at_once
-from mammometry.geometry.arrays import Array, Bool, Float64, Int32, read_only
+from mammometry.base.value import value
+from mammometry.geometry.arrays import Array, Bool, Float64, Int32
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.projection import projected
 from mammometry.matching.foreground.foreground import Foreground
@@ -41,7 +42,7 @@ _ROUNDS = 4  # of votes, at most; two are usual
 _WIDENING = 1.25  # of the widest blocked place: gaps as wide as what blocks the view belong to it; chosen by eye
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class Blocked:
     """Where one camera's view of the subject is blocked."""
 
@@ -51,9 +52,6 @@ class Blocked:
     step: int
     share: float
     """Of the subject in that photograph, the blocked places included."""
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "blocks", read_only(self.blocks))
 
     def pixels(self, shape_hw: tuple[int, int]) -> Bool[Array, "h w"]:
         """The blocked pixels of the photograph."""
