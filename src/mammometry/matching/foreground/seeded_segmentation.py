@@ -129,7 +129,7 @@ def _by_a_neck(bright: Bool[Array, "h w"], kept: Bool[Array, "h w"], far: Bool[A
     joined = lost & ndimage.binary_dilation(bright & kept)
     numbers = np.arange(1, count + 1)
     taken = ndimage.sum_labels(far, labels, numbers) > 0
-    rims, joints = (ndimage.sum_labels(each, labels, numbers) for each in (rim, joined))
+    rims, joints = (ndimage.sum_labels(mask, labels, numbers) for mask in (rim, joined))
     return bool(np.all(joints[taken] <= _NECK * rims[taken]))
 
 

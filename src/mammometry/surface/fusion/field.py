@@ -158,16 +158,18 @@ def build_field(
     distances = each_at_once(
         lambda name: silhouette_distance_px(outlined[name], steps[name], settings.lost_slope), list(outlined)
     )
-    starts_of_lines = np.cumsum([0, *(each.size for each in distances)])
+    starts_of_lines = np.cumsum([0, *(distance_map.size for distance_map in distances)])
     contour_rows = [
-        view_row(thinned_camera(rig.cameras[name], steps[name]), each.shape, start)
-        for name, each, start in zip(outlined, distances, starts_of_lines[:-1], strict=True)
+        view_row(thinned_camera(rig.cameras[name], steps[name]), distance_map.shape, start)
+        for name, distance_map, start in zip(outlined, distances, starts_of_lines[:-1], strict=True)
     ]
     return Field(
         views=np.array(view_rows).reshape(-1, COLUMNS),
         elements=elements,
         contours=np.array(contour_rows).reshape(-1, COLUMNS),
-        distances=np.concatenate([np.zeros(0, dtype=np.float32), *(each.ravel() for each in distances)]),
+        distances=np.concatenate(
+            [np.zeros(0, dtype=np.float32), *(distance_map.ravel() for distance_map in distances)]
+        ),
         box=box,
         truncation_mm=settings.truncation_mm,
         rule=rule,

@@ -37,7 +37,7 @@ def cause(found: Stillness) -> str:
     """What moved, and what to do, in two sentences."""
     worst = found.displaced[0]
     share = worst.body_mm / worst.effect_mm if worst.effect_mm > 0 else 0.0
-    named = ", ".join(f"{each.camera} by {each.turn_deg:.3f} ± {each.std_deg:.3f}°" for each in found.turns[:_NAMED])
+    named = ", ".join(f"{turn.camera} by {turn.turn_deg:.3f} ± {turn.std_deg:.3f}°" for turn in found.turns[:_NAMED])
     if found.alone in found.asked.cameras:
         turned = f"after the calibration: {named}" if named else f"after the calibration, probably {found.alone}"
         return f"A camera turned {turned}. Calibrate again before the next capture."
@@ -60,5 +60,8 @@ def summary(found: Stillness) -> str:
         return "not compared: no two pairs see the same skin"
     if not found.moved:
         return f"nothing moved; pairs agree to {found.apart_mm[0]:.3f} mm (RMS)"
-    pairs = ", ".join(f"{each.pair} {each.effect_mm:.2f} ± {each.std_mm:.2f} mm" for each in found.displaced)
+    pairs = ", ".join(
+        f"{displacement.pair} {displacement.effect_mm:.2f} ± {displacement.std_mm:.2f} mm"
+        for displacement in found.displaced
+    )
     return f"{'put right' if found.corrected else 'not put right'}: {pairs}; pairs agree to {found.apart_mm[1]:.3f} mm"

@@ -130,16 +130,16 @@ def find(
         SurfaceError: pairs disagree by more than motions of cameras explain, or than is put right.
     """
     apart = differences(range_images, _FIRST_OTHER_SKIN_MM)
-    compared = {name for each in apart for name in (each.first, each.second)}
+    compared = {name for comparison in apart for name in (comparison.first, comparison.second)}
     pairs = [name for name in rig.pair_names if name in compared or (name in rows and len(rows[name].points))]
-    centre = np.concatenate([each.points for each in apart]).mean(axis=0) if apart else np.zeros(3)
+    centre = np.concatenate([comparison.points for comparison in apart]).mean(axis=0) if apart else np.zeros(3)
     asked = unknowns(rig, pairs, centre)
     rows = {name: rows[name] for name in pairs if name in rows and len(rows[name].points)}
     if not apart:
         return _nothing(asked, compared=False)
     seen = without_contradicted_rows(without_outliers(observed(rig, apart, rows, covariance, asked), asked), asked)
     before_mm = seen.rms_mm()
-    honest_mm = float(np.median(np.concatenate([each.expected_mm for each in apart])))
+    honest_mm = float(np.median(np.concatenate([comparison.expected_mm for comparison in apart])))
     limit_mm = max(_UNEXPLAINED_MM, honest_mm)
     moved = most_probable(seen, asked)
     evidence = moved.expected.log_evidence - moved.still.log_evidence
@@ -157,7 +157,10 @@ def find(
     found = replace(_judged(rig, rows, moved, asked), unexplained=best.rest_mm >= limit_mm)
     found = replace(found, evidence=evidence, apart_mm=(before_mm, seen.rms_mm(best.motions)))
     sigmas = 0.0 if evidence >= _SURE * settings.least_evidence else _LEAST_SIGMAS
-    matters = any(each.effect_mm >= max(settings.least_mm, sigmas * each.std_mm) for each in found.displaced)
+    matters = any(
+        displacement.effect_mm >= max(settings.least_mm, sigmas * displacement.std_mm)
+        for displacement in found.displaced
+    )
     if not (matters or found.unexplained):
         return _nothing(asked, apart_mm=before_mm, evidence=evidence)
     _refuse(found, settings, honest_mm)
@@ -238,8 +241,8 @@ def _judged(rig: Rig, rows: Mapping[str, RowErrors], moved: Found, asked: Unknow
         evidence=0.0,
         apart_mm=(0.0, 0.0),
         alone=None if alone is None else alone[0],
-        turns=tuple(sorted(turns, key=lambda each: -each.turn_deg)),
-        displaced=tuple(sorted(displaced, key=lambda each: -each.effect_mm)),
+        turns=tuple(sorted(turns, key=lambda turn: -turn.turn_deg)),
+        displaced=tuple(sorted(displaced, key=lambda displacement: -displacement.effect_mm)),
     )
 
 
@@ -268,7 +271,7 @@ def _refuse(found: Stillness, settings: StillnessSettings, honest_mm: float) -> 
         )
     worst = found.displaced[0] if found.displaced else None
     if worst is not None and worst.effect_mm > settings.most_mm:
-        names = ", ".join(f"{each.camera} by {each.turn_deg:.2f}°" for each in found.turns[:2])
+        names = ", ".join(f"{turn.camera} by {turn.turn_deg:.2f}°" for turn in found.turns[:2])
         raise SurfaceError(
             f"pair {worst.pair}",
             found=f"points {worst.effect_mm:.1f} mm off the other pairs'" + (f" ({names})" if names else ""),

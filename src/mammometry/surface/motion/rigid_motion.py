@@ -92,9 +92,9 @@ def unknowns(rig: Rig, pairs: Sequence[str], centre_world: Float64[Array, 3]) ->
     groups: list[tuple[set[str], list[str]]] = []
     for pair in pairs:
         cameras, names = set(rig.pair_names[pair]), [pair]
-        for each in [each for each in groups if each[0] & cameras]:
-            groups.remove(each)
-            cameras, names = cameras | each[0], each[1] + names
+        for joined in [group for group in groups if group[0] & cameras]:
+            groups.remove(joined)
+            cameras, names = cameras | joined[0], joined[1] + names
         groups.append((cameras, names))
     return Unknowns(
         cameras=tuple(dict.fromkeys(camera for pair in pairs for camera in rig.pair_names[pair])),
@@ -195,15 +195,19 @@ def observed(
     """
     names = () if covariance is None else tuple(n for n in covariance.names if n.rpartition(".")[0] in rig.cameras)
     values, design, noises, of_calibration = [], [], [], []
-    for each in apart:
-        first, second = (effects(rig, name, each.points, asked).points_mm for name in (each.first, each.second))
-        design.append(np.einsum("ni,nip->np", each.normals, second - first))
-        one, other = (shifts(rig.pair(name), each.points, names).points_mm for name in (each.first, each.second))
-        of_calibration.append(np.einsum("ni,nip->np", each.normals, other - one))
-        values.append(each.apart_mm)
-        near = np.exp(-cdist(each.points, each.points, "sqeuclidean") / (2 * _REACH_MM**2))
-        own, shared = (np.hypot(floor, _EXPECTED_SHARE * each.expected_mm) for floor in (_CELL_MM, _COMMON_MM))
-        noises.append(np.diag(each.scatter_mm**2 + own**2) + np.outer(shared, shared) * near)
+    for comparison in apart:
+        first, second = (
+            effects(rig, name, comparison.points, asked).points_mm for name in (comparison.first, comparison.second)
+        )
+        design.append(np.einsum("ni,nip->np", comparison.normals, second - first))
+        one, other = (
+            shifts(rig.pair(name), comparison.points, names).points_mm for name in (comparison.first, comparison.second)
+        )
+        of_calibration.append(np.einsum("ni,nip->np", comparison.normals, other - one))
+        values.append(comparison.apart_mm)
+        near = np.exp(-cdist(comparison.points, comparison.points, "sqeuclidean") / (2 * _REACH_MM**2))
+        own, shared = (np.hypot(floor, _EXPECTED_SHARE * comparison.expected_mm) for floor in (_CELL_MM, _COMMON_MM))
+        noises.append(np.diag(comparison.scatter_mm**2 + own**2) + np.outer(shared, shared) * near)
     count = sum(map(len, values))
     for name, seen in rows.items():
         design.append(effects(rig, name, seen.points, asked).vertical_rad)
@@ -374,13 +378,13 @@ def most_probable(seen: Observed, asked: Unknowns) -> Found:
     rests_mm = _RESTS_MM if seen.distances.any() else _RESTS_MM[:1]  # rows alone say nothing of a rest
     reduced = [_reduced(seen, rest_mm) for rest_mm in rests_mm]
     none = np.zeros(asked.count)
-    still = max((_sized(known, none) for known in reduced), key=lambda each: each.log_evidence)
+    still = max((_sized(known, none) for known in reduced), key=lambda size: size.log_evidence)
     sizes = [asked.prior_std(*size) for size in product(np.radians(_TURNS_DEG).tolist(), _SHIFTS_MM)]
     tried = [_sized(known, std) for known, std in product(reduced, sizes)]
-    top = max(tried, key=lambda each: each.log_evidence)
-    likely = [_fit(each) for each in tried if each.log_evidence > top.log_evidence - _UNLIKELY]
+    top = max(tried, key=lambda size: size.log_evidence)
+    likely = [_fit(size) for size in tried if size.log_evidence > top.log_evidence - _UNLIKELY]
     parts = ((name, _sized(top.known, std)) for name, std in _alone(asked))
-    name, alone = max(parts, key=lambda each: each[1].log_evidence)
+    name, alone = max(parts, key=lambda named: named[1].log_evidence)
     return Found(
         still=_fit(still),
         expected=_expected(likely, _fit(top)),
@@ -390,12 +394,12 @@ def most_probable(seen: Observed, asked: Unknowns) -> Found:
 
 def _expected(likely: Sequence[Fit], top: Fit) -> Fit:
     """Mean and covariance over the likely sizes, by their evidence."""
-    weights = np.exp([each.log_evidence - top.log_evidence for each in likely])
+    weights = np.exp([fit.log_evidence - top.log_evidence for fit in likely])
     weights /= weights.sum()
-    motions = np.sum([w * each.motions for w, each in zip(weights, likely, strict=True)], axis=0)
+    motions = np.sum([w * fit.motions for w, fit in zip(weights, likely, strict=True)], axis=0)
     spread = [
-        w * (each.covariance + np.outer(each.motions - motions, each.motions - motions))
-        for w, each in zip(weights, likely, strict=True)
+        w * (fit.covariance + np.outer(fit.motions - motions, fit.motions - motions))
+        for w, fit in zip(weights, likely, strict=True)
     ]
     return replace(top, motions=np.asarray(motions), covariance=np.asarray(np.sum(spread, axis=0)))
 

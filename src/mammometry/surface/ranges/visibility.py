@@ -206,7 +206,7 @@ def common_skin(
     cosine = _cosine(theirs, other.camera.centre_world - points)
     with np.errstate(invalid="ignore"):
         alike = (np.einsum("ij,ij->i", own, theirs) > np.cos(np.radians(_ALIKE_DEG))) & (cosine > _LEAST_COSINE)
-    rows, columns, uv, points, gap, cosine = (each[alike] for each in (rows, columns, uv, points, gap, cosine))
+    rows, columns, uv, points, gap, cosine = (array[alike] for array in (rows, columns, uv, points, gap, cosine))
     sigma = np.hypot(image.sigma_mm[rows, columns], other.sigma_mm[uv[:, 1], uv[:, 0]])
     return CommonSkin(
         rows=rows,
