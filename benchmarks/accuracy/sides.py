@@ -28,7 +28,7 @@ from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.measure.boundary.boundary import Boundary, outline_torso
 from mammometry.measure.trunk.body import find_body
-from mammometry.measure.volume.lacking import lacking
+from mammometry.measure.volume.deficit import lacking
 from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.measure.volume.volumes import measure_volumes
 from mammometry.measure.wall import chest_wall

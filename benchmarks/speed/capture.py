@@ -17,7 +17,7 @@ from tests.unit.capture.virtual_capture import make_pictures, rig_file
 
 from mammometry.base.machine.cores import available_cores
 from mammometry.capture.live import LiveView
-from mammometry.capture.loop import Rigged
+from mammometry.capture.loop import OpenRig
 
 _FIRINGS, _ROUNDS = 5, 20
 
@@ -26,7 +26,7 @@ def main(folder: Path) -> None:
     """Fire, look live, and print what it took."""
     if not (folder / "calibrated").exists():
         make_pictures(folder / "calibrated", 1.0)
-    with Rigged(rig_file(folder, timeout_s=10)) as rigged, tempfile.TemporaryDirectory(dir=folder) as place:
+    with OpenRig(rig_file(folder, timeout_s=10)) as rigged, tempfile.TemporaryDirectory(dir=folder) as place:
         rigged.faults()  # reads the pictures
         fired = []
         for number in range(_FIRINGS + 1):

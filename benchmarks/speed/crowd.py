@@ -31,8 +31,8 @@ from mammometry.base.child_process import Call
 from mammometry.batch import engine
 from mammometry.batch.cluster import machines
 from mammometry.batch.engine import Ended, Engine, Task
+from mammometry.batch.entry import CORES, MEMORY
 from mammometry.batch.supervise import TOPIC
-from mammometry.batch.worker_resources import CORES, MEMORY
 
 _SESSION_MPX = 108.0  # eight photographs of 13.5 megapixels: the reference rig
 _SESSION_MB = 3000.0  # that a session of that size holds at its most, about

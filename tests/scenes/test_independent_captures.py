@@ -17,7 +17,7 @@ from mammometry.geometry.nearest import closest_on_mesh
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.trunk.body import find_body
-from mammometry.measure.volume.lacking import lacking
+from mammometry.measure.volume.deficit import lacking
 from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.measure.volume.volume import measure
 from mammometry.measure.wall import chest_wall

@@ -52,7 +52,7 @@ if TYPE_CHECKING:
     from mammometry.calibration.adjust.bundle import Calibration
     from mammometry.calibration.judge.check import RigCheck
     from mammometry.matching.dense.match import DisparityMap
-    from mammometry.measure.volume.measurement import Lacking, VolumeMeasurement
+    from mammometry.measure.volume.measurement import VolumeDeficit, VolumeMeasurement
     from mammometry.report.clinical import Clinical
     from mammometry.report.content import ReportContent
     from mammometry.report.documents.rendering import RenderedReport
@@ -241,7 +241,7 @@ class Job:
         absent = self.plan.measured.absent
         return {} if absent is None else {side.name: side.why for side in absent()}
 
-    def lacking(self) -> tuple[Lacking, ...]:
+    def lacking(self) -> tuple[VolumeDeficit, ...]:
         """What a side of a torso lacks to the mirrored other one."""
         self.ensure("measure")
         return () if self.plan.measured.lacking is None else self.plan.measured.lacking()

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 from mammometry.base.child_process import ChildProcess, Ended, NotDone
 from mammometry.base.errors import StorageError
 from mammometry.base.machine.cores import available_cores
-from mammometry.base.parse import said
+from mammometry.base.parse import error_text
 from mammometry.base.progress import Progress
 from mammometry.io.photographs.images import megapixels_of
 from mammometry.io.results.store import Reader, Store
@@ -70,7 +70,7 @@ class Previews:
             except Exception as error:  # Pillow raises anything that a damaged file makes it stumble over
                 raise StorageError(
                     f"{stage}/{name}.png",
-                    found=f"a picture that cannot be read back ({said(error)})",
+                    found=f"a picture that cannot be read back ({error_text(error)})",
                     expected="the file as it was written",
                     remedy="Remove it and run the command again: it will be made again",
                 ) from None

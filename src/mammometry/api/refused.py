@@ -12,7 +12,7 @@ from typing import Any
 
 from mammometry.base.errors import MammometryError
 from mammometry.base.identity import Identity
-from mammometry.base.parse import said
+from mammometry.base.parse import error_text
 from mammometry.io.outputs import write_outputs
 from mammometry.io.results.store import Store
 from mammometry.job.pipeline import Inputs, Plan
@@ -42,7 +42,7 @@ def show_refusal(results: Path, identity: Identity, error: MammometryError, draw
         write_outputs(results / FOLDER, {PAGE: refusal_page(identity, error, draw()).encode()}, command="run")
         error.page = results / FOLDER / PAGE
     except Exception as trouble:  # whatever hinders the page must not hide why there is no volume
-        _LOG.warning("what was seen could not be drawn: %s", said(trouble))
+        _LOG.warning("what was seen could not be drawn: %s", error_text(trouble))
 
 
 def withdraw_refusal(results: Path) -> None:

@@ -19,9 +19,9 @@ from mammometry.base.child_process import Call
 from mammometry.base.errors import BatchError
 from mammometry.batch import memory
 from mammometry.batch.cluster import Machines, other_version
+from mammometry.batch.entry import CORES, MEMORY
 from mammometry.batch.record import software
 from mammometry.batch.supervise import TOPIC, Limits, stop, stop_all, supervise
-from mammometry.batch.worker_resources import CORES, MEMORY
 
 _KIND = "mammometry"  # first word of all keys: Dask learns by it how long tasks take, and spreads them evenly
 _DEATHS = 2  # of a task, the last one alone on its worker, before it is blamed

@@ -15,8 +15,8 @@ from typing import Any
 
 from mammometry.base.child_process import Call, ChildProcess, NotDone
 from mammometry.base.value import value
+from mammometry.batch.entry import MEMORY
 from mammometry.batch.record import software
-from mammometry.batch.worker_resources import MEMORY
 
 TOPIC = "mammometry"
 """Of the events by which workers say how far their tasks are."""

@@ -9,10 +9,8 @@ import psutil
 from distributed import Status, Worker, WorkerPlugin
 from distributed.system import MEMORY_LIMIT
 
-MEMORY = "mammometry_mb"
-"""Resource of a worker: memory that its tasks may take together, MB."""
-CORES = "mammometry_cores"
-"""Resource of a worker: cores that its tasks may take together."""
+from mammometry.batch.entry import CORES, MEMORY
+
 _SHARE = 0.85
 """Share of a machine's memory for the tasks. The rest is for the system and the disk."""
 _MIB = 1 << 20  # bytes in a MiB

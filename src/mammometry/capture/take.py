@@ -37,7 +37,7 @@ class Delivered:
 
 
 @value(eq=False)
-class Taken:
+class Firing:
     """One firing."""
 
     fired_s: float
@@ -50,7 +50,7 @@ class Taken:
     """From the pulse until all were on the disk and looked at."""
 
 
-def take(backend: Backend, cameras: tuple[str, ...], shot: Shot, *, timeout_s: float, features: bool = True) -> Taken:
+def take(backend: Backend, cameras: tuple[str, ...], shot: Shot, *, timeout_s: float, features: bool = True) -> Firing:
     """Arm, fire and fetch all cameras.
 
     One camera's failure, or the disk's, is its own fault: the others' pictures are written.
@@ -78,7 +78,7 @@ def take(backend: Backend, cameras: tuple[str, ...], shot: Shot, *, timeout_s: f
     # Waiting for a slow camera holds a thread, and must hold nobody else up.
     with ThreadPoolExecutor(max(1, len(cameras))) as pool:
         got = dict(zip(cameras, pool.map(one, cameras), strict=True))
-    return Taken(
+    return Firing(
         fired_s=fired_s,
         frames={name: outcome for name, outcome in got.items() if isinstance(outcome, Delivered)},
         faults={name: outcome for name, outcome in got.items() if isinstance(outcome, MammometryError)},

@@ -19,7 +19,7 @@ from mammometry.capture.checks import cameras, pixels
 from mammometry.capture.checks.cameras import KnownCamera
 from mammometry.capture.checks.found import Found, refuses
 from mammometry.capture.skew.measured import Skew
-from mammometry.capture.take import Taken
+from mammometry.capture.take import Firing
 from mammometry.geometry.camera import Rig
 
 _OLD_S = 2.0  # before the pulse: clocks that are shared differ by far less
@@ -89,7 +89,7 @@ class Expected:
     skew_limit_ms: float = 1.0
 
 
-def judge(taken: Taken, expected: Expected) -> Verdict:
+def judge(taken: Firing, expected: Expected) -> Verdict:
     """Say whether a firing may be measured, and what is wrong.
 
     Args:
@@ -113,7 +113,7 @@ def judge(taken: Taken, expected: Expected) -> Verdict:
     return Verdict(found=tuple(found), seconds=taken.seconds + time.monotonic() - begun)
 
 
-def _delivered(taken: Taken, expected: Expected) -> Iterator[tuple[str, Found]]:
+def _delivered(taken: Firing, expected: Expected) -> Iterator[tuple[str, Found]]:
     for name in expected.cameras:
         fault = taken.faults.get(name)
         if fault is not None:
@@ -125,7 +125,7 @@ def _delivered(taken: Taken, expected: Expected) -> Iterator[tuple[str, Found]]:
     )
 
 
-def _sizes(taken: Taken, expected: Expected) -> Iterator[tuple[str, Found]]:
+def _sizes(taken: Firing, expected: Expected) -> Iterator[tuple[str, Found]]:
     known = {} if expected.rig is None else {
         name: KnownCamera(stored_wh=camera.size_wh) for name, camera in expected.rig.cameras.items()
     }  # fmt: skip
@@ -133,7 +133,7 @@ def _sizes(taken: Taken, expected: Expected) -> Iterator[tuple[str, Found]]:
         yield name, cameras.right_size(name, frame.size_wh, 1, known)
 
 
-def _serials(taken: Taken, expected: Expected) -> Iterator[tuple[str, Found]]:
+def _serials(taken: Firing, expected: Expected) -> Iterator[tuple[str, Found]]:
     wanted = expected.serials or {}
     for name, frame in taken.frames.items():
         if not frame.serial or name not in wanted:
@@ -149,7 +149,7 @@ def _serials(taken: Taken, expected: Expected) -> Iterator[tuple[str, Found]]:
         )
 
 
-def _fresh(taken: Taken, expected: Expected) -> Iterator[tuple[str, Found]]:
+def _fresh(taken: Firing, expected: Expected) -> Iterator[tuple[str, Found]]:
     """Whether each picture is of this firing."""
     before = (expected.before or {}).get("cameras", {})
     counts = {name: frame.number for name, frame in taken.frames.items() if frame.number is not None}
@@ -172,7 +172,7 @@ def _fresh(taken: Taken, expected: Expected) -> Iterator[tuple[str, Found]]:
             yield name, Found(check="fresh", level="ok", sentence="Of this firing.")
 
 
-def _together(taken: Taken, expected: Expected) -> Found:
+def _together(taken: Firing, expected: Expected) -> Found:
     times = {name: frame.taken_s for name, frame in taken.frames.items() if frame.taken_s is not None}
     clocks = {frame.clock for frame in taken.frames.values()}
     if len(times) < 2 or clocks - {"ptp", "exif"}:
@@ -217,7 +217,7 @@ def _skew(expected: Expected) -> Found:
     return Found(check="skew", level="ok", sentence=f"{sentence}.")
 
 
-def _names_and_stillness(taken: Taken, expected: Expected) -> Iterator[tuple[str, Found]]:
+def _names_and_stillness(taken: Firing, expected: Expected) -> Iterator[tuple[str, Found]]:
     if expected.rig is None:
         yield "", Found(check="names", level="unknown", sentence="Names are not compared: the rig is not calibrated.")
         return

@@ -53,13 +53,13 @@ def capture(
     The pictures become SESSION/capture if nothing speaks against it. All firings are kept in SESSION/shots. The exit
     code is 12 if a camera failed or the pictures are refused.
     """
-    from mammometry.capture.loop import Rigged
+    from mammometry.capture.loop import OpenRig
 
     if page:
         return _on_a_page(session, rig, backend, subject_id, browser=browser, posing=pose)
     if pose:
         return _pose(session, rig, backend, options.silent)
-    with Bars(options.silent) as bars, bars.task("open", "cameras"), Rigged(rig, backend=backend) as rigged:
+    with Bars(options.silent) as bars, bars.task("open", "cameras"), OpenRig(rig, backend=backend) as rigged:
         faults = rigged.faults()
         fired = rigged.fire_into(session, subject_id=subject_id)
     table: dict[str, Any] = {
@@ -79,9 +79,9 @@ def capture(
 
 
 def _pose(session: Path, rig: Path, backend: str | None, silent: bool) -> Answer:
-    from mammometry.capture.loop import Rigged
+    from mammometry.capture.loop import OpenRig
 
-    with Bars(silent) as bars, bars.task("open", "cameras"), Rigged(rig, backend=backend) as rigged:
+    with Bars(silent) as bars, bars.task("open", "cameras"), OpenRig(rig, backend=backend) as rigged:
         posed = rigged.fire_pose(session)
     lines: list[Any] = [f"Pose {posed.pose} is taken, {posed.count} in all."]
     table: dict[str, Any] = {"session": str(session), "pose": posed.pose, "poses": posed.count, "next": posed.sentence}
@@ -104,7 +104,7 @@ def _on_a_page(
     from mammometry.base.extras import WEB, require
 
     require("edit", *WEB)
-    from mammometry.capture.loop import Rigged
+    from mammometry.capture.loop import OpenRig
     from mammometry.capture.page import Goal, serve
 
     def ready(address: str, local_page: str) -> None:
@@ -113,7 +113,7 @@ def _on_a_page(
         if browser:
             webbrowser.open(local_page)
 
-    with Rigged(rig, backend=backend) as rigged, suppress(KeyboardInterrupt):  # the way to stop it
+    with OpenRig(rig, backend=backend) as rigged, suppress(KeyboardInterrupt):  # the way to stop it
         serve(rigged, Goal(session=session, subject_id=subject_id, posing=posing), ready=ready)
     made = session / ("calibration" if posing else "capture")
     taken = made.is_dir() and any(made.iterdir())
@@ -133,9 +133,9 @@ def skew(
 
     Writes SESSION/skew.json. Captures with this calibration then know it. The exit code is 12 above the rig's limit.
     """
-    from mammometry.capture.loop import Rigged
+    from mammometry.capture.loop import OpenRig
 
-    with Bars(options.silent) as bars, bars.task("open", "cameras"), Rigged(rig, backend=backend) as rigged:
+    with Bars(options.silent) as bars, bars.task("open", "cameras"), OpenRig(rig, backend=backend) as rigged:
         measured = rigged.measure_skew(session, firings=firings)
         limit_ms = rigged.file.capture.skew_limit_ms
     good = measured.spread_ms <= limit_ms

@@ -198,8 +198,8 @@ def backup(options: JsonOptions, folder: Folder, to: Target = None) -> Answer:
     The clinic may be in use. Without --to the file goes to the clinic's backups, of which the newest are kept.
     """
     config = opened(folder)
-    from mammometry.clinic.keep.backup import make_backup
-    from mammometry.clinic.keep.backups import make_kept_backup
+    from mammometry.clinic.maintenance.backup import make_backup
+    from mammometry.clinic.maintenance.backups import make_kept_backup
     from mammometry.clinic.web.server import require_current
 
     require_current(config)
@@ -214,7 +214,7 @@ def check_restore(options: JsonOptions, folder: Folder) -> Answer:
     It needs as much free space as the backup has. The clinic may be in use.
     """
     from mammometry.clinic.config import read_config
-    from mammometry.clinic.keep import restore_test
+    from mammometry.clinic.maintenance import restore_test
 
     made = restore_test.run_restore_test(read_config(folder))
     table = {"backup": made.backup, "rows": made.rows, "files": made.files, "seconds": round(made.seconds, 1)}
@@ -231,7 +231,7 @@ def restore(
     ] = None,
 ) -> Answer:
     """Make a clinic out of a backup. In a new folder, with an empty database."""
-    from mammometry.clinic.keep.restore import fill, unpack
+    from mammometry.clinic.maintenance.restore import fill, unpack
 
     config, manifest = unpack(archive, folder, database)
     opened(config.folder)
@@ -244,7 +244,7 @@ def restore(
 def export(options: JsonOptions, folder: Folder, patient: Who, to: Target = None) -> Answer:
     """Write all that is kept of one patient into a ZIP."""
     config = opened(folder)
-    from mammometry.clinic.keep.patient import export_patient, find_patient
+    from mammometry.clinic.maintenance.patient import export_patient, find_patient
 
     found = find_patient(patient)
     target = to or Path(f"{found.pseudonym}.zip")
@@ -265,7 +265,7 @@ def erase(
     The audit keeps the pseudonym. Backups made before still hold the patient.
     """
     config = opened(folder)
-    from mammometry.clinic.keep.patient import erase_bin, erase_patient, find_patient
+    from mammometry.clinic.maintenance.patient import erase_bin, erase_patient, find_patient
     from mammometry.clinic.models import Visit
 
     found = find_patient(patient)

@@ -13,7 +13,7 @@ from mammometry.cli.common import Answer, Bars, Options, SessionFolder, command
 from mammometry.cli.stages import opened
 
 if TYPE_CHECKING:
-    from mammometry.editor.desk import Drawable
+    from mammometry.editor.session import Drawable
 
 app = typer.Typer()
 

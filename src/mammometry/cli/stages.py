@@ -128,7 +128,7 @@ def surface(options: Options, session: SessionFolder) -> Answer:
         "faces": len(mesh.faces),
         "watertight": mesh.is_watertight(),
         "euler_number": mesh.euler_number(),
-        "apart_mm": [round(value, 4) for value in stillness.apart_mm],
+        "apart_mm": [round(value, 4) for value in stillness.distance_mm],
         "moved": stillness.moved,
         "warnings": list(concerns(stillness)),
     }

@@ -23,7 +23,7 @@ if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a pla
     from mammometry.measure.shape.anthropometry import Dimensions
     from mammometry.measure.shape.symmetry import Symmetry
     from mammometry.measure.trunk.body import Body
-    from mammometry.measure.volume.measurement import Lacking, VolumeMeasurement
+    from mammometry.measure.volume.measurement import VolumeDeficit, VolumeMeasurement
     from mammometry.measure.volume.uncertainty import Evidence
     from mammometry.surface.motion.motion_test import Stillness
     from mammometry.surface.ranges.dents import ValidPatches
@@ -67,7 +67,7 @@ class Measured(Products):
     """Sides of a torso not measured: without a breast, unclear or refused. None for a cast."""
     body: Product[Body] | None = None
     """A torso's own axes (left, up, ahead) and mid-sagittal plane. None for a cast."""
-    lacking: Product[tuple[Lacking, ...]] | None = None
+    lacking: Product[tuple[VolumeDeficit, ...]] | None = None
     """What one side of a torso lacks to the mirrored other one."""
     landmarks: Product[tuple[Landmark, ...]] | None = None
     """Picked landmarks and proposed nipples."""
@@ -388,13 +388,13 @@ def _lacking(
     body: Product[Body],
     settings: MeasureSettings,
     memo: Memo,
-) -> Product[tuple[Lacking, ...]]:
+) -> Product[tuple[VolumeDeficit, ...]]:
     """What the smaller side of a torso lacks to the mirrored larger."""
 
     def compare(
         repaired: RepairedSurface, measurements: tuple[VolumeMeasurement, ...], body: Body, *, progress: Progress
-    ) -> tuple[Lacking, ...]:
-        from mammometry.measure.volume.lacking import lacking
+    ) -> tuple[VolumeDeficit, ...]:
+        from mammometry.measure.volume.deficit import lacking
 
         try:
             found = lacking(repaired, measurements, body, settings)

@@ -42,7 +42,7 @@ if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a pla
     from mammometry.surface.fusion.fuse import Solid
     from mammometry.surface.motion.agreement import RowErrors
     from mammometry.surface.motion.motion_test import Stillness
-    from mammometry.surface.occlusion.occlusion import Blocked
+    from mammometry.surface.occlusion.occlusion import Occlusion
     from mammometry.surface.ranges.dents import Kept, ValidPatches
     from mammometry.surface.ranges.range_image import RangeImage
     from mammometry.surface.repair.repair import RepairedSurface
@@ -266,7 +266,7 @@ class Surfaced(Products):
     """Which range data survived the removal of dents."""
     valid: Product[ValidPatches]
     """Those data: made from the range images when wanted, never stored."""
-    blocked: Product[Mapping[str, Blocked]]
+    blocked: Product[Mapping[str, Occlusion]]
     """Camera → places with something in front of the subject, for cameras that have such places."""
     first: Product[TriangleMesh]
     repaired: Product[RepairedSurface]
@@ -297,18 +297,18 @@ def surface(
             settings=settings.triangulate,
         ).letting_go(disparity)
 
-    def find_blocked(
+    def find_occlusions(
         cameras: CameraSet, valid: ValidPatches, foregrounds: Mapping[str, Foreground], *, progress: Progress
-    ) -> Mapping[str, Blocked]:
+    ) -> Mapping[str, Occlusion]:
         from mammometry.surface.occlusion import occlusion as occluders
 
-        return occluders.find_blocked(valid.range_images, foregrounds, cameras.rig)
+        return occluders.find_occlusions(valid.range_images, foregrounds, cameras.rig)
 
     def enclose(
         cameras: CameraSet,
         valid: ValidPatches,
         foregrounds: Mapping[str, Foreground],
-        blocked: Mapping[str, Blocked],
+        blocked: Mapping[str, Occlusion],
         *,
         progress: Progress,
     ) -> Solid | None:
@@ -317,7 +317,7 @@ def surface(
 
         if inputs.subject_kind == "surface":
             return None
-        opened = occluders.unblocked(foregrounds, blocked)
+        opened = occluders.without_occluded(foregrounds, blocked)
         return extract.solid_of(valid.range_images, opened, cameras.rig, extraction)
 
     def build(valid: ValidPatches, solid: Solid | None, *, progress: Progress) -> TriangleMesh:
@@ -353,7 +353,7 @@ def surface(
     given = {"subject": inputs.digests["subject"]}
     kept, valid = kept_data(inputs, calibrated.cameras, stillness, ranges, matched.subjects, settings, memo)
     seen: dict[str, Parent] = {"cameras": cameras, "valid": valid, "foregrounds": matched.foregrounds}
-    blocked: Product[Mapping[str, Blocked]] = Product(memo, "surface", "blocked", find_blocked, parents=seen)
+    blocked: Product[Mapping[str, Occlusion]] = Product(memo, "surface", "blocked", find_occlusions, parents=seen)
     solid: Product[Solid | None] = Product(
         None, "surface", "solid", enclose, parents={**seen, "blocked": blocked}
     ).letting_go(*matched.foregrounds.values())

@@ -4,7 +4,8 @@ import dask
 import pytest
 from distributed import Client, LocalCluster
 
-from mammometry.batch.worker_resources import CORES, MEMORY, WorkerResources, memory_mb
+from mammometry.batch.entry import CORES, MEMORY
+from mammometry.batch.worker_resources import WorkerResources, memory_mb
 
 
 @pytest.mark.slow

@@ -10,17 +10,17 @@ import pytest
 from tests.unit.capture.virtual_capture import rig_file
 
 from mammometry.base.errors import SessionError
-from mammometry.capture.loop import Rigged
+from mammometry.capture.loop import OpenRig
 from mammometry.capture.page import Goal, capture_app, serve
-from mammometry.capture.stand import Stand, told
-from mammometry.editor.door import Door
+from mammometry.capture.page_service import Stand, told
+from mammometry.editor.auth import Door
 
 CHROMIUM = shutil.which("chromium")
 
 
 @pytest.fixture
 def page(place):
-    with Rigged(rig_file(place, faults='left_left = "unplugged"')) as rigged:
+    with OpenRig(rig_file(place, faults='left_left = "unplugged"')) as rigged:
         stand = Stand(rigged)
         yield stand
         stand.close()
@@ -84,7 +84,7 @@ def test_a_technician_aims_and_fires_in_the_browser(place, monkeypatch):
     addresses = []
 
     def run():
-        with Rigged(rig_file(place)) as rigged:
+        with OpenRig(rig_file(place)) as rigged:
             serve(rigged, Goal(session=place / "s"), ready=lambda address, local: addresses.append(address))
 
     thread = threading.Thread(target=run)

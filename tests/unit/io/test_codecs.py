@@ -5,6 +5,7 @@ import importlib
 import json
 import zipfile
 import zlib
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -24,7 +25,7 @@ from mammometry.io.results.codecs import decode, encode
 from mammometry.io.results.formats.arrays import write_arrays
 from mammometry.io.results.formats.deflate import deflated, inflated
 from mammometry.io.results.formats.rasters import read_raster, write_raster
-from mammometry.io.results.tree import STORED_TYPES, from_tree, to_tree
+from mammometry.io.results.tree import STORED_FIELDS, STORED_TYPES, from_tree, to_tree
 from mammometry.job.pipeline import CameraSet, FinishedSurface
 from mammometry.matching.dense.match import DisparityMap
 from mammometry.measure.boundary.boundary import Boundary
@@ -250,6 +251,16 @@ def test_each_label_names_a_type_of_ours(label: str) -> None:
     kind = getattr(importlib.import_module(module), name)
     assert dataclasses.is_dataclass(kind)
     assert kind.__module__ == module, "a type is named where it is defined"
+
+
+@pytest.mark.parametrize(("label", "first_names"), STORED_FIELDS.items())
+def test_a_renamed_field_keeps_its_first_name_on_disk(label: str, first_names: Mapping[str, str]) -> None:
+    module, _, name = STORED_TYPES[label].partition(":")
+    names = {field.name for field in dataclasses.fields(getattr(importlib.import_module(module), name))}
+    assert set(first_names) <= names
+    assert names.isdisjoint(first_names.values())
+    tree = {"$value": label, **dict.fromkeys((*(names - set(first_names)), *first_names.values()), 1.0)}
+    assert to_tree(from_tree(tree, {}), {}) == tree
 
 
 def test_what_is_deflated_is_read_by_everybody(tmp_path: Path) -> None:

@@ -19,7 +19,7 @@ from mammometry.measure.settings import BreastSettings
 from mammometry.measure.trunk.body import Body, Mounting, find_body, lies_across, rig_frame
 from mammometry.measure.trunk.skin_map import PIXEL_MM, Relief
 from mammometry.measure.trunk.thorax import Trunk, seen_skin
-from mammometry.measure.volume.lacking import lacking
+from mammometry.measure.volume.deficit import lacking
 from mammometry.measure.volume.volumes import measure_volumes
 from mammometry.measure.wall.open_breast import open_breasts
 from mammometry.surface.repair.repair import RepairedSurface

@@ -30,7 +30,7 @@ def run_here(config: ClinicConfig) -> None:
     configure(config)
     from mammometry.clinic.deliveries import Deliverer
     from mammometry.clinic.jobs.runner import Runner
-    from mammometry.clinic.keep.backups import DailyBackup
+    from mammometry.clinic.maintenance.backups import DailyBackup
 
     Deliverer(config).start()
     DailyBackup(config).start()

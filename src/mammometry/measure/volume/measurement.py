@@ -84,7 +84,7 @@ class VolumeMeasurement:
 
 
 @value(eq=False)
-class Lacking:
+class VolumeDeficit:
     """What one side lacks to the mirrored other one."""
 
     name: Literal["left", "right"]

@@ -11,7 +11,7 @@ from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.shape.anthropometry import Dimensions
 from mammometry.measure.shape.symmetry import Symmetry
 from mammometry.measure.volume.difference import difference
-from mammometry.measure.volume.measurement import Lacking, VolumeMeasurement
+from mammometry.measure.volume.measurement import VolumeDeficit, VolumeMeasurement
 from mammometry.report.content import Fact, LargeNumber, sentence
 from mammometry.report.figures.drawing.sides import NAMES
 from mammometry.report.words.change_words import verdict_words
@@ -25,7 +25,7 @@ def comparison(
     settings: MeasureSettings = MeasureSettings(),
     *,
     absent: Sequence[NoBreast] = (),
-    lacking: Sequence[Lacking] = (),
+    lacking: Sequence[VolumeDeficit] = (),
 ) -> tuple[Fact, ...]:
     """Compare left and right: difference, ratio and deficit, each with its interval."""
     sides = {measured.name: measured for measured in measurements}
@@ -94,7 +94,7 @@ def planning_lengths(dimensions: Dimensions | None, landmarks: Sequence[Landmark
     return table, " ".join(note)
 
 
-def _lacks(found: Lacking) -> Fact:
+def _lacks(found: VolumeDeficit) -> Fact:
     """What a side lacks, in words."""
     volume = "nothing" if found.volume_cc < 0 else volume_words(found.volume_cc, found.interval_cc)
     interval = "" if found.interval_cc is None else f", {interval_words(found.interval_cc)}"

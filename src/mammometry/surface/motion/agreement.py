@@ -45,7 +45,7 @@ class Differences:
     """World frame, mm."""
     normals: Float64[Array, "n 3"]
     """Outward, world frame."""
-    apart_mm: Float64[Array, " n"]
+    distance_mm: Float64[Array, " n"]
     """Distance of the first surface in front of the second, along the normal."""
     scatter_mm: Float64[Array, " n"]
     """Standard deviation of that median from the scatter within the cell, data taken as independent."""
@@ -108,8 +108,8 @@ def _thinned(image: RangeImage) -> RangeImage:
 def _well_seen(
     common: CommonSkin, sign: float, other_skin_mm: float
 ) -> tuple[Float64[Array, "n 3"], Float64[Array, "n 3"], Float64[Array, " n"], Float64[Array, " n"]]:
-    well = (common.own_cosine > _LEAST_COSINE) & (np.abs(common.apart_mm) < other_skin_mm)
-    return common.points[well], common.normals[well], sign * common.apart_mm[well], common.sigma_mm[well]
+    well = (common.own_cosine > _LEAST_COSINE) & (np.abs(common.distance_mm) < other_skin_mm)
+    return common.points[well], common.normals[well], sign * common.distance_mm[well], common.sigma_mm[well]
 
 
 def _cells(points: Float64[Array, "n 3"]) -> list[Int64[Array, " k"]]:
@@ -135,7 +135,7 @@ def _in_cells(
         second=second,
         points=np.array([points[cell].mean(axis=0) for cell in cells]),
         normals=mean / np.linalg.norm(mean, axis=1, keepdims=True),
-        apart_mm=np.array([np.median(apart[cell]) for cell in cells]),
+        distance_mm=np.array([np.median(apart[cell]) for cell in cells]),
         scatter_mm=np.array([_MEDIAN_FACTOR * apart[cell].std() / np.sqrt(len(cell)) for cell in cells]),
         expected_mm=np.array([np.median(sigma[cell]) for cell in cells]),
     )

@@ -43,7 +43,7 @@ _WIDENING = 1.25  # of the widest blocked place: gaps as wide as what blocks the
 
 
 @value(eq=False)
-class Blocked:
+class Occlusion:
     """Where one camera's view of the subject is blocked."""
 
     camera: str
@@ -59,9 +59,9 @@ class Blocked:
         return whole[: shape_hw[0], : shape_hw[1]]
 
 
-def find_blocked(
+def find_occlusions(
     range_images: Sequence[RangeImage], foregrounds: Mapping[str, Foreground], rig: Rig
-) -> dict[str, Blocked]:
+) -> dict[str, Occlusion]:
     """Find the places where cameras see something before the subject.
 
     A datum counts if, of the cameras of other pairs that have it in their picture, at least one sees it on the subject,
@@ -114,11 +114,11 @@ def find_blocked(
         if blocks[name].any():
             count = np.count_nonzero(blocks[name])
             share = count / (count + np.count_nonzero(view.subject))
-            found[name] = Blocked(camera=name, blocks=blocks[name], step=view.step, share=float(share))
+            found[name] = Occlusion(camera=name, blocks=blocks[name], step=view.step, share=float(share))
     return found
 
 
-def unblocked(foregrounds: Mapping[str, Foreground], blocked: Mapping[str, Blocked]) -> dict[str, Foreground]:
+def without_occluded(foregrounds: Mapping[str, Foreground], blocked: Mapping[str, Occlusion]) -> dict[str, Foreground]:
     """Silhouettes that carve nothing where the view is blocked. The others as they are."""
     opened = {}
     for name, foreground in foregrounds.items():

@@ -14,7 +14,7 @@ import numpy as np
 
 from mammometry.base.errors import MammometryError
 from mammometry.base.machine.cores import each_at_once
-from mammometry.base.parse import said
+from mammometry.base.parse import error_text
 from mammometry.io.results.formats.deflate import deflated, inflated
 from mammometry.io.results.formats.registry import FORMATS, Format
 from mammometry.io.results.tree import from_tree, to_tree
@@ -128,7 +128,7 @@ def read_raster(path: Path) -> Any:
     except (MammometryError, OSError, MemoryError):
         raise
     except Exception as error:  # of a damaged file tifffile raises anything
-        raise ValueError(said(error)) from None
+        raise ValueError(error_text(error)) from None
 
 
 def _page(tiff: Any, index: int) -> np.ndarray[Any, Any]:

@@ -14,7 +14,7 @@ from django.core.cache import cache
 from django.db import connection
 
 from mammometry.clinic.config import KEY_FILE, ClinicConfig
-from mammometry.clinic.keep.backups import backup_files
+from mammometry.clinic.maintenance.backups import backup_files
 
 RATE_DAYS = 30
 """Days over which the rate is taken; fewer for a younger clinic."""

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from mammometry.clinic.config import FILE, FOLDERS, ClinicConfig, ClinicError, quoted, read_config, write_private
-from mammometry.clinic.keep.format import DATABASE, FORMAT, MANIFEST
+from mammometry.clinic.maintenance.format import DATABASE, FORMAT, MANIFEST
 
 _CHUNK = 1 << 20  # bytes
 
@@ -90,7 +90,7 @@ def load(config: ClinicConfig, manifest: dict[str, Any]) -> None:
     """
     from django.core.management import call_command
 
-    from mammometry.clinic.keep.backup import known_migrations
+    from mammometry.clinic.maintenance.backup import known_migrations
     from mammometry.clinic.models import Person
     from mammometry.clinic.web.server import migrate
 

@@ -20,7 +20,7 @@ from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.trunk.body import Body
 from mammometry.measure.trunk.mirror_plane import MirrorPlane
 from mammometry.measure.trunk.thorax import Trunk
-from mammometry.measure.volume.measurement import Lacking, VolumeMeasurement
+from mammometry.measure.volume.measurement import VolumeDeficit, VolumeMeasurement
 from mammometry.measure.volume.uncertainty import AXIS, WALL
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.open_breast import open_breasts
@@ -38,7 +38,7 @@ def lacking(
     measurements: Sequence[VolumeMeasurement],
     body: Body,
     settings: MeasureSettings = MeasureSettings(),
-) -> Lacking | None:
+) -> VolumeDeficit | None:
     """Measure what the smaller side lacks.
 
     None if no breast was measured, or if the trunk shows no plane. With W the fuller breast's wall, V its volume, and
@@ -84,7 +84,7 @@ def lacking(
     volume_cc = fuller.volume_cc - own.closed.volume_mm3() / 1000 - gap_cc
     terms = _terms(fuller, plane, apart_mm, settings) if fuller.interval_cc is not None else {}
     half = float(np.sqrt(sum(term**2 for term in terms.values())))
-    return Lacking(
+    return VolumeDeficit(
         name=name,
         volume_cc=volume_cc,
         interval_cc=(volume_cc - half, volume_cc + half) if terms else None,

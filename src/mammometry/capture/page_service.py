@@ -11,7 +11,7 @@ from typing import Any
 from mammometry.base.errors import SessionError
 from mammometry.calibration.targets.table import target_from_table
 from mammometry.capture.live import Aids, LiveView
-from mammometry.capture.loop import Fired, Posed, Rigged
+from mammometry.capture.loop import CaptureResult, OpenRig, PoseResult
 
 
 class Stand:
@@ -20,7 +20,7 @@ class Stand:
     A firing waits for a live picture, and the other way round.
     """
 
-    def __init__(self, rigged: Rigged) -> None:
+    def __init__(self, rigged: OpenRig) -> None:
         self.rigged = rigged
         table = rigged.file.target
         self._target = None if table is None else target_from_table(table)
@@ -58,7 +58,7 @@ class Stand:
             seen = self._live.look(calibrating=_asked(body, "calibrating"), subject_kind=subject_kind)
         return {"cameras": {name: _shown(aids) for name, aids in seen.items()}, "wanted": dict(self._live.wanted())}
 
-    def fire(self, session: Path, *, subject_id: str | None = None) -> Fired:
+    def fire(self, session: Path, *, subject_id: str | None = None) -> CaptureResult:
         """One firing, written and judged: `Rigged.fire_into`."""
         with self._one:
             return self.rigged.fire_into(session, subject_id=subject_id)
@@ -78,7 +78,7 @@ class Stand:
         self.rigged.close()
 
 
-def told(fired: Fired, then: str) -> dict[str, Any]:
+def told(fired: CaptureResult, then: str) -> dict[str, Any]:
     """A firing, for the page.
 
     Args:
@@ -94,7 +94,7 @@ def told(fired: Fired, then: str) -> dict[str, Any]:
     }
 
 
-def _guidance(posed: Posed) -> dict[str, Any]:
+def _guidance(posed: PoseResult) -> dict[str, Any]:
     found = posed.suggestion
     outlines = {} if found is None else {name: outline.round(4).tolist() for name, outline in found.outlines.items()}
     return {"next": posed.sentence, "outlines": outlines}

@@ -112,7 +112,7 @@ def make_kept_backup(config: ClinicConfig) -> Path:
     Raises:
         ClinicError: one is being made, the disk is too full, or the backup cannot be written.
     """
-    from mammometry.clinic.keep.backup import make_backup
+    from mammometry.clinic.maintenance.backup import make_backup
 
     with exclusive(config):
         try:

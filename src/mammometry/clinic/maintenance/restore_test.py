@@ -17,9 +17,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from mammometry.clinic.config import ClinicConfig, ClinicError
-from mammometry.clinic.keep import backups
-from mammometry.clinic.keep.format import DATABASE
-from mammometry.clinic.keep.restore import load, unpack
+from mammometry.clinic.maintenance import backups
+from mammometry.clinic.maintenance.format import DATABASE
+from mammometry.clinic.maintenance.restore import load, unpack
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -87,7 +87,7 @@ def _rows_now(scratch: Path) -> dict[str, tuple[int, str]]:
     """Digests of the rows that the restored database gives back."""
     from django.db import connections
 
-    from mammometry.clinic.keep.backup import write_database
+    from mammometry.clinic.maintenance.backup import write_database
 
     with (scratch / DATABASE).open("w+b") as file:
         write_database(file)

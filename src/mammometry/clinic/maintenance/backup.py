@@ -26,7 +26,7 @@ from django.db.migrations.loader import MigrationLoader
 from django.db.models import Model
 
 from mammometry.clinic.config import FILE, KEY_FILE, OPENID_SECRET_FILE, ClinicConfig, ClinicError
-from mammometry.clinic.keep.format import DATABASE, FORMAT, MANIFEST
+from mammometry.clinic.maintenance.format import DATABASE, FORMAT, MANIFEST
 
 SMALL_FILES = (FILE, KEY_FILE, OPENID_SECRET_FILE)
 KEPT_FOLDERS = ("sessions", "rigs", "uploads")
