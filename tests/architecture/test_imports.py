@@ -14,6 +14,7 @@ PACKAGE = "src/mammometry"
 CV2_MAY = (
     "calibration/features/*.py",
     "calibration/targets/*.py",
+    "calibration/targets/*/*.py",
     "calibration/detection/*.py",
     "calibration/adjust/initialise.py",
     "matching/rectify.py",

@@ -376,7 +376,7 @@ def _wait_for_calibration(rig: Rig) -> None:
 
 def render(folder: Path, subject: str, other: str, poses: int, progress: Progress) -> Path:
     """Photographs of the target or of a subject, by one rig."""
-    from mammometry.calibration.targets.charuco import CharucoTarget
+    from mammometry.calibration.targets.kinds.charuco import CharucoTarget
     from mammometry.simulate.recipe import SessionRecipe
     from mammometry.simulate.session import write_session
     from mammometry.simulate.situation import parse_situation

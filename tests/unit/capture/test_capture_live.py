@@ -6,7 +6,7 @@ from scipy import ndimage
 from tests.unit.capture.virtual_capture import ball, rig_file
 
 from mammometry.base.photograph import Photograph
-from mammometry.calibration.targets.charuco import CharucoTarget
+from mammometry.calibration.targets.kinds.charuco import CharucoTarget
 from mammometry.capture.live import REGIONS, LiveView, aids
 from mammometry.capture.loop import OpenRig
 from mammometry.simulate.rendering.develop import develop

@@ -17,7 +17,7 @@ from PIL import Image
 
 from mammometry.base.errors import StorageError
 from mammometry.calibration.detection.detect import Detection, MissedView, Observations
-from mammometry.calibration.targets.charuco import CharucoTarget
+from mammometry.calibration.targets.kinds.charuco import CharucoTarget
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform

@@ -29,11 +29,11 @@ STORED_TYPES: Mapping[str, str] = MappingProxyType(
         "calibration.detect:MissedView": "mammometry.calibration.detection.detect:MissedView",
         "calibration.detect:Observations": "mammometry.calibration.detection.detect:Observations",
         "calibration.left_out:LeftOut": "mammometry.calibration.adjust.left_out:LeftOut",
-        "calibration.target:CharucoTarget": "mammometry.calibration.targets.charuco:CharucoTarget",
-        "calibration.target:ChessboardTarget": "mammometry.calibration.targets.chessboard:ChessboardTarget",
-        "calibration.target:CirclesTarget": "mammometry.calibration.targets.circles:CirclesTarget",
-        "calibration.target:DottedCylinderTarget": "mammometry.calibration.targets.cylinder:DottedCylinderTarget",
-        "calibration.target:PointsTarget": "mammometry.calibration.targets.points:PointsTarget",
+        "calibration.target:CharucoTarget": "mammometry.calibration.targets.kinds.charuco:CharucoTarget",
+        "calibration.target:ChessboardTarget": "mammometry.calibration.targets.kinds.chessboard:ChessboardTarget",
+        "calibration.target:CirclesTarget": "mammometry.calibration.targets.kinds.circles:CirclesTarget",
+        "calibration.target:DottedCylinderTarget": "mammometry.calibration.targets.kinds.cylinder:DottedCylinderTarget",
+        "calibration.target:PointsTarget": "mammometry.calibration.targets.kinds.points:PointsTarget",
         "geometry.camera:Camera": "mammometry.geometry.camera:Camera",
         "geometry.camera:Rig": "mammometry.geometry.camera:Rig",
         "geometry.mesh:TriangleMesh": "mammometry.geometry.mesh:TriangleMesh",
@@ -131,8 +131,8 @@ def from_tree(tree: Any, arrays: Mapping[str, np.ndarray[Any, Any]]) -> Any:
             return {from_tree(key, arrays): from_tree(item, arrays) for key, item in tree["$map"]}
         if "$enum" in tree:
             return _type(tree["$enum"])(tree["value"])
-        now = {first: name for name, first in STORED_FIELDS.get(tree["$value"], {}).items()}
-        members = {now.get(name, name): from_tree(item, arrays) for name, item in tree.items() if name != "$value"}
+        now = {first: name for name, first in STORED_FIELDS.get(str(tree["$value"]), {}).items()}
+        members = {now.get(name, str(name)): from_tree(item, arrays) for name, item in tree.items() if name != "$value"}
         return _type(tree["$value"])(**members)
     except (KeyError, TypeError, ValueError, AttributeError, ImportError) as error:
         raise StorageError(

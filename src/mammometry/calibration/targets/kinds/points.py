@@ -56,7 +56,7 @@ class PointsTarget(Target):
         self, photograph: Photograph, *, search_width_px: int, window_squares: float
     ) -> FoundPoints | Cause | None:
         """Find the dots by their constellation. See `find_points`."""
-        from mammometry.calibration.targets.find_points import find_points
+        from mammometry.calibration.targets.finders.find_points import find_points
 
         return find_points(photograph, self, search_width_px=search_width_px)
 

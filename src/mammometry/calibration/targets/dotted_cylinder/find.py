@@ -12,8 +12,8 @@ from mammometry.calibration.features.found_points import Cause, FoundPoints
 from mammometry.calibration.features.lattice import find_dots, index_lattice
 from mammometry.calibration.features.mark_size import mark_size
 from mammometry.calibration.features.pixels import enlarge, grey_bytes, linear_luma, reduced
-from mammometry.calibration.targets.cylinder import DottedCylinderTarget
-from mammometry.calibration.targets.cylinder_map import CylinderMap, fit_cylinder_map
+from mammometry.calibration.targets.dotted_cylinder.unrolled import CylinderMap, fit_cylinder_map
+from mammometry.calibration.targets.kinds.cylinder import DottedCylinderTarget
 from mammometry.geometry.arrays import Array, Float32, Float64, Int64, UInt8
 
 _SEARCH_WIDTHS = 3

@@ -44,13 +44,13 @@ class CharucoTarget(SquaresBoard):
         Raises:
             SessionError: there is no dictionary of the target's name.
         """
-        from mammometry.calibration.targets.find_charuco import find_charuco
+        from mammometry.calibration.targets.finders.find_charuco import find_charuco
 
         return find_charuco(photograph, self, search_width_px=search_width_px, window_squares=window_squares)
 
     def explain_miss(self, small: UInt8[Array, "h w"]) -> Cause | None:
         """Explain a missed board: other markers, mirrored or doubled."""
-        from mammometry.calibration.targets.miss_charuco import explain_missed_charuco
+        from mammometry.calibration.targets.finders.miss_charuco import explain_missed_charuco
 
         return explain_missed_charuco(small, self)
 

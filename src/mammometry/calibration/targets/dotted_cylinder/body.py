@@ -10,7 +10,7 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from mammometry.calibration.targets.body import Body, Hits
-from mammometry.calibration.targets.cylinder import DottedCylinderTarget
+from mammometry.calibration.targets.kinds.cylinder import DottedCylinderTarget
 from mammometry.geometry.arrays import Array, Bool, Float64
 
 _END_ROWS = (1.0, 1.8)

@@ -31,13 +31,13 @@ class ChessboardTarget(SquaresBoard):
         self, photograph: Photograph, *, search_width_px: int, window_squares: float
     ) -> FoundPoints | Cause | None:
         """Find the corners. See `find_chessboard`."""
-        from mammometry.calibration.targets.find_chessboard import find_chessboard
+        from mammometry.calibration.targets.finders.find_chessboard import find_chessboard
 
         return find_chessboard(photograph, self, search_width_px=search_width_px, window_squares=window_squares)
 
     def explain_miss(self, small: UInt8[Array, "h w"]) -> Cause | None:
         """Explain a missed board: another chessboard, or a part of this."""
-        from mammometry.calibration.targets.find_chessboard import explain_missed_chessboard
+        from mammometry.calibration.targets.finders.find_chessboard import explain_missed_chessboard
 
         return explain_missed_chessboard(small, self)
 

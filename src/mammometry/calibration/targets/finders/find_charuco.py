@@ -15,8 +15,8 @@ from mammometry.calibration.features.corners import CornerGrid, refine_corners
 from mammometry.calibration.features.found_points import Cause, FoundPoints
 from mammometry.calibration.features.mark_size import mark_size
 from mammometry.calibration.features.pixels import enlarge, grey_bytes, linear_luma, reduced
-from mammometry.calibration.targets.charuco import CharucoTarget
 from mammometry.calibration.targets.charuco_board import charuco_board
+from mammometry.calibration.targets.kinds.charuco import CharucoTarget
 from mammometry.calibration.targets.marker_layout import FITTING_SHARE, TOLERANCE_SQUARES
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, UInt8
 

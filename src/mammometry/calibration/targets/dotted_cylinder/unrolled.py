@@ -13,7 +13,7 @@ import numpy as np
 
 from mammometry.calibration.features.board_map import fit_polynomial
 from mammometry.calibration.features.corner_fit import monomials
-from mammometry.calibration.targets.cylinder import DottedCylinderTarget
+from mammometry.calibration.targets.kinds.cylinder import DottedCylinderTarget
 from mammometry.geometry.arrays import Array, Bool, Float64
 
 _ROUNDS = 4

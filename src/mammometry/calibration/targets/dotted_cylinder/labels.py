@@ -13,8 +13,8 @@ import numpy as np
 
 from mammometry.base.errors import CalibrationError
 from mammometry.calibration.features.found_points import FoundPoints
-from mammometry.calibration.targets.cylinder import DottedCylinderTarget
-from mammometry.calibration.targets.find_cylinder import CylinderView
+from mammometry.calibration.targets.dotted_cylinder.find import CylinderView
+from mammometry.calibration.targets.kinds.cylinder import DottedCylinderTarget
 from mammometry.geometry.arrays import Array, Float32
 
 _MIN_COMMON_COLUMNS = 2

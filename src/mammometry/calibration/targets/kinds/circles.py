@@ -88,7 +88,7 @@ class CirclesTarget(Board):
         self, photograph: Photograph, *, search_width_px: int, window_squares: float
     ) -> FoundPoints | Cause | None:
         """Find the circles' centres. See `find_circles`."""
-        from mammometry.calibration.targets.find_circles import find_circles
+        from mammometry.calibration.targets.finders.find_circles import find_circles
 
         return find_circles(photograph, self, search_width_px=search_width_px)
 

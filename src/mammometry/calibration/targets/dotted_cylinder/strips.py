@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from mammometry.base.errors import SettingsError
-from mammometry.calibration.targets.cylinder import DottedCylinderTarget
+from mammometry.calibration.targets.kinds.cylinder import DottedCylinderTarget
 from mammometry.calibration.targets.sheet import Sheet
 from mammometry.geometry.arrays import Array, Bool
 

@@ -99,7 +99,7 @@ class DottedCylinderTarget(Target):
         self, photograph: Photograph, *, search_width_px: int, window_squares: float
     ) -> FoundPoints | Cause | None:
         """Find the dots, their columns counted from the first one seen. See `find_cylinder`."""
-        from mammometry.calibration.targets.find_cylinder import find_cylinder
+        from mammometry.calibration.targets.dotted_cylinder.find import find_cylinder
 
         return find_cylinder(photograph, self, search_width_px=search_width_px)
 
@@ -109,7 +109,7 @@ class DottedCylinderTarget(Target):
         Raises:
             CalibrationError: a photograph's labels agree with no other's, or there are too many columns.
         """
-        from mammometry.calibration.targets.cylinder_labels import numbered_alike
+        from mammometry.calibration.targets.dotted_cylinder.labels import numbered_alike
 
         return numbered_alike(found)
 
@@ -127,13 +127,13 @@ class DottedCylinderTarget(Target):
         Raises:
             SettingsError: there are more columns than labels.
         """
-        from mammometry.calibration.targets.cylinder_sheet import wrap_sheet
+        from mammometry.calibration.targets.dotted_cylinder.strips import wrap_sheet
 
         return wrap_sheet(self)
 
     @property
     def body(self) -> Body:
         """The closed tube."""
-        from mammometry.calibration.targets.cylinder_body import CylinderBody
+        from mammometry.calibration.targets.dotted_cylinder.body import CylinderBody
 
         return CylinderBody(target=self)

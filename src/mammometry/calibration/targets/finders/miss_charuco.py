@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 
 from mammometry.calibration.features.found_points import Cause
-from mammometry.calibration.targets.charuco import CharucoTarget
-from mammometry.calibration.targets.find_charuco import DOUBLED_MARKERS
+from mammometry.calibration.targets.finders.find_charuco import DOUBLED_MARKERS
+from mammometry.calibration.targets.kinds.charuco import CharucoTarget
 from mammometry.calibration.targets.marker_layout import FITTING_SHARE, MarkerLayout, SeenMarkers, layout_of
 from mammometry.geometry.arrays import Array, UInt8
 

@@ -17,7 +17,7 @@ from mammometry.calibration.features.dots import Dots, ToImage, measure_dots
 from mammometry.calibration.features.found_points import Cause, FoundPoints
 from mammometry.calibration.features.lattice import find_dots
 from mammometry.calibration.features.pixels import enlarge, grey_bytes, linear_luma, reduced
-from mammometry.calibration.targets.points import PointsTarget
+from mammometry.calibration.targets.kinds.points import PointsTarget
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64
 
 _SEARCH_WIDTHS = 2

@@ -13,7 +13,7 @@ from mammometry.calibration.features.board_map import LENS_TOLERANCE, BoardMap, 
 from mammometry.calibration.features.corners import CornerGrid, refine_corners
 from mammometry.calibration.features.found_points import Cause, FoundPoints
 from mammometry.calibration.features.pixels import enlarge, grey_bytes, linear_luma, reduced
-from mammometry.calibration.targets.chessboard import ChessboardTarget
+from mammometry.calibration.targets.kinds.chessboard import ChessboardTarget
 from mammometry.geometry.arrays import Array, Float32, Float64, Int64, UInt8
 
 _LEAST_BEYOND = 2

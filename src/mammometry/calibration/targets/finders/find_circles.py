@@ -14,7 +14,7 @@ from mammometry.calibration.features.dots import measure_dots
 from mammometry.calibration.features.found_points import Cause, FoundPoints
 from mammometry.calibration.features.mark_size import mark_size
 from mammometry.calibration.features.pixels import enlarge, grey_bytes, linear_luma, reduced
-from mammometry.calibration.targets.circles import CirclesTarget
+from mammometry.calibration.targets.kinds.circles import CirclesTarget
 from mammometry.geometry.arrays import Array, Float64, UInt8
 
 _MIN_AREA_PX = 12.0
