@@ -33,7 +33,7 @@ def main(folder: Path) -> None:
             cpu_s = time.process_time()
             one = rigged.fire_into(Path(place) / "session")
             fired.append((one.written_s, one.verdict.seconds, time.process_time() - cpu_s))
-            assert one.accepted, (number, one.verdict.said)
+            assert one.accepted, (number, one.verdict.sentences)
         written, verdict, cpu = (sorted(values)[_FIRINGS // 2] for values in zip(*fired[1:], strict=True))
         live = LiveView(rigged.backend, rigged.cameras, "model")
         live.look()

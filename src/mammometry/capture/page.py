@@ -15,7 +15,7 @@ from django.http import HttpRequest, HttpResponse
 from django.urls import URLPattern, path
 
 from mammometry.capture.loop import OpenRig
-from mammometry.capture.page_service import Stand, told
+from mammometry.capture.page_service import Stand, firing_table
 from mammometry.editor.auth import Door
 from mammometry.editor.page import resource
 from mammometry.editor.server import Application, entrance_route, guarded_app, listen, page_view
@@ -67,7 +67,7 @@ def _routes(stand: Stand, goal: Goal, door: Door) -> tuple[URLPattern, ...]:
         if goal.posing:
             return stand.pose(goal.session)
         fired = stand.fire(goal.session, subject_id=goal.subject_id)
-        return told(fired, f"mammometry run {goal.session}")
+        return firing_table(fired, f"mammometry run {goal.session}")
 
     return (
         entrance_route(door),

@@ -78,7 +78,7 @@ class Stand:
         self.rigged.close()
 
 
-def told(fired: CaptureResult, then: str) -> dict[str, Any]:
+def firing_table(fired: CaptureResult, then: str) -> dict[str, Any]:
     """A firing, for the page.
 
     Args:
@@ -88,7 +88,7 @@ def told(fired: CaptureResult, then: str) -> dict[str, Any]:
     return {
         "accepted": fired.accepted,
         "shot": fired.shot.name,
-        "said": list(fired.verdict.said),
+        "said": list(fired.verdict.sentences),
         "next": then if fired.accepted else "",
         **fired.verdict.as_table(),
     }

@@ -41,7 +41,7 @@ class Verdict:
         return not refuses(finding for _, finding in self.found)
 
     @property
-    def said(self) -> tuple[str, ...]:
+    def sentences(self) -> tuple[str, ...]:
         """Sentences for the technician, the gravest first. What was good is said once a kind."""
         bad = [(who, finding) for who, finding in self.found if finding.level in ("refuse", "warn")]
         lines = [f"{who}: {finding.sentence}" if who else finding.sentence for who, finding in bad]

@@ -70,7 +70,7 @@ def capture(
         "faults": faults,
         **fired.verdict.as_table(),
     }
-    lines: list[Any] = [f"- {sentence}" for sentence in fired.verdict.said]
+    lines: list[Any] = [f"- {sentence}" for sentence in fired.verdict.sentences]
     if fired.accepted:
         lines = ["The pictures may be measured.", *lines, f"Next: mammometry run {session}"]
     else:

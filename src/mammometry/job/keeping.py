@@ -13,7 +13,7 @@ from mammometry.job.stage_values import CameraSet
 if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a plan alone need not wait for.
     from mammometry.matching.foreground.all_cameras import Subjects
     from mammometry.surface.motion.motion_test import Stillness
-    from mammometry.surface.ranges.dents import Kept, ValidPatches
+    from mammometry.surface.ranges.dents import KeepMasks, ValidPatches
     from mammometry.surface.ranges.range_image import RangeImage
     from mammometry.surface.settings import SurfaceSettings
 
@@ -26,7 +26,7 @@ def kept_data(
     subjects: Product[Subjects] | None,
     settings: SurfaceSettings,
     memo: Memo,
-) -> tuple[Product[Kept], Product[ValidPatches]]:
+) -> tuple[Product[KeepMasks], Product[ValidPatches]]:
     """Which range data are kept, and those data.
 
     Only the former are stored: the data themselves are in the range images.
@@ -39,7 +39,7 @@ def kept_data(
         subjects: Subjects | None,
         *,
         progress: Progress,
-    ) -> Kept:
+    ) -> KeepMasks:
         from mammometry.surface.ranges import decompose, dents
         from mammometry.surface.ranges import foreign_pieces as scraps
 
@@ -53,14 +53,19 @@ def kept_data(
             blind or inputs.subject_kind == "surface"
         ):  # a solid's pieces beside the largest are left out when it is meshed
             keep = scraps.subject_data(valid.range_images, blind, None if subjects is None else subjects.middle_world)
-        return dents.Kept(keep=tuple(keep), angles_rad=valid.angles_rad)
+        return dents.KeepMasks(keep=tuple(keep), angles_rad=valid.angles_rad)
 
     def take(
-        cameras: CameraSet, stillness: Stillness, ranges: Mapping[str, RangeImage], kept: Kept, *, progress: Progress
+        cameras: CameraSet,
+        stillness: Stillness,
+        ranges: Mapping[str, RangeImage],
+        kept: KeepMasks,
+        *,
+        progress: Progress,
     ) -> ValidPatches:
         return kept.of([stillness.carry(image, cameras.rig) for image in ranges.values()])
 
-    kept: Product[Kept] = Product(
+    kept: Product[KeepMasks] = Product(
         memo,
         "surface",
         "valid",

@@ -394,10 +394,10 @@ def _lacking(
     def compare(
         repaired: RepairedSurface, measurements: tuple[VolumeMeasurement, ...], body: Body, *, progress: Progress
     ) -> tuple[VolumeDeficit, ...]:
-        from mammometry.measure.volume.deficit import lacking
+        from mammometry.measure.volume.deficit import volume_deficit
 
         try:
-            found = lacking(repaired, measurements, body, settings)
+            found = volume_deficit(repaired, measurements, body, settings)
         except MeasureError:
             return ()  # volumes do not depend on it
         return () if found is None else (found,)

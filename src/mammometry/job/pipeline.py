@@ -43,7 +43,7 @@ if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a pla
     from mammometry.surface.motion.agreement import RowErrors
     from mammometry.surface.motion.motion_test import Stillness
     from mammometry.surface.occlusion.occlusion import Occlusion
-    from mammometry.surface.ranges.dents import Kept, ValidPatches
+    from mammometry.surface.ranges.dents import KeepMasks, ValidPatches
     from mammometry.surface.ranges.range_image import RangeImage
     from mammometry.surface.repair.repair import RepairedSurface
     from mammometry.surface.settings import SurfaceSettings
@@ -262,7 +262,7 @@ class Surfaced(Products):
     """What moved since the calibration."""
     cameras: Product[CameraSet]
     """The cameras where they most probably stood: as calibrated, if nothing moved."""
-    kept: Product[Kept]
+    kept: Product[KeepMasks]
     """Which range data survived the removal of dents."""
     valid: Product[ValidPatches]
     """Those data: made from the range images when wanted, never stored."""

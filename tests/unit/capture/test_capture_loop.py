@@ -71,12 +71,12 @@ def test_each_fault_is_named_and_the_other_cameras_frames_are_kept(place, faults
     assert len(list(fired.shot.glob("*.jpg"))) == delivered
     assert list((place / "s/capture").iterdir()) == [] if refused else True
     camera = faults.split(" =")[0]
-    assert any(camera in sentence for sentence in fired.verdict.said) or "moved" in faults
+    assert any(camera in sentence for sentence in fired.verdict.sentences) or "moved" in faults
 
 
 @pytest.mark.slow
 def test_exchanged_cables_are_both_named(place):
-    said = fire(place, faults='front_left = "swapped=left_right"').verdict.said[0]
+    said = fire(place, faults='front_left = "swapped=left_right"').verdict.sentences[0]
     assert "front_left" in said
     assert "left_right" in said
     assert "Swap" in said

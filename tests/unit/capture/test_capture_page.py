@@ -12,7 +12,7 @@ from tests.unit.capture.virtual_capture import rig_file
 from mammometry.base.errors import SessionError
 from mammometry.capture.loop import OpenRig
 from mammometry.capture.page import Goal, capture_app, serve
-from mammometry.capture.page_service import Stand, told
+from mammometry.capture.page_service import Stand, firing_table
 from mammometry.editor.auth import Door
 
 CHROMIUM = shutil.which("chromium")
@@ -34,7 +34,7 @@ def test_the_page_shows_states_and_live_pictures_and_fires(page, place):
     assert seen["cameras"]["front_left"]["whole"] == "The subject is in the picture."
     assert seen["cameras"]["front_left"]["is_whole"]
     json.dumps(seen)  # all of it may be sent
-    fired = told(page.fire(place / "s", subject_id="P-1"), "next")
+    fired = firing_table(page.fire(place / "s", subject_id="P-1"), "next")
     assert fired["accepted"] is False
     assert any("left_left" in sentence for sentence in fired["said"])
     assert 'id = "P-1"' in (place / "s/session.toml").read_text()

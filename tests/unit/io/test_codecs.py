@@ -29,7 +29,7 @@ from mammometry.io.results.tree import STORED_FIELDS, STORED_TYPES, from_tree, t
 from mammometry.job.pipeline import CameraSet, FinishedSurface
 from mammometry.matching.dense.match import DisparityMap
 from mammometry.measure.boundary.boundary import Boundary
-from mammometry.surface.ranges.dents import Kept
+from mammometry.surface.ranges.dents import KeepMasks
 from mammometry.surface.repair.repair import Provenance, RepairedSurface
 from mammometry.surface.texture.atlas_jpeg import as_jpeg, jpeg_of
 from mammometry.surface.texture.texture import TexturedMesh
@@ -338,7 +338,7 @@ def test_rasters_of_earlier_versions_are_read(tmp_path: Path) -> None:
 def test_kept_data_are_a_mask_over_the_range_images(tmp_path: Path) -> None:
     keep = tuple(RNG.random((70, 50)) > 0.4 for _ in range(2))
     angles_rad = tuple(np.full((70, 50), angle, np.float32) for angle in (0.5, np.nan))
-    encode(Kept(keep=keep, angles_rad=angles_rad), tmp_path, "valid")
+    encode(KeepMasks(keep=keep, angles_rad=angles_rad), tmp_path, "valid")
     with tifffile.TiffFile(tmp_path / "valid.tif") as tiff:
         assert [page.tags[285].value for page in tiff.pages] == ["keep.0", "keep.1", "angles_rad.0", "angles_rad.1"]
     read = decode(tmp_path, "valid")

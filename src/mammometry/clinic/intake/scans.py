@@ -70,7 +70,7 @@ def taken_in(files: Sequence[UploadedFile[Any]], about: Scan, *, units: str | No
 
 
 def _unpack(packed: UploadedFile[Any], folder: Path, most: int) -> None:
-    """Unpack the files of known kinds. What a ZIP says of sizes is not believed."""
+    """Unpack the files of known kinds. Sizes that a ZIP states are not trusted."""
     left = most
     try:
         with zipfile.ZipFile(packed) as archive:

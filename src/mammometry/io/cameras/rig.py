@@ -39,8 +39,8 @@ def require_rig(
         CalibrationError: names the pair whose right camera stands left of the left one.
     """
     for camera_pair, other in combinations(dict.fromkeys(name for pair in pair_names.values() for name in pair), 2):
-        apart_mm = np.linalg.norm(cameras[camera_pair].centre_world - cameras[other].centre_world)
-        if apart_mm < _ONE_PLACE_MM:
+        distance_mm = np.linalg.norm(cameras[camera_pair].centre_world - cameras[other].centre_world)
+        if distance_mm < _ONE_PLACE_MM:
             raise SessionError(
                 files,
                 found=f"no R and T by which cameras {camera_pair} and {other} stand in different places",

@@ -58,7 +58,7 @@ STORED_TYPES: Mapping[str, str] = MappingProxyType(
         "surface.agreement:RowErrors": "mammometry.surface.motion.agreement:RowErrors",
         "surface.atlas:Atlas": "mammometry.surface.texture.texture_atlas:Atlas",
         "surface.occluders:Blocked": "mammometry.surface.occlusion.occlusion:Occlusion",
-        "surface.dents:Kept": "mammometry.surface.ranges.dents:Kept",
+        "surface.dents:Kept": "mammometry.surface.ranges.dents:KeepMasks",
         "surface.dents:ValidPatches": "mammometry.surface.ranges.dents:ValidPatches",
         "surface.motions:Unknowns": "mammometry.surface.motion.rigid_motion:MotionParameters",
         "surface.range_image:RangeImage": "mammometry.surface.ranges.range_image:RangeImage",

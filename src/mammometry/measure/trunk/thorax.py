@@ -212,7 +212,7 @@ def find_trunk(
 
 
 def _axis(normals: Float64[Array, "n 3"], frame: Float64[Array, "3 3"], settings: ThoraxSettings) -> Float64[Array, 3]:
-    """The direction that the skin's normals avoid. The head's where none near to it is."""
+    """Trunk axis: least-variance direction of the normals. The head's where none near to it is."""
     axis = frame[1]
     for _ in range(_AXIS_ROUNDS):
         weights = 1 / (1 + ((normals @ axis) / _LEAN) ** 2)

@@ -33,7 +33,7 @@ _WALL = "cylinder-membrane"
 _NEAREST_MM = 25.0  # a mirrored curve farther off the skin than this mirrors onto something else; chosen by eye
 
 
-def lacking(
+def volume_deficit(
     surface: RepairedSurface,
     measurements: Sequence[VolumeMeasurement],
     body: Body,
@@ -78,11 +78,11 @@ def lacking(
     others = [Boundary(name=fuller.name, points_world=fuller.boundary_world, method=fuller.boundary_method), boundary]
     breast = open_breasts(others, surface, settings, frame=body.frame)[1]
     own = chest_wall.fit(breast, _WALL)
-    gap_cc, apart_mm = _between(
+    gap_cc, distance_mm = _between(
         breast.trunk, own.mesh.vertices, plane.mirrored(fuller.wall.vertices), foot.points, curve
     )
     volume_cc = fuller.volume_cc - own.closed.volume_mm3() / 1000 - gap_cc
-    terms = _terms(fuller, plane, apart_mm, settings) if fuller.interval_cc is not None else {}
+    terms = _terms(fuller, plane, distance_mm, settings) if fuller.interval_cc is not None else {}
     half = float(np.sqrt(sum(term**2 for term in terms.values())))
     return VolumeDeficit(
         name=name,
@@ -129,7 +129,7 @@ def _within(flat: Float64[Array, "n 2"], outline: Float64[Array, "k 2"]) -> Arra
 
 
 def _terms(
-    fuller: VolumeMeasurement, plane: MirrorPlane, apart_mm: float, settings: MeasureSettings
+    fuller: VolumeMeasurement, plane: MirrorPlane, distance_mm: float, settings: MeasureSettings
 ) -> dict[str, float]:
     """Half-widths at 95 %, cc, of independent sources.
 
@@ -142,7 +142,7 @@ def _terms(
     base_cm2 = fuller.base_area_cm2
     loop = np.concatenate([fuller.boundary_world, fuller.boundary_world[:1]])
     length_mm = float(np.linalg.norm(np.diff(loop, axis=0), axis=1).sum())
-    strip_mm3 = settings.observers.mean_mm * apart_mm * length_mm / np.sqrt(_ORDERS)
+    strip_mm3 = settings.observers.mean_mm * distance_mm * length_mm / np.sqrt(_ORDERS)
     behind_mm = float(np.sqrt(2)) * settings.wall_sides_u95_mm
     terms = {
         "asymmetry of the trunk": max(_COVERAGE_95 * plane.scatter_mm, behind_mm) * base_cm2 / 10,

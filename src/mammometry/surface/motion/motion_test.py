@@ -1,4 +1,4 @@
-"""Test whether cameras and body stood still up to the last exposure.
+"""Detect and correct motion between calibration and capture.
 
 A camera that turned after the calibration, or a body that moved between the pairs' exposures, makes pairs disagree
 about common skin, and rows of a pair miss one another. `motions` finds what most probably moved. If nothing did,

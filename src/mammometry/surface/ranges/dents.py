@@ -42,7 +42,7 @@ class ValidPatches:
 
 
 @value(eq=False)
-class Kept:
+class KeepMasks:
     """Which range data survived. With the range images it gives `ValidPatches`."""
 
     keep: tuple[Bool[Array, "h w"], ...]

@@ -9,7 +9,7 @@ from django.shortcuts import get_object_or_404, render
 from django.urls import reverse
 
 from mammometry.base.errors import SessionError
-from mammometry.capture.page_service import told
+from mammometry.capture.page_service import firing_table
 from mammometry.capture.shots import require_replaceable
 from mammometry.clinic import cameras
 from mammometry.clinic.intake import uploads
@@ -60,7 +60,7 @@ def visit_fire(request: HttpRequest, visit: UUID) -> HttpResponseBase:
     if fired.accepted:
         take_in(row, fired, person_of(request))
     where = reverse("visit", kwargs={"visit": row.pk})
-    return JsonResponse({**told(fired, "Press “Measure”, or fire again."), "visit": where})
+    return JsonResponse({**firing_table(fired, "Press “Measure”, or fire again."), "visit": where})
 
 
 def _visit(key: UUID) -> Visit:
