@@ -170,7 +170,7 @@ def _find_surface(session: Path, scale: float) -> str | None:
     with job.store.taken(), threadpool_limits(limits=1, user_api="blas"):
         try:
             job.plan.calibrated.ensure()
-            job.plan.surfaced.repaired.ensure()
+            job.plan[surface.repaired].ensure()
         except MammometryError as error:
             refused = str(error)
     for folder in ("match/disparity", "surface/range"):

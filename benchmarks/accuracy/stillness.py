@@ -37,7 +37,7 @@ from mammometry.io.results.store import Store
 from mammometry.io.truth import read_truth
 from mammometry.job.measuring import Upstream, measure
 from mammometry.job.pipeline import Calibrated, match, surface
-from mammometry.job.products import Forgetful, Key, Product
+from mammometry.job.graph import Forgetful, Key, Product
 from mammometry.settings import Settings
 from mammometry.study.accuracy import align_surfaces, compare_surfaces
 from mammometry.study.rays import RayScene, seen_by_pairs
@@ -100,7 +100,7 @@ class Judge:
 def judge_of(capture: Capture, job: Job) -> Judge:
     """Read a capture's truth, in the frame of its calibration."""
     truth = read_truth(capture.truth, job.inputs.pair_names)
-    calibration = job.plan.calibrated.calibration
+    calibration = job.plan[calibrate.calibration]
     assert calibration is not None
     world_from_target = calibration().world_from_target
     pose = next(name for name, placed in world_from_target.items() if np.allclose(placed.matrix, np.eye(4)))
@@ -112,7 +112,7 @@ def judge_of(capture: Capture, job: Job) -> Judge:
 def measured(job: Job, rig: Rig, settings: Settings, judge: Judge) -> Iterator[dict[str, Any]]:
     """Match with a rig, then measure with and without putting right what moved; one row each."""
     memo = _Recalling(job.store)
-    calibration, cameras = job.plan.calibrated.calibration, job.plan.calibrated.cameras
+    calibration, cameras = job.plan[calibrate.calibration], job.plan[calibrate.cameras]
     assert calibration is not None
 
     def given(name: str, value: T) -> Product[T]:
@@ -297,7 +297,7 @@ def main() -> None:
             job = open_session(capture.session, settings)
             with job.store.taken():
                 job.plan.calibrated.ensure()
-                judge, rig = judge_of(capture, job), job.plan.calibrated.cameras().rig
+                judge, rig = judge_of(capture, job), job.plan[calibrate.cameras]().rig
                 for turn_deg, shift_mm in chosen:
                     last = arguments.first_seed + (arguments.seeds if turn_deg or shift_mm else 1)
                     for seed in range(arguments.first_seed, last):

@@ -77,7 +77,7 @@ def peer(session: Path) -> dict[str, float]:
     job = mm.open_session(session)
     job.ensure("match")
     rows = []
-    for found in job.plan.matched.disparities.values():
+    for found in job.plan[match.disparity].values():
         disparity = found()
         found.release()
         low, high = (float(value) for value in np.percentile(disparity.d_h_px[disparity.valid], (0.1, 99.9)))
@@ -85,7 +85,7 @@ def peer(session: Path) -> dict[str, float]:
         photographs = [job.inputs.photographs[name] for name in job.inputs.pair_names[disparity.name]]
         grey = []
         for photograph, ideal in zip(photographs, (disparity.left, disparity.right), strict=True):
-            camera = job.plan.calibrated.cameras().rig.cameras[ideal.name]
+            camera = job.plan[calibrate.cameras]().rig.cameras[ideal.name]
             turn = ideal.camera_from_world.rotation @ camera.camera_from_world.rotation.T
             maps = cv2.initUndistortRectifyMap(
                 camera.matrix, camera.distortion, turn, ideal.matrix, ideal.size_wh, cv2.CV_32FC1

@@ -228,7 +228,7 @@ def test_edited_cameras_json_is_refused_before_matching(tmp_path: Path) -> None:
     folder = session(tmp_path / "s")
     (folder / "cameras.json").write_text(camera_texts(cameras_of(1e-3), "json")["cameras.json"])
     with pytest.raises(MammometryError, match=r"cameras.json: t: found translations by which .*: they seem to be in m"):
-        open_session(folder).plan.calibrated.cameras()
+        open_session(folder).plan[calibrate.cameras]()
 
 
 @pytest.mark.parametrize(("factor", "fits"), [(1e-3, "m"), (0.1, "cm")])

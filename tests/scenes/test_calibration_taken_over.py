@@ -28,7 +28,7 @@ def test_cameras_and_their_errors_are_taken_over(tiny_finished: Path, tiny_origi
     for name, camera in theirs.rig.cameras.items():
         assert np.array_equal(camera.matrix, ours.rig.cameras[name].matrix)
     assert ours.std == theirs.std
-    record = job.store.record(job.plan.calibrated.cameras.key)
+    record = job.store.record(job.plan[calibrate.cameras].key)
     assert record is not None
     assert record.subject == "P-ACD347"
 
@@ -39,7 +39,7 @@ def test_other_photographs_are_not_taken_for_the_same(tiny_finished: Path, tiny_
     photograph.write_bytes(photograph.read_bytes() + b"\x00")
     job = open_session(tiny, Settings())
     take_over(job, open_session(tiny_finished))  # what was seen in the others
-    assert not job.store.has(job.plan.calibrated.cameras.key)
+    assert not job.store.has(job.plan[calibrate.cameras].key)
 
 
 def test_what_a_calibrations_photographs_tell(tiny_original: Path) -> None:

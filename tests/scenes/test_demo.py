@@ -126,7 +126,7 @@ def test_masks_and_ready_made_cameras_are_used(
     from mammometry.io.images import write_mask
 
     (tiny_finished / "masks").mkdir()
-    for camera, product in job.plan.matched.foregrounds.items():
+    for camera, product in job.plan[match.foreground].items():
         write_mask(tiny_finished / "masks" / f"{camera}.png", product().mask)
     cameras = tiny_finished / "results" / "calibrate" / "cameras.json"
     arguments = ["--settings", str(tiny_settings), "--json"]

@@ -180,7 +180,7 @@ def test_a_rail_before_the_body_carves_nothing_away(shared_data: Path, tmp_path:
     """
     job = mm.open_session(make_session(shared_data / "rendered", "torso_rail", tmp_path / "torso_rail"))
     found = job.surface().repaired.mesh
-    assert set(job.plan.surfaced.blocked()) == set(job.calibrate().rig.cameras)
+    assert set(job.plan[surface.occlusions]()) == set(job.calibrate().rig.cameras)
     truth = read_truth(shared_data / "rendered", "torso_rail")
     mesh = trimesh.load(truth.folder / "mesh.ply", process=False)
     seen = np.load(truth.folder / "visibility.npz")["pair_bits"].ravel() > 0

@@ -101,7 +101,7 @@ def test_what_the_report_says_of_a_stage_is_the_same_with_its_pictures_and_witho
     plan, inputs = job.plan, job.inputs
     _, matched = stage_facts.drawn("match", plan, inputs)
     assert isinstance(matched, stage_facts.MatchingFacts)
-    alone = stage_facts.matching_facts(plan, plan.calibrated.cameras().rig)
+    alone = stage_facts.matching_facts(plan, plan[calibrate.cameras]().rig)
     assert (matched.quality, matched.shares) == (alone.quality, alone.shares)
     assert matched.quality.keys() == matched.shares.keys() == job.session.pair_names.keys()
     _, surfaced = stage_facts.drawn("surface", plan, inputs)

@@ -30,8 +30,8 @@ def test_a_head_before_a_pale_wall_is_measured_where_the_axes_meet_before_it(tmp
     write_session(session, recipe, Studio(skin=make_skin("skin")))
     job = open_session(session)
     job.ensure("surface", drawn=False)
-    assert job.plan.matched.subjects is not None
-    assert not job.plan.matched.subjects().blind
+    assert job.plan[match.subjects] is not None
+    assert not job.plan[match.subjects]().blind
     truth = read_truth(session / "truth", job.inputs.pair_names)
     calibration = job.calibration()
     assert calibration is not None

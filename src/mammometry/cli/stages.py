@@ -27,7 +27,7 @@ from mammometry.cli.compile_cache import compiled_ahead
 if TYPE_CHECKING:
     from mammometry.api.job import Job
     from mammometry.api.results import Results
-    from mammometry.job.products import Stage
+    from mammometry.job.graph import Stage
 
 app = typer.Typer()
 _SET = "mammometry {} SESSION --set {}"
@@ -42,7 +42,7 @@ def _mesh_option(*names: str, help: str, show_default: bool | str = False) -> An
 def opened(session: Path, settings: Path | None, assignments: list[str] | None, bars: Bars) -> Job:
     """Open the session's job and set the total of the bars."""
     from mammometry.api.job import open_session
-    from mammometry.job.products import STAGES
+    from mammometry.job.graph import STAGES
 
     job = open_session(session, load_settings(settings, assignments), watch=bars.watch)
     for stage in STAGES:
@@ -115,7 +115,9 @@ def calibrate(
 ) -> Answer:
     """Calibrate the cameras from photographs of the target. Writes results/calibrate/cameras.json."""
     job, table = _stage("calibrate", session, assignments, settings, quiet or json)
-    cameras = job.plan.calibrated.cameras()
+    from mammometry.job.stages.calibrate import cameras as product
+
+    cameras = job.plan[product]()
     table |= {"rms_px": cameras.rms_px, "world": cameras.world, "cameras": len(cameras.rig.cameras)}
     table |= {"verdict": cameras.verdict, "reasons": list(cameras.reasons)}
     rms = "ready-made" if cameras.rms_px is None else f"verdict: {cameras.verdict}"
@@ -137,13 +139,13 @@ def match(
     Writes the disparities to results/match, as TIFF files of float32.
     """
     job, table = _stage("match", session, assignments, settings, quiet or json)
+    from mammometry.job.stages.match import disparity
     from mammometry.matching.quality import assess, concerns
 
     table |= {"matched_pixels": {}, "weak_percent": {}, "d_v_px": {}, "warnings": []}
     lines = []
-    for pair, product in job.plan.matched.disparities.items():
-        quality = assess(product())
-        product.release()
+    for pair, product in job.plan[disparity].items():
+        quality = assess(product.uncached())
         table["matched_pixels"][pair] = quality.matched_pixels
         table["weak_percent"][pair] = round(quality.weak_percent, 2)
         table["d_v_px"][pair] = [round(quality.d_v_median_px, 4), round(quality.d_v_spread_px, 4)]
@@ -170,9 +172,10 @@ def surface(
     Writes results/surface/mesh.ply (mm, world frame), model.glb and the range images.
     """
     job, table = _stage("surface", session, assignments, settings, quiet or json)
+    from mammometry.job.stages.surface import stillness as product
     from mammometry.surface.stillness_words import concerns, summary
 
-    mesh, stillness = job.surface().repaired.mesh, job.plan.surfaced.stillness()
+    mesh, stillness = job.surface().repaired.mesh, job.plan[product]()
     path = job.session.results / "surface" / "mesh.ply"
     table |= {
         "mesh": str(path),

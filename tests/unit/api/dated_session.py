@@ -16,7 +16,7 @@ from mammometry.geometry.transform import Transform
 from mammometry.io.cameras.own import cameras_table
 from mammometry.io.drawn_changes import Change, change_drawn, drawn_entry
 from mammometry.io.meshes import write_ply
-from mammometry.job.stage_values import FinishedSurface
+from mammometry.job.values import FinishedSurface
 from mammometry.measure.boundary.boundary import TO_BE_CONFIRMED, Boundary
 from mammometry.measure.shape.anthropometry import dimensions, find_landmarks
 from mammometry.measure.trunk.body import find_body, rig_frame
@@ -107,8 +107,8 @@ def put_results(folder: Path, true: TrueVisit, boundaries: tuple[Boundary, ...] 
     sizes = dimensions(surface.mesh, volumes, marks, frame, settings)
     made = plan.measured
     for product, value in (
-        (plan.surfaced.mesh, finished),
-        (plan.surfaced.cameras, plan.calibrated.cameras()),
+        (plan[surface.mesh], finished),
+        (plan[surface.corrected_cameras], plan[calibrate.cameras]()),
         (made.boundaries, edges),
         (made.body, find_body(surface, frame, settings.thorax, boundaries=[edge.points_world for edge in edges])),
         (made.measurements, volumes),

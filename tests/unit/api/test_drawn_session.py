@@ -15,8 +15,8 @@ from mammometry.base.progress import Progress
 from mammometry.cli.main import run
 from mammometry.io.drawn_changes import Change, change_drawn, drawn_entries, drawn_entry, entry_digest
 from mammometry.job.measuring import Upstream, measure
-from mammometry.job.products import Forgetful, Product
-from mammometry.job.stage_values import CameraSet
+from mammometry.job.graph import Forgetful, Product
+from mammometry.job.values import CameraSet
 from mammometry.measure.boundary.boundary import TO_BE_CONFIRMED
 from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.volume.attribution import attributed, curve_digest
@@ -79,7 +79,7 @@ def test_a_confirmed_automatic_boundary_is_told_and_nothing_is_measured_anew(
     session: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     before = keys(session)
-    made = {each.name: each for each in open_session(session).plan.measured.measurements()}  # type: ignore[misc]
+    made = {each.name: each for each in open_session(session).plan[measure.measurements]()}  # type: ignore[misc]
     confirm(session, made["left"].boundary_world)
     after = keys(session)
     assert after[:2] == before[:2]

@@ -11,7 +11,7 @@ import pytest
 from mammometry.base.errors import SurfaceError
 from mammometry.base.progress import Progress
 from mammometry.job.beside import Beside
-from mammometry.job.products import VERSIONS, Fleeting, Forgetful, Key, Product, Products, Remade
+from mammometry.job.graph import VERSIONS, Fleeting, Forgetful, Key, Product, Products, Remade
 
 
 @dataclass(frozen=True)

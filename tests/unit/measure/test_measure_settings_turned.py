@@ -15,8 +15,8 @@ from mammometry.base.errors import MeasureError
 from mammometry.geometry.transform import Transform
 from mammometry.job.inputs import Inputs
 from mammometry.job.measuring import Upstream, measure
-from mammometry.job.products import Forgetful, Product
-from mammometry.job.stage_values import CameraSet
+from mammometry.job.graph import Forgetful, Product
+from mammometry.job.values import CameraSet
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.boundary.breasts import creased_share
 from mammometry.measure.boundary.cast_base import Base, fit_base
