@@ -27,6 +27,7 @@ from mammometry.base.errors import MammometryError
 from mammometry.geometry.nearest import closest_on_mesh
 from mammometry.geometry.transform import Transform
 from mammometry.io.truth import read_truth
+from mammometry.job.stages import match
 from mammometry.settings import Settings
 from mammometry.simulate.disturbances.draw import is_held_out
 from mammometry.simulate.recipe import SessionRecipe

@@ -30,6 +30,7 @@ import numpy as np
 import mammometry as mm
 from benchmarks.speed.whole_job import make_session
 from mammometry.io.session import Session
+from mammometry.job.stages import calibrate, match
 from mammometry.matching.settings import ForegroundSettings, MatchSettings
 from mammometry.settings import Settings
 
@@ -58,7 +59,7 @@ def matched(session: Path, settings: Settings = Settings()) -> dict[str, float]:
     """Match all pairs, no previews; products are written, for memory is bounded by letting them go."""
     job = _fresh(session, settings)
     with job.store.taken():
-        return _timed(job.plan.matched.ensure)
+        return _timed(lambda: job.plan.ensure("match"))
 
 
 def all_foreground(session: Path) -> dict[str, float]:
@@ -78,8 +79,7 @@ def peer(session: Path) -> dict[str, float]:
     job.ensure("match")
     rows = []
     for found in job.plan[match.disparity].values():
-        disparity = found()
-        found.release()
+        disparity = found.uncached()
         low, high = (float(value) for value in np.percentile(disparity.d_h_px[disparity.valid], (0.1, 99.9)))
         lowest, count = int(np.floor(low)) - 8, 16 * int(np.ceil((high - low + 16) / 16))
         photographs = [job.inputs.photographs[name] for name in job.inputs.pair_names[disparity.name]]

@@ -22,6 +22,7 @@ from mammometry.io.cameras.formats import CameraFormat, camera_texts
 from mammometry.io.cameras.rig import require_rig
 from mammometry.io.foreign import read_foreign
 from mammometry.io.meshes import write_ply
+from mammometry.job.stages import calibrate
 
 # Rigs by how far their cameras stand from the subject, mm, the distance of a pair's cameras, and the width of the
 # shorter side of a picture as a share of its distance.

@@ -11,6 +11,7 @@ from mammometry.api.job import open_session
 from mammometry.capture.sessions import take_over
 from mammometry.clinic.jobs import work
 from mammometry.io.drift import read_history
+from mammometry.job.stages import calibrate
 from mammometry.settings import Settings
 
 
@@ -21,7 +22,7 @@ def test_cameras_and_their_errors_are_taken_over(tiny_finished: Path, tiny_origi
     manifest.write_text(manifest.read_text().replace('kind = "model"', 'kind = "model"\nid = "P-ACD347"'))
     job, source = open_session(visit), open_session(tiny_finished)
     taken = take_over(job, source)
-    assert taken == len(job.products("calibrate"))
+    assert taken == len(job.plan.products("calibrate"))
     assert take_over(job, source) == 0
     theirs, ours = source.calibrate(), job.calibrate()
     assert len(job.store.made) == taken + 1  # and the previews, which show this visit's pictures

@@ -14,6 +14,7 @@ from tests.scenes.conftest import TINY, TRUE_CC
 
 from mammometry.api.job import open_session
 from mammometry.cli import main, simulation
+from mammometry.job.stages import match
 from mammometry.settings import Settings
 
 KEYS = {"volumes_cc", "intervals_cc", "watertight", "seconds", "stage_seconds", "peak_memory_mb", "results"}

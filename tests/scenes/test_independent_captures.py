@@ -14,6 +14,7 @@ from benchmarks.rendered import make_session, read_truth
 import mammometry as mm
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.nearest import closest_on_mesh
+from mammometry.job.stages import surface
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.trunk.body import find_body

@@ -12,6 +12,7 @@ from mammometry.api import previews
 from mammometry.api.job import Job, open_session
 from mammometry.base.errors import StorageError
 from mammometry.base.second_process import NotDone, SecondProcess
+from mammometry.job.stages import calibrate
 from mammometry.report import gather, stage_facts
 from mammometry.settings import Settings
 
@@ -109,10 +110,10 @@ def test_what_the_report_says_of_a_stage_is_the_same_with_its_pictures_and_witho
 
 
 def test_ctrl_c_ends_both_and_leaves_nothing_half_written(job: Job, monkeypatch: pytest.MonkeyPatch) -> None:
-    def interrupted(self: object, beside: object) -> None:
+    def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(type(job.plan.matched), "ensure", interrupted)
+    monkeypatch.setattr(job.plan, "ensure", interrupted)
     before = {process.pid for process in psutil.Process().children()}
     with pytest.raises(KeyboardInterrupt):
         job.ensure("match")

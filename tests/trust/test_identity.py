@@ -25,6 +25,7 @@ from mammometry.base.errors import SessionError
 from mammometry.cli import main, simulation
 from mammometry.io.manifest import Manifest
 from mammometry.io.outputs import RECORD
+from mammometry.job.stages import match, surface
 from mammometry.report.describe import settings_facts
 from mammometry.settings import Settings, names
 

@@ -322,7 +322,7 @@ class MeshJob:
                 raise
             withdraw_refusal(self.store.folder)
             made = self.plan.value(measure.measurements) or ()
-            measurements: dict[str, VolumeMeasurement] = {measured.name: measured for measured in made}
+            measurements = {str(measured.name): measured for measured in made}
             no_breast: dict[str, str] = {side.name: side.why for side in self.plan.value(measure.absent) or ()}
             seconds = time.monotonic() - begun
             if report:

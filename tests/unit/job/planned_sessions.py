@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,6 @@ from mammometry.settings import Settings
 
 CURVE = np.array([[0.0, 0.0, 0.0], [60.0, 0.0, 0.0], [0.0, 60.0, 0.0]])
 CAMERAS = ("front_left", "front_right", "floor_left", "floor_right", "back")
-MESH = Path(__file__).with_name("dome.obj")
 
 
 class Digests(dict[str, str]):
@@ -33,7 +31,7 @@ class Planned:
 
 def inputs(kind: str, **changed: Any) -> Inputs:
     """Five cameras, four of them in pairs, and two poses of a target."""
-    target: Any = "a target"
+    target: Any = "a target"  # a plan asks only whether there is one
     given: dict[str, Any] = {
         "rig_name": "five",
         "pair_names": {"front": ("front_left", "front_right"), "floor": ("floor_left", "floor_right")},
@@ -46,6 +44,17 @@ def inputs(kind: str, **changed: Any) -> Inputs:
     return Inputs(**(given | changed))
 
 
+def few(kind: str, **changed: Any) -> Inputs:
+    """Three cameras, two of them a pair, and one pose: few products."""
+    names: Any = dict.fromkeys(("front_left", "front_right", "back"))
+    given: dict[str, Any] = {
+        "pair_names": {"front": ("front_left", "front_right")},
+        "photographs": names,
+        "calibration_photographs": {("a", camera): None for camera in names},
+    }
+    return inputs(kind, **(given | changed))
+
+
 def sessions() -> Mapping[str, Planned]:
     """Name → what is planned of it."""
     mask = np.zeros((2, 2), dtype=bool)
@@ -54,13 +63,13 @@ def sessions() -> Mapping[str, Planned]:
     measured_points: Any = {("a", "back"): None}
     ready: Any = dict.fromkeys(CAMERAS)
     return {
-        "cast": Planned(inputs("model", rim_radius_mm=1.5, wall=wall)),
-        "surface": Planned(inputs("surface")),
-        "torso": Planned(inputs("torso", masks={"back": mask}, priors={"back": lens})),
+        "cast": Planned(few("model", rim_radius_mm=1.5, wall=wall)),
+        "surface": Planned(few("surface")),
+        "torso": Planned(few("torso", masks={"back": mask}, priors={"back": lens})),
         "drawn": Planned(
-            inputs(
+            few(
                 "torso",
-                masks=dict.fromkeys(CAMERAS, mask),
+                masks=dict.fromkeys(("front_left", "front_right", "back"), mask),
                 boundaries={"left": CURVE},
                 automatic=("right",),
                 landmarks={"sternal_notch": CURVE[:1]},
@@ -71,9 +80,9 @@ def sessions() -> Mapping[str, Planned]:
                 scale_std=0.001,
             )
         ),
-        "removed": Planned(inputs("torso", cameras=ready, removed=("left", "right"))),
+        "removed": Planned(few("torso", cameras=ready, removed=("left", "right"))),
         "by landmarks": Planned(
-            inputs("torso", landmarks={"sternal_notch": CURVE[:1]}),
+            few("torso", landmarks={"sternal_notch": CURVE[:1]}),
             Settings().overridden(["measure.boundary=landmarks"]),
         ),
     }
