@@ -34,7 +34,8 @@ from mammometry.geometry.arrays import Array, Int64
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.transform import Transform
 from mammometry.io.truth import read_truth
-from mammometry.job.graph import Key, Plan, at_hand
+from mammometry.job.graph import Plan
+from mammometry.job.products import Key, at_hand
 from mammometry.job.stages import calibrate, match, measure, surface
 from mammometry.settings import Settings
 from mammometry.study.accuracy import align_surfaces, compare_surfaces

@@ -27,7 +27,7 @@ from typing import Any
 import psutil
 
 from benchmarks.speed.reference import beside
-from mammometry.job.graph import Stage
+from mammometry.job.products import Stage
 
 STAGES: tuple[Stage, ...] = ("match", "surface", "measure")
 _RATE = 100  # samples a second

@@ -36,7 +36,7 @@ import psutil
 from benchmarks.speed.reference import beside
 from mammometry.base.progress import Progress, no_progress
 from mammometry.io.cameras.own import cameras_table
-from mammometry.job.graph import Key, Stage
+from mammometry.job.products import Key, Stage
 from mammometry.simulate.recipe import SessionRecipe
 from mammometry.simulate.session import write_session
 

@@ -26,7 +26,7 @@ from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
 from mammometry.io.results.formats.registry import FORMATS
 from mammometry.io.results.store import Store
-from mammometry.job.graph import VERSIONS, Product
+from mammometry.job.products import VERSIONS, Product
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.open_breast import OpenBreast

@@ -28,7 +28,7 @@ from mammometry.cli import main, simulation
 from mammometry.geometry.camera import Camera
 from mammometry.io.cameras.formats import camera_texts
 from mammometry.io.drift import CameraDrift, Entry, append_history
-from mammometry.job.graph import STAGES
+from mammometry.job.products import STAGES
 from mammometry.job.stages.report import previews_key
 from mammometry.settings import Settings
 from mammometry.simulate.subjects.torso import torso_shape

@@ -14,7 +14,7 @@ from mammometry.base.errors import StorageError
 from mammometry.base.progress import Progress
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.io.results.store import Store
-from mammometry.job.graph import Key
+from mammometry.job.products import Key
 
 NAMES = ("mesh", "blocked", "boundaries", "pictures")
 

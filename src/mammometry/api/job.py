@@ -41,7 +41,8 @@ from mammometry.io.drawn import read_boundaries
 from mammometry.io.outputs import require_apart, require_free, write_output, write_outputs
 from mammometry.io.results.store import State, Store, Watch, unwatched
 from mammometry.io.session import Session
-from mammometry.job.graph import STAGES, Background, Key, Plan, Product, Stage
+from mammometry.job.graph import Background, Plan
+from mammometry.job.products import STAGES, Key, Product, Stage
 from mammometry.job.stages import calibrate, match, measure, surface
 from mammometry.job.stages.report import PageInputs, previews_key, report_key
 from mammometry.job.values import CameraSet, FinishedSurface

@@ -48,8 +48,9 @@ from mammometry.io.outputs import require_apart, require_own_folder, take_folder
 from mammometry.io.results.store import Store, Watch, unwatched
 from mammometry.io.scans import MESH, Scan, read_scan
 from mammometry.io.subject import check_mesh
-from mammometry.job.graph import Key, Plan, Product, at_hand
+from mammometry.job.graph import Plan
 from mammometry.job.inputs import Inputs, SubjectKind
+from mammometry.job.products import Key, Product, at_hand
 from mammometry.job.stages import calibrate, measure, surface
 from mammometry.job.stages.report import PageInputs, report_key
 from mammometry.job.values import CameraSet, FinishedSurface

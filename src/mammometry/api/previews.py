@@ -21,7 +21,8 @@ from mammometry.base.progress import Progress
 from mammometry.base.second_process import Ended, NotDone, SecondProcess
 from mammometry.io.images import megapixels_of
 from mammometry.io.results.store import Reader, Store
-from mammometry.job.graph import Plan, Stage
+from mammometry.job.graph import Plan
+from mammometry.job.products import Stage
 from mammometry.job.stages.report import previews_key
 
 if TYPE_CHECKING:

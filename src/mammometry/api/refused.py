@@ -13,8 +13,9 @@ from mammometry.base.errors import MammometryError
 from mammometry.base.identity import Identity
 from mammometry.base.parse import said
 from mammometry.io.outputs import write_outputs
-from mammometry.job.graph import Plan, Stage
+from mammometry.job.graph import Plan
 from mammometry.job.inputs import Inputs
+from mammometry.job.products import Stage
 from mammometry.job.stages import calibrate, match, measure, surface
 
 _LOG = logging.getLogger(__name__)

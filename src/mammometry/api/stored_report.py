@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from mammometry.base.cores import one_blas_thread
 from mammometry.base.progress import Progress
 from mammometry.io.results.store import Store
-from mammometry.job.graph import Key
+from mammometry.job.products import Key
 from mammometry.job.stages.report import report_key
 
 if TYPE_CHECKING:

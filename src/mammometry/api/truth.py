@@ -18,7 +18,7 @@ from mammometry.study.evaluation_tables import evaluation_tables
 
 if TYPE_CHECKING:
     from mammometry.api.job import Job
-    from mammometry.job.graph import Product
+    from mammometry.job.products import Product
 
 FOLDER = "evaluation"
 FILES = ("evaluation.json", "evaluation.md", "error-map.png")

@@ -19,7 +19,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 import mammometry
 from mammometry.base.limits import LimitSettings
 from mammometry.io.write import write_text
-from mammometry.job.graph import versions
+from mammometry.job.products import versions
 from mammometry.job.stages.report import VERSIONS
 from mammometry.settings import Settings
 

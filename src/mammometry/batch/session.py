@@ -28,7 +28,7 @@ from mammometry.batch.entry import Entry
 from mammometry.batch.record import RECORD, Measured, Record, Row, key_of, read_record, stats_of, write_record
 from mammometry.io.images import megapixels_of
 from mammometry.io.write import disk_errors
-from mammometry.job.graph import STAGES, Key
+from mammometry.job.products import STAGES, Key
 from mammometry.settings import Settings
 
 _R = TypeVar("_R")

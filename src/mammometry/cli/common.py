@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
 
     from mammometry.base.progress import Progress
-    from mammometry.job.graph import Key
+    from mammometry.job.products import Key
     from mammometry.settings import Settings
 
 SessionFolder = Annotated[Path, typer.Argument(metavar="SESSION", help="The session folder.", show_default=False)]

@@ -109,8 +109,8 @@ def info(
     All result files are read, which takes a second or two per gigabyte.
     """
     from mammometry.api.job import open_session
-    from mammometry.job.graph import STAGES
     from mammometry.job.inputs import MISSING
+    from mammometry.job.products import STAGES
 
     job = open_session(session, load_settings(settings, assignments))
     inputs = job.inputs

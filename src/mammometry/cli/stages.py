@@ -27,7 +27,7 @@ from mammometry.cli.compile_cache import compiled_ahead
 if TYPE_CHECKING:
     from mammometry.api.job import Job
     from mammometry.api.results import Results
-    from mammometry.job.graph import Stage
+    from mammometry.job.products import Stage
 
 app = typer.Typer()
 _SET = "mammometry {} SESSION --set {}"
@@ -42,7 +42,7 @@ def _mesh_option(*names: str, help: str, show_default: bool | str = False) -> An
 def opened(session: Path, settings: Path | None, assignments: list[str] | None, bars: Bars) -> Job:
     """Open the session's job and set the total of the bars."""
     from mammometry.api.job import open_session
-    from mammometry.job.graph import STAGES
+    from mammometry.job.products import STAGES
 
     job = open_session(session, load_settings(settings, assignments), watch=bars.watch)
     for stage in STAGES:

@@ -63,7 +63,7 @@ def _renewed(
     from mammometry.api.job import open_session
     from mammometry.base.errors import MammometryError
     from mammometry.io.results.verify import shown
-    from mammometry.job.graph import STAGES
+    from mammometry.job.products import STAGES
 
     loaded = load_settings(settings, assignments)
     damaged = {f"{each.stage}/{each.product}": None for each in findings.damaged if each.product is not None}

@@ -22,8 +22,9 @@ from mammometry.geometry.camera import Rig
 from mammometry.io.drawn import BREASTS, DrawnBoundaries, origin_words, read_boundaries, read_landmarks
 from mammometry.io.drawn_changes import Change, Entry, Item, change_drawn, drawn_entries, drawn_entry, entry_digest
 from mammometry.io.results.store import Store
-from mammometry.job.graph import Key, Plan, Product
+from mammometry.job.graph import Plan
 from mammometry.job.inputs import Inputs
+from mammometry.job.products import Key, Product
 from mammometry.job.stages import measure
 from mammometry.job.values import FinishedSurface
 from mammometry.measure.boundary.boundary import Boundary

@@ -42,8 +42,8 @@ from mammometry.io.images import EXTENSIONS, ImageHeader, check_sizes, read_head
 from mammometry.io.manifest import MANIFEST, Manifest, read_manifest
 from mammometry.io.meshes import read_wall
 from mammometry.io.subject import check_session
-from mammometry.job.graph import Stage
 from mammometry.job.inputs import MISSING, Inputs
+from mammometry.job.products import Stage
 
 if TYPE_CHECKING:
     from mammometry.calibration.adjust.prior import CameraPrior

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from mammometry.measure.volume.attribution import Attribution
 
 SubjectKind: TypeAlias = Literal["model", "torso", "surface"]
-Each: TypeAlias = Literal["pose", "lens", "camera", "pair"]
+ItemKind: TypeAlias = Literal["pose", "lens", "camera", "pair"]
 """What a session has several of. A lens is a camera with photographs of its own for the calibration."""
 
 MISSING = "missing"
@@ -104,13 +104,13 @@ class Inputs:
             )
         return self.cameras is None
 
-    def items(self, each: Each | None) -> tuple[str, ...]:
+    def items(self, kind: ItemKind | None) -> tuple[str, ...]:
         """Names of all poses, cameras or pairs. One empty name for None."""
-        if each is None:
+        if kind is None:
             return ("",)
-        if each == "pose":
+        if kind == "pose":
             return tuple(sorted({pose for pose, _ in self.calibration_photographs}))
-        return tuple({"lens": self.intrinsics_photographs, "camera": self.photographs, "pair": self.pair_names}[each])
+        return tuple({"lens": self.intrinsics_photographs, "camera": self.photographs, "pair": self.pair_names}[kind])
 
     def key_part(self, *names: str) -> dict[str, str]:
         """Digests of some inputs, for a product's key. What the session lacks is left out.

@@ -8,8 +8,9 @@ from datetime import datetime
 from mammometry.base.identity import NAMELESS
 from mammometry.base.progress import Progress, no_progress
 from mammometry.calibration.judge.quality import assess
-from mammometry.job.graph import Plan, Stage
+from mammometry.job.graph import Plan
 from mammometry.job.inputs import Inputs
+from mammometry.job.products import Stage
 from mammometry.job.stages import calibrate, match, measure, surface
 from mammometry.job.stages.report import PageInputs
 from mammometry.measure.volume.measurement import VolumeMeasurement

@@ -10,8 +10,9 @@ from dataclasses import dataclass, field
 from typing import TypeAlias
 
 from mammometry.geometry.camera import Rig
-from mammometry.job.graph import Plan, Stage, Uncached
+from mammometry.job.graph import Plan
 from mammometry.job.inputs import Inputs
+from mammometry.job.products import Stage, Uncached
 from mammometry.job.stages import match, surface
 from mammometry.matching.foreground import Foreground
 from mammometry.matching.quality import MatchQuality

@@ -20,7 +20,7 @@ from mammometry.io.results import codecs
 from mammometry.io.results.formats.arrays import ARRAYS
 from mammometry.io.results.store import Store
 from mammometry.io.write import write_text
-from mammometry.job.graph import Key
+from mammometry.job.products import Key
 from mammometry.surface.dents import Kept
 
 

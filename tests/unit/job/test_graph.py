@@ -9,18 +9,8 @@ from planned_sessions import inputs
 
 from mammometry.base.errors import SurfaceError
 from mammometry.base.progress import no_progress
-from mammometry.job import graph
-from mammometry.job.graph import (
-    DEFINITIONS,
-    Background,
-    Context,
-    Key,
-    Plan,
-    Uncached,
-    at_hand,
-    product,
-    product_of_each,
-)
+from mammometry.job.graph import Background, Plan
+from mammometry.job.products import DEFINITIONS, Context, Key, Uncached, at_hand, product, product_of_each
 from mammometry.settings import Settings
 
 
@@ -227,7 +217,7 @@ def test_a_check_comes_first_and_only_if_something_is_missing() -> None:
 @pytest.fixture
 def two_cores(monkeypatch: pytest.MonkeyPatch) -> threading.Barrier:
     """A barrier that opens when two products are made at once."""
-    monkeypatch.setattr(graph, "available_cores", lambda: 2)
+    monkeypatch.setattr("os.sched_getaffinity", lambda pid: {0, 1})
     return threading.Barrier(2, timeout=5)
 
 
@@ -293,12 +283,12 @@ def test_what_fails_in_the_background_is_raised_by_whoever_waits(monkeypatch: py
     def model(*, job: Context) -> None:
         raise SurfaceError("model", found="no photograph", expected="photographs", remedy="Put them back")
 
-    monkeypatch.setattr(graph, "available_cores", lambda: 2)
+    monkeypatch.setattr("os.sched_getaffinity", lambda pid: {0, 1})
     with Background() as background:
         plan().ensure("surface", background)
         with pytest.raises(SurfaceError, match="no photograph"):
             background.wait()
-    monkeypatch.setattr(graph, "available_cores", lambda: 1)
+    monkeypatch.setattr("os.sched_getaffinity", lambda pid: {0})
     with Background() as background, pytest.raises(SurfaceError, match="no photograph"):
         plan().ensure("surface", background)
 

@@ -8,7 +8,7 @@ import trimesh
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
-from mammometry.job.graph import Single, at_hand
+from mammometry.job.products import Single, at_hand
 from mammometry.job.stages import surface
 from mammometry.job.values import CameraSet
 from mammometry.matching.foreground import Foreground

@@ -30,7 +30,7 @@ from mammometry.hospital.gather import quantities
 from mammometry.io import drift
 from mammometry.io.exposure import read_exposure
 from mammometry.io.images import EXTENSIONS, read_header
-from mammometry.job.graph import Key
+from mammometry.job.products import Key
 from mammometry.job.stages.calibrate import cameras as cameras_product
 from mammometry.job.stages.measure import boundaries
 from mammometry.measure.volume.attribution import curve_digest

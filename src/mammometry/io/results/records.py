@@ -11,7 +11,7 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstraints, ValidationError
 
-from mammometry.job.graph import STAGES, Stage
+from mammometry.job.products import STAGES, Stage
 
 RECORDS = "provenance.json"
 READY_RECORD = "record.json"

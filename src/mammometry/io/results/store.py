@@ -47,7 +47,7 @@ from mammometry.io.results.records import (
 )
 from mammometry.io.results.stamp import stamp_folder
 from mammometry.io.write import disk_errors, file_digest
-from mammometry.job.graph import Key
+from mammometry.job.products import Key
 
 T = TypeVar("T")
 State = Literal["current", "damaged", "stale", "absent"]

@@ -11,7 +11,7 @@ from mammometry.io.manifest import MANIFEST
 from mammometry.io.results.records import RECORDS, FileRecord, file_of, is_link, read_ready, read_records
 from mammometry.io.results.store import ASIDE, READY, WRITING
 from mammometry.io.write import file_digest
-from mammometry.job.graph import STAGES
+from mammometry.job.products import STAGES
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from mammometry.base.cores import available_cores
 from mammometry.base.errors import MatchingError
 from mammometry.base.photograph import Photograph
-from mammometry.job.graph import Context, product, product_of_each
+from mammometry.job.products import Context, product, product_of_each
 from mammometry.job.values import CameraSet
 
 if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a plan alone need not wait for.

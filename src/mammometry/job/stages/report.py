@@ -11,7 +11,8 @@ from types import MappingProxyType
 from typing import Any
 
 from mammometry.base.identity import Identity
-from mammometry.job.graph import Key, Plan, Product, Stage
+from mammometry.job.graph import Plan
+from mammometry.job.products import Key, Product, Stage
 from mammometry.job.stages import calibrate
 from mammometry.measure.volume.attribution import Attribution
 from mammometry.settings import Settings, as_table

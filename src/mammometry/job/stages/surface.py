@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from mammometry.job.graph import Context, product, product_of_each
+from mammometry.job.products import Context, product, product_of_each
 from mammometry.job.values import CameraSet, FinishedSurface
 
 if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a plan alone need not wait for.

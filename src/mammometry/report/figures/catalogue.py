@@ -14,7 +14,7 @@ from mammometry.base.errors import SettingsError
 from mammometry.base.registry import Registry
 
 if TYPE_CHECKING:
-    from mammometry.job.graph import Stage
+    from mammometry.job.products import Stage
     from mammometry.report.figures.canvas import Sheet
     from mammometry.report.figures.source import Source
 

@@ -6,8 +6,9 @@ shows the same pictures.
 
 from __future__ import annotations
 
-from mammometry.job.graph import Plan, Stage
+from mammometry.job.graph import Plan
 from mammometry.job.inputs import Inputs
+from mammometry.job.products import Stage
 from mammometry.report.figures.catalogue import previews_of
 from mammometry.report.figures.stage_results import MeasureResult, StageResult, stage_result
 from mammometry.surface.texture import TexturedMesh

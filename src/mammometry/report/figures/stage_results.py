@@ -13,8 +13,9 @@ from mammometry.calibration.adjust.bundle import Calibration
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.camera import Rig
 from mammometry.geometry.mesh import TriangleMesh
-from mammometry.job.graph import Plan, Stage, Uncached
+from mammometry.job.graph import Plan
 from mammometry.job.inputs import Inputs
+from mammometry.job.products import Stage, Uncached
 from mammometry.job.stages import calibrate, match, measure, surface
 from mammometry.matching.foreground import Foreground
 from mammometry.matching.match import DisparityMap
