@@ -86,16 +86,17 @@ class Plan:
         self._job = Context(inputs=inputs, settings=settings)
         self._memo = memo
         self._stages = stages
-        self._bound: dict[Definition[Any], dict[str, Product[Any]]] = {
+        self.bound: dict[Definition[Any], dict[str, Product[Any]]] = {
             definition: {"": Product(instead, self._job, {}, None)} for definition, instead in given.items()
         }
+        """Definition → its products by item, one of no name for a single one. Empty where the session has none."""
         for definition in sorted(DEFINITIONS.values(), key=lambda known: (STAGES.index(known.stage), known.number)):
             self._bind(definition)
 
     def _bind(self, definition: Definition[Any]) -> dict[str, Product[Any]]:
         """Products of one definition by item. Empty where the session has none."""
-        if definition in self._bound:
-            return self._bound[definition]
+        if definition in self.bound:
+            return self.bound[definition]
         products: dict[str, Product[Any]] = {}
         if definition.stage in self._stages and definition.when(self._job):
             for item in self._job.inputs.items(definition.item_kind):
@@ -106,7 +107,7 @@ class Plan:
                     for name in definition.parents
                 }
                 products[item] = Product(definition, job, parents, self._memo)
-        self._bound[definition] = products
+        self.bound[definition] = products
         return products
 
     def _parents(self, definition: Definition[Any], name: str, item: str) -> Parents:
@@ -132,12 +133,12 @@ class Plan:
         Raises:
             KeyError: the session has no such product.
         """
-        products = self._bound[definition]
+        products = self.bound[definition]
         return products if definition.item_kind else products[""]
 
     def get(self, definition: Single[T]) -> Product[T] | None:
         """The product, or None where the session has none."""
-        return self._bound[definition].get("")
+        return self.bound[definition].get("")
 
     def value(self, definition: Single[T]) -> T | None:
         """Value of a product, made or read back. None where the session has no such product."""
@@ -153,7 +154,7 @@ class Plan:
         """All stored products, or those of some stages, in the order of their declaration."""
         return tuple(
             product
-            for definition, products in self._bound.items()
+            for definition, products in self.bound.items()
             for product in products.values()
             if product.is_stored and definition.stage in (stages or STAGES)
         )
@@ -170,7 +171,7 @@ class Plan:
         """
         products = self.products(stage)
         if any(product.missing for product in products):
-            for definition, checks in self._bound.items():
+            for definition, checks in self.bound.items():
                 if definition.check and definition.stage == stage:
                     checks[""]()
         for alone, group in groupby(products, key=lambda product: product.definition.threads is None):
