@@ -198,7 +198,7 @@ def product_of_each(item_kind: ItemKind, stage: Stage, **facts: Any) -> Callable
 
 
 def at_hand(value: T, *, stage: Stage, name: str, version: int | None, inputs: Mapping[str, str]) -> Single[T]:
-    """Declare a product whose value is given. It counts in the keys of what is made from it, and is never written."""
+    """Declare a product whose value is given. It is never written, but part of the keys of its children."""
     return Single(
         function=lambda job: value, stage=stage, number=0, item_kind=None, version=version, name=name,
         inputs=lambda job: inputs, stored=False,

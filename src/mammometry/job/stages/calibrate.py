@@ -1,4 +1,4 @@
-"""Calibration stage: from photographs of the target to cameras that later stages may rely on. Paper 2.2."""
+"""Calibration stage: from photographs of the target to cameras to rely on. Paper 2.2."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Matching stage: from photographs and cameras to the subject in each photograph and the disparities. Paper 2.3."""
+"""Matching stage: from photographs and cameras to foregrounds and disparities. Paper 2.3."""
 
 from __future__ import annotations
 

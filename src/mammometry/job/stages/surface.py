@@ -150,7 +150,7 @@ def initial_surface(valid_patches: ValidPatches, solid: Solid | None, *, job: Co
 
 @product("surface", version=5, name="repaired", settings="surface.repair")
 def repaired(initial_surface: TriangleMesh, valid_patches: ValidPatches, *, job: Context) -> RepairedSurface:
-    """The surface drawn to the range data, elastically. An open surface stays as it was measured. Paper 2.6.3."""
+    """The surface, drawn elastically to the range data. An open one stays as measured. Paper 2.6.3."""
     from mammometry.surface import repair
 
     if job.inputs.subject_kind == "surface":
