@@ -1,6 +1,7 @@
 """The page on how to extend the package is true: each of its blocks is run, and what it adds is then used."""
 
 import __future__
+
 import io
 import json
 import re
@@ -36,8 +37,8 @@ from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.open_breast import OpenBreast
 from mammometry.measure.wall.registry import CAST_WALLS, TORSO_WALLS
 from mammometry.report.figures import previews
-from mammometry.report.figures.canvas import CYCLE, caption_of
 from mammometry.report.figures.catalogue import PAPER_FIGURES, PREVIEWS
+from mammometry.report.figures.drawing.canvas import CYCLE, caption_of
 from mammometry.report.figures.product_graph import product_graph
 from mammometry.settings import Settings
 from mammometry.simulate.disturbances.about import Surroundings
@@ -45,9 +46,9 @@ from mammometry.simulate.disturbances.registry import DISTURBANCES, check, distu
 from mammometry.simulate.recipe import SessionRecipe
 from mammometry.simulate.rendering.develop import develop
 from mammometry.simulate.rendering.film import Film
+from mammometry.simulate.rendering.objects.skin import Skin
+from mammometry.simulate.rendering.objects.solid_target import render_target
 from mammometry.simulate.rendering.registry import RENDERERS
-from mammometry.simulate.rendering.skin import Skin
-from mammometry.simulate.rendering.solid_target import render_target
 from mammometry.simulate.rigs.build import flashes
 from mammometry.simulate.rigs.poses import draw_poses
 from mammometry.simulate.rigs.rig import make_rig

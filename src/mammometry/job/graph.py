@@ -13,7 +13,7 @@ from itertools import groupby
 from types import MappingProxyType
 from typing import Any, Self, TypeVar, overload
 
-from mammometry.base.cores import available_cores
+from mammometry.base.machine.cores import available_cores
 from mammometry.job.inputs import Inputs
 from mammometry.job.products import (
     DEFINITIONS,

@@ -21,7 +21,7 @@ from operator import attrgetter
 from threading import Lock
 from typing import Any, Generic, Literal, Protocol, TypeAlias, TypeVar
 
-from mammometry.base.cores import available_cores
+from mammometry.base.machine.cores import available_cores
 from mammometry.base.progress import Progress, no_progress
 from mammometry.base.registry import Registry
 from mammometry.job.inputs import Inputs, ItemKind

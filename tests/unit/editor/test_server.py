@@ -33,7 +33,7 @@ from mammometry.editor.server import Application, editor_app
 from mammometry.job.stages import measure
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.settings import MeasureSettings
-from mammometry.surface.texture import TexturedMesh
+from mammometry.surface.texture.texture import TexturedMesh
 
 CHROMIUM = shutil.which("chromium")
 FLAGS = [

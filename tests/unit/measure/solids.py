@@ -11,8 +11,8 @@ from mammometry.geometry.transform import Transform
 from mammometry.job.products import Single, at_hand
 from mammometry.job.stages import surface
 from mammometry.job.values import CameraSet
-from mammometry.matching.foreground import Foreground
-from mammometry.surface.repair import Provenance, RepairedSurface
+from mammometry.matching.foreground.foreground import Foreground
+from mammometry.surface.repair.repair import Provenance, RepairedSurface
 
 
 def ball(radius_mm: float = 50.0, subdivisions: int = 5) -> TriangleMesh:

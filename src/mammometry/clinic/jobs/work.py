@@ -28,8 +28,8 @@ from mammometry.capture.checks.cameras import KnownCamera, clocks
 from mammometry.capture.sessions import share_calibration, take_over
 from mammometry.hospital.gather import quantities
 from mammometry.io import drift
-from mammometry.io.exposure import read_exposure
-from mammometry.io.images import EXTENSIONS, read_header
+from mammometry.io.photographs.exposure import read_exposure
+from mammometry.io.photographs.images import EXTENSIONS, read_header
 from mammometry.job.products import Key
 from mammometry.job.stages.calibrate import cameras as cameras_product
 from mammometry.job.stages.measure import boundaries
@@ -89,7 +89,7 @@ def measure_scan(tell: Tell, folder: str, settings: str) -> dict[str, Any]:
 
     Args:
         tell: called with stage and fraction.
-        folder: the visit's, made by `mammometry.io.scans`.
+        folder: the visit's, made by `mammometry.io.meshes.scans`.
         settings: TOML.
 
     Returns:

@@ -6,20 +6,20 @@ from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING
 
-from mammometry.base.cores import available_cores
 from mammometry.base.errors import MatchingError
+from mammometry.base.machine.cores import available_cores
 from mammometry.base.photograph import Photograph
 from mammometry.job.products import Context, product, product_of_each
 from mammometry.job.values import CameraSet
 
 if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a plan alone need not wait for.
     from mammometry.calibration.features.keypoints import Keypoints
-    from mammometry.calibration.judge.names import Names
-    from mammometry.matching.foreground import Foreground
-    from mammometry.matching.match import DisparityMap
+    from mammometry.calibration.judge.cameras.names import Names
+    from mammometry.matching.dense.match import DisparityMap
+    from mammometry.matching.foreground.all_cameras import Subjects
+    from mammometry.matching.foreground.foreground import Foreground
     from mammometry.matching.rectify import RectifiedPair
-    from mammometry.matching.subjects import Subjects
-    from mammometry.surface.agreement import RowErrors
+    from mammometry.surface.motion.agreement import RowErrors
 
 _AT_ONCE = 4  # photographs in memory; at full size each has 40 MB
 
@@ -34,7 +34,7 @@ def names(cameras: CameraSet, *, job: Context) -> Names:
         MatchingError: names the photographs that have another camera's name, or show another exposure.
     """
     from mammometry.calibration.features.keypoints import keypoints
-    from mammometry.calibration.judge.names import check_names, wrong_photographs
+    from mammometry.calibration.judge.cameras.names import check_names, wrong_photographs
 
     def features(camera: str) -> tuple[tuple[int, int], Keypoints]:
         photograph = job.inputs.photographs[camera]
@@ -68,7 +68,7 @@ def _masks_missing(job: Context) -> bool:
 @product("match", version=1, settings="matching.foreground", inputs=("capture", "masks"), when=_masks_missing)
 def subjects(cameras: CameraSet, *, job: Context) -> Subjects:
     """Where the subject stands, and its blocks in each photograph. Not sought where all masks are given."""
-    from mammometry.matching.subjects import find_subjects
+    from mammometry.matching.foreground.all_cameras import find_subjects
 
     return find_subjects(cameras.rig, job.inputs.photographs, job.settings.matching.foreground, given=job.inputs.masks)
 
@@ -89,7 +89,7 @@ def _given_mask(job: Context) -> tuple[str, ...]:
 )
 def foreground(photograph: Photograph, subjects: Subjects | None, *, job: Context) -> Foreground:
     """Which pixels of one camera show the subject."""
-    from mammometry.matching.foreground import estimate_foreground
+    from mammometry.matching.foreground.foreground import estimate_foreground
 
     given = job.inputs.masks.get(job.item)
     subject = None if subjects is None else subjects.blocks.get(job.item)
@@ -123,7 +123,7 @@ def rectified(
 @product_of_each("pair", "match", version=16, settings="matching", large=True, threads=2)
 def disparity(rectified: RectifiedPair, *, job: Context) -> DisparityMap:
     """Where each left pixel is seen on the right."""
-    from mammometry.matching.match import match
+    from mammometry.matching.dense.match import match
 
     return match(rectified, job.settings.matching, progress=job.progress)
 
@@ -131,6 +131,6 @@ def disparity(rectified: RectifiedPair, *, job: Context) -> DisparityMap:
 @product_of_each("pair", "match", version=1, name="rows/{item}", threads=2)
 def vertical_residual(disparity: DisparityMap, *, job: Context) -> RowErrors:
     """The vertical disparity of a pair, summed up while the whole of it is in memory."""
-    from mammometry.surface.agreement import row_errors
+    from mammometry.surface.motion.agreement import row_errors
 
     return row_errors(disparity)

@@ -12,17 +12,17 @@ from mammometry.job.values import CameraSet, FinishedSurface
 if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a plan alone need not wait for.
     from mammometry.calibration.adjust.calibrated import Calibration
     from mammometry.geometry.mesh import TriangleMesh
-    from mammometry.matching.foreground import Foreground
-    from mammometry.matching.match import DisparityMap
-    from mammometry.matching.subjects import Subjects
-    from mammometry.surface.agreement import RowErrors
-    from mammometry.surface.atlas import Atlas
-    from mammometry.surface.dents import Kept, ValidPatches
-    from mammometry.surface.extract import Solid
-    from mammometry.surface.occluders import Blocked
-    from mammometry.surface.range_image import RangeImage
-    from mammometry.surface.repair import RepairedSurface
-    from mammometry.surface.stillness import Stillness
+    from mammometry.matching.dense.match import DisparityMap
+    from mammometry.matching.foreground.all_cameras import Subjects
+    from mammometry.matching.foreground.foreground import Foreground
+    from mammometry.surface.fusion.fuse import Solid
+    from mammometry.surface.motion.agreement import RowErrors
+    from mammometry.surface.motion.motion_test import Stillness
+    from mammometry.surface.occlusion.occlusion import Blocked
+    from mammometry.surface.ranges.dents import Kept, ValidPatches
+    from mammometry.surface.ranges.range_image import RangeImage
+    from mammometry.surface.repair.repair import RepairedSurface
+    from mammometry.surface.texture.texture_atlas import Atlas
 
 
 @product_of_each(
@@ -30,7 +30,7 @@ if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a pla
 )
 def range_image(disparity: DisparityMap, *, job: Context) -> RangeImage:
     """The range image of a pair, with the cameras as calibrated. Paper 2.4."""
-    from mammometry.surface.range_image import triangulate
+    from mammometry.surface.ranges.range_image import triangulate
 
     return triangulate(disparity, job.settings.surface.triangulate)
 
@@ -45,7 +45,7 @@ def stillness(
     job: Context,
 ) -> Stillness:
     """What moved between calibration and exposures, by pairs that see the same skin."""
-    from mammometry.surface import stillness
+    from mammometry.surface.motion import motion_test as stillness
 
     covariance = None if calibration is None else calibration.covariance
     images = tuple(range_images.values())
@@ -72,7 +72,8 @@ def keep_masks(
     job: Context,
 ) -> Kept:
     """Which range data survive the removal of dents. Paper 2.6.1 and 2.6.2."""
-    from mammometry.surface import decompose, dents, scraps
+    from mammometry.surface.ranges import decompose, dents
+    from mammometry.surface.ranges import foreign_pieces as scraps
 
     settings, rig = job.settings.surface, cameras.rig
     images = tuple(stillness.carry(image, rig) for image in range_images.values())
@@ -109,7 +110,7 @@ def occlusions(
     job: Context,
 ) -> Mapping[str, Blocked]:
     """Camera → places with something in front of the subject, for cameras that have such places."""
-    from mammometry.surface.occluders import find_blocked
+    from mammometry.surface.occlusion.occlusion import find_blocked
 
     return find_blocked(valid_patches.range_images, foregrounds, corrected_cameras.rig)
 
@@ -124,7 +125,8 @@ def solid(
     job: Context,
 ) -> Solid | None:
     """Where a cast or torso may lie, by range data and silhouettes. None for an open surface. Paper 2.5."""
-    from mammometry.surface import extract, occluders
+    from mammometry.surface.fusion import fuse as extract
+    from mammometry.surface.occlusion import occlusion as occluders
 
     if job.inputs.subject_kind == "surface":
         return None
@@ -140,7 +142,7 @@ def _extraction(job: Context) -> object:
 @product("surface", version=10, name="first", settings=_extraction, inputs=("subject",), large=True)
 def initial_surface(valid_patches: ValidPatches, solid: Solid | None, *, job: Context) -> TriangleMesh:
     """The first surface, from the average of the views' signed distances. Paper 2.5."""
-    from mammometry.surface import extract
+    from mammometry.surface.fusion import fuse as extract
 
     extraction = job.settings.surface.extract.of(job.inputs.subject_kind)
     if solid is None:
@@ -151,7 +153,7 @@ def initial_surface(valid_patches: ValidPatches, solid: Solid | None, *, job: Co
 @product("surface", version=5, name="repaired", settings="surface.repair")
 def repaired(initial_surface: TriangleMesh, valid_patches: ValidPatches, *, job: Context) -> RepairedSurface:
     """The surface, drawn elastically to the range data. An open one stays as measured. Paper 2.6.3."""
-    from mammometry.surface import repair
+    from mammometry.surface.repair import repair
 
     if job.inputs.subject_kind == "surface":
         return repair.as_measured(initial_surface, valid_patches)
@@ -161,7 +163,8 @@ def repaired(initial_surface: TriangleMesh, valid_patches: ValidPatches, *, job:
 @product("surface", version=6, settings="surface.texture", inputs=("capture",), threads=1, deferrable=True)
 def model(corrected_cameras: CameraSet, repaired: RepairedSurface, *, job: Context) -> Atlas:
     """For looking: fewer triangles, the photographs at full resolution."""
-    from mammometry.surface import atlas, atlas_jpeg, unmeasured
+    from mammometry.surface.texture import atlas_jpeg, unmeasured
+    from mammometry.surface.texture import texture_atlas as atlas
 
     settings, rig = job.settings.surface.texture, corrected_cameras.rig
     covered = atlas.cover(repaired.mesh, job.inputs.photographs, rig, settings, progress=job.progress)
@@ -171,7 +174,7 @@ def model(corrected_cameras: CameraSet, repaired: RepairedSurface, *, job: Conte
 @product("surface", version=4, settings="surface.texture", inputs=("capture",), threads=1)
 def mesh(corrected_cameras: CameraSet, repaired: RepairedSurface, *, job: Context) -> FinishedSurface:
     """The repaired surface with a colour at each vertex."""
-    from mammometry.surface.texture import paint
+    from mammometry.surface.texture.texture import paint
 
     textured = paint(repaired.mesh, job.inputs.photographs, corrected_cameras.rig, job.settings.surface.texture)
     return FinishedSurface(repaired=repaired, textured=textured)
