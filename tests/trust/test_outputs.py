@@ -215,6 +215,15 @@ def figure(place: Path, patch: pytest.MonkeyPatch) -> Case:
     )
 
 
+def graph(place: Path, patch: pytest.MonkeyPatch) -> Case:
+    session = _session(place / "session")
+    inside = session / "capture" / "products.svg"
+    return Case(
+        ["graph", session, "--out", place / "products.svg"], place, ("products.svg",),
+        [["graph", session, "--out", inside]],
+    )  # fmt: skip
+
+
 def target(place: Path, patch: pytest.MonkeyPatch) -> Case:
     session = _session(place / "session")
     inside = session / "capture" / "board.pdf"
@@ -280,7 +289,7 @@ def measure(place: Path, patch: pytest.MonkeyPatch) -> Case:
     rim = 60 * np.stack([np.cos(angles), np.sin(angles), 0 * angles], axis=1)
     boundary = place / "data" / "b.json"
     boundary.write_text(json.dumps({"boundaries": {"model": {"points": rim.tolist()}}}))
-    patch.setattr(mesh_job.MeshJob, "_stored_report", SimpleNamespace(ensure=lambda gathered: None))
+    patch.setattr(mesh_job.MeshJob, "_write_report", lambda self, gathered: None)
     command: list[object] = ["measure", scan, "--units", "mm", "--boundary", boundary, "--out"]
     return Case(
         [*command, place / "out"], place / "out", (), [[*command, out] for out in (scan.parent, place, boundary)]
@@ -370,6 +379,7 @@ CASES: dict[str, Callable[[Path, pytest.MonkeyPatch], Case]] = {
     "compare": compare,
     "report": report,
     "figure": figure,
+    "graph": graph,
     "target": target,
     "export-cameras": export_cameras,
     "import-cameras": import_cameras,

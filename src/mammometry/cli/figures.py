@@ -1,4 +1,4 @@
-"""The command `figure`: figures of the paper, drawn from a session."""
+"""The commands `figure` and `graph`: figures of the paper, and what a session's results are made from."""
 
 from __future__ import annotations
 
@@ -43,3 +43,33 @@ def figure(
         with bars.task("figure", str(number)):
             write_figure(number, (job.plan, job.inputs, job.settings), path, job.identity.subject)
     return Answer({"figure": str(path)}, [f"Figure {number}: {path}"])
+
+
+@command(app, "mammometry graph SESSION", "mammometry graph SESSION --out products.svg")
+def graph(
+    options: Options,
+    session: SessionFolder,
+    out: Annotated[
+        Path | None, typer.Option(help="SVG file to write.", show_default="products.svg in results/")
+    ] = None,
+) -> Answer:
+    """Draw what each result is made from, whether it is current, and how long it took.
+
+    Nothing is computed. All result files are read, which takes a second or two per gigabyte.
+    """
+    from mammometry.api.job import open_session
+    from mammometry.io.outputs import require_apart, write_output
+    from mammometry.report.figures.product_graph import Known, product_graph
+
+    if out is not None and out.suffix != ".svg":
+        raise typer.BadParameter(f"--out ends with .svg, found {out.name}")
+    job = open_session(session, options.settings())
+    path = out or job.session.results / "products.svg"
+    require_apart(path, [*job.session.brought, options.file])
+    keys = [product.key for product in job.plan.products()]
+    known = {}
+    for key, state in zip(keys, job.store.states(keys), strict=True):
+        record = job.store.record(key)
+        known[f"{key.stage}/{key.product}"] = Known(state=state, seconds=None if record is None else record.seconds)
+    write_output(path, product_graph(job.plan, known, job.identity.subject).encode(), command="graph")
+    return Answer({"graph": str(path)}, [f"Graph: {path}"])

@@ -30,12 +30,14 @@ from mammometry.io import drift
 from mammometry.io.photographs.exposure import read_exposure
 from mammometry.io.photographs.images import EXTENSIONS, read_header
 from mammometry.job.products import Key
+from mammometry.job.stages.calibrate import cameras as cameras_product
+from mammometry.job.stages.measure import boundaries
 from mammometry.measure.volume.attribution import curve_digest
 from mammometry.measure.volume.difference import difference
 from mammometry.settings import Settings
 
 if TYPE_CHECKING:
-    from mammometry.job.measuring import Measured
+    from mammometry.job.graph import Plan
     from mammometry.measure.volume.measurement import VolumeMeasurement
 
 RESULTS = "results"
@@ -76,7 +78,7 @@ def measure(progress: StageProgress, session: str, calibration: str, settings: s
         "made_at": job.made_at("measure"),
         "software": mammometry.__version__,
         "volumes": rows,
-        **_numbers(measurements, job.plan.measured),
+        **_numbers(measurements, job.plan),
         "megapixels": measured["megapixels"],
     }
 
@@ -119,9 +121,9 @@ def _watched(key: Key, progress: StageProgress) -> Iterator[Progress]:
     yield lambda fraction: progress(key.stage, fraction)
 
 
-def _numbers(measured: Mapping[str, VolumeMeasurement], plan: Measured) -> dict[str, Any]:
+def _numbers(measured: Mapping[str, VolumeMeasurement], plan: Plan) -> dict[str, Any]:
     """Digests of the measured boundaries, and every number under the name that exports use."""
-    curves = () if plan.boundaries is None else plan.boundaries()
+    curves = plan.value(boundaries) or ()
     return {
         "curves": {curve.name: curve_digest(curve.points_world) for curve in curves},
         "quantities": [_finite(asdict(quantity)) for quantity in quantities(tuple(measured.values()), plan)],
@@ -186,7 +188,7 @@ def calibrate(progress: StageProgress, session: str, settings: str) -> dict[str,
             "worst_pair_mm": max(quality.expected_mm.values(), default=None),
         }
     figures["cameras"] = {name: about.as_table() for name, about in known_cameras(Path(session)).items()}
-    return {"digest": job.plan.calibrated.cameras.key.digest, "figures": _finite(figures)}
+    return {"digest": job.plan[cameras_product].key.digest, "figures": _finite(figures)}
 
 
 def known_cameras(session: Path) -> dict[str, KnownCamera]:
@@ -226,7 +228,7 @@ def check(progress: StageProgress, calibration: str, folder: str, settings: str)
     """
     job = open_session(calibration, Settings.from_toml(settings))
     progress("check", 0.0)
-    now = job.plan.calibrated.cameras.key.digest[:12]
+    now = job.plan[cameras_product].key.digest[:12]
     entries = drift.read_history(Path(calibration)).entries
     entry = next((entry for entry in entries if entry.image_set == folder and entry.calibration == now), None)
     unseen: list[str] = []
