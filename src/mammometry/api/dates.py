@@ -219,10 +219,10 @@ def _heading(jobs: list[Dated], dates: list[datetime.date | None], subject: str 
     if deidentify:
         return _Heading(title=NAMELESS.title, subtitle="two dates of one torso", subject=None)
     known = [job.identity for job in jobs]
-    names = " → ".join(each.name for each in known)
-    if subject is not None and all(each.subject == subject for each in known):
+    names = " → ".join(identity.name for identity in known)
+    if subject is not None and all(identity.subject == subject for identity in known):
         return _Heading(title=subject, subtitle=f"{names} · {_dates_words(dates)}", subject=subject)
-    return _Heading(title=" → ".join(each.title for each in known), subtitle=_dates_words(dates), subject=None)
+    return _Heading(title=" → ".join(identity.title for identity in known), subtitle=_dates_words(dates), subject=None)
 
 
 def _check(jobs: list[Dated]) -> None:
@@ -263,7 +263,7 @@ def _one_protocol(jobs: list[Dated], progress: Progress) -> tuple[list[tuple[Vol
     from mammometry.measure.wall.registry import TORSO_WALLS, in_order
 
     warnings: list[str] = []
-    found = [{each.name: each for each in _measurements(job)} for job in jobs]
+    found = [{measurement.name: measurement for measurement in _measurements(job)} for job in jobs]
     boundaries = [_boundaries(job) for job in jobs]
     both = found[0].keys() & found[1].keys()
     drawn = [frozenset(job.inputs.boundaries) & both for job in jobs]
@@ -289,7 +289,7 @@ def _one_protocol(jobs: list[Dated], progress: Progress) -> tuple[list[tuple[Vol
     wall: str | None = None
     if any(found[0][name].wall_kind != found[1][name].wall_kind for name in both):
         wall = in_order(TORSO_WALLS)[0]
-        names = " and ".join(dict.fromkeys(each.wall_kind for volumes in found for each in volumes.values()))
+        names = " and ".join(dict.fromkeys(volume.wall_kind for volumes in found for volume in volumes.values()))
         warnings.append(
             f"The dates used different chest walls ({names}). Both were measured again with the wall “{wall}”."
         )
@@ -305,7 +305,7 @@ def _one_protocol(jobs: list[Dated], progress: Progress) -> tuple[list[tuple[Vol
             for name, measured in found[number].items()
             if name not in replaced[number] and wall in (None, measured.wall_kind)
         }
-        again = [each for each in own if each.name in both and each.name not in kept]
+        again = [boundary for boundary in own if boundary.name in both and boundary.name not in kept]
         measured = _measured_again(job, again, wall, back, part(progress, number / 2, (number + 1) / 2))
         order: list[str] = [boundary.name for boundary in own]
         volumes.append(tuple(sorted((*kept.values(), *measured), key=lambda breast: order.index(breast.name))))
@@ -314,7 +314,7 @@ def _one_protocol(jobs: list[Dated], progress: Progress) -> tuple[list[tuple[Vol
 
 def _at_one_date(measured: Sequence[tuple[VolumeMeasurement, ...]]) -> dict[str, str]:
     """Breast → the date at which alone it has a volume."""
-    names = [{each.name for each in volumes} for volumes in measured]
+    names = [{volume.name for volume in volumes} for volumes in measured]
     return {
         name: _WHICH[number] for number in (0, 1) for name in sorted(names[number]) if name not in names[1 - number]
     }
@@ -351,7 +351,7 @@ def _measurements(job: Dated) -> tuple[VolumeMeasurement, ...]:
     from mammometry.measure.volume.attribution import attributed
 
     made = job.plan.value(measure.measurements) or ()
-    return tuple(attributed(each, job.inputs.attributions, named=False) for each in made)
+    return tuple(attributed(measurement, job.inputs.attributions, named=False) for measurement in made)
 
 
 def _boundaries(job: Dated) -> tuple[Boundary, ...]:
@@ -408,8 +408,8 @@ def _unconfirmed(change: Change) -> list[str]:
 
     warnings = []
     for number, which in enumerate(_WHICH):
-        found = [(each.before, each.after)[number] for each in change.breasts]
-        if any(TO_BE_CONFIRMED in each.boundary_method for each in found):
+        found = [(breast.before, breast.after)[number] for breast in change.breasts]
+        if any(TO_BE_CONFIRMED in measurement.boundary_method for measurement in found):
             warnings.append(
                 f"Nobody has confirmed the automatic boundaries of the {which} date. Look at them with "
                 "`mammometry edit`, and confirm them or draw better ones."

@@ -73,8 +73,8 @@ def measure_drawings(
     surfaces: list[DrawnSurface] = []
     drawings: list[Drawing] = []
     done = 0
-    for mesh in dict.fromkeys(each.mesh for each in drawn):
-        own = [each for each in drawn if each.mesh == mesh]
+    for mesh in dict.fromkeys(drawing.mesh for drawing in drawn):
+        own = [drawing for drawing in drawn if drawing.mesh == mesh]
 
         def part(fraction: float, done: int = done, count: int = len(own)) -> None:
             progress((done + count * fraction) / len(drawn))
@@ -97,11 +97,11 @@ def _on_one(
     foreign = read_foreign(path, units)
     scan = repair_scan(foreign.mesh)
     files = []
-    for each in drawn:
-        curves = boundaries_in(each.boundary, _SIDES).curves
+    for drawing in drawn:
+        curves = boundaries_in(drawing.boundary, _SIDES).curves
         if not curves:
             raise SessionError(
-                str(each.boundary),
+                str(drawing.boundary),
                 found="no points",
                 expected="a curve around a breast, left or right",
                 remedy="Let this person draw, or take the file out",
@@ -111,9 +111,9 @@ def _on_one(
     surface, fine = scanned.as_scanned(scan.mesh, scan.invented), scan.mesh
     frame = _frame(surface, files, axes)
     found = []
-    for number, (each, curves) in enumerate(zip(drawn, files, strict=True)):
+    for number, (drawing, curves) in enumerate(zip(drawn, files, strict=True)):
         for name, one in curves.items():
-            check_curve(f"{name} of {shown_name(each.boundary)}", one, fine)
+            check_curve(f"{name} of {shown_name(drawing.boundary)}", one, fine)
             scanned.check_cut(name, one, fine)
         boundaries = [Boundary(name=name, points_world=one, method="drawn") for name, one in curves.items()]  # type: ignore[arg-type]
         for breast in open_breasts(boundaries, surface, settings, frame=frame):
@@ -123,15 +123,15 @@ def _on_one(
             found.append(
                 Drawing(
                     breast=f"{shown_name(path.with_suffix(''))}, {side}",
-                    observer=each.observer,
-                    repeat=each.repeat,
+                    observer=drawing.observer,
+                    repeat=drawing.repeat,
                     volume_cc=wall.closed.volume_mm3() / 1000,
                     base_cm2=wall.mesh.area_mm2() / 100,
                     lateral_up_mm=breast.boundary.points_world @ axes_world.T,
                 )
             )
         progress((number + 1) / len(drawn))
-    flat = [(each.observer, one) for each, curves in zip(drawn, files, strict=True) for one in curves.values()]
+    flat = [(drawing.observer, one) for drawing, curves in zip(drawn, files, strict=True) for one in curves.values()]
     name = shown_name(path.with_suffix(""))
     return DrawnSurface(name=name, mesh=foreign.mesh, frame=frame, curves=tuple(flat)), found
 

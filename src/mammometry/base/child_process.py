@@ -17,6 +17,7 @@ import time
 import traceback
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import dataclass
 from types import TracebackType
 from typing import IO, Any, Self, TypeVar
 
@@ -24,7 +25,6 @@ from mammometry.base.errors import MammometryError
 from mammometry.base.machine.cores import CORES
 from mammometry.base.machine.memory import peak_memory_mb, return_freed_arrays
 from mammometry.base.progress import StageProgress
-from mammometry.base.value import value
 
 _R = TypeVar("_R")
 _DEFECT = 70
@@ -32,9 +32,12 @@ _DEFECT = 70
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")
 
 
-@value
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Call:
-    """A function of some module, and the arguments that it is called with. All of it can be pickled."""
+    """A function of some module, and the arguments that it is called with. All of it can be pickled.
+
+    No `value`: the arguments are the function's own, to write to as well.
+    """
 
     function: Callable[..., Any]
     arguments: tuple[Any, ...]

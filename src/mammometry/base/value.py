@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copyreg
 import dataclasses
 import sys
 from collections.abc import Callable
@@ -64,6 +65,13 @@ def freeze(content: Any) -> Any:
         same = type(content) is tuple and all(item is given for item, given in zip(items, content, strict=True))
         return content if same else tuple(items)
     return content
+
+
+def _unchangeable(content: dict[Any, Any]) -> MappingProxyType[Any, Any]:
+    return MappingProxyType(content)
+
+
+copyreg.pickle(MappingProxyType, lambda mapping: (_unchangeable, (dict(mapping),)))  # values go to other processes
 
 
 def read_only(array: _A) -> _A:

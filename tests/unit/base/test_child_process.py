@@ -24,6 +24,7 @@ def test_it_calls_one_after_another_in_a_process_of_its_own() -> None:
         assert child.call(os.getpid) not in (os.getpid(), None)
         assert child.call(os.getpgrp) != os.getpgrp()  # Ctrl-C at the terminal goes to this process alone
         assert child.call(available_cores) == 1  # the first has the others
+        assert child.call(np.put, np.zeros(3), [0], [1.0]) is None  # arguments are the function's own, to write to
         large = np.arange(300_000.0)  # more than a pipe holds, in both directions
         np.testing.assert_array_equal(child.call(np.flip, large), large[::-1])
 

@@ -77,6 +77,14 @@ def test_values_of_arrays_compare_by_identity() -> None:
     assert copy.copy(Plain(name="a")) == Plain(name="a")
 
 
+def test_values_of_arrays_and_mappings_go_to_other_processes() -> None:
+    again = pickle.loads(pickle.dumps(Arrays(points=np.arange(3.0), named={"a": {"b": 1}}, parts=(np.ones(2),))))
+    np.testing.assert_array_equal(again.points, np.arange(3.0))
+    assert again.named == {"a": {"b": 1}}
+    with pytest.raises(TypeError):
+        again.named["c"] = 1
+
+
 def test_what_was_given_is_checked_and_cached_properties_are_kept() -> None:
     assert Checked(sizes=(1, 2)).sizes == (1, 2)
     with pytest.raises(ValueError, match="positive"):
