@@ -173,7 +173,7 @@ class Plan:
         if any(product.missing for product in products):
             for definition, checks in self.bound.items():
                 if definition.check and definition.stage == stage:
-                    checks[""]()
+                    checks[""].uncached()
         for alone, group in groupby(products, key=lambda product: product.definition.threads is None):
             if alone:
                 for product in group:
