@@ -70,10 +70,7 @@ def foregrounds_of(
 ) -> dict[str, Foreground]:
     """Camera → its foreground, as the product finds it."""
     found = find_subjects(rig, photographs, settings)
-    return {
-        name: estimate_foreground(shot, name, settings, subject=found.blocks.get(name))
-        for name, shot in photographs.items()
-    }
+    return {name: estimate_foreground(shot, name, subject=found.blocks.get(name)) for name, shot in photographs.items()}
 
 
 def cases(capture: Capture, pairs: list[str], settings: MatchSettings, rig: Rig | None = None) -> Iterator[Case]:

@@ -80,7 +80,7 @@ def range_images(rig: Rig, folder: Path) -> tuple[list[RangeImage], dict[str, Fo
     images = []
     for pair in rig.pairs:
         left, right = pair.left.name, pair.right.name
-        both = rectify(pair, photographs[left], photographs[right], seen[left], seen[right], settings.rectify)
+        both = rectify(pair, photographs[left], photographs[right], seen[left], seen[right])
         images.append(triangulate(match(both, settings)))
     return images, seen
 

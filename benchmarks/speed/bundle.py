@@ -86,7 +86,7 @@ def main() -> None:
             all_views(observations, {}, initial), observations, {}, initial, {}, BundleSettings()
         )
         begun = time.process_time()
-        adjusted(network, held_at_first(network, {}), first, BundleSettings())
+        adjusted(network, held_at_first(network, {}), first)
         ended = time.process_time()
         calibration = calibrate(observations, {"pair": ("camera_0", "camera_1")}, "generated")
         whole = time.process_time() - ended

@@ -12,7 +12,6 @@ import pytest
 from mammometry.io.images import read_photograph
 from mammometry.io.truth import read_truth
 from mammometry.matching.foreground import blocks_of, estimate_foreground, subject_blocks
-from mammometry.matching.settings import ForegroundSettings
 from mammometry.matching.subjects import find_subjects
 from mammometry.simulate.recipe import SessionRecipe
 from mammometry.simulate.rendering.skin import make_skin
@@ -68,7 +67,7 @@ def test_a_torso_before_a_pale_wall_is_found(skin: str, tmp_path: Path) -> None:
     shots = {name: read_photograph(next((session / "capture").glob(f"{name}.*")), name) for name in names}
     subjects = find_subjects(truth.rig, shots)
     for name, shot in shots.items():
-        assert subject_blocks(name, blocks_of(shot), ForegroundSettings(), ()) is None
+        assert subject_blocks(name, blocks_of(shot), ()) is None
         found = estimate_foreground(shot, name, subject=subjects.blocks[name]).mask
         camera = truth.rig.cameras[name]
         true = scene.cast(camera.centre_world, camera.rays_world(pixel_grid(camera))).hit

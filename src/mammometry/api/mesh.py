@@ -51,6 +51,7 @@ from mammometry.job.inputs import Inputs, SubjectKind
 from mammometry.job.measuring import Measured, Upstream, measure
 from mammometry.job.products import Forgetful, Key, Product
 from mammometry.job.stage_values import CameraSet, FinishedSurface
+from mammometry.measure.landmarks.landmarks import PICKED_SIGMA_MM
 from mammometry.report.page_inputs import PageInputs, report_key
 from mammometry.settings import Settings
 
@@ -250,7 +251,7 @@ class MeshJob:
             frame = scanned.viewing_frame(surface, curves, places)
         middle = np.mean([curve.mean(axis=0) for curve in curves.values()], axis=0) if len(curves) == 2 else None
         sides = frame if self.kind == "torso" else None
-        picked_landmarks(places, fine, sides, sigma_mm=own.picked_sigma_mm, middle_world=middle)
+        picked_landmarks(places, fine, sides, sigma_mm=PICKED_SIGMA_MM, middle_world=middle)
         self.rig = scanned.viewer(frame, fine)
         self.inputs = _inputs(files, self.kind, drawn, places)
         by_drawing = {} if self.kind == "torso" and files.automatic else _drawn(self.inputs)

@@ -48,12 +48,12 @@ def adjust_rig(
     assert inputs.target is not None
     photographs = inputs.calibration_photographs
     if not any(part.detections for part in poses):
-        raise no_target.no_target(inputs.target, poses, photographs, settings.detect)
+        raise no_target.no_target(inputs.target, poses, photographs)
     usable = set_duplicates_aside(merged(poses))
     try:
         found = _adjusted(inputs, usable, lenses, settings, progress)
     except CalibrationError as error:
-        raise no_target.with_causes(error, (usable, *lenses.values()), photographs, settings.detect) from None
+        raise no_target.with_causes(error, (usable, *lenses.values()), photographs) from None
     require_sides(found.rig, inputs.upside_down)
     require_scale(found, inputs.subject_kind)
     return found

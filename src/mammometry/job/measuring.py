@@ -12,6 +12,8 @@ from mammometry.geometry.arrays import Array, Float64
 from mammometry.job.inputs import Inputs
 from mammometry.job.products import Memo, Parent, Product, Products
 from mammometry.job.stage_values import CameraSet, FinishedSurface, earlier_errors
+from mammometry.measure.boundary.boundary import DRAWN_RIM_SIGMA_MM
+from mammometry.settings import former_settings
 
 if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a plan alone need not wait for.
     from mammometry.calibration.adjust.calibrated import Calibration
@@ -85,8 +87,8 @@ def measure(inputs: Inputs, upstream: Upstream, settings: MeasureSettings, memo:
         return Measured(boundaries=None, measurements=None)
     sides = _sides(inputs, upstream, settings, memo)
     boundaries = _boundaries(inputs, upstream, sides, settings, memo)
-    body = _body(inputs, upstream, boundaries, settings, memo)
-    evidence = _evidence(inputs, upstream, settings)
+    body = _body(inputs, upstream, boundaries, memo)
+    evidence = _evidence(inputs, upstream)
     measurements = _measurements(inputs, upstream, boundaries, body, evidence, settings, memo)
     landmarks, symmetry, dimensions = _anthropometry(inputs, upstream, measurements, body, settings, memo)
     plan = Measured(
@@ -114,7 +116,7 @@ def _sides(inputs: Inputs, upstream: Upstream, settings: MeasureSettings, memo: 
         from mammometry.measure.trunk.body import rig_frame
 
         frame = rig_frame(cameras.rig, inputs.mounting)
-        return outline_torso(repaired, frame, settings, head_stated=inputs.head_stated)
+        return outline_torso(repaired, frame, head_stated=inputs.head_stated)
 
     return Product(
         memo,
@@ -151,7 +153,7 @@ def _boundaries(
                 name,  # type: ignore[arg-type]  # names checked by the session
                 points,
                 repaired,
-                rim_sigma_mm=settings.drawn_rim_sigma_mm,
+                rim_sigma_mm=DRAWN_RIM_SIGMA_MM,
                 how=inputs.attributions[name].method if name in inputs.attributions else None,
             )
             for name, points in inputs.boundaries.items()
@@ -215,7 +217,6 @@ def _body(
     inputs: Inputs,
     upstream: Upstream,
     boundaries: Product[tuple[Boundary, ...]],
-    settings: MeasureSettings,
     memo: Memo,
 ) -> Product[Body] | None:
     """A torso's own directions and its mid-sagittal plane, the breasts left out."""
@@ -228,7 +229,7 @@ def _body(
         from mammometry.measure.trunk.body import find_body, rig_frame
 
         curves, frame = [each.points_world for each in boundaries], rig_frame(cameras.rig, inputs.mounting)
-        return find_body(repaired, frame, settings.thorax, boundaries=curves, stated=inputs.head_stated)
+        return find_body(repaired, frame, boundaries=curves, stated=inputs.head_stated)
 
     return Product(
         memo,
@@ -236,12 +237,12 @@ def _body(
         "body",
         find,
         parents={"cameras": upstream.cameras, "repaired": upstream.repaired, "boundaries": boundaries},
-        settings=settings.thorax,
+        settings=former_settings("measure", "thorax"),
         inputs=inputs.mounting_digest,
     )
 
 
-def _evidence(inputs: Inputs, upstream: Upstream, settings: MeasureSettings) -> Product[Evidence]:
+def _evidence(inputs: Inputs, upstream: Upstream) -> Product[Evidence]:
     """What the earlier stages know of a volume's errors."""
 
     def collect(
@@ -258,7 +259,7 @@ def _evidence(inputs: Inputs, upstream: Upstream, settings: MeasureSettings) -> 
         from mammometry.measure.volume.unseen_space import bounds
 
         return Evidence(
-            views=bounds(foregrounds, valid.range_images, cameras.rig, settings),
+            views=bounds(foregrounds, valid.range_images, cameras.rig),
             earlier=earlier_errors(calibration)
             if inputs.scale_std is None
             else EarlierErrors(scale_std=inputs.scale_std),

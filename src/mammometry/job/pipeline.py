@@ -25,7 +25,7 @@ from mammometry.job.products import Memo, Parent, Product, Products, Stage, side
 from mammometry.job.stage_values import CameraSet, FinishedSurface
 from mammometry.job.standing import rows_of, what_moved, where_they_stood
 from mammometry.job.subjects import find_subjects
-from mammometry.settings import Settings
+from mammometry.settings import Settings, former_settings
 
 if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a plan alone need not wait for.
     from mammometry.calibration.adjust.bundle import Calibration
@@ -94,9 +94,16 @@ def calibrate(inputs: Inputs, settings: CalibrateSettings, memo: Memo) -> Calibr
             from mammometry.calibration.detection import detect
 
             measured = {shot: inputs.measured_points[shot] for shot in shots if shot in inputs.measured_points}
-            return detect.detect(shots, target, settings.detect, measured=measured, progress=progress)
+            return detect.detect(shots, target, measured=measured, progress=progress)
 
-        return Product(memo, "calibrate", f"observations/{name}", detect, settings=settings.detect, inputs=digests)
+        return Product(
+            memo,
+            "calibrate",
+            f"observations/{name}",
+            detect,
+            settings=former_settings("calibration", "detect"),
+            inputs=digests,
+        )
 
     if inputs.target is None:
         raise CalibrationError(
@@ -213,7 +220,6 @@ def match(inputs: Inputs, cameras: Product[CameraSet], settings: MatchSettings, 
                 photographs[right],
                 foregrounds[left],
                 foregrounds[right],
-                settings.rectify,
                 middle_world=None if subjects is None else subjects.middle_world,
             )
 
@@ -317,13 +323,13 @@ def surface(
         if inputs.subject_kind == "surface":
             return None
         opened = occluders.unblocked(foregrounds, blocked)
-        return extract.solid_of(valid.range_images, opened, cameras.rig, extraction)
+        return extract.solid_of(valid.range_images, opened, cameras.rig, extraction.rule)
 
     def build(valid: ValidPatches, solid: Solid | None, *, progress: Progress) -> TriangleMesh:
         from mammometry.surface import extract
 
         if solid is None:
-            return extract.extract_open(valid.range_images, extraction, progress=progress)
+            return extract.extract_open(valid.range_images, progress=progress)
         return extract.meshed(solid, extraction, progress=progress)
 
     def mend(first: TriangleMesh, valid: ValidPatches, *, progress: Progress) -> RepairedSurface:
@@ -336,13 +342,13 @@ def surface(
     def paint(cameras: CameraSet, repaired: RepairedSurface, *, progress: Progress) -> FinishedSurface:
         from mammometry.surface import texture
 
-        textured = texture.paint(repaired.mesh, inputs.photographs, cameras.rig, settings.texture)
+        textured = texture.paint(repaired.mesh, inputs.photographs, cameras.rig)
         return FinishedSurface(repaired=repaired, textured=textured)
 
     def cover(cameras: CameraSet, repaired: RepairedSurface, *, progress: Progress) -> Atlas:
         from mammometry.surface import atlas, atlas_jpeg, unmeasured
 
-        covered = atlas.cover(repaired.mesh, inputs.photographs, cameras.rig, settings.texture, progress=progress)
+        covered = atlas.cover(repaired.mesh, inputs.photographs, cameras.rig, progress=progress)
         return atlas_jpeg.as_jpeg(unmeasured.faded_atlas(covered, repaired))
 
     ranges = {pair: ranged(pair) for pair in matched.disparities}
@@ -365,10 +371,10 @@ def surface(
     coloured: dict[str, Parent] = {"cameras": cameras, "repaired": repaired}
     shots = {f"capture/{camera}": inputs.digests[f"capture/{camera}"] for camera in inputs.photographs}
     mesh: Product[FinishedSurface] = Product(
-        memo, "surface", "mesh", paint, parents=coloured, settings=settings.texture, inputs=shots
+        memo, "surface", "mesh", paint, parents=coloured, settings=former_settings("surface", "texture"), inputs=shots
     )
     model: Product[Atlas] = Product(
-        memo, "surface", "model", cover, parents=coloured, settings=settings.texture, inputs=shots
+        memo, "surface", "model", cover, parents=coloured, settings=former_settings("surface", "texture"), inputs=shots
     )
     return Surfaced(
         ranges=ranges,

@@ -14,7 +14,7 @@ from typing import Any, ClassVar, Generic, Literal, Protocol, Self, TypeAlias, T
 from mammometry.base.cores import available_cores
 from mammometry.base.progress import Progress
 from mammometry.base.registry import Registry
-from mammometry.settings import as_table
+from mammometry.settings import key_table
 
 T = TypeVar("T")
 Parent: TypeAlias = "Product[Any] | Mapping[str, Product[Any]] | None"
@@ -258,8 +258,8 @@ def _table(settings: object) -> dict[str, Any]:
     if settings is None:
         return {}
     if isinstance(settings, tuple):
-        return {type(part).__name__: as_table(part) for part in settings}
-    return as_table(settings)
+        return {type(part).__name__: key_table(part) for part in settings}
+    return settings if isinstance(settings, dict) else key_table(settings)
 
 
 def side_by_side(tasks: Iterable[Callable[[], None]], *, threads: int = 1) -> None:

@@ -57,7 +57,7 @@ def find_subjects(
 
             subject = None if subjects is None else subjects.blocks.get(camera)
             given = inputs.masks.get(camera)
-            return estimate_foreground(photograph, camera, settings.foreground, given=given, subject=subject)
+            return estimate_foreground(photograph, camera, given=given, subject=subject)
 
         name = f"masks/{camera}"
         digests = {name: inputs.digests[name]} if camera in inputs.masks else {}

@@ -12,7 +12,7 @@ from typing import Any
 from mammometry.base.identity import Identity
 from mammometry.job.products import VERSIONS, Key, Product
 from mammometry.measure.volume.attribution import Attribution
-from mammometry.settings import Settings, as_table
+from mammometry.settings import Settings, key_table
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -40,7 +40,7 @@ class PageInputs:
             stage="report",
             product="content",
             version=VERSIONS["content"],
-            settings={**as_table(self), "stage_seconds": dict(self.stage_seconds)},
+            settings={**key_table(self), "stage_seconds": dict(self.stage_seconds)},
             inputs={**(inputs or {}), **made},
         )
 

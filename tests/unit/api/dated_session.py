@@ -110,7 +110,7 @@ def put_results(folder: Path, true: TrueVisit, boundaries: tuple[Boundary, ...] 
         (plan.surfaced.mesh, finished),
         (plan.surfaced.cameras, plan.calibrated.cameras()),
         (made.boundaries, edges),
-        (made.body, find_body(surface, frame, settings.thorax, boundaries=[edge.points_world for edge in edges])),
+        (made.body, find_body(surface, frame, boundaries=[edge.points_world for edge in edges])),
         (made.measurements, volumes),
         (made.landmarks, marks),
         (made.dimensions, sizes),

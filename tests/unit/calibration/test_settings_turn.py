@@ -84,7 +84,7 @@ def test_a_limit_of_the_judge_brings_its_finding(calibration: Calibration, name:
 def test_view_ratio_decides_which_views_are_set_aside() -> None:
     seen = observe(CAMERAS, POSES, noise_px=0.05)
     settings = STIFF.bundle
-    initial = initialise(seen, settings)
+    initial = initialise(seen)
     network, state = network_of(all_views(seen, {}, initial), seen, {}, initial, {}, settings)
     network = replace(network, uv=network.uv + np.where(network.view == 3, 20.0, 0.0)[:, None])
     assert list(bad_views(network, state, BundleSettings(view_ratio=5.0).view_ratio, 0.0)) == [3]
@@ -95,7 +95,7 @@ def test_view_ratio_decides_which_views_are_set_aside() -> None:
 def test_free_target_poses_decides_whether_the_board_is_adjusted(least: int, is_free: bool) -> None:
     settings = replace(STIFF.bundle, free_target="auto", free_target_poses=least)
     seen = observe(CAMERAS, POSES)
-    initial = initialise(seen, settings)
+    initial = initialise(seen)
     network, _ = network_of(all_views(seen, {}, initial), seen, {}, initial, {}, settings)
     assert (len(network.free_points) > 0) == is_free
 

@@ -14,7 +14,7 @@ def subject(
     photograph: Photograph, settings: ForegroundSettings = ForegroundSettings(), seeds: Sequence[DepthSeeds] = ()
 ) -> np.ndarray | None:
     """Its blocks."""
-    return subject_blocks(photograph.name, blocks_of(photograph), settings, seeds)
+    return subject_blocks(photograph.name, blocks_of(photograph), seeds)
 
 
 def foreground(
@@ -25,4 +25,4 @@ def foreground(
     seeds: Sequence[DepthSeeds] = (),
 ) -> Foreground:
     """Its foreground; everything where nothing parts the subject from the rest."""
-    return estimate_foreground(photograph, camera, settings, subject=subject(photograph, settings, seeds))
+    return estimate_foreground(photograph, camera, subject=subject(photograph, settings, seeds))

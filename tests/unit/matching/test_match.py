@@ -172,7 +172,7 @@ def test_a_cluttered_scene_is_cut_where_the_coarsest_level_is_the_last_of_both()
     shown = np.arange(size_wh[0]) > 250
     cluttered = with_images(pair, pair.left_image, np.where(shown, pair.right_image, other.right_image))
     settings = MatchSettings(finest_span_px=100.0)
-    levels = choose_levels("front", [pair.left_mask], settings)
+    levels = choose_levels("front", [pair.left_mask])
     assert levels.coarsest == levels.last_both > levels.finest
     found = match(cluttered, settings)
     assert found.valid.shape == pair.left_mask.shape

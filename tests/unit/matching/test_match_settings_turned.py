@@ -19,7 +19,7 @@ from mammometry.matching.levels import Levels, choose_levels
 from mammometry.matching.match import DisparityMap, match, prepare
 from mammometry.matching.pyramid import Level
 from mammometry.matching.rectify import RectifiedPair, rectify
-from mammometry.matching.settings import ForegroundSettings, MatchSettings, RectifySettings
+from mammometry.matching.settings import ForegroundSettings, MatchSettings
 from mammometry.matching.step import prepare as prepare_side
 from mammometry.matching.step import step
 
@@ -37,7 +37,7 @@ def by_default(noisy: tuple[RectifiedPair, np.ndarray]) -> DisparityMap:
 
 
 def levels(span_px: int, settings: MatchSettings) -> Levels:
-    return choose_levels("front", [np.ones((span_px, span_px), bool)] * 2, settings)
+    return choose_levels("front", [np.ones((span_px, span_px), bool)] * 2)
 
 
 # --- the subject and the rectified pictures
@@ -70,7 +70,7 @@ def test_the_margin_is_kept_around_the_silhouette() -> None:
     photograph, subject = grey(texture), foreground(np.hypot(u - 150, v - 110) < 70)
     shapes = []
     for margin in (16, 30):
-        pair = rectify(converging(), photograph, photograph, subject, subject, RectifySettings(margin_px=margin))
+        pair = rectify(converging(), photograph, photograph, subject, subject)
         shapes.append(np.array(pair.left_image.shape))
         rows, columns = np.nonzero(pair.left_mask)
         assert abs(min(rows.min(), columns.min()) - margin) <= 2

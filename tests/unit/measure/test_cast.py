@@ -97,7 +97,7 @@ def test_half_of_the_rims_own_uncertainty_is_the_bases() -> None:
 @pytest.mark.slow
 def test_the_sharper_a_limb_may_be_the_fewer_points_can_only_be_rim() -> None:
     counts = [
-        len(rim_candidates(seen_surface(None), photographed(None), RIG, settings).points_world)
+        len(rim_candidates(seen_surface(None), photographed(None), RIG).points_world)
         for settings in (replace(EXACT.base_rim, sharpest_limb_mm=radius_mm) for radius_mm in (2.0, 8.0, 40.0))
     ]
     assert counts[0] < counts[1] < counts[2]

@@ -142,7 +142,7 @@ def test_an_axis_that_leans_too_far_is_not_believed() -> None:
     points = skin(theta.ravel(), y.ravel())
     normals = points * [1, 0, 1] / RADIUS_MM
     seen = Skin(points_world=lean.apply(points), normals_world=lean.rotate(normals))
-    axes = [find_trunk(seen, FRAME, ThoraxSettings(steepest_lean_deg=deg)).frame[1] for deg in (40.0, 20.0)]
+    axes = [find_trunk(seen, FRAME).frame[1] for deg in (40.0, 20.0)]
     assert np.allclose(axes[0], lean.rotate(np.array([[0.0, 1.0, 0.0]]))[0], atol=1e-6)
     assert np.allclose(axes[1], [0.0, 1.0, 0.0])
 
@@ -226,7 +226,7 @@ def test_each_way_to_find_a_nipple_has_its_own_uncertainty(
 )
 def test_what_counts_as_areola_and_tip(settings: NippleSettings, how: str | None) -> None:
     mesh, colours, boundary, _ = _breast_with_nipple(5.0, 0.15)
-    found = propose_nipple("nipple_left", mesh, colours, boundary, settings)
+    found = propose_nipple("nipple_left", mesh, colours, boundary)
     assert (found is None) if how is None else (found is not None and how in found.method)
 
 

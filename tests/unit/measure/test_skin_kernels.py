@@ -21,7 +21,7 @@ def test_each_pixel_has_the_bulge_of_its_innermost_skin():
     thorax = Thorax(trunk=trunk, coefficients=coefficients, settings=settings, rms_mm=1.0)
     points = trunk.origin + rng.normal(size=(40_000, 3)) * [150.0, 200.0, 150.0] @ trunk.frame
     points[0] = trunk.origin  # on the axis
-    relief = lay_flat(thorax, points, settings)
+    relief = lay_flat(thorax, points)
     cylindrical = trunk.cylindrical(points)
     width, height = np.deg2rad(settings.widest_deg) * trunk.half_width_mm, settings.height_window_mm
     keep = (np.abs(cylindrical[:, 0]) < width) & (np.abs(cylindrical[:, 1]) < height) & on_trunk(cylindrical, trunk)

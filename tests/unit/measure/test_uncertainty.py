@@ -127,7 +127,7 @@ def test_skin_that_could_not_stand_out_unseen_is_known_better() -> None:
     dark[:44] = 0  # rows 50 − 6 and lower numbers are more than 6 mm up
     dark[:, :20] = dark[:, -20:] = dark[-20:] = 0
     seen = Foreground(camera="c", coverage=gaussian_filter(dark, 0.7), contour_level=0.5, everything=False)
-    views = bounds({"c": seen}, (), Rig(name="r", cameras={"c": camera}, pair_names={}), settings)
+    views = bounds({"c": seen}, (), Rig(name="r", cameras={"c": camera}, pair_names={}))
     found = interval(boundary, wall("plane"), 400.0, settings, Evidence(surface=skin(origin), views=views))
     assert found.terms_cc["invented surface"] == pytest.approx(1.96 * 0.3 * (43 * 7 + 7 * 7 / 2) / 10, rel=0.2)
 

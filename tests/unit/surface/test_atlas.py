@@ -8,7 +8,6 @@ from spheres import camera_towards, rig_of, sphere_mesh
 from mammometry.base.photograph import Photograph
 from mammometry.io.models import write_glb, write_obj
 from mammometry.surface.atlas import Atlas, best_views, cover, thinned
-from mammometry.surface.settings import TextureSettings
 
 SIZE = 240
 RADIUS = 30.0
@@ -155,7 +154,7 @@ def test_a_small_limit_makes_a_small_picture(scene):
     rig, photographs = scene
     mesh = sphere_mesh(RADIUS, rings=40)
     whole = cover(mesh, photographs, rig)
-    small = cover(mesh, photographs, rig, TextureSettings(atlas_px=150))
+    small = cover(mesh, photographs, rig)
     assert max(small.picture.shape[:2]) <= 150 < max(whole.picture.shape[:2])
     np.testing.assert_array_equal(small.view, whole.view)
     inner = np.flatnonzero(np.isin(whole.mesh.faces, far_from_seams(whole)).all(axis=1) & (whole.view >= 0))

@@ -253,7 +253,7 @@ def test_kernel_equals_its_plain_twin(rule):
     images, foregrounds, rig = scene(FRONT, (30.0, 25.0, 20.0), size=90)
     images = [image.keeping(image.points_world()[..., 0] > -15) for image in images]
     box = closing_box(images, back_mm=5.0, around_mm=5.0)
-    field = build_field(images, foregrounds, rig, box, FieldSettings(), rule)
+    field = build_field(images, foregrounds, rig, box, rule)
     rng = np.random.default_rng(1)
     origins = rng.normal(size=(24, 3))
     origins *= (rng.uniform(0.75, 1.15, 24) / np.linalg.norm(origins, axis=1))[:, None] * [30.0, 25.0, 20.0]
@@ -273,7 +273,7 @@ def test_elements_equal_their_plain_twin(whose):
     settings = FieldSettings()
     left = rig.pair(image.name).left
     foreground = foregrounds[left.name] if whose == "silhouette" else None
-    found = view_elements(image, left, foreground, settings, nearest_of_others_mm(image, images))
+    found = view_elements(image, left, foreground, nearest_of_others_mm(image, images))
     rays, normals = image.ray_directions(), image.normals_world(NORMAL_MM)
     cosine = -np.einsum("ijk,ijk->ij", normals, rays)
     known = image.valid & np.isfinite(cosine)

@@ -16,7 +16,7 @@ from mammometry.surface.dents import remove_dents
 from mammometry.surface.extract import closing_box_of, extract
 from mammometry.surface.field import build_field, nearest_of_others_mm, view_elements
 from mammometry.surface.repair import Provenance, repair
-from mammometry.surface.settings import DentSettings, ExtractSettings, FieldSettings, RepairSettings, TextureSettings
+from mammometry.surface.settings import DentSettings, ExtractSettings, FieldSettings, RepairSettings
 from mammometry.surface.texture import paint, view_samples
 
 FRONT = [(0, 0, 1), (0.6, 0, 1), (-0.6, 0, 1), (0, 0.8, 1)]
@@ -85,15 +85,15 @@ def test_extract_smoothing_draws_a_ball_in(half_ball):
 
 def test_extract_back_and_around_are_the_boxs_distances(half_ball):
     images = half_ball[0]
-    small = closing_box_of(images, ExtractSettings(back_mm=10.0, around_mm=20.0)).planes[:, 3]
-    deep = closing_box_of(images, ExtractSettings(back_mm=15.0, around_mm=20.0)).planes[:, 3]
-    wide = closing_box_of(images, ExtractSettings(back_mm=10.0, around_mm=27.0)).planes[:, 3]
+    small = closing_box_of(images).planes[:, 3]
+    deep = closing_box_of(images).planes[:, 3]
+    wide = closing_box_of(images).planes[:, 3]
     assert deep - small == pytest.approx([5.0, 0, 0, 0, 0, 0])
     assert wide - small == pytest.approx([0.0, 7, 7, 7, 7, 7])
 
 
 def test_field_truncation_cuts_the_signed_distance(half_ball):
-    box = closing_box_of(half_ball[0], ExtractSettings())
+    box = closing_box_of(half_ball[0])
     for truncation_mm in (1.0, 3.0):
         field = build_field(*half_ball, box, FieldSettings(truncation_mm=truncation_mm), "default")
         values = field.sample(np.array([[-4.0, -4.0, RADIUS - 4.0]]), 8, 1.0)
@@ -106,7 +106,7 @@ def test_field_extends_data_so_far(half_ball):
     left = rig.pair(image.name).left
     for extend_mm in (4.0, 12.0):
         settings = FieldSettings(extend_mm=extend_mm)
-        weights = view_elements(half, left, silhouettes[left.name], settings, nearest_of_others_mm(half, ()))[..., 2]
+        weights = view_elements(half, left, silhouettes[left.name], nearest_of_others_mm(half, ()))[..., 2]
         columns = np.flatnonzero(weights[60, 35:85] < 0)  # away from the ball's rim
         assert len(columns) * half.pixel_mm() == pytest.approx(extend_mm, abs=1.0)  # whole pixels
 
@@ -124,10 +124,10 @@ def test_nothing_unmeasured_stands_before_what_spans_a_gap(jump_mm, hollow):
     along = (30.0 - cameras[1].centre_world[2]) / rays[..., 2]  # to the near skin, at x < −12 and z = 30
     edge = np.where(cameras[1].centre_world[0] + along * rays[..., 0] < -12, along, np.nan)
     images = [range_image(cameras[0], np.tile(step, (120, 1))), range_image(cameras[1], edge)]
-    rig, box = rig_of(cameras), closing_box_of(images, ExtractSettings())
+    rig, box = rig_of(cameras), closing_box_of(images)
     full = np.ones((120, 120), dtype=np.float32)
     masks = {c.name: Foreground(camera=c.name, coverage=full, contour_level=0.5, everything=False) for c in cameras}
-    field = build_field(images, masks, rig, box, FieldSettings(span_jump_mm=jump_mm, extend_mm=0.0), "default")
+    field = build_field(images, masks, rig, box, "default")
     # Half-way across, the span has fallen by a quarter of the step, 15 mm: 385 of 400 mm from the camera.
     before, behind = (field.sample(np.array([[0.0, 0.0, depth]]), 1, 1.0).item() for depth in (17.0, 11.0))
     assert (before > 0) == hollow
@@ -218,7 +218,7 @@ def test_texture_sharpness_is_the_power_of_the_cosine():
     mesh, photographs = sphere_mesh(RADIUS), {"a": grey("a"), "b": grey("b")}
     ratios = []
     for sharpness in (2.0, 6.0):
-        weights = view_samples(mesh, photographs, rig_of(cameras), TextureSettings(sharpness=sharpness))[1]
+        weights = view_samples(mesh, photographs, rig_of(cameras))[1]
         both = (weights > 0).all(axis=0)
         distance2 = [((mesh.vertices[both] - camera.centre_world) ** 2).sum(axis=1) for camera in cameras]
         ratios.append(np.log(weights[0, both] / weights[1, both] * distance2[0] / distance2[1]))
@@ -234,10 +234,7 @@ def test_texture_clearance_ignores_what_lies_closer():
     camera = camera_towards("a", (0, 0, 1))
     rig = rig_of([camera, camera_towards("b", (0, 0, -1))])
     pole = int(np.argmax(ball.vertices[:, 2]))
-    hidden, seen = (
-        paint(joined([ball, lid]), {"a": grey("a")}, rig, TextureSettings(clearance_mm=limit)).colours[pole, 0]
-        for limit in (1.0, 3.0)
-    )
+    hidden, seen = (paint(joined([ball, lid]), {"a": grey("a")}, rig).colours[pole, 0] for limit in (1.0, 3.0))
     assert (hidden, seen) == (128, 90)
 
 

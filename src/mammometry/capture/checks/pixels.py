@@ -16,7 +16,6 @@ from mammometry.base.photograph import LUMA, Photograph
 from mammometry.capture.checks.found import Found
 from mammometry.geometry.arrays import Array, Bool, Float32
 from mammometry.matching.segment import segment
-from mammometry.matching.settings import ForegroundSettings
 from mammometry.matching.silhouette import block_means
 
 _LOOKED_AT_PX = 676.0  # diagonal at which the subject is sought: half of the reference size, as matching does
@@ -69,7 +68,7 @@ def look(photograph: Photograph, *, looked_at_px: float = _LOOKED_AT_PX) -> Seen
     levels = np.linspace(0, 1, largest + 1, dtype=np.float32)
     encoded = block_means(np.ascontiguousarray(pixels[::thin, ::thin]), levels, step // thin)
     step = thin * (step // thin)
-    subject = segment(encoded, diagonal / step / (2 * _LOOKED_AT_PX), ForegroundSettings().background_margin)
+    subject = segment(encoded, diagonal / step / (2 * _LOOKED_AT_PX))
     where = np.ones(encoded.shape[:2], dtype=bool) if subject is None else subject
     value = encoded @ LUMA if encoded.shape[2] == 3 else encoded[..., 0]
     return Seen(

@@ -11,9 +11,20 @@ import numpy as np
 
 from mammometry.base.errors import MeasureError
 from mammometry.geometry.arrays import Array, Bool, Float64, Int64, read_only
-from mammometry.measure.settings import ThoraxSettings
 from mammometry.surface.repair import Provenance, RepairedSurface
 
+_CHEST_SCALE_MM = 4.0
+"""Scatter of a chest about the smooth surface that is fitted to it, mm. Once the breasts are left out, skin that
+stands out up to three times as far still describes the trunk (muscle, collar bone).
+"""
+HEIGHT_WINDOW_MM = 140.0
+"""Skin within this height of the breasts describes the trunk, mm."""
+WIDEST_DEG = 115.0
+"""Skin up to this far around from straight ahead describes the trunk, degrees."""
+_STEEPEST_LEAN_DEG = 50.0
+"""Greatest angle between the trunk's axis and the photographs' upright, degrees. Beyond it the upright serves as the
+axis. Patients lean forward by up to 42° in front of the rig, and the cameras are not quite upright on average.
+"""
 _HARMONICS = 4  # Fourier order of the radius around the trunk; 4 follows a thorax and not a breast
 AROUND = 2 * _HARMONICS + 1  # Fourier terms
 _HEIGHT_DEGREE = 2  # of the polynomial of each Fourier coefficient along the trunk; chosen by eye
@@ -104,7 +115,6 @@ class Thorax:
     trunk: Trunk
     coefficients: Float64[Array, " c"]
     """Coefficients of the products of Fourier terms in θ and powers of y / height window, mm."""
-    settings: ThoraxSettings
     rms_mm: float
     """Scatter of the skin that was fitted, mm."""
 
@@ -113,7 +123,7 @@ class Thorax:
 
     def radius_mm(self, arc_y: Float64[Array, "n 2"]) -> Float64[Array, " n"]:
         """Radius of the trunk without breasts at (half width × θ, y). All in mm."""
-        return _design(arc_y, self.trunk.half_width_mm, self.settings) @ self.coefficients
+        return _design(arc_y, self.trunk.half_width_mm) @ self.coefficients
 
     def bulge_mm(self, points_world: Float64[Array, "n 3"]) -> Float64[Array, " n"]:
         """How far points stand out from the trunk without breasts, mm."""
@@ -188,7 +198,6 @@ def frame_from_sides(left: Float64[Array, "n 3"], right: Float64[Array, "m 3"], 
 def find_trunk(
     skin: Skin,
     frame: Float64[Array, "3 3"],
-    settings: ThoraxSettings = ThoraxSettings(),
     *,
     height_of: Float64[Array, 3] | None = None,
     middle_of: Float64[Array, 3] | None = None,
@@ -202,7 +211,6 @@ def find_trunk(
     Args:
         skin: what was seen of the torso.
         frame: patient's left, head, straight ahead (rows), roughly.
-        settings: which skin counts as side.
         height_of: a world point at the breasts' height; without it the middle of the seen skin.
         middle_of: a world point of the mid-sagittal plane, where it is known; without it the middle of the skin that
             faces ahead.
@@ -212,7 +220,7 @@ def find_trunk(
     """
     every = max(1, len(skin.points_world) // _AXIS_SAMPLES)
     sampled = skin.chosen(slice(None, None, every))
-    axis = _axis(sampled.normals_world, frame, settings)
+    axis = _axis(sampled.normals_world, frame)
     if middle_of is not None:
         axis = axis - frame[0] * (axis @ frame[0])  # the axis lies in the body's plane
     turned_up = orthonormal(axis, frame[2])
@@ -221,7 +229,7 @@ def find_trunk(
     return _behind_breastbone(_front(sampled, frame, height_of, middle_of), frame) if found is None else found
 
 
-def _axis(normals: Float64[Array, "n 3"], frame: Float64[Array, "3 3"], settings: ThoraxSettings) -> Float64[Array, 3]:
+def _axis(normals: Float64[Array, "n 3"], frame: Float64[Array, "3 3"]) -> Float64[Array, 3]:
     """The direction that the skin's normals avoid. The head's where none near to it is."""
     axis = frame[1]
     for _ in range(_AXIS_ROUNDS):
@@ -231,7 +239,7 @@ def _axis(normals: Float64[Array, "n 3"], frame: Float64[Array, "3 3"], settings
         if vector @ axis > 1 - 1e-10:
             break
         axis = vector
-    if axis @ frame[1] < np.cos(np.deg2rad(settings.steepest_lean_deg)):
+    if axis @ frame[1] < np.cos(np.deg2rad(_STEEPEST_LEAN_DEG)):
         return np.asarray(frame[1])  # the visible skin shows no axis near the head's direction
     return np.asarray(axis)
 
@@ -318,7 +326,6 @@ def _behind_breastbone(front: _Front, frame: Float64[Array, "3 3"]) -> Trunk:
 def fit_thorax(
     trunk: Trunk,
     skin: Skin,
-    settings: ThoraxSettings = ThoraxSettings(),
     *,
     breasts_left_out: bool = True,
     breastbone_mm: float | None = None,
@@ -333,7 +340,6 @@ def fit_thorax(
     Args:
         trunk: its axis.
         skin: samples of it, world frame.
-        settings: orders of the fit, and what belongs to the trunk.
         breasts_left_out: whether the skin is already without the breasts. Then skin that stands out a little is chest,
             and only arms are left out.
         breastbone_mm: place of the breastbone around the trunk, half width × θ, if known. Its skin is the chest's
@@ -346,18 +352,18 @@ def fit_thorax(
     cylindrical = trunk.cylindrical(skin.points_world)
     flat, radius = cylindrical[:, :2], cylindrical[:, 2]
     inside = (
-        (np.abs(flat[:, 1]) < settings.height_window_mm)
-        & (np.abs(flat[:, 0]) < np.deg2rad(settings.widest_deg) * trunk.half_width_mm)
+        (np.abs(flat[:, 1]) < HEIGHT_WINDOW_MM)
+        & (np.abs(flat[:, 0]) < np.deg2rad(WIDEST_DEG) * trunk.half_width_mm)
         & on_trunk(cylindrical, trunk)
         & (_facing_out(skin, trunk) > _FACING_OUT)
     )
     flat, radius = flat[inside], radius[inside]
     bone = np.zeros(len(flat), dtype=bool) if breastbone_mm is None else np.abs(flat[:, 0] - breastbone_mm) < _BONE_MM
-    design = _design(flat, trunk.half_width_mm, settings)
+    design = _design(flat, trunk.half_width_mm)
     order = np.concatenate([[0], np.repeat(np.arange(1, _HARMONICS + 1), 2)])
     ridge = np.diag(np.tile(order.astype(np.float64) ** 4, _HEIGHT_DEGREE + 1) * _RIDGE + 1e-9) * len(radius)
     weights = np.ones(len(radius))
-    finest = settings.chest_scale_mm if breasts_left_out else _FINEST_MM
+    finest = _CHEST_SCALE_MM if breasts_left_out else _FINEST_MM
     scale, coefficients = np.inf, np.zeros(design.shape[1])
     if len(radius) < 4 * design.shape[1]:
         raise MeasureError(
@@ -378,7 +384,7 @@ def fit_thorax(
             np.clip(1 - (error / reach) ** 2, 0, None) ** 2,
             1 / np.maximum(1, np.abs(error) / reach),
         )
-    return Thorax(trunk=trunk, coefficients=coefficients, settings=settings, rms_mm=scale)
+    return Thorax(trunk=trunk, coefficients=coefficients, rms_mm=scale)
 
 
 def _facing_out(skin: Skin, trunk: Trunk) -> Float64[Array, " n"]:
@@ -396,8 +402,8 @@ def on_trunk(cylindrical: Float64[Array, "n 3"], trunk: Trunk) -> Bool[Array, " 
     return cylindrical[:, 2] * np.abs(np.sin(cylindrical[:, 0] / trunk.half_width_mm)) < ARM * trunk.half_width_mm
 
 
-def _design(arc_y: Float64[Array, "n 2"], half_width: float, settings: ThoraxSettings) -> Float64[Array, "n c"]:
-    theta, height = arc_y[:, 0] / half_width, arc_y[:, 1] / settings.height_window_mm
+def _design(arc_y: Float64[Array, "n 2"], half_width: float) -> Float64[Array, "n c"]:
+    theta, height = arc_y[:, 0] / half_width, arc_y[:, 1] / HEIGHT_WINDOW_MM
     terms = [np.ones_like(theta)]
     for k in range(1, _HARMONICS + 1):
         terms += [np.cos(k * theta), np.sin(k * theta)]
