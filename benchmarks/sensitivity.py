@@ -60,7 +60,8 @@ CAPTURES: Mapping[str, SessionRecipe | None] = {
     "cast": SessionRecipe(rig="reference:front,floor", subject="plaster_5", scale=0.2, seed=41),
     "torso": SessionRecipe(rig="reference:front,left,right", subject="torso_3", scale=0.15, seed=42),
     "rail": SessionRecipe(
-        rig="reference:front,left,right", subject="torso_8", scale=0.15, seed=43, situation=parse_situation("rail,drift=0.01"),
+        rig="reference:front,left,right", subject="torso_8", scale=0.15, seed=43,
+        situation=parse_situation("rail,drift=0.01"),
     ),
 }  # fmt: skip
 _WOMAN = 41
@@ -173,9 +174,12 @@ def _assign(module: Any, name: str, value: Any) -> None:
     vars(module)[name] = value
     for statement in ast.parse(Path(module.__file__).read_text(encoding="utf-8")).body:
         if isinstance(statement, (ast.Assign, ast.AnnAssign)) and statement.value is not None:
-            read = {part.id for part in ast.walk(statement.value) if isinstance(part, ast.Name)}
-            if name in read:
+            if name in _names_in(statement.value):
                 exec(compile(ast.Module([statement], []), module.__file__, "exec"), vars(module))
+
+
+def _names_in(node: ast.AST) -> set[str]:
+    return {part.id for part in ast.walk(node) if isinstance(part, ast.Name)}
 
 
 def readers(number: Number) -> set[str]:
@@ -184,10 +188,8 @@ def readers(number: Number) -> set[str]:
         return {number.name.rpartition(".")[2]}
     derived = {number.variable}
     for statement in ast.parse(Path(str(sys.modules[number.module].__file__)).read_text(encoding="utf-8")).body:
-        if isinstance(statement, (ast.Assign, ast.AnnAssign)) and statement.value is not None:
-            if derived & {part.id for part in ast.walk(statement.value) if isinstance(part, ast.Name)}:
-                targets = statement.targets if isinstance(statement, ast.Assign) else [statement.target]
-                derived |= {part.id for one in targets for part in ast.walk(one) if isinstance(part, ast.Name)}
+        if isinstance(statement, ast.Assign) and derived & _names_in(statement.value):
+            derived = derived.union(*map(_names_in, statement.targets))
     return derived
 
 

@@ -6,11 +6,15 @@ import numpy as np
 import pytest
 
 from mammometry.geometry.mesh import TriangleMesh
-from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.volume.difference import difference
 from mammometry.measure.volume.measurement import VolumeMeasurement
 
-SETTINGS = MeasureSettings(wall_sides_u95_mm=3.0, wall_same_pose_u95_mm=1.2, wall_across_poses_u95_mm=2.5)
+
+@pytest.fixture(autouse=True)
+def plain_sides(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("mammometry.measure.volume.difference.WALL_SIDES_U95_MM", 3.0)
+
+
 TETRAHEDRON = TriangleMesh(
     vertices=np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]),
     faces=np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], dtype=np.int32),
@@ -111,9 +115,7 @@ def test_no_interval_without_those_of_the_volumes() -> None:
 
 
 def test_swapping_turns_the_sign_alone() -> None:
-    one, other = (
-        difference(*pair, "sides", SETTINGS) for pair in ((LEFT_BREAST, RIGHT_BREAST), (RIGHT_BREAST, LEFT_BREAST))
-    )
+    one, other = (difference(*pair, "sides") for pair in ((LEFT_BREAST, RIGHT_BREAST), (RIGHT_BREAST, LEFT_BREAST)))
     assert other.difference_cc == -one.difference_cc
     assert other.difference_interval_cc == pytest.approx(tuple(-end for end in reversed(one.difference_interval_cc)))  # type: ignore[arg-type]
     assert other.ratio_interval == pytest.approx(tuple(1 / end for end in reversed(one.ratio_interval)))  # type: ignore[arg-type]

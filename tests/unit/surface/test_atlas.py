@@ -150,10 +150,11 @@ def test_a_face_that_nobody_sees_whole_shows_none():
     assert (view[(weights[0][mesh.faces] == 0).any(axis=1)] == -1).all()
 
 
-def test_a_small_limit_makes_a_small_picture(scene):
+def test_a_small_limit_makes_a_small_picture(scene, monkeypatch):
     rig, photographs = scene
     mesh = sphere_mesh(RADIUS, rings=40)
     whole = cover(mesh, photographs, rig)
+    monkeypatch.setattr("mammometry.surface.atlas.ATLAS_PX", 150)
     small = cover(mesh, photographs, rig)
     assert max(small.picture.shape[:2]) <= 150 < max(whole.picture.shape[:2])
     np.testing.assert_array_equal(small.view, whole.view)

@@ -146,7 +146,7 @@ def about_bias(calibration: Calibration, views: Sequence[ViewQuality], settings:
     """Findings about views with one-sided residuals without a rigid movement."""
     aside = {(view.camera, view.pose) for view in calibration.set_aside}
     for view in sorted(views, key=lambda view: -view.bias):
-        if view.bias > _BIAS_WARN and (view.camera, view.pose) not in aside:
+        if view.bias > min(_BIAS_WARN, settings.bias_refuse) and (view.camera, view.pose) not in aside:
             yield (
                 "refuse" if view.bias > settings.bias_refuse else "warn",
                 f"pose {view.pose}: all points that {view.camera} saw are shifted together by {view.bias:.0f} standard "
@@ -164,7 +164,7 @@ def about_cameras(
     """Report how well each lens is known, and what was never tested."""
     places = np.median([placed.translation_mm for placed in calibration.world_from_target.values()], axis=0)
     for name, std in focal_std.items():
-        if std > _FOCAL_STD_WARN:
+        if std > min(_FOCAL_STD_WARN, settings.focal_std_refuse):
             depth_mm = float(np.linalg.norm(places - calibration.rig.cameras[name].centre_world)) * std
             separate = calibration.intrinsics_observations.get(name)
             seen = calibration.observations.detections + (separate.detections if separate else ())
@@ -208,13 +208,13 @@ def about_pairs(pairs: Sequence[PairQuality], settings: QualitySettings) -> Iter
         if not pair.poses:
             yield "warn", f"pair {pair.pair}: both cameras never saw the target in the same pose"
             continue
-        if pair.geometry_mm > _GEOMETRY_WARN_MM:
+        if pair.geometry_mm > min(_GEOMETRY_WARN_MM, settings.geometry_refuse_mm):
             yield (
                 "refuse" if pair.geometry_mm > settings.geometry_refuse_mm else "warn",
                 f"pair {pair.pair} reconstructs the target to {pair.geometry_mm:.2f} mm RMS (limit "
                 f"{settings.geometry_refuse_mm} mm)",
             )
-        if abs(pair.scale_ppm) > _SCALE_WARN_PPM:
+        if abs(pair.scale_ppm) > min(_SCALE_WARN_PPM, settings.scale_refuse_ppm):
             yield (
                 "refuse" if abs(pair.scale_ppm) > settings.scale_refuse_ppm else "warn",
                 f"pair {pair.pair} reconstructs the target {pair.scale_ppm / 1e4:+.3f} % too large, "
@@ -229,7 +229,7 @@ def about_expected(expected_mm: Mapping[str, float], settings: QualitySettings) 
         pair = max(known, key=lambda name: known[name])
         error_mm = known[pair]
         verdict: Verdict = "pass"
-        if error_mm > _EXPECTED_WARN_MM:
+        if error_mm > min(_EXPECTED_WARN_MM, settings.expected_refuse_mm):
             verdict = "refuse" if error_mm > settings.expected_refuse_mm else "warn"
         advice = "" if verdict == "pass" else f", refused above {settings.expected_refuse_mm} mm. Add poses"
         yield (
