@@ -173,9 +173,8 @@ def _assign(module: Any, name: str, value: Any) -> None:
     """Set a module's constant, and make anew what the module derives from it."""
     vars(module)[name] = value
     for statement in ast.parse(Path(module.__file__).read_text(encoding="utf-8")).body:
-        if isinstance(statement, (ast.Assign, ast.AnnAssign)) and statement.value is not None:
-            if name in _names_in(statement.value):
-                exec(compile(ast.Module([statement], []), module.__file__, "exec"), vars(module))
+        if isinstance(statement, ast.Assign) and name in _names_in(statement.value):
+            exec(compile(ast.Module([statement], []), module.__file__, "exec"), vars(module))
 
 
 def _names_in(node: ast.AST) -> set[str]:

@@ -128,8 +128,8 @@ class MeasureSettings:
     .04 mm."""
     observers: ObserverSettings = field(default_factory=ObserverSettings)
     """How far off a torso's boundary curve may be, as persons draw it. Where no pair measured the skin under it,
-    `unseen_slope` of the distance from measured skin is added (root of the sum of squares): automatic boundaries were 3
-    to 7 mm off on seen skin, 4 to 15 on unseen skin."""
+    half of the distance from measured skin is added (root of the sum of squares): automatic boundaries were 3 to 7 mm
+    off on seen skin, 4 to 15 on unseen skin."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -230,7 +230,7 @@ def view_elements(
     """Range, cosine of incidence and signed weight of every pixel.
 
     `kernels.sample_field` reads them. Measured data weigh cos²/(σ² + floor²), less near the edge of the data. Up to
-    `extend_mm` outwards they are continued along the nearest datum's tangent plane; the rest of the subject's
+    `EXTEND_MM` outwards they are continued along the nearest datum's tangent plane; the rest of the subject's
     silhouette (or of the data's own outline, where there is no silhouette) is filled with the nearest datum's range,
     which only supports. A gap between near and far skin is spanned instead (`image_kernels.spans`): skin turns away
     there and is hidden, and nothing that was not measured stands before the span. `others_mm` is of

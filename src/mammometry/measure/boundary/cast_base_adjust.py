@@ -35,7 +35,7 @@ _CORRELATED = 4.0  # neighbouring silhouette points share pixels: so many count 
 _PRIOR_MM = 0.5  # standard uncertainty of the candidates' own heights, mm: extrapolated range data erred by .3
 _STEP = 1e-2  # step of the numerical derivatives, mm
 _CONVERGED_MM = 2e-3  # a base that moves by less is at rest, mm; .02 cc of a cast
-_STRETCHES = 8  # parts of an outline that may be off by themselves (`local_sigma_px`)
+_STRETCHES = 8  # parts of an outline that may be off by themselves (`_LOCAL_SIGMA_PX`)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -21,7 +21,7 @@ PLAIN_MM = 24.0
 mm.
 """
 LOW_CREASED = 0.9
-"""Share of the outline that must run in a crease for something as low as `fewest_mm` to be a breast, and not the
+"""Share of the outline that must run in a crease for something as low as `FEWEST_MM` to be a breast, and not the
 chest's own form. In between the share is interpolated.
 """
 CHEST_MM = 6.0

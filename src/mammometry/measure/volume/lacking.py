@@ -135,7 +135,7 @@ def _terms(
 
     The trunk is its own mirror image only so well: its scatter counts as common to the whole base. That is of skin
     beside the breasts. Behind them a chest is less alike: on real women what both sides' chests do not share is
-    `wall_sides_u95_mm` for each side, and no less is taken. The plane moves mirrored skin by twice its own error. A
+    `WALL_SIDES_U95_MM` for each side, and no less is taken. The plane moves mirrored skin by twice its own error. A
     curve drawn elsewhere takes in or leaves out a strip as thick as both skins are apart there. Errors of the skin
     count twice, once for either side.
     """
