@@ -120,11 +120,12 @@ def test_masks_and_ready_made_cameras_are_used(
     tiny_finished: Path, tiny_settings: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     job = open_session(tiny_finished, Settings.load(tiny_settings))
-    from mammometry.io.images import write_mask
+    from PIL import Image
 
     (tiny_finished / "masks").mkdir()
     for camera, product in job.plan.matched.foregrounds.items():
-        write_mask(tiny_finished / "masks" / f"{camera}.png", product().mask)
+        white = Image.fromarray(np.where(product().mask, 255, 0).astype(np.uint8))
+        white.save(tiny_finished / "masks" / f"{camera}.png")
     cameras = tiny_finished / "results" / "calibrate" / "cameras.json"
     arguments = ["--settings", str(tiny_settings), "--json"]
     assert main.run(["import-cameras", str(tiny_finished), str(cameras)]) == 0
