@@ -184,9 +184,9 @@ def test_each_way_to_find_a_nipple_has_its_own_uncertainty(
 @pytest.mark.parametrize(
     ("name", "limit", "how"),
     [
-        ("_TIP_MM", 1.2, "and the tip within"),
+        ("_LEAST_TIP_MM", 1.2, "and the tip within"),
         ("_AREOLA_CONTRAST", 1.0, "no areola"),
-        ("_TIP_MM", 20.0, "no tip stands out"),
+        ("_LEAST_TIP_MM", 20.0, "no tip stands out"),
         ("_MARGIN_MM", 64.0, None),
     ],
 )

@@ -20,7 +20,7 @@ _MARGIN_MM = 15.0
 """Nipples are not looked for nearer to the boundary than this, mm."""
 _AREOLA_CONTRAST = 0.05
 """Least difference of ln(R/G), in linear light, between the areola and the skin around it. Pale areolae have .1."""
-_TIP_MM = 1.2
+_LEAST_TIP_MM = 1.2
 """Least height of a nipple above the ring of skin 8 to 14 mm around it, beyond that of the skin up to 36 mm away,
 mm. A round breast has up to .5, a nipple 2 to 5.
 """
@@ -108,7 +108,7 @@ def propose_nipple(
     areola = _areola(samples, inner)
     if areola is not None:
         near = inner & (np.linalg.norm(samples.points - areola, axis=1) < _NEAR_TIP_MM)
-        tip = _tip(samples, protrusion, near, _TIP_MM)
+        tip = _tip(samples, protrusion, near, _LEAST_TIP_MM)
         if tip is not None:
             how = "half way between the middle of the areola's colour and the tip within it"
             place, sigma = tip + _along_skin(samples, tip, (areola - tip) / 2), _TIP_SIGMA_MM
@@ -124,7 +124,7 @@ def propose_nipple(
         apex = samples.points[np.argmax(np.where(inner, height, -np.inf))]
         near = inner & (height > _HEIGHT * height.max())
         near &= np.linalg.norm(samples.points - apex, axis=1) < _NEAR_APEX_MM
-        tip = _tip(samples, protrusion, near, _TIP_MM)
+        tip = _tip(samples, protrusion, near, _LEAST_TIP_MM)
         if tip is not None:
             how, place = "the tip near the most projecting point; no areola in the colours", tip
             sigma, probability = _APEX_TIP_SIGMA_MM, _TIP_PROBABILITY
