@@ -36,7 +36,7 @@ from benchmarks.accuracy.scans import scanned, woman
 from mammometry.api.job import Job, open_session
 from mammometry.api.mesh import MeshFiles, MeshJob
 from mammometry.base.errors import MammometryError
-from mammometry.io.meshes import write_ply
+from mammometry.io.meshes.own_ply import write_ply
 from mammometry.job import products
 from mammometry.job.products import Key, Product
 from mammometry.settings import Settings, names

@@ -19,7 +19,7 @@ from mammometry.capture.camera import Backend
 from mammometry.capture.checks.found import Found
 from mammometry.capture.checks.pixels import Seen, judge
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int64, UInt8
-from mammometry.matching.segment import segment
+from mammometry.matching.foreground.block_segmentation import segment
 
 WIDTH_PX = 480
 """Columns of a live picture on the page, about."""

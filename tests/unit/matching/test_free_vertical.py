@@ -5,12 +5,12 @@ import pytest
 from scipy import ndimage
 from textured_pair import make_pair
 
-from mammometry.matching.free_vertical import FreeVertical, nothing_yet, vertical_step
-from mammometry.matching.match import DisparityMap, match
+from mammometry.matching.dense.least_squares_step import Side, prepare
+from mammometry.matching.dense.match import DisparityMap, match
+from mammometry.matching.dense.vertical_free import FreeVertical, nothing_yet, vertical_step
 from mammometry.matching.pyramid import Level
 from mammometry.matching.rectify import RectifiedPair
 from mammometry.matching.settings import MatchSettings
-from mammometry.matching.step import Side, prepare
 
 FREE = MatchSettings(vertical="free")
 SIZE_WH = (220, 180)
@@ -52,7 +52,7 @@ def test_by_a_right_calibration_both_agree_within_their_deviation() -> None:
 def test_a_large_subject_takes_the_field_of_the_level_before(monkeypatch: pytest.MonkeyPatch) -> None:
     pair, d_h = make_pair(np.random.default_rng(13), size_wh=SIZE_WH, noise=0.002, d_v_px=waves)
     v, u = np.indices(d_h.shape).astype(np.float64)
-    monkeypatch.setattr("mammometry.matching.levels.FINEST_SPAN_PX", 50.0)
+    monkeypatch.setattr("mammometry.matching.dense.levels.FINEST_SPAN_PX", 50.0)
     found = match(pair, MatchSettings(vertical="free", resolution="full"))
     error = np.abs(found.d_v_px - waves(u - d_h, v))[judged(pair, found)]
     assert np.median(error) < 0.1

@@ -15,13 +15,13 @@ from test_rectify import converging, foreground, grey
 from textured_pair import Texture, make_pair
 
 from mammometry.base.progress import no_progress
-from mammometry.matching.levels import Levels, choose_levels
-from mammometry.matching.match import DisparityMap, match, prepare
+from mammometry.matching.dense.least_squares_step import prepare as prepare_side
+from mammometry.matching.dense.least_squares_step import step
+from mammometry.matching.dense.levels import Levels, choose_levels
+from mammometry.matching.dense.match import DisparityMap, match, prepare
 from mammometry.matching.pyramid import Level
 from mammometry.matching.rectify import RectifiedPair, rectify
 from mammometry.matching.settings import MatchSettings
-from mammometry.matching.step import prepare as prepare_side
-from mammometry.matching.step import step
 
 DEFAULT = MatchSettings()
 
@@ -47,7 +47,7 @@ def test_a_lower_contour_level_lays_the_silhouette_further_out(monkeypatch: pyte
     photograph = picture(np.full(SIZE, 0.4), np.full(SIZE, 0.004))
     areas = []
     for level in (0.2, 0.4, 0.7):
-        monkeypatch.setattr("mammometry.matching.foreground.CONTOUR_LEVEL", level)
+        monkeypatch.setattr("mammometry.matching.foreground.foreground.CONTOUR_LEVEL", level)
         areas.append(foreground_of(photograph, "a").mask.sum())
     assert areas[0] > areas[1] > areas[2]
 
@@ -59,7 +59,7 @@ def test_a_larger_margin_over_the_backdrop_keeps_less_of_a_dark_flank(monkeypatc
     whole = np.pi * RADIUS**2
     shares = []
     for margin in (1.05, 2.0):
-        monkeypatch.setattr("mammometry.matching.segment.BACKGROUND_MARGIN", margin)
+        monkeypatch.setattr("mammometry.matching.foreground.block_segmentation.BACKGROUND_MARGIN", margin)
         shares.append(foreground_of(photograph, "a").mask.sum() / whole)
     assert shares[0] > 0.99
     assert shares[1] < 0.97
@@ -85,7 +85,7 @@ def test_so_many_pixels_are_taken_off_the_silhouette(
     pair = noisy[0]
     with ThreadPoolExecutor(2) as pool:
         for pixels in (0, 2, 5):
-            monkeypatch.setattr("mammometry.matching.match.ERODE_PX", pixels)
+            monkeypatch.setattr("mammometry.matching.dense.match.ERODE_PX", pixels)
             begun = prepare(pair, DEFAULT, pool, no_progress)
             expected = ndimage.binary_erosion(pair.left_mask, iterations=pixels) if pixels else pair.left_mask
             np.testing.assert_array_equal(begun.images[0][0].mask, expected)
@@ -97,14 +97,14 @@ def test_so_many_pixels_are_taken_off_the_silhouette(
 def test_the_start_is_made_where_the_subject_spans_no_more_than_asked(monkeypatch: pytest.MonkeyPatch) -> None:
     assert levels(390).coarsest == 1  # above 230 px one level coarser than full
     assert levels(1500).coarsest == 2
-    monkeypatch.setattr("mammometry.matching.levels.START_SPAN_PX", 100.0)
+    monkeypatch.setattr("mammometry.matching.dense.levels.START_SPAN_PX", 100.0)
     assert levels(390).coarsest == 2
 
 
 def test_both_pictures_are_matched_where_the_subject_spans_no_more_than_asked(monkeypatch: pytest.MonkeyPatch) -> None:
     assert levels(790).last_both == 0
     assert levels(1590) == Levels(coarsest=2, last_both=1, finest=1)
-    monkeypatch.setattr("mammometry.matching.levels.FINEST_SPAN_PX", 400.0)
+    monkeypatch.setattr("mammometry.matching.dense.levels.FINEST_SPAN_PX", 400.0)
     assert levels(790).last_both == 1
 
 
@@ -114,7 +114,7 @@ def test_the_start_searches_that_share_of_the_subjects_width(
     """Both masks are one disc of 184 px less 2 × 2: the search lies around no shift."""
     with ThreadPoolExecutor(2) as pool:
         for share in (0.01, 0.25):
-            monkeypatch.setattr("mammometry.matching.match.SEARCH_SHARE", share)
+            monkeypatch.setattr("mammometry.matching.dense.match.SEARCH_SHARE", share)
             begun = prepare(noisy[0], DEFAULT, pool, no_progress)
             reach = np.ceil(share * np.nonzero(begun.images[-1][0].mask.any(axis=0))[0].size)
             assert np.abs(begun.known[0].shift).max() <= reach
@@ -144,7 +144,7 @@ def test_coarser_smoothings_take_more_noise(
     noisy: tuple[RectifiedPair, np.ndarray], by_default: DisparityMap, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pair, truth = noisy
-    monkeypatch.setattr("mammometry.matching.solve.SMOOTHING_PX", (2.5,))
+    monkeypatch.setattr("mammometry.matching.dense.least_squares.SMOOTHING_PX", (2.5,))
     fine = match(pair)
     at = fine.valid & by_default.valid & ndimage.binary_erosion(pair.left_mask, iterations=12)
     assert np.std((fine.d_h_px - truth)[at]) > 1.3 * np.std((by_default.d_h_px - truth)[at])
@@ -161,7 +161,7 @@ def test_less_is_accepted_where_more_is_asked(
     limit: float,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(f"mammometry.matching.match.{name}", limit)
+    monkeypatch.setattr(f"mammometry.matching.dense.match.{name}", limit)
     accepted = match(noisy[0]).valid
     assert accepted.sum() < 0.7 * by_default.valid.sum()
 
@@ -170,7 +170,7 @@ def test_no_match_below_the_least_correlation_is_accepted(
     noisy: tuple[RectifiedPair, np.ndarray], by_default: DisparityMap, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     least = float(np.median(by_default.confidence[by_default.valid]))
-    monkeypatch.setattr("mammometry.matching.match.LEAST_CORRELATION", least)
+    monkeypatch.setattr("mammometry.matching.dense.match.LEAST_CORRELATION", least)
     strict = match(noisy[0])
     assert by_default.confidence[by_default.valid].min() < least - 0.05
     assert strict.confidence[strict.valid].min() >= least  # both in steps of 2^-7

@@ -6,8 +6,8 @@ from scipy import ndimage
 from spheres import camera_towards, rig_of, sphere_mesh
 
 from mammometry.base.photograph import Photograph
-from mammometry.io.models import write_glb, write_obj
-from mammometry.surface.atlas import Atlas, best_views, cover, thinned
+from mammometry.io.meshes.models import write_glb, write_obj
+from mammometry.surface.texture.texture_atlas import Atlas, best_views, cover, thinned
 
 SIZE = 240
 RADIUS = 30.0
@@ -154,7 +154,7 @@ def test_a_small_limit_makes_a_small_picture(scene, monkeypatch):
     rig, photographs = scene
     mesh = sphere_mesh(RADIUS, rings=40)
     whole = cover(mesh, photographs, rig)
-    monkeypatch.setattr("mammometry.surface.atlas.ATLAS_PX", 150)
+    monkeypatch.setattr("mammometry.surface.texture.texture_atlas.ATLAS_PX", 150)
     small = cover(mesh, photographs, rig)
     assert max(small.picture.shape[:2]) <= 150 < max(whole.picture.shape[:2])
     np.testing.assert_array_equal(small.view, whole.view)

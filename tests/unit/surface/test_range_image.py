@@ -4,9 +4,9 @@ from spheres import camera_towards, ellipsoid_range, range_image
 
 from mammometry.geometry.camera import Camera
 from mammometry.geometry.transform import Transform
-from mammometry.matching.match import DisparityMap
-from mammometry.surface import ray_kernels
-from mammometry.surface.range_image import RangeImage, triangulate
+from mammometry.matching.dense.match import DisparityMap
+from mammometry.surface.ranges import ray_kernels
+from mammometry.surface.ranges.range_image import RangeImage, triangulate
 from mammometry.surface.settings import TriangulateSettings
 
 BASELINE, FOCAL, SIZE = 120.0, 400.0, 81
@@ -86,7 +86,7 @@ def test_a_vertical_residual_hardly_moves_the_range():
 def test_uncertain_and_impossible_disparities_are_dropped(monkeypatch):
     disparity, _ = exact_disparity(35.0)
     with monkeypatch.context() as stricter:
-        stricter.setattr("mammometry.surface.range_image.MAX_SIGMA_MM", 0.01)
+        stricter.setattr("mammometry.surface.ranges.range_image.MAX_SIGMA_MM", 0.01)
         assert not triangulate(disparity).valid.any()
     # The right principal column lies 100 px further right: rays meet only if u_left − u_right > −100.
     behind = disparity.d_h_px - np.float32(400.0)

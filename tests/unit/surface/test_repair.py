@@ -6,11 +6,11 @@ from spheres import camera_towards, ellipsoid_range, range_image, sphere_mesh
 
 from mammometry.base.errors import SurfaceError
 from mammometry.geometry.mesh import TriangleMesh
-from mammometry.surface.crossing import crossing_faces
-from mammometry.surface.decompose import decompose
-from mammometry.surface.dents import ValidPatches, remove_dents
-from mammometry.surface.energy import graph_of
+from mammometry.surface.ranges.decompose import decompose
+from mammometry.surface.ranges.dents import ValidPatches, remove_dents
 from mammometry.surface.repair import Provenance, RepairedSurface, propagate, repair
+from mammometry.surface.repair.crossing import crossing_faces
+from mammometry.surface.repair.energy import graph_of
 from mammometry.surface.settings import DentSettings, RepairSettings
 
 RADIUS = 30.0
@@ -70,7 +70,7 @@ def test_what_is_invented_far_from_data_is_left_out_without_a_trace(monkeypatch)
     # displacements that fade over 1 mm do not reach the far side; with a reach of 90 mm nothing is left out
     results = []
     for reach in (8.0, 90.0):
-        monkeypatch.setattr("mammometry.surface.repair.REPAIRED_REACH_MM", reach)
+        monkeypatch.setattr("mammometry.surface.repair.repair.REPAIRED_REACH_MM", reach)
         results.append(repair(first, valid))
     near, whole = results
     # the solver stops at a thousandth of displacements of up to 1.5 mm
@@ -85,7 +85,7 @@ def test_what_is_invented_far_from_data_is_left_out_without_a_trace(monkeypatch)
 def test_provenance_and_pair_bits_say_who_saw_what(monkeypatch):
     first = sphere_mesh(RADIUS, rings=60)
     valid = valid_views([(0, 0, 1), (1, 0, 1)])
-    monkeypatch.setattr("mammometry.surface.repair.REPAIRED_REACH_MM", 8.0)
+    monkeypatch.setattr("mammometry.surface.repair.repair.REPAIRED_REACH_MM", 8.0)
     result = repair(first, valid)
     z, x = first.vertices[:, 2], first.vertices[:, 0]
     top = z > 0.9 * RADIUS
@@ -150,7 +150,7 @@ def test_two_sheets_that_data_pull_through_one_another_stay_apart(monkeypatch):
     )
     assert len(crossing_faces(both)) == 0
     # almost without a limit to the normals the second body's lower side follows the data, too
-    monkeypatch.setattr("mammometry.surface.repair.NORMAL_ANGLE_DEG", 179.0)
+    monkeypatch.setattr("mammometry.surface.repair.repair.NORMAL_ANGLE_DEG", 179.0)
     result = repair(both, valid_views(AROUND), RepairSettings(rho=0.01))
     assert result.crossings == 0
     assert len(crossing_faces(result.mesh)) == 0

@@ -10,14 +10,14 @@ from test_repair import AROUND, RADIUS, dented, radial_error, valid_views
 from mammometry.base.errors import SurfaceError
 from mammometry.base.photograph import Photograph
 from mammometry.geometry.mesh import TriangleMesh, joined
-from mammometry.matching.foreground import Foreground
-from mammometry.surface.correspond import view_data
-from mammometry.surface.dents import remove_dents
-from mammometry.surface.extract import closing_box_of, extract
-from mammometry.surface.field import build_field, nearest_of_others_mm, view_elements
+from mammometry.matching.foreground.foreground import Foreground
+from mammometry.surface.fusion.field import build_field, nearest_of_others_mm, view_elements
+from mammometry.surface.fusion.fuse import closing_box_of, extract
+from mammometry.surface.ranges.dents import remove_dents
 from mammometry.surface.repair import Provenance, repair
+from mammometry.surface.repair.correspond import view_data
 from mammometry.surface.settings import DentSettings, ExtractSettings, RepairSettings
-from mammometry.surface.texture import paint
+from mammometry.surface.texture.texture import paint
 
 FRONT = [(0, 0, 1), (0.6, 0, 1), (-0.6, 0, 1), (0, 0.8, 1)]
 
@@ -68,7 +68,7 @@ def test_dents_drop_what_another_view_looks_through_by_more_than_the_distance(mo
 
     assert kept() < 0.1
     assert kept(drop_seen_through=False) > 0.8
-    monkeypatch.setattr("mammometry.surface.dents.SEEN_THROUGH_MM", 6.0)
+    monkeypatch.setattr("mammometry.surface.ranges.dents.SEEN_THROUGH_MM", 6.0)
     assert kept() > 0.8
 
 
@@ -80,7 +80,7 @@ def test_extract_cubes_twice_as_large_give_a_quarter_of_the_triangles(half_ball)
 def test_extract_smoothing_draws_a_ball_in(half_ball, monkeypatch):
     volumes = []
     for sigma in (0.5, 2.0):
-        monkeypatch.setattr("mammometry.surface.extract.SMOOTHING_CUBES", sigma)
+        monkeypatch.setattr("mammometry.surface.fusion.fuse.SMOOTHING_CUBES", sigma)
         volumes.append(extract(*half_ball, ExtractSettings(cube_mm=1.0)).volume_mm3())
     assert volumes[1] < volumes[0]
 
@@ -88,10 +88,10 @@ def test_extract_smoothing_draws_a_ball_in(half_ball, monkeypatch):
 def test_extract_back_and_around_are_the_boxs_distances(half_ball, monkeypatch):
     images = half_ball[0]
     small = closing_box_of(images).planes[:, 3]
-    monkeypatch.setattr("mammometry.surface.extract.BACK_MM", 15.0)
+    monkeypatch.setattr("mammometry.surface.fusion.fuse.BACK_MM", 15.0)
     deep = closing_box_of(images).planes[:, 3]
-    monkeypatch.setattr("mammometry.surface.extract.BACK_MM", 10.0)
-    monkeypatch.setattr("mammometry.surface.extract.AROUND_MM", 27.0)
+    monkeypatch.setattr("mammometry.surface.fusion.fuse.BACK_MM", 10.0)
+    monkeypatch.setattr("mammometry.surface.fusion.fuse.AROUND_MM", 27.0)
     wide = closing_box_of(images).planes[:, 3]
     assert deep - small == pytest.approx([5.0, 0, 0, 0, 0, 0])
     assert wide - small == pytest.approx([0.0, 7, 7, 7, 7, 7])
@@ -100,7 +100,7 @@ def test_extract_back_and_around_are_the_boxs_distances(half_ball, monkeypatch):
 def test_field_truncation_cuts_the_signed_distance(half_ball, monkeypatch):
     box = closing_box_of(half_ball[0])
     for truncation_mm in (1.0, 3.0):
-        monkeypatch.setattr("mammometry.surface.field.TRUNCATION_MM", truncation_mm)
+        monkeypatch.setattr("mammometry.surface.fusion.field.TRUNCATION_MM", truncation_mm)
         field = build_field(*half_ball, box, "default")
         values = field.sample(np.array([[-4.0, -4.0, RADIUS - 4.0]]), 8, 1.0)
         assert np.abs(values).max() == truncation_mm
@@ -111,7 +111,7 @@ def test_field_extends_data_so_far(half_ball, monkeypatch):
     half = image.keeping(np.broadcast_to(np.arange(120) < 60, image.valid.shape))
     left = rig.pair(image.name).left
     for extend_mm in (4.0, 12.0):
-        monkeypatch.setattr("mammometry.surface.field.EXTEND_MM", extend_mm)
+        monkeypatch.setattr("mammometry.surface.fusion.field.EXTEND_MM", extend_mm)
         weights = view_elements(half, left, silhouettes[left.name], nearest_of_others_mm(half, ()))[..., 2]
         columns = np.flatnonzero(weights[60, 35:85] < 0)  # away from the ball's rim
         assert len(columns) * half.pixel_mm() == pytest.approx(extend_mm, abs=1.0)  # whole pixels
@@ -133,8 +133,8 @@ def test_nothing_unmeasured_stands_before_what_spans_a_gap(jump_mm, hollow, monk
     rig, box = rig_of(cameras), closing_box_of(images)
     full = np.ones((120, 120), dtype=np.float32)
     masks = {c.name: Foreground(camera=c.name, coverage=full, contour_level=0.5, everything=False) for c in cameras}
-    monkeypatch.setattr("mammometry.surface.field.SPAN_JUMP_MM", jump_mm)
-    monkeypatch.setattr("mammometry.surface.field.EXTEND_MM", 0.0)
+    monkeypatch.setattr("mammometry.surface.fusion.field.SPAN_JUMP_MM", jump_mm)
+    monkeypatch.setattr("mammometry.surface.fusion.field.EXTEND_MM", 0.0)
     field = build_field(images, masks, rig, box, "default")
     # Half-way across, the span has fallen by a quarter of the step, 15 mm: 385 of 400 mm from the camera.
     before, behind = (field.sample(np.array([[0.0, 0.0, depth]]), 1, 1.0).item() for depth in (17.0, 11.0))
@@ -154,7 +154,7 @@ def test_repair_false_weight_holds_vertices_without_data(monkeypatch):
     valid = valid_views(AROUND, lambda points: ~(points[..., 2] > 0.97 * RADIUS))
     moved = []
     for weight in (0.02, 5.0):
-        monkeypatch.setattr("mammometry.surface.repair.FALSE_WEIGHT", weight)
+        monkeypatch.setattr("mammometry.surface.repair.repair.FALSE_WEIGHT", weight)
         result = repair(first, valid, RepairSettings(fade_mm=0.1))
         bare = (result.provenance != Provenance.MEASURED) & (first.vertices[:, 2] > 0.9 * RADIUS)
         assert bare.sum() > 20
@@ -177,7 +177,7 @@ def test_repair_target_is_the_closest_view_or_their_mean():
 def test_repair_reach_is_how_far_data_are_plausible(monkeypatch):
     first, valid = sphere_mesh(RADIUS + 3.0, rings=40), valid_views(AROUND)
     assert np.abs(radial_error(repair(first, valid).mesh)).mean() < 0.1
-    monkeypatch.setattr("mammometry.surface.repair.REACH_MM", 2.0)
+    monkeypatch.setattr("mammometry.surface.repair.repair.REACH_MM", 2.0)
     with pytest.raises(SurfaceError, match="no valid range data near"):
         repair(first, valid)
 
@@ -186,7 +186,7 @@ def test_repair_tangential_reaches_beyond_the_edge_of_the_data(monkeypatch):
     first, valid = sphere_mesh(RADIUS, rings=60), valid_views(AROUND, lambda points: points[..., 2] < 20.0)
     measured = []
     for limit in (0.1, 3.0):
-        monkeypatch.setattr("mammometry.surface.repair.TANGENTIAL_MM", limit)
+        monkeypatch.setattr("mammometry.surface.repair.repair.TANGENTIAL_MM", limit)
         measured.append((repair(first, valid).provenance == Provenance.MEASURED).sum())
     assert measured[1] > measured[0]
 
@@ -195,7 +195,7 @@ def test_repair_similarity_is_the_distance_at_which_data_lose_weight(monkeypatch
     first, valid = dented(), valid_views(AROUND)
     errors = []
     for limit in (0.7, 5.0):
-        monkeypatch.setattr("mammometry.surface.repair.SIMILARITY_MM", limit)
+        monkeypatch.setattr("mammometry.surface.repair.repair.SIMILARITY_MM", limit)
         errors.append(np.abs(radial_error(repair(first, valid, RepairSettings(rounds=1)).mesh)).max())
     assert errors[1] < errors[0]
 
@@ -222,12 +222,12 @@ def test_texture_clearance_ignores_what_lies_closer(monkeypatch):
     rig = rig_of([camera, camera_towards("b", (0, 0, -1))])
     pole = int(np.argmax(ball.vertices[:, 2]))
     assert paint(joined([ball, lid]), {"a": grey("a")}, rig).colours[pole, 0] == 128
-    monkeypatch.setattr("mammometry.surface.texture.CLEARANCE_MM", 3.0)
+    monkeypatch.setattr("mammometry.surface.texture.texture.CLEARANCE_MM", 3.0)
     assert paint(joined([ball, lid]), {"a": grey("a")}, rig).colours[pole, 0] == 90
 
 
 def test_texture_triangles_are_the_most_of_the_viewing_mesh():
-    from mammometry.surface.atlas import thinned
+    from mammometry.surface.texture.texture_atlas import thinned
 
     mesh = sphere_mesh(RADIUS)
     assert len(mesh.faces) > 2000

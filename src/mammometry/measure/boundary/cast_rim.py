@@ -18,9 +18,9 @@ import numpy as np
 from mammometry.geometry.arrays import Array, Bool, Float64, Int64, read_only
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.nearest import point_tree
-from mammometry.matching.foreground import Foreground
-from mammometry.matching.outline import Contour, outline
-from mammometry.surface.repair import Provenance, RepairedSurface
+from mammometry.matching.foreground.contour import Contour, outline
+from mammometry.matching.foreground.foreground import Foreground
+from mammometry.surface.repair.repair import Provenance, RepairedSurface
 
 SHARPEST_LIMB_MM = 8.0
 """Radius of the sharpest limb of a breast, mm. Measured skin that turns to a cosine c of incidence at a distance g

@@ -23,7 +23,7 @@ from mammometry.measure.shape.lengths import LinearMeasure
 from mammometry.measure.shape.symmetry import rms_mm, signed_mm
 from mammometry.measure.volume.difference import Pairing, VolumeDifference, difference
 from mammometry.measure.volume.measurement import VolumeMeasurement
-from mammometry.surface.repair import Provenance, RepairedSurface
+from mammometry.surface.repair.repair import Provenance, RepairedSurface
 
 SAME_POSE_MM = 0.8
 """Trunks that agree to this stand in one pose, mm. Measured skin has .1 to .3. Arms and breath add a millimetre."""

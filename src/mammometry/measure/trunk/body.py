@@ -27,7 +27,7 @@ from mammometry.measure.trunk.thorax import (
     orthonormal,
     seen_skin,
 )
-from mammometry.surface.repair import RepairedSurface
+from mammometry.surface.repair.repair import RepairedSurface
 
 Mounting: TypeAlias = Literal["upright", "upside-down", "left", "right"]
 """Where a camera's top points, as seen from behind it."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from mammometry.base.errors import MeasureError
 from mammometry.geometry.arrays import Array, Bool, Float64, Int64, read_only
-from mammometry.surface.repair import Provenance, RepairedSurface
+from mammometry.surface.repair.repair import Provenance, RepairedSurface
 
 _CHEST_SCALE_MM = 4.0
 """Scatter of a chest about the smooth surface that is fitted to it, mm. Once the breasts are left out, skin that

@@ -19,7 +19,7 @@ from mammometry.measure.solid.recut import Band
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.chest_wall import ChestWall
 from mammometry.measure.wall.open_breast import OpenBreast
-from mammometry.surface.repair import Provenance
+from mammometry.surface.repair.repair import Provenance
 
 UNSEEN_SLOPE = 0.5
 """Growth of both, mm for each mm of distance from measured skin, or of the distance by which the skin could stand

@@ -18,7 +18,7 @@ from mammometry.measure.volume.movement import Movement, movement_std_cc
 from mammometry.measure.volume.unseen_space import Bound, outward_room_mm
 from mammometry.measure.wall.chest_wall import ChestWall
 from mammometry.measure.wall.registry import CAST_WALLS, TORSO_WALLS
-from mammometry.surface.repair import Provenance, RepairedSurface
+from mammometry.surface.repair.repair import Provenance, RepairedSurface
 
 WALL_ACROSS_POSES_U95_MM = 2.5
 """Half-width for the change of one breast between two captures in different poses, mm."""

@@ -12,14 +12,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mammometry.base.cores import each_at_once
+from mammometry.base.machine.cores import each_at_once
 from mammometry.geometry import raster_kernels
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int64, read_only
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.nearest import point_tree
-from mammometry.matching.foreground import Foreground
-from mammometry.matching.outline import follow
-from mammometry.surface.range_image import RangeImage
+from mammometry.matching.foreground.contour import follow
+from mammometry.matching.foreground.foreground import Foreground
+from mammometry.surface.ranges.range_image import RangeImage
 
 SILHOUETTE_DOUBT_PX = 1.0
 """Distance outside a silhouette at which nothing of the subject is left, pixels."""
