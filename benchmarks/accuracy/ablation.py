@@ -47,7 +47,7 @@ from mammometry.surface.fusion.fuse import extract
 from mammometry.surface.ranges.decompose import decompose
 from mammometry.surface.ranges.dents import remove_dents
 from mammometry.surface.ranges.range_image import RangeImage, triangulate
-from mammometry.surface.repair import repair
+from mammometry.surface.repair.repair import repair
 from mammometry.surface.settings import DentSettings, ExtractSettings
 
 SHAPES = {
