@@ -214,7 +214,7 @@ class Base:
         begun = time.monotonic()
         sys.setprofile(self._note)
         threading.setprofile(self._note)
-        products._PARENTS_AT_ONCE = 1  # functions are noted for one product at a time
+        products._WORKERS_AT_MOST = 1  # functions are noted for one product at a time
         try:
             self.measured = _measured(self._opened(Settings()), self._make)
         finally:

@@ -138,6 +138,15 @@ def key_table(settings: object) -> dict[str, Any]:
     return own if path is None else {**former_settings(*path), **own}
 
 
+def keyed(settings: Settings, name: str) -> dict[str, Any]:
+    """One group of settings by its dotted name, as `key_table`. It may be one of which no setting is left."""
+    path = name.split(".")
+    group: object = settings
+    for part in path:
+        group = getattr(group, part, None)
+    return former_settings(*path) if group is None else key_table(group)
+
+
 def former_settings(*path: str) -> dict[str, Any]:
     """Values of a group's numbers that were settings once and are constants of the code now."""
     table = _former()

@@ -14,6 +14,7 @@ from tests.scenes.conftest import TINY, TRUE_CC
 
 from mammometry.api.job import open_session
 from mammometry.cli import main, simulation
+from mammometry.job.stages import match
 from mammometry.settings import Settings
 
 KEYS = {"volumes_cc", "intervals_cc", "watertight", "seconds", "stage_seconds", "peak_memory_mb", "results"}
@@ -123,7 +124,7 @@ def test_masks_and_ready_made_cameras_are_used(
     from PIL import Image
 
     (tiny_finished / "masks").mkdir()
-    for camera, product in job.plan.matched.foregrounds.items():
+    for camera, product in job.plan[match.foreground].items():
         white = Image.fromarray(np.where(product().mask, 255, 0).astype(np.uint8))
         white.save(tiny_finished / "masks" / f"{camera}.png")
     cameras = tiny_finished / "results" / "calibrate" / "cameras.json"

@@ -14,6 +14,7 @@ from benchmarks.rendered import make_session, read_truth
 import mammometry as mm
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.nearest import closest_on_mesh
+from mammometry.job.stages import surface
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.trunk.body import find_body
@@ -180,7 +181,7 @@ def test_a_rail_before_the_body_carves_nothing_away(shared_data: Path, tmp_path:
     """
     job = mm.open_session(make_session(shared_data / "rendered", "torso_rail", tmp_path / "torso_rail"))
     found = job.surface().repaired.mesh
-    assert set(job.plan.surfaced.blocked()) == set(job.calibrate().rig.cameras)
+    assert set(job.plan[surface.occlusions]()) == set(job.calibrate().rig.cameras)
     truth = read_truth(shared_data / "rendered", "torso_rail")
     mesh = trimesh.load(truth.folder / "mesh.ply", process=False)
     seen = np.load(truth.folder / "visibility.npz")["pair_bits"].ravel() > 0

@@ -215,6 +215,15 @@ def figure(place: Path, patch: pytest.MonkeyPatch) -> Case:
     )
 
 
+def graph(place: Path, patch: pytest.MonkeyPatch) -> Case:
+    session = _session(place / "session")
+    inside = session / "capture" / "products.svg"
+    return Case(
+        ["graph", session, "--out", place / "products.svg"], place, ("products.svg",),
+        [["graph", session, "--out", inside]],
+    )  # fmt: skip
+
+
 def target(place: Path, patch: pytest.MonkeyPatch) -> Case:
     session = _session(place / "session")
     inside = session / "capture" / "board.pdf"
@@ -370,6 +379,7 @@ CASES: dict[str, Callable[[Path, pytest.MonkeyPatch], Case]] = {
     "compare": compare,
     "report": report,
     "figure": figure,
+    "graph": graph,
     "target": target,
     "export-cameras": export_cameras,
     "import-cameras": import_cameras,

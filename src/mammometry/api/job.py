@@ -18,7 +18,7 @@ from datetime import datetime
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from mammometry.api.previews import Drawing, Previews
 from mammometry.api.refused import seen, show_refusal, withdraw_refusal
@@ -41,11 +41,11 @@ from mammometry.io.drawn import read_boundaries
 from mammometry.io.outputs import require_apart, require_free, write_output, write_outputs
 from mammometry.io.results.store import State, Store, Watch, unwatched
 from mammometry.io.session import Session
-from mammometry.job.beside import Beside, beside_the_next_stage
-from mammometry.job.measuring import Measured
-from mammometry.job.pipeline import CameraSet, FinishedSurface, Plan, plan
+from mammometry.job.graph import Background, Plan
 from mammometry.job.products import STAGES, Key, Product, Stage
-from mammometry.report.page_inputs import PageInputs, report_key
+from mammometry.job.stages import calibrate, match, measure, surface
+from mammometry.job.stages.report import PageInputs, previews_key, report_key
+from mammometry.job.values import CameraSet, FinishedSurface
 from mammometry.settings import Settings
 
 if TYPE_CHECKING:
@@ -60,6 +60,7 @@ if TYPE_CHECKING:
     from mammometry.report.scene import ViewerScene
     from mammometry.report.words.stage_facts import Facts
 
+_DRAWN = STAGES[:-1]  # stages with previews
 _HEAD = 4096  # characters of a page that hold its key: it stands first in the head
 _PAGE_KEY = re.compile(r'<meta name="mammometry-key" content="([0-9a-f,]+)">')
 
@@ -72,10 +73,9 @@ class Job:
         self.settings = settings
         self.store = Store(session.results, watch, session.manifest.subject.id)
         self.inputs = self.session.inputs()
-        self.plan: Plan = plan(self.inputs, settings, self.store)
-        """Every product, made or recalled when called: ``job.plan.matched.disparities["front"]()``."""
+        self.plan = Plan(self.inputs, settings, self.store)
+        """Every product, made or read back when called: ``job.plan[match.disparity]["front"]()``."""
         self.stage_seconds: dict[str, float] = {}
-        self._stages = self.plan.stages
         self._previews = Previews(
             session=self.session, settings=settings, inputs=self.inputs, plan=self.plan, store=self.store
         )
@@ -93,21 +93,12 @@ class Job:
     @property
     def rig(self) -> Rig:
         """The cameras in their places at the exposures."""
-        return self.plan.calibrated.cameras().rig
+        return self.plan[calibrate.cameras]().rig
 
     @property
     def mesh(self) -> Product[FinishedSurface]:
         """The surface that is measured, with its colours."""
-        return self.plan.surfaced.mesh
-
-    @property
-    def measured(self) -> Measured:
-        """Products of the measurement."""
-        return self.plan.measured
-
-    def products(self, stage: Stage) -> tuple[Product[Any], ...]:
-        """Products of one stage, without the report, which has its own record."""
-        return tuple(self._stages[stage].products()) if stage in self._stages else ()
+        return self.plan[surface.mesh]
 
     def ensure(self, stage: Stage, *, drawn: bool = True) -> None:
         """Make a stage and those before it, where they are not current.
@@ -126,25 +117,23 @@ class Job:
             self.store.taken(),
             one_blas_thread(),
             self._previews.drawing(stages if drawn else ()) as drawing,
-            beside_the_next_stage() as beside,
+            Background() as background,
         ):
             for each in stages:
                 begun = time.monotonic()
                 if each == "report":
-                    beside.wait()
+                    background.wait()
                     self._ensure_report(drawing)
                 else:
-                    self._ensure_stage(each, drawing if drawn else None, beside)
-                if each == "match":
-                    self.plan.matched.release()  # large, and read back in a moment where wanted
+                    self._ensure_stage(each, drawing if drawn else None, background)
                 self.stage_seconds[each] = self.stage_seconds.get(each, 0.0) + time.monotonic() - begun
-            beside.wait()
+            background.wait()
             if stage in ("measure", "report"):
                 withdraw_refusal(self.session.results)
 
-    def _ensure_stage(self, stage: Stage, drawing: Drawing | None, beside: Beside) -> None:
+    def _ensure_stage(self, stage: Stage, drawing: Drawing | None, background: Background) -> None:
         try:
-            beside.ensure(self._stages[stage])
+            self.plan.ensure(stage, background)
         except (CalibrationError, MatchingError, SurfaceError, MeasureError) as error:
             if drawing is not None:
                 show_refusal(self.session.results, self.identity, error, partial(self._seen, stage, error, drawing))
@@ -154,17 +143,17 @@ class Job:
 
     def _seen(self, stage: Stage, error: MammometryError, drawing: Drawing) -> Mapping[str, bytes]:
         drawing.facts()  # all pictures that were begun are there then
-        return seen(stage, error, self.plan, self.inputs, self.store, self.previews)
+        return seen(stage, error, self.plan, self.inputs, self.previews)
 
     def calibrate(self) -> CameraSet:
         """Calibrate the rig, or take the ready-made cameras."""
         self.ensure("calibrate")
-        return self.plan.calibrated.cameras()
+        return self.plan[calibrate.cameras]()
 
     def calibration(self) -> Calibration | None:
         """Residuals, covariance and target placements. None where the cameras came ready-made."""
         self.ensure("calibrate")
-        return None if self.plan.calibrated.calibration is None else self.plan.calibrated.calibration()
+        return self.plan.value(calibrate.calibration)
 
     def check(self, image_set: Path | str, *, progress: Progress = no_progress) -> RigCheck:
         """Compare a later exposure of the target with the calibration.
@@ -198,7 +187,7 @@ class Job:
         self.ensure("calibrate")
         calibration = self.calibration()
         reference = (
-            check.Reference.of_cameras(self.plan.calibrated.cameras().rig, target)
+            check.Reference.of_cameras(self.plan[calibrate.cameras]().rig, target)
             if calibration is None
             else check.Reference.of(calibration)
         )
@@ -212,7 +201,7 @@ class Job:
                 result,
                 when=datetime.now().astimezone().isoformat(timespec="seconds"),
                 image_set=str(image_set),
-                calibration=self.plan.calibrated.cameras.key.digest[:12],
+                calibration=self.plan[calibrate.cameras].key.digest[:12],
             ),
         )
         history = drift.read_history(self.session.path).entries
@@ -222,29 +211,27 @@ class Job:
     def match(self) -> dict[str, DisparityMap]:
         """Match every pair: pair → disparity map."""
         self.ensure("match")
-        return {pair: product() for pair, product in self.plan.matched.disparities.items()}
+        return {pair: product() for pair, product in self.plan[match.disparity].items()}
 
     def surface(self) -> FinishedSurface:
         """Build, repair and colour the surface."""
         self.ensure("surface")
-        return self.plan.surfaced.mesh()
+        return self.plan[surface.mesh]()
 
     def measure(self) -> dict[str, VolumeMeasurement]:
         """Side or ``model`` → volume. Empty for an open surface."""
         self.ensure("measure")
-        product = self.plan.measured.measurements
-        return {} if product is None else {measured.name: measured for measured in product()}
+        return {measured.name: measured for measured in self.plan.value(measure.measurements) or ()}
 
     def no_breast(self) -> dict[str, str]:
         """Unmeasured sides of a torso → no breast, unclear or refused."""
         self.ensure("measure")
-        absent = self.plan.measured.absent
-        return {} if absent is None else {side.name: side.why for side in absent()}
+        return {side.name: side.why for side in self.plan.value(measure.absent) or ()}
 
     def lacking(self) -> tuple[Lacking, ...]:
         """What a side of a torso lacks to the mirrored other one."""
         self.ensure("measure")
-        return () if self.plan.measured.lacking is None else self.plan.measured.lacking()
+        return self.plan.value(measure.lacking) or ()
 
     def report(self) -> Path:
         """Write the report and return its page."""
@@ -271,7 +258,7 @@ class Job:
             seconds=time.monotonic() - begun,
             stage_seconds=dict(self.stage_seconds),
             peak_memory_mb=peak_memory_mb(),
-            world=self.plan.calibrated.cameras().world,
+            world=self.plan[calibrate.cameras]().world,
             folder=self.session.results,
             report=self._report_page if report else None,
             no_breast=self.no_breast(),
@@ -326,7 +313,7 @@ class Job:
         """
         if stage == "report":
             return (self.content_key,)
-        return (*(product.key for product in self.products(stage)), self.previews_key(stage))
+        return (*(product.key for product in self.plan.products(stage)), previews_key(stage, self.plan))
 
     def made_at(self, stage: Stage) -> str | None:
         """Time of the newest result up to a stage, ISO 8601, UTC."""
@@ -418,7 +405,7 @@ class Job:
             self.plan,
             self.inputs,
             self._page_inputs,
-            Shown(pictures={stage: self.previews(stage) for stage in self._stages}, facts=facts, scene=scene),
+            Shown(pictures={stage: self.previews(stage) for stage in _DRAWN}, facts=facts, scene=scene),
             privacy=privacy,
             progress=progress,
         )
@@ -426,14 +413,10 @@ class Job:
     def _all_seconds(self) -> dict[str, float]:
         """Seconds that each stage took, in this run or an earlier one."""
         seconds: dict[str, float] = {}
-        for stage in self._stages:
+        for stage in _DRAWN:
             records = [self.store.record(key) for key in self.keys(stage)]
             seconds[stage] = round(sum(record.seconds for record in records if record is not None), 1)
         return seconds
-
-    def previews_key(self, stage: Stage) -> Key:
-        """Key of a stage's previews: its products, the cameras, the photographs."""
-        return self._previews.key(stage)
 
     def previews(self, stage: Stage) -> dict[str, bytes]:
         """PNG previews of a finished stage: name → file content.

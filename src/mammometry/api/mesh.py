@@ -16,8 +16,9 @@ import hashlib
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
@@ -47,20 +48,19 @@ from mammometry.io.meshes.scans import MESH, Scan, read_scan
 from mammometry.io.outputs import require_apart, require_own_folder, take_folder
 from mammometry.io.results.store import Store, Watch, unwatched
 from mammometry.io.subject import check_mesh
+from mammometry.job.graph import Plan
 from mammometry.job.inputs import Inputs, SubjectKind
-from mammometry.job.measuring import Measured, Upstream, measure
-from mammometry.job.products import Forgetful, Key, Product
-from mammometry.job.stage_values import CameraSet, FinishedSurface
+from mammometry.job.products import Key, Product, at_hand
+from mammometry.job.stages import calibrate, measure, surface
+from mammometry.job.stages.report import PageInputs, report_key
+from mammometry.job.values import CameraSet, FinishedSurface
 from mammometry.measure.landmarks.landmarks import PICKED_SIGMA_MM
-from mammometry.report.page_inputs import PageInputs, report_key
 from mammometry.settings import Settings
 
 if TYPE_CHECKING:
-    from mammometry.measure.volume.measurement import VolumeMeasurement
     from mammometry.report.clinical import Clinical
     from mammometry.report.content import ReportContent
     from mammometry.report.documents.rendering import RenderedReport
-    from mammometry.surface.ranges.dents import ValidPatches
     from mammometry.surface.repair.repair import RepairedSurface
 
 T = TypeVar("T")
@@ -243,19 +243,19 @@ class MeshJob:
             check_curve(name, curve, mesh)
         near = [mesh.vertices] if files.automatic else [*curves.values(), *places.values()]
         scan = scanned.finer_scan(scan, near)
-        surface, fine = scanned.as_scanned(scan.mesh, scan.invented), scan.mesh
+        repaired, fine = scanned.as_scanned(scan.mesh, scan.invented), scan.mesh
         for name, curve in curves.items():
             if self.kind == "torso":  # a cast is cut by its base, not along the curve
                 scanned.check_cut(name, curve, fine)
         if frame is None:
-            frame = scanned.viewing_frame(surface, curves, places)
+            frame = scanned.viewing_frame(repaired, curves, places)
         middle = np.mean([curve.mean(axis=0) for curve in curves.values()], axis=0) if len(curves) == 2 else None
         sides = frame if self.kind == "torso" else None
         picked_landmarks(places, fine, sides, sigma_mm=PICKED_SIGMA_MM, middle_world=middle)
         self.rig = scanned.viewer(frame, fine)
         self.inputs = _inputs(files, self.kind, drawn, places)
         by_drawing = {} if self.kind == "torso" and files.automatic else _drawn(self.inputs)
-        self._lay_out(surface, foreign, by_drawing)
+        self._lay_out(repaired, foreign, by_drawing)
 
     @property
     def folder(self) -> Path:
@@ -263,19 +263,19 @@ class MeshJob:
         return self.files.mesh.parent
 
     @property
-    def measured(self) -> Measured:
-        """Products of the measurement."""
-        return self.plan
+    def mesh(self) -> Product[FinishedSurface]:
+        """The surface that is measured, with its colours."""
+        return self.plan[surface.mesh]
 
     def surface(self) -> FinishedSurface:
         """The surface with its colours."""
         return self.finished
 
-    def _lay_out(self, surface: RepairedSurface, foreign: ForeignMesh, by_drawing: dict[str, str]) -> None:
+    def _lay_out(self, repaired: RepairedSurface, foreign: ForeignMesh, by_drawing: dict[str, str]) -> None:
         """Plan the measurement as for a session. The earlier products are given.
 
         Args:
-            surface: to be measured.
+            repaired: the surface to be measured.
             foreign: the mesh with its colours.
             by_drawing: digests of the drawing, where it decides the viewer's place.
         """
@@ -283,25 +283,30 @@ class MeshJob:
         from mammometry.surface.ranges.dents import ValidPatches
         from mammometry.surface.texture.texture import TexturedMesh
 
-        colours = foreign.colours[point_tree(foreign.mesh.vertices).query(surface.mesh.vertices)[1]]
+        colours = foreign.colours[point_tree(foreign.mesh.vertices).query(repaired.mesh.vertices)[1]]
         if not np.ptp(foreign.colours, axis=0).any():  # one colour shows no shape: shaded as by a lamp at the viewer's
-            facing = np.abs(surface.mesh.vertex_normals() @ rig_frame(self.rig)[2])
+            facing = np.abs(repaired.mesh.vertex_normals() @ rig_frame(self.rig)[2])
             colours = np.repeat((_DARK + _LIGHT * facing[:, None]).astype(np.uint8), 3, axis=1)
-        textured = TexturedMesh(mesh=surface.mesh, colours=colours)
+        textured = TexturedMesh(mesh=repaired.mesh, colours=colours)
+        self.finished = FinishedSurface(repaired=repaired, textured=textured)
         cameras = CameraSet(rig=self.rig, std={}, world=WORLD, rms_px=None)
+        valid = ValidPatches(range_images=(), angles_rad=())
         digests = {"mesh": self.inputs.digests["mesh"]}
-        self.finished = FinishedSurface(repaired=surface, textured=textured)
-        self.mesh: Product[FinishedSurface] = _at_hand("mesh", self.finished, digests)
-        valid: Product[ValidPatches] = _at_hand("valid", ValidPatches(range_images=(), angles_rad=()), digests)
-        upstream = Upstream(
-            cameras=_at_hand("cameras", cameras, {**digests, **by_drawing}),
-            calibration=None,
-            foregrounds={},
-            valid=valid,
-            mesh=self.mesh,
-            repaired=_at_hand("repaired", surface, digests),
+        given = partial(at_hand, stage="surface")
+        self.plan = Plan(
+            self.inputs,
+            self.settings,
+            self.store,
+            stages=("measure",),
+            given={
+                surface.corrected_cameras: given(
+                    cameras, name="cameras", version=calibrate.cameras.version, inputs={**digests, **by_drawing}
+                ),
+                surface.valid_patches: given(valid, name="valid", version=surface.keep_masks.version, inputs=digests),
+                surface.repaired: given(repaired, name="repaired", version=surface.repaired.version, inputs=digests),
+                surface.mesh: given(self.finished, name="mesh", version=surface.mesh.version, inputs=digests),
+            },
         )
-        self.plan: Measured = measure(self.inputs, upstream, self.settings.measure, self.store)
 
     def run(self, *, report: bool = True) -> Results:
         """Measure, and write the report.
@@ -313,17 +318,14 @@ class MeshJob:
         take_folder(self.store.folder, command=_COMMAND)
         with self.store.taken(), one_blas_thread():
             try:
-                self.plan.ensure()
+                self.plan.ensure("measure")
             except MeasureError as error:
                 show_refusal(self.store.folder, self.identity, error, self._seen)
                 raise
             withdraw_refusal(self.store.folder)
-            assert self.plan.measurements is not None  # a mesh with a boundary is no open surface
-            measurements: dict[str, VolumeMeasurement] = {
-                measured.name: measured for measured in self.plan.measurements()
-            }
-            absent = () if self.plan.absent is None else self.plan.absent()
-            no_breast: dict[str, str] = {side.name: side.why for side in absent}
+            made = self.plan.value(measure.measurements) or ()
+            measurements = {str(measured.name): measured for measured in made}
+            no_breast: dict[str, str] = {side.name: side.why for side in self.plan.value(measure.absent) or ()}
             seconds = time.monotonic() - begun
             if report:
                 self._stored_report.ensure(self._gathered)
@@ -349,12 +351,10 @@ class MeshJob:
         from mammometry.measure.trunk.body import rig_frame
         from mammometry.report.figures.refused import surface_seen
 
-        boundaries = self.plan.boundaries
-        assert boundaries is not None
         drawn = surface_seen(
             self.finished,
             rig_frame(self.rig),
-            boundaries() if self.store.has(boundaries.key) else (),
+            self.plan.current(measure.boundaries) or (),
             of_patient=self.kind == "torso",
         )
         return {"surface": drawn}
@@ -468,15 +468,6 @@ def _drawn(inputs: Inputs) -> dict[str, str]:
 def _digest(path: Path | None, *beside: object) -> str:
     content = b"" if path is None else path.read_bytes()
     return hashlib.sha256(repr(beside).encode() + content).hexdigest()
-
-
-def _at_hand(name: str, value: Any, digests: dict[str, str]) -> Product[Any]:
-    """A product that holds a given value and is not written."""
-
-    def give(*, progress: Progress) -> Any:
-        return value
-
-    return Product(Forgetful(), "surface", name, give, inputs=digests)
 
 
 class _StoreOfMesh(Store):

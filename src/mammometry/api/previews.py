@@ -21,8 +21,9 @@ from mammometry.base.progress import Progress
 from mammometry.base.second_process import Ended, NotDone, SecondProcess
 from mammometry.io.photographs.images import megapixels_of
 from mammometry.io.results.store import Reader, Store
-from mammometry.job.pipeline import Plan, plan
-from mammometry.job.products import VERSIONS, Key, Stage
+from mammometry.job.graph import Plan
+from mammometry.job.products import Stage
+from mammometry.job.stages.report import previews_key
 
 if TYPE_CHECKING:
     from mammometry.io.session import Session
@@ -44,17 +45,6 @@ class Previews:
     plan: Plan
     store: Store
 
-    def key(self, stage: Stage) -> Key:
-        """Key of a stage's pictures: its products, the cameras, the photographs."""
-        made = [*self.plan.stages[stage].products(), self.plan.calibrated.cameras]
-        return Key(
-            stage=stage,
-            product="previews",
-            version=VERSIONS["previews"],
-            settings={},
-            inputs={product.key.product: product.key.digest for product in made},
-        )
-
     def files(self, stage: Stage) -> dict[str, bytes]:
         """PNG previews of a finished stage: name → file content.
 
@@ -63,7 +53,7 @@ class Previews:
         """
         from mammometry.report.figures.drawing.canvas import caption_of
 
-        pictures = {Path(name).stem: png for name, png in self.store.files(self.key(stage)).items()}
+        pictures = {Path(name).stem: png for name, png in self.store.files(previews_key(stage, self.plan)).items()}
         for name, png in pictures.items():
             try:
                 caption_of(png)
@@ -83,8 +73,7 @@ class Previews:
         Args:
             stages: what will be made, in order. Without pictures to draw beside a later one there is no second process.
         """
-        known = [stage for stage in stages[:-1] if stage in self.plan.stages]
-        missing = any(not self.store.has(self.key(stage)) for stage in known)
+        missing = any(not self.store.has(previews_key(stage, self.plan)) for stage in stages[:-1])
         if not missing or available_cores() < 2 or self._megapixels() < _LEAST_MEGAPIXELS:
             yield Drawing(self._ensure, None)
             return
@@ -114,8 +103,8 @@ class Previews:
 
             return write
 
-        if not self.store.has(self.key(stage)):
-            self.store.write_folder(self.key(stage), prepare)
+        if not self.store.has(previews_key(stage, self.plan)):
+            self.store.write_folder(previews_key(stage, self.plan), prepare)
         return facts
 
     def _drawn(self, stage: Stage, second: SecondProcess | None) -> tuple[dict[str, bytes], Facts]:
@@ -172,4 +161,4 @@ def _draw(session: Session, settings: Settings, stage: Stage) -> tuple[dict[str,
 
     inputs = session.inputs()
     stored = Reader(Store(session.results, subject=session.manifest.subject.id))
-    return drawn(stage, plan(inputs, settings, stored), inputs)
+    return drawn(stage, Plan(inputs, settings, stored), inputs)

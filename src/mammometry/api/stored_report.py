@@ -12,7 +12,7 @@ from mammometry.base.machine.cores import one_blas_thread
 from mammometry.base.progress import Progress
 from mammometry.io.results.store import Store
 from mammometry.job.products import Key
-from mammometry.report.page_inputs import report_key
+from mammometry.job.stages.report import report_key
 
 if TYPE_CHECKING:
     from mammometry.measure.volume.attribution import Attribution

@@ -19,7 +19,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 import mammometry
 from mammometry.base.limits import LimitSettings
 from mammometry.io.write import write_text
-from mammometry.job.products import VERSIONS
+from mammometry.job.products import versions
+from mammometry.job.stages.report import VERSIONS
 from mammometry.settings import Settings
 
 RECORD = "batch.json"
@@ -90,8 +91,8 @@ class Record(BaseModel):
 
 def software() -> dict[str, str]:
     """Versions that must be equal on every machine of a batch. With other versions, results would differ."""
-    versions = json.dumps(dict(VERSIONS), sort_keys=True).encode()
-    return {"mammometry": mammometry.__version__, "results": hashlib.sha256(versions).hexdigest()[:12]}
+    numbers = json.dumps({**versions(), **VERSIONS}, sort_keys=True).encode()
+    return {"mammometry": mammometry.__version__, "results": hashlib.sha256(numbers).hexdigest()[:12]}
 
 
 def key_of(settings: Settings, limits: LimitSettings | None = None) -> str:

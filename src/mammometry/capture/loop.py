@@ -30,6 +30,7 @@ from mammometry.capture.verdict import Expected, Verdict, judge
 from mammometry.geometry.camera import Rig
 from mammometry.io.manifest import MANIFEST, read_manifest
 from mammometry.io.photographs.images import read_photograph
+from mammometry.job.stages import calibrate
 
 if TYPE_CHECKING:
     from mammometry.calibration.adjust.calibrated import Calibration
@@ -359,5 +360,4 @@ def _calibration_of(session: Path) -> Calibration | None:
     """
     job = open_session(session)
     job.ensure("calibrate", drawn=False)
-    product = job.plan.calibrated.calibration
-    return None if product is None else product()
+    return job.plan.value(calibrate.calibration)

@@ -127,9 +127,9 @@ def take_over(job: Job, source: Job) -> int:
     Raises:
         StorageError: the disk is full or refuses.
     """
-    theirs = {product.key.digest: product for product in source.products("calibrate")}
+    theirs = {product.key.digest: product for product in source.plan.products("calibrate")}
     taken = 0
-    for product in job.products("calibrate"):
+    for product in job.plan.products("calibrate"):
         same = theirs.get(product.key.digest)
         if same is None or job.store.has(product.key) or not source.store.has(same.key):
             continue

@@ -1,4 +1,4 @@
-"""The command `figure`: figures of the paper, drawn from a session."""
+"""The commands `figure` and `graph`: figures of the paper, and what a session's results are made from."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from mammometry.cli.common import (
     SettingsFile,
     Verbose,
     examples,
+    load_settings,
 )
 from mammometry.cli.stages import opened
 
@@ -57,3 +58,37 @@ def figure(
         with bars.task("figure", str(number)):
             write_figure(number, (job.plan, job.inputs, job.settings), path, job.identity.subject)
     return Answer({"figure": str(path)}, [f"Figure {number}: {path}"])
+
+
+@app.command(epilog=examples("mammometry graph SESSION", "mammometry graph SESSION --out products.svg"))
+def graph(
+    session: SessionFolder,
+    out: Annotated[
+        Path | None, typer.Option(help="SVG file to write.", show_default="products.svg in results/")
+    ] = None,
+    assignments: Assignments = None,
+    settings: SettingsFile = None,
+    quiet: Quiet = False,
+    json: Json = False,
+    verbose: Verbose = 0,
+) -> Answer:
+    """Draw what each result is made from, whether it is current, and how long it took.
+
+    Nothing is computed. All result files are read, which takes a second or two per gigabyte.
+    """
+    from mammometry.api.job import open_session
+    from mammometry.io.outputs import require_apart, write_output
+    from mammometry.report.figures.product_graph import Known, product_graph
+
+    if out is not None and out.suffix != ".svg":
+        raise typer.BadParameter(f"--out ends with .svg, found {out.name}")
+    job = open_session(session, load_settings(settings, assignments))
+    path = out or job.session.results / "products.svg"
+    require_apart(path, [*job.session.brought, settings])
+    keys = [product.key for product in job.plan.products()]
+    known = {}
+    for key, state in zip(keys, job.store.states(keys), strict=True):
+        record = job.store.record(key)
+        known[f"{key.stage}/{key.product}"] = Known(state=state, seconds=None if record is None else record.seconds)
+    write_output(path, product_graph(job.plan, known, job.identity.subject).encode(), command="graph")
+    return Answer({"graph": str(path)}, [f"Graph: {path}"])

@@ -155,10 +155,11 @@ def _shown_by(job: Job) -> dict[str, Any] | None:
 
 def _drawn_words(job: Job) -> dict[str, str]:
     """Breast → who drew its boundary and who confirmed it, from boundaries.json."""
+    from mammometry.job.stages.measure import boundaries
     from mammometry.measure.volume.attribution import confirmed_words, curve_digest
 
-    product, inputs = job.plan.measured.boundaries, job.inputs
-    found = product() if inputs.attributions and product is not None and job.store.has(product.key) else ()
+    inputs = job.inputs
+    found = (job.plan.current(boundaries) if inputs.attributions else None) or ()
     curves = {each.name: each.points_world for each in found} | dict(inputs.boundaries)
     words = {}
     for name, attribution in inputs.attributions.items():

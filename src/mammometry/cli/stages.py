@@ -115,7 +115,9 @@ def calibrate(
 ) -> Answer:
     """Calibrate the cameras from photographs of the target. Writes results/calibrate/cameras.json."""
     job, table = _stage("calibrate", session, assignments, settings, quiet or json)
-    cameras = job.plan.calibrated.cameras()
+    from mammometry.job.stages.calibrate import cameras as product
+
+    cameras = job.plan[product]()
     table |= {"rms_px": cameras.rms_px, "world": cameras.world, "cameras": len(cameras.rig.cameras)}
     table |= {"verdict": cameras.verdict, "reasons": list(cameras.reasons)}
     rms = "ready-made" if cameras.rms_px is None else f"verdict: {cameras.verdict}"
@@ -137,13 +139,13 @@ def match(
     Writes the disparities to results/match, as TIFF files of float32.
     """
     job, table = _stage("match", session, assignments, settings, quiet or json)
+    from mammometry.job.stages.match import disparity
     from mammometry.matching.quality import assess, concerns
 
     table |= {"matched_pixels": {}, "weak_percent": {}, "d_v_px": {}, "warnings": []}
     lines = []
-    for pair, product in job.plan.matched.disparities.items():
-        quality = assess(product())
-        product.release()
+    for pair, product in job.plan[disparity].items():
+        quality = assess(product.uncached())
         table["matched_pixels"][pair] = quality.matched_pixels
         table["weak_percent"][pair] = round(quality.weak_percent, 2)
         table["d_v_px"][pair] = [round(quality.d_v_median_px, 4), round(quality.d_v_spread_px, 4)]
@@ -170,9 +172,10 @@ def surface(
     Writes results/surface/mesh.ply (mm, world frame), model.glb and the range images.
     """
     job, table = _stage("surface", session, assignments, settings, quiet or json)
+    from mammometry.job.stages.surface import stillness as product
     from mammometry.surface.motion.motion_messages import concerns, summary
 
-    mesh, stillness = job.surface().repaired.mesh, job.plan.surfaced.stillness()
+    mesh, stillness = job.surface().repaired.mesh, job.plan[product]()
     path = job.session.results / "surface" / "mesh.ply"
     table |= {
         "mesh": str(path),

@@ -74,8 +74,7 @@ def _renewed(
         return [], [], ""
     try:
         job = open_session(session, loaded)
-        keys = [product.key for stage in STAGES for product in job.products(stage)]
-        keys += [job.previews_key(stage) for stage in STAGES if job.products(stage)]
+        keys = [key for stage in STAGES[:-1] if job.plan.products(stage) for key in job.keys(stage)]
         wanted = {f"{key.stage}/{key.product}" for key in [*keys, job.content_key, job.report_key]}
     except MammometryError as error:
         return [], [*damaged, *stages], shown(str(error))

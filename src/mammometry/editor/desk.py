@@ -22,10 +22,11 @@ from mammometry.geometry.camera import Rig
 from mammometry.io.drawn import BREASTS, DrawnBoundaries, origin_words, read_boundaries, read_landmarks
 from mammometry.io.drawn_changes import Change, Entry, Item, change_drawn, drawn_entries, drawn_entry, entry_digest
 from mammometry.io.results.store import Store
+from mammometry.job.graph import Plan
 from mammometry.job.inputs import Inputs
-from mammometry.job.measuring import Measured
 from mammometry.job.products import Key, Product
-from mammometry.job.stage_values import FinishedSurface
+from mammometry.job.stages import measure
+from mammometry.job.values import FinishedSurface
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.landmarks.names import LANDMARKS
 from mammometry.measure.trunk.body import rig_frame
@@ -46,6 +47,8 @@ class Drawable(Protocol):
     inputs: Inputs
     settings: Settings
     store: Store
+    plan: Plan
+    """Its products, those of the measurement at least."""
 
     @property
     def identity(self) -> Identity:
@@ -65,11 +68,6 @@ class Drawable(Protocol):
     @property
     def mesh(self) -> Product[FinishedSurface]:
         """The surface that is measured, with its colours."""
-        ...
-
-    @property
-    def measured(self) -> Measured:
-        """Products of the measurement."""
         ...
 
     @property
@@ -133,19 +131,13 @@ class Desk:
 
     def measured(self) -> dict[str, VolumeMeasurement]:
         """Breast → what was measured last with the drawing as it was opened. Empty if that is not current."""
-        product = self.job.measured.measurements
-        if product is None or not self.job.store.has(product.key):
-            return {}
-        return {each.name: each for each in product()}
+        return {measured.name: measured for measured in self.job.plan.current(measure.measurements) or ()}
 
     def _proposed(self) -> dict[str, Any]:
         """Landmark → where the measurement proposes it. Empty if that is not current."""
-        product = self.job.measured.landmarks
-        if product is None or not self.job.store.has(product.key):
-            return {}
         return {
             mark.name: mark.points_world.tolist()
-            for mark in product()
+            for mark in self.job.plan.current(measure.landmarks) or ()
             if mark.proposed and mark.probability >= self.job.settings.measure.nipple.least_probability
         }
 
@@ -280,11 +272,11 @@ class Desk:
     def _found(self) -> dict[str, Boundary]:
         """Automatic boundaries. Empty if they cannot be found. The page then says why."""
         if self._automatic is None:
-            measured, given = self.job.measured, self.job.inputs.boundaries
-            assert measured.boundaries is not None  # a model and a torso have boundaries
+            plan, given = self.job.plan, self.job.inputs.boundaries
             try:
                 with one_blas_thread():
-                    boundaries = measured.boundaries() if measured.sides is None else measured.sides().boundaries
+                    sides = plan.value(measure.sides)
+                    boundaries = plan[measure.boundaries]() if sides is None else sides.boundaries
                 found: dict[str, Boundary] = {each.name: each for each in boundaries if each.name not in given}
                 self._remark = ""
             except StorageError as error:  # another run may be at work, but not for long

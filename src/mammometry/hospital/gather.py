@@ -14,6 +14,7 @@ import numpy as np
 
 from mammometry.hospital.exported import Absent, CoveredModel, CoveredModels, Exported, Model, Quantity, Side
 from mammometry.io.photographs.images import EXTENSIONS
+from mammometry.job.stages import measure, surface
 from mammometry.measure.volume.attribution import Attribution
 from mammometry.report.clinical import Clinical, Signed
 from mammometry.report.words.lengths import quantities_of
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     from mammometry.api.job import Job
     from mammometry.api.mesh import MeshJob
     from mammometry.geometry.mesh import TriangleMesh
-    from mammometry.job.measuring import Measured as MeasuredPlan
+    from mammometry.job.graph import Plan
     from mammometry.measure.boundary.breasts import NoBreast
     from mammometry.measure.shape.anthropometry import Dimensions
     from mammometry.measure.volume.measurement import VolumeMeasurement
@@ -57,7 +58,7 @@ def gather(
     made = job.made_at("report" if plain else "measure")
     measured = tuple(job.measure().values())
     known = clinical or Clinical(confirmed=confirmed(job.inputs.attributions, measured))
-    atlas = job.plan.surfaced.model() if "models" in parts else None
+    atlas = job.plan[surface.model]() if "models" in parts else None
     shown = "photographs" in parts and not deidentify
     return Exported(
         subject="" if deidentify else job.identity.title,
@@ -66,8 +67,8 @@ def gather(
         made=None if deidentify or made is None else datetime.datetime.fromisoformat(made),
         software=mammometry.__version__,
         source=_source(job, deidentify),
-        quantities=quantities(measured, job.plan.measured),
-        absent=tuple(_absent(side) for side in _absent_sides(job.plan.measured)),
+        quantities=quantities(measured, job.plan),
+        absent=tuple(_absent(side) for side in job.plan.value(measure.absent) or ()),
         report_pdf=_report(job, clinical, deidentify) if "pdf" in parts else None,
         models=() if atlas is None else tuple(_models(measured, atlas.mesh)),
         covered=None if atlas is None or deidentify else covered(atlas, measured),
@@ -126,7 +127,7 @@ def gather_scan(
         software=mammometry.__version__,
         source=_source_of_scan(job, measured, deidentify),
         quantities=quantities(measured, job.plan),
-        absent=tuple(_absent(side) for side in _absent_sides(job.plan)),
+        absent=tuple(_absent(side) for side in job.plan.value(measure.absent) or ()),
         report_pdf=_report_of_scan(job, clinical) if "pdf" in parts and not deidentify else None,
         models=tuple(_models(measured, job.finished.repaired.mesh)) if "models" in parts else (),
         deidentified=deidentify,
@@ -200,9 +201,9 @@ def _report(job: Job, clinical: Clinical | None, deidentify: bool) -> bytes:
         return (job.share(Path(folder), Privacy(deidentify=True, geometry_only=True)).parent / DOCUMENT).read_bytes()
 
 
-def quantities(measured: Sequence[VolumeMeasurement], plan: MeasuredPlan) -> tuple[Quantity, ...]:
+def quantities(measured: Sequence[VolumeMeasurement], plan: Plan) -> tuple[Quantity, ...]:
     """All measured numbers, under the names that every export uses."""
-    sizes = None if plan.dimensions is None else plan.dimensions()
+    sizes = plan.value(measure.dimensions)
     beside = () if sizes is None else quantities_of(sizes)
     return (*_volumes(measured, sizes), *(Quantity(**quantity) for quantity in beside))
 
@@ -232,11 +233,6 @@ def _volumes(measured: Sequence[VolumeMeasurement], sizes: Dimensions | None) ->
             ("base_area", "Base area", each.base_area_cm2),
         ):
             yield Quantity(code=code, title=title, side=side, value=value, unit="cm2", method="mesh-area", **about)
-
-
-def _absent_sides(plan: MeasuredPlan) -> tuple[NoBreast, ...]:
-    product = plan.absent
-    return () if product is None else tuple(product())
 
 
 def _absent(side: NoBreast) -> Absent:

@@ -25,7 +25,7 @@ from mammometry.io.results.formats.arrays import write_arrays
 from mammometry.io.results.formats.deflate import deflated, inflated
 from mammometry.io.results.formats.rasters import read_raster, write_raster
 from mammometry.io.results.tree import STORED_TYPES, from_tree, to_tree
-from mammometry.job.pipeline import CameraSet, FinishedSurface
+from mammometry.job.values import CameraSet, FinishedSurface
 from mammometry.matching.dense.match import DisparityMap
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.surface.ranges.dents import Kept

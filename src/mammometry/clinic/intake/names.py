@@ -15,6 +15,7 @@ from mammometry.clinic.models import Visit
 from mammometry.clinic.site import the_clinic
 from mammometry.geometry.camera import Rig
 from mammometry.io.photographs.images import read_photograph
+from mammometry.job.stages import calibrate
 
 _KEPT = 64  # photographs whose features are kept, half a megabyte each: those of the visits that are being entered
 _features: dict[str, Keypoints] = {}
@@ -62,7 +63,7 @@ def _checked(calibration: str, photographs: tuple[tuple[str, str, Path], ...]) -
 @lru_cache(maxsize=8)
 def _rig(calibration: str) -> Rig:
     job = open_session(calibration, the_clinic().measuring())
-    if not job.store.has(job.plan.calibrated.cameras.key):  # to be made again, by a job and not while a page waits
+    if not job.store.has(job.plan[calibrate.cameras].key):  # to be made again, by a job and not while a page waits
         raise CalibrationError(
             calibration, found="no result that is current", expected="one", remedy="Calibrate the rig again"
         )

@@ -31,12 +31,14 @@ from mammometry.io import drift
 from mammometry.io.photographs.exposure import read_exposure
 from mammometry.io.photographs.images import EXTENSIONS, read_header
 from mammometry.job.products import Key
+from mammometry.job.stages.calibrate import cameras as cameras_product
+from mammometry.job.stages.measure import boundaries
 from mammometry.measure.volume.attribution import curve_digest
 from mammometry.measure.volume.difference import difference
 from mammometry.settings import Settings
 
 if TYPE_CHECKING:
-    from mammometry.job.measuring import Measured
+    from mammometry.job.graph import Plan
     from mammometry.measure.volume.measurement import VolumeMeasurement
 
 RESULTS = "results"
@@ -77,7 +79,7 @@ def measure(tell: Tell, session: str, calibration: str, settings: str) -> dict[s
         "made_at": job.made_at("measure"),
         "software": mammometry.__version__,
         "volumes": rows,
-        **_numbers(measurements, job.plan.measured),
+        **_numbers(measurements, job.plan),
         "megapixels": measured["megapixels"],
     }
 
@@ -120,9 +122,9 @@ def _watched(key: Key, tell: Tell) -> Iterator[Progress]:
     yield lambda fraction: tell(key.stage, fraction)
 
 
-def _numbers(measured: Mapping[str, VolumeMeasurement], plan: Measured) -> dict[str, Any]:
+def _numbers(measured: Mapping[str, VolumeMeasurement], plan: Plan) -> dict[str, Any]:
     """Digests of the measured boundaries, and every number under the name that exports use."""
-    curves = () if plan.boundaries is None else plan.boundaries()
+    curves = plan.value(boundaries) or ()
     return {
         "curves": {curve.name: curve_digest(curve.points_world) for curve in curves},
         "quantities": [_finite(asdict(quantity)) for quantity in quantities(tuple(measured.values()), plan)],
@@ -185,7 +187,7 @@ def calibrate(tell: Tell, session: str, settings: str) -> dict[str, Any]:
             "worst_pair_mm": max(quality.expected_mm.values(), default=None),
         }
     figures["cameras"] = {name: about.as_table() for name, about in known_cameras(Path(session)).items()}
-    return {"digest": job.plan.calibrated.cameras.key.digest, "figures": _finite(figures)}
+    return {"digest": job.plan[cameras_product].key.digest, "figures": _finite(figures)}
 
 
 def known_cameras(session: Path) -> dict[str, KnownCamera]:
@@ -225,7 +227,7 @@ def check(tell: Tell, calibration: str, folder: str, settings: str) -> dict[str,
     """
     job = open_session(calibration, Settings.from_toml(settings))
     tell("check", 0.0)
-    now = job.plan.calibrated.cameras.key.digest[:12]
+    now = job.plan[cameras_product].key.digest[:12]
     entries = drift.read_history(Path(calibration)).entries
     entry = next((each for each in entries if each.image_set == folder and each.calibration == now), None)
     unseen: list[str] = []

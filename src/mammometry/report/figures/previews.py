@@ -6,7 +6,8 @@ shows the same pictures.
 
 from __future__ import annotations
 
-from mammometry.job.pipeline import Inputs, Plan
+from mammometry.job.graph import Plan
+from mammometry.job.inputs import Inputs
 from mammometry.job.products import Stage
 from mammometry.report.figures.catalogue import previews_of
 from mammometry.report.figures.stage_results import MeasureResult, StageResult, stage_result

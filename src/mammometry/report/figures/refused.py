@@ -9,7 +9,7 @@ import numpy as np
 from mammometry.base.photograph import Photograph
 from mammometry.calibration.detection.detect import Observations
 from mammometry.geometry.arrays import Array, Bool, Float64
-from mammometry.job.stage_values import FinishedSurface
+from mammometry.job.values import FinishedSurface
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.report.figures.drawing import canvas
 from mammometry.report.figures.drawing.canvas import Caption, Sheet

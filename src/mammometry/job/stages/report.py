@@ -1,18 +1,24 @@
-"""What a page shows beside products.
+"""Report stage: what its pages depend on. They are folders of files, written by `api`, not values.
 
-Its key holds the whole of it, so that nothing can be shown and forgotten.
+The key of a page holds all that it shows, so that nothing can be shown and forgotten.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import Any
 
 from mammometry.base.identity import Identity
-from mammometry.job.products import VERSIONS, Key, Product
+from mammometry.job.graph import Plan
+from mammometry.job.products import Key, Product, Stage
+from mammometry.job.stages import calibrate
 from mammometry.measure.volume.attribution import Attribution
 from mammometry.settings import Settings, key_table
+
+VERSIONS: Mapping[str, int] = MappingProxyType({"previews": 10, "content": 3, "report": 15})
+"""Kind of page → version of its making. Raise it when a page changes for the same products."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,3 +55,10 @@ def report_key(content: Key, attributions: Mapping[str, Attribution]) -> Key:
     """Key of a rendered report: its content, and who drew and confirmed the boundaries."""
     inputs = {"report/content": content.digest, "attributions": repr(dict(attributions))}
     return Key(stage="report", product="report", version=VERSIONS["report"], settings={}, inputs=inputs)
+
+
+def previews_key(stage: Stage, plan: Plan) -> Key:
+    """Key of a stage's pictures: its products, the cameras, the photographs."""
+    shown = [*plan.products(stage), plan[calibrate.cameras]]
+    inputs = {product.key.product: product.key.digest for product in shown}
+    return Key(stage=stage, product="previews", version=VERSIONS["previews"], settings={}, inputs=inputs)
