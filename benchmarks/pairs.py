@@ -95,7 +95,7 @@ def cases(capture: Capture, pairs: list[str], settings: MatchSettings, rig: Rig 
         alone = replace(known, cameras=cameras, pair_names={name: (believed.left.name, believed.right.name)})
         found = foregrounds_of(alone, {believed.left.name: left, believed.right.name: right}, settings.foreground)
         foregrounds = found[believed.left.name], found[believed.right.name]
-        pair = rectify(believed, left, right, *foregrounds, settings.rectify)
+        pair = rectify(believed, left, right, *foregrounds)
         seconds = time.perf_counter() - begun
         yield Case(
             pair=pair,

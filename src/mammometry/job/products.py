@@ -130,15 +130,7 @@ class Definition(Generic[T_co]):
         """Key of this product of a session, made also from `inputs`: name → digest."""
         named, chosen = self.inputs, self.settings
         own = named(job) if callable(named) else job.inputs.key_part(*(name.format(item=job.item) for name in named))
-        if callable(chosen):
-            value = chosen(job)
-            table = (
-                {type(part).__name__: key_table(part) for part in value}
-                if isinstance(value, tuple)
-                else key_table(value)
-            )
-        else:
-            table = keyed(job.settings, chosen) if chosen else {}
+        table = _table(chosen(job)) if callable(chosen) else keyed(job.settings, chosen)
         return Key(
             stage=self.stage,
             product=self.name.format(item=job.item),
@@ -146,6 +138,12 @@ class Definition(Generic[T_co]):
             settings=table,
             inputs={**own, **inputs},
         )
+
+
+def _table(settings: object) -> dict[str, Any]:
+    if isinstance(settings, tuple):
+        return {type(part).__name__: key_table(part) for part in settings}
+    return {} if settings is None else key_table(settings)
 
 
 class Single(Definition[T_co]):
