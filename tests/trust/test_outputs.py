@@ -289,7 +289,7 @@ def measure(place: Path, patch: pytest.MonkeyPatch) -> Case:
     rim = 60 * np.stack([np.cos(angles), np.sin(angles), 0 * angles], axis=1)
     boundary = place / "data" / "b.json"
     boundary.write_text(json.dumps({"boundaries": {"model": {"points": rim.tolist()}}}))
-    patch.setattr(mesh_job.MeshJob, "_stored_report", SimpleNamespace(ensure=lambda gathered: None))
+    patch.setattr(mesh_job.MeshJob, "_write_report", lambda self, gathered: None)
     command: list[object] = ["measure", scan, "--units", "mm", "--boundary", boundary, "--out"]
     return Case(
         [*command, place / "out"], place / "out", (), [[*command, out] for out in (scan.parent, place, boundary)]

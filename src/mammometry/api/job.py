@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING
 from mammometry.api.previews import Drawing, Previews
 from mammometry.api.refused import seen, show_refusal, withdraw_refusal
 from mammometry.api.results import Results
-from mammometry.api.stored_report import StoredReport
+from mammometry.api.stored_report import Reported
 from mammometry.base.errors import (
     CalibrationError,
     MammometryError,
@@ -32,19 +32,17 @@ from mammometry.base.errors import (
     SessionError,
     SurfaceError,
 )
-from mammometry.base.identity import NAMELESS, Identity
 from mammometry.base.machine.cores import one_blas_thread
 from mammometry.base.machine.memory import peak_memory_mb, return_freed_arrays
 from mammometry.base.progress import Progress, no_progress
 from mammometry.geometry.camera import Rig
-from mammometry.io.drawn import read_boundaries
 from mammometry.io.outputs import require_apart, require_free, write_output, write_outputs
 from mammometry.io.results.store import State, Store, Watch, unwatched
 from mammometry.io.session import Session
 from mammometry.job.graph import Background, Plan
-from mammometry.job.products import STAGES, Key, Product, Stage
+from mammometry.job.products import STAGES, Key, Stage
 from mammometry.job.stages import calibrate, match, measure, surface
-from mammometry.job.stages.report import PageInputs, previews_key, report_key
+from mammometry.job.stages.report import PageInputs, previews_key
 from mammometry.job.values import CameraSet, FinishedSurface
 from mammometry.settings import Settings
 
@@ -53,9 +51,7 @@ if TYPE_CHECKING:
     from mammometry.calibration.judge.check import RigCheck
     from mammometry.matching.dense.match import DisparityMap
     from mammometry.measure.volume.measurement import Lacking, VolumeMeasurement
-    from mammometry.report.clinical import Clinical
     from mammometry.report.content import ReportContent
-    from mammometry.report.documents.rendering import RenderedReport
     from mammometry.report.privacy import Privacy
     from mammometry.report.scene import ViewerScene
     from mammometry.report.words.stage_facts import Facts
@@ -65,11 +61,12 @@ _HEAD = 4096  # characters of a page that hold its key: it stands first in the h
 _PAGE_KEY = re.compile(r'<meta name="mammometry-key" content="([0-9a-f,]+)">')
 
 
-class Job:
+class Job(Reported):
     """The main job on one session, resumed from disk where current."""
 
     def __init__(self, session: Session, settings: Settings, watch: Watch = unwatched) -> None:
         self.session = replace(session, limits=settings.limits)
+        self.identity, self.folder = session.identity, session.path
         self.settings = settings
         self.store = Store(session.results, watch, session.manifest.subject.id)
         self.inputs = self.session.inputs()
@@ -81,24 +78,9 @@ class Job:
         )
 
     @property
-    def identity(self) -> Identity:
-        """Whose photographs and results these are: what pages call them."""
-        return self.session.identity
-
-    @property
-    def folder(self) -> Path:
-        """Where boundaries.json and landmarks.json lie."""
-        return self.session.path
-
-    @property
     def rig(self) -> Rig:
         """The cameras in their places at the exposures."""
         return self.plan[calibrate.cameras]().rig
-
-    @property
-    def mesh(self) -> Product[FinishedSurface]:
-        """The surface that is measured, with its colours."""
-        return self.plan[surface.mesh]
 
     def ensure(self, stage: Stage, *, drawn: bool = True) -> None:
         """Make a stage and those before it, where they are not current.
@@ -119,14 +101,14 @@ class Job:
             self._previews.drawing(stages if drawn else ()) as drawing,
             Background() as background,
         ):
-            for each in stages:
+            for current in stages:
                 begun = time.monotonic()
-                if each == "report":
+                if current == "report":
                     background.wait()
                     self._ensure_report(drawing)
                 else:
-                    self._ensure_stage(each, drawing if drawn else None, background)
-                self.stage_seconds[each] = self.stage_seconds.get(each, 0.0) + time.monotonic() - begun
+                    self._ensure_stage(current, drawing if drawn else None, background)
+                self.stage_seconds[current] = self.stage_seconds.get(current, 0.0) + time.monotonic() - begun
             background.wait()
             if stage in ("measure", "report"):
                 withdraw_refusal(self.session.results)
@@ -236,7 +218,7 @@ class Job:
     def report(self) -> Path:
         """Write the report and return its page."""
         self.ensure("report")
-        return self._report_page
+        return self.page
 
     def run(self, *, report: bool = True) -> Results:
         """Calibrate, match, build the surface, measure, report. What is current is not done again.
@@ -260,31 +242,12 @@ class Job:
             peak_memory_mb=peak_memory_mb(),
             world=self.plan[calibrate.cameras]().world,
             folder=self.session.results,
-            report=self._report_page if report else None,
+            report=self.page if report else None,
             no_breast=self.no_breast(),
-            lacking={found.name: found for found in self.lacking()},
+            lacking={side.name: side for side in self.lacking()},
             made=tuple(self.store.made[before:]),
             made_at=self.made_at(last),
         )
-
-    @property
-    def _report_page(self) -> Path:
-        return self.session.results / "report" / "report.html"
-
-    @property
-    def report_key(self) -> Key:
-        """What the rendered report depends on: its content, and who drew and confirmed the boundaries."""
-        return report_key(self.content_key, self.inputs.attributions)
-
-    @property
-    def content_key(self) -> Key:
-        """What the report's content depends on: every product, and whatever else it shows."""
-        return self._page_inputs.key(self.plan.products())
-
-    def page_digest(self, *, deidentify: bool) -> str:
-        """Digest of everything a report would show now, with or without names."""
-        page = self._page_inputs
-        return (replace(page, identity=NAMELESS) if deidentify else page).key(self.plan.products()).digest
 
     def pages(self) -> dict[str, State]:
         """Pages in results/ for others or of two dates → whether current."""
@@ -294,7 +257,7 @@ class Job:
         return {
             page.relative_to(folder).as_posix(): "current" if here & _keys_in(page) else "stale"
             for page in found
-            if page != self._report_page
+            if page != self.page
         }
 
     @property
@@ -318,7 +281,7 @@ class Job:
     def made_at(self, stage: Stage) -> str | None:
         """Time of the newest result up to a stage, ISO 8601, UTC."""
         stages = STAGES[: STAGES.index(stage) + 1]
-        return self.store.made_at([key for each in stages for key in self.keys(each)])
+        return self.store.made_at([key for earlier in stages for key in self.keys(earlier)])
 
     def share(self, folder: Path, privacy: Privacy) -> Path:
         """Write a report for others into a folder, and return its page.
@@ -357,39 +320,7 @@ class Job:
 
             return self._report_content(Privacy(), progress, facts, scene)
 
-        self._stored_report.ensure(gathered)
-
-    def rendered(self, clinical: Clinical) -> RenderedReport:
-        """The report with what a clinic knows of the visit, from stored results.
-
-        It is not stored. What is not current is made first.
-
-        Args:
-            clinical: names, operations, the confirmation, the conclusion.
-
-        Raises:
-            MammometryError: whatever stands in the way, in one sentence.
-        """
-        if not self.store.has(self.content_key):
-            self.ensure("report")
-        return self._stored_report.rendered(clinical)
-
-    def render_report(self) -> None:
-        """Render the report again with who drew and confirmed the boundaries by now.
-
-        Nothing is measured. Where the report's content is not current, nothing happens.
-
-        Raises:
-            MammometryError: another run is at work, or boundaries.json is not as documented.
-        """
-        drawn = read_boundaries(self.session.path, self.inputs.subject_kind, self.session.manifest.subject.id)
-        self.inputs = replace(self.inputs, attributions=drawn.attributions)
-        if self.store.has(self.content_key):
-            self._stored_report.render()
-
-    @property
-    def _stored_report(self) -> StoredReport:
-        return StoredReport(store=self.store, content_key=self.content_key, attributions=self.inputs.attributions)
+        self._write_report(gathered)
 
     def _report_content(
         self,

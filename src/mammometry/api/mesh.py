@@ -24,9 +24,9 @@ import numpy as np
 
 from mammometry.api.refused import show_refusal, withdraw_refusal
 from mammometry.api.results import Results
-from mammometry.api.stored_report import StoredReport
+from mammometry.api.stored_report import Reported
 from mammometry.base.errors import MeasureError, SessionError
-from mammometry.base.identity import NAMELESS, Identity
+from mammometry.base.identity import Identity
 from mammometry.base.machine.cores import one_blas_thread
 from mammometry.base.machine.memory import peak_memory_mb
 from mammometry.base.progress import Progress
@@ -41,7 +41,6 @@ from mammometry.io.drawn import (
     boundaries_in,
     landmarks_digest,
     landmarks_in,
-    read_boundaries,
 )
 from mammometry.io.meshes.foreign import ForeignMesh, read_foreign
 from mammometry.io.meshes.scans import MESH, Scan, read_scan
@@ -50,17 +49,15 @@ from mammometry.io.results.store import Store, Watch, unwatched
 from mammometry.io.subject import check_mesh
 from mammometry.job.graph import Plan
 from mammometry.job.inputs import Inputs, SubjectKind
-from mammometry.job.products import Key, Product, at_hand
+from mammometry.job.products import Key, at_hand
 from mammometry.job.stages import calibrate, measure, surface
-from mammometry.job.stages.report import PageInputs, report_key
+from mammometry.job.stages.report import PageInputs
 from mammometry.job.values import CameraSet, FinishedSurface
 from mammometry.measure.landmarks.landmarks import PICKED_SIGMA_MM
 from mammometry.settings import Settings
 
 if TYPE_CHECKING:
-    from mammometry.report.clinical import Clinical
     from mammometry.report.content import ReportContent
-    from mammometry.report.documents.rendering import RenderedReport
     from mammometry.surface.repair.repair import RepairedSurface
 
 T = TypeVar("T")
@@ -150,7 +147,7 @@ def scan_job(folder: Path, results: Path, settings: Settings | None = None) -> M
         return MeshJob(scan_files(folder, drawn=False), results, settings)
 
 
-class MeshJob:
+class MeshJob(Reported):
     """Measure a mesh. What is in the folder and current is not done again."""
 
     def __init__(
@@ -207,6 +204,7 @@ class MeshJob:
             own = replace(own, boundary="landmarks")
         self.settings = replace(settings, measure=own)
         self.files = files
+        self.folder = files.mesh.parent
         self.identity = Identity.of(files.mesh if files.scan is None else self.folder, files.subject)
         self.store: Store = _StoreOfMesh(folder, watch, files.subject)
         self.units = foreign.units if files.scan is None else files.scan.units
@@ -256,16 +254,6 @@ class MeshJob:
         self.inputs = _inputs(files, self.kind, drawn, places)
         by_drawing = {} if self.kind == "torso" and files.automatic else _drawn(self.inputs)
         self._lay_out(repaired, foreign, by_drawing)
-
-    @property
-    def folder(self) -> Path:
-        """Where boundaries.json and landmarks.json of a scan lie."""
-        return self.files.mesh.parent
-
-    @property
-    def mesh(self) -> Product[FinishedSurface]:
-        """The surface that is measured, with its colours."""
-        return self.plan[surface.mesh]
 
     def surface(self) -> FinishedSurface:
         """The surface with its colours."""
@@ -328,7 +316,7 @@ class MeshJob:
             no_breast: dict[str, str] = {side.name: side.why for side in self.plan.value(measure.absent) or ()}
             seconds = time.monotonic() - begun
             if report:
-                self._stored_report.ensure(self._gathered)
+                self._write_report(self._gathered)
         return Results(
             measurements=measurements,
             watertight=all(measured.watertight for measured in measurements.values()),
@@ -359,37 +347,6 @@ class MeshJob:
         )
         return {"surface": drawn}
 
-    @property
-    def page(self) -> Path:
-        """The report's page."""
-        return self.store.folder / "report" / "report.html"
-
-    def rendered(self, clinical: Clinical) -> RenderedReport:
-        """The report with what a clinic knows of the visit, from stored results.
-
-        It is not stored. What is not current is made first.
-
-        Args:
-            clinical: names, operations, the confirmation, the conclusion.
-
-        Raises:
-            MammometryError: whatever stands in the way, in one sentence.
-        """
-        if not self.store.has(self.content_key):
-            self.run()
-        return self._stored_report.rendered(clinical)
-
-    def render_report(self) -> None:
-        """Render the report again with who drew and confirmed the boundaries by now, as `api.job.Job` does.
-
-        Raises:
-            MammometryError: another run is at work, or boundaries.json is not as documented.
-        """
-        drawn = read_boundaries(self.folder, self.kind, self.files.subject)
-        self.inputs = replace(self.inputs, attributions=drawn.attributions)
-        if self.store.has(self.content_key):
-            self._stored_report.render()
-
     def _gathered(self, progress: Progress) -> ReportContent:
         from mammometry.report.gather_mesh import MeshOrigin, gather_mesh
 
@@ -403,26 +360,7 @@ class MeshJob:
         )
         return gather_mesh(self.plan, self.finished, self.rig, self._page_inputs, origin, progress=progress)
 
-    @property
-    def _stored_report(self) -> StoredReport:
-        return StoredReport(store=self.store, content_key=self.content_key, attributions=self.inputs.attributions)
-
-    @property
-    def report_key(self) -> Key:
-        """Key of the rendered report: its content, and who drew and confirmed the boundaries."""
-        return report_key(self.content_key, self.inputs.attributions)
-
-    @property
-    def content_key(self) -> Key:
-        """Key of the report's content: products, the mesh, and the rest it shows."""
-        return self._content_key(self._page_inputs)
-
-    def page_digest(self, *, deidentify: bool) -> str:
-        """Digest of everything a report would show now, with or without names."""
-        page = self._page_inputs
-        return self._content_key(replace(page, identity=NAMELESS) if deidentify else page).digest
-
-    def _content_key(self, page: PageInputs) -> Key:
+    def _page_key(self, page: PageInputs) -> Key:
         said = {"units": self.units, "posture": self.posture, "scanner": self.scanner}
         return page.key(self.plan.products(), {"mesh": self.inputs.digests["mesh"], **said})
 
