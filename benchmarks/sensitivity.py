@@ -57,10 +57,10 @@ _SLOW = 20.0
 """Times the base's seconds after which a process is ended."""
 CAPTURES: Mapping[str, SessionRecipe | None] = {
     "scan": None,
-    "cast": SessionRecipe(rig="reference:front,floor", subject="plaster_5", scale=0.2, seed=41),
-    "torso": SessionRecipe(rig="reference:front,left,right", subject="torso_3", scale=0.15, seed=42),
+    "cast": SessionRecipe(),
+    "torso": SessionRecipe(rig="reference:front,left,right", subject="torso_3", scale=0.2, seed=42, poses=12),
     "rail": SessionRecipe(
-        rig="reference:front,left,right", subject="torso_8", scale=0.15, seed=43,
+        rig="reference:front,left,right", subject="torso_8", scale=0.2, seed=43, poses=12,
         situation=parse_situation("rail,drift=0.01"),
     ),
 }  # fmt: skip
