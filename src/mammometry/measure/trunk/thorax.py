@@ -31,14 +31,16 @@ _HEIGHT_DEGREE = 2  # of the polynomial of each Fourier coefficient along the tr
 _SIDE_AZIMUTH_DEG = (75.0, 100.0)
 """Skin whose normal points this far to the side of straight ahead shows where the trunk's axis lies, degrees.
 docs/decisions/0009 says what 70 to 90 gave instead."""
-_SIDE_BAND_MM = 80.0  # side skin is taken within this height of the breasts; chosen by eye
+_SIDE_BAND_MM = 80.0  # side skin is taken within this height of the breasts; by eye: 100 moved a scan by 1 %
 _FEWEST_SIDE = 50  # samples of side skin needed on either side; chosen by eye
 _BEHIND_FRONT_MM = 30.0
 """Least distance of a trunk's side behind the breastbone's skin, mm. A breast's flank faces aside as steeply, but lies
 further ahead. Chosen by eye: a boundary 121 mm wide that tilts back by 7.7° (real women's means) ends 16 mm behind its
 medial end.
 """
-_MIDDLE_MM = 15.0  # skin this near to the middle between both sides shows the breastbone; chosen by eye
+_MIDDLE_MM = (
+    15.0  # skin this near to the middle between both sides shows the breastbone; by eye: 19 moved a scan by .1 %
+)
 _HALF_WIDTHS_MM, _DEPTHS_MM = (95.0, 260.0), (50.0, 220.0)
 """Half widths of a trunk, and depths of its axis behind the breastbone, outside which the sides are wrong. Chosen by
 eye, far wider than adults.
