@@ -34,7 +34,7 @@ _FIN_ROUNDS = 5  # of leaving them out, as each may bare others
 _RING_MM = 12.0  # skin around a hole that shows how it curves; by eye: 15 moved a scan by .1 %
 _RING_POINTS = 300  # of that skin; chosen for speed
 _SMOOTHING = (
-    30.0  # of the thin plate, mm²; follows a breast's tip, and not a millimetre of noise; by eye: 38 moved no volume
+    30.0  # of the thin plate, mm²; follows a tip, and not a millimetre of noise; by eye: 38 moved no volume
 )
 _FEWEST = 10  # points that show how skin curves
 _SAID_MM2 = 5.0  # invented skin below this is not worth a note

@@ -39,7 +39,7 @@ further ahead. Chosen by eye: a boundary 121 mm wide that tilts back by 7.7° (r
 medial end.
 """
 _MIDDLE_MM = (
-    15.0  # skin this near to the middle between both sides shows the breastbone; by eye: 19 moved a scan by .1 %
+    15.0  # skin this near to the middle between both sides shows the breastbone; by eye: 19 moved .1 %
 )
 _HALF_WIDTHS_MM, _DEPTHS_MM = (95.0, 260.0), (50.0, 220.0)
 """Half widths of a trunk, and depths of its axis behind the breastbone, outside which the sides are wrong. Chosen by
