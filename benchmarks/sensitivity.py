@@ -39,6 +39,7 @@ from mammometry.base.errors import MammometryError
 from mammometry.io.meshes.own_ply import write_ply
 from mammometry.job import products
 from mammometry.job.products import Key, Product
+from mammometry.job.stages.measure import measurements
 from mammometry.settings import Settings, names
 from mammometry.simulate.recipe import SessionRecipe
 from mammometry.simulate.session import write_session
@@ -192,6 +193,14 @@ def readers(number: Number) -> set[str]:
     return derived
 
 
+def stored_parents(product: Product[Any]) -> set[str]:
+    """Names of the stored products that a product is made from, also by way of others."""
+    parents: set[str] = set()
+    for parent in product.made_from:
+        parents |= {parent.key.product} if parent.is_stored else stored_parents(parent)
+    return parents
+
+
 @dataclass(slots=True)
 class Made:
     """A product of the base."""
@@ -248,6 +257,8 @@ class Base:
         reading = readers(number)
         changed: set[str] = set()
         settings = turn(number, factor)
+        job = self._opened(settings)
+        parents = {product.key.product: stored_parents(product) for product in job.plan.products()}
         afresh = any(_reads(reading, code) for code in self.opening) and isinstance(self._opened, partial)
 
         def recall(key: Key, prepare: Callable[[], Callable[[Any], Any]]) -> Any:
@@ -255,7 +266,7 @@ class Base:
             if base is not None and key.product not in changed and not afresh:
                 own = bool(number.module) or key.settings != base.settings
                 read = own and any(_reads(reading, code) for code in base.ran)
-                if not read and changed.isdisjoint(key.inputs):
+                if not read and changed.isdisjoint(parents[key.product]):
                     return base.value
             value = prepare()(lambda fraction: None)
             if base is None or digest_of(value) != base.digest:
@@ -263,7 +274,7 @@ class Base:
             self.made[key.product] = Made(value, digest_of(value), key.settings, set())
             return value
 
-        return {**_measured(self._opened(settings), recall), "remade": sorted(changed)}
+        return {**_measured(job, recall), "remade": sorted(changed)}
 
 
 def _reads(reading: set[str], code: CodeType) -> bool:
@@ -274,15 +285,13 @@ def _measured(job: Job | MeshJob, recall: Callable[..., Any]) -> dict[str, Any]:
     """Volumes and intervals of a capture, or its refusal."""
     job.store.recall = recall  # type: ignore[method-assign]  # nothing is stored
     job.store.has = lambda key: False  # type: ignore[method-assign]
-    whole: Iterator[Product[Any]] = job.plan.products()
     try:
-        for product in whole:
+        for product in job.plan.products():
             if product.key.product.split("/")[0] not in _NO_VOLUME:
                 product()
                 product.release()
-        measurements = job.measured.measurements
-        assert measurements is not None
-        return {"volumes": {one.name: [one.volume_cc, *one.interval_cc] for one in measurements()}}
+        made = job.plan.value(measurements) or ()
+        return {"volumes": {one.name: [one.volume_cc, *(one.interval_cc or (0.0, 0.0))] for one in made}}
     except MammometryError as error:
         return {"refused": str(error)}
 

@@ -97,6 +97,7 @@ def test_only_what_changed_is_redone(
         "match/foreground/front_right",
         "match/previews",
         "match/rows/front",
+        "match/subjects",
     ]
 
 
