@@ -361,8 +361,8 @@ class MeshJob(Reported):
         return gather_mesh(self.plan, self.finished, self.rig, self._page_inputs, origin, progress=progress)
 
     def _page_key(self, page: PageInputs) -> Key:
-        said = {"units": self.units, "posture": self.posture, "scanner": self.scanner}
-        return page.key(self.plan.products(), {"mesh": self.inputs.digests["mesh"], **said})
+        stated = {"units": self.units, "posture": self.posture, "scanner": self.scanner}
+        return page.key(self.plan.products(), {"mesh": self.inputs.digests["mesh"], **stated})
 
     @property
     def _page_inputs(self) -> PageInputs:
@@ -403,9 +403,9 @@ def _drawn(inputs: Inputs) -> dict[str, str]:
     return {name: inputs.digests[name] for name in ("boundaries", "landmarks")}
 
 
-def _digest(path: Path | None, *beside: object) -> str:
+def _digest(path: Path | None, *options: object) -> str:
     content = b"" if path is None else path.read_bytes()
-    return hashlib.sha256(repr(beside).encode() + content).hexdigest()
+    return hashlib.sha256(repr(options).encode() + content).hexdigest()
 
 
 class _StoreOfMesh(Store):

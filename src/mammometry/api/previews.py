@@ -140,7 +140,7 @@ class Drawing:
     @property
     def waiting(self) -> bool:
         """Whether pictures that were begun are still being drawn."""
-        return not all(each.done() for each in self._begun.values())
+        return not all(future.done() for future in self._begun.values())
 
     def facts(self) -> dict[Stage, Facts]:
         """Wait for all pictures that were begun. Returns what the report says of their stages.
@@ -148,7 +148,7 @@ class Drawing:
         Raises:
             MammometryError: whatever stood in the way, in one sentence.
         """
-        return {stage: each.result() for stage, each in self._begun.items()}
+        return {stage: future.result() for stage, future in self._begun.items()}
 
 
 def _load() -> None:

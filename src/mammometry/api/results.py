@@ -66,13 +66,13 @@ class Results:
             },
             "definitions": {
                 name: {
-                    each.meaning: {
-                        "volume_cc": round(each.volume_cc, 3),
-                        "interval_cc": [round(bound, 3) for bound in each.interval_cc],
-                        "weight_g": round(each.weight_g[0], 1),
-                        "weight_half_g": round(each.weight_g[1], 1),
+                    defined.meaning: {
+                        "volume_cc": round(defined.volume_cc, 3),
+                        "interval_cc": [round(bound, 3) for bound in defined.interval_cc],
+                        "weight_g": round(defined.weight_g[0], 1),
+                        "weight_half_g": round(defined.weight_g[1], 1),
                     }
-                    for each in measured.definitions
+                    for defined in measured.definitions
                 }
                 for name, measured in self.measurements.items()
             },

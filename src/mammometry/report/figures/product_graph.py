@@ -185,9 +185,10 @@ def _box(
     bar = f'<rect class="t" x="{x}" y="{y + tall - 3}" width="{wide * seconds / (longest or 1.0):.1f}" height="3"/>'
     summary = (definition.function.__doc__ or "").strip().partition("\n")[0]
     made_from = f" Made from: {', '.join(map(_name, parents))}." if parents else ""
+    place = f" In results/{definition.stage}/{definition.name.format(item='…')}." if keys else ""
     dashed = ' class="u"' if not keys else ""
     return (
-        f"<g><title>{escape(summary + made_from)}</title>"
+        f"<g><title>{escape(summary + made_from + place)}</title>"
         f'<rect{dashed} x="{x}" y="{y}" width="{wide}" height="{tall}" rx="5" fill="{_FILLS[state]}"/>'
         f"{bar if seconds else ''}"
         f'<text x="{middle[0]}" y="{y + (16 if below else 23)}" text-anchor="middle">{escape(name)}</text>{below}</g>\n'
