@@ -138,7 +138,7 @@ def measured(job: Job, rig: Rig, settings: Settings, judge: Judge) -> Iterator[d
         errors = compare_surfaces(world, judge.truth.mesh, at=judge.seen, truth_from_measured=placed)
         yield row | {
             "noticed": found.moved,
-            "apart": found.apart_mm,
+            "apart": found.distance_mm,
             "evidence": found.evidence,
             "rest_mm": found.rest_mm,
             "pairs": {each.pair: (each.effect_mm, each.std_mm) for each in found.displaced},

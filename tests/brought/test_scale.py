@@ -13,7 +13,7 @@ from mammometry.base.errors import CalibrationError, MammometryError, SessionErr
 from mammometry.calibration.adjust.calibrated import Calibration
 from mammometry.calibration.judge.findings import about_scale
 from mammometry.calibration.judge.scale import require_scale
-from mammometry.calibration.targets.chessboard import ChessboardTarget
+from mammometry.calibration.targets.kinds.chessboard import ChessboardTarget
 from mammometry.calibration.targets.table import target_from_table
 from mammometry.cli import main
 from mammometry.geometry.camera import Camera, Rig

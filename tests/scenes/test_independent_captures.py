@@ -18,7 +18,7 @@ from mammometry.job.stages import surface
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.trunk.body import find_body
-from mammometry.measure.volume.lacking import lacking
+from mammometry.measure.volume.deficit import volume_deficit
 from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.measure.volume.volume import measure
 from mammometry.measure.wall import chest_wall
@@ -143,7 +143,7 @@ def test_what_one_side_lacks_is_held_though_the_chest_beneath_is_no_mirror_image
     body = find_body(skin, np.eye(3), boundaries=[curve])
     edge = Boundary(name="left", points_world=curve, method="true")
     breast = open_breasts((edge,), skin, MeasureSettings(), frame=body.frame)[0]
-    found = lacking(skin, (measure(edge, chest_wall.fit(breast)),), body)
+    found = volume_deficit(skin, (measure(edge, chest_wall.fit(breast)),), body)
     assert found is not None
     assert found.interval_cc is not None
     assert found.interval_cc[0] <= truth.volumes_cc["left"] <= found.interval_cc[1]

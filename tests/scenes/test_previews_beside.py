@@ -10,8 +10,8 @@ import pytest
 
 from mammometry.api import previews
 from mammometry.api.job import Job, open_session
+from mammometry.base.child_process import ChildProcess, NotDone
 from mammometry.base.errors import StorageError
-from mammometry.base.second_process import NotDone, SecondProcess
 from mammometry.job.stages import calibrate
 from mammometry.report import gather
 from mammometry.report.words import stage_facts
@@ -40,13 +40,13 @@ def job(tiny_finished: Path, drawn: dict[Path, bytes], tiny_settings: Path, monk
 def calls(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     """Last argument of each call of the second process."""
     made: list[Any] = []
-    before = SecondProcess.call
+    before = ChildProcess.call
 
-    def call(self: SecondProcess, function: Callable[..., Any], *arguments: Any) -> Any:
+    def call(self: ChildProcess, function: Callable[..., Any], *arguments: Any) -> Any:
         made.append(arguments[-1] if arguments else None)
         return before(self, function, *arguments)
 
-    monkeypatch.setattr(SecondProcess, "call", call)
+    monkeypatch.setattr(ChildProcess, "call", call)
     return made
 
 
@@ -81,7 +81,7 @@ def test_what_it_cannot_draw_is_drawn_here(
     def call(*_: object) -> None:
         raise NotDone("no memory there")
 
-    monkeypatch.setattr(SecondProcess, "call", call)
+    monkeypatch.setattr(ChildProcess, "call", call)
     caplog.set_level(logging.WARNING, logger="mammometry")
     job.ensure("match")
     there = [path for path in drawn if path.parent.name in ("calibrate", "match")]

@@ -22,8 +22,8 @@ from tests.unit.calibration import virtual_rig
 from tests.unit.measure.solids import dome
 
 from mammometry.base.progress import Progress
-from mammometry.calibration.targets.chessboard import ChessboardTarget
-from mammometry.calibration.targets.points import PointsTarget
+from mammometry.calibration.targets.kinds.chessboard import ChessboardTarget
+from mammometry.calibration.targets.kinds.points import PointsTarget
 from mammometry.cli import main, simulation
 from mammometry.geometry.camera import Camera
 from mammometry.io.cameras.formats import camera_texts

@@ -28,7 +28,7 @@ from mammometry.api import mesh as mesh_job
 from mammometry.api import observers as drawn_alike
 from mammometry.api import truth as proof
 from mammometry.api.job import Job
-from mammometry.base.each import one_after_another
+from mammometry.base.progress import map_in_sequence
 from mammometry.batch import batch as batches
 from mammometry.batch.record import Row
 from mammometry.calibration.detection import detect as detecting
@@ -144,7 +144,7 @@ def nine_models(place: Path, patch: pytest.MonkeyPatch) -> Case:
 
     patch.setattr(phantoms, "write_session", write_session)
     patch.setattr(phantoms, "open_session", open_session)
-    patch.setattr(study_commands, "_side_by_side", lambda bars, count, scale: nullcontext(one_after_another))
+    patch.setattr(study_commands, "_tasks_side_by_side", lambda bars, count, scale: nullcontext(map_in_sequence))
     out = place / "study"
     (place / "settings.toml").write_text("")
     return Case(

@@ -50,7 +50,7 @@ if TYPE_CHECKING:
     from mammometry.calibration.adjust.bundle import Calibration
     from mammometry.calibration.judge.check import RigCheck
     from mammometry.matching.dense.match import DisparityMap
-    from mammometry.measure.volume.measurement import Lacking, VolumeMeasurement
+    from mammometry.measure.volume.measurement import VolumeDeficit, VolumeMeasurement
     from mammometry.report.content import ReportContent
     from mammometry.report.privacy import Privacy
     from mammometry.report.scene import ViewerScene
@@ -210,7 +210,7 @@ class Job(Reported):
         self.ensure("measure")
         return {side.name: side.why for side in self.plan.value(measure.absent) or ()}
 
-    def lacking(self) -> tuple[Lacking, ...]:
+    def lacking(self) -> tuple[VolumeDeficit, ...]:
         """What a side of a torso lacks to the mirrored other one."""
         self.ensure("measure")
         return self.plan.value(measure.lacking) or ()

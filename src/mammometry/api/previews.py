@@ -14,11 +14,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from mammometry.base.child_process import ChildProcess, Ended, NotDone
 from mammometry.base.errors import StorageError
 from mammometry.base.machine.cores import available_cores
-from mammometry.base.parse import said
+from mammometry.base.parse import error_text
 from mammometry.base.progress import Progress
-from mammometry.base.second_process import Ended, NotDone, SecondProcess
 from mammometry.io.photographs.images import megapixels_of
 from mammometry.io.results.store import Reader, Store
 from mammometry.job.graph import Plan
@@ -60,7 +60,7 @@ class Previews:
             except Exception as error:  # Pillow raises anything that a damaged file makes it stumble over
                 raise StorageError(
                     f"{stage}/{name}.png",
-                    found=f"a picture that cannot be read back ({said(error)})",
+                    found=f"a picture that cannot be read back ({error_text(error)})",
                     expected="the file as it was written",
                     remedy="Remove it and run the command again: it will be made again",
                 ) from None
@@ -77,9 +77,9 @@ class Previews:
         if not missing or available_cores() < 2 or self._megapixels() < _LEAST_MEGAPIXELS:
             yield Drawing(self._ensure, None)
             return
-        with ThreadPoolExecutor(1) as pool, SecondProcess() as second:
-            pool.submit(second.call, _load)
-            drawing = Drawing(lambda stage: self._ensure(stage, second), pool)
+        with ThreadPoolExecutor(1) as pool, ChildProcess() as child:
+            pool.submit(child.call, _load)
+            drawing = Drawing(lambda stage: self._ensure(stage, child), pool)
             try:
                 yield drawing
                 drawing.facts()
@@ -91,13 +91,13 @@ class Previews:
         folder = self.session.path / "capture"
         return megapixels_of(folder, self.session.limits) if folder.is_dir() else 0.0
 
-    def _ensure(self, stage: Stage, second: SecondProcess | None = None) -> Facts:
+    def _ensure(self, stage: Stage, child: ChildProcess | None = None) -> Facts:
         facts: Facts = None
 
         def prepare() -> Callable[[Path, Progress], None]:
             def write(folder: Path, progress: Progress) -> None:
                 nonlocal facts
-                pictures, facts = self._drawn(stage, second)
+                pictures, facts = self._drawn(stage, child)
                 for name, png in pictures.items():
                     (folder / f"{name}.png").write_bytes(png)
 
@@ -107,10 +107,10 @@ class Previews:
             self.store.write_folder(previews_key(stage, self.plan), prepare)
         return facts
 
-    def _drawn(self, stage: Stage, second: SecondProcess | None) -> tuple[dict[str, bytes], Facts]:
-        if second is not None:
+    def _drawn(self, stage: Stage, child: ChildProcess | None) -> tuple[dict[str, bytes], Facts]:
+        if child is not None:
             try:
-                return second.call(_draw, self.session, self.settings, stage)
+                return child.call(_draw, self.session, self.settings, stage)
             except Ended:
                 raise
             except NotDone as why:

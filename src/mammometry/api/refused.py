@@ -11,7 +11,7 @@ from pathlib import Path
 
 from mammometry.base.errors import MammometryError
 from mammometry.base.identity import Identity
-from mammometry.base.parse import said
+from mammometry.base.parse import error_text
 from mammometry.io.outputs import write_outputs
 from mammometry.job.graph import Plan
 from mammometry.job.inputs import Inputs
@@ -42,7 +42,7 @@ def show_refusal(results: Path, identity: Identity, error: MammometryError, draw
         write_outputs(results / FOLDER, {PAGE: refusal_page(identity, error, draw()).encode()}, command="run")
         error.page = results / FOLDER / PAGE
     except Exception as trouble:  # whatever hinders the page must not hide why there is no volume
-        _LOG.warning("what was seen could not be drawn: %s", said(trouble))
+        _LOG.warning("what was seen could not be drawn: %s", error_text(trouble))
 
 
 def withdraw_refusal(results: Path) -> None:

@@ -112,15 +112,15 @@ def stats_of(session: Path) -> dict[str, Stat]:
 
 
 def _stats(folder: str, above: str) -> Iterator[tuple[str, Stat]]:
-    with os.scandir(folder) as there:
-        for each in sorted(there, key=lambda entry: entry.name):
-            if each.name.startswith("."):
+    with os.scandir(folder) as found_entries:
+        for path in sorted(found_entries, key=lambda entry: entry.name):
+            if path.name.startswith("."):
                 continue
-            if each.is_dir():
-                yield from _stats(each.path, f"{above}{each.name}/")
+            if path.is_dir():
+                yield from _stats(path.path, f"{above}{path.name}/")
             else:
-                about = each.stat()
-                yield f"{above}{each.name}", (about.st_size, about.st_mtime_ns)
+                about = path.stat()
+                yield f"{above}{path.name}", (about.st_size, about.st_mtime_ns)
 
 
 def write_record(session: Path, record: Record) -> None:

@@ -7,35 +7,20 @@ from typing import Annotated
 
 import typer
 
-from mammometry.cli.common import (
-    Answer,
-    Assignments,
-    Bars,
-    Json,
-    Quiet,
-    SessionFolder,
-    SettingsFile,
-    Verbose,
-    examples,
-    load_settings,
-)
+from mammometry.cli.common import Answer, Bars, Options, SessionFolder, command
 from mammometry.cli.stages import opened
 
 app = typer.Typer()
 
 
-@app.command(epilog=examples("mammometry figure 5 SESSION", "mammometry figure 7 SESSION --out surface.svg"))
+@command(app, "mammometry figure 5 SESSION", "mammometry figure 7 SESSION --out surface.svg")
 def figure(
+    options: Options,
     number: Annotated[int, typer.Argument(metavar="N", help="Number of the figure in the paper, 1 to 7.")],
     session: SessionFolder,
     out: Annotated[
         Path | None, typer.Option(help="File to write: .pdf, .svg or .png.", show_default="figure-N.pdf in results/")
     ] = None,
-    assignments: Assignments = None,
-    settings: SettingsFile = None,
-    quiet: Quiet = False,
-    json: Json = False,
-    verbose: Verbose = 0,
 ) -> Answer:
     """Draw a figure of the paper from a session, for print.
 
@@ -49,10 +34,10 @@ def figure(
         raise typer.BadParameter(f"N is one of {', '.join(PAPER_FIGURES)}, found {number}")
     if out is not None and out.suffix not in FORMATS:
         raise typer.BadParameter(f"--out ends with one of {', '.join(FORMATS)}, found {out.name}")
-    with Bars(quiet or json) as bars:
-        job = opened(session, settings, assignments, bars)
+    with Bars(options.silent) as bars:
+        job = opened(session, options, bars)
         path = out or job.session.results / f"figure-{number}.pdf"
-        require_apart(path, [*job.session.brought, settings])
+        require_apart(path, [*job.session.brought, options.file])
         require_free(path.parent, [path.name], command="figure")
         job.ensure("surface")
         with bars.task("figure", str(number)):
@@ -60,17 +45,13 @@ def figure(
     return Answer({"figure": str(path)}, [f"Figure {number}: {path}"])
 
 
-@app.command(epilog=examples("mammometry graph SESSION", "mammometry graph SESSION --out products.svg"))
+@command(app, "mammometry graph SESSION", "mammometry graph SESSION --out products.svg")
 def graph(
+    options: Options,
     session: SessionFolder,
     out: Annotated[
         Path | None, typer.Option(help="SVG file to write.", show_default="products.svg in results/")
     ] = None,
-    assignments: Assignments = None,
-    settings: SettingsFile = None,
-    quiet: Quiet = False,
-    json: Json = False,
-    verbose: Verbose = 0,
 ) -> Answer:
     """Draw what each result is made from, whether it is current, and how long it took.
 
@@ -82,9 +63,9 @@ def graph(
 
     if out is not None and out.suffix != ".svg":
         raise typer.BadParameter(f"--out ends with .svg, found {out.name}")
-    job = open_session(session, load_settings(settings, assignments))
+    job = open_session(session, options.settings())
     path = out or job.session.results / "products.svg"
-    require_apart(path, [*job.session.brought, settings])
+    require_apart(path, [*job.session.brought, options.file])
     keys = [product.key for product in job.plan.products()]
     known = {}
     for key, state in zip(keys, job.store.states(keys), strict=True):

@@ -7,7 +7,6 @@ marked as invented, so that a volume's interval holds its uncertainty. What is i
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.interpolate import RBFInterpolator
@@ -15,8 +14,9 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from mammometry.base.errors import MeasureError
+from mammometry.base.value import value
 from mammometry.geometry import mesh_kernels
-from mammometry.geometry.arrays import Array, Bool, Float64, Int32, Int64, read_only
+from mammometry.geometry.arrays import Array, Bool, Float64, Int32, Int64
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.nearest import point_tree
 from mammometry.measure.solid.cut import opening_loops
@@ -33,16 +33,14 @@ _FEW_FINS = 0.01  # share of the faces that may be left out because three or mor
 _FIN_ROUNDS = 5  # of leaving them out, as each may bare others
 _RING_MM = 12.0  # skin around a hole that shows how it curves; by eye: 15 moved a scan by .1 %
 _RING_POINTS = 300  # of that skin; chosen for speed
-_SMOOTHING = (
-    30.0  # of the thin plate, mm²; follows a tip, and not a millimetre of noise; by eye: 38 moved no volume
-)
+_SMOOTHING = 30.0  # of the thin plate, mm²; follows a tip, and not a millimetre of noise; by eye: 38 moved no volume
 _FEWEST = 10  # points that show how skin curves
 _SAID_MM2 = 5.0  # invented skin below this is not worth a note
 _NO_AREA_MM2 = 1e-6  # a hole of less is a seam
 _GRID_MM = 2.0  # distance of vertices in a closed hole, as `scanned.finer_along` makes edges
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class RepairedScan:
     """A scan's mesh after its repair."""
 
@@ -52,9 +50,6 @@ class RepairedScan:
     """Vertices of closed holes."""
     notes: tuple[str, ...]
     """What was changed, one sentence each."""
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "invented", read_only(self.invented))
 
 
 def repair_scan(mesh: TriangleMesh, *, largest: bool = False) -> RepairedScan:
@@ -211,7 +206,7 @@ def _body(mesh: TriangleMesh, notes: list[str], *, largest: bool) -> TriangleMes
         others = np.sort(areas)[::-1][:3] / areas.sum()
         raise MeasureError(
             "mesh",
-            found=f"{len(areas)} separate pieces, the largest with {', '.join(f'{each:.0%}' for each in others)} "
+            found=f"{len(areas)} separate pieces, the largest with {', '.join(f'{other:.0%}' for other in others)} "
             "of the area",
             expected="one connected surface, beside it at most crumbs",
             remedy="Delete the others in the program that made it, or measure the largest alone with --largest",

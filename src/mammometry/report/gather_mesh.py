@@ -113,7 +113,7 @@ def gather_mesh(
         breasts=tuple(
             sorted(
                 [
-                    *(describe.breast_report(each) for each in measurements),
+                    *(describe.breast_report(measurement) for measurement in measurements),
                     *(describe.absent_report(side) for side in absent),
                 ],
                 key=lambda breast: breast.name,
@@ -143,15 +143,19 @@ def _warnings(measurements: Sequence[VolumeMeasurement], body: Body | None) -> I
         "The mesh comes from another scanner, whose accuracy is not known here. The interval uses the uncertainty of "
         "scale and surface that was entered, or 0.1 % and 0.1 mm."
     )
-    sunk = [] if body is None else [each.sunk(body.up) for each in measurements if each.name != "model"]
+    sunk = (
+        []
+        if body is None
+        else [measurement.sunk(body.up) for measurement in measurements if measurement.name != "model"]
+    )
     if len(sunk) == 2 and sum(sunk) / 2 < _HUNG_UPWARDS:
         yield (
             "The breasts are fuller towards the head than towards the feet. Check that left and right are not "
             "exchanged, and that the head is where it was said to be (--head)."
         )
-    for each in measurements:
-        if not each.watertight:
-            yield f"The closed solid of the {NAMES[each.name]} is not watertight. Do not use its volume."
+    for measurement in measurements:
+        if not measurement.watertight:
+            yield f"The closed solid of the {NAMES[measurement.name]} is not watertight. Do not use its volume."
 
 
 def _mesh_facts(finished: FinishedSurface, origin: MeshOrigin) -> StageReport:

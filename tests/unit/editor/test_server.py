@@ -26,10 +26,10 @@ from playwright.sync_api import Browser, BrowserContext, Page, expect, sync_play
 from mammometry.base.errors import MeasureError, SessionError
 from mammometry.base.identity import Identity
 from mammometry.editor import server as served
-from mammometry.editor.desk import Desk
-from mammometry.editor.door import HOST, LARGEST_BYTES, Door, local_page
+from mammometry.editor.auth import HOST, LARGEST_BYTES, Door, local_page
 from mammometry.editor.messages import PlaceChange, Save, SentHandle, Sketch, SketchChange
 from mammometry.editor.server import Application, editor_app
+from mammometry.editor.session import Desk
 from mammometry.job.stages import measure
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.settings import MeasureSettings

@@ -51,7 +51,8 @@ def _checked(calibration: str, photographs: tuple[tuple[str, str, Path], ...]) -
     names = check_names(rig, seen)
     wrong = wrong_photographs(names, rig.pair_names)
     found = [
-        Found(check="names", level="refuse", sentence=f"{one.listed}: {one.found}. {one.remedy}.") for one in wrong
+        Found(check="names", level="refuse", sentence=f"{mismatch.listed}: {mismatch.found}. {mismatch.remedy}.")
+        for mismatch in wrong
     ]
     if names.unknown and not found:
         pairs = ", ".join(names.unknown)

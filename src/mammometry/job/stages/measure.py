@@ -19,7 +19,7 @@ if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a pla
     from mammometry.measure.shape.anthropometry import Dimensions
     from mammometry.measure.shape.symmetry import Symmetry
     from mammometry.measure.trunk.body import Body
-    from mammometry.measure.volume.measurement import Lacking, VolumeMeasurement
+    from mammometry.measure.volume.measurement import VolumeDeficit, VolumeMeasurement
     from mammometry.measure.volume.uncertainty import Evidence
     from mammometry.surface.motion.motion_test import Stillness
     from mammometry.surface.ranges.dents import ValidPatches
@@ -206,7 +206,7 @@ def absent(
 @product("measure", version=4, settings="measure", when=_torso, threads=1)
 def lacking(
     repaired: RepairedSurface, measurements: tuple[VolumeMeasurement, ...], body: Body, *, job: Context
-) -> tuple[Lacking, ...]:
+) -> tuple[VolumeDeficit, ...]:
     """What the smaller side of a torso lacks to the mirrored larger one. No volume depends on it."""
     from mammometry.measure.volume.lacking import lacking
 

@@ -18,8 +18,8 @@ if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a pla
     from mammometry.surface.fusion.fuse import Solid
     from mammometry.surface.motion.agreement import RowErrors
     from mammometry.surface.motion.motion_test import Stillness
-    from mammometry.surface.occlusion.occlusion import Blocked
-    from mammometry.surface.ranges.dents import Kept, ValidPatches
+    from mammometry.surface.occlusion.occlusion import Occlusion
+    from mammometry.surface.ranges.dents import KeepMasks, ValidPatches
     from mammometry.surface.ranges.range_image import RangeImage
     from mammometry.surface.repair.repair import RepairedSurface
     from mammometry.surface.texture.texture_atlas import Atlas
@@ -70,7 +70,7 @@ def keep_masks(
     subjects: Subjects | None,
     *,
     job: Context,
-) -> Kept:
+) -> KeepMasks:
     """Which range data survive the removal of dents. Paper 2.6.1 and 2.6.2."""
     from mammometry.surface.ranges import decompose, dents
     from mammometry.surface.ranges import foreign_pieces as scraps
@@ -85,7 +85,7 @@ def keep_masks(
     if blind or job.inputs.subject_kind == "surface":  # a solid's smaller pieces are left out when it is meshed
         middle_world = None if subjects is None else subjects.middle_world
         keep = scraps.subject_data(valid.range_images, blind, middle_world)
-    return dents.Kept(keep=tuple(keep), angles_rad=valid.angles_rad)
+    return dents.KeepMasks(keep=tuple(keep), angles_rad=valid.angles_rad)
 
 
 @product("surface", version=1, name="data", stored=False, large=True)
@@ -93,7 +93,7 @@ def valid_patches(
     cameras: CameraSet,
     stillness: Stillness,
     range_images: Mapping[str, RangeImage],
-    keep_masks: Kept,
+    keep_masks: KeepMasks,
     *,
     job: Context,
 ) -> ValidPatches:
@@ -108,11 +108,11 @@ def occlusions(
     foregrounds: Mapping[str, Foreground],
     *,
     job: Context,
-) -> Mapping[str, Blocked]:
+) -> Mapping[str, Occlusion]:
     """Camera → places with something in front of the subject, for cameras that have such places."""
-    from mammometry.surface.occlusion.occlusion import find_blocked
+    from mammometry.surface.occlusion.occlusion import find_occlusions
 
-    return find_blocked(valid_patches.range_images, foregrounds, corrected_cameras.rig)
+    return find_occlusions(valid_patches.range_images, foregrounds, corrected_cameras.rig)
 
 
 @product("surface", large=True)
@@ -120,7 +120,7 @@ def solid(
     corrected_cameras: CameraSet,
     valid_patches: ValidPatches,
     foregrounds: Mapping[str, Foreground],
-    occlusions: Mapping[str, Blocked],
+    occlusions: Mapping[str, Occlusion],
     *,
     job: Context,
 ) -> Solid | None:
@@ -130,7 +130,7 @@ def solid(
 
     if job.inputs.subject_kind == "surface":
         return None
-    opened = occluders.unblocked(foregrounds, occlusions)
+    opened = occluders.without_occluded(foregrounds, occlusions)
     extraction = job.settings.surface.extract.of(job.inputs.subject_kind)
     return extract.solid_of(valid_patches.range_images, opened, corrected_cameras.rig, extraction.rule)
 

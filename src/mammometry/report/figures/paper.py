@@ -63,16 +63,16 @@ def stereo_and_matching(source: Source) -> Sheet:
     plan, inputs, _ = source
     rig = plan[calibrate.cameras]().rig
     found = {pair: product() for pair, product in plan[match.disparity].items()}
-    sheet = Sheet(6, len(found), canvas.fitting([each.valid.shape for each in found.values()], _PANEL_PX))
-    for row, (pair, each) in enumerate(found.items()):
+    sheet = Sheet(6, len(found), canvas.fitting([disparity.valid.shape for disparity in found.values()], _PANEL_PX))
+    for row, (pair, disparity) in enumerate(found.items()):
         ranged = plan[surface.range_image][pair]()
-        for side, (name, ideal) in enumerate(zip(rig.pair_names[pair], (each.left, each.right), strict=True)):
+        for side, (name, ideal) in enumerate(zip(rig.pair_names[pair], (disparity.left, disparity.right), strict=True)):
             axes = sheet.panel(6 * row + side, f"{pair}: {('left', 'right')[side]} picture")
             axes.imshow(resampled(inputs.photographs[name], rig.cameras[name], ideal, _PRINT_PX))
         maps = (
-            ("d_H", each.pair_px * each.d_h_px, each.valid),
-            ("d_V", each.pair_px * each.d_v_px, each.valid),
-            ("confidence c", each.confidence, each.valid),
+            ("d_H", disparity.pair_px * disparity.d_h_px, disparity.valid),
+            ("d_V", disparity.pair_px * disparity.d_v_px, disparity.valid),
+            ("confidence c", disparity.confidence, disparity.valid),
             ("range image", ranged.range_mm, ranged.valid),
         )
         for column, (title, values, valid) in enumerate(maps, start=2):

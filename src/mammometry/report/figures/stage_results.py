@@ -24,7 +24,7 @@ from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.boundary.breasts import NoBreast
 from mammometry.measure.shape.symmetry import Symmetry
 from mammometry.measure.trunk.body import Body, Mounting
-from mammometry.measure.volume.measurement import Lacking, VolumeMeasurement
+from mammometry.measure.volume.measurement import VolumeDeficit, VolumeMeasurement
 from mammometry.report.figures.drawing import canvas
 from mammometry.report.figures.drawing.shading import Scene, View, front_frame, front_of, standard_views
 from mammometry.report.figures.drawing.thinning import (
@@ -138,7 +138,7 @@ class MeasureResult:
     """The patient's own directions. None for a cast."""
     absent: Sequence[NoBreast] = ()
     """Sides without a breast."""
-    lacking: Sequence[Lacking] = ()
+    lacking: Sequence[VolumeDeficit] = ()
     """What a side lacks to the other one."""
 
     @cached_property
