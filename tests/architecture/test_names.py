@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from tests.architecture.test_imports import modules, syntax
+from tests.architecture.test_imports import PACKAGE, modules, syntax
 
 BETTER = {
     "each": "what it is one of: camera, pair, row",
@@ -20,21 +20,16 @@ BETTER = {
     "Blocked": "Occlusion",
     "Each": "MapTasks",
     "Fired": "CaptureResult",
-    "Fleeting": "Uncached",
-    "Kept": "KeepMasks",
-    "Known": "LevelStart",
     "Lacking": "VolumeDeficit",
-    "Offer": "WorkerResources",
     "Posed": "PoseResult",
-    "Remade": "DerivedMemo",
     "Rigged": "OpenRig",
-    "Taken": "Firing",
     "Tell": "StageProgress",
-    "Trusted": "AcceptedMatches",
     "Unknowns": "MotionParameters",
     "Wish": "StopRequest",
 }
 """Name that the code once had → what stands there now."""
+OF_OTHERS = ("api", "job", "measure/boundary")
+"""Rooms that are being rebuilt: their names come with that."""
 MODULES = {
     "belief", "beside", "carried", "desk", "door", "holds", "keep", "keeping", "occluders", "past_edges",
     "second_process", "slits", "stand", "standing", "workplace",
@@ -68,11 +63,15 @@ def test_names_of_our_own_are_recognised(source: str, names: list[str]) -> None:
 
 
 def test_names_are_the_fields(repository: Path) -> None:
+    package = repository / PACKAGE
+    rebuilt = [package / room for room in OF_OTHERS]
+    paths = [path for path in modules(repository) if not any(path.is_relative_to(room) for room in rebuilt)]
+    assert len(paths) > 500
     wrong = [
         f"{path.relative_to(repository)}:{line} {name}: rather {BETTER[name]}"
-        for path in modules(repository)
+        for path in paths
         for line, name in bound(syntax(path))
         if name in BETTER
     ]
-    wrong += [str(path.relative_to(repository)) for path in modules(repository) if path.stem in MODULES]
+    wrong += [str(path.relative_to(repository)) for path in paths if path.stem in MODULES]
     assert not wrong, "\n".join(wrong)
