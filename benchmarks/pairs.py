@@ -70,10 +70,7 @@ def foregrounds_of(
 ) -> dict[str, Foreground]:
     """Camera → its foreground, as the product finds it."""
     found = find_subjects(rig, photographs, settings)
-    return {
-        name: estimate_foreground(shot, name, settings, subject=found.blocks.get(name))
-        for name, shot in photographs.items()
-    }
+    return {name: estimate_foreground(shot, name, subject=found.blocks.get(name)) for name, shot in photographs.items()}
 
 
 def cases(capture: Capture, pairs: list[str], settings: MatchSettings, rig: Rig | None = None) -> Iterator[Case]:
@@ -98,7 +95,7 @@ def cases(capture: Capture, pairs: list[str], settings: MatchSettings, rig: Rig 
         alone = replace(known, cameras=cameras, pair_names={name: (believed.left.name, believed.right.name)})
         found = foregrounds_of(alone, {believed.left.name: left, believed.right.name: right}, settings.foreground)
         foregrounds = found[believed.left.name], found[believed.right.name]
-        pair = rectify(believed, left, right, *foregrounds, settings.rectify)
+        pair = rectify(believed, left, right, *foregrounds)
         seconds = time.perf_counter() - begun
         yield Case(
             pair=pair,

@@ -10,7 +10,7 @@ import mammometry as mm
 
 session, *settings_files = sys.argv[1:]
 settings = mm.Settings.load(Path(settings_files[0])) if settings_files else mm.Settings()
-settings = settings.overridden(["surface.texture.clearance_mm=3.0"])
+settings = settings.overridden(["surface.repair.rho=2.0"])
 
 job = mm.open_session(session, settings)
 job.surface()

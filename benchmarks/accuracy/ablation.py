@@ -47,7 +47,7 @@ from mammometry.surface.fusion.fuse import extract
 from mammometry.surface.ranges.decompose import decompose
 from mammometry.surface.ranges.dents import remove_dents
 from mammometry.surface.ranges.range_image import RangeImage, triangulate
-from mammometry.surface.repair import repair
+from mammometry.surface.repair.repair import repair
 from mammometry.surface.settings import DentSettings, ExtractSettings
 
 SHAPES = {
@@ -80,7 +80,7 @@ def range_images(rig: Rig, folder: Path) -> tuple[list[RangeImage], dict[str, Fo
     images = []
     for pair in rig.pairs:
         left, right = pair.left.name, pair.right.name
-        both = rectify(pair, photographs[left], photographs[right], seen[left], seen[right], settings.rectify)
+        both = rectify(pair, photographs[left], photographs[right], seen[left], seen[right])
         images.append(triangulate(match(both, settings)))
     return images, seen
 

@@ -134,7 +134,7 @@ def measured(
             },
         }
     if len(both) == 2:
-        verdict = difference(both[0], both[1], "sides", settings)
+        verdict = difference(both[0], both[1], "sides")
         if verdict.difference_interval_cc is not None:
             half = verdict.difference_interval_cc[1] - verdict.difference_cc
             yield {"side": "difference", "difference": {"cc": verdict.difference_cc, "half_cc": half}}

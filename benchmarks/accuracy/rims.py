@@ -18,7 +18,6 @@ from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.camera import Rig
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.matching.foreground.foreground import Foreground, blocks_of, estimate_foreground, subject_blocks
-from mammometry.matching.settings import ForegroundSettings
 from mammometry.measure.boundary.boundary import find_base
 from mammometry.measure.boundary.cast_base_adjust import mean_height
 from mammometry.measure.boundary.cast_rim import rim_candidates
@@ -123,7 +122,7 @@ def _silhouettes(scene: Scene, rig: Rig) -> Iterator[Foreground]:
         aperture = film.aperture(camera)
         light = render_subject(scene, camera, skin, seed=_SEED, aperture=aperture, background=film.stray_light)
         photograph = develop(light, film, name=camera.name, seed=_SEED + number)
-        subject = subject_blocks(camera.name, blocks_of(photograph), ForegroundSettings(), ())
+        subject = subject_blocks(camera.name, blocks_of(photograph), ())
         yield estimate_foreground(photograph, camera.name, subject=subject)
 
 

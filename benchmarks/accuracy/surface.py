@@ -79,9 +79,7 @@ def range_images(capture: Capture, rig: Rig) -> tuple[list[RangeImage], dict[str
     images = []
     for pair in rig.pairs:
         left, right = pair.left.name, pair.right.name
-        rectified = rectify(
-            pair, photographs[left], photographs[right], foregrounds[left], foregrounds[right], settings.rectify
-        )
+        rectified = rectify(pair, photographs[left], photographs[right], foregrounds[left], foregrounds[right])
         images.append(triangulate(match(rectified, settings)))
     return images, foregrounds
 

@@ -24,7 +24,6 @@ from PIL import Image
 from benchmarks.accuracy.calibration import read_capture
 from benchmarks.files import Files
 from mammometry.calibration.detection.detect import Observations, detect
-from mammometry.calibration.settings import DetectSettings
 from mammometry.geometry.camera import Camera
 from mammometry.geometry.transform import Transform
 from mammometry.simulate.rendering.develop import develop
@@ -114,7 +113,7 @@ def main() -> None:
         runs = {}
         for threads in options.threads:
             wall, cpu = time.perf_counter(), time.process_time()
-            seen = detect(photographs, BOARD, DetectSettings(threads=threads))
+            seen = detect(photographs, BOARD, threads=threads)
             runs[threads] = {
                 "wall_s": round(time.perf_counter() - wall, 2),
                 "cpu_s": round(time.process_time() - cpu, 1),

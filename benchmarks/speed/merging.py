@@ -28,7 +28,7 @@ from mammometry.study.rays import RayScene, pixel_grid
 from mammometry.surface.fusion.fuse import extract
 from mammometry.surface.ranges.dents import remove_dents
 from mammometry.surface.ranges.range_image import RangeImage
-from mammometry.surface.repair import repair
+from mammometry.surface.repair.repair import repair
 
 SIZE_MM = (350.0, 300.0, 200.0)
 _PLACES = {"front": (0.0, 0.0, 1.0), "floor": (0.0, -0.8, 0.9), "left": (-0.9, 0.1, 0.8), "right": (0.9, 0.1, 0.8)}

@@ -5,8 +5,10 @@ from __future__ import annotations
 import difflib
 import json
 import re
-from collections.abc import Iterable, Mapping
+import tomllib
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
+from functools import cache
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
@@ -114,16 +116,61 @@ def paper_method() -> str:
 
 
 def as_table(settings: object) -> dict[str, Any]:
-    """Any settings dataclass as a plain nested dict.
-
-    A stage's key and its provenance record hold this dict.
-    """
+    """Any settings dataclass as a plain nested dict."""
     if not is_dataclass(settings) or isinstance(settings, type):
         raise TypeError(f"settings are dataclasses, found {type(settings).__name__}")
     return {
         item.name: as_table(value) if is_dataclass(value := getattr(settings, item.name)) else value
         for item in fields(settings)
     }
+
+
+def key_table(settings: object) -> dict[str, Any]:
+    """Settings as keys of stored results hold them, with the numbers that were settings once.
+
+    So a number that becomes a constant makes no result stale.
+    """
+    own = {
+        item.name: key_table(value) if is_dataclass(value := getattr(settings, item.name)) else value
+        for item in fields(settings)  # type: ignore[arg-type]  # a dataclass by construction
+    }
+    path = _groups().get(type(settings))
+    return own if path is None else {**former_settings(*path), **own}
+
+
+def keyed(settings: Settings, name: str) -> dict[str, Any]:
+    """One group of settings by its dotted name, as `key_table`. It may be one of which no setting is left."""
+    path = name.split(".")
+    group: object = settings
+    for part in path:
+        group = getattr(group, part, None)
+    return former_settings(*path) if group is None else key_table(group)
+
+
+def former_settings(*path: str) -> dict[str, Any]:
+    """Values of a group's numbers that were settings once and are constants of the code now."""
+    table = _former()
+    for name in path:
+        table = table.get(name, {})
+    return table
+
+
+@cache
+def _former() -> dict[str, Any]:
+    return tomllib.loads(files("mammometry").joinpath("former_settings.toml").read_text(encoding="utf-8"))
+
+
+@cache
+def _groups() -> dict[type, tuple[str, ...]]:
+    """Class of a group of settings → its path."""
+
+    def below(settings: object, path: tuple[str, ...]) -> Iterator[tuple[type, tuple[str, ...]]]:
+        yield type(settings), path
+        for item in fields(settings):  # type: ignore[arg-type]  # a dataclass by construction
+            if is_dataclass(value := getattr(settings, item.name)):
+                yield from below(value, (*path, item.name))
+
+    return dict(below(Settings(), ()))
 
 
 def names(settings: object, prefix: tuple[str, ...] = ()) -> list[str]:
@@ -145,7 +192,8 @@ def _replaced(settings: _S, table: Mapping[str, Any], prefix: tuple[str, ...]) -
     for key, value in table.items():
         dotted = ".".join((*prefix, key))
         if key not in known:
-            raise _unknown(dotted)
+            _accept_former(value, (*prefix, key))
+            continue
         if is_dataclass(known[key]):
             if not isinstance(value, Mapping):
                 raise SettingsError(
@@ -185,6 +233,27 @@ def _replaced(settings: _S, table: Mapping[str, Any], prefix: tuple[str, ...]) -
             expected=str(error),
             remedy="Choose a value within its range",
         ) from None
+
+
+def _accept_former(value: object, path: tuple[str, ...]) -> None:
+    """Accept a number that was a setting once at the value that it still has, as older settings files name it.
+
+    Raises:
+        SettingsError: there never was such a setting, or it has another value.
+    """
+    former: Any = former_settings(*path[:-1]).get(path[-1])
+    if former is None:
+        raise _unknown(".".join(path))
+    if isinstance(former, dict) and isinstance(value, Mapping):
+        for name, own in value.items():
+            _accept_former(own, (*path, name))
+    elif value != former:
+        raise SettingsError(
+            ".".join(path),
+            found=shown(value),
+            expected=f"{former!r}, since it is no setting any more",
+            remedy="Remove the line",
+        )
 
 
 def _is_negative(value: object) -> bool:

@@ -20,7 +20,7 @@ from mammometry.calibration.detection.duplicates import set_duplicates_aside
 from mammometry.calibration.judge.no_target import no_target, with_causes
 from mammometry.calibration.judge.quality import assess
 from mammometry.calibration.judge.suspects import SuspectPhotographsError, refusal
-from mammometry.calibration.settings import CalibrateSettings, DetectSettings, QualitySettings
+from mammometry.calibration.settings import CalibrateSettings, QualitySettings
 from mammometry.calibration.targets.charuco_board import charuco_board
 from mammometry.calibration.targets.kinds.charuco import CharucoTarget
 from mammometry.calibration.targets.kinds.chessboard import ChessboardTarget
@@ -38,7 +38,6 @@ OLD = replace(NEW, legacy_pattern=True)
 CHESS = ChessboardTarget(squares=(11, 8), square_mm=24.0)
 CIRCLES = CirclesTarget(grid=(9, 7), pitch_mm=26.0, diameter_mm=13.0)
 VIEW = reference_rig(0.2, 3).cameras["front_left"]
-SETTINGS = DetectSettings()
 
 
 @cache
@@ -86,7 +85,7 @@ def test_what_the_photograph_shows_instead_is_named_with_its_remedy(case: str) -
     photographs = {("00", "a"): changed(photographed(printed))}
     seen = detect(photographs, described)
     assert seen.detections == ()
-    error = no_target(described, [seen], photographs, SETTINGS)
+    error = no_target(described, [seen], photographs)
     assert remedy in error.remedy
     assert "1 of 1" in error.found
 
@@ -126,7 +125,7 @@ def test_one_camera_s_mirrored_photographs_are_named_before_its_lack_of_views() 
     few = TooFewViewsError(
         "camera b", cameras=["b"], found="0 usable views of the target", expected="at least 3", remedy="Add 3 or more"
     )
-    error = with_causes(few, [seen], photographs, SETTINGS)
+    error = with_causes(few, [seen], photographs)
     assert error.found.startswith(
         "0 usable views of the target: where it is missing, 3 of 3 photographs show a mirrored"
     )

@@ -10,7 +10,7 @@ EXAMPLES = sorted((Path(__file__).resolve().parents[2] / "examples").glob("[0-9]
 SAID = {
     "01_measure": ("model: ", "report.html"),
     "02_stage_by_stage": ("2 cameras", "front: ", "watertight: True", "model: "),
-    "03_change_a_setting": ("made again: surface/mesh, surface/model, surface/previews",),
+    "03_change_a_setting": ("made again: surface/repaired, surface/mesh, surface/model, surface/previews",),
 }
 
 

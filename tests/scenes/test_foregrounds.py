@@ -13,7 +13,6 @@ from mammometry.io.photographs.images import read_photograph
 from mammometry.io.truth import read_truth
 from mammometry.matching.foreground.all_cameras import find_subjects
 from mammometry.matching.foreground.foreground import blocks_of, estimate_foreground, subject_blocks
-from mammometry.matching.settings import ForegroundSettings
 from mammometry.simulate.recipe import SessionRecipe
 from mammometry.simulate.rendering.objects.skin import make_skin
 from mammometry.simulate.session import write_session
@@ -68,7 +67,7 @@ def test_a_torso_before_a_pale_wall_is_found(skin: str, tmp_path: Path) -> None:
     shots = {name: read_photograph(next((session / "capture").glob(f"{name}.*")), name) for name in names}
     subjects = find_subjects(truth.rig, shots)
     for name, shot in shots.items():
-        assert subject_blocks(name, blocks_of(shot), ForegroundSettings(), ()) is None
+        assert subject_blocks(name, blocks_of(shot), ()) is None
         found = estimate_foreground(shot, name, subject=subjects.blocks[name]).mask
         camera = truth.rig.cameras[name]
         true = scene.cast(camera.centre_world, camera.rays_world(pixel_grid(camera))).hit

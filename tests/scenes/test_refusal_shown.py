@@ -54,10 +54,10 @@ def test_what_hinders_the_page_does_not_hide_the_refusal(tiny_finished: Path, ti
 @pytest.mark.parametrize(
     ("asked", "refusal", "shown"),
     [
-        # Nobody knows a focal length so well; no datum is so certain.
+        # Nobody knows a focal length so well; no skin faces a camera so exactly.
         ("calibration.quality.focal_std_refuse=1e-9", CalibrationError, ["The target"]),
         (
-            "surface.triangulate.max_sigma_mm=1e-6",
+            "surface.dents.angle_deg=0.001",
             SurfaceError,
             ["Foreground", "Rectified pairs", "Disparity", "Confidence"],
         ),

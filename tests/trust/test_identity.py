@@ -182,7 +182,7 @@ def test_every_setting_that_a_page_lists_is_in_its_key(linked: Path) -> None:
         return open_session(linked, Settings().overridden(assignments)).content_key.digest
 
     # No product depends on these, and the page lists them.
-    for assignment in ("compare.doubt_deg=3.0", "calibration.check.refuse_mm=0.9"):
+    for assignment in ("compare.doubt_mm=1.5", "calibration.check.refuse_mm=0.9"):
         assert digest(assignment) != digest()
 
 

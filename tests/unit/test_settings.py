@@ -1,12 +1,15 @@
 """Settings from TOML and from the command line: strict, and helpful about it."""
 
+import hashlib
+import json
 import re
+from importlib.resources import files
 from pathlib import Path
 
 import pytest
 
 from mammometry.base.errors import SettingsError
-from mammometry.settings import Settings, as_table, names, paper_method
+from mammometry.settings import Settings, as_table, former_settings, key_table, names, paper_method
 
 
 def test_toml_round_trip() -> None:
@@ -58,12 +61,14 @@ def test_later_assignments_win_and_the_rest_stays() -> None:
         ("surface.repair.rho.x=3", r"surface\.repair\.rho: found a group"),
         ("matching.window_px", "no assignment"),
         ("=3", "no assignment"),
-        ("calibration.bundle.huber_mad=-1", r"calibration\.bundle\.huber_mad: found -1, expected 0 or more"),
-        ("calibration.bundle.huber_mad=0", r"calibration\.bundle\.huber_mad: found huber_mad = 0\.0"),
+        ("calibration.check.refuse_mm=-1", r"calibration\.check\.refuse_mm: found -1, expected 0 or more"),
+        ("calibration.check.refuse_mm=0", r"calibration\.check\.refuse_mm: found refuse_mm = 0\.0"),
         ("matching.window_px=-3", r"matching\.window_px: found -3, expected 0 or more"),
         ("matching.window_px=nan", r"matching\.window_px: found nan, expected 0 or more"),
         ("matching.window_px=0", r"window_px must be positive"),
-        ("matching.smoothing_px=[]", r"smoothing_px must be one or more positive numbers"),
+        ("surface.repair.reach_mm=5", r"reach_mm: found 5, expected 4\.0, since it is no setting any more\. Remove"),
+        ("surface.texture=5", r"surface\.texture: found 5"),
+        ("surface.texture.colour=5", r"surface\.texture\.colour: found an unknown setting"),
         ("measure.wall=nope", r"'default', 'cylinder-membrane', .*'membrane'"),
     ],
 )
@@ -82,6 +87,20 @@ def test_files(tmp_path: Path) -> None:
         Settings.load(path)
     with pytest.raises(SettingsError, match="cannot be read"):
         Settings.load(tmp_path / "none.toml")
+
+
+def test_an_older_settings_file_names_what_is_a_constant_now() -> None:
+    """So do all numbers that `mammometry settings` wrote when there were 168."""
+    former = files("mammometry").joinpath("former_settings.toml").read_text(encoding="utf-8")
+    assert Settings.from_toml(former) == Settings()
+
+
+def test_keys_of_stored_results_hold_what_they_held_when_there_were_168_settings() -> None:
+    table = key_table(Settings())
+    text = json.dumps(table, sort_keys=True)
+    assert hashlib.sha256(text.encode()).hexdigest()[:16] == "1e68454a8839feab"
+    parts = (table["surface"]["texture"], former_settings("surface", "texture"))
+    assert parts[0] == parts[1] != {}
 
 
 def test_every_setting_has_a_name_and_a_place_in_the_table() -> None:

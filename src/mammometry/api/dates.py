@@ -29,6 +29,8 @@ if TYPE_CHECKING:
     from mammometry.report.documents.change_page import ChangeReport
     from mammometry.report.privacy import Privacy
 
+DOUBT_DEG = 15.0
+"""Difference in lean above which there is a warning, degrees. The intervals were not measured for more."""
 FOLDER = "compare"
 _COMMAND = "compare"
 
@@ -169,7 +171,6 @@ def _compare(jobs: list[Dated], request: _Request, progress: Progress) -> Compar
         visits[0],
         visits[1],
         settings.compare,
-        settings.measure,
         common_scale=_common_scale(jobs),
         progress=part(progress, 0.4, 0.8),
     )
@@ -179,7 +180,7 @@ def _compare(jobs: list[Dated], request: _Request, progress: Progress) -> Compar
         f"The {name} breast has a volume at the {which} date only, and is not compared."
         for name, which in at_one_date.items()
     ]
-    warnings = [*posture_warnings(*jobs), *_warnings(change, settings), *alone, *unconfirmed, *warnings]
+    warnings = [*posture_warnings(*jobs), *_warnings(change), *alone, *unconfirmed, *warnings]
     heading = _heading(jobs, dates, request.subject, privacy.deidentify)
     report = replace(
         _report(jobs, heading, change, visits, warnings, remarks, privacy),
@@ -365,7 +366,7 @@ def _automatic(job: Dated) -> tuple[Boundary, ...]:
     from mammometry.measure.trunk.body import rig_frame
 
     frame = rig_frame(job.rig(), job.inputs.mounting)
-    return outline_torso(job.finished().repaired, frame, job.settings.measure).boundaries
+    return outline_torso(job.finished().repaired, frame).boundaries
 
 
 def _visit(job: Dated, volumes: tuple[VolumeMeasurement, ...]) -> Visit:
@@ -388,14 +389,14 @@ def _common_scale(jobs: list[Dated]) -> bool:
     return first == second
 
 
-def _warnings(change: Change, settings: Settings) -> list[str]:
+def _warnings(change: Change) -> list[str]:
     warnings = []
     if change.doubtful:
         warnings.append(
             f"The trunks fit badly: 20 % of the skin beside the breasts is more than {change.fit.within_mm:.1f} mm "
             "apart. Check that both sessions show the same patient, with arms and breath alike."
         )
-    if change.fit.turned_deg > settings.compare.doubt_deg:
+    if change.fit.turned_deg > DOUBT_DEG:
         warnings.append(
             f"The trunk leaned differently by {change.fit.turned_deg:.0f}°. Breasts then hang differently, by more "
             "than the interval includes."

@@ -175,7 +175,7 @@ class Job(Reported):
         )
         settings = self.settings.calibration
         with one_blas_thread():
-            seen = detect(photographs, target, settings.detect, measured=measured, progress=progress)
+            seen = detect(photographs, target, measured=measured, progress=progress)
             result = check.check(reference, seen, settings.check)
         drift.append_history(
             self.session.path,

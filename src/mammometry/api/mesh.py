@@ -53,6 +53,7 @@ from mammometry.job.products import Key, at_hand
 from mammometry.job.stages import calibrate, measure, surface
 from mammometry.job.stages.report import PageInputs
 from mammometry.job.values import CameraSet, FinishedSurface
+from mammometry.measure.landmarks.landmarks import PICKED_SIGMA_MM
 from mammometry.settings import Settings
 
 if TYPE_CHECKING:
@@ -248,7 +249,7 @@ class MeshJob(Reported):
             frame = scanned.viewing_frame(repaired, curves, places)
         middle = np.mean([curve.mean(axis=0) for curve in curves.values()], axis=0) if len(curves) == 2 else None
         sides = frame if self.kind == "torso" else None
-        picked_landmarks(places, fine, sides, sigma_mm=own.picked_sigma_mm, middle_world=middle)
+        picked_landmarks(places, fine, sides, sigma_mm=PICKED_SIGMA_MM, middle_world=middle)
         self.rig = scanned.viewer(frame, fine)
         self.inputs = _inputs(files, self.kind, drawn, places)
         by_drawing = {} if self.kind == "torso" and files.automatic else _drawn(self.inputs)

@@ -22,7 +22,7 @@ from mammometry.simulate.rigs.targets import sees_target, visible_points
 
 GOOD_MM = 0.05
 """Expected error of measured points at which a calibration is good enough, mm: a tenth of what the paper's plate
-allows, as `QualitySettings.residual_good_mm`."""
+allows, as `findings.RESIDUAL_GOOD_MM`."""
 POSES = 12
 """Poses after which a rig is usually good enough."""
 _CANDIDATES = 80  # places that are compared; twice as many change the result by a few per cent

@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -14,14 +14,12 @@ from PIL import Image
 from mammometry.base.errors import MammometryError
 from mammometry.base.photograph import LUMA, Photograph
 from mammometry.calibration.detection.detect import detect_in
-from mammometry.calibration.settings import DetectSettings
 from mammometry.calibration.targets.target import Target
 from mammometry.capture.camera import Backend
 from mammometry.capture.checks.found import Found
 from mammometry.capture.checks.pixels import Seen, judge
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int64, UInt8
 from mammometry.matching.foreground.block_segmentation import segment
-from mammometry.matching.settings import ForegroundSettings
 
 WIDTH_PX = 480
 """Columns of a live picture on the page, about."""
@@ -175,7 +173,7 @@ def _whole(small: UInt8[Array, "h w *c"], subject_kind: str) -> Found:
     """What `checks.pixels` says, of a picture that is small already."""
     encoded = np.atleast_3d(small)[::_COARSER, ::_COARSER].astype(np.float32) / 255
     unit = float(np.hypot(*encoded.shape[:2])) / (2 * _UNIT_PX)
-    subject = segment(encoded, unit, ForegroundSettings().background_margin)
+    subject = segment(encoded, unit)
     where = np.ones(encoded.shape[:2], dtype=bool) if subject is None else subject
     seen = Seen(
         cover=0.0 if subject is None else float(where.mean()),
@@ -194,7 +192,7 @@ def _target_in(
     photograph: Photograph, camera: str, target: Target, before: Bool[Array, "4 6"]
 ) -> tuple[int, Bool[Array, "4 6"]]:
     """How many points of the target are seen, and the regions in which it has been seen."""
-    found = detect_in(photograph, target, replace(DetectSettings(), search_width_px=_SEARCH_PX), camera=camera, pose="")
+    found = detect_in(photograph, target, camera=camera, pose="", search_width_px=_SEARCH_PX)
     if found is None:
         return 0, before
     width, height = photograph.size_wh

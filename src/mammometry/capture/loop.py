@@ -14,7 +14,6 @@ from mammometry.base.errors import CalibrationError, CaptureError, SessionError
 from mammometry.base.machine.cores import available_cores
 from mammometry.calibration.detection.detect import Detection, detect_in
 from mammometry.calibration.judge.cameras.names import check_board_names
-from mammometry.calibration.settings import DetectSettings
 from mammometry.calibration.targets.board import Board
 from mammometry.calibration.targets.table import target_from_table
 from mammometry.capture.camera import Backend
@@ -214,7 +213,7 @@ class OpenRig:
 
         def detected(camera: str) -> Detection | None:
             photograph = read_photograph(taken.frames[camera].path, camera)
-            return detect_in(photograph, target, DetectSettings(search_width_px=_SEARCH_PX), camera=camera, pose="")
+            return detect_in(photograph, target, camera=camera, pose="", search_width_px=_SEARCH_PX)
 
         with ThreadPoolExecutor(available_cores()) as pool:
             found = dict(zip(taken.frames, pool.map(detected, taken.frames), strict=True))

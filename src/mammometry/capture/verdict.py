@@ -23,7 +23,6 @@ from mammometry.capture.take import Firing
 from mammometry.geometry.camera import Rig
 
 _OLD_S = 2.0  # before the pulse: clocks that are shared differ by far less
-_GATHERED = ("sharpness", "exposure", "whole")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

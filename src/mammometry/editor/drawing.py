@@ -19,7 +19,7 @@ from scipy.interpolate import CubicSpline
 from mammometry.base.errors import MeasureError
 from mammometry.geometry.arrays import Array, Float64, Int64
 from mammometry.geometry.nearest import closest_on_mesh
-from mammometry.measure.boundary.boundary import Boundary, BreastName, given_boundary
+from mammometry.measure.boundary.boundary import DRAWN_RIM_SIGMA_MM, Boundary, BreastName, given_boundary
 from mammometry.measure.boundary.trace import check_curve, crossing_points
 from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.volume import volume
@@ -93,9 +93,7 @@ class DrawingBoard:
                 drawn[name] = found[name]
                 continue
             try:
-                drawn[name] = given_boundary(
-                    _breast(name), curve, self.surface, rim_sigma_mm=self.settings.drawn_rim_sigma_mm
-                )
+                drawn[name] = given_boundary(_breast(name), curve, self.surface, rim_sigma_mm=DRAWN_RIM_SIGMA_MM)
             except MeasureError as error:
                 problems[name] = str(error)
         live = {}

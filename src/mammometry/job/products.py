@@ -17,7 +17,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, replace
 from itertools import count
-from operator import attrgetter
 from threading import Lock
 from typing import Any, Generic, Literal, Protocol, TypeAlias, TypeVar
 
@@ -25,7 +24,7 @@ from mammometry.base.machine.cores import available_cores
 from mammometry.base.progress import Progress, no_progress
 from mammometry.base.registry import Registry
 from mammometry.job.inputs import Inputs, ItemKind
-from mammometry.settings import Settings, as_table
+from mammometry.settings import Settings, key_table, keyed
 
 T = TypeVar("T")
 T_co = TypeVar("T_co", covariant=True)
@@ -131,15 +130,20 @@ class Definition(Generic[T_co]):
         """Key of this product of a session, made also from `inputs`: name → digest."""
         named, chosen = self.inputs, self.settings
         own = named(job) if callable(named) else job.inputs.key_part(*(name.format(item=job.item) for name in named))
-        value = chosen(job) if callable(chosen) else attrgetter(chosen)(job.settings) if chosen else None
-        parts = {type(part).__name__: as_table(part) for part in value} if isinstance(value, tuple) else None
+        table = _table(chosen(job)) if callable(chosen) else keyed(job.settings, chosen)
         return Key(
             stage=self.stage,
             product=self.name.format(item=job.item),
             version=self.version or 0,
-            settings=parts or ({} if value is None else as_table(value)),
+            settings=table,
             inputs={**own, **inputs},
         )
+
+
+def _table(settings: object) -> dict[str, Any]:
+    if isinstance(settings, tuple):
+        return {type(part).__name__: key_table(part) for part in settings}
+    return {} if settings is None else key_table(settings)
 
 
 class Single(Definition[T_co]):

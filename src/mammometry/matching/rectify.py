@@ -17,8 +17,9 @@ from mammometry.geometry.transform import Transform
 from mammometry.matching.correlation_kernels import sample_spline, spline_along_rows, weighted_channels
 from mammometry.matching.filters import blur, rim
 from mammometry.matching.foreground.foreground import Foreground
-from mammometry.matching.settings import RectifySettings
 
+MARGIN_PX = 16
+"""Pixels kept around the subject's silhouette in either rectified image, for windows and filters."""
 _LEAST_AXES_COSINE = 0.17  # of the optical axes, 80°: farther apart, two cameras hardly see the same skin
 _ROUND_TRIP_PX = 0.1  # from a pixel through the lens model and back; more: the model is folded there
 _LEAST_COSINE = 0.2  # of a ray with the common axis: 78° off it, nothing is left to resample
@@ -65,7 +66,6 @@ def rectify(
     right: Photograph,
     left_foreground: Foreground,
     right_foreground: Foreground,
-    settings: RectifySettings = RectifySettings(),
     *,
     middle_world: Float64[Array, "3"] | None = None,
 ) -> RectifiedPair:
@@ -98,7 +98,7 @@ def rectify(
     shift = None
     if middle_world is not None and (left_foreground.everything or right_foreground.everything):
         shift = _parallax(pair, rotation, focal, middle_world)
-    cameras = _ideal_cameras(pair, rotation, focal, outlines, shift, settings)
+    cameras = _ideal_cameras(pair, rotation, focal, outlines, shift)
     with ThreadPoolExecutor(len(sides)) as pool:
         (left_image, left_mask), (right_image, right_mask) = pool.map(_resample, sides, cameras)
     return RectifiedPair(
@@ -185,7 +185,6 @@ def _ideal_cameras(
     focal: float,
     outlines: list[Float64[Array, "_ 2"]],
     shift_px: float | None,
-    settings: RectifySettings,
 ) -> tuple[Camera, Camera]:
     """Both rectified cameras, cropped to the subject's region.
 
@@ -203,12 +202,12 @@ def _ideal_cameras(
         left[:] = min(left[0], left[1] + shift_px) - np.array([0, shift_px])
     else:
         left, right = low[:, 0], high[:, 0]
-    left, right = left - settings.margin_px, right + settings.margin_px
-    top, bottom = top - settings.margin_px, bottom + settings.margin_px
+    left, right = left - MARGIN_PX, right + MARGIN_PX
+    top, bottom = top - MARGIN_PX, bottom + MARGIN_PX
     width = int(np.ceil((right - left).max())) + 1
     height = int(np.ceil(bottom - top)) + 1
     pixels = pair.left.size_wh[0] * pair.left.size_wh[1]
-    if min(height, width) <= 2 * settings.margin_px + _SMALLEST_SIDE_PX:
+    if min(height, width) <= 2 * MARGIN_PX + _SMALLEST_SIDE_PX:
         raise MatchingError(
             f"pair {pair.name}",
             found="no common rows of the subject in the two rectified pictures",

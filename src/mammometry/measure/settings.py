@@ -17,98 +17,17 @@ class BaseRimSettings:
     not where the cast would end. So the base is put half of the radius behind the visible rim. Photographs do not show
     the radius (docs/decisions/0017).
     """
-    rim_radius_sigma_mm: float = 0.14
-    """Standard uncertainty of that radius, mm. Hand-made rims may have anything from 0 to .5."""
-    silhouette_sigma_px: float = 0.05
-    """Standard uncertainty of the edge in each camera, common to its whole outline, pixels. In eight cameras and three
-    casts that are lit to the edge it was .00 to .04."""
-    sharpest_limb_mm: float = 8.0
-    """Radius of the sharpest limb of a breast, mm. Measured skin that turns to a cosine c of incidence at a distance g
-    from the silhouette is no limb with a radius above 2 g/c². A point where that is less than this shows the rim. Of a
-    ptotic cast photographed by one pair, at a tenth of full size, 92 % of the rim's points have less, and 92 % of the
-    limb's have more."""
-    seed: int = 0
-    """Seed of the random samples in which the base is searched. The same photographs give the same volume."""
-    local_sigma_px: float = 0.1
-    """Standard uncertainty of the edge in one eighth of a camera's outline alone, pixels. Light differs around a rim:
-    .02 to .12 was measured."""
     minimum_sectors: int = 36
     """Directions around the cast, out of 72, that must hold rim points for a base to be trusted. Half of them: where a
     third of a rim was seen, it lay on two planes, and the wrong one looked as sure (docs/decisions/0009)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ThoraxSettings:
-    """How the trunk is described under the breasts of a torso."""
-
-    chest_scale_mm: float = 4.0
-    """Scatter of a chest about the smooth surface that is fitted to it, mm. Once the breasts are left out, skin that
-    stands out up to three times as far still describes the trunk (muscle, collar bone)."""
-    height_window_mm: float = 140.0
-    """Skin within this height of the breasts describes the trunk, mm."""
-    widest_deg: float = 115.0
-    """Skin up to this far around from straight ahead describes the trunk, degrees."""
-    steepest_lean_deg: float = 50.0
-    """Greatest angle between the trunk's axis and the photographs' upright, degrees. Beyond it the upright serves as
-    the axis. Patients lean forward by up to 42° in front of the rig, and the cameras are not quite upright on average.
-    """
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class BreastSettings:
-    """How a breast is outlined on a torso."""
-
-    fewest_mm: float = 8.0
-    """A breast stands out at least this far from the skin along its outline, mm. If nothing does, there is no breast on
-    that side."""
-    plain_mm: float = 24.0
-    """Height over the skin along its outline above which something is a breast even without a crease around all of it,
-    mm.
-    """
-    low_creased: float = 0.9
-    """Share of the outline that must run in a crease for something as low as `fewest_mm` to be a breast, and not the
-    chest's own form. In between the share is interpolated."""
-    chest_mm: float = 6.0
-    """Mean height up to which something without a crease around nearly all of it is the chest's own form, mm. Chests
-    without a breast have 3 to 5.4 beside the armpit, mounds from 80 cc on 8 or more (docs/decisions/0026)."""
-    least_creased: float = 0.4
-    """Share of the boundary that must run in a crease. With less, no boundary is proposed."""
-    reach_mm: float = 140.0
-    """Farthest a boundary lies from the breast's middle, mm."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class NippleSettings:
     """How a nipple is proposed, and how well a proposal is known."""
 
-    margin_mm: float = 15.0
-    """Nipples are not looked for nearer to the boundary than this, mm."""
-    areola_contrast: float = 0.05
-    """Least difference of ln(R/G), in linear light, between the areola and the skin around it. Pale areolae have .1."""
-    tip_mm: float = 1.2
-    """Least height of a nipple above the ring of skin 8 to 14 mm around it, beyond that of the skin up to 36 mm away,
-    mm. A round breast has up to .5, a nipple 2 to 5."""
-    tip_sigma_mm: float = 2.5
-    """Standard uncertainty of a tip within an areola, mm. It was 2.6 and 3.2 mm off on a virtual torso at .15 of full
-    size."""
-    areola_sigma_mm: float = 4.0
-    """Standard uncertainty of the middle of an areola without a tip, mm."""
-    apex_tip_sigma_mm: float = 4.0
-    """Standard uncertainty of a tip where no areola is seen, mm."""
-    areola_tip_probability: float = 0.98
-    """Probability that a tip within an areola's colour is a nipple. This and the next three chosen by eye."""
-    areola_probability: float = 0.9
-    """Of an areola's colour without a tip."""
-    tip_probability: float = 0.6
-    """Probability that a tip without an areola's colour is a nipple: it may be a reconstructed nipple, a scan without
-    colours, or a scar.
-    """
-    apex_probability: float = 0.1
-    """Of the most projecting point, where neither is seen."""
     least_probability: float = 0.5
     """Least probability of a nipple from which lengths, quadrants and ptosis are measured."""
-    apex_sigma_mm: float = 12.0
-    """Standard uncertainty of the most projecting point as a nipple, mm: little more than a guess."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -135,25 +54,6 @@ class LayerSettings:
     """At the right breast's inner end, mm."""
     right_lower_mm: float = 0.0
     """Below the right breast, mm."""
-    fewest: int = 2
-    """Thicknesses of one side that are needed. With fewer, the mean of real women is used."""
-    mean_mm: float = 17.8
-    """Distance between the cylinder membrane and the muscle, mean of 145 breasts, mm."""
-    u95_mm: float = 12.0
-    """Half-width of its 95 % interval if no thickness was measured, mm. Of the same breasts."""
-    over_layer_mm: float = 0.6
-    """Excess of that over the mean layer normal to the muscle at the boundary: 17.8 less 17.2, mm."""
-    measured_u95_mm: float = 5.0
-    """Half-width with four measured thicknesses, mm: 4.7 on real women, each thickness ± 2 mm."""
-    missing_u95_mm: float = 3.0
-    """Added for two missing quadrants, mm (root of the sum of squares): quadrants of one breast correlate by .6 to .75
-    and their mean has ± 4.5 mm between women.
-    """
-
-    @property
-    def usual_mm(self) -> tuple[float, float, float, float]:
-        """Lateral, upper, medial and lower thickness of real women, mean, mm."""
-        return (24.0, 18.0, 12.0, 16.0)
 
     def of(self, side: str) -> tuple[float, float, float, float]:
         """Lateral, upper, medial and lower thickness of one side, mm.
@@ -219,79 +119,17 @@ class MeasureSettings:
     """
     base_rim: BaseRimSettings = field(default_factory=BaseRimSettings)
     """How a cast's base is found."""
-    thorax: ThoraxSettings = field(default_factory=ThoraxSettings)
-    """How a torso's trunk is described."""
-    breast: BreastSettings = field(default_factory=BreastSettings)
-    """How a torso's breasts are outlined."""
     nipple: NippleSettings = field(default_factory=NippleSettings)
     """How nipples are proposed where none was picked."""
     layer: LayerSettings = field(default_factory=LayerSettings)
     """What is known of the layer before the muscle."""
-    picked_sigma_mm: float = 2.0
-    """Standard uncertainty of a picked landmark along the skin, mm. Repeated picks on 3D scans scatter by 1 to 3."""
     surface_sigma_mm: float = 0.02
     """Standard uncertainty of a cast's whole surface along its normal, mm. Matching windows bias convex skin by .02 to
     .04 mm."""
-    common_share: float = 0.35
-    """Share of the measured skin's expected error that is common to all of it. Weak texture and noise make matching
-    flatten convex skin: for casts at .15 of full size the mean error was .1 to .4 of the expected one.
-    """
-    matching_reach_mm: float = 3.0
-    """Distance on the skin within which random errors of a matched surface are alike, mm. Half a matching window."""
-    repaired_sigma_mm: float = 0.1
-    """Standard uncertainty of repaired skin beside measured skin, along its normal, mm. Common to all of it. Repaired
-    casts were off by .08 mm on average and .8 mm at worst (99 %), in both directions.
-    """
-    invented_sigma_mm: float = 0.4
-    """Standard uncertainty of skin that no camera measured and no neighbour supports, mm. Common to all of it."""
-    unseen_slope: float = 0.5
-    """Growth of both, mm for each mm of distance from measured skin, or of the distance by which the skin could stand
-    further out without being seen, whichever is less. For a ptotic cast photographed by one pair, with its lower pole
-    hidden (63 cm², up to 49 mm away), the volume was off by .5 times distance times area. For casts photographed by
-    four pairs, at .15 of full size, it was -.2 to .4 times (docs/decisions/0009).
-    """
-    silhouette_doubt_px: float = 1.0
-    """Distance outside a silhouette at which nothing of the subject is left, pixels."""
-    silhouette_doubt_slope: float = 0.25
-    """Growth of that distance, px for each px along an outline that is not an edge but the border of a shadow. In eight
-    outlines of a cast whose fold is as dark as the backdrop, such stretches lay up to .2 of it inside the true one."""
-    seen_through_mm: float = 0.5
-    """Largest distance of the subject in front of skin that a pair measured, mm, beyond three standard deviations of
-    the datum.
-    """
-    drawn_rim_sigma_mm: float = 0.5
-    """Standard uncertainty of a cast's base along its normal if its rim was drawn by hand, mm. A rim is rounded by
-    about as much, and a hand that follows it errs to both sides."""
     observers: ObserverSettings = field(default_factory=ObserverSettings)
     """How far off a torso's boundary curve may be, as persons draw it. Where no pair measured the skin under it,
-    `unseen_slope` of the distance from measured skin is added (root of the sum of squares): automatic boundaries were 3
-    to 7 mm off on seen skin, 4 to 15 on unseen skin."""
-    wall_u95_mm: float = 5.0
-    """Half-width of the 95 % interval by which a torso's wall may lie off a flat chest, mm of wall height: .5 cc for
-    each cm² of base. On 145 breasts of real women the cylinder membrane was off by +1.5 ± 1.9 mm, 95 % by less than 4.1
-    (3.7 to 4.5). Walls that are worse have their own (`wall.registry`). docs/decisions/0029."""
-    axis_u95_share: float = 0.025
-    """Share of the volume that a trunk's axis of assumed depth adds: ± 2.5 % from 80 to 170 mm, on the same breasts."""
-    wall_measured_u95_mm: float = 1.0
-    """Half-width for a separately measured wall (wall.ply), mm: how well two scans can be registered."""
-    wall_sides_u95_mm: float = 1.9
-    """Half-width, mm for each side, of what walls of both sides of one capture do not share. On real women right less
-    left over the base was off by less than 2.6 mm in 95 %, which is 1.84 mm for each side. Our torsos have .93. An
-    earlier synthetic family had 3.4. docs/decisions/0029.
-    """
-    wall_same_pose_u95_mm: float = 1.2
-    """Half-width for the change of one breast between two captures in the same pose, mm."""
-    wall_across_poses_u95_mm: float = 2.5
-    """Half-width for the change of one breast between two captures in different poses, mm."""
-
-    @property
-    def wall_fit_u95_mm(self) -> float:
-        """Half-width of one fitted wall's 95 % interval, mm.
-
-        About the surface that its definition means. Two captures of one breast in different poses differ by both
-        walls' shares.
-        """
-        return self.wall_across_poses_u95_mm / 2**0.5
+    half of the distance from measured skin is added (root of the sum of squares): automatic boundaries were 3 to 7 mm
+    off on seen skin, 4 to 15 on unseen skin."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -306,12 +144,6 @@ class CompareSettings:
     """Above it the trunks are refused as those of two bodies, mm. Poses do far less to one body. For 66 pairs of two
     bodies 45 are beyond it. The others are doubted.
     """
-    same_pose_mm: float = 0.8
-    """Trunks that agree to this stand in one pose, mm. Measured skin has .1 to .3. Arms and breath add a millimetre."""
-    same_pose_deg: float = 4.0
-    """Difference in lean above which poses count as different, because breasts hang differently, degrees."""
-    doubt_deg: float = 15.0
-    """Difference in lean above which there is a warning, degrees. The intervals were not measured for more."""
     other_posture: bool = False
     """Whether dates of different postures are compared, with a warning, instead of refused."""
 

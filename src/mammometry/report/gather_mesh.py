@@ -119,8 +119,8 @@ def gather_mesh(
                 key=lambda breast: breast.name,
             )
         ),
-        comparison=comparison(measurements, page.settings.measure, absent=absent, lacking=less) + symmetry_facts(sides),
-        difference=difference_number(measurements, page.settings.measure),
+        comparison=comparison(measurements, absent=absent, lacking=less) + symmetry_facts(sides),
+        difference=difference_number(measurements),
         meanings=describe.meanings(measurements),
         lengths=lengths,
         lengths_note=lengths_note,

@@ -111,7 +111,7 @@ def put_results(folder: Path, true: TrueVisit, boundaries: tuple[Boundary, ...] 
         (mesh, finished),
         (corrected_cameras, plan[calibrate.cameras]()),
         (measure.boundaries, edges),
-        (measure.body, find_body(surface, frame, settings.thorax, boundaries=[edge.points_world for edge in edges])),
+        (measure.body, find_body(surface, frame, boundaries=[edge.points_world for edge in edges])),
         (measure.measurements, volumes),
         (measure.landmarks, marks),
         (measure.dimensions, sizes),

@@ -219,7 +219,7 @@ def test_the_report_shows_the_mesh_and_the_subject_that_it_was_made_for(
     assert "mueller" not in page.read_text()
 
     command = [mesh, "--units", "mm", "--boundary", given, "--out", out]
-    code, table = answer(capsys, *command, "--set", "compare.doubt_deg=3.0")
+    code, table = answer(capsys, *command, "--set", "compare.doubt_mm=1.5")
     assert table["made"] == ["report/report"]  # which lists that setting
     code, table = answer(capsys, *command, "--subject", "P-1")
     assert code == 0

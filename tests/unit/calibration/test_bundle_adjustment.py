@@ -23,7 +23,7 @@ def small_problem(*, free_target: bool, model: str = "brown", huber: float = 3.0
     settings = BundleSettings(
         free_target="always" if free_target else "never", model="paper" if model == "paper" else "brown"
     )
-    initial = initialise(observations, settings)
+    initial = initialise(observations)
     network, start = network_of(all_views(observations, {}, initial), observations, {}, initial, {}, settings)
     uv = network.uv.copy()
     uv[::50] += 2.0

@@ -8,10 +8,7 @@ from mammometry.calibration.settings import BundleSettings, CalibrateSettings
 @pytest.mark.parametrize(
     ("values", "named"),
     [
-        ({"huber_mad": 0.0}, "huber_mad"),
-        ({"reject_sigma": -1.0}, "reject_sigma"),
         ({"target_prior_mm": (0.1, 0.0, 0.3)}, "target_prior_mm"),
-        ({"max_initial_views": 2}, "max_initial_views"),
         ({"model": "paper", "k3": "free"}, "k3"),
     ],
 )

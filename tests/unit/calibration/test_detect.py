@@ -12,7 +12,6 @@ from mammometry.base.errors import CalibrationError, ImageError
 from mammometry.base.photograph import Photograph
 from mammometry.calibration.detection.detect import Detection, Observations, detect, detect_in, merged
 from mammometry.calibration.detection.measured_points import MeasuredPoints, points_from_table
-from mammometry.calibration.settings import DetectSettings
 from mammometry.calibration.targets.kinds.chessboard import ChessboardTarget
 from mammometry.calibration.targets.kinds.points import PointsTarget
 from mammometry.io.results.tree import to_tree
@@ -84,9 +83,10 @@ def test_poses_detected_apart_are_merged_and_must_agree_in_size(photograph):
         merged((first, second, third))
 
 
-def test_fewer_points_than_asked_for_do_not_count(photograph):
+def test_fewer_points_than_asked_for_do_not_count(photograph, monkeypatch):
     assert len(detect_in(photograph, BOARD, camera="a", pose="00").ids) == 20
-    assert detect_in(photograph, BOARD, DetectSettings(min_points=21), camera="a", pose="00") is None
+    monkeypatch.setattr("mammometry.calibration.detection.detect.MIN_POINTS", 21)
+    assert detect_in(photograph, BOARD, camera="a", pose="00") is None
 
 
 def test_a_surveyed_list_of_points_that_is_not_seen_says_what_helps():
@@ -97,7 +97,7 @@ def test_a_surveyed_list_of_points_that_is_not_seen_says_what_helps():
 def test_a_table_of_points_becomes_a_detection():
     ids, uv = np.array([3, 0, 1]), np.array([[30.0, 40.0], [10.0, 20.0], [50.5, 20.0]])
     table = MeasuredPoints(name="00/a.csv", ids=ids, uv=uv)
-    seen = detect({("00", "a"): BLANK}, POINTS, DetectSettings(floor_px=0.01), measured={("00", "a"): table})
+    seen = detect({("00", "a"): BLANK}, POINTS, measured={("00", "a"): table})
     (found,) = seen.detections
     assert (found.pose, found.camera) == ("00", "a")
     np.testing.assert_array_equal(found.ids, [0, 1, 3])
@@ -149,7 +149,7 @@ def test_every_photograph_is_searched_with_the_same_random_numbers():
 
     def drawn_next(seed):
         cv2.setRNGSeed(seed)  # as other photographs would have left it, searched before in the same thread
-        detect_in(BLANK, BOARD, DetectSettings(), camera="a", pose="01")
+        detect_in(BLANK, BOARD, camera="a", pose="01")
         return cv2.randu(np.zeros(4), 0.0, 1.0).tolist()
 
     assert drawn_next(1) == drawn_next(2)
@@ -165,6 +165,6 @@ def test_photographs_that_come_late_are_put_where_they_belong(photograph):
             return super().__getitem__(key)
 
     seen = Slow({(f"{pose:02d}", "a"): photograph for pose in range(4)})
-    alone, together = (detect(seen, BOARD, DetectSettings(threads=threads)) for threads in (1, 4))
+    alone, together = (detect(seen, BOARD, threads=threads) for threads in (1, 4))
     assert [view.pose for view in together.detections] == ["00", "01", "02", "03"]
     assert to_bytes(alone) == to_bytes(together)

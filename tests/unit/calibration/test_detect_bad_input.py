@@ -10,7 +10,6 @@ from scipy.ndimage import gaussian_filter
 from mammometry.base.photograph import Photograph
 from mammometry.calibration.detection.detect import Detection, Observations, detect
 from mammometry.calibration.detection.duplicates import set_duplicates_aside
-from mammometry.calibration.settings import DetectSettings
 from mammometry.calibration.targets.kinds.charuco import CharucoTarget
 from mammometry.calibration.targets.kinds.chessboard import ChessboardTarget
 from mammometry.geometry.transform import Transform
@@ -169,8 +168,9 @@ def test_what_cannot_be_used_is_named(radiance, case):
     assert str(missed).startswith(f"pose 00, a: {missed.found}")
 
 
-def test_a_view_with_too_few_points_says_how_many(radiance):
-    seen = detect({("00", "a"): shoot(radiance)}, BOARD, DetectSettings(min_points=118))
+def test_a_view_with_too_few_points_says_how_many(radiance, monkeypatch):
+    monkeypatch.setattr("mammometry.calibration.detection.detect.MIN_POINTS", 118)
+    seen = detect({("00", "a"): shoot(radiance)}, BOARD)
     assert seen.detections == ()
     assert "of 117 points of the target, fewer than 118" in seen.missed[0].found
 

@@ -9,7 +9,6 @@ from printed import camera, centred, charuco, develop, mirrored, radiance_of_boa
 from mammometry.base.errors import SessionError
 from mammometry.base.photograph import Photograph
 from mammometry.calibration.detection.detect import detect_in
-from mammometry.calibration.settings import DetectSettings
 from mammometry.calibration.targets.kinds.charuco import CharucoTarget
 
 BOARD = CharucoTarget(squares=(8, 6), square_mm=25.0, marker_mm=18.0, dictionary="DICT_5X5_250")
@@ -31,8 +30,8 @@ def shoot(view, sigma_px=0.7):
     return develop(radiance(view), sigma_px)
 
 
-def find(photograph, target=BOARD, settings=DetectSettings()):
-    return detect_in(photograph, target, settings, camera="camera", pose="00")
+def find(photograph, target=BOARD):
+    return detect_in(photograph, target, camera="camera", pose="00")
 
 
 @pytest.fixture(scope="module")
@@ -85,12 +84,13 @@ def test_very_oblique_views_lose_corners_but_invent_none(degrees):
 
 
 @pytest.mark.slow
-def test_covariance_matches_the_scatter_under_noise(straight):
+def test_covariance_matches_the_scatter_under_noise(straight, monkeypatch):
     view, _, light = straight
     expected = board_in_view(view)
     whitened = []
     for seed in range(3):
-        found = find(develop(light, noise=0.02, seed=seed), settings=DetectSettings(floor_px=1e-4))
+        monkeypatch.setattr("mammometry.calibration.detection.detect._FLOOR_PX", 1e-4)
+        found = find(develop(light, noise=0.02, seed=seed))
         error = found.uv - expected[found.ids]
         whitened.append(np.einsum("ni,nij,nj->n", error, np.linalg.inv(found.covariance_px2), error))
     # Mean of χ² with 2 degrees of freedom over 3 × 35 corners: 2 ± 0.2; rounding and lens terms add a little.

@@ -7,7 +7,6 @@ from printed import camera, centred, chessboard, photograph_of_board, read, turn
 
 from mammometry.base.photograph import Photograph
 from mammometry.calibration.detection.detect import detect_in
-from mammometry.calibration.settings import DetectSettings
 from mammometry.calibration.targets.kinds.chessboard import ChessboardTarget
 
 BOARD = ChessboardTarget(squares=(10, 7), square_mm=20.0)
@@ -19,8 +18,8 @@ def shoot(view, target=BOARD, sigma_px=0.7):
     return photograph_of_board(view, lambda x, y: pattern(x - shift[0], y - shift[1]), sigma_px=sigma_px)
 
 
-def find(photograph, target=BOARD, **settings):
-    return detect_in(photograph, target, DetectSettings(**settings), camera="camera", pose="00")
+def find(photograph, target=BOARD, **how):
+    return detect_in(photograph, target, camera="camera", pose="00", **how)
 
 
 def test_corners_are_where_they_are_projected_in_full_and_reduced_searches():

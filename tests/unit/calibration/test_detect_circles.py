@@ -7,7 +7,6 @@ from printed import camera, centred, circles, photograph_of_board
 
 from mammometry.base.photograph import Photograph
 from mammometry.calibration.detection.detect import detect_in
-from mammometry.calibration.settings import DetectSettings
 from mammometry.calibration.targets.kinds.circles import CirclesTarget
 
 
@@ -25,7 +24,7 @@ def test_centres_are_where_they_are_projected(target):
     pattern, shift = circles(target), middle.translation_mm
     view = camera(turn_deg=(28.0, -24.0, 8.0), distortion=(-0.1, 0.05, 0.001, 0.0, 0.0))
     photograph = photograph_of_board(view, lambda x, y: pattern(x - shift[0], y - shift[1]))
-    found = detect_in(photograph, target, DetectSettings(), camera="camera", pose="00")
+    found = detect_in(photograph, target, camera="camera", pose="00")
     assert np.array_equal(found.ids, np.arange(len(target.points_target)))
     error = found.uv - view.project(middle.apply(target.points_target))
     # The centroids of these ellipses lie up to 0.2 px beside the centres' pictures.
@@ -41,7 +40,7 @@ def test_perspective_moves_no_centre_however_oblique(turn_deg):
     pattern, shift = circles(target), middle.translation_mm
     view = camera(turn_deg=turn_deg, at=(0, 0, 300.0), focal_px=640.0, size_wh=(560, 460))
     photograph = photograph_of_board(view, lambda x, y: pattern(x - shift[0], y - shift[1]))
-    found = detect_in(photograph, target, DetectSettings(), camera="camera", pose="00")
+    found = detect_in(photograph, target, camera="camera", pose="00")
     angle = np.linspace(0, 2 * np.pi, 60, endpoint=False)
     rim = target.diameter_mm / 2 * np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
     truth = view.project(middle.apply(target.points_target))
@@ -69,7 +68,7 @@ def test_light_that_falls_off_across_a_dot_does_not_move_it():
         return pattern(x - shift[0], y - shift[1]) * 1.4 * (260.0**2 / distance2) ** 1.5
 
     view = camera(turn_deg=(14.0, -48.0, 5.0), distortion=(-0.1, 0.05, 0.001, 0.0, 0.0), at=(0, 0, 420))
-    found = detect_in(photograph_of_board(view, lit), target, DetectSettings(), camera="camera", pose="00")
+    found = detect_in(photograph_of_board(view, lit), target, camera="camera", pose="00")
     error = found.uv - view.project(middle.apply(target.points_target))[found.ids]
     assert len(found.ids) > 30
     assert np.abs(error.mean(axis=0)).max() < 0.01
@@ -79,4 +78,4 @@ def test_light_that_falls_off_across_a_dot_does_not_move_it():
 def test_no_circles_is_none():
     target = CirclesTarget(grid=(7, 5), pitch_mm=26.0, diameter_mm=16.0)
     blank = Photograph(name="blank", pixels=np.full((200, 300), 90, np.uint8))
-    assert detect_in(blank, target, DetectSettings(), camera="camera", pose="00") is None
+    assert detect_in(blank, target, camera="camera", pose="00") is None

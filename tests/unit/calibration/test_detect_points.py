@@ -10,7 +10,6 @@ from mammometry.base.photograph import Photograph
 from mammometry.calibration.detection.detect import detect, detect_in
 from mammometry.calibration.features.constellation import read_constellation
 from mammometry.calibration.judge.no_target import no_target
-from mammometry.calibration.settings import DetectSettings
 from mammometry.calibration.targets.kinds.points import PointsTarget
 
 DIAMETER_MM = 8.0
@@ -100,7 +99,7 @@ def test_a_symmetric_frame_is_refused_with_what_to_do(roof):
     seen = detect({("00", "a"): photograph_of_roof(roof[1], places)}, target)
     assert seen.detections == ()
     assert seen.missed[0].found == "dots that fit the list of points in more than one way"
-    said = str(no_target(target, [seen], {}, DetectSettings()))
+    said = str(no_target(target, [seen], {}))
     assert "more than one way" in said
     assert "add points that break its symmetry, or write id,u,v to a .csv file of the photograph's name" in said
 

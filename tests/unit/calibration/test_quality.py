@@ -167,9 +167,9 @@ def test_pair_without_a_common_pose_is_a_warning() -> None:
 
 @pytest.mark.slow
 def test_limits_are_settings_and_unsettled_adjustments_are_said(clean: Calibration) -> None:
-    strict = QualitySettings(geometry_warn_mm=0.001, geometry_refuse_mm=0.002)
+    strict = QualitySettings(geometry_refuse_mm=0.002)
     assert assess(clean, strict).verdict == "refuse"
-    uncertain = assess(clean, QualitySettings(expected_warn_mm=1e-4, expected_refuse_mm=2e-4))
+    uncertain = assess(clean, QualitySettings(expected_refuse_mm=2e-4))
     assert uncertain.verdict == "refuse"
     assert uncertain.reasons[0].startswith("the cameras' uncertainty moves measured points by")
     assert "refused above 0.0002 mm. Add poses" in uncertain.reasons[0]

@@ -16,18 +16,19 @@ from planned_sessions import Planned, sessions
 
 from mammometry.job.graph import Plan
 from mammometry.job.stages import surface
-from mammometry.settings import as_table
+from mammometry.settings import key_table, keyed
 
 STORED: dict[str, dict[str, Any]] = json.loads(Path(__file__).with_name("product_keys.json").read_text())
 
 
 def settings_table(places: list[str], planned: Planned) -> dict[str, Any]:
-    values = [attrgetter(place)(planned.settings) for place in places]
     if places == ["surface.extract"]:
-        values = [values[0].of(planned.inputs.subject_kind)]
-    if len(values) == 1:
-        return as_table(values[0])
-    return {type(value).__name__: as_table(value) for value in values}
+        return key_table(planned.settings.surface.extract.of(planned.inputs.subject_kind))
+    if len(places) == 1:
+        return keyed(planned.settings, places[0])
+    return {
+        type(value).__name__: key_table(value) for value in (attrgetter(place)(planned.settings) for place in places)
+    }
 
 
 @pytest.mark.parametrize(("name", "planned"), sessions().items())

@@ -7,22 +7,13 @@ import numpy as np
 from mammometry.base.photograph import Photograph
 from mammometry.matching.foreground.foreground import Foreground, blocks_of, estimate_foreground, subject_blocks
 from mammometry.matching.foreground.seeded_segmentation import DepthSeeds
-from mammometry.matching.settings import ForegroundSettings
 
 
-def subject(
-    photograph: Photograph, settings: ForegroundSettings = ForegroundSettings(), seeds: Sequence[DepthSeeds] = ()
-) -> np.ndarray | None:
+def subject(photograph: Photograph, seeds: Sequence[DepthSeeds] = ()) -> np.ndarray | None:
     """Its blocks."""
-    return subject_blocks(photograph.name, blocks_of(photograph), settings, seeds)
+    return subject_blocks(photograph.name, blocks_of(photograph), seeds)
 
 
-def foreground(
-    photograph: Photograph,
-    camera: str,
-    settings: ForegroundSettings = ForegroundSettings(),
-    *,
-    seeds: Sequence[DepthSeeds] = (),
-) -> Foreground:
+def foreground(photograph: Photograph, camera: str, *, seeds: Sequence[DepthSeeds] = ()) -> Foreground:
     """Its foreground; everything where nothing parts the subject from the rest."""
-    return estimate_foreground(photograph, camera, settings, subject=subject(photograph, settings, seeds))
+    return estimate_foreground(photograph, camera, subject=subject(photograph, seeds))

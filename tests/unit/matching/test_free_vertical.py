@@ -1,6 +1,7 @@
 """The vertical disparity free at each pixel (Eq. 1 as printed), beside the polynomial of a pair."""
 
 import numpy as np
+import pytest
 from scipy import ndimage
 from textured_pair import make_pair
 
@@ -48,10 +49,11 @@ def test_by_a_right_calibration_both_agree_within_their_deviation() -> None:
     assert abs(free.d_v_px[both].mean()) < 0.01
 
 
-def test_a_large_subject_takes_the_field_of_the_level_before() -> None:
+def test_a_large_subject_takes_the_field_of_the_level_before(monkeypatch: pytest.MonkeyPatch) -> None:
     pair, d_h = make_pair(np.random.default_rng(13), size_wh=SIZE_WH, noise=0.002, d_v_px=waves)
     v, u = np.indices(d_h.shape).astype(np.float64)
-    found = match(pair, MatchSettings(vertical="free", finest_span_px=50.0, resolution="full"))
+    monkeypatch.setattr("mammometry.matching.dense.levels.FINEST_SPAN_PX", 50.0)
+    found = match(pair, MatchSettings(vertical="free", resolution="full"))
     error = np.abs(found.d_v_px - waves(u - d_h, v))[judged(pair, found)]
     assert np.median(error) < 0.1
 

@@ -127,9 +127,10 @@ def test_an_empty_mask_is_an_error_that_names_the_pair() -> None:
         match(empty)
 
 
-def test_a_coarser_map_has_the_cameras_of_its_own_pixels() -> None:
+def test_a_coarser_map_has_the_cameras_of_its_own_pixels(monkeypatch: pytest.MonkeyPatch) -> None:
     pair, truth = make_pair(np.random.default_rng(7))
-    found = match(pair, MatchSettings(finest_span_px=100.0))
+    monkeypatch.setattr("mammometry.matching.dense.levels.FINEST_SPAN_PX", 100.0)
+    found = match(pair)
     assert found.valid.shape == (90, 110) == found.left.shape_hw
     assert found.pair_px == 2
     # The same point of the world has u' = (u + .5)/2 − .5, so its disparity is half.
@@ -140,9 +141,10 @@ def test_a_coarser_map_has_the_cameras_of_its_own_pixels() -> None:
     assert np.median(np.abs(found.d_h_px - means / 2)[found.valid]) < 0.03
 
 
-def test_a_coarse_solution_comes_back_at_full_resolution() -> None:
+def test_a_coarse_solution_comes_back_at_full_resolution(monkeypatch: pytest.MonkeyPatch) -> None:
     pair, truth = make_pair(np.random.default_rng(8), noise=0.002)
-    found, error, complete = errors(pair, truth, MatchSettings(finest_span_px=100.0, resolution="full"))
+    monkeypatch.setattr("mammometry.matching.dense.levels.FINEST_SPAN_PX", 100.0)
+    found, error, complete = errors(pair, truth, MatchSettings(resolution="full"))
     assert found.valid.shape == truth.shape
     assert complete > 0.98
     assert np.median(np.abs(error)) < 0.06
@@ -151,7 +153,8 @@ def test_a_coarse_solution_comes_back_at_full_resolution() -> None:
 def test_a_large_subject_is_matched_finer_from_the_left_picture_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     pair, truth = make_pair(np.random.default_rng(8), noise=0.002)
     # Both pictures are matched at a quarter of their size, the left one at half.
-    alone = MatchSettings(finest_span_px=50.0, resolution="full")
+    monkeypatch.setattr("mammometry.matching.dense.levels.FINEST_SPAN_PX", 50.0)
+    alone = MatchSettings(resolution="full")
     found, error, complete = errors(pair, truth, alone)
     assert complete > 0.98
     assert np.median(np.abs(error)) < 0.06  # as where both are matched at half: a quarter's errors are twice as large
@@ -163,7 +166,7 @@ def test_a_large_subject_is_matched_finer_from_the_left_picture_alone(monkeypatc
 
 
 @pytest.mark.slow
-def test_a_cluttered_scene_is_cut_where_the_coarsest_level_is_the_last_of_both() -> None:
+def test_a_cluttered_scene_is_cut_where_the_coarsest_level_is_the_last_of_both(monkeypatch: pytest.MonkeyPatch) -> None:
     """Half of the left picture is shown nowhere in the right one; the rest is worked on alone."""
     rng = np.random.default_rng(10)
     size_wh = (440, 360)
@@ -171,10 +174,10 @@ def test_a_cluttered_scene_is_cut_where_the_coarsest_level_is_the_last_of_both()
     other, _ = make_pair(rng, size_wh=size_wh)
     shown = np.arange(size_wh[0]) > 250
     cluttered = with_images(pair, pair.left_image, np.where(shown, pair.right_image, other.right_image))
-    settings = MatchSettings(finest_span_px=100.0)
-    levels = choose_levels("front", [pair.left_mask], settings)
+    monkeypatch.setattr("mammometry.matching.dense.levels.FINEST_SPAN_PX", 100.0)
+    levels = choose_levels("front", [pair.left_mask])
     assert levels.coarsest == levels.last_both > levels.finest
-    found = match(cluttered, settings)
+    found = match(cluttered)
     assert found.valid.shape == pair.left_mask.shape
     judged = inner(pair.left_mask) & (np.arange(size_wh[0]) > 275)
     assert found.valid[judged].mean() > 0.95

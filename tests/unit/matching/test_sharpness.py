@@ -5,7 +5,6 @@ import pytest
 from scipy import ndimage
 
 from mammometry.matching.dense.levels import choose_levels
-from mammometry.matching.settings import MatchSettings
 from mammometry.matching.sharpness import empty_levels
 
 WHOLE = np.ones((512, 512), dtype=bool)
@@ -36,7 +35,7 @@ def test_nothing_is_told_of_a_small_subject() -> None:
 
 def test_empty_levels_are_not_matched_unless_the_subject_gets_too_small() -> None:
     def finest(span_px: int, empty: int) -> tuple[int, int]:
-        levels = choose_levels("front", [np.ones((span_px, span_px), bool)] * 2, MatchSettings(), empty=empty)
+        levels = choose_levels("front", [np.ones((span_px, span_px), bool)] * 2, empty=empty)
         return levels.last_both, levels.finest
 
     assert finest(500, 0) == (0, 0)

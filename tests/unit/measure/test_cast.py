@@ -85,28 +85,29 @@ def test_the_base_is_put_behind_a_rounded_rim() -> None:
 
 
 @pytest.mark.slow
-def test_half_of_the_rims_own_uncertainty_is_the_bases() -> None:
+def test_half_of_the_rims_own_uncertainty_is_the_bases(monkeypatch: pytest.MonkeyPatch) -> None:
     """Once for all: the rest of the base's uncertainty does not depend on how well the rim's radius is known."""
-    unsure = MeasureSettings(base_rim=replace(EXACT.base_rim, rim_radius_sigma_mm=0.8))
-    one, other = (found_boundary(None, settings).sigma_mm for settings in (EXACT, unsure))
+    one = found_boundary(None).sigma_mm
+    monkeypatch.setattr("mammometry.measure.boundary.boundary.RIM_RADIUS_SIGMA_MM", 0.8)
+    other = found_boundary(None).sigma_mm
     assert one is not None
     assert other is not None
-    assert other**2 - one**2 == pytest.approx(0.4**2 - (EXACT.base_rim.rim_radius_sigma_mm / 2) ** 2)
+    assert other**2 - one**2 == pytest.approx(0.4**2 - 0.07**2)
 
 
 @pytest.mark.slow
-def test_the_sharper_a_limb_may_be_the_fewer_points_can_only_be_rim() -> None:
-    counts = [
-        len(rim_candidates(seen_surface(None), photographed(None), RIG, settings).points_world)
-        for settings in (replace(EXACT.base_rim, sharpest_limb_mm=radius_mm) for radius_mm in (2.0, 8.0, 40.0))
-    ]
+def test_the_sharper_a_limb_may_be_the_fewer_points_can_only_be_rim(monkeypatch: pytest.MonkeyPatch) -> None:
+    counts = []
+    for radius_mm in (2.0, 8.0, 40.0):
+        monkeypatch.setattr("mammometry.measure.boundary.cast_rim.SHARPEST_LIMB_MM", radius_mm)
+        counts.append(len(rim_candidates(seen_surface(None), photographed(None), RIG).points_world))
     assert counts[0] < counts[1] < counts[2]
 
 
 @pytest.mark.slow
 def test_a_base_moves_with_an_outline_as_told() -> None:
     """One camera's rays turned outwards by a twentieth of a pixel, against the linear theory behind the interval."""
-    candidates = rim_candidates(seen_surface(None), photographed(None), RIG, EXACT.base_rim)
+    candidates = rim_candidates(seen_surface(None), photographed(None), RIG)
     start = Base(origin=np.zeros(3), frame=np.eye(3), curvature_per_mm=0.0)
     rim = dome().vertices[1 + 59 * 240 : 1 + 60 * 240]
     before = adjust_base(start, candidates, bend=False)
@@ -124,7 +125,7 @@ def test_a_base_moves_with_an_outline_as_told() -> None:
 
 
 def test_a_rim_seen_in_part_leaves_the_base_uncertain() -> None:
-    candidates = rim_candidates(seen_surface(None), photographed(None), RIG, EXACT.base_rim)
+    candidates = rim_candidates(seen_surface(None), photographed(None), RIG)
     part = candidates.chosen(candidates.points_world[:, 1] > 25.0)
     start = Base(origin=np.zeros(3), frame=np.eye(3), curvature_per_mm=0.0)
     rim = dome().vertices[1 + 59 * 240 : 1 + 60 * 240]
@@ -135,7 +136,7 @@ def test_a_rim_seen_in_part_leaves_the_base_uncertain() -> None:
 
 def test_a_sixth_of_a_rim_is_too_little() -> None:
     surface = seen_surface(None)
-    candidates = rim_candidates(surface, photographed(None), RIG, EXACT.base_rim)
+    candidates = rim_candidates(surface, photographed(None), RIG)
     part = candidates.chosen(candidates.points_world[:, 1] > 52.0)
     with pytest.raises(MeasureError, match="directions"):
         find_base(part, surface.mesh.vertices, np.array([0.0, 0.0, 1.0]))
@@ -144,7 +145,7 @@ def test_a_sixth_of_a_rim_is_too_little() -> None:
 @pytest.mark.slow
 def test_a_flat_base_has_a_bent_rival_close_by() -> None:
     surface = seen_surface(None)
-    candidates = rim_candidates(surface, photographed(None), RIG, EXACT.base_rim)
+    candidates = rim_candidates(surface, photographed(None), RIG)
     found, rivals = find_base(candidates, surface.mesh.vertices, np.array([0.0, 0.0, 1.0]))
     rim = dome().vertices[1 + 59 * 240 : 1 + 60 * 240]
     assert found.base.is_plane
@@ -156,7 +157,7 @@ def test_a_flat_base_has_a_bent_rival_close_by() -> None:
 def test_a_bent_base_is_found_where_a_part_of_its_rim_only_is_seen() -> None:
     """A third of the rim is hidden; a plane, and cylinders bent another way, fit the rest nearly."""
     surface = seen_surface(200.0)
-    candidates = rim_candidates(surface, photographed(200.0), RIG, EXACT.base_rim)
+    candidates = rim_candidates(surface, photographed(200.0), RIG)
     part = candidates.chosen(candidates.points_world[:, 1] < 30.0)
     measured = surface.mesh.vertices[surface.provenance == Provenance.MEASURED]
     found, _ = find_base(part, measured, np.array([0.0, 0.0, 1.0]))
@@ -168,7 +169,7 @@ def test_a_bent_base_is_found_where_a_part_of_its_rim_only_is_seen() -> None:
 
 def test_a_base_that_cuts_measured_skin_off_is_none() -> None:
     surface = seen_surface(None)
-    candidates = rim_candidates(surface, photographed(None), RIG, EXACT.base_rim)
+    candidates = rim_candidates(surface, photographed(None), RIG)
     start = Base(origin=np.zeros(3), frame=np.eye(3), curvature_per_mm=0.0)
     good = adjust_base(start, candidates, bend=False)
     high = replace(good, base=moved(good.base, np.array([0.0, 0.0, 20.0]), 1.0))
@@ -178,7 +179,7 @@ def test_a_base_that_cuts_measured_skin_off_is_none() -> None:
 
 
 def test_limbs_are_no_candidates_for_the_rim() -> None:
-    candidates = rim_candidates(seen_surface(None), photographed(None), RIG, EXACT.base_rim)
+    candidates = rim_candidates(seen_surface(None), photographed(None), RIG)
     heights = candidates.points_world[:, 2]
     assert len(heights) > 900
     # From the left and right the far limb stands up to 40 mm above the base; hardly a point of it may remain.
@@ -189,7 +190,7 @@ def test_limbs_are_no_candidates_for_the_rim() -> None:
 
 
 def test_rays_go_through_their_candidates() -> None:
-    candidates = rim_candidates(seen_surface(None), photographed(None), RIG, EXACT.base_rim)
+    candidates = rim_candidates(seen_surface(None), photographed(None), RIG)
     towards = candidates.points_world - candidates.centres_world
     along = (towards * candidates.rays).sum(axis=1, keepdims=True) * candidates.rays
     assert np.abs(towards - along).max() < 1e-9

@@ -6,11 +6,15 @@ import numpy as np
 import pytest
 
 from mammometry.geometry.mesh import TriangleMesh
-from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.volume.difference import difference
 from mammometry.measure.volume.measurement import VolumeMeasurement
 
-SETTINGS = MeasureSettings(wall_sides_u95_mm=3.0, wall_same_pose_u95_mm=1.2, wall_across_poses_u95_mm=2.5)
+
+@pytest.fixture(autouse=True)
+def plain_sides(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("mammometry.measure.volume.difference.WALL_SIDES_U95_MM", 3.0)
+
+
 TETRAHEDRON = TriangleMesh(
     vertices=np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]),
     faces=np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], dtype=np.int32),
@@ -48,15 +52,15 @@ def test_an_axis_that_is_assumed_for_both_sides_puts_them_off_alike() -> None:
     """2.5 % of each volume, in the same direction: of what is between them 2.5 %, and of their ratio nothing."""
     left = replace(LEFT_BREAST, interval_terms_cc={"trunk's axis": 10.0})
     right = replace(RIGHT_BREAST, interval_terms_cc={"trunk's axis": 7.5})
-    found = difference(left, right, "sides", SETTINGS)
+    found = difference(left, right, "sides")
     assert dict(found.terms_cc) == pytest.approx({"trunk's axis": 2.5})
     assert found.ratio_interval == pytest.approx((4 / 3, 4 / 3))
-    alone = difference(left, replace(right, interval_terms_cc={"boundary": 1.0}), "across poses", SETTINGS)
+    alone = difference(left, replace(right, interval_terms_cc={"boundary": 1.0}), "across poses")
     assert alone.terms_cc["trunk's axis"] == pytest.approx(10.0)  # seen on one date: the other's is not off with it
 
 
 def test_what_both_share_falls_out() -> None:
-    found = difference(LEFT_BREAST, RIGHT_BREAST, "sides", SETTINGS)
+    found = difference(LEFT_BREAST, RIGHT_BREAST, "sides")
     # 3 mm = .3 cc/cm² of 160 and 120 cm²; 20 and 15 cc of boundary; 1 % of scale on the 100 cc between them.
     assert dict(found.terms_cc) == pytest.approx({"chest wall": 60.0, "boundary": 25.0, "scale": 1.0})
     half = np.sqrt(60.0**2 + 25.0**2 + 1.0)
@@ -73,7 +77,7 @@ def test_the_intervals_hold_drawn_errors_at_their_rate() -> None:
     """Errors drawn as the theory says they are: walls and boundaries of each side, one scale for both."""
     rng = np.random.default_rng(5)
     wall, boundary, scale = rng.normal(size=(2, 20_000)), rng.normal(size=(2, 20_000)), rng.normal(size=20_000)
-    found = difference(LEFT_BREAST, RIGHT_BREAST, "sides", SETTINGS)
+    found = difference(LEFT_BREAST, RIGHT_BREAST, "sides")
     truth = np.array([[400.0], [300.0]])
     area = np.array([[160.0], [120.0]])
     measured = truth + (0.3 * area * wall + np.array([[20.0], [15.0]]) * boundary + 0.01 * truth * scale) / 1.96
@@ -87,7 +91,7 @@ def test_the_intervals_hold_drawn_errors_at_their_rate() -> None:
 
 @pytest.mark.parametrize(("pairing", "u95_mm"), [("same pose", 1.2), ("across poses", 2.5)])
 def test_one_breast_twice_shares_more_of_its_wall(pairing: str, u95_mm: float) -> None:
-    found = difference(LEFT_BREAST, LEFT_BREAST, pairing, SETTINGS, names=("after", "before"))  # type: ignore[arg-type]
+    found = difference(LEFT_BREAST, LEFT_BREAST, pairing, names=("after", "before"))  # type: ignore[arg-type]
     assert (found.first, found.second) == ("after", "before")
     assert found.terms_cc["chest wall"] == pytest.approx(u95_mm * 160.0 / 10)
     assert found.terms_cc["scale"] == 0.0
@@ -97,13 +101,13 @@ def test_one_breast_twice_shares_more_of_its_wall(pairing: str, u95_mm: float) -
 
 def test_walls_of_two_kinds_share_nothing() -> None:
     other = replace(RIGHT_BREAST, wall_kind="plane")
-    found = difference(LEFT_BREAST, other, "sides", SETTINGS)
+    found = difference(LEFT_BREAST, other, "sides")
     assert found.terms_cc["chest wall"] == pytest.approx(np.hypot(144.0, 108.0))
     assert "chest walls are of two kinds (cylinder-membrane, plane)" in found.note
 
 
 def test_no_interval_without_those_of_the_volumes() -> None:
-    found = difference(LEFT_BREAST, replace(RIGHT_BREAST, interval_cc=None), "sides", SETTINGS)
+    found = difference(LEFT_BREAST, replace(RIGHT_BREAST, interval_cc=None), "sides")
     assert found.difference_interval_cc is None
     assert found.ratio_interval is None
     assert found.beyond_error is None
@@ -111,9 +115,7 @@ def test_no_interval_without_those_of_the_volumes() -> None:
 
 
 def test_swapping_turns_the_sign_alone() -> None:
-    one, other = (
-        difference(*pair, "sides", SETTINGS) for pair in ((LEFT_BREAST, RIGHT_BREAST), (RIGHT_BREAST, LEFT_BREAST))
-    )
+    one, other = (difference(*pair, "sides") for pair in ((LEFT_BREAST, RIGHT_BREAST), (RIGHT_BREAST, LEFT_BREAST)))
     assert other.difference_cc == -one.difference_cc
     assert other.difference_interval_cc == pytest.approx(tuple(-end for end in reversed(one.difference_interval_cc)))  # type: ignore[arg-type]
     assert other.ratio_interval == pytest.approx(tuple(1 / end for end in reversed(one.ratio_interval)))  # type: ignore[arg-type]

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_uncertainty import RIM, SETTINGS, SHEET, wall
+from test_uncertainty import RIM, SHEET, wall
 
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.transform import Transform
@@ -115,8 +115,7 @@ def test_the_interval_has_the_term_and_says_so() -> None:
     mode = _mode(b=(5, 0.2))
     evidence = Evidence(surface=_surface(), movement=movement_of(_found(np.outer(mode, mode)), RIG))
     found, without = (
-        interval(boundary, wall("plane"), 400.0, SETTINGS, each)
-        for each in (evidence, replace(evidence, movement=None))
+        interval(boundary, wall("plane"), 400.0, evidence=each) for each in (evidence, replace(evidence, movement=None))
     )
     assert found.terms_cc["movement"] == pytest.approx(1.96 * _std_cc(mode))
     assert {name: term for name, term in found.terms_cc.items() if name != "movement"} == dict(without.terms_cc)

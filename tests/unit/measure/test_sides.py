@@ -15,7 +15,6 @@ from mammometry.geometry.transform import Transform
 from mammometry.measure.boundary.boundary import Boundary, outline_torso
 from mammometry.measure.boundary.breasts import _check_base
 from mammometry.measure.boundary.standing import Standing, standing_out
-from mammometry.measure.settings import BreastSettings
 from mammometry.measure.trunk.body import Body, Mounting, find_body, lies_across, rig_frame
 from mammometry.measure.trunk.skin_map import PIXEL_MM, Relief
 from mammometry.measure.trunk.thorax import Trunk, seen_skin
@@ -166,7 +165,7 @@ def test_a_camera_turned_about_its_axis_and_named_so_gives_the_same_frame(mounti
 )
 def test_what_counts_as_a_breast(top: float, volume: float, creased: float, astray: float | None, verdict: str) -> None:
     found = Standing(top_mm=top, volume_cc=volume, area_cm2=110.0, creased=creased)
-    assert found.verdict(BreastSettings(), astray) == verdict
+    assert found.verdict(astray) == verdict
 
 
 def test_what_stands_out_of_a_slope_is_measured_before_the_slope() -> None:

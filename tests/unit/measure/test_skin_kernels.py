@@ -3,10 +3,9 @@
 import numpy as np
 
 from mammometry.geometry.mesh import TriangleMesh
-from mammometry.measure.settings import ThoraxSettings
 from mammometry.measure.trunk import skin_kernels
 from mammometry.measure.trunk.skin_map import PIXEL_MM, dense_samples, lay_flat
-from mammometry.measure.trunk.thorax import Thorax, Trunk, on_trunk
+from mammometry.measure.trunk.thorax import HEIGHT_WINDOW_MM, WIDEST_DEG, Thorax, Trunk, on_trunk
 
 
 def turned_trunk(rng):
@@ -15,15 +14,15 @@ def turned_trunk(rng):
 
 
 def test_each_pixel_has_the_bulge_of_its_innermost_skin():
-    rng, settings = np.random.default_rng(3), ThoraxSettings()
+    rng = np.random.default_rng(3)
     trunk = turned_trunk(rng)
     coefficients = np.concatenate([[110.0], rng.normal(size=26) * 5])
-    thorax = Thorax(trunk=trunk, coefficients=coefficients, settings=settings, rms_mm=1.0)
+    thorax = Thorax(trunk=trunk, coefficients=coefficients, rms_mm=1.0)
     points = trunk.origin + rng.normal(size=(40_000, 3)) * [150.0, 200.0, 150.0] @ trunk.frame
     points[0] = trunk.origin  # on the axis
-    relief = lay_flat(thorax, points, settings)
+    relief = lay_flat(thorax, points)
     cylindrical = trunk.cylindrical(points)
-    width, height = np.deg2rad(settings.widest_deg) * trunk.half_width_mm, settings.height_window_mm
+    width, height = np.deg2rad(WIDEST_DEG) * trunk.half_width_mm, HEIGHT_WINDOW_MM
     keep = (np.abs(cylindrical[:, 0]) < width) & (np.abs(cylindrical[:, 1]) < height) & on_trunk(cylindrical, trunk)
     assert 1000 < keep.sum() < len(points) / 2
     flat, bulge = cylindrical[keep, :2], thorax.bulge_mm(points[keep])

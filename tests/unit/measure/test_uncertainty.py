@@ -14,21 +14,20 @@ from mammometry.matching.foreground.foreground import Foreground
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.settings import MeasureSettings, ObserverSettings
 from mammometry.measure.volume.boundary_jitter import boundary_std_cc, displacements_mm, drawn_sigma_mm
-from mammometry.measure.volume.uncertainty import EarlierErrors, Evidence, interval
+from mammometry.measure.volume.uncertainty import WALL_FIT_U95_MM, EarlierErrors, Evidence, interval
 from mammometry.measure.volume.unseen_space import bounds
 from mammometry.measure.wall.chest_wall import ChestWall, fit
 from mammometry.measure.wall.open_breast import OpenBreast
 from mammometry.surface.repair.repair import Provenance, RepairedSurface
 
-SETTINGS = MeasureSettings(
-    surface_sigma_mm=0.02,
-    repaired_sigma_mm=0.1,
-    invented_sigma_mm=0.4,
-    unseen_slope=0.0,
-    common_share=0.0,
-    wall_u95_mm=9.0,
-    matching_reach_mm=3.0,
-)
+UNCERTAINTY = "mammometry.measure.volume.uncertainty"
+
+
+@pytest.fixture(autouse=True)
+def plain_terms(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Terms that can be computed by hand."""
+    for name, value in {"UNSEEN_SLOPE": 0.0, "COMMON_SHARE": 0.0, "WALL_U95_MM": 9.0}.items():
+        monkeypatch.setattr(f"{UNCERTAINTY}.{name}", value)
 
 
 def sheet(width_mm: float) -> TriangleMesh:
@@ -69,8 +68,7 @@ def test_the_terms_of_a_torso() -> None:
         Boundary(name="left", points_world=RIM, method=""),
         wall(),
         400.0,
-        SETTINGS,
-        Evidence(
+        evidence=Evidence(
             surface=skin(origin),
             earlier=EarlierErrors(scale_std=0.001, point_std_mm=0.03),
             boundary_std_cc=8.0,
@@ -92,31 +90,35 @@ def test_the_terms_of_a_torso() -> None:
     half = np.sqrt(sum(term**2 for term in found.terms_cc.values()))
     assert found.interval_cc == pytest.approx((400 - half, 400 + half))
     assert "not cover" not in found.note
-    wall_mm = SETTINGS.wall_across_poses_u95_mm / np.sqrt(2)  # of each of two walls that differ by so much
+    wall_mm = WALL_FIT_U95_MM  # of each of two walls that differ by so much
     half = np.sqrt(half**2 - 90.0**2 + (wall_mm * 10) ** 2)
     assert found.as_defined_cc == pytest.approx((400 - half, 400 + half))
 
 
-def test_invented_skin_is_the_less_known_the_farther_it_lies_from_measured_skin() -> None:
+def test_invented_skin_is_the_less_known_the_farther_it_lies_from_measured_skin(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """The upper half is invented: 100 mm wide and up to 50 mm away, 125 cm³ of distance and area."""
     origin = np.where(SHEET.vertices[:, 1] < 50.5, Provenance.MEASURED, Provenance.INVENTED)
-    settings = replace(SETTINGS, invented_sigma_mm=0.0, unseen_slope=0.3)
+    monkeypatch.setattr(f"{UNCERTAINTY}.INVENTED_SIGMA_MM", 0.0)
+    monkeypatch.setattr(f"{UNCERTAINTY}.UNSEEN_SLOPE", 0.3)
     boundary = Boundary(name="model", points_world=RIM, method="", sigma_mm=0.05)
-    found = interval(boundary, wall("plane"), 400.0, settings, Evidence(surface=skin(origin)))
+    found = interval(boundary, wall("plane"), 400.0, evidence=Evidence(surface=skin(origin)))
     assert found.terms_cc["invented surface"] == pytest.approx(1.96 * 0.3 * 125, rel=0.02)
     nothing = interval(
-        boundary, wall("plane"), 400.0, settings, Evidence(surface=skin(np.full(101 * 101, Provenance.INVENTED)))
+        boundary, wall("plane"), 400.0, evidence=Evidence(surface=skin(np.full(101 * 101, Provenance.INVENTED)))
     )
     assert "invented surface" not in nothing.terms_cc  # how far it is from measured skin cannot be said
 
 
-def test_skin_that_could_not_stand_out_unseen_is_known_better() -> None:
+def test_skin_that_could_not_stand_out_unseen_is_known_better(monkeypatch: pytest.MonkeyPatch) -> None:
     """As before, before a camera that sees the sheet from its edge, whose picture is dark more than 6 mm above it.
 
     A pixel is a millimetre 1000 mm away: the bound is blurred by that, by the doubt of 1 px, by a step of 50/24 mm.
     """
     origin = np.where(SHEET.vertices[:, 1] < 50.5, Provenance.MEASURED, Provenance.INVENTED)
-    settings = replace(SETTINGS, invented_sigma_mm=0.0, unseen_slope=0.3, silhouette_doubt_px=0.5)
+    monkeypatch.setattr(f"{UNCERTAINTY}.INVENTED_SIGMA_MM", 0.0)
+    monkeypatch.setattr(f"{UNCERTAINTY}.UNSEEN_SLOPE", 0.3)
     boundary = Boundary(name="model", points_world=RIM, method="", sigma_mm=0.05)
     beside = Transform(
         rotation=np.array([[0.0, 1, 0], [0, 0, -1], [-1, 0, 0]]), translation_mm=np.array([-50.0, 0, 9e3])
@@ -127,13 +129,15 @@ def test_skin_that_could_not_stand_out_unseen_is_known_better() -> None:
     dark[:44] = 0  # rows 50 − 6 and lower numbers are more than 6 mm up
     dark[:, :20] = dark[:, -20:] = dark[-20:] = 0
     seen = Foreground(camera="c", coverage=gaussian_filter(dark, 0.7), contour_level=0.5, everything=False)
-    views = bounds({"c": seen}, (), Rig(name="r", cameras={"c": camera}, pair_names={}), settings)
-    found = interval(boundary, wall("plane"), 400.0, settings, Evidence(surface=skin(origin), views=views))
+    views = bounds({"c": seen}, (), Rig(name="r", cameras={"c": camera}, pair_names={}))
+    found = interval(boundary, wall("plane"), 400.0, evidence=Evidence(surface=skin(origin), views=views))
     assert found.terms_cc["invented surface"] == pytest.approx(1.96 * 0.3 * (43 * 7 + 7 * 7 / 2) / 10, rel=0.2)
 
 
-def test_a_share_of_the_expected_error_is_common_to_all_measured_skin() -> None:
-    settings = replace(SETTINGS, common_share=0.4, surface_sigma_mm=0.0, matching_reach_mm=1e-3)
+def test_a_share_of_the_expected_error_is_common_to_all_measured_skin(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(f"{UNCERTAINTY}.COMMON_SHARE", 0.4)
+    monkeypatch.setattr(f"{UNCERTAINTY}.MATCHING_REACH_MM", 1e-3)
+    settings = MeasureSettings(surface_sigma_mm=0.0)
     boundary = Boundary(name="model", points_world=RIM, method="", sigma_mm=0.05)
     seen = skin(np.full(len(SHEET.vertices), Provenance.MEASURED))
     found = interval(boundary, wall("plane"), 400.0, settings, Evidence(surface=seen))
@@ -142,23 +146,23 @@ def test_a_share_of_the_expected_error_is_common_to_all_measured_skin() -> None:
 
 def test_what_is_not_known_is_said() -> None:
     boundary = Boundary(name="model", points_world=RIM, method="", sigma_mm=0.05)
-    found = interval(boundary, wall("plane"), 400.0, SETTINGS)
+    found = interval(boundary, wall("plane"), 400.0)
     assert set(found.terms_cc) == {"matching", "base"}
     assert found.terms_cc["base"] == pytest.approx(1.96 * 0.05 * 10)
     assert "It does not cover the size of the printed board: measure the board to include it." in found.note
     assert found.as_defined_cc is None  # a cast ends at its base
-    unknown = interval(Boundary(name="model", points_world=RIM, method=""), wall("plane"), 400.0, SETTINGS)
+    unknown = interval(Boundary(name="model", points_world=RIM, method=""), wall("plane"), 400.0)
     assert unknown.interval_cc is None
 
 
 def test_a_flat_wall_of_a_torso_is_told_to_be_biased() -> None:
-    found = interval(Boundary(name="left", points_world=RIM, method=""), wall("plane"), 400.0, SETTINGS)
+    found = interval(Boundary(name="left", points_world=RIM, method=""), wall("plane"), 400.0)
     assert "the volume is too large" in found.note
 
 
-def test_a_measured_wall_is_known_better() -> None:
-    found = interval(Boundary(name="left", points_world=RIM, method=""), wall("measured"), 400.0, SETTINGS)
-    assert found.terms_cc["chest wall"] == pytest.approx(SETTINGS.wall_measured_u95_mm * 10)
+def test_a_measured_wall_is_known_better(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = interval(Boundary(name="left", points_world=RIM, method=""), wall("measured"), 400.0)
+    assert found.terms_cc["chest wall"] == pytest.approx(10.0)
     assert found.as_defined_cc == found.interval_cc
 
 
@@ -232,7 +236,7 @@ def test_a_boundary_on_unseen_skin_jitters_with_the_distance_from_measured_skin(
     seen = as_surface(ball(50.0, 6))
     near = np.linalg.norm(seen.mesh.vertices[:, None] - edge, axis=2).min(axis=1) < 10
     unseen = replace(seen, provenance=np.where(near, Provenance.REPAIRED, seen.provenance).astype(np.uint8))
-    settings = MeasureSettings(observers=alike(3.0), unseen_slope=0.5)
+    settings = MeasureSettings(observers=alike(3.0))
     breast = OpenBreast(boundary=boundary, surface=seen, settings=settings)
     wall = fit(breast, "plane")
     found = boundary_std_cc(replace(breast, surface=unseen), wall)

@@ -9,14 +9,12 @@ from solids import camera_at
 
 from mammometry.geometry.camera import Rig
 from mammometry.matching.foreground.foreground import Foreground
-from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.volume.unseen_space import bounds, outward_room_mm
 from mammometry.surface.ranges.range_image import RangeImage
 
 AWAY_MM, FOCAL_PX, RADIUS_PX = 700.0, 900.0, 60.0
 CAMERA = camera_at("front_left", np.array([0.0, 0.0, AWAY_MM]), FOCAL_PX)
 RIG = Rig(name="one", cameras={"front_left": CAMERA}, pair_names={})
-SETTINGS = MeasureSettings(silhouette_doubt_px=1.0, silhouette_doubt_slope=0.25, seen_through_mm=0.5)
 FARTHEST_MM = 48.0
 STEP_MM = FARTHEST_MM / 24
 
@@ -39,26 +37,26 @@ def room_mm(views: object, start_px: float = 40.0) -> np.ndarray:
 
 
 def test_skin_may_stand_out_to_the_silhouette_and_its_doubt() -> None:
-    found = room_mm(bounds({"front_left": disc(0.0)}, (), RIG, SETTINGS))
+    found = room_mm(bounds({"front_left": disc(0.0)}, (), RIG))
     wanted = (RADIUS_PX + 1.0 - 40.0) * AWAY_MM / FOCAL_PX
     assert found == pytest.approx(np.full(4, wanted), abs=STEP_MM)
     assert (found >= wanted - 0.8).all()  # half a pixel: which one shows a point
 
 
-def test_the_border_of_a_shadow_bounds_the_less_the_longer_it_is() -> None:
+def test_the_border_of_a_shadow_bounds_the_less_the_longer_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
     """It lies at half the light, 10 px inside; the edge was last seen 40° aside, 39 px along the outline."""
-    lost, *sure = room_mm(bounds({"front_left": disc(20.0)}, (), RIG, SETTINGS))
+    lost, *sure = room_mm(bounds({"front_left": disc(20.0)}, (), RIG))
     assert sure == pytest.approx([(RADIUS_PX + 1 - 40) * AWAY_MM / FOCAL_PX] * 3, abs=STEP_MM)
     chord = np.hypot(RADIUS_PX * np.sin(np.deg2rad(40)), RADIUS_PX * np.cos(np.deg2rad(40)) - 50)
     wanted = (50 + np.hypot(1.0, 0.25 * chord) - 40) * AWAY_MM / FOCAL_PX
     assert lost == pytest.approx(wanted, abs=STEP_MM + 1)
-    trusting = replace(SETTINGS, silhouette_doubt_slope=0.0)
-    assert room_mm(bounds({"front_left": disc(20.0)}, (), RIG, trusting))[0] < lost - 4
+    monkeypatch.setattr("mammometry.measure.volume.unseen_space.SILHOUETTE_DOUBT_SLOPE", 0.0)
+    assert room_mm(bounds({"front_left": disc(20.0)}, (), RIG))[0] < lost - 4
 
 
 def test_nothing_bounds_where_no_silhouette_is_known() -> None:
     everything = replace(disc(0.0), everything=True)
-    assert (room_mm(bounds({"front_left": everything}, (), RIG, SETTINGS)) == FARTHEST_MM).all()
+    assert (room_mm(bounds({"front_left": everything}, (), RIG)) == FARTHEST_MM).all()
     assert (room_mm(()) == FARTHEST_MM).all()
 
 
@@ -78,6 +76,6 @@ def test_a_pair_looks_through_what_stands_before_its_data() -> None:
     )
     points = np.array([[0.0, 5.0, -40.0], [60.0, 0.0, -40.0]])
     towards = np.array([[0.0, 0, 1], [0, 0, 1]])
-    found = outward_room_mm(points, towards, bounds({}, (image,), RIG, SETTINGS), np.full(2, FARTHEST_MM))
+    found = outward_room_mm(points, towards, bounds({}, (image,), RIG), np.full(2, FARTHEST_MM))
     assert found[0] == pytest.approx(20.8, abs=STEP_MM)
     assert found[1] == FARTHEST_MM

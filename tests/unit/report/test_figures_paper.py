@@ -12,6 +12,7 @@ import synthetic
 from PIL import Image
 
 from mammometry.base.errors import SessionError
+from mammometry.job.stages import calibrate, match, surface
 from mammometry.report.figures.catalogue import PAPER_FIGURES
 from mammometry.report.figures.paper import write_figure
 from mammometry.settings import Settings
@@ -27,18 +28,15 @@ def source(pairs: int = 2) -> Any:
     names = [pair.name for pair in rig.pairs][:pairs]
     ranges = {name: image for name, image in synthetic.ranges(rig).items() if name in names}
     ball = synthetic.ball(4)
-    plan = SimpleNamespace(
-        calibrated=SimpleNamespace(cameras=made(SimpleNamespace(rig=rig))),
-        matched=SimpleNamespace(
-            disparities={name: made(found) for name, found in synthetic.disparities(rig).items() if name in names}
-        ),
-        surfaced=SimpleNamespace(
-            ranges={name: made(image) for name, image in ranges.items()},
-            valid=made(synthetic.valid(ranges)),
-            first=made(ball),
-            repaired=made(synthetic.repaired(ball)),
-        ),
-    )
+    disparities = synthetic.disparities(rig).items()
+    plan = {
+        calibrate.cameras: made(SimpleNamespace(rig=rig)),
+        match.disparity: {name: made(found) for name, found in disparities if name in names},
+        surface.range_image: {name: made(image) for name, image in ranges.items()},
+        surface.valid_patches: made(synthetic.valid(ranges)),
+        surface.initial_surface: made(ball),
+        surface.repaired: made(synthetic.repaired(ball)),
+    }
     return plan, SimpleNamespace(photographs=synthetic.photographs(rig)), Settings()
 
 

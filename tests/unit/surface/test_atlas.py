@@ -7,7 +7,6 @@ from spheres import camera_towards, rig_of, sphere_mesh
 
 from mammometry.base.photograph import Photograph
 from mammometry.io.meshes.models import write_glb, write_obj
-from mammometry.surface.settings import TextureSettings
 from mammometry.surface.texture.texture_atlas import Atlas, best_views, cover, thinned
 
 SIZE = 240
@@ -151,11 +150,12 @@ def test_a_face_that_nobody_sees_whole_shows_none():
     assert (view[(weights[0][mesh.faces] == 0).any(axis=1)] == -1).all()
 
 
-def test_a_small_limit_makes_a_small_picture(scene):
+def test_a_small_limit_makes_a_small_picture(scene, monkeypatch):
     rig, photographs = scene
     mesh = sphere_mesh(RADIUS, rings=40)
     whole = cover(mesh, photographs, rig)
-    small = cover(mesh, photographs, rig, TextureSettings(atlas_px=150))
+    monkeypatch.setattr("mammometry.surface.texture.texture_atlas.ATLAS_PX", 150)
+    small = cover(mesh, photographs, rig)
     assert max(small.picture.shape[:2]) <= 150 < max(whole.picture.shape[:2])
     np.testing.assert_array_equal(small.view, whole.view)
     inner = np.flatnonzero(np.isin(whole.mesh.faces, far_from_seams(whole)).all(axis=1) & (whole.view >= 0))

@@ -11,7 +11,7 @@ from mammometry.surface.fusion.fuse import extract
 from mammometry.surface.ranges.decompose import decompose
 from mammometry.surface.ranges.dents import remove_dents
 from mammometry.surface.repair.repair import Provenance, repair
-from mammometry.surface.settings import DentSettings, ExtractSettings, RepairSettings
+from mammometry.surface.settings import DentSettings, ExtractSettings
 
 RADII = (30.0, 30.0, 30.0)
 FRONT = [(0, 0, 1), (0.6, 0, 1), (-0.6, 0, 1), (0, 0.8, 1)]
@@ -77,13 +77,14 @@ def test_a_subject_outside_the_volume_that_all_see():
         extract(away, foregrounds, rig, COARSE)
 
 
-def test_a_hole_as_big_as_the_subject_is_closed_and_called_invented():
+def test_a_hole_as_big_as_the_subject_is_closed_and_called_invented(monkeypatch):
     """Only a rim of data around the subject is left; silhouettes and rim close it."""
     images, foregrounds, rig = captured()
     with np.errstate(invalid="ignore"):
         rims = [image.keeping(np.abs(image.points_world()[..., 2]) < 8.0) for image in images]
     valid = remove_dents(rims, decompose(rims), DentSettings(rule="none"))
-    result = repair(extract(valid.range_images, foregrounds, rig, COARSE), valid, RepairSettings(repaired_reach_mm=8.0))
+    monkeypatch.setattr("mammometry.surface.repair.repair.REPAIRED_REACH_MM", 8.0)
+    result = repair(extract(valid.range_images, foregrounds, rig, COARSE), valid)
     assert is_closed_ball(result.mesh)
     assert result.crossings == 0
     top = result.mesh.vertices[:, 2] > 25.0

@@ -8,6 +8,7 @@ from mammometry.base.errors import SurfaceError
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.surface.fusion import field_kernels as kernels
 from mammometry.surface.fusion.field import (
+    EXTEND_MM,
     EXTEND_WEIGHT,
     JUMP_MM,
     build_field,
@@ -22,7 +23,7 @@ from mammometry.surface.fusion.topology import largest_part, tunnel_places
 from mammometry.surface.fusion.voxels import sample_blocks
 from mammometry.surface.ranges import image_kernels
 from mammometry.surface.ranges.range_image import NORMAL_MM, SIGMA_FLOOR_MM
-from mammometry.surface.settings import TAPER_MM, ExtractSettings, FieldSettings
+from mammometry.surface.settings import TAPER_MM, ExtractSettings
 
 AROUND = [(1, 0, 0.1), (-1, 0, 0.1), (0, 1, 0.1), (0, -1, 0.1), (0.1, 0, 1), (0.1, 0, -1)]
 FRONT = [(0, 0, 1), (0.6, 0, 1), (-0.6, 0, 1), (0, 0.8, 1)]
@@ -61,9 +62,10 @@ def test_an_ellipsoid_seen_from_all_sides():
     assert 0.985 * volume < mesh.volume_mm3() < volume
 
 
-def test_the_unseen_back_is_closed_plainly():
+def test_the_unseen_back_is_closed_plainly(monkeypatch):
     images, foregrounds, rig = scene(FRONT, (30.0,) * 3)
-    mesh = extract(images, foregrounds, rig, ExtractSettings(cube_mm=1.0, back_mm=8.0))
+    monkeypatch.setattr("mammometry.surface.fusion.fuse.BACK_MM", 8.0)
+    mesh = extract(images, foregrounds, rig, ExtractSettings(cube_mm=1.0))
     assert is_closed_ball(mesh)
     front = mesh.vertices[:, 2] > 10
     assert np.abs(np.linalg.norm(mesh.vertices[front], axis=1) - 30.0).max() < 0.6
@@ -72,11 +74,12 @@ def test_the_unseen_back_is_closed_plainly():
     assert box.distance_mm(mesh.vertices).max() > -1.0  # it does reach the back
 
 
-def test_silhouettes_bound_what_ranges_do_not_show():
+def test_silhouettes_bound_what_ranges_do_not_show(monkeypatch):
     images, foregrounds, rig = scene(FRONT, (30.0,) * 3)
     half_blind = [image.keeping(image.points_world()[..., 1] > -5.0) for image in images]
-    settings = ExtractSettings(cube_mm=1.0, back_mm=5.0, field=FieldSettings(extend_mm=0.0))
-    mesh = extract(half_blind, foregrounds, rig, settings)
+    monkeypatch.setattr("mammometry.surface.fusion.fuse.BACK_MM", 5.0)
+    monkeypatch.setattr("mammometry.surface.fusion.field.EXTEND_MM", 0.0)
+    mesh = extract(half_blind, foregrounds, rig, ExtractSettings(cube_mm=1.0))
     assert is_closed_ball(mesh)
     # Below the data only silhouettes speak: the visual hull of four views contains the sphere, by little near contours
     below = (mesh.vertices[:, 1] < -25) & (np.abs(mesh.vertices[:, 2]) < 8) & (np.abs(mesh.vertices[:, 0]) < 10)
@@ -254,7 +257,7 @@ def test_kernel_equals_its_plain_twin(rule):
     images, foregrounds, rig = scene(FRONT, (30.0, 25.0, 20.0), size=90)
     images = [image.keeping(image.points_world()[..., 0] > -15) for image in images]
     box = closing_box(images, back_mm=5.0, around_mm=5.0)
-    field = build_field(images, foregrounds, rig, box, FieldSettings(), rule)
+    field = build_field(images, foregrounds, rig, box, rule)
     rng = np.random.default_rng(1)
     origins = rng.normal(size=(24, 3))
     origins *= (rng.uniform(0.75, 1.15, 24) / np.linalg.norm(origins, axis=1))[:, None] * [30.0, 25.0, 20.0]
@@ -271,10 +274,9 @@ def test_elements_equal_their_plain_twin(whose):
     images, foregrounds, rig = scene(FRONT, (30.0, 25.0, 20.0), size=90)
     points = images[0].points_world()
     image = images[0].keeping((points[..., 0] > -15) & (np.hypot(points[..., 0], points[..., 1]) > 4))  # with a hole
-    settings = FieldSettings()
     left = rig.pair(image.name).left
     foreground = foregrounds[left.name] if whose == "silhouette" else None
-    found = view_elements(image, left, foreground, settings, nearest_of_others_mm(image, images))
+    found = view_elements(image, left, foreground, nearest_of_others_mm(image, images))
     rays, normals = image.ray_directions(), image.normals_world(NORMAL_MM)
     cosine = -np.einsum("ijk,ijk->ij", normals, rays)
     known = image.valid & np.isfinite(cosine)
@@ -291,7 +293,7 @@ def test_elements_equal_their_plain_twin(whose):
         plane = nearest * np.einsum("ijk,ijk->ij", normals[at], rays[at]) / np.einsum("ijk,ijk->ij", normals[at], rays)
     reach = 6.0 * image.pixel_mm() * beside
     plane = np.clip(np.where(plane > 0, plane, nearest), nearest - reach, nearest + reach)
-    extended = subject & ~image.valid & (beside * image.pixel_mm() <= settings.extend_mm)
+    extended = subject & ~image.valid & (beside * image.pixel_mm() <= EXTEND_MM)
     ranges = np.where(image.valid, image.range_mm, np.where(extended, plane, nearest))
     weights = np.where(image.valid, weight, np.where(extended, -EXTEND_WEIGHT * weight[at], 0.0))
     expected = np.stack([ranges, np.where(image.valid, cosine, cosine[at]), weights], axis=-1)

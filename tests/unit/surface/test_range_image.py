@@ -83,9 +83,11 @@ def test_a_vertical_residual_hardly_moves_the_range():
     assert np.abs(moved.range_mm - still.range_mm)[still.valid].max() < 0.05
 
 
-def test_uncertain_and_impossible_disparities_are_dropped():
+def test_uncertain_and_impossible_disparities_are_dropped(monkeypatch):
     disparity, _ = exact_disparity(35.0)
-    assert not triangulate(disparity, TriangulateSettings(max_sigma_mm=0.01)).valid.any()
+    with monkeypatch.context() as stricter:
+        stricter.setattr("mammometry.surface.ranges.range_image.MAX_SIGMA_MM", 0.01)
+        assert not triangulate(disparity).valid.any()
     # The right principal column lies 100 px further right: rays meet only if u_left − u_right > −100.
     behind = disparity.d_h_px - np.float32(400.0)
     flipped = DisparityMap(

@@ -65,10 +65,14 @@ def test_a_true_surface_stays():
     assert np.abs(radial_error(result.mesh)).max() < 0.02
 
 
-def test_what_is_invented_far_from_data_is_left_out_without_a_trace():
+def test_what_is_invented_far_from_data_is_left_out_without_a_trace(monkeypatch):
     first, valid = dented(), valid_views([(0, 0, 1)])
     # displacements that fade over 1 mm do not reach the far side; with a reach of 90 mm nothing is left out
-    near, whole = (repair(first, valid, RepairSettings(repaired_reach_mm=reach)) for reach in (8.0, 90.0))
+    results = []
+    for reach in (8.0, 90.0):
+        monkeypatch.setattr("mammometry.surface.repair.repair.REPAIRED_REACH_MM", reach)
+        results.append(repair(first, valid))
+    near, whole = results
     # the solver stops at a thousandth of displacements of up to 1.5 mm
     np.testing.assert_allclose(near.mesh.vertices, whole.mesh.vertices, atol=1.5e-3)
     np.testing.assert_array_equal(near.pair_bits, whole.pair_bits)
@@ -78,10 +82,11 @@ def test_what_is_invented_far_from_data_is_left_out_without_a_trace():
     assert (near.provenance[far] == Provenance.INVENTED).all()
 
 
-def test_provenance_and_pair_bits_say_who_saw_what():
+def test_provenance_and_pair_bits_say_who_saw_what(monkeypatch):
     first = sphere_mesh(RADIUS, rings=60)
     valid = valid_views([(0, 0, 1), (1, 0, 1)])
-    result = repair(first, valid, RepairSettings(repaired_reach_mm=8.0))
+    monkeypatch.setattr("mammometry.surface.repair.repair.REPAIRED_REACH_MM", 8.0)
+    result = repair(first, valid)
     z, x = first.vertices[:, 2], first.vertices[:, 0]
     top = z > 0.9 * RADIUS
     assert (result.provenance[top] == Provenance.MEASURED).all()
@@ -136,7 +141,7 @@ def test_no_triangle_turns_over():
     assert turned.mean() < 1e-3
 
 
-def test_two_sheets_that_data_pull_through_one_another_stay_apart():
+def test_two_sheets_that_data_pull_through_one_another_stay_apart(monkeypatch):
     """The near side of a second body lies where the data have the first: both are drawn to one surface."""
     sphere, above = sphere_mesh(RADIUS - 0.3, rings=60), sphere_mesh(12.0, rings=40)
     both = TriangleMesh(
@@ -145,7 +150,8 @@ def test_two_sheets_that_data_pull_through_one_another_stay_apart():
     )
     assert len(crossing_faces(both)) == 0
     # almost without a limit to the normals the second body's lower side follows the data, too
-    result = repair(both, valid_views(AROUND), RepairSettings(normal_angle_deg=179.0, rho=0.01))
+    monkeypatch.setattr("mammometry.surface.repair.repair.NORMAL_ANGLE_DEG", 179.0)
+    result = repair(both, valid_views(AROUND), RepairSettings(rho=0.01))
     assert result.crossings == 0
     assert len(crossing_faces(result.mesh)) == 0
     np.testing.assert_array_equal(result.mesh.faces, both.faces)

@@ -16,6 +16,9 @@ from mammometry.calibration.settings import BundleSettings
 from mammometry.calibration.targets.target import Target
 from mammometry.geometry.arrays import Array, Bool
 
+FREE_TARGET_POSES = 6
+"""Placements from which ``auto`` adjusts a board: fewer hardly separate its shape from the cameras'."""
+
 _PARAMETERS = {
     "brown": INTRINSIC_NAMES[:9],
     "paper": ("f_px", *INTRINSIC_NAMES[2:6]),  # 2.2: f, x₀, y₀, μ, ν
@@ -119,7 +122,7 @@ def held_at_first(network: Network, priors: Mapping[str, CameraPrior]) -> Bool[A
 
 def _is_free(target: Target, placements: int, settings: BundleSettings) -> bool:
     if settings.free_target == "auto":
-        return not target.is_surveyed and placements >= settings.free_target_poses
+        return not target.is_surveyed and placements >= FREE_TARGET_POSES
     return settings.free_target == "always"
 
 

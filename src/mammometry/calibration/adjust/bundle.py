@@ -29,6 +29,13 @@ from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.transform import Transform
 
+K3_SIGMA = 4.0
+"""Standard deviations (for errors that a photograph's points share) above which ``auto`` accepts k3."""
+VIEW_RATIO = 50.0
+"""Ratio to all views' median residual above which a whole view is set aside and named. Only a picture of another
+pose, swapped cameras or a mirrored target reach it.
+"""
+
 __all__ = ["BundleSettings", "Calibration", "ParameterCovariance", "SetAside", "calibrate"]
 
 _SET_ASIDE_ROUNDS = 3
@@ -74,7 +81,7 @@ def calibrate(
     """
     own, priors = dict(intrinsics_observations or {}), dict(priors or {})
     _check_pairs(pair_names, observations)
-    initial = initialise(observations, settings.bundle, intrinsics_observations=own, priors=priors)
+    initial = initialise(observations, intrinsics_observations=own, priors=priors)
     progress(0.2)
     views = all_views(observations, own, initial)
     set_aside: list[SetAside] = []
@@ -84,7 +91,7 @@ def calibrate(
 
     def setting_aside(network: Network, state: State, least_px: float) -> bool:
         """Leave out views that are of something else."""
-        bad = bad_views(network, state, settings.bundle.view_ratio, least_px)
+        bad = bad_views(network, state, VIEW_RATIO, least_px)
         set_aside.extend(SetAside(camera=views[i].camera, pose=views[i].pose, residual_px=px) for i, px in bad.items())
         views[:] = [view for i, view in enumerate(views) if i not in bad]
         _require_every_camera(views, observations, set_aside)
@@ -93,12 +100,12 @@ def calibrate(
     widest_px = max(width for width, _ in observations.sizes_wh.values())
     setting_aside(*flattened(), _FIRST_VIEW_ERROR_WIDTHS * widest_px)  # before they can pull
     network, start = flattened()
-    solved = adjusted(network, held_at_first(network, priors), start, settings.bundle)
+    solved = adjusted(network, held_at_first(network, priors), start)
     for _ in range(_SET_ASIDE_ROUNDS):
         if not setting_aside(network, solved.state, _LEAST_VIEW_ERROR_PX):
             break
         network, start = flattened()
-        solved = adjusted(network, held_at_first(network, priors), start, settings.bundle)
+        solved = adjusted(network, held_at_first(network, priors), start)
     progress(0.5)
     solved = _with_needed_k3(solved, priors, settings.bundle)
     progress(0.8)
@@ -149,18 +156,18 @@ def _with_needed_k3(solved: Solved, priors: Mapping[str, CameraPrior], settings:
         return solved
     held = solved.problem.held.copy()
     held[columns[free]] = False
-    freed = adjusted(network, held, solved.state, settings)
+    freed = adjusted(network, held, solved.state)
     if settings.k3 == "free":
         return freed
     std = np.sqrt(np.diag(clustered_covariance(freed, _independent(freed)))[columns])
     known = np.isfinite(network.prior_intrinsics_std[:, INTRINSIC_NAMES.index("k3")])
-    needed = free & (known | (np.abs(freed.state.intrinsics[:, INTRINSIC_NAMES.index("k3")]) > settings.k3_sigma * std))
+    needed = free & (known | (np.abs(freed.state.intrinsics[:, INTRINSIC_NAMES.index("k3")]) > K3_SIGMA * std))
     if needed.all():
         return freed
     if not needed.any():
         return solved
     held[columns[free & ~needed]] = True
-    return adjusted(network, held, solved.state, settings)
+    return adjusted(network, held, solved.state)
 
 
 def _as_calibration(

@@ -17,11 +17,13 @@ from mammometry.base.value import value
 from mammometry.calibration.adjust.averaging import average_network, components
 from mammometry.calibration.adjust.prior import CameraPrior
 from mammometry.calibration.detection.detect import Detection, Observations
-from mammometry.calibration.settings import BundleSettings
 from mammometry.calibration.targets.target import Target
 from mammometry.geometry.arrays import Array, Bool, Float64
 from mammometry.geometry.lens import undistort
 from mammometry.geometry.transform import Transform
+
+_MAX_INITIAL_VIEWS = 15
+"""Views for a camera's first intrinsics, for speed. The adjustment uses all."""
 
 _LEAST_VIEWS = 3
 """Fewest views of a flat target that determine a camera's intrinsics (Zhang 2000)."""
@@ -68,7 +70,6 @@ class InitialRig:
 
 def initialise(
     observations: Observations,
-    settings: BundleSettings = BundleSettings(),
     *,
     intrinsics_observations: Mapping[str, Observations] | None = None,
     priors: Mapping[str, CameraPrior] | None = None,
@@ -80,7 +81,6 @@ def initialise(
 
     Args:
         observations: the rig's target, all cameras exposed together in each pose.
-        settings: those of the adjustment.
         intrinsics_observations: camera → photographs of any target that only this camera took.
         priors: camera → its lens, which then is where its intrinsics start.
 
@@ -100,7 +100,7 @@ def initialise(
         if camera in known:
             intrinsics[camera] = known[camera].intrinsics
         else:
-            intrinsics[camera] = _intrinsics(camera, source, views, settings.max_initial_views)
+            intrinsics[camera] = _intrinsics(camera, source, views, _MAX_INITIAL_VIEWS)
         if camera in own:
             own_camera_from_target |= _poses(views, source, intrinsics[camera])
         mine = [view for view in usable if view.camera == camera]

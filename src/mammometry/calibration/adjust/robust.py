@@ -9,8 +9,17 @@ import numpy as np
 from mammometry.calibration.adjust.adjustment import Adjustment
 from mammometry.calibration.adjust.least_squares import Minimum, minimise
 from mammometry.calibration.adjust.network import Network, State, residuals
-from mammometry.calibration.settings import BundleSettings
 from mammometry.geometry.arrays import Array, Bool, Float64
+
+HUBER_MAD = 3.0
+"""Residuals up to this many robust standard deviations count in full, larger ones linearly."""
+REJECT_SIGMA = 10.0
+"""Robust standard deviations beyond which points are left out of the last adjustment. Photographs of one capture
+differ twofold in noise, so ten of all photographs' are five of the worst one's. Nearer points do no harm, since they
+count linearly only.
+"""
+_MAX_ITERATIONS = 50
+"""Levenberg–Marquardt steps of one adjustment. 5–15 are usual."""
 
 GROUPS = 2
 """Groups of views with their own noise: the rig's target, and the cameras' separate photographs."""
@@ -41,24 +50,24 @@ class Solved:
         return self.minimum.state
 
 
-def adjusted(network: Network, held: Bool[Array, " p"], start: State, settings: BundleSettings) -> Solved:
+def adjusted(network: Network, held: Bool[Array, " p"], start: State) -> Solved:
     """Adjust with the noise estimated along the way, then without outliers."""
     problem = Adjustment(
         network=network,
         active=np.ones(len(network.uv), bool),
         held=held,
         group_sigma=np.ones(GROUPS),
-        huber=settings.huber_mad,
+        huber=HUBER_MAD,
     )
     problem = _with_sigma(problem, start)
-    most = settings.max_iterations
+    most = _MAX_ITERATIONS
     for _ in range(_SIGMA_ROUNDS):
         start = minimise(problem, start, max_iterations=most, tolerance=_ROUGH).state
         before, problem = problem.group_sigma, _with_sigma(problem, start)
         if (np.abs(problem.group_sigma / before - 1) < _SIGMA_SETTLED).all():
             break
     for _ in range(_REJECT_ROUNDS):
-        active: Bool[Array, " n"] = problem.whitened_lengths(start) < settings.reject_sigma
+        active: Bool[Array, " n"] = problem.whitened_lengths(start) < REJECT_SIGMA
         if (active == problem.active).all():
             break
         problem = replace(problem, active=active)

@@ -21,9 +21,23 @@ from mammometry.base.value import value
 from mammometry.calibration.detection.diagnose import diagnose
 from mammometry.calibration.detection.measured_points import MeasuredPoints, points_from_table
 from mammometry.calibration.features.found_points import Cause, FoundPoints
-from mammometry.calibration.settings import DetectSettings
 from mammometry.calibration.targets.target import Target
 from mammometry.geometry.arrays import Array, Float64, Int64
+
+SEARCH_WIDTH_PX = 1100
+"""Width of the reduced picture in which the target is searched. Only its scale matters for finding. The final
+measurement uses the original pixels.
+"""
+_WINDOW_SQUARES = 0.48
+"""Half-width of the fitted window around a corner, in sides of a square: nearly all of the four squares that meet
+there, without the neighbouring corners' blurred edges.
+"""
+_FLOOR_PX = 0.01
+"""Standard deviation added to every point's own, px: what no fit of one point can show (print, pixel grid)."""
+MIN_POINTS = 8
+"""Fewest points of a usable view. Fewer show little and are more often wrong."""
+_THREADS = 2
+"""Photographs processed in parallel. Each needs about 200 MB at 13 megapixels."""
 
 
 @value(eq=False)
@@ -97,27 +111,27 @@ class Observations:
 
 
 def detect_in(
-    photograph: Photograph, target: Target, settings: DetectSettings = DetectSettings(), *, camera: str, pose: str
+    photograph: Photograph, target: Target, *, camera: str, pose: str, search_width_px: int = SEARCH_WIDTH_PX
 ) -> Detection | None:
     """Find the target in one photograph.
 
-    None where it is not, or shows fewer than ``settings.min_points`` points. A kind whose numbering is agreed between
+    None where it is not, or shows fewer than `MIN_POINTS` points. A kind whose numbering is agreed between
     photographs, as the columns of a dotted cylinder, is numbered from the first points seen; `detect` makes the
     photographs agree.
 
     Raises:
         SessionError: the target's description cannot be used (unknown marker dictionary).
     """
-    seen = _look(photograph, target, settings)
-    return None if isinstance(seen, Cause | None) else detection_of(seen, settings, camera=camera, pose=pose)
+    seen = _look(photograph, target, search_width_px)
+    return None if isinstance(seen, Cause | None) else detection_of(seen, camera=camera, pose=pose)
 
 
 def detect(
     photographs: Mapping[tuple[str, str], Photograph],
     target: Target,
-    settings: DetectSettings = DetectSettings(),
     *,
     measured: Mapping[tuple[str, str], MeasuredPoints] = MappingProxyType({}),
+    threads: int = _THREADS,
     progress: Progress = no_progress,
 ) -> Observations:
     """Find the target in all photographs, keyed by pose and camera.
@@ -137,14 +151,14 @@ def detect(
         photograph = photographs[key]
         table = measured.get(key)
         if table is None:
-            return photograph.size_wh, photograph.name, _look_or_explain(photograph, target, settings)
+            return photograph.size_wh, photograph.name, _look_or_explain(photograph, target)
         points = points_from_table(table.name, table.ids, table.uv, target, photograph.size_wh)
         return photograph.size_wh, photograph.name, points
 
     sizes_wh: dict[str, tuple[int, int]] = {}
     found: dict[str, FoundPoints] = {}
     missed: list[MissedView] = []
-    with ThreadPoolExecutor(settings.threads) as pool:
+    with ThreadPoolExecutor(threads) as pool:
         for done, (key, (size_wh, name, seen)) in enumerate(zip(keys, pool.map(look, keys), strict=True)):
             _require_size(name, key[1], size_wh, sizes_wh.setdefault(key[1], size_wh))
             if isinstance(seen, Cause):
@@ -154,9 +168,7 @@ def detect(
             progress((done + 1) / len(keys))
     numbered = target.number_alike(found)
     detections = tuple(
-        _named(numbered[name], settings, camera=camera, pose=pose)
-        for pose, camera in keys
-        if (name := f"{pose}/{camera}") in numbered
+        _named(numbered[name], camera, pose) for pose, camera in keys if (name := f"{pose}/{camera}") in numbered
     )
     return Observations(target=target, sizes_wh=sizes_wh, detections=detections, missed=tuple(missed))
 
@@ -177,39 +189,38 @@ def merged(parts: Sequence[Observations]) -> Observations:
     return Observations(target=parts[0].target, sizes_wh=sizes_wh, detections=tuple(detections), missed=missed)
 
 
-def _look(photograph: Photograph, target: Target, settings: DetectSettings) -> FoundPoints | Cause | None:
-    width_px, window = settings.search_width_px, settings.window_squares
+def _look(photograph: Photograph, target: Target, search_width_px: int) -> FoundPoints | Cause | None:
     # OpenCV's searches for grids draw at random. Without a fresh start, what is found would depend on the photographs
     # that the same thread searched before.
     cv2.setRNGSeed(0)
-    return target.find(photograph, search_width_px=width_px, window_squares=window)
+    return target.find(photograph, search_width_px=search_width_px, window_squares=_WINDOW_SQUARES)
 
 
-def _look_or_explain(photograph: Photograph, target: Target, settings: DetectSettings) -> FoundPoints | Cause:
+def _look_or_explain(photograph: Photograph, target: Target) -> FoundPoints | Cause:
     """Find the target, or say why it cannot be used."""
-    seen = _look(photograph, target, settings)
+    seen = _look(photograph, target, SEARCH_WIDTH_PX)
     if isinstance(seen, Cause):
         return seen
     count = 0 if seen is None else len(seen.uv)
     if seen is None or count == 0:
-        return diagnose(photograph, target, search_width_px=settings.search_width_px)
-    if count < settings.min_points:
+        return diagnose(photograph, target, search_width_px=SEARCH_WIDTH_PX)
+    if count < MIN_POINTS:
         return Cause(
-            found=f"{count} of {len(target.points_target)} points of the target, fewer than {settings.min_points}",
+            found=f"{count} of {len(target.points_target)} points of the target, fewer than {MIN_POINTS}",
             remedy="Have more of it in the picture, larger, or less aslant",
         )
     return seen
 
 
-def detection_of(found: FoundPoints, settings: DetectSettings, *, camera: str, pose: str) -> Detection | None:
-    """Name what was found after its camera and pose. None for fewer than ``settings.min_points`` points."""
-    if len(found.ids) < settings.min_points:
+def detection_of(found: FoundPoints, *, camera: str, pose: str) -> Detection | None:
+    """Name what was found after its camera and pose. None for fewer than `MIN_POINTS` points."""
+    if len(found.ids) < MIN_POINTS:
         return None
-    return _named(found, settings, camera, pose)
+    return _named(found, camera, pose)
 
 
-def _named(found: FoundPoints, settings: DetectSettings, camera: str, pose: str) -> Detection:
-    floor_px2 = settings.floor_px**2 * np.eye(2)
+def _named(found: FoundPoints, camera: str, pose: str) -> Detection:
+    floor_px2 = _FLOOR_PX**2 * np.eye(2)
     return Detection(
         camera=camera, pose=pose, ids=found.ids, uv=found.uv, covariance_px2=found.covariance_px2 + floor_px2
     )

@@ -131,7 +131,7 @@ def _readings(
     for seed in seeds[:: max(1, len(seeds) // _SEEDS)][:_SEEDS]:
         _, near = tree.query(uv[seed], k=3)
         starts = _orthographic(points, triples, uv[near])
-        scores = _local_scores(points, triples, starts, uv, spacing, tree)
+        scores = _local_scores(points, triples, starts, spacing, tree)
         for start in np.argsort(-scores, kind="stable")[:_GROWN]:
             if scores[start] < 4:
                 break
@@ -181,7 +181,6 @@ def _local_scores(
     points: Float64[Array, "n 3"],
     triples: Int64[Array, "t 3"],
     starts: Float64[Array, "s 3 4"],
-    uv: Float64[Array, "m 2"],
     spacing: Float64[Array, " m"],
     tree: cKDTree,
 ) -> Float64[Array, " s"]:
@@ -232,7 +231,7 @@ def _grow(
             reach = np.zeros(len(points), bool)
             reach[order[: _AROUND * 2**round_]] = True
             last = round_ == _ROUNDS - 1
-            ids, dots = _match(camera, points, reach, uv, spacing, tree, _TIGHT if last else _LOOSE)
+            ids, dots = _match(camera, points, reach, spacing, tree, _TIGHT if last else _LOOSE)
             if len(ids) < (LEAST_DOTS if last else 5):
                 break
             camera = adjusted(camera, points[ids], uv[dots], free_lens=len(ids) >= 2 * LEAST_DOTS)
@@ -247,7 +246,6 @@ def _match(
     camera: TargetCamera,
     points: Float64[Array, "n 3"],
     reach: Bool[Array, " n"],
-    uv: Float64[Array, "m 2"],
     spacing: Float64[Array, " m"],
     tree: cKDTree,
     tolerance: float,

@@ -25,7 +25,7 @@ pixels are passed over without being looked at.
 STEPS = 16
 """Gauss–Newton steps, at most."""
 CONVERGED_PX = 3e-4
-"""A step of this length ends the fit: a thirtieth of `DetectSettings.floor_px`."""
+"""A step of this length ends the fit: a thirtieth of the floor of a point's standard deviation."""
 CONVERGED_STD = 0.05
 """Converged step, in standard deviations of the corner: smaller ones are within the noise."""
 SIDE_PIXELS = 8

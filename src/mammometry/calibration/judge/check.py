@@ -37,6 +37,17 @@ from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.transform import Transform
 
+_CHANCE = 1e-6
+"""Probability, in a rig that did not move, below which a disagreement is called a motion. It is very small because
+real noise has longer tails than the normal distribution.
+"""
+_LEAST_INFLATION = 1.5
+"""Least factor on the exposure's noise: neighbouring corners have common errors. Larger if the calibration's own
+views show more.
+"""
+_LENS_RATIO = 3.0
+"""A camera's residual over that of its calibration above which its lens, or the target, must have changed."""
+
 CheckVerdict: TypeAlias = Literal["unmoved", "moved", "refuse"]
 _ROUNDS = 3
 """Linearisations about the placements. Chosen by eye."""
@@ -158,28 +169,28 @@ def check(reference: Reference, observations: Observations, settings: CheckSetti
     _check_sizes(reference.rig, observations)
     seen = _sightings(reference, observations)
     cameras = tuple(name for name in reference.rig.cameras if any(sighting.camera == name for sighting in seen))
-    inflation = max(reference.inflation, settings.least_inflation)
+    inflation = max(reference.inflation, _LEAST_INFLATION)
     agreement = Agreement(
         seen=seen,
         cameras=cameras,
         placed=_nearest_to_all(seen),
         covariance=covariance_of(seen, reference.covariance, inflation=inflation),
     )
-    candidates = agreement.explanations(settings.chance)
+    candidates = agreement.explanations(_CHANCE)
     for _ in range(_ROUNDS):  # motions add up only when they are small: again from where the still cameras see it
         agreement = Agreement(
             seen=seen, cameras=cameras, placed=agreement.placements(candidates[0]), covariance=agreement.covariance
         )
-        candidates = agreement.explanations(settings.chance)
+        candidates = agreement.explanations(_CHANCE)
     chosen = candidates[0]
-    checks = {name: _camera_check(agreement, reference.rig.cameras[name], chosen, settings.chance) for name in cameras}
+    checks = {name: _camera_check(agreement, reference.rig.cameras[name], chosen, _CHANCE) for name in cameras}
     pairs = _moved_pairs(reference, agreement, checks)
     verdict: CheckVerdict = "unmoved"
     if chosen:
         verdict = (
             "refuse" if max((p.displacement_mm for p in pairs.values()), default=0.0) > settings.refuse_mm else "moved"
         )
-    lenses = list(_about_lenses(checks, reference, settings))
+    lenses = list(_about_lenses(checks, reference))
     unseen = tuple(name for name in reference.rig.cameras if name not in cameras)
     return RigCheck(
         verdict="refuse" if lenses else verdict,
@@ -324,11 +335,11 @@ def motion_words(motion: Motion) -> str:
     return {"shift": shift, "turn": turn}.get(motion.kind, f"{shift} and {turn}")
 
 
-def _about_lenses(checks: Mapping[str, CameraCheck], reference: Reference, settings: CheckSettings) -> Iterator[str]:
+def _about_lenses(checks: Mapping[str, CameraCheck], reference: Reference) -> Iterator[str]:
     typical = float(np.median([camera_check.rms_px for camera_check in checks.values()]))
     for camera_check in checks.values():
         before = reference.rms_px.get(camera_check.camera, typical)
-        if camera_check.rms_px > settings.lens_ratio * before:
+        if camera_check.rms_px > _LENS_RATIO * before:
             yield (
                 f"what {camera_check.camera} sees fits no place of the target "
                 f"({camera_check.rms_px:.3f} px left, {before:.3f} before): "

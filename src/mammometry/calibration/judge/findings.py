@@ -16,6 +16,40 @@ from mammometry.calibration.judge.scale import calibrated_sizes
 from mammometry.calibration.judge.view_quality import ViewQuality, sees_badly
 from mammometry.calibration.settings import QualitySettings
 
+_BIAS_WARN = 8.0
+"""Bias of a view (its median residual in standard errors) that gives a warning. Clean ones reach 4–5, a camera moved
+by 0.01 mm 7–9 at a quarter of the size, 36–46 at full size.
+"""
+_FOCAL_STD_WARN = 2.5e-4
+"""Relative standard deviation of a focal length that gives a warning: 0.2 mm of depth at 0.8 m."""
+_GEOMETRY_WARN_MM = 0.1
+"""RMS of the target's points, reconstructed from a pair, about their nominal shape that gives a warning."""
+_SCALE_WARN_PPM = 300.0
+"""Scale error of a pair on the target that gives a warning, millionths of a length. Three times that in volume."""
+_EXPECTED_WARN_MM = 0.1
+"""Expected error of reconstructed points in the working volume, from the cameras' uncertainty, that gives a warning.
+Over the 300 cm² that a pair sees, 0.1 mm is 3 cc.
+"""
+_COVERAGE_WARN = 0.4
+"""Share of a photograph, in cells of an 8 × 6 grid, in which the target was seen. Below it the lens is untested."""
+_VOLUME_COVERAGE_WARN = 0.25
+"""Share of the working volume near which the target was shown. Below it the volume is untested where skin will be."""
+RESIDUAL_GOOD_MM = 0.05
+"""RMS residual at the target's distance up to which it is called good: a tenth of what the paper's plate allows."""
+_RESIDUAL_WARN_MM = 0.2
+"""RMS residual at the target's distance above which the pictures or the target are wrong."""
+_LEFT_OUT_WARN = 1.2
+"""Residuals of poses left out over those of the same poses fitted, corrected for the number of unknowns. Above it,
+the cameras are not trusted elsewhere. 1.0 if points err independently, 1.05–1.1 if a photograph's points err
+together, 1.25 and more with three such poses.
+"""
+_BLURRED_RATIO = 5.0
+"""RMS of a view over that of the others above which it is called blurred."""
+_REJECTED_WARN = 0.15
+"""Share of a view's points left out as outliers that gives a warning. Clean views lose up to a tenth: corners at the
+board's rim, or out of focus, err more than their σ.
+"""
+
 Verdict: TypeAlias = Literal["pass", "warn", "refuse"]
 Finding: TypeAlias = tuple[Verdict, str]
 _PRINT_SCALE = 1e-3
@@ -84,7 +118,7 @@ def about_movements(movements: Sequence[Movement], settings: QualitySettings) ->
         yield "refuse" if movement.effect_mm > settings.moved_refuse_mm else "warn", sentence
 
 
-def about_fit(calibration: Calibration, views: Sequence[ViewQuality], settings: QualitySettings) -> Iterator[Finding]:
+def about_fit(calibration: Calibration, views: Sequence[ViewQuality]) -> Iterator[Finding]:
     """Findings about an adjustment that did not settle.
 
     Also about views that lost many points or fit badly.
@@ -95,12 +129,12 @@ def about_fit(calibration: Calibration, views: Sequence[ViewQuality], settings: 
     taking_part = [view for view in views if (view.camera, view.pose) not in aside]
     typical = float(np.nanmedian([view.rms_px for view in taking_part])) if taking_part else float("nan")
     for view in sorted(taking_part, key=lambda view: -view.rejected):
-        if view.rejected > settings.rejected_warn * view.points and view.rejected > 1:
+        if view.rejected > _REJECTED_WARN * view.points and view.rejected > 1:
             yield (
                 "warn",
                 f"pose {view.pose}: {view.rejected} of {view.points} points of {view.camera} were left out as outliers",
             )
-        if view.rms_px > settings.blurred_ratio * typical:
+        if view.rms_px > _BLURRED_RATIO * typical:
             yield (
                 "warn",
                 f"pose {view.pose}: points of {view.camera} are measured only to {view.rms_px:.2f} px, others to "
@@ -112,7 +146,7 @@ def about_bias(calibration: Calibration, views: Sequence[ViewQuality], settings:
     """Findings about views with one-sided residuals without a rigid movement."""
     aside = {(view.camera, view.pose) for view in calibration.set_aside}
     for view in sorted(views, key=lambda view: -view.bias):
-        if view.bias > settings.bias_warn and (view.camera, view.pose) not in aside:
+        if view.bias > min(_BIAS_WARN, settings.bias_refuse) and (view.camera, view.pose) not in aside:
             yield (
                 "refuse" if view.bias > settings.bias_refuse else "warn",
                 f"pose {view.pose}: all points that {view.camera} saw are shifted together by {view.bias:.0f} standard "
@@ -130,7 +164,7 @@ def about_cameras(
     """Report how well each lens is known, and what was never tested."""
     places = np.median([placed.translation_mm for placed in calibration.world_from_target.values()], axis=0)
     for name, std in focal_std.items():
-        if std > settings.focal_std_warn:
+        if std > min(_FOCAL_STD_WARN, settings.focal_std_refuse):
             depth_mm = float(np.linalg.norm(places - calibration.rig.cameras[name].centre_world)) * std
             separate = calibration.intrinsics_observations.get(name)
             seen = calibration.observations.detections + (separate.detections if separate else ())
@@ -142,9 +176,9 @@ def about_cameras(
                 "poses, and tilt the target more",
             )
     for name, share in coverage.items():
-        if share < settings.coverage_warn:
+        if share < _COVERAGE_WARN:
             yield "warn", f"the target covered only {100 * share:.0f} % of the photographs of {name}. Add poses there"
-    if volume_coverage < settings.volume_coverage_warn:
+    if volume_coverage < _VOLUME_COVERAGE_WARN:
         yield (
             "warn",
             f"the target was shown in only {100 * volume_coverage:.0f} % of the space that the pairs see. Hold it also "
@@ -174,13 +208,13 @@ def about_pairs(pairs: Sequence[PairQuality], settings: QualitySettings) -> Iter
         if not pair.poses:
             yield "warn", f"pair {pair.pair}: both cameras never saw the target in the same pose"
             continue
-        if pair.geometry_mm > settings.geometry_warn_mm:
+        if pair.geometry_mm > min(_GEOMETRY_WARN_MM, settings.geometry_refuse_mm):
             yield (
                 "refuse" if pair.geometry_mm > settings.geometry_refuse_mm else "warn",
                 f"pair {pair.pair} reconstructs the target to {pair.geometry_mm:.2f} mm RMS (limit "
                 f"{settings.geometry_refuse_mm} mm)",
             )
-        if abs(pair.scale_ppm) > settings.scale_warn_ppm:
+        if abs(pair.scale_ppm) > min(_SCALE_WARN_PPM, settings.scale_refuse_ppm):
             yield (
                 "refuse" if abs(pair.scale_ppm) > settings.scale_refuse_ppm else "warn",
                 f"pair {pair.pair} reconstructs the target {pair.scale_ppm / 1e4:+.3f} % too large, "
@@ -195,33 +229,29 @@ def about_expected(expected_mm: Mapping[str, float], settings: QualitySettings) 
         pair = max(known, key=lambda name: known[name])
         error_mm = known[pair]
         verdict: Verdict = "pass"
-        if error_mm > settings.expected_warn_mm:
+        if error_mm > min(_EXPECTED_WARN_MM, settings.expected_refuse_mm):
             verdict = "refuse" if error_mm > settings.expected_refuse_mm else "warn"
         advice = "" if verdict == "pass" else f", refused above {settings.expected_refuse_mm} mm. Add poses"
         yield (
             verdict,
             f"the cameras' uncertainty moves measured points by {error_mm:.3f} mm RMS (worst pair: {pair}, good up to "
-            f"{settings.expected_warn_mm} mm){advice}",
+            f"{_EXPECTED_WARN_MM} mm){advice}",
         )
 
 
-def about_left_out(calibration: Calibration, settings: QualitySettings) -> Iterator[Finding]:
+def about_left_out(calibration: Calibration) -> Iterator[Finding]:
     """Report whether poses left out fit as well as those adjusted."""
     left_out = calibration.left_out
     if left_out is None:
         if not calibration.observations.target.is_surveyed:  # of a surveyed target one exposure is enough
             yield "warn", "no pose could be left out for a test, because every one is needed. Add poses"
         return
-    many = left_out.excess > settings.left_out_warn
+    many = left_out.excess > _LEFT_OUT_WARN
     yield (
         "warn" if many else "pass",
         f"as a test, poses were left out of the adjustment. They fit to {left_out.left_out_px:.3f} px, "
         f"{left_out.ratio:.2f} times as far as the others and {left_out.excess:.2f} times as far as expected"
-        + (
-            f" (limit {settings.left_out_warn}). Do not trust the cameras where no target was shown. Add poses"
-            if many
-            else ""
-        ),
+        + (f" (limit {_LEFT_OUT_WARN}). Do not trust the cameras where no target was shown. Add poses" if many else ""),
     )
 
 
@@ -249,13 +279,13 @@ def about_scale(calibration: Calibration) -> Iterator[Finding]:
         )
 
 
-def about_residuals(rms_px: float, rms_mm: float, settings: QualitySettings) -> Finding:
+def about_residuals(rms_px: float, rms_mm: float) -> Finding:
     """Report whether the residuals are large, by what they are in millimetres."""
-    good = rms_mm <= settings.residual_good_mm
-    fair = rms_mm <= settings.residual_warn_mm
+    good = rms_mm <= RESIDUAL_GOOD_MM
+    fair = rms_mm <= _RESIDUAL_WARN_MM
     word = "good" if good else "fair" if fair else "poor: blur, noise, or a board that is not as described"
     return (
         "pass" if fair else "warn",
         f"the residuals are {rms_px:.3f} px RMS, {rms_mm:.3f} mm at the target (good up to "
-        f"{settings.residual_good_mm} mm), which is {word}",
+        f"{RESIDUAL_GOOD_MM} mm), which is {word}",
     )

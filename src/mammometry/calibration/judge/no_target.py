@@ -12,7 +12,6 @@ from mammometry.base.photograph import Photograph
 from mammometry.calibration.adjust.initialise import TooFewViewsError
 from mammometry.calibration.detection.detect import MissedView, Observations, detect_in
 from mammometry.calibration.features.found_points import Cause
-from mammometry.calibration.settings import DetectSettings
 from mammometry.calibration.targets.target import Target
 
 _TRIED = 4
@@ -30,9 +29,7 @@ class _Reading:
     changed: Callable[[Photograph], Photograph]
 
 
-def no_target(
-    target: Target, parts: Sequence[Observations], photographs: Photographs, settings: DetectSettings
-) -> CalibrationError:
+def no_target(target: Target, parts: Sequence[Observations], photographs: Photographs) -> CalibrationError:
     """Return the error that no photograph shows the target.
 
     It says what they show instead, and what to do.
@@ -41,10 +38,9 @@ def no_target(
         target: as described.
         parts: what was seen.
         photographs: (pose, camera) → photograph of this target; read only where nothing else tells the cause.
-        settings: those of the detection.
     """
     missed = [view for part in parts for view in part.missed]
-    shown = _fitting_reading(target, photographs, sorted(photographs), settings) or _common_cause(missed)
+    shown = _fitting_reading(target, photographs, sorted(photographs)) or _common_cause(missed)
     words, remedy = shown or ("", "Compare [target] in session.toml with the target that was photographed")
     error = CalibrationError(
         "calibration photographs",
@@ -56,9 +52,7 @@ def no_target(
     return error
 
 
-def with_causes(
-    error: CalibrationError, parts: Sequence[Observations], photographs: Photographs, settings: DetectSettings
-) -> CalibrationError:
+def with_causes(error: CalibrationError, parts: Sequence[Observations], photographs: Photographs) -> CalibrationError:
     """Return an error of the adjustment with the photographs that could not be used.
 
     If cameras have too few views, those are the reason, and the error says so first.
@@ -67,7 +61,6 @@ def with_causes(
         error: of the adjustment.
         parts: what was seen of the rig's target, then of others.
         photographs: (pose, camera) → photograph of the rig's target; read only where nothing else tells the cause.
-        settings: those of the detection.
     """
     every = [view for part in parts for view in part.missed]
     cameras = error.cameras if isinstance(error, TooFewViewsError) else ()
@@ -75,7 +68,7 @@ def with_causes(
     shown = None
     if cameras or len(missed) > sum(len(part.detections) for part in parts):
         keys = [(view.pose, view.camera) for view in missed if (view.pose, view.camera) in photographs]
-        shown = _fitting_reading(parts[0].target, photographs, keys, settings)
+        shown = _fitting_reading(parts[0].target, photographs, keys)
     if cameras:
         shown = shown or _common_cause(missed)
     if shown is not None:
@@ -114,14 +107,13 @@ def _fitting_reading(
     target: Target,
     photographs: Photographs,
     keys: Sequence[tuple[str, str]],
-    settings: DetectSettings,
 ) -> tuple[str, str] | None:
     """Return the common mistake that explains most of some missed photographs, in words, and its remedy."""
     some = [photographs[keys[k]] for k in np.unique(np.linspace(0, len(keys) - 1, _TRIED).astype(int)) if keys]
     for reading in (*_other_targets(target), _as_negative(target)):
-        fitting = sum(_fits(reading, photograph, settings) for photograph in some[:2])
+        fitting = sum(_fits(reading, photograph) for photograph in some[:2])
         if fitting:
-            fitting += sum(_fits(reading, photograph, settings) for photograph in some[2:])
+            fitting += sum(_fits(reading, photograph) for photograph in some[2:])
         if 2 * fitting > len(some):
             return (
                 f"{fitting} of {len(some)} photographs that were looked at again show {reading.cause.found}",
@@ -130,9 +122,9 @@ def _fitting_reading(
     return None
 
 
-def _fits(reading: _Reading, photograph: Photograph, settings: DetectSettings) -> bool:
+def _fits(reading: _Reading, photograph: Photograph) -> bool:
     changed = reading.changed(photograph)
-    return detect_in(changed, reading.target, settings, camera="", pose="") is not None
+    return detect_in(changed, reading.target, camera="", pose="") is not None
 
 
 def _other_targets(target: Target) -> Iterator[_Reading]:

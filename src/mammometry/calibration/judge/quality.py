@@ -37,6 +37,9 @@ from mammometry.calibration.judge.target_shape import about_target
 from mammometry.calibration.judge.view_quality import ViewQuality, pooled_rms, view_qualities
 from mammometry.calibration.settings import QualitySettings
 
+_MOVED_SIGMA = 8.0
+"""Length of a movement between poses, in standard errors, above which it is named. Clean rigs reach 5."""
+
 __all__ = ["CalibrationQuality", "Verdict", "ViewQuality", "assess"]
 
 _GRID_WH = (8, 6)
@@ -83,7 +86,7 @@ def assess(calibration: Calibration, settings: QualitySettings = QualitySettings
     """
     views = view_qualities(calibration)
     pairs = tuple(reconstruct(calibration, pair) for pair in calibration.rig.pairs)
-    moved = movements(calibration, sightings(calibration), settings.moved_sigma)
+    moved = movements(calibration, sightings(calibration), _MOVED_SIGMA)
     coverage = {name: _coverage(calibration, name) for name in calibration.rig.cameras}
     expected = expected_error(calibration)
     focal_std = {
@@ -97,13 +100,13 @@ def assess(calibration: Calibration, settings: QualitySettings = QualitySettings
         *about_target(calibration),
         *about_movements(moved, settings),
         *(() if moved else about_bias(calibration, views, settings)),
-        *about_fit(calibration, views, settings),
+        *about_fit(calibration, views),
         *about_cameras(calibration, focal_std, coverage, expected.volume.coverage, settings),
         *about_pixels(calibration),
         *about_pairs(pairs, settings),
         *about_expected(expected.rms_mm, settings),
-        about_residuals(calibration.rms_px, rms_mm, settings),
-        *about_left_out(calibration, settings),
+        about_residuals(calibration.rms_px, rms_mm),
+        *about_left_out(calibration),
         *about_scale(calibration),
     ]
     findings.sort(key=lambda finding: _GRAVITY[finding[0]])

@@ -17,7 +17,6 @@ from mammometry.capture.checks.found import Found
 from mammometry.geometry.arrays import Array, Bool, Float32
 from mammometry.matching.foreground.block_segmentation import segment
 from mammometry.matching.foreground.silhouette import block_means
-from mammometry.matching.settings import ForegroundSettings
 
 _LOOKED_AT_PX = 676.0  # diagonal at which the subject is sought: half of the reference size, as matching does
 QUICK_PX = 250.0
@@ -69,7 +68,7 @@ def look(photograph: Photograph, *, looked_at_px: float = _LOOKED_AT_PX) -> Seen
     levels = np.linspace(0, 1, largest + 1, dtype=np.float32)
     encoded = block_means(np.ascontiguousarray(pixels[::thin, ::thin]), levels, step // thin)
     step = thin * (step // thin)
-    subject = segment(encoded, diagonal / step / (2 * _LOOKED_AT_PX), ForegroundSettings().background_margin)
+    subject = segment(encoded, diagonal / step / (2 * _LOOKED_AT_PX))
     where = np.ones(encoded.shape[:2], dtype=bool) if subject is None else subject
     value = encoded @ LUMA if encoded.shape[2] == 3 else encoded[..., 0]
     return Seen(

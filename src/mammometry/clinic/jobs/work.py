@@ -72,7 +72,7 @@ def measure(progress: StageProgress, session: str, calibration: str, settings: s
     measured = measure_entry(progress, Entry(address=session), settings)
     job = open_session(session, chosen)
     measurements = job.measure()
-    rows = volume_rows(measurements, job.no_breast(), job.settings)
+    rows = volume_rows(measurements, job.no_breast())
     return {
         "digest": _digest([key.digest for key in job.keys("measure")]),
         "made_at": job.made_at("measure"),
@@ -109,7 +109,7 @@ def measure_scan(progress: StageProgress, folder: str, settings: str) -> dict[st
         "digest": _digest([product.key.digest for product in job.plan.products()]),
         "made_at": results.made_at,
         "software": mammometry.__version__,
-        "volumes": volume_rows(results.measurements, results.no_breast, job.settings),
+        "volumes": volume_rows(results.measurements, results.no_breast),
         **_numbers(results.measurements, job.plan),
         "megapixels": 0.0,
     }
@@ -130,9 +130,7 @@ def _numbers(measured: Mapping[str, VolumeMeasurement], plan: Plan) -> dict[str,
     }
 
 
-def volume_rows(
-    measured: Mapping[str, VolumeMeasurement], no_breast: Mapping[str, str], settings: Settings
-) -> list[dict[str, Any]]:
+def volume_rows(measured: Mapping[str, VolumeMeasurement], no_breast: Mapping[str, str]) -> list[dict[str, Any]]:
     """Volumes of a measured session or scan.
 
     A row for each side and meaning of the word, and for each side without.
@@ -146,7 +144,7 @@ def volume_rows(
     for side, why in no_breast.items():
         rows.append({**_row(side, _REFUSED, None, None), "refused": why})
     if {"left", "right"} <= set(measured):
-        gap = difference(measured["left"], measured["right"], "sides", settings.measure)
+        gap = difference(measured["left"], measured["right"], "sides")
         rows.append(_row("difference", "named wall", gap.difference_cc, gap.difference_interval_cc))
     return rows
 

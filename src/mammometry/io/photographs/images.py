@@ -198,11 +198,6 @@ def demosaiced(raw: Array, pattern: str) -> Array:
     return np.asarray(cv2.cvtColor(raw, codes[pattern]))
 
 
-def write_mask(path: Path, mask: Bool[Array, "h w"]) -> None:
-    """Write a mask as an 8-bit PNG, white on the subject."""
-    Image.fromarray(np.where(mask, 255, 0).astype(np.uint8)).save(path, format="PNG")
-
-
 def check_sizes(headers: Mapping[str, ImageHeader], camera: str, expected_wh: tuple[int, int] | None = None) -> None:
     """Require one size and orientation for all photographs of a camera.
 

@@ -74,7 +74,7 @@ def _detect(shots: Mapping[tuple[str, str], Photograph], target: Target, job: Co
     from mammometry.calibration.detection import detect
 
     measured = {shot: job.inputs.measured_points[shot] for shot in shots if shot in job.inputs.measured_points}
-    return detect.detect(shots, target, job.settings.calibration.detect, measured=measured, progress=job.progress)
+    return detect.detect(shots, target, measured=measured, progress=job.progress)
 
 
 @product(
@@ -103,13 +103,13 @@ def calibration(
     assert inputs.target is not None
     poses, photographs = tuple(observations.values()), inputs.calibration_photographs
     if not any(pose.detections for pose in poses):
-        raise no_target.no_target(inputs.target, poses, photographs, settings.detect)
+        raise no_target.no_target(inputs.target, poses, photographs)
     usable = set_duplicates_aside(merged(poses))
     try:
         adjusted = _adjusted(inputs, usable, lens_observations, settings, job.progress)
     except CalibrationError as error:
         seen = (usable, *lens_observations.values())
-        raise no_target.with_causes(error, seen, photographs, settings.detect) from None
+        raise no_target.with_causes(error, seen, photographs) from None
     require_sides(adjusted.rig, inputs.upside_down)
     require_scale(adjusted, inputs.subject_kind)
     return adjusted

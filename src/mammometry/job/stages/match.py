@@ -93,7 +93,7 @@ def foreground(photograph: Photograph, subjects: Subjects | None, *, job: Contex
 
     given = job.inputs.masks.get(job.item)
     subject = None if subjects is None else subjects.blocks.get(job.item)
-    return estimate_foreground(photograph, job.item, job.settings.matching.foreground, given=given, subject=subject)
+    return estimate_foreground(photograph, job.item, given=given, subject=subject)
 
 
 @product_of_each("pair", "match", large=True)
@@ -115,7 +115,6 @@ def rectified(
         photographs[right],
         foregrounds[left],
         foregrounds[right],
-        job.settings.matching.rectify,
         middle_world=None if subjects is None else subjects.middle_world,
     )
 

@@ -54,7 +54,7 @@ def sides(corrected_cameras: CameraSet, repaired: RepairedSurface, *, job: Conte
     from mammometry.measure.boundary.boundary import outline_torso
 
     frame = _frame(corrected_cameras, job)
-    return outline_torso(repaired, frame, job.settings.measure, head_stated=job.inputs.head_stated)
+    return outline_torso(repaired, frame, head_stated=job.inputs.head_stated)
 
 
 def _boundary_inputs(job: Context) -> dict[str, str]:
@@ -81,7 +81,7 @@ def boundaries(
             name,  # type: ignore[arg-type]  # names checked by the session
             points,
             repaired,
-            rim_sigma_mm=settings.drawn_rim_sigma_mm,
+            rim_sigma_mm=boundary.DRAWN_RIM_SIGMA_MM,
             how=inputs.attributions[name].method if name in inputs.attributions else None,
         )
         for name, points in inputs.boundaries.items()
@@ -119,8 +119,7 @@ def body(
     from mammometry.measure.trunk.body import find_body
 
     curves, frame = [curve.points_world for curve in boundaries], _frame(corrected_cameras, job)
-    settings = job.settings.measure.thorax
-    return find_body(repaired, frame, settings, boundaries=curves, stated=job.inputs.head_stated)
+    return find_body(repaired, frame, boundaries=curves, stated=job.inputs.head_stated)
 
 
 @product("measure", when=_has_volume, large=True)
@@ -140,7 +139,7 @@ def evidence(
 
     rig, scale_std = corrected_cameras.rig, job.inputs.scale_std
     return Evidence(
-        views=bounds(foregrounds, valid_patches.range_images, rig, job.settings.measure),
+        views=bounds(foregrounds, valid_patches.range_images, rig),
         earlier=earlier_errors(calibration) if scale_std is None else EarlierErrors(scale_std=scale_std),
         movement=None if stillness is None else movement_of(stillness, rig),
     )

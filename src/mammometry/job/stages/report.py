@@ -15,7 +15,7 @@ from mammometry.job.graph import Plan
 from mammometry.job.products import Key, Product, Stage
 from mammometry.job.stages import calibrate
 from mammometry.measure.volume.attribution import Attribution
-from mammometry.settings import Settings, as_table
+from mammometry.settings import Settings, key_table
 
 VERSIONS: Mapping[str, int] = MappingProxyType({"previews": 10, "content": 3, "report": 15})
 """Kind of page → version of its making. Raise it when a page changes for the same products."""
@@ -46,7 +46,7 @@ class PageInputs:
             stage="report",
             product="content",
             version=VERSIONS["content"],
-            settings={**as_table(self), "stage_seconds": dict(self.stage_seconds)},
+            settings={**key_table(self), "stage_seconds": dict(self.stage_seconds)},
             inputs={**(inputs or {}), **made},
         )
 

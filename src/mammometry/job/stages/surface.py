@@ -132,7 +132,7 @@ def solid(
         return None
     opened = occluders.without_occluded(foregrounds, occlusions)
     extraction = job.settings.surface.extract.of(job.inputs.subject_kind)
-    return extract.solid_of(valid_patches.range_images, opened, corrected_cameras.rig, extraction)
+    return extract.solid_of(valid_patches.range_images, opened, corrected_cameras.rig, extraction.rule)
 
 
 def _extraction(job: Context) -> object:
@@ -146,7 +146,7 @@ def initial_surface(valid_patches: ValidPatches, solid: Solid | None, *, job: Co
 
     extraction = job.settings.surface.extract.of(job.inputs.subject_kind)
     if solid is None:
-        return extract.extract_open(valid_patches.range_images, extraction, progress=job.progress)
+        return extract.extract_open(valid_patches.range_images, progress=job.progress)
     return extract.meshed(solid, extraction, progress=job.progress)
 
 
@@ -166,8 +166,8 @@ def model(corrected_cameras: CameraSet, repaired: RepairedSurface, *, job: Conte
     from mammometry.surface.texture import atlas_jpeg, unmeasured
     from mammometry.surface.texture import texture_atlas as atlas
 
-    settings, rig = job.settings.surface.texture, corrected_cameras.rig
-    covered = atlas.cover(repaired.mesh, job.inputs.photographs, rig, settings, progress=job.progress)
+    rig = corrected_cameras.rig
+    covered = atlas.cover(repaired.mesh, job.inputs.photographs, rig, progress=job.progress)
     return atlas_jpeg.as_jpeg(unmeasured.faded_atlas(covered, repaired))
 
 
@@ -176,5 +176,5 @@ def mesh(corrected_cameras: CameraSet, repaired: RepairedSurface, *, job: Contex
     """The repaired surface with a colour at each vertex."""
     from mammometry.surface.texture.texture import paint
 
-    textured = paint(repaired.mesh, job.inputs.photographs, corrected_cameras.rig, job.settings.surface.texture)
+    textured = paint(repaired.mesh, job.inputs.photographs, corrected_cameras.rig)
     return FinishedSurface(repaired=repaired, textured=textured)

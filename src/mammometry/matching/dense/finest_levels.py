@@ -26,6 +26,8 @@ from mammometry.matching.dense.vertical_disparity import Vertical, aligned
 from mammometry.matching.pyramid import Level, finer_shift
 from mammometry.matching.settings import MatchSettings
 
+DIRECTIONS_APART_PX = 0.5
+"""Largest disagreement between both matching directions, pixels of the finest level matched from both."""
 _BAND_ROWS = 384  # bounds memory: a full-size torso under a gigabyte (docs/decisions/0020)
 _HALO_ROWS = 64  # even; 4.4 σ of two passes of the widest smoothing
 
@@ -52,7 +54,7 @@ def refined(
     """The left picture's matches on the next finer level, by two steps."""
     shape = images[0].mask.shape
     sigma = settings.window_sigma_px
-    limit = settings.agreement_px * 2**coarse.halvings
+    limit = DIRECTIONS_APART_PX * 2**coarse.halvings
     known = upsampled_start(coarse.matches, coarse.shift, agreeing(coarse.shift, coarse.other, limit), shape)
     here, there = both(pool, prepare, (images[0], aligned(vertical, images[1], level)), (sigma, sigma))
     fine = Refined(
@@ -74,7 +76,7 @@ def refined(
         ours, theirs, other = _side(here, read), _side(there, read), fine.other[read]
 
         def stepped(shift: Float32[Array, "h w"], *, widely: bool) -> Estimate:
-            found = step(ours, theirs, shift, sigma, settings, widely=widely)
+            found = step(ours, theirs, shift, sigma, widely=widely)
             return judged(found, agreeing(found.shift, other, apart), part)
 
         found = stepped(part.shift, widely=False)

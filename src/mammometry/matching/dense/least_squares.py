@@ -22,6 +22,10 @@ from mammometry.matching.dense.vertical_disparity import LevelState, Vertical, a
 from mammometry.matching.pyramid import Level, finer_shift
 from mammometry.matching.settings import MatchSettings
 
+SMOOTHING_PX = (2.5, 4.0, 6.4, 10.2)
+"""Gaussian σ of the final plane fits, pixels of the finest level, fine to coarse. Each pixel takes a finer one as
+far as noise allows.
+"""
 AGREEMENT_PX = 1.0  # between the two directions, for a match to count in the smoothing; chosen by eye
 _START_DEVIATION_PX = 0.5  # of the semi-global start, pixels of its level; chosen by eye
 _YIELDS_AT = 4.0  # times the known match's standard deviation: a finer match less certain is dropped; chosen by eye
@@ -164,7 +168,7 @@ def _stepped(
     sigma = settings.window_sigma_px
 
     def one(here: Side, there: Side, shift: Float32[Array, "h w"]) -> Estimate:
-        return step(here, there, shift, sigma, settings, widely=widely)
+        return step(here, there, shift, sigma, widely=widely)
 
     found = both(pool, one, sides, (sides[1], sides[0]), shifts)
     agree = both(
@@ -193,7 +197,7 @@ def finally_smoothed(
         smoothing_weights(found.variance, found.plausible, mask),
         np.minimum(found.variance, _LARGEST_VARIANCE_PX2),
         settings.window_sigma_px,
-        settings.smoothing_px,
+        SMOOTHING_PX,
         _DETAIL_FACTOR,
         before,
     )

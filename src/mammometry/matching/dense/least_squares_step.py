@@ -14,8 +14,11 @@ from mammometry.matching.correlation_kernels import least_squares, mean_slope, s
 from mammometry.matching.dense.depth_layers import beside_jump, layered_least_squares
 from mammometry.matching.filters import blur, gaussian_taps
 from mammometry.matching.pyramid import Level
-from mammometry.matching.settings import MatchSettings
 
+LEAST_CORRELATION = 0.3
+"""Correlation below which a match is rejected (c of Eq. 1). It shows how much noise there is, not how far the match
+is off: accepted matches must still agree both ways and be certain enough.
+"""
 LEAST_MASS = 0.3  # of the window inside both subjects; chosen by eye
 FLAT_DEVIATION = 0.002  # luma (0…1) within a window: half a step of 8 bit; below, too flat to match
 _BAND_ROWS = 192  # bounds memory: a full-size torso under a gigabyte (docs/decisions/0020)
@@ -80,9 +83,7 @@ def prepare(level: Level, sigma_px: float) -> Side:
     return Side(image=image, coefficients=coefficients, mask=level.mask)
 
 
-def step(
-    here: Side, there: Side, shift: Float32[Array, "h w"], sigma_px: float, settings: MatchSettings, *, widely: bool
-) -> Estimate:
+def step(here: Side, there: Side, shift: Float32[Array, "h w"], sigma_px: float, *, widely: bool) -> Estimate:
     """Improve a direction's shifts by least squares once.
 
     Beside jumps of depth only neighbours on the pixel's own layer count. Where the match fails or is uncertain a window
@@ -105,7 +106,7 @@ def step(
     )
     for top in range(0, height, _BAND_ROWS):
         band = slice(top, min(top + _BAND_ROWS, height))
-        found = _step_of_band(warp, band, sigma_px, settings.least_correlation, widely=widely)
+        found = _step_of_band(warp, band, sigma_px, LEAST_CORRELATION, widely=widely)
         for name in Estimate.__dataclass_fields__:
             getattr(result, name)[band] = getattr(found, name)
     return result

@@ -8,7 +8,15 @@ import numpy as np
 from mammometry.base.errors import MatchingError
 from mammometry.geometry.arrays import Array, Bool
 from mammometry.matching.semiglobal.semiglobal_start import span_px
-from mammometry.matching.settings import MatchSettings
+
+START_SPAN_PX = 400.0
+"""Subject size (root of its area, pixels) below which semi-global matching starts: the finest such level. At half of
+it, folds and arms are taken for one surface. Memory grows with its third power.
+"""
+FINEST_SPAN_PX = 800.0
+"""Subject size (root of its area, pixels) above which a level is not matched from both pictures: on the photograph's
+own pixels optics leave little. One level coarser only left matches are made, which coarser right ones check.
+"""
 
 _FIRST_STEPS, _FURTHER_STEPS, _LAST_STEPS = 5, 4, 2
 """Least-squares steps on the coarsest, the middle and the last level solved from both pictures.
@@ -65,15 +73,12 @@ class Levels:
         return _LAST_STEPS if level == self.last_both else _FURTHER_STEPS
 
 
-def choose_levels(
-    pair_name: str, masks: Sequence[Bool[Array, "h w"]], settings: MatchSettings, *, empty: int = 0
-) -> Levels:
+def choose_levels(pair_name: str, masks: Sequence[Bool[Array, "h w"]], *, empty: int = 0) -> Levels:
     """Choose the levels by the size of the smaller subject and the sharpness of the softer picture.
 
     Args:
         pair_name: for the message.
         masks: the subject's pixels in both pictures.
-        settings: sizes from which levels are matched.
         empty: finest levels in which one of the pictures holds no details (`sharpness`): only noise is there.
 
     Raises:
@@ -88,7 +93,7 @@ def choose_levels(
             remedy="Check the foreground masks",
         )
     empty = max(0, min(empty, int(np.log2(span / _SOFT_SPAN_PX))))
-    last_both = max(empty, int(np.ceil(np.log2(span / settings.finest_span_px))))
+    last_both = max(empty, int(np.ceil(np.log2(span / FINEST_SPAN_PX))))
     calm = last_both + int(span / 2**last_both > _CALM_SPAN_PX)
-    coarsest = max(calm, int(np.ceil(np.log2(span / settings.start_span_px))))
+    coarsest = max(calm, int(np.ceil(np.log2(span / START_SPAN_PX))))
     return Levels(coarsest=coarsest, last_both=last_both, finest=max(empty, min(last_both, _FINEST_LEVEL)))

@@ -22,9 +22,16 @@ from mammometry.matching.dense.crop import (
     worth_matching,
 )
 from mammometry.matching.dense.depth_layers import without_specks
-from mammometry.matching.dense.finest_levels import Refined, refined
-from mammometry.matching.dense.least_squares import LevelStart, both, finally_smoothed, initial, solve_level, upsampled
-from mammometry.matching.dense.least_squares_step import Both
+from mammometry.matching.dense.finest_levels import DIRECTIONS_APART_PX, Refined, refined
+from mammometry.matching.dense.least_squares import (
+    LevelStart,
+    both,
+    finally_smoothed,
+    initial,
+    solve_level,
+    upsampled,
+)
+from mammometry.matching.dense.least_squares_step import LEAST_CORRELATION, Both
 from mammometry.matching.dense.levels import Levels, choose_levels
 from mammometry.matching.dense.texture_strength import unexplained, weak_texture
 from mammometry.matching.dense.vertical_disparity import Vertical, VerticalField
@@ -37,6 +44,14 @@ from mammometry.matching.semiglobal.semiglobal_start import start
 from mammometry.matching.settings import MatchSettings
 from mammometry.matching.sharpness import empty_levels
 
+SEARCH_SHARE = 0.25
+"""Range of the search, as a share of the subject's width, to either side of the shift between both silhouettes."""
+ERODE_PX = 2
+"""Pixels taken off the silhouette before matching. They are mixed with the backdrop and would spoil the rim."""
+LARGEST_SIGMA_PX = 1.0
+"""Standard deviation of one window's match above which it is rejected, pixels of the finest level. Half of it where
+noise does not explain what gain and offset leave over.
+"""
 _SIGMA_SCALE = 1.8  # expected σ over the smoothing's; captures of two renderers (error / σ in docs/decisions/0015)
 _SIGMA_SLOPE = 1.0  # … and so much more by slope²
 _DOUBT_SLOPE = 4.0  # a window on steep skin is doubted sooner, by 1 + 4·slope²; chosen by eye
@@ -166,10 +181,10 @@ def match(
 
 def prepare(pair: RectifiedPair, settings: MatchSettings, pool: Executor, progress: Progress) -> Start:
     """Build both pictures' levels, and start on the coarsest one."""
-    masks = [_eroded(mask, settings.erode_px) for mask in (pair.left_mask, pair.right_mask)]
+    masks = [_eroded(mask, ERODE_PX) for mask in (pair.left_mask, pair.right_mask)]
     pictures = (pair.left_image, pair.right_image)
     empty = max(both(pool, empty_levels, pictures, (masks[0], masks[1])))
-    levels = choose_levels(pair.name, masks, settings, empty=empty)
+    levels = choose_levels(pair.name, masks, empty=empty)
     left, right = both(
         pool,
         lambda image, mask: build(image, mask, levels.finest, levels.coarsest),
@@ -186,7 +201,7 @@ def prepare(pair: RectifiedPair, settings: MatchSettings, pool: Executor, progre
     return Start(
         levels=levels,
         images=tuple(zip(left, right, strict=True)),
-        known=initial(start(left[-1], right[-1], noise, settings.search_share), subject),
+        known=initial(start(left[-1], right[-1], noise, SEARCH_SHARE), subject),
         vertical=vertical,
     )
 
@@ -235,7 +250,7 @@ def _solve_both(begun: Start, settings: MatchSettings, pool: Executor, progress:
         solved = cut_solved(solved, window, first.level)
     for work in further:
         images = images[:-1]
-        known = upsampled(solved, settings.agreement_px, images[-1][0].mask.shape)
+        known = upsampled(solved, DIRECTIONS_APART_PX, images[-1][0].mask.shape)
         solved = solve_level(images[-1], work, known, solved.vertical, settings, pool)
         progress(begun.levels.share_done(work.level))
     subject = (images[-1][0].mask, images[-1][1].mask)
@@ -306,16 +321,16 @@ def _accept(name: str, found: Finest, settings: MatchSettings, pool: Executor) -
     """
     fine, matches, shift, sigma = found.matches, found.matches.matches, found.matches.shift, found.matches.variance
     window = settings.window_sigma_px
-    too_weak = pool.submit(weak_texture, found.image, matches, window, settings.largest_sigma_px)
+    too_weak = pool.submit(weak_texture, found.image, matches, window, LARGEST_SIGMA_PX)
     doubted = matches.variance * unexplained(found.image, matches, window)
     steep = squared_slope(shift)
     weak = too_weak.result()  # before the correlation is changed
     valid = (
         matches.plausible
-        & (matches.correlation > settings.least_correlation)
+        & (matches.correlation > LEAST_CORRELATION)
         & (np.abs(matches.step) < _LAST_STEP_PX)
-        & agreeing(shift, fine.other, settings.agreement_px * 2**fine.halvings)
-        & (np.sqrt(doubted) * (1 + _DOUBT_SLOPE * steep) < settings.largest_sigma_px)
+        & agreeing(shift, fine.other, DIRECTIONS_APART_PX * 2**fine.halvings)
+        & (np.sqrt(doubted) * (1 + _DOUBT_SLOPE * steep) < LARGEST_SIGMA_PX)
     )
     # What noise alone lets agree are small islands, most often beyond an outline; they hold too little to be confirmed.
     valid = without_specks(valid, round(_ISLAND_WINDOWS * 4 * np.pi * window**2))

@@ -67,7 +67,7 @@ def find_subjects(
         photograph = photographs[camera]
         blocks = blocks_of(photograph)
         own = [one for one in seeds if one.camera == camera]
-        return blocks, subject_blocks(photograph.name, blocks, settings, own)
+        return blocks, subject_blocks(photograph.name, blocks, own)
 
     wanted = [name for name in photographs if name not in given]
     with ThreadPoolExecutor(min(_AT_ONCE, available_cores())) as pool:

@@ -12,6 +12,11 @@ from scipy import ndimage
 
 from mammometry.geometry.arrays import Array, Bool, Float32
 
+BACKGROUND_MARGIN = 1.15
+"""Factor by which a subject pixel's red (sRGB-encoded) exceeds the brightest backdrop. A pixel with the subject's
+colour also counts, in pictures where colour separates the two.
+"""
+
 # Where no other source is named: chosen by eye on the captures of docs/decisions/0020.
 _RED = 0  # the channel in which skin and plaster are palest
 _SMALLEST_PART = 0.002  # of the largest part's area: smaller ones are specks and not subject
@@ -30,15 +35,12 @@ _LARGE_HOLE = 0.004  # of the subject: smaller ones are always its own
 _LIKE_BACKDROP = 0.15  # relative difference in red below which a large hole shows the backdrop
 
 
-def segment(
-    encoded: Float32[Array, "h w channels"], unit: float, background_margin: float
-) -> Bool[Array, "h w"] | None:
+def segment(encoded: Float32[Array, "h w channels"], unit: float) -> Bool[Array, "h w"] | None:
     """The subject's blocks, or None where nothing stands out.
 
     Args:
         encoded: means over blocks of sRGB-encoded values, 0…1; one channel or three.
         unit: blocks to a pixel of the reference size.
-        background_margin: the subject's red exceeds the brightest backdrop's this many times.
     """
     red = ndimage.gaussian_filter(encoded[..., _RED], 0.7 * unit, mode="nearest")
     threshold = _otsu(red)
@@ -67,7 +69,7 @@ def segment(
             backdrop &= ~coloured
         if backdrop.mean() < _FEWEST:
             break
-        level = background_margin * float(np.quantile(red[backdrop], 0.999))
+        level = BACKGROUND_MARGIN * float(np.quantile(red[backdrop], 0.999))
         # Before a backdrop that is nowhere as bright as the core, light alone is proof; elsewhere colour must be.
         like = coloured if coloured is not None and level > threshold else red > min(level, threshold)
         grown = ndimage.binary_propagation(core, mask=core | like if coloured is None else core | like | coloured)

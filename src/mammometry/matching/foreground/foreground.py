@@ -18,8 +18,11 @@ from mammometry.geometry.arrays import Array, Bool, Float32
 from mammometry.matching.foreground.block_segmentation import segment
 from mammometry.matching.foreground.seeded_segmentation import DepthSeeds, agreed
 from mammometry.matching.foreground.silhouette import block_means, sub_pixel_coverage
-from mammometry.matching.settings import ForegroundSettings
 
+CONTOUR_LEVEL = 0.4
+"""Coverage at which the silhouette lies, 0…1. A rim is turned away from the light and darker than the skin beside
+it: .5 was .1 to .3 px inside the true one in eight views of three subjects, .4 within .1 px.
+"""
 _REFERENCE_DIAGONAL_PX = 1353.0  # of the 1126 × 750 images, a quarter of the paper's, on which widths were measured
 _BLOCK_PX = 2.0  # pixels a block, at that size, for what needs no sub-pixel position; for speed
 _EVEN = 0.02  # difference of encoded values (sRGB), five of 255, that noise leaves in the blocks of an empty picture
@@ -66,21 +69,18 @@ def blocks_of(photograph: Photograph) -> Blocks:
     return Blocks(encoded=block_means(pixels, levels, step), step=step, unit=unit)
 
 
-def subject_blocks(
-    name: str, blocks: Blocks, settings: ForegroundSettings, seeds: Sequence[DepthSeeds]
-) -> Bool[Array, "h w"] | None:
+def subject_blocks(name: str, blocks: Blocks, seeds: Sequence[DepthSeeds]) -> Bool[Array, "h w"] | None:
     """Blocks that show the subject. None where nothing parts it from the rest.
 
     Args:
         name: of the photograph.
         blocks: its means.
-        settings: levels.
         seeds: what is near and what far by a coarse stereo of each pair that the camera is in.
 
     Raises:
         MatchingError: the photograph is black, or even all over.
     """
-    bright = segment(blocks.encoded, blocks.unit / blocks.step, settings.background_margin)
+    bright = segment(blocks.encoded, blocks.unit / blocks.step)
     subject = agreed(blocks.encoded, bright, seeds, blocks.step, blocks.unit / blocks.step)
     if subject is None:
         _refuse_empty(name, blocks.encoded)
@@ -90,7 +90,6 @@ def subject_blocks(
 def estimate_foreground(
     photograph: Photograph,
     camera_name: str,
-    settings: ForegroundSettings = ForegroundSettings(),
     *,
     given: Bool[Array, "h w"] | None = None,
     subject: Bool[Array, "H W"] | None = None,
@@ -100,7 +99,6 @@ def estimate_foreground(
     Args:
         photograph: the capture.
         camera_name: whose it is.
-        settings: levels.
         given: the subject's pixels, drawn or segmented elsewhere; overrules all else.
         subject: its blocks. None: no silhouette is known.
 
@@ -111,11 +109,11 @@ def estimate_foreground(
         return _from_mask(photograph, camera_name, given)
     if subject is None:
         whole = np.ones(photograph.pixels.shape[:2], dtype=np.float32)
-        return Foreground(camera=camera_name, coverage=whole, contour_level=settings.contour_level, everything=True)
+        return Foreground(camera=camera_name, coverage=whole, contour_level=CONTOUR_LEVEL, everything=True)
     unit = max(1.0, float(np.hypot(*photograph.size_wh)) / _REFERENCE_DIAGONAL_PX)
     step, pixels = round(_BLOCK_PX * unit), np.atleast_3d(photograph.pixels)
-    coverage = sub_pixel_coverage(pixels, linear_of(pixels.dtype), subject, step, unit, settings.contour_level)
-    return Foreground(camera=camera_name, coverage=coverage, contour_level=settings.contour_level, everything=False)
+    coverage = sub_pixel_coverage(pixels, linear_of(pixels.dtype), subject, step, unit, CONTOUR_LEVEL)
+    return Foreground(camera=camera_name, coverage=coverage, contour_level=CONTOUR_LEVEL, everything=False)
 
 
 def _refuse_empty(name: str, encoded: Float32[Array, "H W c"]) -> None:

@@ -31,11 +31,18 @@ from mammometry.measure.boundary.cast_rim import RimCandidates, rim_candidates
 from mammometry.measure.boundary.confirming import TO_BE_CONFIRMED
 from mammometry.measure.boundary.protocol import outline_by_protocol
 from mammometry.measure.boundary.trace import check_curve
-from mammometry.measure.landmarks.landmarks import picked_landmarks
+from mammometry.measure.landmarks.landmarks import PICKED_SIGMA_MM, picked_landmarks
 from mammometry.measure.settings import BaseRimSettings, MeasureSettings
 from mammometry.measure.solid.cut import above
 from mammometry.measure.trunk.body import rig_frame
 from mammometry.surface.repair.repair import Provenance, RepairedSurface
+
+RIM_RADIUS_SIGMA_MM = 0.14
+"""Standard uncertainty of that radius, mm. Hand-made rims may have anything from 0 to .5."""
+DRAWN_RIM_SIGMA_MM = 0.5
+"""Standard uncertainty of a cast's base along its normal if its rim was drawn by hand, mm. A rim is rounded by about
+as much, and a hand that follows it errs to both sides.
+"""
 
 BreastName = Literal["model", "left", "right"]
 """A cast is "model". A torso has the patient's own left and right breast."""
@@ -115,7 +122,7 @@ def find_boundaries(
     if subject_kind == "model":
         found = (_cast_boundary(surface, foregrounds, rig, rim_radius_mm, settings),)
     else:
-        found = outline_torso(surface, rig_frame(rig), settings).boundaries
+        found = outline_torso(surface, rig_frame(rig)).boundaries
     progress(1.0)
     return found
 
@@ -128,7 +135,7 @@ def _cast_boundary(
     settings: MeasureSettings,
 ) -> Boundary:
     """The curve in which a cast's base cuts the mesh."""
-    candidates = rim_candidates(surface, foregrounds, rig, settings.base_rim)
+    candidates = rim_candidates(surface, foregrounds, rig)
     measured = surface.provenance == Provenance.MEASURED
     seen = surface.mesh.vertices[measured] if measured.any() else surface.mesh.vertices
     viewer = -np.mean([camera.axis_world for camera in rig.cameras.values()], axis=0)
@@ -159,7 +166,7 @@ def _cast_boundary(
             "The cast is assumed to end at its rim, and its back, which no camera sees, to continue the rim"
         ),
         evidence_world=candidates.points_world[held],
-        sigma_mm=float(np.linalg.norm([found.sigma_mm(loop, rim), doubt_mm, _UNSEEN_SHARE * rim.rim_radius_sigma_mm])),
+        sigma_mm=float(np.linalg.norm([found.sigma_mm(loop), doubt_mm, _UNSEEN_SHARE * RIM_RADIUS_SIGMA_MM])),
     )
 
 
@@ -190,15 +197,15 @@ def find_base(
     plane = adjust_base(rough.plane, candidates, bend=False)
     cylinder = adjust_base(rough.cylinder, candidates, bend=True)
     tried: list[AdjustedBase] = []
-    whole = leaving_whole([plane, cylinder], surface_points, settings)
+    whole = leaving_whole([plane, cylinder], surface_points)
     if min(_disagreement(each, _FINEST_PX) for each in whole) > _AGREED_PX**2:
-        tried = _ways_to_fit(plane, rough.cylinder, candidates, surface_points, settings)
+        tried = _ways_to_fit(plane, rough.cylinder, candidates, surface_points)
         cylinder = adjust_base(tried[0].base, candidates, bend=True)
     best = min(plane.scale_px, cylinder.scale_px)
     flat, bent = (_disagreement(each, best) for each in (plane, cylinder))
     curved = cylinder.base.curvature_per_mm * cylinder.extent_mm**2 / 2 > _FLAT_MM
     found, other = (cylinder, plane) if curved and flat > BEND_GAIN * bent else (plane, cylinder)
-    whole = leaving_whole([found, other], surface_points, settings)
+    whole = leaving_whole([found, other], surface_points)
     found = whole[0]
     middle = np.median(surface_points, axis=0)
     sectors = sectors_held(candidates.points_world[found.weights > _HELD], middle, found.base, SECTORS)
@@ -217,7 +224,6 @@ def _ways_to_fit(
     cylinder: Base,
     candidates: RimCandidates,
     surface_points: Float64[Array, "m 3"],
-    settings: BaseRimSettings,
 ) -> list[AdjustedBase]:
     """Cylinders on which the cameras nearly agree, the best first.
 
@@ -241,12 +247,10 @@ def _ways_to_fit(
             base = settled[-1].base
     settled.sort(key=disagreement)
     tried = [adjusted(start, bend=True) for start in (cylinder, *(each.base for each in settled[:_FINISHED]))]
-    return sorted(leaving_whole(tried, surface_points, settings), key=disagreement)
+    return sorted(leaving_whole(tried, surface_points), key=disagreement)
 
 
-def leaving_whole(
-    tried: list[AdjustedBase], surface_points: Float64[Array, "m 3"], settings: BaseRimSettings = BaseRimSettings()
-) -> list[AdjustedBase]:
+def leaving_whole(tried: list[AdjustedBase], surface_points: Float64[Array, "m 3"]) -> list[AdjustedBase]:
     """Bases that cut off no more measured surface than the best one. The surface is in mm, world frame."""
     below = [float((each.base.height(surface_points) < -INLIER_MM).mean()) for each in tried]
     return [each for each, cut in zip(tried, below, strict=True) if cut <= min(below) + _CUT_SHARE]
@@ -273,7 +277,6 @@ class TorsoSides:
 def outline_torso(
     surface: RepairedSurface,
     frame: Float64[Array, "3 3"],
-    settings: MeasureSettings = MeasureSettings(),
     *,
     head_stated: bool = False,
 ) -> TorsoSides:
@@ -282,13 +285,12 @@ def outline_torso(
     Args:
         surface: the closed, repaired mesh; world frame, mm.
         frame: patient's left, head, straight ahead (rows), roughly.
-        settings: tolerances.
         head_stated: whether the user said where the head is.
 
     Raises:
         MeasureError: see `find_breasts`.
     """
-    breasts = find_breasts(surface, frame, settings.breast, settings.thorax, head_stated=head_stated)
+    breasts = find_breasts(surface, frame, head_stated=head_stated)
     names: tuple[Literal["left", "right"], ...] = ("left", "right")
     sides = {name: getattr(breasts, name) for name in names}
     return TorsoSides(
@@ -334,8 +336,8 @@ def landmark_boundaries(
     Raises:
         MeasureError: landmarks are missing, lie off the surface, on the wrong side or not around a breast.
     """
-    marks = picked_landmarks(picked, surface.mesh, frame, sigma_mm=settings.picked_sigma_mm)
-    found = outline_by_protocol(marks, surface, frame, settings.protocol_join, settings.thorax)
+    marks = picked_landmarks(picked, surface.mesh, frame, sigma_mm=PICKED_SIGMA_MM)
+    found = outline_by_protocol(marks, surface, frame, settings.protocol_join)
     names: tuple[BreastName, ...] = ("left", "right")
     return tuple(
         Boundary(name=name, points_world=found[name].points_world, method=found[name].definition)

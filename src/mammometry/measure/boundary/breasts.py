@@ -14,8 +14,7 @@ from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.nearest import closest_on_mesh
 from mammometry.measure.boundary.crease import CREASE_PER_MM, Crease, follow_crease
 from mammometry.measure.boundary.middles import Middle, SideName, breast_middles
-from mammometry.measure.boundary.standing import Standing, Verdict, standing_out
-from mammometry.measure.settings import BreastSettings, ThoraxSettings
+from mammometry.measure.boundary.standing import LEAST_CREASED, LOW_CREASED, Standing, Verdict, standing_out
 from mammometry.measure.trunk.body import Body, find_body
 from mammometry.measure.trunk.head import check_head, head_signs
 from mammometry.measure.trunk.skin_map import PIXEL_MM, Relief, dense_samples, lay_flat
@@ -100,8 +99,6 @@ class Breasts:
 def find_breasts(
     surface: RepairedSurface,
     frame: Float64[Array, "3 3"],
-    settings: BreastSettings = BreastSettings(),
-    thorax_settings: ThoraxSettings = ThoraxSettings(),
     *,
     head_stated: bool = False,
 ) -> Breasts:
@@ -112,8 +109,6 @@ def find_breasts(
     Args:
         surface: the repaired mesh, world frame, mm.
         frame: patient's left, head, straight ahead (rows), roughly.
-        settings: what a breast is and where it ends.
-        thorax_settings: how the trunk is described.
         head_stated: whether the user said where the head is: then no sign of the body contradicts it.
 
     Raises:
@@ -121,9 +116,9 @@ def find_breasts(
             seen, or its head is where the cameras have the feet.
     """
     skin = seen_skin(surface)
-    body = find_body(surface, frame, thorax_settings, skin=skin, stated=head_stated)
-    thorax, relief, middles = _trunk_beside(surface, skin, body, thorax_settings)
-    sides = _sides(relief, thorax.trunk, middles, settings)
+    body = find_body(surface, frame, skin=skin, stated=head_stated)
+    thorax, relief, middles = _trunk_beside(surface, skin, body)
+    sides = _sides(relief, thorax.trunk, middles)
     outlined = [side.crease for side in sides.values() if side.verdict == "breast"]
     signs = head_signs(skin, thorax.trunk, [fuller_below(crease, relief) for crease in outlined])
     head = check_head(signs, stated=head_stated)
@@ -131,7 +126,7 @@ def find_breasts(
     refused: list[MeasureError] = []
     for name, side in sides.items():
         try:
-            results[name] = _result(name, side, relief, thorax, surface, settings)
+            results[name] = _result(name, side, relief, thorax, surface)
         except MeasureError as error:
             refused.append(error)
             place = _on_skin(side.middle[None], relief, thorax, surface.mesh)[0]
@@ -153,7 +148,7 @@ class _Side:
 
 
 def _trunk_beside(
-    surface: RepairedSurface, skin: Skin, body: Body, settings: ThoraxSettings
+    surface: RepairedSurface, skin: Skin, body: Body
 ) -> tuple[Thorax, Relief, dict[SideName, Middle | None]]:
     """Find the trunk and what stands out from it like a breast, each from the other."""
     samples = dense_samples(surface.mesh.submesh(seen_faces(surface)))
@@ -163,15 +158,14 @@ def _trunk_beside(
     between_mm: float | None = None
     frame = body.frame
     for _ in range(_ROUNDS):
-        trunk = find_trunk(skin, frame, settings, height_of=height_of, middle_of=middle_of)
+        trunk = find_trunk(skin, frame, height_of=height_of, middle_of=middle_of)
         thorax = fit_thorax(
             trunk,
             skin.chosen(outside),
-            settings,
             breasts_left_out=not outside.all(),
             breastbone_mm=between_mm,
         )
-        relief = lay_flat(thorax, samples, settings)
+        relief = lay_flat(thorax, samples)
         middles = breast_middles(relief, trunk)
         domes = sorted((each for each in middles.values() if each is not None), key=lambda each: -each.roundness_per_mm)
         if not domes:
@@ -196,9 +190,7 @@ def _between_mm(middles: dict[SideName, Middle | None]) -> float:
     return 0.0 if left is None or right is None else float(left.flat[0] + right.flat[0]) / 2
 
 
-def _sides(
-    relief: Relief, trunk: Trunk, middles: dict[SideName, Middle | None], settings: BreastSettings
-) -> dict[SideName, _Side]:
+def _sides(relief: Relief, trunk: Trunk, middles: dict[SideName, Middle | None]) -> dict[SideName, _Side]:
     found: dict[SideName, _Side] = {}
     between_mm = _between_mm(middles)
     widest_mm = _WIDEST_RAD * trunk.half_width_mm
@@ -215,17 +207,15 @@ def _sides(
             found[name] = _Side(middle=place, crease=empty, standing=None, verdict="none")
             continue
         ends = sorted((between_mm + sign * _MIDLINE_MM, between_mm + sign * widest_mm))
-        crease = follow_crease(
-            relief, middle.flat, settings, side=name, base_mm=middle.base_mm, between_mm=(ends[0], ends[1])
-        )
+        crease = follow_crease(relief, middle.flat, side=name, base_mm=middle.base_mm, between_mm=(ends[0], ends[1]))
         creased = float((crease.concavity_per_mm > CREASE_PER_MM).mean())
         standing = standing_out(relief, _pixels_within(relief, crease.flat), creased)
-        found[name] = _Side(middle=middle.flat, crease=crease, standing=standing, verdict=standing.verdict(settings))
+        found[name] = _Side(middle=middle.flat, crease=crease, standing=standing, verdict=standing.verdict())
     for name, side in found.items():
         other = found[_OTHER[name]]
         if side.verdict == "unclear" and side.standing is not None and other.verdict == "breast":
             astray_mm = float(np.linalg.norm(side.middle - other.middle * [-1.0, 1.0]))
-            found[name] = replace(side, verdict=side.standing.verdict(settings, astray_mm))
+            found[name] = replace(side, verdict=side.standing.verdict(astray_mm))
     return found
 
 
@@ -267,7 +257,6 @@ def _result(
     relief: Relief,
     thorax: Thorax,
     surface: RepairedSurface,
-    settings: BreastSettings,
 ) -> Outline | NoBreast:
     """A side's outline on the skin, or that it has none.
 
@@ -279,9 +268,9 @@ def _result(
         return NoBreast(name=name, place_world=place, standing=side.standing, why=_why_none(side.standing))
     crease = side.crease
     assert side.standing is not None  # else it is none
-    creased = creased_share(crease, name, settings)
+    creased = creased_share(crease, name)
     if side.verdict == "unclear":
-        raise _no_crease(creased, name, settings.low_creased)
+        raise _no_crease(creased, name, LOW_CREASED)
     _check_base(crease.flat, name, thorax.trunk)
     flat = crease.flat
     below = np.arange(len(flat)) / len(flat)  # of a turn, from the patient's left by the head
@@ -379,15 +368,15 @@ def fuller_below(crease: Crease, relief: Relief) -> float:
     return float(np.clip((below - above) / max(below + above, 1e-9) / 2 + 2 * sunk, -1.0, 1.0))
 
 
-def creased_share(crease: Crease, name: str, settings: BreastSettings = BreastSettings()) -> float:
+def creased_share(crease: Crease, name: str) -> float:
     """Share of a curve along which there is a crease.
 
     Raises:
         MeasureError: it is too little to say where the breast ends.
     """
     creased = float((crease.concavity_per_mm > CREASE_PER_MM).mean())
-    if creased < settings.least_creased:
-        raise _no_crease(creased, name, settings.least_creased)
+    if creased < LEAST_CREASED:
+        raise _no_crease(creased, name, LEAST_CREASED)
     return creased
 
 

@@ -15,9 +15,10 @@ from scipy.ndimage import gaussian_filter1d
 from mammometry.base.value import value
 from mammometry.geometry.arrays import Array, Bool, Float64
 from mammometry.measure.boundary.closed_path import best_paths, gathered, spread_steps
-from mammometry.measure.settings import BreastSettings
 from mammometry.measure.trunk.skin_map import PIXEL_MM, Relief
 
+FARTHEST_BORDER_MM = 140.0
+"""Farthest a boundary lies from the breast's middle, mm."""
 CREASE_PER_MM = 0.01
 """Concavity from which the skin has a crease, 1/mm, twice a mean curvature. A chest has below .005, a fold .1 to 1."""
 DIRECTIONS = 144  # from the breast's middle in which its end is looked for, 2.5° apart
@@ -79,7 +80,6 @@ class Crease:
 def follow_crease(
     relief: Relief,
     middle: Float64[Array, 2],
-    settings: BreastSettings = BreastSettings(),
     *,
     side: Literal["left", "right"] = "left",
     base_mm: float = 130.0,
@@ -97,14 +97,13 @@ def follow_crease(
     Args:
         relief: the skin laid flat.
         middle: the breast's middle on it, mm.
-        settings: how far out the border may lie.
         side: of the patient.
         base_mm: root of the area of its base, roughly, mm.
         between_mm: the border lies between these places around the trunk, half width × θ.
     """
     angles = np.arange(DIRECTIONS) * 2 * np.pi / DIRECTIONS
     rays = np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    steps = np.arange(_STEP_MM, settings.reach_mm, _STEP_MM)
+    steps = np.arange(_STEP_MM, FARTHEST_BORDER_MM, _STEP_MM)
     unlike = _unlike(steps, angles if side == "left" else np.pi - angles)
     size_cost = _SIZE_COST * (np.log(_SIZES_MM / base_mm) / _SIZE_SCATTER) ** 2
     bulge_mm, concavity_per_mm = relief.smooth_mm(_SIGMA_MM), relief.concavity_per_mm(_SIGMA_MM)

@@ -19,7 +19,7 @@ from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.nearest import closest_on_mesh
 from mammometry.measure.landmarks.geodesic import geodesic
 from mammometry.measure.landmarks.landmarks import Landmark
-from mammometry.measure.settings import ProtocolJoin, ThoraxSettings
+from mammometry.measure.settings import ProtocolJoin
 from mammometry.measure.trunk.skin_map import Relief, dense_samples, lay_flat
 from mammometry.measure.trunk.thorax import Thorax, find_trunk, fit_thorax, seen_faces, seen_skin
 from mammometry.surface.repair.repair import RepairedSurface
@@ -54,7 +54,6 @@ def outline_by_protocol(
     surface: RepairedSurface,
     frame: Float64[Array, "3 3"],
     join: ProtocolJoin = "arc",
-    settings: ThoraxSettings = ThoraxSettings(),
 ) -> dict[str, ProtocolOutline]:
     """Draw the boundary of every side whose landmarks are there.
 
@@ -63,7 +62,6 @@ def outline_by_protocol(
         surface: the repaired mesh, mm, world frame.
         frame: patient's left, head, straight ahead (rows), roughly.
         join: how the landmarks are joined.
-        settings: how the trunk is described.
 
     Returns:
         ``left``, ``right`` → its outline.
@@ -84,9 +82,9 @@ def outline_by_protocol(
         )
     ends = np.concatenate([places[f"{name}_{side}"] for side in sides for name in ("medial", "lateral")])
     skin = seen_skin(surface)
-    trunk = find_trunk(skin, frame, settings, height_of=ends.mean(axis=0))
-    thorax = fit_thorax(trunk, skin, settings, breasts_left_out=False)
-    relief = lay_flat(thorax, dense_samples(surface.mesh.submesh(seen_faces(surface))), settings)
+    trunk = find_trunk(skin, frame, height_of=ends.mean(axis=0))
+    thorax = fit_thorax(trunk, skin, breasts_left_out=False)
+    relief = lay_flat(thorax, dense_samples(surface.mesh.submesh(seen_faces(surface))))
     return {side: _outline(side, places, thorax, relief, surface.mesh, join) for side in sides}
 
 

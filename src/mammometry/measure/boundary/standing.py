@@ -10,8 +10,26 @@ from scipy.sparse import coo_matrix, identity
 from scipy.sparse.linalg import spsolve
 
 from mammometry.geometry.arrays import Array, Bool
-from mammometry.measure.settings import BreastSettings
 from mammometry.measure.trunk.skin_map import PIXEL_MM, Relief
+
+FEWEST_MM = 8.0
+"""A breast stands out at least this far from the skin along its outline, mm. If nothing does, there is no breast on
+that side.
+"""
+PLAIN_MM = 24.0
+"""Height over the skin along its outline above which something is a breast even without a crease around all of it,
+mm.
+"""
+LOW_CREASED = 0.9
+"""Share of the outline that must run in a crease for something as low as `FEWEST_MM` to be a breast, and not the
+chest's own form. In between the share is interpolated.
+"""
+CHEST_MM = 6.0
+"""Mean height up to which something without a crease around nearly all of it is the chest's own form, mm. Chests
+without a breast have 3 to 5.4 beside the armpit, mounds from 80 cc on 8 or more (docs/decisions/0026).
+"""
+LEAST_CREASED = 0.4
+"""Share of the boundary that must run in a crease. With less, no boundary is proposed."""
 
 Verdict: TypeAlias = Literal["breast", "none", "unclear"]
 
@@ -42,7 +60,7 @@ class Standing:
         """Mean height over the base, mm."""
         return 10 * self.volume_cc / max(self.area_cm2, 1e-9)
 
-    def verdict(self, settings: BreastSettings = BreastSettings(), astray_mm: float | None = None) -> Verdict:
+    def verdict(self, astray_mm: float | None = None) -> Verdict:
         """What it is.
 
         What stands out little on average, without a crease around nearly all of it, is the chest's own form if it lies
@@ -50,17 +68,16 @@ class Standing:
         most where no other breast tells its place. What is neither is unclear.
 
         Args:
-            settings: what a breast is.
             astray_mm: how far it lies from the mirrored middle of the other side's breast, mm; None if there is none.
         """
-        if self.top_mm < settings.fewest_mm:
+        if self.top_mm < FEWEST_MM:
             return "none"
         mirrored = astray_mm is not None and astray_mm <= _ELSEWHERE_MM
-        low_creased = min(_MIRRORED_CREASED, settings.low_creased) if mirrored else settings.low_creased
-        if self.mean_mm < settings.chest_mm and self.creased < low_creased:
+        low_creased = min(_MIRRORED_CREASED, LOW_CREASED) if mirrored else LOW_CREASED
+        if self.mean_mm < CHEST_MM and self.creased < low_creased:
             return "none" if astray_mm is not None and not mirrored else "unclear"
-        share = np.clip((settings.plain_mm - self.top_mm) / (settings.plain_mm - settings.fewest_mm), 0.0, 1.0)
-        if self.creased >= settings.least_creased + share * (low_creased - settings.least_creased):
+        share = np.clip((PLAIN_MM - self.top_mm) / (PLAIN_MM - FEWEST_MM), 0.0, 1.0)
+        if self.creased >= LEAST_CREASED + share * (low_creased - LEAST_CREASED):
             return "breast"
         return "unclear"
 

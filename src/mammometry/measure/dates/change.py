@@ -19,13 +19,17 @@ from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.nearest import point_tree
 from mammometry.measure.dates.trunk_fit import TrunkFit, fit_trunks, trunk_of
-from mammometry.measure.settings import CompareSettings, MeasureSettings, ThoraxSettings
+from mammometry.measure.settings import CompareSettings
 from mammometry.measure.shape.lengths import LinearMeasure
 from mammometry.measure.shape.symmetry import rms_mm, signed_mm
 from mammometry.measure.volume.difference import Pairing, VolumeDifference, difference
 from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.surface.repair.repair import Provenance, RepairedSurface
 
+SAME_POSE_MM = 0.8
+"""Trunks that agree to this stand in one pose, mm. Measured skin has .1 to .3. Arms and breath add a millimetre."""
+SAME_POSE_DEG = 4.0
+"""Difference in lean above which poses count as different, because breasts hang differently, degrees."""
 _COVERAGE_95 = 1.96  # standard deviations of a normal distribution on either side that hold 95 %
 EARLIER, LATER = "before", "after"
 """What the two dates are called."""
@@ -107,7 +111,6 @@ def compare(
     before: Visit,
     after: Visit,
     settings: CompareSettings = CompareSettings(),
-    measure: MeasureSettings = MeasureSettings(),
     *,
     common_scale: bool = True,
     progress: Progress = no_progress,
@@ -118,7 +121,6 @@ def compare(
         before: the earlier date.
         after: the later date.
         settings: when trunks agree.
-        measure: the errors that walls of one kind do not share between dates, and how a trunk is described.
         common_scale: whether both dates' scale comes from one target as it was measured once.
         progress: called with the fraction done.
 
@@ -126,7 +128,7 @@ def compare(
         MeasureError: no breast has a volume at both dates, walls of different kinds, or trunks that are not one body's.
     """
     pairs = _paired(before, after)
-    fit = _fit(before, after, measure.thorax)
+    fit = _fit(before, after)
     pairing, doubtful = judged(fit, settings)
     progress(0.3)
     laid = after.surface.mesh.transformed(fit.before_from_after)
@@ -141,7 +143,7 @@ def compare(
                 name=pair.name,
                 before=pair,
                 after=other,
-                volume=difference(other, pair, pairing, measure, names=(LATER, EARLIER), common_scale=common_scale),
+                volume=difference(other, pair, pairing, names=(LATER, EARLIER), common_scale=common_scale),
                 rms_mm=_rms_mm(other, after.surface, after_mm),
             )
             for pair, other in pairs
@@ -165,7 +167,7 @@ def judged(fit: TrunkFit, settings: CompareSettings = CompareSettings()) -> tupl
             remedy="Check that both sessions show the same patient in about the same pose, arms and breath alike; "
             "compare.refuse_mm sets the limit",
         )
-    same = fit.within_mm <= settings.same_pose_mm and fit.turned_deg <= settings.same_pose_deg
+    same = fit.within_mm <= SAME_POSE_MM and fit.turned_deg <= SAME_POSE_DEG
     pairing: Pairing = "same pose" if same else "across poses"
     return pairing, fit.within_mm > settings.doubt_mm
 
@@ -237,15 +239,15 @@ def _listed(names: Iterable[str]) -> str:
     return " and ".join(names) or "none"
 
 
-def _fit(before: Visit, after: Visit, settings: ThoraxSettings) -> TrunkFit:
+def _fit(before: Visit, after: Visit) -> TrunkFit:
     """Lay the later trunk onto the earlier one, without what is a breast at either date."""
     curves = [
         {measurement.name: measurement.boundary_world for measurement in visit.measurements}
         for visit in (before, after)
     ]
     fit = fit_trunks(
-        trunk_of(before.surface, list(curves[0].values()), before.frame, settings),
-        trunk_of(after.surface, list(curves[1].values()), after.frame, settings),
+        trunk_of(before.surface, list(curves[0].values()), before.frame),
+        trunk_of(after.surface, list(curves[1].values()), after.frame),
     )
     motion = fit.before_from_after
     gone = {name: motion.inverse().apply(curve) for name, curve in curves[0].items() if name not in curves[1]}
@@ -253,8 +255,8 @@ def _fit(before: Visit, after: Visit, settings: ThoraxSettings) -> TrunkFit:
     if not gone and not new:
         return fit
     return fit_trunks(
-        trunk_of(before.surface, [*curves[0].values(), *new.values()], before.frame, settings),
-        trunk_of(after.surface, [*curves[1].values(), *gone.values()], after.frame, settings),
+        trunk_of(before.surface, [*curves[0].values(), *new.values()], before.frame),
+        trunk_of(after.surface, [*curves[1].values(), *gone.values()], after.frame),
     )
 
 

@@ -17,10 +17,9 @@ from mammometry.base.value import value
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.nearest import point_tree
 from mammometry.geometry.transform import Transform
-from mammometry.measure.settings import ThoraxSettings
 from mammometry.measure.shape.symmetry import trunk_skin
 from mammometry.measure.trunk.register import Registration, register
-from mammometry.measure.trunk.thorax import Trunk, find_trunk, on_trunk, seen_skin
+from mammometry.measure.trunk.thorax import HEIGHT_WINDOW_MM, WIDEST_DEG, Trunk, find_trunk, on_trunk, seen_skin
 from mammometry.surface.repair.repair import RepairedSurface
 
 _FIXED = 60_000  # points of the earlier trunk; chosen for speed
@@ -63,7 +62,6 @@ def trunk_of(
     surface: RepairedSurface,
     boundaries: Sequence[Float64[Array, "_ 3"]],
     frame: Float64[Array, "3 3"],
-    settings: ThoraxSettings = ThoraxSettings(),
 ) -> TrunkSkin:
     """Cut the trunk's skin out of a torso.
 
@@ -71,13 +69,12 @@ def trunk_of(
         surface: the whole torso, world frame, mm.
         boundaries: around the breasts.
         frame: rows: the patient's left, the head, straight ahead, roughly, as the photographs stand.
-        settings: how far the trunk reaches.
 
     Raises:
         MeasureError: no skin was seen at the patient's sides.
     """
     middle = np.mean([boundary.mean(axis=0) for boundary in boundaries], axis=0)
-    trunk = find_trunk(seen_skin(surface), frame, settings, height_of=middle)
+    trunk = find_trunk(seen_skin(surface), frame, height_of=middle)
     if trunk.assumed:
         raise MeasureError(
             "torso",
@@ -87,8 +84,8 @@ def trunk_of(
         )
     points, normals = trunk_skin(surface, boundaries)
     flat = trunk.cylindrical(points)
-    keep = on_trunk(flat, trunk) & (np.abs(flat[:, 1]) < settings.height_window_mm)
-    keep &= np.abs(flat[:, 0]) < np.deg2rad(settings.widest_deg) * trunk.half_width_mm
+    keep = on_trunk(flat, trunk) & (np.abs(flat[:, 1]) < HEIGHT_WINDOW_MM)
+    keep &= np.abs(flat[:, 0]) < np.deg2rad(WIDEST_DEG) * trunk.half_width_mm
     return TrunkSkin(points_world=points[keep], normals_world=normals[keep], trunk=trunk, frame=frame)
 
 

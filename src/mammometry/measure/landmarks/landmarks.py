@@ -16,6 +16,8 @@ from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.nearest import closest_on_mesh
 
+PICKED_SIGMA_MM = 2.0
+"""Standard uncertainty of a picked landmark along the skin, mm. Repeated picks on 3D scans scatter by 1 to 3."""
 _OFF_SURFACE_MM = 10.0  # farther off, a landmark was picked on another surface or in another unit; chosen by eye
 _WRONG_SIDE_MM = 5.0  # a landmark may lie this far beyond the middle, which is not known better; chosen by eye
 

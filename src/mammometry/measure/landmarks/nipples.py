@@ -15,7 +15,35 @@ from mammometry.geometry.arrays import Array, Bool, Float64, UInt8
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.nearest import point_tree
 from mammometry.measure.landmarks.landmarks import Landmark
-from mammometry.measure.settings import NippleSettings
+
+_MARGIN_MM = 15.0
+"""Nipples are not looked for nearer to the boundary than this, mm."""
+_AREOLA_CONTRAST = 0.05
+"""Least difference of ln(R/G), in linear light, between the areola and the skin around it. Pale areolae have .1."""
+_LEAST_TIP_MM = 1.2
+"""Least height of a nipple above the ring of skin 8 to 14 mm around it, beyond that of the skin up to 36 mm away,
+mm. A round breast has up to .5, a nipple 2 to 5.
+"""
+_TIP_SIGMA_MM = 2.5
+"""Standard uncertainty of a tip within an areola, mm. It was 2.6 and 3.2 mm off on a virtual torso at .15 of full
+size.
+"""
+_AREOLA_SIGMA_MM = 4.0
+"""Standard uncertainty of the middle of an areola without a tip, mm."""
+_APEX_TIP_SIGMA_MM = 4.0
+"""Standard uncertainty of a tip where no areola is seen, mm."""
+_AREOLA_TIP_PROBABILITY = 0.98
+"""Probability that a tip within an areola's colour is a nipple. This and the next three chosen by eye."""
+_AREOLA_PROBABILITY = 0.9
+"""Of an areola's colour without a tip."""
+_TIP_PROBABILITY = 0.6
+"""Probability that a tip without an areola's colour is a nipple: it may be a reconstructed nipple, a scan without
+colours, or a scar.
+"""
+_APEX_PROBABILITY = 0.1
+"""Of the most projecting point, where neither is seen."""
+_APEX_SIGMA_MM = 12.0
+"""Standard uncertainty of the most projecting point as a nipple, mm: little more than a guess."""
 
 # All of these were chosen by eye.
 _SAMPLE_MM = 2.5  # one vertex is taken in every cube of this side
@@ -59,7 +87,6 @@ def propose_nipple(
     skin: TriangleMesh,
     colours: UInt8[Array, "n 3"],
     boundary_world: Float64[Array, "b 3"],
-    settings: NippleSettings = NippleSettings(),
 ) -> Landmark | None:
     """Find the nipple of one breast.
 
@@ -68,28 +95,27 @@ def propose_nipple(
         skin: the breast's skin within its boundary, open, mm, world frame.
         colours: colour of each vertex, sRGB. Without any contrast the shape alone decides.
         boundary_world: the breast's boundary, mm.
-        settings: what counts as an areola and as a tip.
 
     Returns:
         The proposal near the skin, how it was found, how well, and how probably it is a nipple. None if the piece of
         skin is too small to tell.
     """
     samples = _sampled(skin, colours, boundary_world)
-    inner = samples.edge_mm > settings.margin_mm
+    inner = samples.edge_mm > _MARGIN_MM
     if inner.sum() < _FEWEST:
         return None
     protrusion = _protrusion(samples)
-    areola = _areola(samples, inner, settings)
+    areola = _areola(samples, inner)
     if areola is not None:
         near = inner & (np.linalg.norm(samples.points - areola, axis=1) < _NEAR_TIP_MM)
-        tip = _tip(samples, protrusion, near, settings.tip_mm)
+        tip = _tip(samples, protrusion, near, _LEAST_TIP_MM)
         if tip is not None:
             how = "half way between the middle of the areola's colour and the tip within it"
-            place, sigma = tip + _along_skin(samples, tip, (areola - tip) / 2), settings.tip_sigma_mm
-            probability = settings.areola_tip_probability
+            place, sigma = tip + _along_skin(samples, tip, (areola - tip) / 2), _TIP_SIGMA_MM
+            probability = _AREOLA_TIP_PROBABILITY
         else:
-            how, place, sigma = "middle of the areola's colour; no tip stands out", areola, settings.areola_sigma_mm
-            probability = settings.areola_probability
+            how, place, sigma = "middle of the areola's colour; no tip stands out", areola, _AREOLA_SIGMA_MM
+            probability = _AREOLA_PROBABILITY
     else:
         centre = boundary_world.mean(axis=0)
         normal = np.linalg.svd(boundary_world - centre, full_matrices=False)[2][2]
@@ -98,16 +124,16 @@ def propose_nipple(
         apex = samples.points[np.argmax(np.where(inner, height, -np.inf))]
         near = inner & (height > _HEIGHT * height.max())
         near &= np.linalg.norm(samples.points - apex, axis=1) < _NEAR_APEX_MM
-        tip = _tip(samples, protrusion, near, settings.tip_mm)
+        tip = _tip(samples, protrusion, near, _LEAST_TIP_MM)
         if tip is not None:
             how, place = "the tip near the most projecting point; no areola in the colours", tip
-            sigma, probability = settings.apex_tip_sigma_mm, settings.tip_probability
+            sigma, probability = _APEX_TIP_SIGMA_MM, _TIP_PROBABILITY
         else:
-            probability = settings.apex_probability
+            probability = _APEX_PROBABILITY
             how, place, sigma = (
                 "the most projecting point; neither areola nor tip is seen",
                 apex,
-                settings.apex_sigma_mm,
+                _APEX_SIGMA_MM,
             )
     return Landmark(
         name=name,
@@ -162,14 +188,14 @@ def _mean(
     return np.where(count[:, None] > 0, sums / np.maximum(count, 1)[:, None], values)
 
 
-def _areola(samples: _Samples, inner: Bool[Array, " n"], settings: NippleSettings) -> Float64[Array, 3] | None:
+def _areola(samples: _Samples, inner: Bool[Array, " n"]) -> Float64[Array, 3] | None:
     """Middle of a disc that is redder than the ring around it. None if none stands out from the scatter."""
     redness = samples.redness[:, None]
     contrast = (_mean(samples, redness, _DISC_MM) - _mean(samples, redness, _RING_MM[1], _RING_MM[0]))[:, 0]
     middle = float(np.median(contrast[inner]))
     scatter = 1.4826 * float(np.median(np.abs(contrast[inner] - middle)))
     best = int(np.argmax(np.where(inner, contrast, -np.inf)))
-    if contrast[best] - middle < max(settings.areola_contrast, _AREOLA_SCATTERS * scatter):
+    if contrast[best] - middle < max(_AREOLA_CONTRAST, _AREOLA_SCATTERS * scatter):
         return None
     red = _mean(samples, redness, 1.5 * _SAMPLE_MM)[:, 0] - float(np.median(samples.redness[inner]))
     place = samples.points[best]

@@ -13,7 +13,7 @@ from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.nearest import closest_on_mesh, point_tree
 from mammometry.measure.landmarks.ends import EndSigmas, propose_ends
 from mammometry.measure.landmarks.hollows import propose_on_midline
-from mammometry.measure.landmarks.landmarks import Landmark, picked_landmarks
+from mammometry.measure.landmarks.landmarks import PICKED_SIGMA_MM, Landmark, picked_landmarks
 from mammometry.measure.landmarks.nipples import propose_nipple
 from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.shape.lengths import LinearMeasure, Ptosis, by_name, linear_measures, ptosis
@@ -61,7 +61,7 @@ def find_landmarks(
     """
     middles = [measured.boundary_world.mean(axis=0) for measured in measurements if measured.name != "model"]
     middle = np.mean(middles, axis=0) if len(middles) == 2 else None
-    found = list(picked_landmarks(picked, mesh, frame, sigma_mm=settings.picked_sigma_mm, middle_world=middle))
+    found = list(picked_landmarks(picked, mesh, frame, sigma_mm=PICKED_SIGMA_MM, middle_world=middle))
     tree = point_tree(mesh.vertices)
     for measured in measurements:
         name = f"nipple_{measured.name}"
@@ -69,7 +69,7 @@ def find_landmarks(
             continue
         skin = measured.skin
         nearest = tree.query(skin.vertices)[1]
-        proposal = propose_nipple(name, skin, colours[nearest], measured.boundary_world, settings.nipple)
+        proposal = propose_nipple(name, skin, colours[nearest], measured.boundary_world)
         if proposal is not None:
             place = closest_on_mesh(proposal.points_world, mesh).points
             found.append(replace(proposal, points_world=place))

@@ -16,9 +16,17 @@ from mammometry.base.errors import MeasureError
 from mammometry.base.value import value
 from mammometry.geometry.arrays import Array, Bool, Float64
 from mammometry.geometry.camera import Camera, Rig
-from mammometry.measure.settings import ThoraxSettings
 from mammometry.measure.trunk.mirror_plane import MirrorPlane, mirror_plane
-from mammometry.measure.trunk.thorax import Skin, Trunk, find_trunk, on_trunk, orthonormal, seen_skin
+from mammometry.measure.trunk.thorax import (
+    HEIGHT_WINDOW_MM,
+    WIDEST_DEG,
+    Skin,
+    Trunk,
+    find_trunk,
+    on_trunk,
+    orthonormal,
+    seen_skin,
+)
 from mammometry.surface.repair.repair import RepairedSurface
 
 Mounting: TypeAlias = Literal["upright", "upside-down", "left", "right"]
@@ -106,7 +114,6 @@ def rig_frame(rig: Rig, mounting: Mapping[str, Mounting] | None = None) -> Float
 def find_body(
     surface: RepairedSurface,
     rough: Float64[Array, "3 3"],
-    settings: ThoraxSettings = ThoraxSettings(),
     *,
     boundaries: Sequence[Float64[Array, "_ 3"]] = (),
     skin: Skin | None = None,
@@ -117,7 +124,6 @@ def find_body(
     Args:
         surface: the repaired mesh, world frame, mm.
         rough: patient's left, head, straight ahead (rows), as the cameras have it (`rig_frame`).
-        settings: how the trunk is described.
         boundaries: curves around the breasts, left out; without them the breasts are outliers of the symmetry.
         skin: the visible skin, where it is known already.
         stated: whether the user said where the head is: then no sign contradicts it.
@@ -140,7 +146,7 @@ def find_body(
     middle = np.mean([curve.mean(axis=0) for curve in boundaries], axis=0) if boundaries else None
     frame, point = rough, skin.points_world.mean(axis=0) if middle is None else middle
     try:
-        trunk = _facing_ahead(skin, find_trunk(skin, rough, settings, height_of=middle), settings, middle)
+        trunk = _facing_ahead(skin, find_trunk(skin, rough, height_of=middle), middle)
         frame, point = trunk.frame, trunk.origin
         plane = _plane(skin, trunk, boundaries, middle)
     except MeasureError as error:
@@ -161,7 +167,7 @@ def find_body(
     )
 
 
-def _facing_ahead(skin: Skin, first: Trunk, settings: ThoraxSettings, middle: Float64[Array, 3] | None) -> Trunk:
+def _facing_ahead(skin: Skin, first: Trunk, middle: Float64[Array, 3] | None) -> Trunk:
     """The trunk turned to face ahead.
 
     Of several turns about the axis it takes the one with the most alike sides, then refines it. Which skin shows the
@@ -169,8 +175,8 @@ def _facing_ahead(skin: Skin, first: Trunk, settings: ThoraxSettings, middle: Fl
     """
 
     def turned(trunk: Trunk, angle_rad: float) -> tuple[float, float, Trunk]:
-        again = find_trunk(skin, trunk.facing(angle_rad), settings, height_of=middle)
-        return (*_ahead_rad(skin, again, settings)[::-1], again)
+        again = find_trunk(skin, trunk.facing(angle_rad), height_of=middle)
+        return (*_ahead_rad(skin, again)[::-1], again)
 
     tried = []
     for angle_deg in _STARTS_DEG:
@@ -187,7 +193,7 @@ def _facing_ahead(skin: Skin, first: Trunk, settings: ThoraxSettings, middle: Fl
     return best[2]
 
 
-def _ahead_rad(skin: Skin, trunk: Trunk, settings: ThoraxSettings) -> tuple[float, float]:
+def _ahead_rad(skin: Skin, trunk: Trunk) -> tuple[float, float]:
     """Angle about the axis of best symmetry, and the asymmetry, mm.
 
     There the trunk's radius is most alike to both sides. The asymmetry is the mean of limited misfits.
@@ -195,11 +201,11 @@ def _ahead_rad(skin: Skin, trunk: Trunk, settings: ThoraxSettings) -> tuple[floa
     every = max(1, len(skin.points_world) // _SAMPLES)
     cylindrical = trunk.cylindrical(skin.points_world[::every])
     theta = np.rad2deg(cylindrical[:, 0] / trunk.half_width_mm)
-    keep = (np.abs(cylindrical[:, 1]) < settings.height_window_mm) & (np.abs(theta) < settings.widest_deg)
+    keep = (np.abs(cylindrical[:, 1]) < HEIGHT_WINDOW_MM) & (np.abs(theta) < WIDEST_DEG)
     keep &= on_trunk(cylindrical, trunk)
-    columns, rows = int(2 * settings.widest_deg / _CELL_DEG) + 1, int(2 * settings.height_window_mm / _CELL_MM) + 1
-    column = np.round((theta[keep] + settings.widest_deg) / _CELL_DEG).astype(int).clip(0, columns - 1)
-    row = np.round((cylindrical[keep, 1] + settings.height_window_mm) / _CELL_MM).astype(int).clip(0, rows - 1)
+    columns, rows = int(2 * WIDEST_DEG / _CELL_DEG) + 1, int(2 * HEIGHT_WINDOW_MM / _CELL_MM) + 1
+    column = np.round((theta[keep] + WIDEST_DEG) / _CELL_DEG).astype(int).clip(0, columns - 1)
+    row = np.round((cylindrical[keep, 1] + HEIGHT_WINDOW_MM) / _CELL_MM).astype(int).clip(0, rows - 1)
     cell = row * columns + column
     count = np.bincount(cell, minlength=rows * columns)
     sums = np.bincount(cell, cylindrical[keep, 2], minlength=rows * columns)

@@ -22,9 +22,8 @@ from mammometry.base.machine.cores import in_bands
 from mammometry.base.value import value
 from mammometry.geometry.arrays import Array, Bool, Float64
 from mammometry.geometry.mesh import TriangleMesh
-from mammometry.measure.settings import ThoraxSettings
 from mammometry.measure.trunk import skin_kernels
-from mammometry.measure.trunk.thorax import ARM, AROUND, Thorax
+from mammometry.measure.trunk.thorax import ARM, AROUND, HEIGHT_WINDOW_MM, WIDEST_DEG, Thorax
 
 PIXEL_MM = 2.0  # side of a pixel; half the scale at which creases are looked at
 _SPECK = 3  # pixels; smaller specks of an outer layer are taken out
@@ -83,21 +82,18 @@ class Relief:
         return np.asarray((column >= 0) & (row >= 0) & (column <= width - 1) & (row <= height - 1))
 
 
-def lay_flat(
-    thorax: Thorax, points_world: Float64[Array, "n 3"], settings: ThoraxSettings = ThoraxSettings()
-) -> Relief:
+def lay_flat(thorax: Thorax, points_world: Float64[Array, "n 3"]) -> Relief:
     """Lay skin flat around the trunk, arms left out.
 
     Args:
         thorax: the trunk without breasts, from which the bulge is counted.
         points_world: samples of the skin (`dense_samples`), mm, world frame.
-        settings: how far around and along the trunk.
 
     Raises:
         MeasureError: no skin lies there.
     """
     trunk = thorax.trunk
-    width, height = np.deg2rad(settings.widest_deg) * trunk.half_width_mm, settings.height_window_mm
+    width, height = np.deg2rad(WIDEST_DEG) * trunk.half_width_mm, HEIGHT_WINDOW_MM
     low = np.array([-width, -height])
     size = np.array([int(2 * height / PIXEL_MM) + 2, int(2 * width / PIXEL_MM) + 2])
     limits = np.array([trunk.half_width_mm, width, height, ARM * trunk.half_width_mm])

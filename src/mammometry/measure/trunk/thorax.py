@@ -12,23 +12,34 @@ import numpy as np
 from mammometry.base.errors import MeasureError
 from mammometry.base.value import value
 from mammometry.geometry.arrays import Array, Bool, Float64, Int64
-from mammometry.measure.settings import ThoraxSettings
 from mammometry.surface.repair.repair import Provenance, RepairedSurface
 
+_CHEST_SCALE_MM = 4.0
+"""Scatter of a chest about the smooth surface that is fitted to it, mm. Once the breasts are left out, skin that
+stands out up to three times as far still describes the trunk (muscle, collar bone).
+"""
+HEIGHT_WINDOW_MM = 140.0
+"""Skin within this height of the breasts describes the trunk, mm."""
+WIDEST_DEG = 115.0
+"""Skin up to this far around from straight ahead describes the trunk, degrees."""
+_STEEPEST_LEAN_DEG = 50.0
+"""Greatest angle between the trunk's axis and the photographs' upright, degrees. Beyond it the upright serves as the
+axis. Patients lean forward by up to 42° in front of the rig, and the cameras are not quite upright on average.
+"""
 _HARMONICS = 4  # Fourier order of the radius around the trunk; 4 follows a thorax and not a breast
 AROUND = 2 * _HARMONICS + 1  # Fourier terms
 _HEIGHT_DEGREE = 2  # of the polynomial of each Fourier coefficient along the trunk; chosen by eye
 _SIDE_AZIMUTH_DEG = (75.0, 100.0)
 """Skin whose normal points this far to the side of straight ahead shows where the trunk's axis lies, degrees.
 docs/decisions/0009 says what 70 to 90 gave instead."""
-_SIDE_BAND_MM = 80.0  # side skin is taken within this height of the breasts; chosen by eye
+_SIDE_BAND_MM = 80.0  # side skin is taken within this height of the breasts; by eye: 100 moved a scan by 1 %
 _FEWEST_SIDE = 50  # samples of side skin needed on either side; chosen by eye
 _BEHIND_FRONT_MM = 30.0
 """Least distance of a trunk's side behind the breastbone's skin, mm. A breast's flank faces aside as steeply, but lies
 further ahead. Chosen by eye: a boundary 121 mm wide that tilts back by 7.7° (real women's means) ends 16 mm behind its
 medial end.
 """
-_MIDDLE_MM = 15.0  # skin this near to the middle between both sides shows the breastbone; chosen by eye
+_MIDDLE_MM = 15.0  # skin this near to the middle between both sides shows the breastbone; by eye: 19 moved .1 %
 _HALF_WIDTHS_MM, _DEPTHS_MM = (95.0, 260.0), (50.0, 220.0)
 """Half widths of a trunk, and depths of its axis behind the breastbone, outside which the sides are wrong. Chosen by
 eye, far wider than adults.
@@ -101,13 +112,12 @@ class Thorax:
     trunk: Trunk
     coefficients: Float64[Array, " c"]
     """Coefficients of the products of Fourier terms in θ and powers of y / height window, mm."""
-    settings: ThoraxSettings
     rms_mm: float
     """Scatter of the skin that was fitted, mm."""
 
     def radius_mm(self, arc_y: Float64[Array, "n 2"]) -> Float64[Array, " n"]:
         """Radius of the trunk without breasts at (half width × θ, y). All in mm."""
-        return _design(arc_y, self.trunk.half_width_mm, self.settings) @ self.coefficients
+        return _design(arc_y, self.trunk.half_width_mm) @ self.coefficients
 
     def bulge_mm(self, points_world: Float64[Array, "n 3"]) -> Float64[Array, " n"]:
         """How far points stand out from the trunk without breasts, mm."""
@@ -178,7 +188,6 @@ def frame_from_sides(left: Float64[Array, "n 3"], right: Float64[Array, "m 3"], 
 def find_trunk(
     skin: Skin,
     frame: Float64[Array, "3 3"],
-    settings: ThoraxSettings = ThoraxSettings(),
     *,
     height_of: Float64[Array, 3] | None = None,
     middle_of: Float64[Array, 3] | None = None,
@@ -192,7 +201,6 @@ def find_trunk(
     Args:
         skin: what was seen of the torso.
         frame: patient's left, head, straight ahead (rows), roughly.
-        settings: which skin counts as side.
         height_of: a world point at the breasts' height; without it the middle of the seen skin.
         middle_of: a world point of the mid-sagittal plane, where it is known; without it the middle of the skin that
             faces ahead.
@@ -202,7 +210,7 @@ def find_trunk(
     """
     every = max(1, len(skin.points_world) // _AXIS_SAMPLES)
     sampled = skin.chosen(slice(None, None, every))
-    axis = _axis(sampled.normals_world, frame, settings)
+    axis = _axis(sampled.normals_world, frame)
     if middle_of is not None:
         axis = axis - frame[0] * (axis @ frame[0])  # the axis lies in the body's plane
     turned_up = orthonormal(axis, frame[2])
@@ -211,7 +219,7 @@ def find_trunk(
     return _behind_breastbone(_front(sampled, frame, height_of, middle_of), frame) if found is None else found
 
 
-def _axis(normals: Float64[Array, "n 3"], frame: Float64[Array, "3 3"], settings: ThoraxSettings) -> Float64[Array, 3]:
+def _axis(normals: Float64[Array, "n 3"], frame: Float64[Array, "3 3"]) -> Float64[Array, 3]:
     """Trunk axis: least-variance direction of the normals. The head's where none near to it is."""
     axis = frame[1]
     for _ in range(_AXIS_ROUNDS):
@@ -221,7 +229,7 @@ def _axis(normals: Float64[Array, "n 3"], frame: Float64[Array, "3 3"], settings
         if vector @ axis > 1 - 1e-10:
             break
         axis = vector
-    if axis @ frame[1] < np.cos(np.deg2rad(settings.steepest_lean_deg)):
+    if axis @ frame[1] < np.cos(np.deg2rad(_STEEPEST_LEAN_DEG)):
         return np.asarray(frame[1])  # the visible skin shows no axis near the head's direction
     return np.asarray(axis)
 
@@ -308,7 +316,6 @@ def _behind_breastbone(front: _Front, frame: Float64[Array, "3 3"]) -> Trunk:
 def fit_thorax(
     trunk: Trunk,
     skin: Skin,
-    settings: ThoraxSettings = ThoraxSettings(),
     *,
     breasts_left_out: bool = True,
     breastbone_mm: float | None = None,
@@ -323,7 +330,6 @@ def fit_thorax(
     Args:
         trunk: its axis.
         skin: samples of it, world frame.
-        settings: orders of the fit, and what belongs to the trunk.
         breasts_left_out: whether the skin is already without the breasts. Then skin that stands out a little is chest,
             and only arms are left out.
         breastbone_mm: place of the breastbone around the trunk, half width × θ, if known. Its skin is the chest's
@@ -336,18 +342,18 @@ def fit_thorax(
     cylindrical = trunk.cylindrical(skin.points_world)
     flat, radius = cylindrical[:, :2], cylindrical[:, 2]
     inside = (
-        (np.abs(flat[:, 1]) < settings.height_window_mm)
-        & (np.abs(flat[:, 0]) < np.deg2rad(settings.widest_deg) * trunk.half_width_mm)
+        (np.abs(flat[:, 1]) < HEIGHT_WINDOW_MM)
+        & (np.abs(flat[:, 0]) < np.deg2rad(WIDEST_DEG) * trunk.half_width_mm)
         & on_trunk(cylindrical, trunk)
         & (_facing_out(skin, trunk) > _FACING_OUT)
     )
     flat, radius = flat[inside], radius[inside]
     bone = np.zeros(len(flat), dtype=bool) if breastbone_mm is None else np.abs(flat[:, 0] - breastbone_mm) < _BONE_MM
-    design = _design(flat, trunk.half_width_mm, settings)
+    design = _design(flat, trunk.half_width_mm)
     order = np.concatenate([[0], np.repeat(np.arange(1, _HARMONICS + 1), 2)])
     ridge = np.diag(np.tile(order.astype(np.float64) ** 4, _HEIGHT_DEGREE + 1) * _RIDGE + 1e-9) * len(radius)
     weights = np.ones(len(radius))
-    finest = settings.chest_scale_mm if breasts_left_out else _FINEST_MM
+    finest = _CHEST_SCALE_MM if breasts_left_out else _FINEST_MM
     scale, coefficients = np.inf, np.zeros(design.shape[1])
     if len(radius) < 4 * design.shape[1]:
         raise MeasureError(
@@ -368,7 +374,7 @@ def fit_thorax(
             np.clip(1 - (error / reach) ** 2, 0, None) ** 2,
             1 / np.maximum(1, np.abs(error) / reach),
         )
-    return Thorax(trunk=trunk, coefficients=coefficients, settings=settings, rms_mm=scale)
+    return Thorax(trunk=trunk, coefficients=coefficients, rms_mm=scale)
 
 
 def _facing_out(skin: Skin, trunk: Trunk) -> Float64[Array, " n"]:
@@ -386,8 +392,8 @@ def on_trunk(cylindrical: Float64[Array, "n 3"], trunk: Trunk) -> Bool[Array, " 
     return cylindrical[:, 2] * np.abs(np.sin(cylindrical[:, 0] / trunk.half_width_mm)) < ARM * trunk.half_width_mm
 
 
-def _design(arc_y: Float64[Array, "n 2"], half_width: float, settings: ThoraxSettings) -> Float64[Array, "n c"]:
-    theta, height = arc_y[:, 0] / half_width, arc_y[:, 1] / settings.height_window_mm
+def _design(arc_y: Float64[Array, "n 2"], half_width: float) -> Float64[Array, "n c"]:
+    theta, height = arc_y[:, 0] / half_width, arc_y[:, 1] / HEIGHT_WINDOW_MM
     terms = [np.ones_like(theta)]
     for k in range(1, _HARMONICS + 1):
         terms += [np.cos(k * theta), np.sin(k * theta)]

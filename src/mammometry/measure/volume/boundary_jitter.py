@@ -21,6 +21,12 @@ from mammometry.measure.wall.chest_wall import ChestWall
 from mammometry.measure.wall.open_breast import OpenBreast
 from mammometry.surface.repair.repair import Provenance
 
+UNSEEN_SLOPE = 0.5
+"""Growth of both, mm for each mm of distance from measured skin, or of the distance by which the skin could stand
+further out without being seen, whichever is less. For a ptotic cast photographed by one pair, with its lower pole
+hidden (63 cm², up to 49 mm away), the volume was off by .5 times distance times area. For casts photographed by four
+pairs, at .15 of full size, it was -.2 to .4 times (docs/decisions/0009).
+"""
 _ORDERS = 4  # Fourier orders 0 to 3: wider, shifted, oblong, three-lobed (docs/decisions/0009)
 _SMOOTH = 48
 """A curve's uncertainty is smoothed over this part of its length (standard deviation); chosen by eye."""
@@ -31,7 +37,7 @@ def boundary_std_cc(breast: OpenBreast, wall: ChestWall, *, progress: Progress =
     """Root mean square volume change by jitter of a torso's boundary, cc.
 
     The boundary jitters as persons draw it elsewhere: by ``settings.observers``, most towards the armpit, least at the
-    fold. It jitters by more where its skin was not measured: that skin may itself be off by ``settings.unseen_slope``
+    fold. It jitters by more where its skin was not measured: that skin may itself be off by ``UNSEEN_SLOPE``
     of its distance from measured skin, and shows no crease.
 
     The jitter is a random displacement across the curve, along the skin, of independent Fourier terms up to the third
@@ -88,7 +94,7 @@ def _sigma_mm(breast: OpenBreast) -> Float64[Array, " n"]:
     drawn_mm = drawn_sigma_mm(boundary, breast.body_frame, settings.observers)
     if boundary.across_mm is not None:
         drawn_mm = np.hypot(drawn_mm, boundary.across_mm)
-    return np.hypot(drawn_mm, settings.unseen_slope * away_mm)
+    return np.hypot(drawn_mm, UNSEEN_SLOPE * away_mm)
 
 
 def drawn_sigma_mm(

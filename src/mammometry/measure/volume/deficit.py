@@ -21,7 +21,7 @@ from mammometry.measure.trunk.body import Body
 from mammometry.measure.trunk.mirror_plane import MirrorPlane
 from mammometry.measure.trunk.thorax import Trunk
 from mammometry.measure.volume.measurement import VolumeDeficit, VolumeMeasurement
-from mammometry.measure.volume.uncertainty import AXIS, WALL
+from mammometry.measure.volume.uncertainty import AXIS, WALL, WALL_SIDES_U95_MM
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.open_breast import open_breasts
 from mammometry.surface.repair.repair import RepairedSurface
@@ -135,7 +135,7 @@ def _terms(
 
     The trunk is its own mirror image only so well: its scatter counts as common to the whole base. That is of skin
     beside the breasts. Behind them a chest is less alike: on real women what both sides' chests do not share is
-    `wall_sides_u95_mm` for each side, and no less is taken. The plane moves mirrored skin by twice its own error. A
+    `WALL_SIDES_U95_MM` for each side, and no less is taken. The plane moves mirrored skin by twice its own error. A
     curve drawn elsewhere takes in or leaves out a strip as thick as both skins are apart there. Errors of the skin
     count twice, once for either side.
     """
@@ -143,7 +143,7 @@ def _terms(
     loop = np.concatenate([fuller.boundary_world, fuller.boundary_world[:1]])
     length_mm = float(np.linalg.norm(np.diff(loop, axis=0), axis=1).sum())
     strip_mm3 = settings.observers.mean_mm * distance_mm * length_mm / np.sqrt(_ORDERS)
-    behind_mm = float(np.sqrt(2)) * settings.wall_sides_u95_mm
+    behind_mm = float(np.sqrt(2)) * WALL_SIDES_U95_MM
     terms = {
         "asymmetry of the trunk": max(_COVERAGE_95 * plane.scatter_mm, behind_mm) * base_cm2 / 10,
         "mid-sagittal plane": _COVERAGE_95 * 2 * plane.sigma_mm * base_cm2 / 10,

@@ -13,9 +13,15 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from mammometry.base.value import value
-from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.volume.measurement import VolumeMeasurement
-from mammometry.measure.volume.uncertainty import AXIS, SCALE, WALL
+from mammometry.measure.volume.uncertainty import (
+    AXIS,
+    SCALE,
+    WALL,
+    WALL_ACROSS_POSES_U95_MM,
+    WALL_SAME_POSE_U95_MM,
+    WALL_SIDES_U95_MM,
+)
 
 Pairing: TypeAlias = Literal["sides", "same pose", "across poses"]
 """What is compared: both sides of one capture, or one breast in two captures, standing alike or differently."""
@@ -60,7 +66,6 @@ def difference(
     first: VolumeMeasurement,
     second: VolumeMeasurement,
     pairing: Pairing,
-    settings: MeasureSettings = MeasureSettings(),
     *,
     names: tuple[str, str] | None = None,
     common_scale: bool = True,
@@ -76,7 +81,6 @@ def difference(
         first: minuend, a `VolumeMeasurement`.
         second: subtrahend.
         pairing: both sides of one capture, or one breast in two captures.
-        settings: the errors that walls do not share, by pairing.
         names: what to call the two, instead of the breasts' own names.
         common_scale: whether both depend on one target that was measured once; else each has a scale of its own.
     """
@@ -101,9 +105,9 @@ def difference(
         elif name == WALL and alike:
             areas = np.array([first.base_area_cm2, second.base_area_cm2]) / 10
             unshared = {
-                "sides": settings.wall_sides_u95_mm,
-                "same pose": settings.wall_same_pose_u95_mm / np.sqrt(2),
-                "across poses": settings.wall_across_poses_u95_mm / np.sqrt(2),
+                "sides": WALL_SIDES_U95_MM,
+                "same pose": WALL_SAME_POSE_U95_MM / np.sqrt(2),
+                "across poses": WALL_ACROSS_POSES_U95_MM / np.sqrt(2),
             }[pairing]
             # Walls that are known better by themselves (measured ones) are no worse together.
             terms[name] = float(min(unshared * np.hypot(*areas), np.hypot(*contributions)))

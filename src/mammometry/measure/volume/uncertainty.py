@@ -13,12 +13,47 @@ from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.nearest import point_tree
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.settings import MeasureSettings
+from mammometry.measure.volume.boundary_jitter import UNSEEN_SLOPE
 from mammometry.measure.volume.movement import Movement, movement_std_cc
 from mammometry.measure.volume.unseen_space import Bound, outward_room_mm
 from mammometry.measure.wall.chest_wall import ChestWall
 from mammometry.measure.wall.registry import CAST_WALLS, TORSO_WALLS
 from mammometry.surface.repair.repair import Provenance, RepairedSurface
 
+WALL_ACROSS_POSES_U95_MM = 2.5
+"""Half-width for the change of one breast between two captures in different poses, mm."""
+WALL_FIT_U95_MM = WALL_ACROSS_POSES_U95_MM / 2**0.5
+"""Half-width by which one fitted wall may lie off the surface that its definition means, mm. Two captures of one
+breast in different poses differ by both walls' shares.
+"""
+COMMON_SHARE = 0.35
+"""Share of the measured skin's expected error that is common to all of it. Weak texture and noise make matching
+flatten convex skin: for casts at .15 of full size the mean error was .1 to .4 of the expected one.
+"""
+MATCHING_REACH_MM = 3.0
+"""Distance on the skin within which random errors of a matched surface are alike, mm. Half a matching window."""
+REPAIRED_SIGMA_MM = 0.1
+"""Standard uncertainty of repaired skin beside measured skin, along its normal, mm. Common to all of it. Repaired
+casts were off by .08 mm on average and .8 mm at worst (99 %), in both directions.
+"""
+INVENTED_SIGMA_MM = 0.4
+"""Standard uncertainty of skin that no camera measured and no neighbour supports, mm. Common to all of it."""
+WALL_U95_MM = 5.0
+"""Half-width of the 95 % interval by which a torso's wall may lie off a flat chest, mm of wall height: .5 cc for
+each cm² of base. On 145 breasts of real women the cylinder membrane was off by +1.5 ± 1.9 mm, 95 % by less than 4.1
+(3.7 to 4.5). Walls that are worse have their own (`wall.registry`). docs/decisions/0029.
+"""
+AXIS_U95_SHARE = 0.025
+"""Share of the volume that a trunk's axis of assumed depth adds: ± 2.5 % from 80 to 170 mm, on the same breasts."""
+WALL_MEASURED_U95_MM = 1.0
+"""Half-width for a separately measured wall (wall.ply), mm: how well two scans can be registered."""
+WALL_SIDES_U95_MM = 1.9
+"""Half-width, mm for each side, of what walls of both sides of one capture do not share. On real women right less
+left over the base was off by less than 2.6 mm in 95 %, which is 1.84 mm for each side. Our torsos have .93. An
+earlier synthetic family had 3.4. docs/decisions/0029.
+"""
+WALL_SAME_POSE_U95_MM = 1.2
+"""Half-width for the change of one breast between two captures in the same pose, mm."""
 MOVEMENT = "movement"
 AXIS = "trunk's axis"
 SCALE, WALL = "scale", "chest wall"
@@ -102,7 +137,7 @@ def interval(
 
     A torso's interval is about what stands out of a flat chest, which no photograph shows behind the breast. What
     stands in front of the wall that is named is better known. There only the difference between walls of one breast
-    from one capture to the next remains of the wall's term (`MeasureSettings.wall_fit_u95_mm`).
+    from one capture to the next remains of the wall's term (`WALL_FIT_U95_MM`).
 
     Args:
         boundary: around the breast.
@@ -145,17 +180,17 @@ def interval(
             if boundary_std_cc is None:
                 boundary_std_cc = settings.observers.mean_mm * _BOUNDARY_CC_PER_MM_CM2 * area_cm2
             terms["boundary"] = _COVERAGE_95 * boundary_std_cc
-        off_mm = max(settings.wall_u95_mm, model.flat_u95_mm)
-        height_mm = settings.wall_measured_u95_mm if model.measured else off_mm
+        off_mm = max(WALL_U95_MM, model.flat_u95_mm)
+        height_mm = WALL_MEASURED_U95_MM if model.measured else off_mm
         terms[WALL] = height_mm * area_cm2 / 10
         if evidence.axis_assumed:
-            terms[AXIS] = settings.axis_u95_share * volume_cc
+            terms[AXIS] = AXIS_U95_SHARE * volume_cc
     if torso and not model.sees_the_chest:
         missing.append("the error of this wall, which ignores the curve of the chest: the volume is too large")
     terms = {name: float(term) for name, term in terms.items()}
     as_defined = None
     if torso:
-        fit_cc = min(terms[WALL], settings.wall_fit_u95_mm * area_cm2 / 10)
+        fit_cc = min(terms[WALL], WALL_FIT_U95_MM * area_cm2 / 10)
         as_defined = _around(volume_cc, terms | {WALL: fit_cc})
     note = f"The interval covers {_listed(list(terms))}."
     if MOVEMENT in terms:
@@ -195,10 +230,10 @@ def _of_skin(
     )
     sigma_mm = np.nan_to_num(surface.sigma_mm[nearest[seen]].astype(np.float64))
     # Windows overlap: errors of measured vertices are alike within a patch, and but for a share independent beyond it.
-    patch_mm2 = np.pi * settings.matching_reach_mm**2
+    patch_mm2 = np.pi * MATCHING_REACH_MM**2
     scatter = np.sqrt(np.sum(sigma_mm**2 * own_mm2[seen] * np.maximum(own_mm2[seen], patch_mm2)))
-    common = own_mm2[seen] @ np.hypot(settings.surface_sigma_mm, settings.common_share * sigma_mm)
-    astray_mm = settings.unseen_slope * _may_be_off_mm(skin, ~seen, surface, views)
+    common = own_mm2[seen] @ np.hypot(settings.surface_sigma_mm, COMMON_SHARE * sigma_mm)
+    astray_mm = UNSEEN_SLOPE * _may_be_off_mm(skin, ~seen, surface, views)
     unseen_mm2 = own_mm2[~seen]
 
     def unseen(which: Bool[Array, " n"], beside_mm: float) -> float:
@@ -207,8 +242,8 @@ def _of_skin(
     return _at_95(
         {
             "matching" if surface.pair_names else "scanner": float(np.hypot(common, scatter)),
-            "repaired surface": unseen(repaired, settings.repaired_sigma_mm),
-            "invented surface": unseen(invented, settings.invented_sigma_mm),
+            "repaired surface": unseen(repaired, REPAIRED_SIGMA_MM),
+            "invented surface": unseen(invented, INVENTED_SIGMA_MM),
         }
     )
 

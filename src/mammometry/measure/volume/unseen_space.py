@@ -19,9 +19,18 @@ from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.nearest import point_tree
 from mammometry.matching.foreground.contour import follow
 from mammometry.matching.foreground.foreground import Foreground
-from mammometry.measure.settings import MeasureSettings
 from mammometry.surface.ranges.range_image import RangeImage
 
+SILHOUETTE_DOUBT_PX = 1.0
+"""Distance outside a silhouette at which nothing of the subject is left, pixels."""
+SILHOUETTE_DOUBT_SLOPE = 0.25
+"""Growth of that distance, px for each px along an outline that is not an edge but the border of a shadow. In eight
+outlines of a cast whose fold is as dark as the backdrop, such stretches lay up to .2 of it inside the true one.
+"""
+SEEN_THROUGH_MM = 0.5
+"""Largest distance of the subject in front of skin that a pair measured, mm, beyond three standard deviations of the
+datum.
+"""
 _STEPS = 24  # into which the farthest distance is divided; chosen for speed
 _SIGMAS = 3  # standard deviations of a datum within which nothing is excluded
 
@@ -96,7 +105,6 @@ def bounds(
     foregrounds: Mapping[str, Foreground],
     range_images: Sequence[RangeImage],
     rig: Rig,
-    settings: MeasureSettings = MeasureSettings(),
 ) -> tuple[Bound, ...]:
     """Bounds of all views, from silhouettes and measured skin.
 
@@ -106,13 +114,12 @@ def bounds(
         foregrounds: silhouettes by camera, in the original photographs.
         range_images: what each pair measured, with its valid data.
         rig: the calibrated cameras.
-        settings: how far to trust them.
     """
-    through = (SeenThrough.of(image, settings.seen_through_mm) for image in range_images)
-    return (*_silhouettes(foregrounds, rig, settings), *through)
+    through = (SeenThrough.of(image, SEEN_THROUGH_MM) for image in range_images)
+    return (*_silhouettes(foregrounds, rig), *through)
 
 
-def _silhouettes(foregrounds: Mapping[str, Foreground], rig: Rig, settings: MeasureSettings) -> list[Silhouette]:
+def _silhouettes(foregrounds: Mapping[str, Foreground], rig: Rig) -> list[Silhouette]:
     known = [name for name in rig.cameras if name in foregrounds and not foregrounds[name].everything]
 
     def silhouette(name: str) -> Silhouette:
@@ -122,7 +129,7 @@ def _silhouettes(foregrounds: Mapping[str, Foreground], rig: Rig, settings: Meas
             camera=rig.cameras[name],
             background=foreground.coverage < foreground.contour_level,
             outline_uv=traced.uv,
-            doubt_px=np.hypot(settings.silhouette_doubt_px, settings.silhouette_doubt_slope * traced.lost_px),
+            doubt_px=np.hypot(SILHOUETTE_DOUBT_PX, SILHOUETTE_DOUBT_SLOPE * traced.lost_px),
         )
 
     return [found for found in each_at_once(silhouette, known) if len(found.outline_uv)]

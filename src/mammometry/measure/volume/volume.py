@@ -11,7 +11,7 @@ from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.volume.definitions import MUSCLE_WALL, DefinedVolume, HalfWidths, define, other_terms_cc
 from mammometry.measure.volume.measurement import VolumeMeasurement
-from mammometry.measure.volume.uncertainty import WALL, Evidence, Uncertainty, interval
+from mammometry.measure.volume.uncertainty import WALL, WALL_FIT_U95_MM, Evidence, Uncertainty, interval
 from mammometry.measure.wall.chest_wall import ChestWall
 from mammometry.measure.wall.registry import TORSO_WALLS
 
@@ -120,7 +120,7 @@ def _definitions(
         measured_wall=TORSO_WALLS[wall.kind].measured,
         errors=HalfWidths(
             chest_cc=chest_cc,
-            fit_cc=min(chest_cc, settings.wall_fit_u95_mm * wall.mesh.area_mm2() / 1000),
+            fit_cc=min(chest_cc, WALL_FIT_U95_MM * wall.mesh.area_mm2() / 1000),
             other_cc=other_terms_cc(uncertainty.terms_cc, WALL),
         ),
         cylinder=None if cylinder is None else (cylinder.closed.volume_mm3() / 1000, cylinder.mesh.area_mm2() / 100),

@@ -141,7 +141,7 @@ class OpenBreast:
                 remedy="Give both boundaries, or choose --set measure.wall=membrane",
             )
         height_of = self.boundary.points_world.mean(axis=0)
-        return find_trunk(self.skin, frame, self.settings.thorax, height_of=height_of)
+        return find_trunk(self.skin, frame, height_of=height_of)
 
     @cached_property
     def beside(self) -> Float64[Array, "n 3"]:
@@ -155,7 +155,7 @@ class OpenBreast:
     @cached_property
     def thorax(self) -> Thorax:
         """The trunk's smooth radius without breasts."""
-        return fit_thorax(self.trunk, self._skin_beside, self.settings.thorax)
+        return fit_thorax(self.trunk, self._skin_beside)
 
     def _all_boundaries(self) -> tuple[Boundary, ...]:
         return tuple(self.boundaries) or (self.boundary,)

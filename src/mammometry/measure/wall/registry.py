@@ -36,7 +36,7 @@ class WallModel:
     """Whether it was measured separately (wall.ply): then it is the default, and better known."""
     flat_u95_mm: float = _UNTRIED_MM
     """Half-width of the 95 % interval of its distance from a flat chest, mm, on 145 breasts of real women. The
-    settings' `wall_u95_mm` counts if larger.
+    `uncertainty.WALL_U95_MM` counts if larger.
     """
 
 

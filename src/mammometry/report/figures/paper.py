@@ -89,9 +89,9 @@ def meshes_of_each_pair(source: Source) -> Sheet:
     """Fig. 2: mesh of each range image, with dents at depth discontinuities."""
     from mammometry.surface.fusion.fuse import extract_open
 
-    plan, _, settings = source
+    plan, *_ = source
     images = [product() for product in plan[surface.range_image].values()]
-    meshes = [extract_open([image], settings.surface.extract) for image in images]
+    meshes = [extract_open([image]) for image in images]
     views = [_side(mesh, image) for mesh, image in zip(meshes, images, strict=True)]
     columns, rows = canvas.grid(len(meshes))
     sheet = Sheet(columns, rows, (_PANEL_PX, _PANEL_PX))

@@ -22,7 +22,6 @@ from mammometry.study.tables import Table, signed
 
 def comparison(
     measurements: Sequence[VolumeMeasurement],
-    settings: MeasureSettings = MeasureSettings(),
     *,
     absent: Sequence[NoBreast] = (),
     lacking: Sequence[VolumeDeficit] = (),
@@ -31,7 +30,7 @@ def comparison(
     sides = {measured.name: measured for measured in measurements}
     facts: tuple[Fact, ...] = ()
     if {"left", "right"} <= set(sides):
-        facts = _both(sides["left"], sides["right"], settings)
+        facts = _both(sides["left"], sides["right"])
     elif len(sides) == 1 and absent and not absent[0].unclear and "model" not in sides:
         (only,) = sides.values()
         gap = signed(only.volume_cc if only.name == "left" else -only.volume_cc, 0)
@@ -45,15 +44,13 @@ def comparison(
     return facts + tuple(_lacks(deficit) for deficit in lacking)
 
 
-def difference_number(
-    measurements: Sequence[VolumeMeasurement], settings: MeasureSettings = MeasureSettings()
-) -> LargeNumber | None:
+def difference_number(measurements: Sequence[VolumeMeasurement]) -> LargeNumber | None:
     """Difference of both volumes for the first page. None without two."""
     sides = {measured.name: measured for measured in measurements}
     if not {"left", "right"} <= set(sides):
         return None
     larger, smaller = sorted((sides["left"], sides["right"]), key=lambda side: side.volume_cc, reverse=True)
-    found = difference(larger, smaller, "sides", settings)
+    found = difference(larger, smaller, "sides")
     note = f"{larger.name} larger"
     if found.beyond_error is not None:
         note += f", {verdict_words(found.beyond_error)}"
@@ -101,9 +98,9 @@ def _lacks(found: VolumeDeficit) -> Fact:
     return Fact(label=f"Volume that the {found.name} side lacks", value=f"{volume}{interval}. {sentence(found.note)}")
 
 
-def _both(left: VolumeMeasurement, right: VolumeMeasurement, settings: MeasureSettings) -> tuple[Fact, ...]:
+def _both(left: VolumeMeasurement, right: VolumeMeasurement) -> tuple[Fact, ...]:
     larger, smaller = sorted((left, right), key=lambda side: side.volume_cc, reverse=True)
-    found = difference(larger, smaller, "sides", settings)
+    found = difference(larger, smaller, "sides")
     gap, share = f"{larger.name} larger by {found.difference_cc:.0f} cc", f"{100 / found.ratio:.0f} %"
     if found.difference_interval_cc is not None:
         low, high = (f"{bound:.0f}".replace("-", "−") for bound in found.difference_interval_cc)

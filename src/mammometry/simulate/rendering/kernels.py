@@ -16,7 +16,6 @@ from mammometry.geometry.lens_kernels import undistorted
 POISSON_BELOW = 40.0
 """Photons above which a normal law's shares differ from Poisson's by less than 1.1 %."""
 
-_MASK = np.uint64(0xFFFFFFFFFFFFFFFF)
 GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _MIX_1 = np.uint64(0xBF58476D1CE4E5B9)
 _MIX_2 = np.uint64(0x94D049BB133111EB)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -46,7 +47,7 @@ def build_rig(plan: RigPlan, scale: float, seed: int) -> Rig:
         pair_names[station.name] = (f"{station.name}_left", f"{station.name}_right")
         for name, sign in zip(pair_names[station.name], (-1.0, 1.0), strict=True):
             centre = distance * (math.cos(half_angle) * out + sign * math.sin(half_angle) * along)
-            camera = CameraPlan(name=name, centre_mm=_triple(centre), right=_triple(along), lens=station.lens)
+            camera = CameraPlan(name=name, centre_mm=triple(centre), right=triple(along), lens=station.lens)
             cameras[name] = _camera(camera, plan.errors, scale, rng)
     pair_names |= {name: (left, right) for name, left, right in plan.pairs}
     return Rig(name=plan.name, cameras=cameras, pair_names=pair_names)
@@ -109,7 +110,8 @@ def _camera(plan: CameraPlan, errors: RigErrors, scale: float, rng: np.random.Ge
     return Camera(name=plan.name, size_wh=(width, height), matrix=matrix, distortion=distortion, camera_from_world=pose)
 
 
-def _triple(vector: Array) -> Triple:
+def triple(vector: Any) -> Triple:
+    """Three numbers as plain floats."""
     x, y, z = (float(value) for value in vector)
     return x, y, z
 

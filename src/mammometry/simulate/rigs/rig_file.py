@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from mammometry.base.errors import SessionError
 from mammometry.base.parse import read_text, shown, toml_table
-from mammometry.simulate.rigs.build import NO_LENGTH, build_rig, flashes
+from mammometry.simulate.rigs.build import NO_LENGTH, build_rig, flashes, triple
 from mammometry.simulate.rigs.plan import (
     REFERENCE,
     CameraPlan,
@@ -175,9 +175,9 @@ def _plan(path: Path, file: _RigFile) -> RigPlan:
         stations.append(
             CameraPlan(
                 name=camera.name,
-                centre_mm=_triple(camera.position_mm),
-                target_mm=_triple(camera.target_mm),
-                right=_triple(camera.right),
+                centre_mm=triple(camera.position_mm),
+                target_mm=triple(camera.target_mm),
+                right=triple(camera.right),
                 lens=_lens(f"{path}: camera {camera.name}", camera, file.lens),
             )
         )
@@ -192,8 +192,8 @@ def _plan(path: Path, file: _RigFile) -> RigPlan:
             stations.append(
                 PairPlan(
                     name=pair.name,
-                    towards=_triple(pair.towards),
-                    along=_triple(pair.along),
+                    towards=triple(pair.towards),
+                    along=triple(pair.along),
                     distance_mm=pair.distance_mm,
                     convergence_deg=(angle, angle),
                     lens=_lens(f"{path}: pair {pair.name}", pair, file.lens),
@@ -203,7 +203,7 @@ def _plan(path: Path, file: _RigFile) -> RigPlan:
         name=file.name,
         stations=tuple(stations),
         pairs=tuple(pairs),
-        flashes_mm=tuple(_triple(flash.position_mm) for flash in file.flashes) or REFERENCE.flashes_mm,
+        flashes_mm=tuple(triple(flash.position_mm) for flash in file.flashes) or REFERENCE.flashes_mm,
         strengths=tuple(flash.strength for flash in file.flashes) or None,
         facing=_facing(stations),
         errors=file.errors.drawn(),
@@ -231,12 +231,7 @@ def _facing(stations: list[PairPlan | CameraPlan]) -> Triple:
     """Mean direction from the rig's middle to the cameras."""
     places = [np.array(s.towards if isinstance(s, PairPlan) else s.centre_mm) for s in stations]
     total = sum(place / max(float(np.linalg.norm(place)), NO_LENGTH) for place in places)
-    return _triple(total / max(float(np.linalg.norm(total)), NO_LENGTH))
-
-
-def _triple(values: Any) -> Triple:
-    x, y, z = (float(value) for value in values)
-    return x, y, z
+    return triple(total / max(float(np.linalg.norm(total)), NO_LENGTH))
 
 
 def _explained(path: Path, table: dict[str, Any], error: ValidationError) -> SessionError:

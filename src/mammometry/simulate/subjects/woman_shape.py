@@ -23,8 +23,6 @@ RADII = np.array([0.43, 0.54, 0.67, 0.55, 0.47, 0.58, 0.62, 0.59])
 """Boundary's radius over the root of its area, every 45° from lateral by way of the head. ± .04 between women."""
 WIDTH_MM, HEIGHT_MM = (121.0, 15.0), (167.0, 9.0)
 """Of the boundary: mean and standard deviation between women, mm."""
-APEX_MM = 95.0
-"""Mean height of the breast over its boundary's plane, mm."""
 FLAT_CC = (540.0, 0.36)
 """Volume in front of a flat chest: median, cc, and standard deviation of its logarithm (90 % from 295 to 960 cc)."""
 MUSCLE_ASIDE_MM = np.array([25.0, 50.0, 75.0, 100.0, 125.0])

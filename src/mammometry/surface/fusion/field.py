@@ -25,7 +25,23 @@ from mammometry.surface.fusion.camera_records import COLUMNS, view_row
 from mammometry.surface.occlusion import contour_kernels as outline_kernels
 from mammometry.surface.ranges import image_kernels
 from mammometry.surface.ranges.range_image import NORMAL_MM, SIGMA_FLOOR_MM, RangeImage, thinned_camera
-from mammometry.surface.settings import TAPER_MM, FieldSettings
+from mammometry.surface.settings import TAPER_MM
+
+TRUNCATION_MM = 2.0
+"""Half-width of the band around a measured surface in which it is averaged, mm. 2 measured best."""
+EXTEND_MM = 16.0
+"""Distance by which range data are continued outwards along their tangent plane, mm across the ray. The matcher
+loses the rim and a band beside every occluding edge, which otherwise swell: 4 mm left 10 % more error on a torso.
+"""
+SPAN_JUMP_MM = 20.0
+"""Gaps in a view's data whose sides lie further apart in range than this are spanned, mm: nothing that was not
+measured stands before the span. What lies hidden beside a breast (between two, under one) is closed by it. 10 to 40
+gave the same surfaces.
+"""
+LOST_SLOPE = 0.1
+"""Where a shadow hides a silhouette's edge: how far outside it the subject is assumed to end, px per px of distance
+to the nearest visible edge. Casts' folds have .05 to .2 (docs/decisions/0017).
+"""
 
 Rule: TypeAlias = Literal["default", "nearest", "furthest", "tsdf"]
 _RULES: dict[Rule, int] = {
@@ -130,7 +146,6 @@ def build_field(
     foregrounds: Mapping[str, Foreground],
     rig: Rig,
     box: ClosingBox,
-    settings: FieldSettings,
     rule: Rule,
 ) -> Field:
     """Pack views with their weights, and all silhouettes."""
@@ -145,7 +160,7 @@ def build_field(
         image = seen[number]
         left = rig.pair(image.name).left
         others_mm = nearest_of_others_mm(image, seen)
-        rows = view_elements(image, left, foregrounds.get(left.name), settings, others_mm)
+        rows = view_elements(image, left, foregrounds.get(left.name), others_mm)
         elements[starts[number] : starts[number + 1]] = rows.reshape(-1, 3)
 
     each_at_once(fill, range(len(seen)))
@@ -156,7 +171,7 @@ def build_field(
     }
     steps = {name: _silhouette_step(rig.cameras[name], range_images) for name in outlined}
     distances = each_at_once(
-        lambda name: silhouette_distance_px(outlined[name], steps[name], settings.lost_slope), list(outlined)
+        lambda name: silhouette_distance_px(outlined[name], steps[name], LOST_SLOPE), list(outlined)
     )
     starts_of_lines = np.cumsum([0, *(distance_map.size for distance_map in distances)])
     contour_rows = [
@@ -171,7 +186,7 @@ def build_field(
             [np.zeros(0, dtype=np.float32), *(distance_map.ravel() for distance_map in distances)]
         ),
         box=box,
-        truncation_mm=settings.truncation_mm,
+        truncation_mm=TRUNCATION_MM,
         rule=rule,
     )
 
@@ -211,13 +226,12 @@ def view_elements(
     image: RangeImage,
     left: Camera,
     foreground: Foreground | None,
-    settings: FieldSettings,
     others_mm: Float32[Array, "H W"],
 ) -> Float32[Array, "h w 3"]:
     """Range, cosine of incidence and signed weight of every pixel.
 
     `kernels.sample_field` reads them. Measured data weigh cos²/(σ² + floor²), less near the edge of the data. Up to
-    `extend_mm` outwards they are continued along the nearest datum's tangent plane; the rest of the subject's
+    `EXTEND_MM` outwards they are continued along the nearest datum's tangent plane; the rest of the subject's
     silhouette (or of the data's own outline, where there is no silhouette) is filled with the nearest datum's range,
     which only supports. A gap between near and far skin is spanned instead (`image_kernels.spans`): skin turns away
     there and is hidden, and nothing that was not measured stands before the span. `others_mm` is of
@@ -233,7 +247,7 @@ def view_elements(
         others_mm,
         _BLOCK_PX,
         slope_px,
-        settings.span_jump_mm,
+        SPAN_JUMP_MM,
         _BEFORE_MM,
     )
     elements: Float32[Array, "h w 3"] = kernels.view_elements(
@@ -247,7 +261,7 @@ def view_elements(
         spans_mm,
         image.camera.intrinsics,
         image.pixel_mm(),
-        settings.extend_mm,
+        EXTEND_MM,
         EXTEND_WEIGHT,
         SIGMA_FLOOR_MM,
     )

@@ -15,7 +15,15 @@ from mammometry.base.progress import Progress, no_progress, part
 from mammometry.geometry.camera import Rig
 from mammometry.geometry.mesh import TriangleMesh, on_microns
 from mammometry.matching.foreground.foreground import Foreground
-from mammometry.surface.fusion.field import ClosingBox, Field, block_seeds, build_field, closing_box
+from mammometry.surface.fusion.field import (
+    TRUNCATION_MM,
+    ClosingBox,
+    Field,
+    Rule,
+    block_seeds,
+    build_field,
+    closing_box,
+)
 from mammometry.surface.fusion.isosurface import Isosurface
 from mammometry.surface.fusion.topology import largest_part, tunnel_places
 from mammometry.surface.fusion.voxels import sample_blocks
@@ -23,6 +31,16 @@ from mammometry.surface.ranges.range_image import RangeImage
 from mammometry.surface.ranges.visibility import check_agreement
 from mammometry.surface.settings import CUBE_MM, ExtractSettings
 
+SMOOTHING_CUBES = 1.0
+"""Standard deviation of the Gaussian on the signed distance, cubes. Without it the surface has tunnels."""
+NEAR_MM = 2.0
+"""Distance from all range data beyond which the surface is only closed, mm, in cubes four times as large. The repair
+moves nothing so far away.
+"""
+BACK_MM = 10.0
+"""How far behind the furthest datum the unseen back is closed, mm."""
+AROUND_MM = 20.0
+"""Distance of the closing box's other sides from the data, mm. Silhouettes bound the solid earlier."""
 _HEALING_ATTEMPTS = 5  # at smoothing a tunnel away, each wider by the growth; all chosen by eye
 _HEALING_GROWTH = 1.5  # factor on radius and Gaussian from attempt to attempt
 _HEALING_REACH_MM, _HEALING_SIGMA_MM = 4.0, 1.0  # radius of the first attempt, and its Gaussian
@@ -53,7 +71,7 @@ def extract(
     Raises:
         SurfaceError: no view has data, the views contradict each other or the silhouettes, or they enclose nothing.
     """
-    return meshed(solid_of(range_images, foregrounds, rig, settings), settings, progress=progress)
+    return meshed(solid_of(range_images, foregrounds, rig, settings.rule), settings, progress=progress)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -69,7 +87,7 @@ def solid_of(
     range_images: Sequence[RangeImage],
     foregrounds: Mapping[str, Foreground],
     rig: Rig,
-    settings: ExtractSettings = ExtractSettings(),
+    rule: Rule = "default",
 ) -> Solid:
     """The first half of `extract`.
 
@@ -79,8 +97,8 @@ def solid_of(
     seen = usable(range_images)
     check_silhouettes(seen, foregrounds, rig)
     check_agreement(seen)
-    box = closing_box_of(seen, settings)
-    distance = build_field(seen, foregrounds, rig, box, settings.field, settings.rule)
+    box = closing_box_of(seen)
+    distance = build_field(seen, foregrounds, rig, box, rule)
     return Solid(distance=distance, seen=tuple(seen))
 
 
@@ -93,10 +111,10 @@ def meshed(
         SurfaceError: views and silhouettes enclose nothing.
     """
     progress(0.1)
-    surface, mesh = _surface(solid, settings, settings.near_mm, part(progress, 0.1, 0.9))
+    surface, mesh = _surface(solid, settings, NEAR_MM, part(progress, 0.1, 0.9))
     best = largest_part(mesh)
     candidate: TriangleMesh | None = best
-    for attempt in range(_HEALING_ATTEMPTS if settings.smoothing_cubes > 0 and len(best.faces) else 0):
+    for attempt in range(_HEALING_ATTEMPTS if SMOOTHING_CUBES > 0 and len(best.faces) else 0):
         if candidate is None or _euler_number(best) == 2:
             break
         wider = _HEALING_GROWTH**attempt
@@ -129,18 +147,17 @@ def _surface(
         np.array([corners.min(axis=0), corners.max(axis=0)]),
         block_seeds(solid.seen),
         cube_mm=settings.cube_mm or CUBE_MM,
-        truncation_mm=settings.field.truncation_mm,
+        truncation_mm=TRUNCATION_MM,
         near_mm=near_mm,
         progress=part(progress, 0.0, 0.6),
     )
-    surface = Isosurface(grid, smoothing=settings.smoothing_cubes, progress=part(progress, 0.6, 1.0))
+    surface = Isosurface(grid, smoothing=SMOOTHING_CUBES, progress=part(progress, 0.6, 1.0))
     mesh = surface.mesh()
     return (surface, mesh) if mesh is not None else _surface(solid, settings, np.inf, progress)
 
 
 def extract_open(
     range_images: Sequence[RangeImage],
-    settings: ExtractSettings = ExtractSettings(),
     *,
     progress: Progress = no_progress,
 ) -> TriangleMesh:
@@ -245,6 +262,6 @@ def check_silhouettes(
             )
 
 
-def closing_box_of(range_images: Sequence[RangeImage], settings: ExtractSettings) -> ClosingBox:
+def closing_box_of(range_images: Sequence[RangeImage]) -> ClosingBox:
     """Box that closes what no camera saw, as `extract` uses it."""
-    return closing_box(range_images, back_mm=settings.back_mm, around_mm=settings.around_mm)
+    return closing_box(range_images, back_mm=BACK_MM, around_mm=AROUND_MM)

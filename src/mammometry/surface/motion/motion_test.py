@@ -35,6 +35,14 @@ from mammometry.surface.motion.rigid_motion import (
 from mammometry.surface.ranges.range_image import RangeImage
 from mammometry.surface.settings import StillnessSettings
 
+LEAST_EVIDENCE = 10.0
+"""Rise of the log probability of all observations above which something is taken to have moved: e¹⁰ is 1 in 22,000.
+Clean captures reach 0 to 3.
+"""
+LEAST_MM = 0.06
+"""RMS displacement of the worst pair's points below which nothing is corrected, mm: two thirds of a clean surface's
+error.
+"""
 _FIRST_OTHER_SKIN_MM = 12.0
 """`OTHER_SKIN_MM` of the first round, mm: a camera of the reference rig turned by .1° moves skin so far."""
 _ROUNDS = 2  # after the first, pairs are compared where the corrected cameras see them
@@ -145,7 +153,7 @@ def find(
     limit_mm = max(_UNEXPLAINED_MM, honest_mm)
     moved = most_probable(seen, parameters)
     evidence = moved.expected.log_evidence - moved.still.log_evidence
-    if evidence < settings.least_evidence and moved.expected.rest_mm < limit_mm:
+    if evidence < LEAST_EVIDENCE and moved.expected.rest_mm < limit_mm:
         return _nothing(parameters, distance_mm=before_mm, evidence=evidence)
     for _ in range(1, _ROUNDS):
         so_far = moved.expected.motions
@@ -158,15 +166,14 @@ def find(
     best = moved.expected
     found = replace(_judged(rig, rows, moved, parameters), unexplained=best.rest_mm >= limit_mm)
     found = replace(found, evidence=evidence, distance_mm=(before_mm, seen.rms_mm(best.motions)))
-    sigmas = 0.0 if evidence >= _SURE * settings.least_evidence else _LEAST_SIGMAS
+    sigmas = 0.0 if evidence >= _SURE * LEAST_EVIDENCE else _LEAST_SIGMAS
     matters = any(
-        displacement.effect_mm >= max(settings.least_mm, sigmas * displacement.std_mm)
-        for displacement in found.displaced
+        displacement.effect_mm >= max(LEAST_MM, sigmas * displacement.std_mm) for displacement in found.displaced
     )
     if not (matters or found.unexplained):
         return _nothing(parameters, distance_mm=before_mm, evidence=evidence)
     _refuse(found, settings, honest_mm)
-    if settings.correct and evidence >= settings.least_evidence:
+    if settings.correct and evidence >= LEAST_EVIDENCE:
         return replace(found, corrected=True)
     return replace(found, covariance=found.covariance + np.outer(found.motions, found.motions))
 

@@ -21,6 +21,8 @@ from mammometry.surface.ranges.range_image import RangeImage
 from mammometry.surface.ranges.visibility import gap_mm
 from mammometry.surface.settings import DecomposeSettings, DentSettings
 
+SEEN_THROUGH_MM = 1.0
+"""Distance in front of another view's surface at which a datum is dropped, mm, besides three σ of both."""
 _MIN_PATCH = 3  # points that determine a normal
 _SMALLEST_ISLAND = 30  # connected data; fewer are crumbs that the other rules leave (rule ``element``); chosen by eye
 _COMMON_MM = 3.0  # data of two views closer than this show the same skin; chosen by eye
@@ -82,7 +84,7 @@ def remove_dents(
             kept = [image.valid & (angle <= limit) for image, angle in zip(range_images, angles, strict=True)]
         if settings.drop_seen_through:
             facing = [image.keeping(keep) for image, keep in zip(range_images, kept, strict=True)]
-            through = each_at_once(lambda k: _seen_through(k, facing, angles, settings), range(len(kept)))
+            through = each_at_once(lambda k: _seen_through(k, facing, angles), range(len(kept)))
             kept = [keep & ~beside for keep, beside in zip(kept, through, strict=True)]
         kept = each_at_once(_without_islands, kept)
     if not any(keep.any() for keep in kept):
@@ -212,7 +214,7 @@ def _patch_angles_rad(
 
 
 def _seen_through(
-    index: int, images: Sequence[RangeImage], angles: Sequence[Float32[Array, "h w"]], settings: DentSettings
+    index: int, images: Sequence[RangeImage], angles: Sequence[Float32[Array, "h w"]]
 ) -> Bool[Array, "h w"]:
     """Elements of view `index` in front of what another view saw. The other view saw it at a better angle."""
     image = images[index]
@@ -227,7 +229,7 @@ def _seen_through(
         known = np.isfinite(gap)
         uv = np.rint(projected(other.camera, points[known])[:, :2]).astype(np.intp)
         sigma, angle = other.sigma_mm[uv[:, 1], uv[:, 0]], other_angle[uv[:, 1], uv[:, 0]]
-        tolerance = np.maximum(settings.seen_through_mm, _SIGMAS * np.hypot(own_sigma[known], sigma))
+        tolerance = np.maximum(SEEN_THROUGH_MM, _SIGMAS * np.hypot(own_sigma[known], sigma))
         # A gap along a grazing ray exaggerates the distance between the surfaces: measure it across the surface.
         through[known] |= (gap[known] * np.cos(angle) > tolerance) & (angle <= own_angle[known])
     result = np.zeros(image.valid.shape, dtype=bool)

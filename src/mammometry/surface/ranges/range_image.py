@@ -19,6 +19,8 @@ from mammometry.matching.dense.match import DisparityMap
 from mammometry.surface.ranges import image_kernels, ray_kernels
 from mammometry.surface.settings import TriangulateSettings
 
+MAX_SIGMA_MM = 3.0
+"""Expected error above which a datum is dropped, mm: it would lie outside every fusion band."""
 _SAMPLES = 100_000  # data of which a median is taken: more change it by less than a thousandth; chosen by eye
 
 RANGE_STEP_MM = 2.0**-9
@@ -158,9 +160,7 @@ def triangulate(disparity: DisparityMap, settings: TriangulateSettings = Triangu
     rows, columns = np.nonzero(valid)
     distance, distance_right, sigma = _intersected(disparity, rows * step, columns * step)
     with np.errstate(invalid="ignore"):
-        good = (
-            np.isfinite(distance) & (distance > RANGE_STEP_MM) & (distance_right > 0) & (sigma <= settings.max_sigma_mm)
-        )
+        good = np.isfinite(distance) & (distance > RANGE_STEP_MM) & (distance_right > 0) & (sigma <= MAX_SIGMA_MM)
 
     def spread(values: Float64[Array, " n"]) -> Float32[Array, "h w"]:
         image = np.zeros(valid.shape, dtype=np.float32)

@@ -66,10 +66,10 @@ class Stiffness:
 
     rho: float
     """Weight of the internal energy."""
-    k_ext: float
-    """External modulus."""
-    k_int: float
-    """Internal modulus."""
+    k_ext: float = 1.0
+    """External modulus (Eq. 5). Only the ratio of the three matters: ρ alone is a setting."""
+    k_int: float = 1.0
+    """Internal modulus (Eq. 6)."""
 
 
 def minimum(

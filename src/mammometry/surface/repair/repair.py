@@ -21,6 +21,20 @@ from mammometry.surface.repair.energy import Graph, Stiffness, graph_of_mesh, mi
 from mammometry.surface.repair.untangle import touching, without_crossings, without_flips
 from mammometry.surface.settings import RepairSettings
 
+FALSE_WEIGHT = 0.2
+"""ω of a vertex without plausible point, which keeps the displacement of its neighbours. Without any weight the
+solution needs many times the iterations.
+"""
+REACH_MM = 4.0
+"""A datum further from the vertex than this is not plausible, mm."""
+NORMAL_ANGLE_DEG = 45.0
+"""Nor one whose normal differs by more, degrees."""
+TANGENTIAL_MM = 0.8
+"""Largest distance of a datum beside the vertex, mm. Further off, the vertex is beyond the edge of the data."""
+SIMILARITY_MM = 2.0
+"""Distance at which the similarity ω has fallen to 1/e, mm."""
+REPAIRED_REACH_MM = 15.0
+"""Distance from measured vertices, along the surface, beyond which a vertex without datum counts as invented, mm."""
 _MAX_ITERATIONS = 400  # of the conjugate gradients; about 125 are usual (docs/decisions/0007)
 _TOLERANCE = 1e-3  # relative residual at which they stop; 1e-6 changed nothing
 _FADED = 10.0  # fading lengths after which a displacement is nothing: e⁻¹⁰ of it is left
@@ -134,7 +148,7 @@ def _drawn_to_data(
             found = _correspondences(_moved(initial, displacement), views, settings)
     provenance = np.where(found.found, Provenance.MEASURED, Provenance.REPAIRED).astype(np.uint8)
     _, away_mm = propagate(np.zeros((len(provenance), 1)), found.found, graph, initial.vertices)
-    provenance[away_mm > settings.repaired_reach_mm] = Provenance.INVENTED
+    provenance[away_mm > REPAIRED_REACH_MM] = Provenance.INVENTED
     return displacement, provenance, found, moves
 
 
@@ -159,11 +173,11 @@ def _near_data(mesh: TriangleMesh, valid: ValidPatches, settings: RepairSettings
     """Faces near enough to data to move or count as repaired. All faces if displacements do not fade."""
     if settings.fade_mm == 0:
         return np.ones(len(mesh.faces), dtype=bool)
-    reach_mm = settings.reach_mm + max(settings.repaired_reach_mm, _FADED * settings.fade_mm)
+    reach_mm = REACH_MM + max(REPAIRED_REACH_MM, _FADED * settings.fade_mm)
     low, high = bounds(mesh.vertices)
-    low -= settings.reach_mm
+    low -= REACH_MM
     cell = ((mesh.vertices - low) / _CELL_MM).astype(np.int32)
-    empty = np.ones(((high - low) / _CELL_MM).astype(np.int32) + 1 + int(settings.reach_mm / _CELL_MM), dtype=bool)
+    empty = np.ones(((high - low) / _CELL_MM).astype(np.int32) + 1 + int(REACH_MM / _CELL_MM), dtype=bool)
     for image in valid.range_images:
         of_data = np.floor((image.valid_points_world() - low) / _CELL_MM).astype(np.int64)
         empty[tuple(of_data[((of_data >= 0) & (of_data < empty.shape)).all(axis=1)].T)] = False
@@ -195,12 +209,12 @@ def _solve(
     wish, away_mm = propagate(found.targets - initial.vertices, found.found, graph, initial.vertices)
     if settings.fade_mm > 0:
         wish *= np.exp(-away_mm / settings.fade_mm)[:, None]
-    weights = np.where(found.found, found.similarity, settings.false_weight)
+    weights = np.where(found.found, found.similarity, FALSE_WEIGHT)
     solved, _ = minimum(
         wish,
         weights,
         graph,
-        Stiffness(rho=settings.rho, k_ext=settings.k_ext, k_int=settings.k_int),
+        Stiffness(rho=settings.rho),
         start=wish if displacement is None else displacement,
         tolerance=_TOLERANCE,
         max_iterations=_MAX_ITERATIONS,
@@ -225,10 +239,10 @@ def propagate(
 
 def _correspondences(mesh: TriangleMesh, views: list[ViewData | None], settings: RepairSettings) -> Correspondences:
     gates = Gates(
-        reach_mm=settings.reach_mm,
-        normal_angle_deg=settings.normal_angle_deg,
-        tangential_mm=settings.tangential_mm,
-        similarity_mm=settings.similarity_mm,
+        reach_mm=REACH_MM,
+        normal_angle_deg=NORMAL_ANGLE_DEG,
+        tangential_mm=TANGENTIAL_MM,
+        similarity_mm=SIMILARITY_MM,
         blend=settings.target == "blend",
     )
     return correspond(mesh.vertices, mesh.vertex_normals(), views, gates)

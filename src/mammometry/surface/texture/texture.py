@@ -17,9 +17,12 @@ from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.raster_kernels import nearest_faces
 from mammometry.surface.fusion.camera_records import view_row
-from mammometry.surface.settings import TextureSettings
 from mammometry.surface.texture import texture_kernels
 
+SHARPNESS = 6.0
+"""Power of the cosine of incidence in a photograph's weight. High values take each vertex from its best view."""
+CLEARANCE_MM = 0.7
+"""What stands less than this before a vertex does not hide it from a camera, mm: more than a cube's edge."""
 _LEAST_COSINE = 0.1  # 84° off the normal: a photograph shows nothing of skin seen more obliquely
 _LEAST_COMMON = 200  # vertices that two photographs both see before they are levelled; chosen by eye
 _LEAST_BRIGHT = 0.02  # of full scale: darker values are noise, whose ratio says nothing; chosen by eye
@@ -46,7 +49,6 @@ def paint(
     mesh: TriangleMesh,
     photographs: Mapping[str, Photograph],
     rig: Rig,
-    settings: TextureSettings = TextureSettings(),
     *,
     progress: Progress = no_progress,
 ) -> TexturedMesh:
@@ -56,7 +58,7 @@ def paint(
     the weight cosⁿ(incidence)/distance². Photographs are first levelled to one another: one gain per camera and
     channel, from the vertices that two of them see well. The world frame is the mesh's.
     """
-    _, weights, samples = view_samples(mesh, photographs, rig, settings, progress=progress)
+    _, weights, samples = view_samples(mesh, photographs, rig, progress=progress)
     total = weights.sum(axis=0)
     colours = np.where(total[:, None] > 0, np.clip(blended(weights, samples), 0.0, 1.0) * 255.0, _UNSEEN)
     progress(1.0)
@@ -74,7 +76,6 @@ def view_samples(
     mesh: TriangleMesh,
     photographs: Mapping[str, Photograph],
     rig: Rig,
-    settings: TextureSettings,
     *,
     progress: Progress = no_progress,
 ) -> tuple[Float32[Array, "k 3"], Float32[Array, "k n"], Float32[Array, "k n 3"]]:
@@ -90,8 +91,8 @@ def view_samples(
     samples = np.zeros((len(names), n, 3), dtype=np.float32)
     for k, (name, photograph) in enumerate(zip(names, read_ahead(photographs, names), strict=True)):
         camera = rig.cameras[name]
-        weights[k], places = _facing(mesh, normals, camera, settings.sharpness)
-        weights[k, _hidden(mesh, camera, places, weights[k] > 0, settings.clearance_mm)] = 0.0
+        weights[k], places = _facing(mesh, normals, camera, SHARPNESS)
+        weights[k, _hidden(mesh, camera, places, weights[k] > 0, CLEARANCE_MM)] = 0.0
         seen = np.flatnonzero(weights[k])
         samples[k, seen] = picture_of(photograph).colours_at(places[seen, :2])
         progress(0.9 * (k + 1) / len(names))

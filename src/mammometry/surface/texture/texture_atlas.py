@@ -26,12 +26,17 @@ from mammometry.geometry.arrays import Array, Float32, Float64, Int32, Int64, UI
 from mammometry.geometry.camera import Rig
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.projection import projected
-from mammometry.surface.settings import TextureSettings
 from mammometry.surface.texture import atlas_kernels
 from mammometry.surface.texture.seams import FadingPixels, fading_pixels, fading_weights, spread
 from mammometry.surface.texture.simplify import thinned
 from mammometry.surface.texture.texture import blended, picture_of, read_ahead, view_samples
 
+TRIANGLES = 200_000
+"""Triangles of the viewing mesh, which carries the photographs at full resolution. The measured mesh keeps all of
+its own.
+"""
+ATLAS_PX = 8192
+"""Largest width and height of the viewing mesh's picture, pixels."""
 _PADDING_PX = 3  # around a chart's piece of photograph, for programs that read between pixels
 _GREY = 128  # sRGB; where no camera sees the surface
 _SMOOTHING_ROUNDS = 12  # edges over which the weights are smoothed before faces choose; chosen by eye
@@ -85,15 +90,14 @@ def cover(
     surface: TriangleMesh,
     photographs: Mapping[str, Photograph],
     rig: Rig,
-    settings: TextureSettings = TextureSettings(),
     *,
     progress: Progress = no_progress,
 ) -> Atlas:
     """Thin a surface for looking and cover it with its photographs. World frame, mm."""
-    mesh = thinned(surface, settings.triangles)
+    mesh = thinned(surface, TRIANGLES)
     progress(0.1)
     names = tuple(name for name in photographs if name in rig.cameras)
-    gains, weights, samples = view_samples(mesh, photographs, rig, settings, progress=part(progress, 0.1, 0.5))
+    gains, weights, samples = view_samples(mesh, photographs, rig, progress=part(progress, 0.1, 0.5))
     view = best_views(mesh, weights)
     target = blended(weights, samples)
     photographed = [projected(rig.cameras[name], mesh.vertices)[:, :2] for name in names]
@@ -104,9 +108,9 @@ def cover(
         sizes_wh = [(size[0] // step, size[1] // step) for size in (rig.cameras[name].size_wh for name in names)]
         charts = _charts(mesh, view, pixels, sizes_wh)
         corners, uv_px, size_wh = _laid_out(charts, len(mesh.faces))
-        if max(size_wh) <= settings.atlas_px or step == _MOST_REDUCED:
+        if max(size_wh) <= ATLAS_PX or step == _MOST_REDUCED:
             break
-        step = min(-(-step * max(size_wh) // settings.atlas_px), _MOST_REDUCED) - 1
+        step = min(-(-step * max(size_wh) // ATLAS_PX), _MOST_REDUCED) - 1
     sheet = np.full((size_wh[1], size_wh[0], 3), _GREY, dtype=np.uint8)
     fading = fading_pixels(mesh, view, fading_weights(mesh, view, weights > 0), uv_px, size_wh)
     mixed = np.zeros((len(fading.row), 3), dtype=np.float32)

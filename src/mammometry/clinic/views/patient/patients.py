@@ -65,8 +65,3 @@ def patient_edit(request: HttpRequest, patient: uuid.UUID) -> HttpResponse:
         messages.success(request, "The patient's entry is changed.")
         return redirect("patient", patient=person.pk)
     return render(request, "clinic/patient_form.html", {"form": form, "patient": person})
-
-
-def _is_compared(result: results.VisitResult) -> bool:
-    """Whether a visit can be laid onto another: it has a volume, and photographs."""
-    return not result.visit.is_scan and any(side.volume_cc is not None for side in result.sides)

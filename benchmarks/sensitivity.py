@@ -1,0 +1,459 @@
+"""What moves a volume: every setting and every constant chosen by eye, turned by a quarter up and down.
+
+    python -m benchmarks.sensitivity --out build/sensitivity
+
+Four small captures are rendered by seed: a cast, a torso, a torso with a rail before it whose cameras have turned, and
+a telephone's scan. Each is measured once. Then each number is turned alone, in a process of its own that takes over
+every product which the number cannot reach: those made without a function that reads it, from unchanged products. A
+number moves a volume if the volume, or its interval's width, changes by more than a tenth of that width, or if
+something is refused. The rows lie in OUT/rows.jsonl; a second call goes on where the first one ended.
+
+Numbers that compiled kernels hold themselves are not turned, and count as not reached.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import hashlib
+import json
+import multiprocessing
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, fields, is_dataclass
+from functools import partial
+from pathlib import Path
+from types import CodeType, FrameType
+from typing import Any
+
+import numpy as np
+
+import mammometry
+from benchmarks.accuracy.scans import scanned, woman
+from mammometry.api.job import Job, open_session
+from mammometry.api.mesh import MeshFiles, MeshJob
+from mammometry.base.errors import MammometryError
+from mammometry.io.meshes.own_ply import write_ply
+from mammometry.job import products
+from mammometry.job.products import Key, Product
+from mammometry.job.stages.measure import measurements
+from mammometry.settings import Settings, names
+from mammometry.simulate.recipe import SessionRecipe
+from mammometry.simulate.session import write_session
+from mammometry.simulate.situation import parse_situation
+
+SOURCE = Path(mammometry.__file__).parent
+STAGES = ("calibration", "matching", "surface", "measure", "geometry", "job")
+"""Packages whose constants are turned."""
+BY_EYE = "by eye"
+TURNS = (1.25, 0.75)
+MOVED = 0.1
+"""Of the interval's width."""
+_NO_VOLUME = ("model", "mesh", "landmarks", "symmetry", "dimensions", "lacking", "absent")
+"""Products from which no volume is made."""
+_SLOW = 20.0
+"""Times the base's seconds after which a process is ended."""
+CAPTURES: Mapping[str, SessionRecipe | None] = {
+    "scan": None,
+    "cast": SessionRecipe(),
+    "torso": SessionRecipe(rig="reference:front,left,right", subject="torso_3", scale=0.2, seed=42, poses=12),
+    "rail": SessionRecipe(
+        rig="reference:front,left,right", subject="torso_8", scale=0.2, seed=43, poses=12,
+        situation=parse_situation("rail,drift=0.01"),
+    ),
+}  # fmt: skip
+_WOMAN = 41
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Number:
+    """A setting, or a constant of a module."""
+
+    name: str
+    """``surface.repair.rho``, or ``surface/repair.py:_STEP``."""
+    value: Any
+    module: str = ""
+    """That defines it. Empty for a setting."""
+
+    @property
+    def variable(self) -> str:
+        """A constant's own name."""
+        return self.name.partition(":")[2]
+
+    def turned(self, factor: float) -> Any:
+        """Its value, turned. Counts move by one at least."""
+        return _turned(self.value, factor)
+
+
+def _turned(value: Any, factor: float) -> Any:
+    if isinstance(value, tuple):
+        return tuple(_turned(part, factor) for part in value)
+    if isinstance(value, np.generic):
+        return type(value)(value * factor)
+    if isinstance(value, int):
+        step = max(1, round(abs(value) * abs(factor - 1)))
+        return value + step if factor > 1 else value - step
+    return value * factor
+
+
+def _is_number(value: Any) -> bool:
+    if isinstance(value, tuple):
+        return len(value) > 0 and all(map(_is_number, value))
+    return isinstance(value, (int, float, np.number)) and not isinstance(value, bool) and value != 0
+
+
+def all_settings() -> Iterator[Number]:
+    """Yield the settings that are numbers and not zero."""
+    for name in names(Settings()):
+        value: Any = Settings()
+        for part in name.split("."):
+            value = getattr(value, part)
+        if _is_number(value):
+            yield Number(name=name, value=value)
+
+
+def constants(everything: bool = False) -> Iterator[Number]:
+    """Yield the numbers that modules of the stages call chosen by eye.
+
+    Args:
+        everything: whether to yield all other numeric constants, too.
+    """
+    for folder in STAGES:
+        for path in sorted((SOURCE / folder).rglob("*.py")):
+            text = path.read_text(encoding="utf-8")
+            if BY_EYE not in text and not everything:
+                continue
+            module = ".".join(("mammometry", *path.relative_to(SOURCE).with_suffix("").parts))
+            yield from (
+                Number(name=f"{path.relative_to(SOURCE)}:{name}", value=value, module=module)
+                for name, value in _constants_in(text, module, everything)
+            )
+
+
+def _constants_in(text: str, module: str, everything: bool) -> Iterator[tuple[str, Any]]:
+    lines, body = text.splitlines(), ast.parse(text).body
+    for statement, after in zip(body, [*body[1:], None], strict=True):
+        if not isinstance(statement, (ast.Assign, ast.AnnAssign)):
+            continue
+        said = lines[statement.lineno - 1 : statement.end_lineno]
+        if isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant):  # its docstring
+            said = [*said, *lines[after.lineno - 1 : after.end_lineno]]
+        above = statement.lineno - 2
+        while above >= 0 and lines[above].startswith("#"):
+            said, above = [lines[above], *said], above - 1
+        if not everything and BY_EYE not in " ".join(said).lower():
+            continue
+        __import__(module)
+        known = vars(sys.modules[module])
+        targets = statement.targets if isinstance(statement, ast.Assign) else [statement.target]
+        for target in targets:
+            for name in ast.walk(target):
+                if isinstance(name, ast.Name) and name.id.isupper() and _is_number(known.get(name.id)):
+                    yield name.id, known[name.id]
+
+
+def turn(number: Number, factor: float) -> Settings:
+    """Turn a number in this process: in the settings that are returned, or in every module that knows it."""
+    value = number.turned(factor)
+    if not number.module:
+        return Settings().overridden([f"{number.name}={list(value) if isinstance(value, tuple) else value}"])
+    own = sys.modules[number.module]
+    _assign(own, number.variable, value)
+    for module in list(sys.modules.values()):
+        if module is not own and module.__name__.startswith("mammometry."):
+            there = vars(module).get(number.variable)
+            if not number.variable.startswith("_") and isinstance(there, type(number.value)) and there == number.value:
+                _assign(module, number.variable, value)
+    return Settings()
+
+
+def _assign(module: Any, name: str, value: Any) -> None:
+    """Set a module's constant, and make anew what the module derives from it."""
+    vars(module)[name] = value
+    for statement in ast.parse(Path(module.__file__).read_text(encoding="utf-8")).body:
+        if isinstance(statement, ast.Assign) and name in _names_in(statement.value):
+            exec(compile(ast.Module([statement], []), module.__file__, "exec"), vars(module))
+
+
+def _names_in(node: ast.AST) -> set[str]:
+    return {part.id for part in ast.walk(node) if isinstance(part, ast.Name)}
+
+
+def readers(number: Number) -> set[str]:
+    """Names whose readers depend on a number: its own, and those of constants derived from it."""
+    if not number.module:
+        return {number.name.rpartition(".")[2]}
+    derived = {number.variable}
+    for statement in ast.parse(Path(str(sys.modules[number.module].__file__)).read_text(encoding="utf-8")).body:
+        if isinstance(statement, ast.Assign) and derived & _names_in(statement.value):
+            derived = derived.union(*map(_names_in, statement.targets))
+    return derived
+
+
+def stored_parents(product: Product[Any]) -> set[str]:
+    """Names of the stored products that a product is made from, also by way of others."""
+    parents: set[str] = set()
+    for parent in product.made_from:
+        parents |= {parent.key.product} if parent.is_stored else stored_parents(parent)
+    return parents
+
+
+@dataclass(slots=True)
+class Made:
+    """A product of the base."""
+
+    value: Any
+    digest: str
+    settings: Any
+    ran: set[CodeType]
+    """Functions that ran while it was made."""
+
+
+class Base:
+    """A capture, measured once with every function noted, so that turned numbers make anew only what they reach."""
+
+    def __init__(self, opened: Callable[[Settings], Job | MeshJob]) -> None:
+        self._opened = opened
+        self.made: dict[str, Made] = {}
+        self.opening: set[CodeType] = set()
+        self._running = [self.opening]
+        begun = time.monotonic()
+        sys.setprofile(self._note)
+        threading.setprofile(self._note)
+        products._WORKERS_AT_MOST = 1  # functions are noted for one product at a time
+        try:
+            self.measured = _measured(self._opened(Settings()), self._make)
+        finally:
+            sys.setprofile(None)
+            threading.setprofile(None)
+        self.seconds = time.monotonic() - begun
+
+    def _note(self, frame: FrameType, event: str, argument: Any) -> None:
+        if event == "call":
+            self._running[-1].add(frame.f_code)
+
+    def _make(self, key: Key, prepare: Callable[[], Callable[[Any], Any]]) -> Any:
+        if key.product in self.made:
+            return self.made[key.product].value
+        ran: set[CodeType] = set()
+        self._running.append(ran)
+        value = prepare()(lambda fraction: None)
+        self._running.pop()
+        self.made[key.product] = Made(value, digest_of(value), key.settings, ran)
+        return value
+
+    def reached(self, number: Number) -> bool:
+        """Whether a function that ran reads the number."""
+        return any(map(partial(_reads, readers(number)), self._ran()))
+
+    def _ran(self) -> set[CodeType]:
+        return self.opening.union(*(made.ran for made in self.made.values()))
+
+    def turned(self, number: Number, factor: float) -> dict[str, Any]:
+        """Measure again with a number turned."""
+        reading = readers(number)
+        changed: set[str] = set()
+        settings = turn(number, factor)
+        job = self._opened(settings)
+        parents = {product.key.product: stored_parents(product) for product in job.plan.products()}
+        afresh = any(_reads(reading, code) for code in self.opening) and isinstance(self._opened, partial)
+
+        def recall(key: Key, prepare: Callable[[], Callable[[Any], Any]]) -> Any:
+            base = self.made.get(key.product)
+            if base is not None and key.product not in changed and not afresh:
+                own = bool(number.module) or key.settings != base.settings
+                read = own and any(_reads(reading, code) for code in base.ran)
+                if not read and changed.isdisjoint(parents[key.product]):
+                    return base.value
+            value = prepare()(lambda fraction: None)
+            if base is None or digest_of(value) != base.digest:
+                changed.add(key.product)
+            self.made[key.product] = Made(value, digest_of(value), key.settings, set())
+            return value
+
+        return {**_measured(job, recall), "remade": sorted(changed)}
+
+
+def _reads(reading: set[str], code: CodeType) -> bool:
+    return bool(reading) and not reading.isdisjoint(code.co_names)
+
+
+def _measured(job: Job | MeshJob, recall: Callable[..., Any]) -> dict[str, Any]:
+    """Volumes and intervals of a capture, or its refusal."""
+    job.store.recall = recall  # type: ignore[method-assign]  # nothing is stored
+    job.store.has = lambda key: False  # type: ignore[method-assign]
+    try:
+        for product in job.plan.products():
+            if product.key.product.split("/")[0] not in _NO_VOLUME:
+                product()
+                product.release()
+        made = job.plan.value(measurements) or ()
+        return {"volumes": {one.name: [one.volume_cc, *(one.interval_cc or (0.0, 0.0))] for one in made}}
+    except MammometryError as error:
+        return {"refused": str(error)}
+
+
+def digest_of(value: Any) -> str:
+    """Digest of a product's value."""
+    digest = hashlib.sha256()
+    _feed(value, digest)
+    return digest.hexdigest()
+
+
+def _feed(value: Any, digest: Any) -> None:
+    if is_dataclass(value):
+        for one in fields(value):
+            _feed(getattr(value, one.name), digest)
+    elif isinstance(value, np.ndarray):
+        digest.update(str((value.dtype, value.shape)).encode() + np.ascontiguousarray(value).tobytes())
+    elif isinstance(value, Mapping):
+        for key, part in value.items():
+            digest.update(repr(key).encode())
+            _feed(part, digest)
+    elif isinstance(value, (tuple, list)):
+        for part in value:
+            _feed(part, digest)
+    else:
+        digest.update(repr(value).encode())
+
+
+def opener(name: str, out: Path) -> Callable[[Settings], Job | MeshJob]:
+    """Render a capture, unless it is there. Opens it."""
+    recipe, place = CAPTURES[name], out / name
+    if recipe is not None:
+        if not (place / "capture").is_dir():
+            write_session(place, recipe)
+        return lambda settings: open_session(place, settings)
+    mesh = place / "scan.ply"
+    if not mesh.exists():
+        place.mkdir(parents=True, exist_ok=True)
+        made = scanned(woman(_WOMAN, "standing"), "telephone", 0)
+        write_ply(mesh, made.mesh, made.ply_colours, comments=())
+    files = MeshFiles(mesh=mesh, units="mm", automatic=True)
+    return partial(MeshJob, files, place / "results")
+
+
+def moved_by(row: Mapping[str, Any], base: Mapping[str, Any]) -> float:
+    """Largest change of a volume, or of an interval's width, as a share of the width. Infinite: a refusal."""
+    if "volumes" not in row or set(row["volumes"]) != set(base["volumes"]):
+        return np.inf
+    shares = [0.0]
+    for name, (volume, low, high) in base["volumes"].items():
+        now, now_low, now_high = row["volumes"][name]
+        shares += [abs(now - volume) / (high - low), abs((now_high - now_low) / (high - low) - 1)]
+    return max(shares)
+
+
+def _one(base: Base, number: Number, factor: float, row: dict[str, Any], path: Path) -> None:
+    begun = time.monotonic()
+    try:
+        row |= base.turned(number, factor)
+    except Exception as error:
+        row["refused"] = f"{type(error).__name__}: {error}"
+    row["moved"] = moved_by(row, base.measured)
+    row["seconds"] = round(time.monotonic() - begun, 2)
+    _write(row, path)
+
+
+def _write(row: Mapping[str, Any], path: Path) -> None:
+    with path.open("a", encoding="utf-8") as file:
+        file.write(json.dumps(row) + "\n")
+
+
+def rows_in(path: Path) -> dict[tuple[str, str, float], dict[str, Any]]:
+    """(capture, name, factor) → row."""
+    known = {}
+    if path.exists():
+        for line in path.read_text(encoding="utf-8").splitlines():
+            with suppress(ValueError):  # cut off
+                row = json.loads(line)
+                known[row["capture"], row["name"], row["factor"]] = row
+    return known
+
+
+def turn_all(name: str, numbers: Sequence[Number], factors: Sequence[float], out: Path, workers: int) -> None:
+    """Turn all numbers on one capture, as far as that is not done."""
+    path = out / "rows.jsonl"
+    known = rows_in(path)
+    left = [(number, factor) for factor in factors for number in numbers if (name, number.name, factor) not in known]
+    if not left:
+        return
+    base = Base(opener(name, out))
+    print(f"{name}: {base.measured} in {base.seconds:.0f} s, {len(left)} turns", flush=True)
+    if "volumes" not in base.measured:
+        raise SystemExit(f"{name} cannot be measured")
+    fork, running = multiprocessing.get_context("fork"), []
+    for number, factor in left:
+        row: dict[str, Any] = {"capture": name, "name": number.name, "factor": factor}
+        if not base.reached(number):
+            _write({**row, "moved": 0.0, "reached": False}, path)
+            continue
+        process = fork.Process(target=_one, args=(base, number, factor, row, path))
+        process.start()
+        running.append((process, row, time.monotonic()))
+        while len(running) >= workers:
+            running = [one for one in running if not _ended(*one, base.seconds * _SLOW, path)]
+            time.sleep(0.02)
+    while running:
+        running = [one for one in running if not _ended(*one, base.seconds * _SLOW, path)]
+        time.sleep(0.02)
+
+
+def _ended(process: Any, row: dict[str, Any], begun: float, limit: float, path: Path) -> bool:
+    if process.is_alive():
+        if time.monotonic() - begun < limit:
+            return False
+        process.kill()
+        _write({**row, "moved": np.inf, "refused": "takes too long"}, path)
+    process.join()
+    return True
+
+
+def table(rows: Mapping[Any, Mapping[str, Any]], *, everything: bool) -> Iterator[str]:
+    """Yield the table of what moves a volume, as Markdown."""
+    captures = [name for name in CAPTURES if any(row["capture"] == name for row in rows.values())]
+    yield "| number | " + " | ".join(captures) + " |"
+    yield "| --- " * (len(captures) + 1) + "|"
+    by_name: dict[str, dict[str, list[str]]] = {}
+    largest: dict[str, float] = {}
+    for row in rows.values():
+        largest[row["name"]] = max(largest.get(row["name"], 0.0), row["moved"])
+        share = "refused" if row["moved"] == np.inf else f"{100 * row['moved']:.0f}"
+        cell = f"{'+' if row['factor'] > 1 else '−'} {share}" if row.get("reached", True) else "·"
+        by_name.setdefault(row["name"], {}).setdefault(row["capture"], []).append(cell)
+    for name in sorted(by_name, key=lambda one: -largest[one]):
+        if everything or largest[name] > MOVED:
+            cells = (", ".join(dict.fromkeys(by_name[name].get(capture, ["–"]))) for capture in captures)
+            yield f"| `{name}` | " + " | ".join(cells) + " |"
+    still = sum(one <= MOVED for one in largest.values())
+    never = sum(all(cell == ["·"] for cell in cells.values()) for cells in by_name.values())
+    yield f"{still} of {len(largest)} move nothing by more than a tenth; {never} of them are reached on no capture."
+
+
+def main() -> None:
+    """Turn the numbers, and print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--out", type=Path, default=Path("build/sensitivity"))
+    parser.add_argument("--captures", nargs="+", choices=list(CAPTURES), default=list(CAPTURES))
+    parser.add_argument("--only", nargs="+", help="names of numbers, or what they begin with")
+    parser.add_argument("--all-constants", action="store_true", help="also those that were measured")
+    parser.add_argument("--turns", nargs="+", type=float, default=list(TURNS))
+    parser.add_argument("--workers", type=int, default=1)
+    parser.add_argument("--table", action="store_true", help="of what is there; turns nothing")
+    parser.add_argument("--whole", action="store_true", help="show also what moves nothing")
+    arguments = parser.parse_args()
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    numbers = [*all_settings(), *constants(arguments.all_constants)]
+    if arguments.only:
+        numbers = [one for one in numbers if one.name.startswith(tuple(arguments.only))]
+    if not arguments.table:
+        for name in arguments.captures:
+            turn_all(name, numbers, arguments.turns, arguments.out, arguments.workers)
+    print("\n".join(table(rows_in(arguments.out / "rows.jsonl"), everything=arguments.whole)))
+
+
+if __name__ == "__main__":
+    main()
