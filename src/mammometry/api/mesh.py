@@ -78,7 +78,7 @@ class MeshFiles:
     """What is known of a foreign mesh."""
 
     mesh: Path
-    """PLY, OBJ, STL or GLB."""
+    """PLY, OBJ, STL, GLB or USDZ."""
     units: str | None = None
     """``mm``, ``cm``, ``m``. None where the file states it."""
     boundary: Path | None = None

@@ -64,10 +64,10 @@ class SecondProcess:
             with suppress(OSError):  # what was not read there any more
                 pipe.close()
 
-    def call(self, function: Callable[..., _R], *arguments: Any) -> _R:
+    def call(self, function: Callable[..., _R], *arguments: Any, timeout_s: float | None = None) -> _R:
         """Call a function there, and wait for what it returns.
 
-        The function is defined in a module. Arguments and result can be pickled.
+        The function is defined in a module. Arguments and result can be pickled. The process ends after `timeout_s`.
 
         Raises:
             NotDone: it raised something, or the process is gone.
@@ -77,7 +77,10 @@ class SecondProcess:
         assert orders is not None
         assert answers is not None
         with self._lock:
+            late = threading.Timer(timeout_s or 0, self._process.kill)
             try:
+                if timeout_s is not None:
+                    late.start()
                 # Pickled twice: whoever reads an order is not hindered by what is in it.
                 pickle.dump(pickle.dumps((function, arguments), protocol=pickle.HIGHEST_PROTOCOL), orders)
                 orders.flush()
@@ -85,6 +88,8 @@ class SecondProcess:
             except (OSError, ValueError, EOFError, pickle.UnpicklingError) as error:
                 lost = Ended if self._ended else NotDone
                 raise lost(f"the second process is gone ({type(error).__name__})") from None
+            finally:
+                late.cancel()
         if not done:
             raise NotDone(answer)
         result: _R = answer

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 app = typer.Typer()
 _SET = "mammometry {} SESSION --set {}"
-_MESHES = (".ply", ".obj", ".stl", ".glb")
+_MESHES = (".ply", ".obj", ".stl", ".glb", ".usdz")
 
 
 def _mesh_option(*names: str, help: str, show_default: bool | str = False) -> Any:
@@ -200,7 +200,7 @@ def surface(
 )
 def measure(
     session: Annotated[
-        Path, typer.Argument(metavar="SESSION|MESH", help="A session folder, or a mesh: PLY, OBJ, STL or GLB.")
+        Path, typer.Argument(metavar="SESSION|MESH", help="A session folder, or a mesh: PLY, OBJ, STL, GLB or USDZ.")
     ],
     units: Annotated[
         str | None,

@@ -85,10 +85,10 @@ def import_scan(
     """Read a scanner's files, and return the files of a scan's folder.
 
     Args:
-        mesh: OBJ, PLY, STL or GLB. The material file and the pictures of an OBJ lie beside it.
+        mesh: OBJ, PLY, STL, GLB or USDZ. The material file and the pictures of an OBJ lie beside it.
         about: what is known; its unit and digest are set here.
         units: ``mm``, ``cm`` or ``m``. None where the file states it.
-        texture: whether the pictures of an OBJ or a GLB are taken too.
+        texture: whether the pictures of an OBJ, a GLB or a USDZ are taken too.
         limits: size that a picture may have.
 
     Raises:
@@ -101,7 +101,7 @@ def import_scan(
     colours = foreign.colours
     with tempfile.TemporaryDirectory(prefix="mammometry-") as folder:
         source: Path | None = mesh
-        if mesh.suffix.lower() == ".glb":
+        if mesh.suffix.lower() in (".glb", ".usdz"):
             source = covered_parts(mesh, Path(folder), limits) if texture else None
         covered = read_covered_obj(source) if source is not None and source.suffix.lower() == ".obj" else None
         if source is not None and covered is not None and texture and covered.libraries:
