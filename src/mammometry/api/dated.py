@@ -23,9 +23,6 @@ from mammometry.settings import Settings
 if TYPE_CHECKING:
     from mammometry.geometry.camera import Rig
 
-RESULTS = "results"
-"""Folder of a scan's results in its folder."""
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Dated:
@@ -118,10 +115,9 @@ def measured_keys(path: Path | str, settings: Settings) -> tuple[str, ...]:
     folder = Path(path)
     if not is_scan(folder):
         return tuple(key.digest for key in open_session(folder, settings).keys("measure"))
-    from mammometry.api.mesh import MeshJob, scan_files
+    from mammometry.api.scans import open_scan
 
-    job = MeshJob(scan_files(folder), folder / RESULTS, settings)
-    return tuple(product.key.digest for product in job.plan.products())
+    return tuple(product.key.digest for product in open_scan(folder, settings).plan.products())
 
 
 def _session(folder: Path, settings: Settings, watch: Watch) -> Dated:
@@ -144,16 +140,15 @@ def _session(folder: Path, settings: Settings, watch: Watch) -> Dated:
 
 
 def _scan(folder: Path, settings: Settings, watch: Watch) -> Dated:
-    from mammometry.api.mesh import MeshJob, scan_files
+    from mammometry.api.scans import open_scan
 
-    files = scan_files(folder)
-    job = MeshJob(files, folder / RESULTS, settings, watch=watch)
+    job = open_scan(folder, settings, watch=watch)
     return Dated(
         path=folder,
         date=None,
         posture=job.posture,
         identity=job.identity,
-        brought=(files.mesh,),
+        brought=(job.files.mesh,),
         inputs=job.inputs,
         settings=job.settings,
         store=job.store,

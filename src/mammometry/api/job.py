@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any
 from mammometry.api.previews import Drawing, Previews
 from mammometry.api.refused import seen, show_refusal, withdraw_refusal
 from mammometry.api.results import Results
-from mammometry.api.stored_report import StoredReport
+from mammometry.api.stored_report import StoredReport, write_for_others
 from mammometry.base.cores import one_blas_thread
 from mammometry.base.errors import (
     CalibrationError,
@@ -38,7 +38,7 @@ from mammometry.base.memory import peak_memory_mb, return_freed_arrays
 from mammometry.base.progress import Progress, no_progress
 from mammometry.geometry.camera import Rig
 from mammometry.io.drawn import read_boundaries
-from mammometry.io.outputs import require_apart, require_free, write_output, write_outputs
+from mammometry.io.outputs import require_apart, require_free, write_output
 from mammometry.io.results.store import State, Store, Watch, unwatched
 from mammometry.io.session import Session
 from mammometry.job.beside import Beside, beside_the_next_stage
@@ -346,16 +346,13 @@ class Job:
         Raises:
             MammometryError: whatever stands in the way, in one sentence.
         """
-        from mammometry.report import html, pdf, rendering
 
-        require_apart(folder, self.session.brought)
-        require_free(folder, [html.PAGE, pdf.DOCUMENT], command="report")
-        self.ensure("measure")
-        with one_blas_thread():
-            content = self._report_content(privacy)
-        made = rendering.render(content, self.inputs.attributions, named=not privacy.deidentify)
-        write_outputs(folder, {html.PAGE: made.html, pdf.DOCUMENT: made.pdf}, command="report")
-        return folder / html.PAGE
+        def gather() -> ReportContent:
+            self.ensure("measure")
+            with one_blas_thread():
+                return self._report_content(privacy)
+
+        return write_for_others(folder, privacy, gather, self.inputs.attributions, self.session.brought)
 
     def _ensure_report(self, drawing: Drawing) -> None:
         scene = None

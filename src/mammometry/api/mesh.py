@@ -23,18 +23,16 @@ import numpy as np
 
 from mammometry.api.refused import show_refusal, withdraw_refusal
 from mammometry.api.results import Results
-from mammometry.api.stored_report import StoredReport
+from mammometry.api.stored_report import StoredReport, write_for_others
 from mammometry.base.cores import one_blas_thread
 from mammometry.base.errors import MeasureError, SessionError
 from mammometry.base.identity import NAMELESS, Identity
 from mammometry.base.memory import peak_memory_mb
-from mammometry.base.progress import Progress
+from mammometry.base.progress import Progress, no_progress
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.nearest import point_tree
 from mammometry.io.drawn import (
-    BOUNDARIES,
-    LANDMARK_FILE,
     DrawnBoundaries,
     boundaries_digest,
     boundaries_in,
@@ -45,7 +43,7 @@ from mammometry.io.drawn import (
 from mammometry.io.foreign import ForeignMesh, read_foreign
 from mammometry.io.outputs import require_apart, require_own_folder, take_folder
 from mammometry.io.results.store import Store, Watch, unwatched
-from mammometry.io.scans import MESH, Scan, read_scan
+from mammometry.io.scans import Scan
 from mammometry.io.subject import check_mesh
 from mammometry.job.inputs import Inputs, SubjectKind
 from mammometry.job.measuring import Measured, Upstream, measure
@@ -58,6 +56,7 @@ if TYPE_CHECKING:
     from mammometry.measure.volume.measurement import VolumeMeasurement
     from mammometry.report.clinical import Clinical
     from mammometry.report.content import ReportContent
+    from mammometry.report.privacy import Privacy
     from mammometry.report.rendering import RenderedReport
     from mammometry.surface.dents import ValidPatches
     from mammometry.surface.repair import RepairedSurface
@@ -107,46 +106,6 @@ class MeshFiles:
     """How the patient held herself: ``standing``, ``leaning`` or ``lying``. Empty: as the scan's folder says."""
     scan: Scan | None = None
     """What an imported scan's folder says. None: the mesh was not imported."""
-
-
-def scan_files(folder: Path, *, subject: str | None = None, drawn: bool = True) -> MeshFiles:
-    """An imported scan's mesh, with what was drawn on it. Other boundaries are found automatically.
-
-    Args:
-        folder: made by ``mammometry import mesh``. What was drawn lies in it, as in a session.
-        subject: a pseudonym. None: the one that the folder names.
-        drawn: whether drawn boundaries and landmarks count.
-
-    Raises:
-        SessionError: the folder's description is not as documented.
-    """
-    scan = read_scan(folder)
-    boundary, landmarks = (
-        path if drawn and path.is_file() else None for path in (folder / BOUNDARIES, folder / LANDMARK_FILE)
-    )
-    return MeshFiles(
-        mesh=folder / MESH, units="mm", boundary=boundary, landmarks=landmarks, automatic=True,
-        head=scan.head or None, ahead=scan.ahead or None, subject=subject or scan.subject, scan=scan,
-    )  # fmt: skip
-
-
-def scan_job(folder: Path, results: Path, settings: Settings | None = None) -> MeshJob:
-    """Open an imported scan for drawing on it.
-
-    A drawing that the measurement refuses does not count. It can so be corrected.
-
-    Args:
-        folder: made by ``mammometry import mesh``.
-        results: folder of its results.
-        settings: of the measurement; None for the recommended ones.
-
-    Raises:
-        MammometryError: the scan cannot be opened.
-    """
-    try:
-        return MeshJob(scan_files(folder), results, settings)
-    except MeasureError:
-        return MeshJob(scan_files(folder, drawn=False), results, settings)
 
 
 class MeshJob:
@@ -389,7 +348,17 @@ class MeshJob:
         if self.store.has(self.content_key):
             self._stored_report.render()
 
-    def _gathered(self, progress: Progress) -> ReportContent:
+    def share(self, folder: Path, privacy: Privacy) -> Path:
+        """Write a report for others into a folder, and return its page. As `api.job.Job.share`."""
+
+        def gather() -> ReportContent:
+            self.run(report=False)
+            with one_blas_thread():
+                return self._gathered(no_progress, privacy)
+
+        return write_for_others(folder, privacy, gather, self.inputs.attributions, [self.files.mesh])
+
+    def _gathered(self, progress: Progress, privacy: Privacy | None = None) -> ReportContent:
         from mammometry.report.gather_mesh import MeshOrigin, gather_mesh
 
         origin = MeshOrigin(
@@ -400,7 +369,9 @@ class MeshJob:
             notes=self.notes,
             posture=self.posture,
         )
-        return gather_mesh(self.plan, self.finished, self.rig, self._page_inputs, origin, progress=progress)
+        return gather_mesh(
+            self.plan, self.finished, self.rig, self._page_inputs, origin, privacy=privacy, progress=progress
+        )
 
     @property
     def _stored_report(self) -> StoredReport:
@@ -487,8 +458,3 @@ class _StoreOfMesh(Store):
             return super().recall(key, prepare)
         except MeasureError as error:
             raise error.of_mesh() from None
-
-
-def folder_for(mesh: Path) -> Path:
-    """Default folder for results: beside the mesh, with its name."""
-    return mesh.with_name(f"{mesh.stem}-measured")

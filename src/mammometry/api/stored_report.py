@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mammometry.base.cores import one_blas_thread
 from mammometry.base.progress import Progress
+from mammometry.io.outputs import require_apart, require_free, write_outputs
 from mammometry.io.results.store import Store
 from mammometry.job.products import Key
 from mammometry.report.page_inputs import report_key
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from mammometry.measure.volume.attribution import Attribution
     from mammometry.report.clinical import Clinical
     from mammometry.report.content import ReportContent
+    from mammometry.report.privacy import Privacy
     from mammometry.report.rendering import RenderedReport
 
 WARNINGS = "warnings.json"
@@ -81,6 +83,39 @@ class StoredReport:
         with one_blas_thread():
             content = unpacked(self.store.files(self.content_key)[CONTENT])
             return render(content, self.attributions, clinical)
+
+
+def write_for_others(
+    folder: Path,
+    privacy: Privacy,
+    gather: Callable[[], ReportContent],
+    attributions: Mapping[str, Attribution],
+    brought: Iterable[Path],
+) -> Path:
+    """Write a report for others into a folder, and return its page.
+
+    What an earlier call wrote there is replaced.
+
+    Args:
+        folder: for report.html and report.pdf.
+        privacy: what to leave out.
+        gather: collects the content, without that.
+        attributions: breast → who drew its boundary, and who confirmed it.
+        brought: the user's own files, from which the folder must be apart.
+
+    Raises:
+        StorageError: other files are in the way: then nothing was computed.
+    """
+    from mammometry.report import html, pdf
+    from mammometry.report.rendering import render
+
+    require_apart(folder, brought)
+    require_free(folder, [html.PAGE, pdf.DOCUMENT], command="report")
+    content = gather()
+    with one_blas_thread():
+        made = render(content, attributions, named=not privacy.deidentify)
+    write_outputs(folder, {html.PAGE: made.html, pdf.DOCUMENT: made.pdf}, command="report")
+    return folder / html.PAGE
 
 
 def _write(folder: Path, files: Mapping[str, bytes]) -> None:

@@ -49,7 +49,7 @@ def edit(
     require("edit", *WEB)
     from mammometry.editor.server import serve
     from mammometry.io.drawn import BOUNDARIES, LANDMARK_FILE
-    from mammometry.io.scans import MESH, is_scan
+    from mammometry.io.scans import is_scan
 
     def ready(address: str, local_page: str) -> None:
         # Standard output belongs to the answer, which comes after the page was closed.
@@ -59,10 +59,10 @@ def edit(
 
     def drawable() -> Drawable:
         from mammometry.api.job import open_session
-        from mammometry.api.mesh import folder_for, scan_job
+        from mammometry.api.scans import drawable_scan
 
         chosen = load_settings(settings, assignments)
-        return scan_job(session, folder_for(session / MESH), chosen) if scan else open_session(session, chosen)
+        return drawable_scan(session, chosen) if scan else open_session(session, chosen)
 
     scan = is_scan(session)
     if not scan:
@@ -71,5 +71,5 @@ def edit(
     with suppress(KeyboardInterrupt):  # the way to stop it
         serve(drawable, ready=ready, author=author)
     there = [name for name in (BOUNDARIES, LANDMARK_FILE) if (session / name).is_file()]
-    then = f"mammometry measure {session / MESH}" if scan else f"mammometry run {session}"
+    then = f"mammometry measure {session}" if scan else f"mammometry run {session}"
     return Answer({"session": str(session), "drawn": there}, [f"Then: {then}"] if there else [])

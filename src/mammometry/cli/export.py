@@ -306,14 +306,13 @@ def _gathered(
     parts: list[Any] | None = None,
 ) -> Exported:
     from mammometry.hospital.gather import gather, gather_scan
-    from mammometry.io.scans import MESH, is_scan
+    from mammometry.io.scans import is_scan
 
     with Bars(quiet) as bars:
         if is_scan(session):
-            from mammometry.api.mesh import MeshJob, folder_for, scan_files
+            from mammometry.api.scans import open_scan
 
-            chosen = load_settings(settings, assignments)
-            job = MeshJob(scan_files(session), folder_for(session / MESH), chosen, watch=bars.watch)
+            job = open_scan(session, load_settings(settings, assignments), watch=bars.watch)
             return gather_scan(job, deidentify=deidentify, parts=parts or ())
         return gather(opened(session, settings, assignments, bars), deidentify=deidentify, parts=parts or ())
 

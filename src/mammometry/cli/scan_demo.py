@@ -27,9 +27,9 @@ def scan_demo(folder: Path, settings: SettingsFile, assignments: Assignments, *,
     Raises:
         MammometryError: the folder holds something else, or the scan cannot be measured.
     """
-    from mammometry.api.mesh import MeshJob, folder_for, scan_files
+    from mammometry.api.scans import open_scan
     from mammometry.io.outputs import require_free, write_outputs
-    from mammometry.io.scans import FILES, MESH, is_scan, read_scan
+    from mammometry.io.scans import FILES, is_scan, read_scan
 
     chosen = load_settings(settings, assignments)
     there = is_scan(folder)
@@ -44,7 +44,7 @@ def scan_demo(folder: Path, settings: SettingsFile, assignments: Assignments, *,
                 write_outputs(folder, _scanned(woman), command=_COMMAND)
         simulated = time.monotonic() - begun
         with bars.task("measure", "mesh"):
-            job = MeshJob(scan_files(folder), folder_for(folder / MESH), chosen, watch=bars.watch)
+            job = open_scan(folder, chosen, watch=bars.watch)
         results = job.run()
     table = results.as_table()
     table["seconds"] = round(time.monotonic() - begun, 3)

@@ -200,7 +200,10 @@ def surface(
 )
 def measure(
     session: Annotated[
-        Path, typer.Argument(metavar="SESSION|MESH", help="A session folder, or a mesh: PLY, OBJ, STL, GLB or USDZ.")
+        Path,
+        typer.Argument(
+            metavar="SESSION|MESH", help="A session, an imported scan, or a mesh: PLY, OBJ, STL, GLB or USDZ."
+        ),
     ],
     units: Annotated[
         str | None,
@@ -249,6 +252,9 @@ def measure(
     Finds the boundary, closes the breast with a chest wall and computes the volume. A session gets no report: use `run`
     or `report`. A mesh needs a boundary, landmarks or --automatic. Its results and its report are written beside it.
     """
+    from mammometry.io.scans import MESH, is_scan, read_scan
+
+    session = session / MESH if is_scan(session) else session
     is_mesh = session.suffix.lower() in _MESHES and not session.is_dir()
     back = Path(wall) if wall is not None and Path(wall).suffix.lower() in _MESHES else None
     if wall is not None and back is None:
@@ -273,9 +279,9 @@ def measure(
             job = opened(session, settings, assignments, bars)
             results = job.run(report=False)
         return Answer(results.as_table(), volume_lines(results))
-    from mammometry.api.mesh import SCALE_STD, SURFACE_STD_MM, MeshFiles, MeshJob, folder_for, scan_files
+    from mammometry.api.mesh import SCALE_STD, SURFACE_STD_MM, MeshFiles, MeshJob
+    from mammometry.api.scans import folder_for, scan_files
     from mammometry.io.outputs import require_apart
-    from mammometry.io.scans import MESH, is_scan, read_scan
 
     if out is not None and out.is_symlink():
         out = out.resolve()  # a link that the user names is meant; one that came with the files is refused
@@ -287,8 +293,8 @@ def measure(
     scan = read_scan(session.parent) if session.name == MESH and is_scan(session.parent) else None
     if scan is not None:
         own = scan_files(session.parent, subject=subject)
-        head, ahead, subject = head or own.head, ahead or own.ahead, own.subject
-        if boundary is None and own.boundary is not None:
+        units, head, ahead, subject = units or own.units, head or own.head, ahead or own.ahead, own.subject
+        if boundary is None:
             boundary, automatic = own.boundary, True
         landmarks = landmarks or own.landmarks
     files = MeshFiles(
@@ -345,22 +351,32 @@ def report(
     With --deidentify, --geometry-only or --out, the report is a copy for others. The session's own report is
     results/report/report.html and report.pdf.
     """
-    if not (deidentify or geometry_only):
-        if out is not None:
-            raise typer.BadParameter("--out needs --deidentify or --geometry-only")
+    from mammometry.io.outputs import require_apart
+    from mammometry.io.scans import RESULTS, is_scan
+    from mammometry.report.privacy import Privacy
+
+    privacy = Privacy(deidentify=deidentify, geometry_only=geometry_only)
+    if out is not None and not privacy.guarded:
+        raise typer.BadParameter("--out needs --deidentify or --geometry-only")
+    folder = out or session / RESULTS / ("deidentified" if deidentify else "geometry-only")
+    if privacy.guarded:
+        require_apart(folder, [settings])
+    if is_scan(session):
+        from mammometry.api.scans import open_scan
+
+        with Bars(quiet or json) as bars:
+            scan = open_scan(session, load_settings(settings, assignments), watch=bars.watch)
+            table = scan.run(report=not privacy.guarded).as_table()
+            table["report"] = str(scan.share(folder, privacy) if privacy.guarded else scan.page)
+        return Answer(table, [f"Report: {table['report']}"])
+    if not privacy.guarded:
         job, table = _stage("report", session, assignments, settings, quiet or json)
         table["report"] = str(job.report())
         return Answer(table, [f"Report: {table['report']}", _made(table)])
-    from mammometry.io.outputs import require_apart
-
     begun = time.monotonic()
     with Bars(quiet or json) as bars:
         job = opened(session, settings, assignments, bars)
-        folder = out or job.session.results / ("deidentified" if deidentify else "geometry-only")
-        require_apart(folder, [settings])
-        from mammometry.report.privacy import Privacy
-
-        page = job.share(folder, Privacy(deidentify=deidentify, geometry_only=geometry_only))
+        page = job.share(folder, privacy)
     table = {**_summary(job, "measure", begun), "report": str(page)}
     return Answer(table, [f"Report: {table['report']}", "The last lines of the report say what it contains."])
 

@@ -36,6 +36,8 @@ from mammometry.io.obj_texture import CoveredObj, read_covered_obj
 from mammometry.io.scene_files import covered_parts
 
 ABOUT, MESH = "scan.toml", "scan.ply"
+RESULTS = "results"
+"""Folder of a scan's results in its folder."""
 OBJ, MTL = "scan.obj", "scan.mtl"
 MOST_PICTURES = 16
 """Pictures of one mesh. Scanners with several views write one a view; the most seen is six."""

@@ -189,9 +189,9 @@ def test_an_imported_scan_is_measured_by_its_own_description(
     command = ["import", "mesh", str(scan), "--scanner", "Vectra M5", "--units", "cm", "--subject", "P-1"]
     assert main.run([*command, "--out", str(folder), "--json"]) == 0
     capsys.readouterr()
-    assert main.run(["measure", str(folder / MESH), "--automatic", "--json"]) == 0
+    assert main.run(["measure", str(folder), "--json"]) == 0
     answer = json.loads(capsys.readouterr().out)
     assert set(answer["volumes_cc"]) == {"left", "right"}
-    page = (folder / "scan-measured" / "report" / "report.html").read_text()
+    page = (folder / "results" / "report" / "report.html").read_text()
     assert "Vectra M5" in page
     assert "cm, as stated" in page

@@ -96,13 +96,10 @@ def measure_scan(tell: Tell, folder: str, settings: str) -> dict[str, Any]:
     Raises:
         MammometryError: whatever stands in the way, in one sentence.
     """
-    from mammometry.api.mesh import MeshJob, scan_files
+    from mammometry.api.scans import open_scan
 
     tell("prepare", 0.0)
-    job = MeshJob(
-        scan_files(Path(folder)), Path(folder) / RESULTS, Settings.from_toml(settings),
-        watch=lambda key: _watched(key, tell),
-    )  # fmt: skip
+    job = open_scan(Path(folder), Settings.from_toml(settings), watch=lambda key: _watched(key, tell))
     results = job.run()
     return {
         "digest": _digest([product.key.digest for product in job.plan.products()]),
