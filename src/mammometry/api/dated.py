@@ -91,7 +91,7 @@ def check_posture(before: Dated, after: Dated) -> None:
     Raises:
         SessionError: names both folders and postures.
     """
-    for _ in posture_warnings(before, after):
+    if before.posture and after.posture and before.posture != after.posture:
         raise SessionError(
             f"{before.path}, {after.path}",
             found=f"the patient {before.posture} at one date and {after.posture} at the other",
@@ -101,9 +101,10 @@ def check_posture(before: Dated, after: Dated) -> None:
 
 
 def posture_warnings(before: Dated, after: Dated) -> Iterator[str]:
-    """Yield a warning where the postures are known and differ."""
-    if before.posture and after.posture and before.posture != after.posture:
-        yield f"The patient was {before.posture} at the earlier date and {after.posture} later. {NOT_TO_BE_COMPARED}."
+    """Yield a warning where the postures differ, or one alone is known."""
+    if before.posture != after.posture:
+        earlier, later = (posture or "in a posture that was not given" for posture in (before.posture, after.posture))
+        yield f"The patient was {earlier} at the earlier date and {later} later. {NOT_TO_BE_COMPARED}."
 
 
 def measured_keys(path: Path | str, settings: Settings) -> tuple[str, ...]:
