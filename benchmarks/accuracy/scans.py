@@ -44,8 +44,8 @@ from mammometry.simulate.subjects.solid import Solid
 _EDGE_MM = 2.0  # of the bodies' triangles, on the breasts
 # Share of the women who are operated on or differ, and how.
 _OPERATIONS = (
-    "", "", "arms=raised", "ptosis=2", "ptosis=3", "ratio=1.8", "removed=right", "removed=left", "mound=220", "build=thin",
-    "build=obese", "arms=sides",
+    "", "", "arms=raised", "ptosis=2", "ptosis=3", "ratio=1.8", "removed=right", "removed=left", "mound=220",
+    "build=thin", "build=obese", "arms=sides",
 )  # fmt: skip
 
 

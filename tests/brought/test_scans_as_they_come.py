@@ -268,6 +268,21 @@ def test_a_wall_a_floor_and_a_chair_are_left_out_and_said() -> None:
     assert len(repair_scan(plane(300, 300, (0, 0, 0))).mesh.faces) == 722  # alone it is what was scanned
 
 
+@pytest.mark.slow
+def test_hair_a_strap_and_a_hand_on_the_hip_do_not_change_the_volume() -> None:
+    depth = torso().corners().mean(axis=1)[:, 2]
+    alone = largest_part(torso().submesh(depth > depth.max() - 200))
+    x, y, _ = alone.vertices.T
+    nipple, top = alone.vertices[np.argmax(alone.vertices[:, 2])], y.max()
+    strap_mm = 2.5 * (np.abs(np.abs(x) - 85) < 9) * (y > nipple[1] + 95)
+    hair_mm = 12 * np.clip(1 - ((x - 70) / 22) ** 2, 0, None) * np.clip((y - (top - 90)) / 30, 0, 1)
+    hand_mm = 28 * np.clip(1 - ((np.abs(x) - 135) ** 2 + (y - y.min() - 25) ** 2) / 45**2, 0, None)
+    for lift_mm in (strap_mm, hair_mm, hand_mm):
+        assert (lift_mm > 1).sum() > 20
+        lifted = alone.mapped(lambda points, lift=lift_mm: points + lift[:, None] * alone.vertex_normals())  # type: ignore[misc]
+        assert found_cc(lifted) == pytest.approx(found_cc(alone), rel=0.03)
+
+
 def test_a_wall_that_hangs_on_the_body_is_cut_off() -> None:
     """As one depth picture shows a patient before a wall."""
     x, y = np.meshgrid(np.arange(-400, 401, 6.0), np.arange(-220, 221, 6.0))

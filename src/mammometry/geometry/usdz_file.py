@@ -17,7 +17,7 @@ import numpy as np
 
 from mammometry.base.errors import SessionError
 from mammometry.base.extras import require
-from mammometry.base.parse import said
+from mammometry.base.parse import require_file, said
 from mammometry.base.second_process import NotDone, SecondProcess
 from mammometry.geometry.arrays import Array, Float64, Int64, UInt8
 
@@ -58,13 +58,14 @@ def read_usdz(path: Path, *, shape: bool = True) -> UsdScene:
     """Read the meshes of a USDZ.
 
     Args:
-        path: an ordinary file.
+        path: of the file.
         shape: whether meshes and pictures are wanted, beside the unit.
 
     Raises:
         MissingLibraryError: USD is not installed.
         SessionError: it cannot be read.
     """
+    require_file(path, str(path), "a USDZ")
     require("usdz", "pxr")
     try:
         with SecondProcess() as second:
