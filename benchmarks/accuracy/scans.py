@@ -29,11 +29,11 @@ import numpy as np
 
 from benchmarks.accuracy.scan_tables import CLEAN, SIDES, Row, tables
 from mammometry.api.mesh import MeshFiles, MeshJob
-from mammometry.base.cores import available_cores
 from mammometry.base.errors import MammometryError
+from mammometry.base.machine.cores import available_cores
 from mammometry.base.posture import POSTURES
-from mammometry.io.foreign import read_foreign
-from mammometry.io.meshes import write_ply
+from mammometry.io.meshes.foreign import read_foreign
+from mammometry.io.meshes.own_ply import write_ply
 from mammometry.io.write import write_text
 from mammometry.simulate.disturbances.registry import disturbed
 from mammometry.simulate.scanning.scan import QUALITIES, clean_front, scan

@@ -12,9 +12,9 @@ from tests.unit.measure.trunks import trunk_mesh
 
 from mammometry.base.errors import SessionError
 from mammometry.geometry.mesh import TriangleMesh
-from mammometry.geometry.mesh_file import read_triangles
-from mammometry.io.foreign import read_foreign
-from mammometry.io.scans import Scan, import_scan
+from mammometry.geometry.mesh_files.mesh_file import read_triangles
+from mammometry.io.meshes.foreign import read_foreign
+from mammometry.io.meshes.scans import Scan, import_scan
 
 pytest.importorskip("pxr")
 pytestmark = pytest.mark.slow  # every reading starts a process: 1 to 2 s

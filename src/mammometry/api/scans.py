@@ -7,8 +7,8 @@ from pathlib import Path
 from mammometry.api.mesh import MeshFiles, MeshJob
 from mammometry.base.errors import MeasureError
 from mammometry.io.drawn import BOUNDARIES, LANDMARK_FILE
+from mammometry.io.meshes.scans import MESH, RESULTS, is_scan, read_scan
 from mammometry.io.results.store import Watch, unwatched
-from mammometry.io.scans import MESH, RESULTS, is_scan, read_scan
 from mammometry.settings import Settings
 
 

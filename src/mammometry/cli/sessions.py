@@ -116,7 +116,7 @@ def info(
     All result files are read, which takes a second or two per gigabyte.
     """
     from mammometry.api.job import open_session
-    from mammometry.io.scans import is_scan
+    from mammometry.io.meshes.scans import is_scan
     from mammometry.job.inputs import MISSING
     from mammometry.job.products import STAGES
 

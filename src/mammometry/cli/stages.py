@@ -63,7 +63,7 @@ def _stage(
 
 def _summary(job: Job, stage: Stage, begun: float) -> dict[str, Any]:
     """What a stage made and took since `begun`, by `time.monotonic`."""
-    from mammometry.base.memory import peak_memory_mb
+    from mammometry.base.machine.memory import peak_memory_mb
 
     return {
         "made": job.store.made,
@@ -170,7 +170,7 @@ def surface(
     Writes results/surface/mesh.ply (mm, world frame), model.glb and the range images.
     """
     job, table = _stage("surface", session, assignments, settings, quiet or json)
-    from mammometry.surface.stillness_words import concerns, summary
+    from mammometry.surface.motion.motion_messages import concerns, summary
 
     mesh, stillness = job.surface().repaired.mesh, job.plan.surfaced.stillness()
     path = job.session.results / "surface" / "mesh.ply"
@@ -252,7 +252,7 @@ def measure(
     Finds the boundary, closes the breast with a chest wall and computes the volume. A session gets no report: use `run`
     or `report`. A mesh needs a boundary, landmarks or --automatic. Its results and its report are written beside it.
     """
-    from mammometry.io.scans import MESH, is_scan, read_scan
+    from mammometry.io.meshes.scans import MESH, is_scan, read_scan
 
     session = session / MESH if is_scan(session) else session
     is_mesh = session.suffix.lower() in _MESHES and not session.is_dir()
@@ -351,8 +351,8 @@ def report(
     With --deidentify, --geometry-only or --out, the report is a copy for others. The session's own report is
     results/report/report.html and report.pdf.
     """
+    from mammometry.io.meshes.scans import RESULTS, is_scan
     from mammometry.io.outputs import require_apart
-    from mammometry.io.scans import RESULTS, is_scan
     from mammometry.report.privacy import Privacy
 
     privacy = Privacy(deidentify=deidentify, geometry_only=geometry_only)
@@ -393,7 +393,7 @@ def named_subject(text: str | None) -> str | None:
 
 def volume_lines(results: Results) -> list[Any]:
     """Volumes in words, and where the report is."""
-    from mammometry.report.volume_words import MEANINGS, definition_words, interval_words, volume_words
+    from mammometry.report.words.volume_words import MEANINGS, definition_words, interval_words, volume_words
 
     lines: list[Any] = []
     for name, measured in results.measurements.items():

@@ -15,9 +15,9 @@ from mammometry.cli.main import run
 from mammometry.editor.desk import Desk
 from mammometry.editor.messages import PlaceChange, Save, SentHandle, Sketch, SketchChange
 from mammometry.editor.page import EditorPage
+from mammometry.io.meshes.scans import Scan, import_scan
 from mammometry.io.outputs import write_outputs
 from mammometry.io.results.store import unwatched
-from mammometry.io.scans import Scan, import_scan
 from mammometry.measure.volume.attribution import curve_digest
 from mammometry.settings import Settings
 

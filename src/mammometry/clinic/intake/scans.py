@@ -21,8 +21,8 @@ from mammometry.base.limits import LimitSettings
 from mammometry.capture.checks.content import not_only_a_photograph
 from mammometry.clinic.intake.uploads import UploadError
 from mammometry.clinic.site import the_clinic
-from mammometry.geometry.mesh_file import KINDS, SUFFIXES
-from mammometry.io.scans import Scan, import_scan
+from mammometry.geometry.mesh_files.mesh_file import KINDS, SUFFIXES
+from mammometry.io.meshes.scans import Scan, import_scan
 from mammometry.io.write import disk_errors
 
 _PICTURES = (".jpg", ".jpeg", ".png", ".tif", ".tiff")

@@ -8,9 +8,9 @@ from pathlib import Path
 
 from mammometry.base.errors import SessionError
 from mammometry.io.manifest import MANIFEST
+from mammometry.io.meshes.scans import RESULTS, is_scan
 from mammometry.io.results.records import RECORDS, FileRecord, file_of, is_link, read_ready, read_records
 from mammometry.io.results.store import ASIDE, READY, WRITING
-from mammometry.io.scans import RESULTS, is_scan
 from mammometry.io.write import file_digest
 from mammometry.job.products import STAGES
 
