@@ -31,9 +31,9 @@ def layer(mesh: TriangleMesh, scale: float, *, head: str = "", more: str = "", m
 (
     {head}
     upAxis = "Y"
-    defaultPrim = "root"
+    defaultPrim = "body"
 )
-def Xform "root" {{
+def Xform "body" {{
     double3 xformOp:translate = (-1, 0, 0)
     uniform token[] xformOpOrder = ["xformOp:translate"]
     def Mesh "skin" ( prepend apiSchemas = ["MaterialBindingAPI"] ) {{
@@ -98,10 +98,10 @@ def jpeg(colour: tuple[int, int, int]) -> bytes:
 
 def material(name: str, picture: str) -> str:
     return f"""def Material "{name}" {{
-        token outputs:surface.connect = </root/{name}/surface.outputs:surface>
+        token outputs:surface.connect = </body/{name}/surface.outputs:surface>
         def Shader "surface" {{
             uniform token info:id = "UsdPreviewSurface"
-            color3f inputs:diffuseColor.connect = </root/{name}/picture.outputs:rgb>
+            color3f inputs:diffuseColor.connect = </body/{name}/picture.outputs:rgb>
             token outputs:surface
         }}
         def Shader "picture" {{
@@ -118,12 +118,12 @@ def covered(picture: str = "0/right.jpg") -> str:
     right = np.flatnonzero(FRONT.corners().mean(axis=1)[:, 0] < 0).tolist()
     uv = ", ".join(["(0.5, 0.5)"] * (3 * len(FRONT.faces)))
     inner = f"""texCoord2f[] primvars:st = [{uv}] ( interpolation = "faceVarying" )
-        rel material:binding = </root/left>
+        rel material:binding = </body/left>
         def GeomSubset "right" ( prepend apiSchemas = ["MaterialBindingAPI"] ) {{
             uniform token elementType = "face"
             uniform token familyName = "materialBind"
             int[] indices = {right}
-            rel material:binding = </root/right>
+            rel material:binding = </body/right>
         }}"""
     more = material("left", "0/left.jpg") + material("right", picture)
     return layer(FRONT, 0.001, head="metersPerUnit = 1", more=more, mesh_more=inner)
@@ -150,7 +150,7 @@ def refused(path: Path) -> str:
 def test_nothing_outside_is_read(tmp_path: Path) -> None:
     other = tmp_path / "other.usda"
     other.write_text(layer(FRONT, 1.0))
-    text = f'#usda 1.0\ndef "root" ( references = @{other}@ ) {{\n}}\n'
+    text = f'#usda 1.0\ndef "body" ( references = @{other}@ ) {{\n}}\n'
     assert "meshes in another file" in refused(packed(tmp_path / "a.usdz", {"a.usda": text}))
     secret = tmp_path / "secret.jpg"
     secret.write_bytes(jpeg((1, 2, 3)))

@@ -1,4 +1,4 @@
-"""Triangles from mesh files of other programs: PLY, OBJ, STL, GLB, USDZ. The files do not say their unit."""
+"""Triangles of other programs' PLY, OBJ, STL, GLB and USDZ files, which mostly do not say their unit."""
 
 from __future__ import annotations
 
