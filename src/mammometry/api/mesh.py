@@ -41,7 +41,7 @@ from mammometry.io.drawn import (
     read_boundaries,
 )
 from mammometry.io.meshes.foreign import ForeignMesh, read_foreign
-from mammometry.io.meshes.scans import Scan
+from mammometry.io.meshes.scans import Scan, skin_colours
 from mammometry.io.outputs import require_apart, require_own_folder, take_folder
 from mammometry.io.results.store import Store, Watch, unwatched
 from mammometry.io.subject import check_mesh
@@ -68,6 +68,7 @@ SURFACE_STD_MM = 0.1
 """Standard uncertainty of a scanner's whole surface along its normal if none is given, mm."""
 _NAMES = ("model", "left", "right")
 _COMMAND = "measure"
+_DENSE = 300_000  # faces, from which the colours of vertices are as fine as a page shows them
 _DARK, _LIGHT = 70.0, 160.0  # 8-bit grey of a colourless mesh in shade, and what full light adds; chosen by eye
 WORLD = "The mesh file's own frame, in mm."
 
@@ -242,6 +243,8 @@ class MeshJob:
         from mammometry.surface.texture.texture import TexturedMesh
 
         colours = foreign.colours[point_tree(foreign.mesh.vertices).query(surface.mesh.vertices)[1]]
+        if self.files.scan is not None and len(foreign.mesh.faces) < _DENSE:
+            colours = skin_colours(self.folder, self.files.scan, surface.mesh.vertices, colours)
         if not np.ptp(foreign.colours, axis=0).any():  # one colour shows no shape: shaded as by a lamp at the viewer's
             facing = np.abs(surface.mesh.vertex_normals() @ rig_frame(self.rig)[2])
             colours = np.repeat((_DARK + _LIGHT * facing[:, None]).astype(np.uint8), 3, axis=1)
