@@ -31,7 +31,7 @@ from mammometry.base.machine.memory import peak_memory_mb
 from mammometry.base.progress import Progress, no_progress
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.mesh import TriangleMesh
-from mammometry.geometry.nearest import point_tree
+from mammometry.geometry.nearest import barycentric, closest_on_mesh
 from mammometry.io.drawn import (
     DrawnBoundaries,
     boundaries_digest,
@@ -242,7 +242,10 @@ class MeshJob:
         from mammometry.surface.ranges.dents import ValidPatches
         from mammometry.surface.texture.texture import TexturedMesh
 
-        colours = foreign.colours[point_tree(foreign.mesh.vertices).query(surface.mesh.vertices)[1]]
+        closest = closest_on_mesh(surface.mesh.vertices, foreign.mesh)
+        faces = foreign.mesh.faces[closest.faces]
+        weights = barycentric(closest.points, foreign.mesh.vertices[faces])
+        colours = np.einsum("nk,nkj->nj", weights, foreign.colours[faces]).round().clip(0, 255).astype(np.uint8)
         if self.files.scan is not None and len(foreign.mesh.faces) < _DENSE:
             colours = skin_colours(self.folder, self.files.scan, surface.mesh.vertices, colours)
         if not np.ptp(foreign.colours, axis=0).any():  # one colour shows no shape: shaded as by a lamp at the viewer's

@@ -12,7 +12,7 @@ from mammometry.base.parse import read_bytes
 from mammometry.geometry.arrays import Array, Float64, UInt8
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.mesh_files.obj import ObjFile, parse_obj
-from mammometry.geometry.nearest import closest_on_mesh
+from mammometry.geometry.nearest import barycentric, closest_on_mesh
 
 _MOST_MIB = 1024  # ten million triangles as text; scanners write a hundredth
 _GREY = 128  # sRGB; of what no picture covers
@@ -96,12 +96,9 @@ def texture_at(
         within: distance from the surface up to which a point is on it, in that unit.
     """
     closest = closest_on_mesh(points, TriangleMesh(vertices=obj.points, faces=obj.faces.astype(np.int32)))
-    a, b, c = np.moveaxis(obj.points[obj.faces[closest.faces]], 1, 0)
-    along = np.stack([b - a, c - a], axis=2)
-    shares = np.einsum("nij,nj->ni", np.linalg.pinv(along), closest.points - a)
     places = obj.face_uv[closest.faces]
-    corners = obj.uv[places]
-    uv = corners[:, 0] + np.einsum("ni,nij->nj", shares, corners[:, 1:] - corners[:, :1])
+    weights = barycentric(closest.points, obj.points[obj.faces[closest.faces]])
+    uv = np.einsum("nk,nkj->nj", weights, obj.uv[places])
     there = (places >= 0).all(axis=1) & (closest.distances_mm < within) & np.isfinite(uv).all(axis=1)
     colours = otherwise.copy()
     for number, name in enumerate(obj.materials):
