@@ -17,7 +17,7 @@ CV2_MAY = (
     "calibration/detection/*.py",
     "calibration/adjust/initialise.py",
     "matching/rectify.py",
-    "io/images.py",
+    "io/photographs/images.py",
     "io/cameras/opencv.py",
 )
 SERVERS = {"editor/server.py", "editor/door.py", "capture/page.py"}
@@ -137,15 +137,15 @@ def test_only_what_serves_pages_exports_and_batches_speaks_to_the_network(reposi
         "batch/storage.py imports fsspec",
         "batch/storage.py imports fsspec.core",
         # Pages are served at the address that the command names:
-        "clinic/server.py imports uvicorn",
-        "clinic/slow.py imports uvicorn.protocols.http.h11_impl",
+        "clinic/web/server.py imports uvicorn",
+        "clinic/web/slow.py imports uvicorn.protocols.http.h11_impl",
         "editor/server.py imports uvicorn",
-        "clinic/server.py imports socket",  # whether the port is free
+        "clinic/web/server.py imports socket",  # whether the port is free
         "editor/server.py imports socket",
         "clinic/jobs/events.py imports asyncio",  # to wait between two looks at the database
-        "clinic/limits.py imports asyncio",  # to stop waiting for a body that does not come
-        "clinic/slow.py imports asyncio",  # to close connections on which no request comes
-        "clinic/threads.py imports asyncio",  # to hand a request to a thread
+        "clinic/web/limits.py imports asyncio",  # to stop waiting for a body that does not come
+        "clinic/web/slow.py imports asyncio",  # to close connections on which no request comes
+        "clinic/web/threads.py imports asyncio",  # to hand a request to a thread
         # To the archive that a command or the clinic's administrator names:
         "hospital/dicom/association.py imports pynetdicom",
         "hospital/dicom/association.py imports pynetdicom.sop_class",

@@ -227,7 +227,7 @@ from mammometry.clinic.config import read_config
 from mammometry.clinic.site import configure
 config = read_config(Path(sys.argv[1]))
 configure(config)
-from mammometry.clinic.server import migrate
+from mammometry.clinic.web.server import migrate
 migrate(config)
 from django.db import connections
 from django.utils import timezone
