@@ -15,7 +15,7 @@ from mammometry.cli.common import (
     Bars,
     Json,
     Quiet,
-    SessionFolder,
+    SessionOrScan,
     SettingsFile,
     Verbose,
     examples,
@@ -31,7 +31,7 @@ app = typer.Typer()
 
 @app.command(epilog=examples("mammometry edit SESSION", "mammometry edit SESSION --no-browser --author 'A. Nurse'"))
 def edit(
-    session: SessionFolder,
+    session: SessionOrScan,
     browser: Annotated[bool, typer.Option(help="Open the page in the browser.")] = True,
     author: Annotated[str | None, typer.Option(help="Your name. Without it, the page asks.")] = None,
     assignments: Assignments = None,

@@ -15,7 +15,7 @@ from mammometry.cli.common import (
     Bars,
     Json,
     Quiet,
-    SessionFolder,
+    SessionOrScan,
     SettingsFile,
     Verbose,
     examples,
@@ -73,7 +73,7 @@ _Sex = Annotated[Sex | None, typer.Option("--sex", show_default=False)]
     )
 )
 def dicom(
-    session: SessionFolder,
+    session: SessionOrScan,
     out: Annotated[
         Path | None, typer.Option(metavar="FOLDER", help="Write the objects into a folder.", show_default=False)
     ] = None,
@@ -194,7 +194,7 @@ def dicom(
     )
 )
 def fhir(
-    session: SessionFolder,
+    session: SessionOrScan,
     out: Annotated[Path, typer.Option(metavar="FOLDER", help="Folder for bundle.json.", show_default=False)],
     release: Annotated[FhirRelease, typer.Option(help="Release of FHIR.")] = FhirRelease.r4,
     deidentify: _Deidentify = False,

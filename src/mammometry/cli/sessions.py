@@ -15,6 +15,7 @@ from mammometry.cli.common import (
     Json,
     Quiet,
     SessionFolder,
+    SessionOrScan,
     SettingsFile,
     Verbose,
     examples,
@@ -103,7 +104,7 @@ def new(
 
 @app.command(epilog=examples("mammometry info SESSION", "mammometry info SESSION --json"))
 def info(
-    session: SessionFolder,
+    session: SessionOrScan,
     assignments: Assignments = None,
     settings: SettingsFile = None,
     quiet: Quiet = False,

@@ -16,6 +16,7 @@ from mammometry.cli.common import (
     Json,
     Quiet,
     SessionFolder,
+    SessionOrScan,
     SettingsFile,
     Verbose,
     examples,
@@ -327,7 +328,7 @@ def measure(
     epilog=examples("mammometry report SESSION", "mammometry report SESSION --deidentify --out for-a-colleague")
 )
 def report(
-    session: SessionFolder,
+    session: SessionOrScan,
     deidentify: Annotated[
         bool,
         typer.Option(
