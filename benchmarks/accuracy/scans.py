@@ -35,6 +35,7 @@ from mammometry.base.posture import POSTURES
 from mammometry.io.meshes.foreign import read_foreign
 from mammometry.io.meshes.own_ply import write_ply
 from mammometry.io.write import write_text
+from mammometry.job.stages import measure
 from mammometry.simulate.disturbances.registry import disturbed
 from mammometry.simulate.scanning.scan import QUALITIES, clean_front, scan
 from mammometry.simulate.situation import parse_situation
@@ -99,8 +100,7 @@ def measured(path: Path, units: str = "mm") -> Row:
             job = MeshJob(MeshFiles(mesh=path, units=units, automatic=True), Path(folder) / "results")
             results = job.run()
             row["seconds"] = time.monotonic() - begun
-            assert job.plan.boundaries is not None
-            curves = {boundary.name: boundary.points_world for boundary in job.plan.boundaries()}
+            curves = {boundary.name: boundary.points_world for boundary in job.plan[measure.boundaries]()}
             for side, measurement in results.measurements.items():
                 row["sides"][side] = {
                     "volume_cc": measurement.volume_cc,
@@ -108,10 +108,8 @@ def measured(path: Path, units: str = "mm") -> Row:
                     "outline": np.round(curves[side], 2).tolist(),
                 }
             row["no_breast"] = dict(results.no_breast)
-            if job.plan.landmarks is not None:
-                row["landmarks"] = {
-                    mark.name: np.asarray(mark.points_world)[0].tolist() for mark in job.plan.landmarks()
-                }
+            marks = job.plan.value(measure.landmarks) or ()
+            row["landmarks"] = {mark.name: np.asarray(mark.points_world)[0].tolist() for mark in marks}
         except MammometryError as error:
             row["refused"] = str(error)
         except Exception:  # a failure of ours is a failure, too

@@ -14,13 +14,14 @@ PACKAGE = "src/mammometry"
 CV2_MAY = (
     "calibration/features/*.py",
     "calibration/targets/*.py",
+    "calibration/targets/*/*.py",
     "calibration/detection/*.py",
     "calibration/adjust/initialise.py",
     "matching/rectify.py",
     "io/photographs/images.py",
     "io/cameras/opencv.py",
 )
-SERVERS = {"editor/server.py", "editor/door.py", "capture/page.py"}
+SERVERS = {"editor/server.py", "editor/auth.py", "capture/page.py"}
 """Written in terms of such a library throughout, and themselves imported where they are used."""
 LAZY = ("matplotlib", "jinja2", "weasyprint", "mitsuba", "django")
 """Heavy or optional: imported where they are used, not when a module is."""
@@ -131,8 +132,8 @@ def test_only_what_serves_pages_exports_and_batches_speaks_to_the_network(reposi
         # Shares of a batch go to the cluster, and sessions come from the store, that the command names:
         "batch/cluster.py imports distributed",
         "batch/engine.py imports distributed",
-        "batch/offer.py imports distributed",
-        "batch/offer.py imports distributed.system",
+        "batch/worker_resources.py imports distributed",
+        "batch/worker_resources.py imports distributed.system",
         "batch/supervise.py imports distributed",
         "batch/storage.py imports fsspec",
         "batch/storage.py imports fsspec.core",

@@ -12,9 +12,9 @@ from mammometry.api.dated import open_dated
 from mammometry.api.scans import drawable_scan, open_scan
 from mammometry.base.errors import CrossingError
 from mammometry.cli.main import run
-from mammometry.editor.desk import Desk
 from mammometry.editor.messages import PlaceChange, Save, SentHandle, Sketch, SketchChange
 from mammometry.editor.page import EditorPage
+from mammometry.editor.session import Desk
 from mammometry.io.meshes.scans import Scan, import_scan
 from mammometry.io.outputs import write_outputs
 from mammometry.io.results.store import unwatched

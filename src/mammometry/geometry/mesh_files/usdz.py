@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import resource
 import tempfile
+import threading
 import zipfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,10 +16,10 @@ from typing import Any
 
 import numpy as np
 
+from mammometry.base.child_process import ChildProcess, NotDone
 from mammometry.base.errors import SessionError
 from mammometry.base.extras import require
-from mammometry.base.parse import require_file, said
-from mammometry.base.second_process import NotDone, SecondProcess
+from mammometry.base.parse import error_text, require_file
 from mammometry.geometry.arrays import Array, Float64, Int64, UInt8
 
 _LAYERS = (".usd", ".usda", ".usdc")
@@ -68,8 +69,13 @@ def read_usdz(path: Path, *, shape: bool = True) -> UsdScene:
     require_file(path, str(path), "a USDZ")
     require("usdz", "pxr")
     try:
-        with SecondProcess() as second:
-            read = second.call(_read, str(path), shape, timeout_s=_LONGEST_S)
+        with ChildProcess() as child:
+            late = threading.Timer(_LONGEST_S, child.process.kill)
+            late.start()
+            try:
+                read = child.call(_read, str(path), shape)
+            finally:
+                late.cancel()
     except NotDone:
         read = "a file on which its reader fails"
     if isinstance(read, str):
@@ -78,13 +84,13 @@ def read_usdz(path: Path, *, shape: bool = True) -> UsdScene:
     return read
 
 
-def _read(path: str, shape: bool) -> UsdScene | str:  # positional, as `SecondProcess.call` hands it on
+def _read(path: str, shape: bool) -> UsdScene | str:  # positional, as `ChildProcess.call` hands it on
     """Read a USDZ, or say what it is instead."""
     resource.setrlimit(resource.RLIMIT_AS, (_MOST_MEMORY, _MOST_MEMORY))
     try:
         return _opened(path, shape=shape)
     except Exception as error:  # the reader raises anything that a damaged file makes it stumble over
-        return f"a file that cannot be read ({said(error)})"
+        return f"a file that cannot be read ({error_text(error)})"
 
 
 def _opened(path: str, *, shape: bool) -> UsdScene | str:

@@ -12,7 +12,7 @@ import numpy as np
 
 from mammometry.base.errors import SessionError
 from mammometry.base.limits import LimitSettings
-from mammometry.base.parse import read_bytes, said
+from mammometry.base.parse import error_text, read_bytes
 from mammometry.geometry.arrays import Array, Float64, Int64
 from mammometry.geometry.mesh_files.mesh_file import check_glb
 from mammometry.geometry.mesh_files.usdz import read_usdz
@@ -66,7 +66,10 @@ def covered_parts(path: Path, folder: Path, limits: LimitSettings) -> Path | Non
         raise
     except Exception as error:  # the reader raises anything that a damaged file makes it stumble over
         raise SessionError(
-            path.name, found=f"a file that cannot be read ({said(error)})", expected="a GLB", remedy="Export it again"
+            path.name,
+            found=f"a file that cannot be read ({error_text(error)})",
+            expected="a GLB",
+            remedy="Export it again",
         ) from None
     return _written(folder, parts, [f"{number}.png" for number in range(len(pictures))])
 

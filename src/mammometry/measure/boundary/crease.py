@@ -7,13 +7,13 @@ breasts), the neighbours, the skin's height and the shape of real women's bounda
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from mammometry.geometry.arrays import Array, Bool, Float64, read_only
+from mammometry.base.value import value
+from mammometry.geometry.arrays import Array, Bool, Float64
 from mammometry.measure.boundary.closed_path import best_paths, gathered, spread_steps
 from mammometry.measure.settings import BreastSettings
 from mammometry.measure.trunk.skin_map import PIXEL_MM, Relief
@@ -61,7 +61,7 @@ _SHIFT_MM = 15.0  # farthest that the outer flank is looked for outside the crea
 _FORBIDDEN = -50.0  # worth of a place where a breast cannot end
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class Crease:
     """A closed curve around a breast, laid flat."""
 
@@ -74,10 +74,6 @@ class Crease:
     sigma_mm: Float64[Array, " n"]
     """Standard uncertainty of each distance from the middle, mm: small along a fold, large where nothing shows the
     border."""
-
-    def __post_init__(self) -> None:
-        for name in ("flat", "concavity_per_mm", "seen", "sigma_mm"):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
 
 
 def follow_crease(
