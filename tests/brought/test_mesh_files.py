@@ -109,6 +109,20 @@ def test_every_obj_is_the_same_surface(tmp_path: Path, written: Callable[[], str
         assert (colours == [204, 153, 128]).all()
 
 
+def test_polygons_of_many_corners_are_read(tmp_path: Path) -> None:
+    angle = np.arange(7) * 2 * np.pi / 7
+    rim = 100 * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+    points = "\n".join(" ".join(map(str, point)) for point in rim.tolist())
+    (tmp_path / "a.obj").write_text("".join(f"v {line}\n" for line in points.splitlines()) + "f -7 -6 -5 -4 -3 -2 -1\n")
+    head = "ply\nformat ascii 1.0\nelement vertex 7\nproperty float x\nproperty float y\nproperty float z\n"
+    head += "element face 1\nproperty list uchar int vertex_indices\nend_header\n"
+    (tmp_path / "a.ply").write_text(f"{head}{points}\n7 0 1 2 3 4 5 6\n")
+    for name in ("a.obj", "a.ply"):
+        vertices, faces, _ = read_triangles(tmp_path / name)
+        area = TriangleMesh(vertices=vertices, faces=faces).face_vectors().sum(axis=0)
+        assert area == pytest.approx([0, 0, 3.5 * 100**2 * np.sin(2 * np.pi / 7)])
+
+
 @pytest.mark.parametrize("suffix", ["ply", "stl", "glb", "obj"])
 def test_every_format_is_the_same_surface(tmp_path: Path, suffix: str) -> None:
     trimesh.Trimesh(MESH.vertices, MESH.faces, process=False).export(tmp_path / f"a.{suffix}")

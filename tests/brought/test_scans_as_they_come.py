@@ -12,7 +12,7 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
-from tests.unit.measure.trunks import LEFT, RADIUS_MM, edge_of, trunk_mesh
+from tests.unit.measure.trunks import LEFT, RADIUS_MM, RIGHT, bump_mm, edge_of, trunk_mesh
 
 import mammometry
 from mammometry.api.mesh import MeshFiles, MeshJob
@@ -231,6 +231,69 @@ def test_of_a_whole_body_the_trunks_front_is_left() -> None:
     assert 550 < high[1] < 680
     assert low[0] > -60
     assert scan.notes[-1] == "Of the body, the front of the trunk alone is measured and shown."
+
+
+# --- what else stands in a scan ---
+
+
+def plane(width_mm: float, height_mm: float, place: tuple[float, float, float], turn_deg: float = 0.0) -> TriangleMesh:
+    """A wall before which a patient stands, or turned by 90° a floor."""
+    x, y = np.meshgrid(np.linspace(-0.5, 0.5, 20) * width_mm, np.linspace(-0.5, 0.5, 20) * height_mm)
+    noise = np.random.default_rng(1).normal(0.0, 2.0, x.shape)
+    turn = Rotation.from_euler("x", turn_deg, degrees=True).as_matrix()
+    return TriangleMesh(
+        vertices=np.stack([x, y, noise], axis=-1).reshape(-1, 3) @ turn.T + place, faces=grid_faces(*x.shape)
+    )
+
+
+def grid_faces(rows: int, columns: int) -> np.ndarray:
+    grid = np.arange(rows * columns).reshape(rows, columns)
+    a, b, c, d = grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1]
+    two = [np.stack(corners, axis=-1).reshape(-1, 3) for corners in ((a, b, c), (a, c, d))]
+    return np.concatenate(two).astype(np.int32)
+
+
+def test_a_wall_a_floor_and_a_chair_are_left_out_and_said() -> None:
+    wall, floor = plane(1400, 1100, (0, 0, -220)), plane(900, 900, (0, -330, 100), 90.0)
+    chair = trimesh.creation.box(extents=[60, 150, 60])
+    chair.apply_translation([320, -100, -120])
+    beside = [wall, floor, TriangleMesh(vertices=np.array(chair.vertices), faces=np.array(chair.faces, np.int32))]
+    for things in (beside, beside[:1], beside[2:]):
+        scan = repair_scan(joined([*things, front()]))
+        assert scan.mesh.area_mm2() == pytest.approx(front().area_mm2(), rel=1e-6)
+        count = f"{len(things)} piece{'s' if len(things) > 1 else ''} beside the body"
+        flat = ", flat as a wall or a floor is" if things[0] is wall else ""
+        assert len(scan.notes) == 1
+        assert scan.notes[0].startswith(count + flat)
+    assert len(repair_scan(plane(300, 300, (0, 0, 0))).mesh.faces) == 722  # alone it is what was scanned
+
+
+@pytest.mark.slow
+def test_hair_a_strap_and_a_hand_on_the_hip_do_not_change_the_volume() -> None:
+    depth = torso().corners().mean(axis=1)[:, 2]
+    alone = largest_part(torso().submesh(depth > depth.max() - 200))
+    x, y, _ = alone.vertices.T
+    nipple, top = alone.vertices[np.argmax(alone.vertices[:, 2])], y.max()
+    strap_mm = 2.5 * (np.abs(np.abs(x) - 85) < 9) * (y > nipple[1] + 95)
+    hair_mm = 12 * np.clip(1 - ((x - 70) / 22) ** 2, 0, None) * np.clip((y - (top - 90)) / 30, 0, 1)
+    hand_mm = 28 * np.clip(1 - ((np.abs(x) - 135) ** 2 + (y - y.min() - 25) ** 2) / 45**2, 0, None)
+    for lift_mm in (strap_mm, hair_mm, hand_mm):
+        assert (lift_mm > 1).sum() > 20
+        lifted = alone.mapped(lambda points, lift=lift_mm: points + lift[:, None] * alone.vertex_normals())  # type: ignore[misc]
+        assert found_cc(lifted) == pytest.approx(found_cc(alone), rel=0.03)
+
+
+def test_a_wall_that_hangs_on_the_body_is_cut_off() -> None:
+    """As one depth picture shows a patient before a wall."""
+    x, y = np.meshgrid(np.arange(-400, 401, 6.0), np.arange(-220, 221, 6.0))
+    theta = np.arcsin(np.clip(x / RADIUS_MM, -1, 1))
+    skin = RADIUS_MM * np.cos(theta) + bump_mm(theta, y, LEFT) + bump_mm(theta, y, RIGHT)
+    depth = np.where(np.abs(x) < RADIUS_MM, skin, -100.0)
+    mesh = TriangleMesh(vertices=np.stack([x, y, depth], axis=-1).reshape(-1, 3), faces=grid_faces(*x.shape))
+    scan = front_of_body(repair_scan(mesh), FRAME)
+    assert scan.mesh.vertices[:, 2].min() > -60
+    assert np.ptp(scan.mesh.vertices[:, 0]) < 2.1 * RADIUS_MM
+    assert scan.notes == ("Of the body, the front of the trunk alone is measured and shown.",)
 
 
 # --- unit, head, ahead ---

@@ -417,7 +417,8 @@ class Editor {
     await this.act("Not saved", async () => {
       this.hear(await ask<State>("save", { author, ...this.drawing.body(changed) }), changed);
       this.edit(false);
-      this.say(this.isMeasuring ? "Saved. It is being measured." : this.signed ? "Saved." : "Saved. Press “Measure”.");
+      const waits = !this.signed && this.drawing.state.breasts.some((name) => !this.isMeasured(name));
+      this.say(this.isMeasuring ? "Saved. It is being measured." : waits ? "Saved. Press “Measure”." : "Saved.");
     });
   }
 

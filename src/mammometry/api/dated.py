@@ -24,9 +24,6 @@ from mammometry.settings import Settings
 if TYPE_CHECKING:
     from mammometry.geometry.camera import Rig
 
-RESULTS = "results"
-"""Folder of a scan's results in its folder."""
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Dated:
@@ -95,7 +92,7 @@ def check_posture(before: Dated, after: Dated) -> None:
     Raises:
         SessionError: names both folders and postures.
     """
-    for _ in posture_warnings(before, after):
+    if before.posture and after.posture and before.posture != after.posture:
         raise SessionError(
             f"{before.path}, {after.path}",
             found=f"the patient {before.posture} at one date and {after.posture} at the other",
@@ -105,9 +102,10 @@ def check_posture(before: Dated, after: Dated) -> None:
 
 
 def posture_warnings(before: Dated, after: Dated) -> Iterator[str]:
-    """Yield a warning where the postures are known and differ."""
-    if before.posture and after.posture and before.posture != after.posture:
-        yield f"The patient was {before.posture} at the earlier date and {after.posture} later. {NOT_TO_BE_COMPARED}."
+    """Yield a warning where the postures differ, or one alone is known."""
+    if before.posture != after.posture:
+        earlier, later = (posture or "in a posture that was not given" for posture in (before.posture, after.posture))
+        yield f"The patient was {earlier} at the earlier date and {later} later. {NOT_TO_BE_COMPARED}."
 
 
 def measured_keys(path: Path | str, settings: Settings) -> tuple[str, ...]:
@@ -119,10 +117,9 @@ def measured_keys(path: Path | str, settings: Settings) -> tuple[str, ...]:
     folder = Path(path)
     if not is_scan(folder):
         return tuple(key.digest for key in open_session(folder, settings).keys("measure"))
-    from mammometry.api.mesh import MeshJob, scan_files
+    from mammometry.api.scans import open_scan
 
-    job = MeshJob(scan_files(folder), folder / RESULTS, settings)
-    return tuple(product.key.digest for product in job.plan.products())
+    return tuple(product.key.digest for product in open_scan(folder, settings).plan.products())
 
 
 def _session(folder: Path, settings: Settings, watch: Watch) -> Dated:
@@ -145,16 +142,15 @@ def _session(folder: Path, settings: Settings, watch: Watch) -> Dated:
 
 
 def _scan(folder: Path, settings: Settings, watch: Watch) -> Dated:
-    from mammometry.api.mesh import MeshJob, scan_files
+    from mammometry.api.scans import open_scan
 
-    files = scan_files(folder)
-    job = MeshJob(files, folder / RESULTS, settings, watch=watch)
+    job = open_scan(folder, settings, watch=watch)
     return Dated(
         path=folder,
         date=None,
         posture=job.posture,
         identity=job.identity,
-        brought=(files.mesh,),
+        brought=(job.files.mesh,),
         inputs=job.inputs,
         settings=job.settings,
         store=job.store,

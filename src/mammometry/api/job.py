@@ -36,7 +36,7 @@ from mammometry.base.machine.cores import one_blas_thread
 from mammometry.base.machine.memory import peak_memory_mb, return_freed_arrays
 from mammometry.base.progress import Progress, no_progress
 from mammometry.geometry.camera import Rig
-from mammometry.io.outputs import require_apart, require_free, write_output, write_outputs
+from mammometry.io.outputs import require_apart, require_free, write_output
 from mammometry.io.results.store import State, Store, Watch, unwatched
 from mammometry.io.session import Session
 from mammometry.job.graph import Background, Plan
@@ -296,16 +296,13 @@ class Job(Reported):
         Raises:
             MammometryError: whatever stands in the way, in one sentence.
         """
-        from mammometry.report.documents import html, pdf, rendering
 
-        require_apart(folder, self.session.brought)
-        require_free(folder, [html.PAGE, pdf.DOCUMENT], command="report")
-        self.ensure("measure")
-        with one_blas_thread():
-            content = self._report_content(privacy)
-        made = rendering.render(content, self.inputs.attributions, named=not privacy.deidentify)
-        write_outputs(folder, {html.PAGE: made.html, pdf.DOCUMENT: made.pdf}, command="report")
-        return folder / html.PAGE
+        def gather() -> ReportContent:
+            self.ensure("measure")
+            with one_blas_thread():
+                return self._report_content(privacy)
+
+        return self._write_for_others(folder, privacy, gather, self.session.brought)
 
     def _ensure_report(self, drawing: Drawing) -> None:
         scene = None

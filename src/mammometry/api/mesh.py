@@ -29,13 +29,11 @@ from mammometry.base.errors import MeasureError, SessionError
 from mammometry.base.identity import Identity
 from mammometry.base.machine.cores import one_blas_thread
 from mammometry.base.machine.memory import peak_memory_mb
-from mammometry.base.progress import Progress
+from mammometry.base.progress import Progress, no_progress
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.mesh import TriangleMesh
-from mammometry.geometry.nearest import point_tree
+from mammometry.geometry.nearest import barycentric, closest_on_mesh
 from mammometry.io.drawn import (
-    BOUNDARIES,
-    LANDMARK_FILE,
     DrawnBoundaries,
     boundaries_digest,
     boundaries_in,
@@ -43,7 +41,7 @@ from mammometry.io.drawn import (
     landmarks_in,
 )
 from mammometry.io.meshes.foreign import ForeignMesh, read_foreign
-from mammometry.io.meshes.scans import MESH, Scan, read_scan
+from mammometry.io.meshes.scans import Scan, skin_colours
 from mammometry.io.outputs import require_apart, require_own_folder, take_folder
 from mammometry.io.results.store import Store, Watch, unwatched
 from mammometry.io.subject import check_mesh
@@ -58,6 +56,7 @@ from mammometry.settings import Settings
 
 if TYPE_CHECKING:
     from mammometry.report.content import ReportContent
+    from mammometry.report.privacy import Privacy
     from mammometry.surface.repair.repair import RepairedSurface
 
 T = TypeVar("T")
@@ -67,6 +66,7 @@ SURFACE_STD_MM = 0.1
 """Standard uncertainty of a scanner's whole surface along its normal if none is given, mm."""
 _NAMES = ("model", "left", "right")
 _COMMAND = "measure"
+_DENSE = 300_000  # faces, from which the colours of vertices are as fine as a page shows them
 _DARK, _LIGHT = 70.0, 160.0  # 8-bit grey of a colourless mesh in shade, and what full light adds; chosen by eye
 WORLD = "The mesh file's own frame, in mm."
 
@@ -76,7 +76,7 @@ class MeshFiles:
     """What is known of a foreign mesh."""
 
     mesh: Path
-    """PLY, OBJ, STL or GLB."""
+    """PLY, OBJ, STL, GLB or USDZ."""
     units: str | None = None
     """``mm``, ``cm``, ``m``. None where the file states it."""
     boundary: Path | None = None
@@ -105,46 +105,6 @@ class MeshFiles:
     """How the patient held herself: ``standing``, ``leaning`` or ``lying``. Empty: as the scan's folder says."""
     scan: Scan | None = None
     """What an imported scan's folder says. None: the mesh was not imported."""
-
-
-def scan_files(folder: Path, *, subject: str | None = None, drawn: bool = True) -> MeshFiles:
-    """An imported scan's mesh, with what was drawn on it. Other boundaries are found automatically.
-
-    Args:
-        folder: made by ``mammometry import mesh``. What was drawn lies in it, as in a session.
-        subject: a pseudonym. None: the one that the folder names.
-        drawn: whether drawn boundaries and landmarks count.
-
-    Raises:
-        SessionError: the folder's description is not as documented.
-    """
-    scan = read_scan(folder)
-    boundary, landmarks = (
-        path if drawn and path.is_file() else None for path in (folder / BOUNDARIES, folder / LANDMARK_FILE)
-    )
-    return MeshFiles(
-        mesh=folder / MESH, units="mm", boundary=boundary, landmarks=landmarks, automatic=True,
-        head=scan.head or None, ahead=scan.ahead or None, subject=subject or scan.subject, scan=scan,
-    )  # fmt: skip
-
-
-def scan_job(folder: Path, results: Path, settings: Settings | None = None) -> MeshJob:
-    """Open an imported scan for drawing on it.
-
-    A drawing that the measurement refuses does not count. It can so be corrected.
-
-    Args:
-        folder: made by ``mammometry import mesh``.
-        results: folder of its results.
-        settings: of the measurement; None for the recommended ones.
-
-    Raises:
-        MammometryError: the scan cannot be opened.
-    """
-    try:
-        return MeshJob(scan_files(folder), results, settings)
-    except MeasureError:
-        return MeshJob(scan_files(folder, drawn=False), results, settings)
 
 
 class MeshJob(Reported):
@@ -271,7 +231,12 @@ class MeshJob(Reported):
         from mammometry.surface.ranges.dents import ValidPatches
         from mammometry.surface.texture.texture import TexturedMesh
 
-        colours = foreign.colours[point_tree(foreign.mesh.vertices).query(repaired.mesh.vertices)[1]]
+        closest = closest_on_mesh(repaired.mesh.vertices, foreign.mesh)
+        faces = foreign.mesh.faces[closest.faces]
+        weights = barycentric(closest.points, foreign.mesh.vertices[faces])
+        colours = np.einsum("nk,nkj->nj", weights, foreign.colours[faces]).round().clip(0, 255).astype(np.uint8)
+        if self.files.scan is not None and len(foreign.mesh.faces) < _DENSE:
+            colours = skin_colours(self.folder, self.files.scan, repaired.mesh.vertices, colours)
         if not np.ptp(foreign.colours, axis=0).any():  # one colour shows no shape: shaded as by a lamp at the viewer's
             facing = np.abs(repaired.mesh.vertex_normals() @ rig_frame(self.rig)[2])
             colours = np.repeat((_DARK + _LIGHT * facing[:, None]).astype(np.uint8), 3, axis=1)
@@ -347,7 +312,17 @@ class MeshJob(Reported):
         )
         return {"surface": drawn}
 
-    def _gathered(self, progress: Progress) -> ReportContent:
+    def share(self, folder: Path, privacy: Privacy) -> Path:
+        """Write a report for others into a folder, and return its page. As `api.job.Job.share`."""
+
+        def gather() -> ReportContent:
+            self.run(report=False)
+            with one_blas_thread():
+                return self._gathered(no_progress, privacy)
+
+        return self._write_for_others(folder, privacy, gather, [self.files.mesh])
+
+    def _gathered(self, progress: Progress, privacy: Privacy | None = None) -> ReportContent:
         from mammometry.report.gather_mesh import MeshOrigin, gather_mesh
 
         origin = MeshOrigin(
@@ -358,7 +333,9 @@ class MeshJob(Reported):
             notes=self.notes,
             posture=self.posture,
         )
-        return gather_mesh(self.plan, self.finished, self.rig, self._page_inputs, origin, progress=progress)
+        return gather_mesh(
+            self.plan, self.finished, self.rig, self._page_inputs, origin, privacy=privacy, progress=progress
+        )
 
     def _page_key(self, page: PageInputs) -> Key:
         stated = {"units": self.units, "posture": self.posture, "scanner": self.scanner}
@@ -417,8 +394,3 @@ class _StoreOfMesh(Store):
             return super().recall(key, prepare)
         except MeasureError as error:
             raise error.of_mesh() from None
-
-
-def folder_for(mesh: Path) -> Path:
-    """Default folder for results: beside the mesh, with its name."""
-    return mesh.with_name(f"{mesh.stem}-measured")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,6 +13,7 @@ from mammometry.base.identity import NAMELESS, Identity
 from mammometry.base.machine.cores import one_blas_thread
 from mammometry.base.progress import Progress
 from mammometry.io.drawn import read_boundaries
+from mammometry.io.outputs import require_apart, require_free, write_outputs
 from mammometry.io.results.store import Store
 from mammometry.job.graph import Plan
 from mammometry.job.inputs import Inputs
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from mammometry.report.clinical import Clinical
     from mammometry.report.content import ReportContent
     from mammometry.report.documents.rendering import RenderedReport
+    from mammometry.report.privacy import Privacy
 
 WARNINGS = "warnings.json"
 """The report's warnings, for programs: a list of sentences."""
@@ -122,6 +124,33 @@ class Reported(ABC):
 
         self.store.write_folder(self.content_key, content)
         self._write_pages()
+
+    def _write_for_others(
+        self, folder: Path, privacy: Privacy, gather: Callable[[], ReportContent], brought: Iterable[Path]
+    ) -> Path:
+        """Write a report for others into a folder, and return its page.
+
+        What an earlier call wrote there is replaced.
+
+        Args:
+            folder: for report.html and report.pdf.
+            privacy: what to leave out.
+            gather: collects the content, without that.
+            brought: the user's own files, from which the folder must be apart.
+
+        Raises:
+            StorageError: other files are in the way: then nothing was computed.
+        """
+        from mammometry.report.documents import html, pdf
+        from mammometry.report.documents.rendering import render
+
+        require_apart(folder, brought)
+        require_free(folder, [html.PAGE, pdf.DOCUMENT], command="report")
+        content = gather()
+        with one_blas_thread():
+            made = render(content, self.inputs.attributions, named=not privacy.deidentify)
+        write_outputs(folder, {html.PAGE: made.html, pdf.DOCUMENT: made.pdf}, command="report")
+        return folder / html.PAGE
 
     def _write_pages(self) -> None:
         """Write the report's files from the stored content, where they are not current."""

@@ -26,6 +26,9 @@ if TYPE_CHECKING:
     from mammometry.settings import Settings
 
 SessionFolder = Annotated[Path, typer.Argument(metavar="SESSION", help="The session folder.", show_default=False)]
+SessionOrScan = Annotated[
+    Path, typer.Argument(metavar="SESSION", help="A session's folder, or an imported scan's.", show_default=False)
+]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the answer as one JSON object.")]
 Verbose = Annotated[

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from mammometry.cli.common import Answer, Bars, Options, SessionFolder, command
+from mammometry.cli.common import Answer, Bars, Options, SessionOrScan, command
 from mammometry.cli.stages import opened
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ app = typer.Typer()
 @command(app, "mammometry edit SESSION", "mammometry edit SESSION --no-browser --author 'A. Nurse'")
 def edit(
     options: Options,
-    session: SessionFolder,
+    session: SessionOrScan,
     browser: Annotated[bool, typer.Option(help="Open the page in the browser.")] = True,
     author: Annotated[str | None, typer.Option(help="Your name. Without it, the page asks.")] = None,
 ) -> Answer:
@@ -34,7 +34,7 @@ def edit(
     require("edit", *WEB)
     from mammometry.editor.server import serve
     from mammometry.io.drawn import BOUNDARIES, LANDMARK_FILE
-    from mammometry.io.meshes.scans import MESH, is_scan
+    from mammometry.io.meshes.scans import is_scan
 
     def ready(address: str, local_page: str) -> None:
         # Standard output belongs to the answer, which comes after the page was closed.
@@ -44,10 +44,10 @@ def edit(
 
     def drawable() -> Drawable:
         from mammometry.api.job import open_session
-        from mammometry.api.mesh import folder_for, scan_job
+        from mammometry.api.scans import drawable_scan
 
         chosen = options.settings()
-        return scan_job(session, folder_for(session / MESH), chosen) if scan else open_session(session, chosen)
+        return drawable_scan(session, chosen) if scan else open_session(session, chosen)
 
     scan = is_scan(session)
     if not scan:
@@ -56,5 +56,5 @@ def edit(
     with suppress(KeyboardInterrupt):  # the way to stop it
         serve(drawable, ready=ready, author=author)
     present = [name for name in (BOUNDARIES, LANDMARK_FILE) if (session / name).is_file()]
-    then = f"mammometry measure {session / MESH}" if scan else f"mammometry run {session}"
+    then = f"mammometry measure {session}" if scan else f"mammometry run {session}"
     return Answer({"session": str(session), "drawn": present}, [f"Then: {then}"] if present else [])

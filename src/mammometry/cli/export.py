@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mammometry.cli.common import Answer, Bars, Options, SessionFolder, command
+from mammometry.cli.common import Answer, Bars, Options, SessionOrScan, command
 from mammometry.cli.stages import opened
 
 if TYPE_CHECKING:
@@ -62,7 +62,7 @@ _Sex = Annotated[Sex | None, typer.Option("--sex", show_default=False)]
 )
 def dicom(
     options: Options,
-    session: SessionFolder,
+    session: SessionOrScan,
     out: Annotated[
         Path | None, typer.Option(metavar="FOLDER", help="Write the objects into a folder.", show_default=False)
     ] = None,
@@ -175,7 +175,7 @@ def dicom(
 @command(app, "mammometry export fhir SESSION --out bundle", "mammometry export fhir SESSION --out bundle --release R5")
 def fhir(
     options: Options,
-    session: SessionFolder,
+    session: SessionOrScan,
     out: Annotated[Path, typer.Option(metavar="FOLDER", help="Folder for bundle.json.", show_default=False)],
     release: Annotated[FhirRelease, typer.Option(help="Release of FHIR.")] = FhirRelease.r4,
     deidentify: _Deidentify = False,
@@ -267,14 +267,13 @@ def _gathered(
     parts: list[Any] | None = None,
 ) -> Exported:
     from mammometry.hospital.gather import gather, gather_scan
-    from mammometry.io.meshes.scans import MESH, is_scan
+    from mammometry.io.meshes.scans import is_scan
 
     with Bars(options.silent) as bars:
         if is_scan(session):
-            from mammometry.api.mesh import MeshJob, folder_for, scan_files
+            from mammometry.api.scans import open_scan
 
-            chosen = options.settings()
-            job = MeshJob(scan_files(session), folder_for(session / MESH), chosen, watch=bars.watch)
+            job = open_scan(session, options.settings(), watch=bars.watch)
             return gather_scan(job, deidentify=deidentify, parts=parts or ())
         return gather(opened(session, options, bars), deidentify=deidentify, parts=parts or ())
 

@@ -30,7 +30,7 @@ class Units(StrEnum):
 def mesh(
     options: OutputOptions,
     file: Annotated[
-        Path, typer.Argument(metavar="MESH", help="OBJ with MTL and pictures beside it, or PLY, STL, GLB.")
+        Path, typer.Argument(metavar="MESH", help="OBJ with MTL and pictures beside it, or PLY, STL, GLB, USDZ.")
     ],
     scanner: Annotated[str, typer.Option(help="Name of the device, such as 'Vectra M5'.", show_default=False)],
     out: Annotated[Path, typer.Option(metavar="FOLDER", help="Folder for the scan.", show_default=False)],

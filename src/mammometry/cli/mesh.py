@@ -15,7 +15,7 @@ from mammometry.cli.common import Bars, Options
 if TYPE_CHECKING:
     from mammometry.api.results import Results
 
-MESHES = (".ply", ".obj", ".stl", ".glb")
+MESHES = (".ply", ".obj", ".stl", ".glb", ".usdz")
 """Names of meshes end so."""
 
 
@@ -80,7 +80,8 @@ def measure_mesh(
         typer.BadParameter: an option is not what it says.
         MammometryError: the mesh cannot be measured.
     """
-    from mammometry.api.mesh import SCALE_STD, SURFACE_STD_MM, MeshFiles, MeshJob, folder_for, scan_files
+    from mammometry.api.mesh import SCALE_STD, SURFACE_STD_MM, MeshFiles, MeshJob
+    from mammometry.api.scans import folder_for, scan_files
     from mammometry.io.meshes.scans import MESH, is_scan, read_scan
     from mammometry.io.outputs import require_apart
 
@@ -90,17 +91,17 @@ def measure_mesh(
         if number is not None and not 0 <= number < float("inf"):
             raise typer.BadParameter(f"{option} is a standard uncertainty, 0 or more")
     boundary, landmarks, automatic = given.boundary, given.landmarks, given.automatic
-    head, ahead, subject = given.head, given.ahead, given.subject
+    units, head, ahead, subject = given.units, given.head, given.ahead, given.subject
     scan = read_scan(mesh.parent) if mesh.name == MESH and is_scan(mesh.parent) else None
     if scan is not None:
         own = scan_files(mesh.parent, subject=subject)
-        head, ahead, subject = head or own.head, ahead or own.ahead, own.subject
-        if boundary is None and own.boundary is not None:
+        units, head, ahead, subject = units or own.units, head or own.head, ahead or own.ahead, own.subject
+        if boundary is None:
             boundary, automatic = own.boundary, True
         landmarks = landmarks or own.landmarks
     files = MeshFiles(
         mesh=mesh,
-        units=given.units,
+        units=units,
         boundary=boundary,
         landmarks=landmarks,
         back=back,

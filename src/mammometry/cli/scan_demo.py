@@ -27,8 +27,8 @@ def scan_demo(folder: Path, options: Options) -> Answer:
     Raises:
         MammometryError: the folder holds something else, or the scan cannot be measured.
     """
-    from mammometry.api.mesh import MeshJob, folder_for, scan_files
-    from mammometry.io.meshes.scans import FILES, MESH, is_scan, read_scan
+    from mammometry.api.scans import open_scan
+    from mammometry.io.meshes.scans import FILES, is_scan, read_scan
     from mammometry.io.outputs import require_free, write_outputs
 
     chosen = options.settings()
@@ -44,7 +44,7 @@ def scan_demo(folder: Path, options: Options) -> Answer:
                 write_outputs(folder, _scanned(woman), command=_COMMAND)
         simulated = time.monotonic() - begun
         with bars.task("measure", "mesh"):
-            job = MeshJob(scan_files(folder), folder_for(folder / MESH), chosen, watch=bars.watch)
+            job = open_scan(folder, chosen, watch=bars.watch)
         results = job.run()
     table = results.as_table()
     table["seconds"] = round(time.monotonic() - begun, 3)

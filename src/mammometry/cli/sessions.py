@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from enum import StrEnum
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mammometry.cli.common import Answer, Options, OutputOptions, SessionFolder, command
+from mammometry.cli.common import Answer, Options, OutputOptions, SessionFolder, SessionOrScan, command
 
 if TYPE_CHECKING:
     from mammometry.api.job import Job
+    from mammometry.io.results.store import Store
+    from mammometry.job.graph import Plan
+    from mammometry.job.inputs import Inputs
+    from mammometry.job.products import Key
+    from mammometry.settings import Settings
 
 app = typer.Typer()
 
@@ -83,31 +90,23 @@ def new(
 
 
 @command(app, "mammometry info SESSION", "mammometry info SESSION --json")
-def info(options: Options, session: SessionFolder) -> Answer:
+def info(options: Options, session: SessionOrScan) -> Answer:
     """Show what a session holds, which results are current, and what to do next.
 
     A stale result was made from other photographs or settings than the present ones. -v lists every result.
     All result files are read, which takes a second or two per gigabyte.
     """
     from mammometry.api.job import open_session
+    from mammometry.io.meshes.scans import is_scan
     from mammometry.job.inputs import MISSING
     from mammometry.job.products import STAGES
 
+    if is_scan(session):
+        return _scan_info(session, options.settings(), every_product=options.verbose > 0)
     job = open_session(session, options.settings())
     inputs = job.inputs
     poses = sorted({pose for pose, _ in inputs.calibration_photographs})
-    stages: dict[str, dict[str, Any]] = {}
-    for stage in STAGES:
-        products: dict[str, dict[str, Any]] = {}
-        keys = job.keys(stage)
-        for key, state in zip(keys, job.store.states(keys), strict=True):
-            record = job.store.record(key)
-            products[key.product] = {
-                "state": state,
-                "made": None if record is None else record.made,
-                "seconds": None if record is None else record.seconds,
-            }
-        stages[stage] = {"state": _overall([product["state"] for product in products.values()]), "products": products}
+    stages = {stage: _stage_about(job.store, job.keys(stage)) for stage in STAGES}
     table = {
         "session": str(session),
         "rig": inputs.rig_name,
@@ -120,12 +119,53 @@ def info(options: Options, session: SessionFolder) -> Answer:
         "ready_made_cameras": inputs.cameras is not None,
         "masks": sorted(inputs.masks),
         "boundaries": sorted(inputs.boundaries),
-        "drawn": _drawn_words(job),
+        "drawn": _drawn_words(job.plan, inputs),
         "stages": stages,
         "report_shows": _shown_by(job),
         "pages": job.pages(),
     }
     return Answer(table, _info_lines(table, every_product=options.verbose > 0))
+
+
+def _scan_info(folder: Path, settings: Settings, *, every_product: bool) -> Answer:
+    """What an imported scan holds, which results are current, and what to do next."""
+    from mammometry.api.scans import open_scan
+
+    scan = open_scan(folder, settings)
+    keys = [product.key for product in scan.plan.products()]
+    stages = {"measure": _stage_about(scan.store, keys), "report": _stage_about(scan.store, [scan.content_key])}
+    words = _drawn_words(scan.plan, scan.inputs)
+    drawn = [f"boundary {name}: {how}" for name, how in words.items()]
+    table = {
+        "scan": str(folder),
+        "scanner": scan.scanner,
+        "name": scan.identity.name,
+        "subject_id": scan.identity.subject,
+        "units": scan.units,
+        "posture": scan.posture or None,
+        "notes": list(scan.notes),
+        "boundaries": sorted(scan.inputs.boundaries),
+        "drawn": words,
+        "stages": stages,
+    }
+    first = f"scanner {scan.scanner}, unit {scan.units}, posture {scan.posture or 'not given'}"
+    shown = _products_table(stages) if every_product else _stages_table(stages)
+    done = all(about["state"] == "current" for about in stages.values())
+    then = f"open {scan.page}" if done else f"mammometry measure {folder}"
+    return Answer(table, [first, *drawn, *scan.notes, "", shown, "", f"Next: {then}"])
+
+
+def _stage_about(store: Store, keys: Sequence[Key]) -> dict[str, Any]:
+    """State of a stage and of its products."""
+    products: dict[str, dict[str, Any]] = {}
+    for key, state in zip(keys, store.states(keys), strict=True):
+        record = store.record(key)
+        products[key.product] = {
+            "state": state,
+            "made": None if record is None else record.made,
+            "seconds": None if record is None else record.seconds,
+        }
+    return {"state": _overall([product["state"] for product in products.values()]), "products": products}
 
 
 def _shown_by(job: Job) -> dict[str, Any] | None:
@@ -134,13 +174,12 @@ def _shown_by(job: Job) -> dict[str, Any] | None:
     return None if record is None else record.settings.get("identity", {})
 
 
-def _drawn_words(job: Job) -> dict[str, str]:
+def _drawn_words(plan: Plan, inputs: Inputs) -> dict[str, str]:
     """Breast → who drew its boundary and who confirmed it, from boundaries.json."""
     from mammometry.job.stages.measure import boundaries
     from mammometry.measure.volume.attribution import confirmed_words, curve_digest
 
-    inputs = job.inputs
-    found = (job.plan.current(boundaries) if inputs.attributions else None) or ()
+    found = (plan.current(boundaries) if inputs.attributions else None) or ()
     curves = {boundary.name: boundary.points_world for boundary in found} | dict(inputs.boundaries)
     words = {}
     for name, attribution in inputs.attributions.items():

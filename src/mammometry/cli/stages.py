@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mammometry.cli.common import Answer, Bars, Options, SessionFolder, command, nothing_made
+from mammometry.cli.common import Answer, Bars, Options, SessionFolder, SessionOrScan, command, nothing_made
 from mammometry.cli.compile_cache import compiled_ahead
 from mammometry.cli.mesh import MESHES, MeshOptions, measure_mesh
 
@@ -153,7 +153,10 @@ def surface(options: Options, session: SessionFolder) -> Answer:
 def measure(
     options: Options,
     session: Annotated[
-        Path, typer.Argument(metavar="SESSION|MESH", help="A session folder, or a mesh: PLY, OBJ, STL or GLB.")
+        Path,
+        typer.Argument(
+            metavar="SESSION|MESH", help="A session, an imported scan, or a mesh: PLY, OBJ, STL, GLB or USDZ."
+        ),
     ],
     mesh: MeshOptions,
     wall: Annotated[
@@ -168,6 +171,9 @@ def measure(
     Finds the boundary, closes the breast with a chest wall and computes the volume. A session gets no report: use `run`
     or `report`. A mesh needs a boundary, landmarks or --automatic. Its results and its report are written beside it.
     """
+    from mammometry.io.meshes.scans import MESH, is_scan
+
+    session = session / MESH if is_scan(session) else session
     back = Path(wall) if wall is not None and Path(wall).suffix.lower() in MESHES else None
     assignments = [f"measure.wall={wall}"] if wall is not None and back is None else []
     if session.suffix.lower() in MESHES and not session.is_dir():
@@ -183,7 +189,7 @@ def measure(
 @command(app, "mammometry report SESSION", "mammometry report SESSION --deidentify --out for-a-colleague")
 def report(
     options: Options,
-    session: SessionFolder,
+    session: SessionOrScan,
     deidentify: Annotated[
         bool,
         typer.Option(
@@ -202,22 +208,32 @@ def report(
     With --deidentify, --geometry-only or --out, the report is a copy for others. The session's own report is
     results/report/report.html and report.pdf.
     """
-    if not (deidentify or geometry_only):
-        if out is not None:
-            raise typer.BadParameter("--out needs --deidentify or --geometry-only")
+    from mammometry.io.meshes.scans import RESULTS, is_scan
+    from mammometry.io.outputs import require_apart
+    from mammometry.report.privacy import Privacy
+
+    privacy = Privacy(deidentify=deidentify, geometry_only=geometry_only)
+    if out is not None and not privacy.guarded:
+        raise typer.BadParameter("--out needs --deidentify or --geometry-only")
+    folder = out or session / RESULTS / ("deidentified" if deidentify else "geometry-only")
+    if privacy.guarded:
+        require_apart(folder, [options.file])
+    if is_scan(session):
+        from mammometry.api.scans import open_scan
+
+        with Bars(options.silent) as bars:
+            scan = open_scan(session, options.settings(), watch=bars.watch)
+            table = scan.run(report=not privacy.guarded).as_table()
+            table["report"] = str(scan.share(folder, privacy) if privacy.guarded else scan.page)
+        return Answer(table, [f"Report: {table['report']}"])
+    if not privacy.guarded:
         job, table = _stage("report", session, options)
         table["report"] = str(job.report())
         return Answer(table, [f"Report: {table['report']}", _made(table)])
-    from mammometry.io.outputs import require_apart
-
     begun = time.monotonic()
     with Bars(options.silent) as bars:
         job = opened(session, options, bars)
-        folder = out or job.session.results / ("deidentified" if deidentify else "geometry-only")
-        require_apart(folder, [options.file])
-        from mammometry.report.privacy import Privacy
-
-        page = job.share(folder, Privacy(deidentify=deidentify, geometry_only=geometry_only))
+        page = job.share(folder, privacy)
     table = {**_summary(job, "measure", begun), "report": str(page)}
     return Answer(table, [f"Report: {table['report']}", "The last lines of the report say what it contains."])
 

@@ -111,5 +111,14 @@ def closest_on_triangles(points: Float64[Array, "n 3"], triangles: Float64[Array
     return result
 
 
+def barycentric(points: Float64[Array, "n 3"], triangles: Float64[Array, "n 3 3"]) -> Float64[Array, "n 3"]:
+    """Weights of each triangle's corners at its own point in its plane. Without area the first has all."""
+    a, b, c = np.moveaxis(triangles, 1, 0)
+    normal = np.cross(b - a, c - a)
+    size = np.maximum(_dot(normal, normal), 1e-300)
+    second, third = (_dot(np.cross(q - p, points - p), normal) / size for p, q in ((c, a), (a, b)))
+    return np.stack([1 - second - third, second, third], axis=1)
+
+
 def _dot(a: Float64[Array, "n 3"], b: Float64[Array, "n 3"]) -> Float64[Array, " n"]:
     return np.einsum("ij,ij->i", a, b)

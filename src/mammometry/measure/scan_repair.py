@@ -29,6 +29,7 @@ WIDEST_HOLE_MM = 30.0
 _LONGEST_HOLE_MM = 120.0  # a slit that is longer is no hole in a breast; chosen by eye
 _CRUMB = 0.01  # share of the area below which a piece is a crumb
 _BESIDE = 0.2  # share of the area that all pieces beside the body may have together; chosen by eye
+_FLAT_MM, _WIDE_MM = 12.0, 80.0  # standard deviations across and along a wall; a trunk's front has 40 across
 _FEW_FINS = 0.01  # share of the faces that may be left out because three or more meet at an edge; chosen by eye
 _FIN_ROUNDS = 5  # of leaving them out, as each may bare others
 _RING_MM = 12.0  # skin around a hole that shows how it curves; by eye: 15 moved a scan by .1 %
@@ -200,9 +201,11 @@ def _body(mesh: TriangleMesh, notes: list[str], *, largest: bool) -> TriangleMes
     areas, part = _areas_mm2(mesh)
     if len(areas) == 1:
         return mesh
-    share = 1 - areas.max() / areas.sum()
+    total = areas.sum()
+    flat = [bool(area > _CRUMB * total) and _is_flat(mesh.submesh(part == k)) for k, area in enumerate(areas)]
+    areas = np.where(flat, 0.0, areas) if not (largest or all(flat)) else areas
     crumbs = (areas < _CRUMB * areas.sum()).sum() == len(areas) - 1
-    if not (largest or crumbs or share <= _BESIDE):
+    if not (largest or crumbs or 1 - areas.max() / areas.sum() <= _BESIDE):
         others = np.sort(areas)[::-1][:3] / areas.sum()
         raise MeasureError(
             "mesh",
@@ -212,11 +215,20 @@ def _body(mesh: TriangleMesh, notes: list[str], *, largest: bool) -> TriangleMes
             remedy="Delete the others in the program that made it, or measure the largest alone with --largest",
         )
     count = len(areas) - 1
+    kind = ", flat as a wall or a floor is" if any(flat) else ""
+    share = 1 - areas.max() / total
     notes.append(
-        f"{count} piece{'s' if count > 1 else ''} beside the body, {100 * share:.2g} % of the area, "
+        f"{count} piece{'s' if count > 1 else ''} beside the body{kind}, {100 * share:.2g} % of the area, "
         f"{'were' if count > 1 else 'was'} left out."
     )
     return mesh.submesh(part == np.argmax(areas))
+
+
+def _is_flat(mesh: TriangleMesh) -> bool:
+    """Whether a piece is a wall's, a floor's or a table's: wide, and nowhere far from a plane."""
+    area = np.linalg.norm(mesh.face_vectors(), axis=1)
+    variance = np.linalg.eigvalsh(np.cov(mesh.corners().mean(axis=1).T, aweights=area))
+    return bool(variance[0] < _FLAT_MM**2 and variance[1] > _WIDE_MM**2)
 
 
 def _facing_out(mesh: TriangleMesh, notes: list[str]) -> TriangleMesh | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
+from mammometry.base.identity import NAMELESS
 from mammometry.base.progress import Progress, no_progress
 from mammometry.geometry.camera import Rig
 from mammometry.job.graph import Plan
@@ -21,6 +22,7 @@ from mammometry.report.figures.drawing.sides import NAMES
 from mammometry.report.figures.stage_results import MeasureResult
 from mammometry.report.models import viewer_scene, with_lengths
 from mammometry.report.pictures import all_encoded
+from mammometry.report.privacy import Privacy, guard
 from mammometry.report.scene import to_json
 from mammometry.report.words import describe
 from mammometry.report.words.anthropometry import (
@@ -62,6 +64,7 @@ def gather_mesh(
     page: PageInputs,
     origin: MeshOrigin,
     *,
+    privacy: Privacy | None = None,
     progress: Progress = no_progress,
 ) -> ReportContent:
     """Collect the report of a measured mesh.
@@ -72,6 +75,7 @@ def gather_mesh(
         viewer: who looks at it in the pictures.
         page: what the report shows beside products, all of it part of the report's key.
         origin: what is known of the mesh beside its shape.
+        privacy: what to leave out. None: nothing.
         progress: gets the fraction done.
     """
     measurements = plan.value(measure.measurements) or ()
@@ -81,10 +85,17 @@ def gather_mesh(
     body = plan.value(measure.body)
     less = plan.value(measure.lacking) or ()
     absent = plan.value(measure.absent) or ()
+    frame = front_of(viewer, body)
+    textured, contains = finished.textured, "the shape of the subject, in the colours of the mesh file"
+    if privacy is not None and privacy.guarded:
+        places = {mark.name: mark.points_world for mark in marks}
+        guarded = guard(textured, privacy, subject_kind=origin.kind, up_world=frame[1], landmarks=places)
+        textured, contains = guarded.textured, guarded.contains
+        page = replace(page, identity=NAMELESS) if privacy.deidentify else page
     shown = MeasureResult(
         rig=viewer,
         measurements=measurements,
-        textured=finished.textured,
+        textured=textured,
         repaired=finished.repaired,
         body=body,
         absent=absent,
@@ -96,9 +107,9 @@ def gather_mesh(
     lengths, lengths_note = planning_lengths(sizes, marks)
     changed, everything = describe.settings_facts(page.settings)
     scene = viewer_scene(
-        front_of(viewer, body),
+        frame,
         finished.repaired,
-        finished.textured,
+        textured,
         measurements,
         symmetry=sides,
     )
@@ -106,7 +117,7 @@ def gather_mesh(
     progress(0.9)
     return ReportContent(
         identity=page.identity,
-        created=describe.created_words(None),
+        created="" if privacy is not None and privacy.deidentify else describe.created_words(None),
         subject=f"{describe.SUBJECTS[origin.kind]}; a mesh of another scanner",
         world=origin.world,
         warnings=(*_warnings(measurements, body), *origin.notes),
@@ -133,7 +144,7 @@ def gather_mesh(
         all_settings=everything,
         versions=describe.versions(),
         pictures=all_encoded(pictures),
-        contains="the shape of the subject, in the colours of the mesh file",
+        contains=contains,
         scene=to_json(scene),
     )
 

@@ -19,6 +19,7 @@ from mammometry.geometry.transform import Transform
 from mammometry.measure.shape.lengths import LinearMeasure
 from mammometry.measure.shape.symmetry import Symmetry
 from mammometry.measure.volume.measurement import VolumeMeasurement
+from mammometry.report.figures.drawing.shading import even_curve
 from mammometry.report.figures.drawing.sides import NAMES
 from mammometry.report.figures.studies.change import Dated
 from mammometry.report.figures.surface import PROVENANCE_COLOURS
@@ -194,7 +195,8 @@ def _whole(
         texture=None if atlas is None else _texture(atlas),
         layers=(*(replace(layer, values=layer.values[origin]) for layer in first), *_layers(repaired, origin)),
         curves=tuple(
-            (f"Boundary, {NAMES[measured.name]}", seen(own(measured.boundary_world)), True) for measured in measurements
+            (f"Boundary, {NAMES[each.name]}", seen(even_curve(own(each.boundary_world), repaired.mesh)), True)
+            for each in measurements
         ),
         wall=joined(walls).mapped(seen) if walls else None,
     )
@@ -305,7 +307,7 @@ def _breast(
         normals=mesh.vertex_normals(),
         colours=shown_colours(textured.colours, repaired)[origin],
         layers=(*_layers(repaired, origin), *_symmetry_layer(symmetry, measured, skin)),
-        curves=((f"Boundary, {name}", placed(measured.boundary_world), True),),
+        curves=((f"Boundary, {name}", placed(even_curve(measured.boundary_world, skin)), True),),
         wall=wall,
     )
 

@@ -2,12 +2,14 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from tests.unit.io.scan_files import scanned
 
-from mammometry.api.mesh import MeshJob, scan_files, scan_job
+from mammometry.api.dated import open_dated
+from mammometry.api.scans import drawable_scan, open_scan
 from mammometry.base.errors import CrossingError
 from mammometry.cli.main import run
 from mammometry.editor.messages import PlaceChange, Save, SentHandle, Sketch, SketchChange
@@ -15,7 +17,9 @@ from mammometry.editor.page import EditorPage
 from mammometry.editor.session import Desk
 from mammometry.io.meshes.scans import Scan, import_scan
 from mammometry.io.outputs import write_outputs
+from mammometry.io.results.store import unwatched
 from mammometry.measure.volume.attribution import curve_digest
+from mammometry.settings import Settings
 
 
 @pytest.fixture
@@ -25,6 +29,35 @@ def scan(tmp_path: Path) -> Path:
     folder = tmp_path / "scan"
     write_outputs(folder, import_scan(mesh, Scan(scanner="Vectra", units=""), units="cm"), command="import mesh")
     return folder
+
+
+@pytest.mark.slow
+def test_all_commands_find_a_scans_results_in_one_place(
+    scan: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def answer(*arguments: object) -> dict[str, Any]:
+        assert run([*map(str, arguments), "--json"]) == 0
+        table: dict[str, Any] = json.loads(capsys.readouterr().out)
+        return table
+
+    assert answer("info", scan)["stages"]["measure"]["state"] == "absent"
+    assert answer("report", scan)["report"] == str(scan / "results" / "report" / "report.html")
+    assert [path.name for path in scan.iterdir() if path.is_dir()] == ["results"]
+    about = answer("info", scan)
+    assert {stage: table["state"] for stage, table in about["stages"].items()} == dict.fromkeys(
+        ("measure", "report"), "current"
+    )
+    assert about["scanner"] == "Vectra"
+    for again in (("measure", scan), ("measure", scan / "scan.ply"), ("report", scan)):
+        assert answer(*again)["made"] == []
+    assert answer("verify", scan)["damaged"] == []
+    open_dated(scan, Settings(), unwatched).ensure()  # as `compare` does
+    assert answer("info", scan)["stages"]["measure"]["state"] == "current"
+
+    shared = tmp_path / "for-others"
+    page = Path(answer("report", scan, "--deidentify", "--out", shared)["report"]).read_text()
+    assert "no sternal notch was marked" in page
+    assert run(["report", str(scan), "--geometry-only", "--out", str(scan)]) != 0
 
 
 @pytest.mark.slow
@@ -40,9 +73,8 @@ def test_a_scan_is_exported_as_a_session_is(scan: Path, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_scan_is_drawn_on_measured_and_shown(scan: Path) -> None:
-    results = scan / "results"
-    first = MeshJob(scan_files(scan), results).run()
-    page = EditorPage(scan_job(scan, results))
+    first = open_scan(scan).run()
+    page = EditorPage(drawable_scan(scan))
     drawing = page.drawing("C. Eye")
     (model,) = drawing["scene"]["models"]
     assert model["texture"] or model["colours"]  # the report's, with the scanner's picture
@@ -61,16 +93,16 @@ def test_a_scan_is_drawn_on_measured_and_shown(scan: Path) -> None:
     sketch.handles[0] = SentHandle(point=tuple(moved.tolist()))
     page.desk.save(Save(author="A", boundaries={"left": SketchChange(base=left["base"], sketch=sketch)}))
     assert set(json.loads((scan / "boundaries.json").read_text())["boundaries"]) == {"left", "right"}
-    again = MeshJob(scan_files(scan), results)
+    again = open_scan(scan)
     second = again.run()
     assert second.volumes_cc["left"] != first.volumes_cc["left"]
     assert second.volumes_cc["right"] == pytest.approx(first.volumes_cc["right"], rel=1e-3)
-    state = Desk(scan_job(scan, results)).state()["boundaries"]
+    state = Desk(drawable_scan(scan)).state()["boundaries"]
     assert state["left"]["measured"]["of"] == state["left"]["of"] != left["of"]
     assert state["right"]["automatic"]
 
     # A line that crosses itself is refused; a landmark that the measurement refuses can be corrected.
-    desk = Desk(scan_job(scan, results))
+    desk = Desk(drawable_scan(scan))
     places = np.array([handle["point"] for handle in state["left"]["handles"]])
     places[[1, 5]] = places[[5, 1]]
     crossed = Sketch(handles=[SentHandle(point=tuple(point)) for point in places.tolist()])
@@ -79,6 +111,6 @@ def test_a_scan_is_drawn_on_measured_and_shown(scan: Path) -> None:
     right = np.array(state["right"]["curve"]).mean(axis=0)
     wrong = Save(author="A", landmarks={"nipple_left": PlaceChange(base=None, points=[tuple(right.tolist())])})
     desk.save(wrong)
-    opened = Desk(scan_job(scan, results)).state()
+    opened = Desk(drawable_scan(scan)).state()
     assert opened["places"]["nipple_left"]["points"]
     assert curve_digest(np.array(opened["boundaries"]["left"]["curve"])) == state["left"]["of"]

@@ -72,7 +72,7 @@ def test_coordinates_beyond_all_are_refused(tmp_path: Path, value: float) -> Non
 
 
 def test_pipes_do_not_hang(tmp_path: Path) -> None:
-    for suffix in ("ply", "obj", "stl", "glb"):
+    for suffix in ("ply", "obj", "stl", "glb", "usdz"):
         os.mkfifo(tmp_path / f"a.{suffix}")
         for units in ("mm", None):
             with pytest.raises(SessionError, match=r"a pipe or a device|no unit"):

@@ -15,7 +15,7 @@ from mammometry.base.limits import LimitSettings
 from mammometry.cli import main
 from mammometry.geometry.mesh_files.mesh_file import read_triangles
 from mammometry.io.meshes.foreign import read_foreign
-from mammometry.io.meshes.scans import ABOUT, MESH, MTL, OBJ, Scan, import_scan, is_scan, read_scan
+from mammometry.io.meshes.scans import ABOUT, MESH, MTL, OBJ, Scan, import_scan, is_scan, read_scan, skin_colours
 
 ABOUT_IT = Scan(scanner="Vectra M5", units="", subject="P-1")
 
@@ -54,6 +54,22 @@ def test_every_vertex_has_its_colour_of_the_picture(scan: Path, tmp_path: Path) 
     height = vertices[:, 1] - (vertices[:, 1].min() + vertices[:, 1].max()) / 2
     for rows, colour in ((height > 20, SKIN), (height < -20, DARK)):
         assert np.abs(colours[rows].astype(int) - colour).max() <= 6  # JPEG
+
+
+def test_the_pictures_show_finer_colours_than_the_vertices(scan: Path, tmp_path: Path) -> None:
+    folder = put(taken(scan), tmp_path / "out")
+    mesh = read_foreign(folder / MESH).mesh
+    a, b, c = np.moveaxis(mesh.corners(), 1, 0)
+    points = np.concatenate([0.7 * a + 0.2 * b + 0.1 * c, mesh.vertices[:1] + np.array([[0, 0, 50.0]])])
+    grey = np.full((len(points), 3), 7, np.uint8)
+    colours = skin_colours(folder, read_scan(folder), points, grey).astype(int)
+    height = (points[:-1, 1] - mesh.vertices[:, 1].min()) / np.ptp(mesh.vertices[:, 1]) * 0.98 + 0.01
+    sure = np.abs(height - 0.5) > 0.02  # a picture of 64 rows
+    expected = np.where((height > 0.5)[:, None], SKIN, DARK)
+    assert np.abs(colours[:-1] - expected)[sure].max() < 12
+    assert colours[-1].tolist() == [7, 7, 7]  # off the skin
+    (folder / "texture-1.jpg").unlink()
+    assert (skin_colours(folder, read_scan(folder), points, grey) == 7).all()
 
 
 def test_the_files_fit_together_under_names_of_ours(scan: Path, tmp_path: Path) -> None:
@@ -189,9 +205,9 @@ def test_an_imported_scan_is_measured_by_its_own_description(
     command = ["import", "mesh", str(scan), "--scanner", "Vectra M5", "--units", "cm", "--subject", "P-1"]
     assert main.run([*command, "--out", str(folder), "--json"]) == 0
     capsys.readouterr()
-    assert main.run(["measure", str(folder / MESH), "--automatic", "--json"]) == 0
+    assert main.run(["measure", str(folder), "--json"]) == 0
     answer = json.loads(capsys.readouterr().out)
     assert set(answer["volumes_cc"]) == {"left", "right"}
-    page = (folder / "scan-measured" / "report" / "report.html").read_text()
+    page = (folder / "results" / "report" / "report.html").read_text()
     assert "Vectra M5" in page
     assert "cm, as stated" in page

@@ -104,6 +104,9 @@ def test_what_is_said_of_the_head() -> None:
     assert HEAD_NOT_SHOWN in check_head(replace(NOTHING, flanks=-0.3))
     with pytest.raises(MeasureError, match=r"head at the lower end.*slopes back below.*rig\.mounting"):
         check_head(replace(NOTHING, front=-0.4, breasts=-0.3))
+    # What the user said of the head counts more.
+    said = check_head(replace(NOTHING, front=-0.4, breasts=-0.3), stated=True)
+    assert said.startswith("the head is where it was said to be, though ")
     # Arms that hang, of which cameras on their sides see only the lower ends, do not refuse an upright body.
     assert HEAD_NOT_SHOWN in check_head(HeadSigns(arms=-1.0, breasts=0.0, flanks=0.9, front=0.4))
 

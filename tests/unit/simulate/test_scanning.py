@@ -112,3 +112,13 @@ def test_a_lying_breast_falls_to_the_side_and_a_telephone_sees_the_front_of_a_st
     assert mesh.components()[0] == 1
     away = point_tree(mesh.vertices).query(np.concatenate(list(standing.landmarks.values())))[0]
     assert np.median(away) < 4.0
+
+
+@pytest.mark.slow
+def test_the_clean_front_has_the_underside_of_a_hanging_breast():
+    """It looks back, as the back does, and was cut out with it: a hole in the truth."""
+    solid = torso("posture=standing,ptosis=3")
+    skin = np.unique(solid.mesh.faces[np.concatenate([breast.skin_faces for breast in solid.breasts.values()])])
+    away = point_tree(clean_front(solid).mesh.vertices).query(solid.mesh.vertices[skin])[0]
+    assert np.asarray(away).max() == 0
+    assert (solid.mesh.vertex_normals()[skin, 2] < -0.6).any()

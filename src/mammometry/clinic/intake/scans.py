@@ -21,12 +21,12 @@ from mammometry.base.limits import LimitSettings
 from mammometry.capture.checks.content import not_only_a_photograph
 from mammometry.clinic.intake.uploads import UploadError
 from mammometry.clinic.site import the_clinic
+from mammometry.geometry.mesh_files.mesh_file import KINDS, SUFFIXES
 from mammometry.io.meshes.scans import Scan, import_scan
 from mammometry.io.write import disk_errors
 
-_MESHES = (".obj", ".ply", ".stl", ".glb")
 _PICTURES = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
-_KINDS = (*_MESHES, ".mtl", *_PICTURES)
+_KINDS = (*SUFFIXES, ".mtl", *_PICTURES)
 _MOST_FILES = 40  # of one scan: a mesh, its material, at most sixteen pictures, and what devices add
 _CHUNK = 1 << 20  # bytes that are unpacked at once
 _AT_ONCE = threading.BoundedSemaphore(1)  # a scan of 200 MB takes about 2 GB as it is read
@@ -109,9 +109,9 @@ def _new(folder: Path, name: str) -> Path:
 
 
 def _meshes(folder: Path) -> list[Path]:
-    found = [path for path in sorted(folder.iterdir()) if path.suffix.lower() in _MESHES]
+    found = [path for path in sorted(folder.iterdir()) if path.suffix.lower() in SUFFIXES]
     if len(found) != 1:
-        raise UploadError(f"There are {len(found)} meshes. Choose one (OBJ, PLY, STL or GLB) and its files.", 400)
+        raise UploadError(f"There are {len(found)} meshes. Choose one ({KINDS}) and its files.", 400)
     return found
 
 

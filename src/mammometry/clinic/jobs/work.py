@@ -97,13 +97,10 @@ def measure_scan(progress: StageProgress, folder: str, settings: str) -> dict[st
     Raises:
         MammometryError: whatever stands in the way, in one sentence.
     """
-    from mammometry.api.mesh import MeshJob, scan_files
+    from mammometry.api.scans import open_scan
 
     progress("prepare", 0.0)
-    job = MeshJob(
-        scan_files(Path(folder)), Path(folder) / RESULTS, Settings.from_toml(settings),
-        watch=lambda key: _watched(key, progress),
-    )  # fmt: skip
+    job = open_scan(Path(folder), Settings.from_toml(settings), watch=lambda key: _watched(key, progress))
     results = job.run()
     return {
         "digest": _digest([product.key.digest for product in job.plan.products()]),

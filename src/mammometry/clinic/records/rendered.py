@@ -27,7 +27,7 @@ def measured_job(visit: Visit) -> Job | MeshJob:
         MammometryError: its folder cannot be opened.
     """
     from mammometry.api.job import open_session
-    from mammometry.api.mesh import MeshJob, scan_files
+    from mammometry.api.scans import open_scan
 
     if is_changed(visit):
         raise SessionError(
@@ -35,11 +35,7 @@ def measured_job(visit: Visit) -> Job | MeshJob:
             remedy="Wait until it is measured, or measure it",
         )  # fmt: skip
     settings = the_clinic().measuring()
-    job: Job | MeshJob = (
-        MeshJob(scan_files(visit.folder), visit.folder / "results", settings)
-        if visit.is_scan
-        else open_session(visit.folder, settings)
-    )
+    job: Job | MeshJob = open_scan(visit.folder, settings) if visit.is_scan else open_session(visit.folder, settings)
     if not job.store.has(job.content_key):
         raise SessionError(
             str(visit), found="a visit whose report is not current", expected="a measured visit",

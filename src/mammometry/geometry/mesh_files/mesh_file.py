@@ -1,10 +1,11 @@
-"""Triangles from mesh files of other programs: PLY, OBJ, STL, GLB. The files do not say their unit."""
+"""Triangles of other programs' PLY, OBJ, STL, GLB and USDZ files, which mostly do not say their unit."""
 
 from __future__ import annotations
 
 import codecs
 import io
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +16,11 @@ from mammometry.base.parse import LARGEST, error_text, json_value, read_bytes
 from mammometry.geometry.arrays import Array, Float64, Int32, Int64, UInt8
 from mammometry.geometry.mesh_files.obj import decimal_commas, parse_obj
 from mammometry.geometry.mesh_files.ply import parse_ply
+from mammometry.geometry.mesh_files.usdz import UsdPart, read_usdz
 
-SUFFIXES = (".ply", ".obj", ".stl", ".glb")
-_KINDS = "a mesh as PLY, OBJ, STL or GLB"
+SUFFIXES = (".ply", ".obj", ".stl", ".glb", ".usdz")
+KINDS = "PLY, OBJ, STL, GLB or USDZ"
+_KINDS = f"a mesh as {KINDS}"
 _MOST_MIB = 4096  # nearly a hundred million triangles as STL; a larger file would fill the memory
 _HEAD_BYTES = 65_536  # in which a file shows how it is written
 _SIGN = 64  # bytes in which every second one is zero in UTF-16, and in no mesh
@@ -81,9 +84,23 @@ def _parsed(path: Path, content: bytes) -> tuple[Float64[Array, "n 3"], Int64[Ar
         return obj.points, obj.faces, grey if obj.colours is None else obj.colours
     if path.suffix.lower() == ".ply":
         return parse_ply(content, str(path))
+    if path.suffix.lower() == ".usdz":
+        return _of_parts(read_usdz(path).parts)
     loaded = _loaded(path, content)
     vertices = np.asarray(loaded.vertices, dtype=np.float64).reshape(-1, 3)
     return vertices, np.asarray(loaded.faces, dtype=np.int64).reshape(-1, 3), _colours(loaded, len(vertices))
+
+
+def _of_parts(
+    parts: Sequence[UsdPart],
+) -> tuple[Float64[Array, "n 3"], Int64[Array, "m 3"], UInt8[Array, "n 3"]]:
+    """One mesh of a scene's parts."""
+    before = np.cumsum([0, *(len(part.points) for part in parts)])
+    return (
+        np.concatenate([np.empty((0, 3)), *(part.points for part in parts)]),
+        np.concatenate([np.empty((0, 3), np.int64), *(part.faces + before[n] for n, part in enumerate(parts))]),
+        np.concatenate([np.empty((0, 3), np.uint8), *(part.colours for part in parts)]),
+    )
 
 
 def _other_content(path: Path, head: bytes) -> str | None:

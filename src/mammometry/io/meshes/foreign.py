@@ -1,4 +1,4 @@
-"""Meshes of other scanners: PLY, OBJ, STL and GLB. The user or the file gives the unit."""
+"""Meshes of other scanners: PLY, OBJ, STL, GLB and USDZ. The user or the file gives the unit."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from mammometry.base.sizes import subject_extent
 from mammometry.base.value import value
 from mammometry.geometry.arrays import Array, Float64, UInt8
 from mammometry.geometry.mesh import TriangleMesh
-from mammometry.geometry.mesh_files.mesh_file import SUFFIXES, read_triangles
+from mammometry.geometry.mesh_files.mesh_file import KINDS, SUFFIXES, read_triangles
+from mammometry.geometry.mesh_files.usdz import read_usdz
 
 MM_PER_UNIT = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 _BY_SIZE = "as the body's size shows"
@@ -54,9 +55,9 @@ def read_foreign(path: Path, units: str | None = None, *, of_torso: bool = False
     """Read a mesh file.
 
     Args:
-        path: a PLY, OBJ, STL or GLB.
-        units: ``mm``, ``cm`` or ``m``; None where the file states it: GLB by its standard (metres), PLY and OBJ in a
-            comment (``comment units: mm``).
+        path: a PLY, OBJ, STL, GLB or USDZ.
+        units: ``mm``, ``cm`` or ``m``; None where the file states it: GLB by its standard (metres), USDZ
+            (``metersPerUnit``), PLY and OBJ in a comment (``comment units: mm``).
         of_torso: whether it is known to be a torso, or a whole body. Its size then shows a unit that nobody states.
 
     Raises:
@@ -64,7 +65,7 @@ def read_foreign(path: Path, units: str | None = None, *, of_torso: bool = False
             thing to be measured here.
     """
     if path.suffix.lower() not in SUFFIXES:
-        raise _refused(path, "another kind of file", "a mesh as PLY, OBJ, STL or GLB", "Export the mesh as one of them")
+        raise _refused(path, "another kind of file", f"a mesh as {KINDS}", "Export the mesh as one of them")
     unit, who = (units, "as stated") if units is not None else _stated_unit(path)
     if unit is not None and unit not in MM_PER_UNIT:
         raise _refused(path, f"the unit {unit!r}", f"one of {', '.join(MM_PER_UNIT)}", "Correct --units")
@@ -121,6 +122,13 @@ def _stated_unit(path: Path) -> tuple[str | None, str]:
     kind = path.suffix.lower()
     if kind == ".glb":
         return "m", "glTF's unit"
+    if kind == ".usdz":
+        metres = read_usdz(path, shape=False).metres_per_unit
+        named = [name for name, mm in MM_PER_UNIT.items() if metres is not None and np.isclose(1000 * metres, mm)]
+        if metres is not None and not named:
+            expected = f"one of {', '.join(MM_PER_UNIT)}"
+            raise _refused(path, f"a unit of {1000 * metres:g} mm", expected, "Give the unit: --units")
+        return (named[0], "as the file says") if named else (None, "")
     if kind in (".ply", ".obj"):
         require_file(path, str(path), "a mesh file")
         try:

@@ -10,7 +10,9 @@ import numpy as np
 
 from mammometry.base.parse import read_bytes
 from mammometry.geometry.arrays import Array, Float64, UInt8
-from mammometry.geometry.mesh_files.obj import parse_obj
+from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry.mesh_files.obj import ObjFile, parse_obj
+from mammometry.geometry.nearest import barycentric, closest_on_mesh
 
 _MOST_MIB = 1024  # ten million triangles as text; scanners write a hundredth
 _GREY = 128  # sRGB; of what no picture covers
@@ -63,13 +65,47 @@ class CoveredObj:
             mine = np.flatnonzero((self.material == number) & np.isfinite(self.uv).all(axis=1))
             if picture is None or not len(mine):
                 continue
-            height, width = picture.shape[:2]
-            u, v = (self.uv[mine] % 1.0).T
-            column = np.minimum((u * width).astype(int), width - 1)
-            row = np.minimum(((1.0 - v) * height).astype(int), height - 1)
-            found[mine] = picture[row, column]
+            found[mine] = _pixels(picture, self.uv[mine])
         finite = np.isfinite(self.points).all(axis=1)
         return self.points[finite], found[finite]
+
+
+def _pixels(picture: UInt8[Array, "h w 3"], uv: Float64[Array, "n 2"]) -> UInt8[Array, "n 3"]:
+    """Pixels at places in a picture, which repeats itself."""
+    height, width = picture.shape[:2]
+    u, v = (uv % 1.0).T
+    column = np.minimum((u * width).astype(int), width - 1)
+    row = np.minimum(((1.0 - v) * height).astype(int), height - 1)
+    return picture[row, column]
+
+
+def texture_at(
+    obj: ObjFile,
+    pictures: Mapping[str, UInt8[Array, "h w 3"]],
+    points: Float64[Array, "n 3"],
+    otherwise: UInt8[Array, "n 3"],
+    within: float,
+) -> UInt8[Array, "n 3"]:
+    """Colours of an OBJ's pictures at points near its surface.
+
+    Args:
+        obj: with places in pictures.
+        pictures: material → its picture, sRGB.
+        points: in the OBJ's unit.
+        otherwise: colours of points that no picture covers.
+        within: distance from the surface up to which a point is on it, in that unit.
+    """
+    closest = closest_on_mesh(points, TriangleMesh(vertices=obj.points, faces=obj.faces.astype(np.int32)))
+    places = obj.face_uv[closest.faces]
+    weights = barycentric(closest.points, obj.points[obj.faces[closest.faces]])
+    uv = np.einsum("nk,nkj->nj", weights, obj.uv[places])
+    there = (places >= 0).all(axis=1) & (closest.distances_mm < within) & np.isfinite(uv).all(axis=1)
+    colours = otherwise.copy()
+    for number, name in enumerate(obj.materials):
+        mine = there & (obj.face_material[closest.faces] == number)
+        if name in pictures:
+            colours[mine] = _pixels(pictures[name], uv[mine])
+    return colours
 
 
 def read_covered_obj(path: Path) -> CoveredObj:

@@ -25,17 +25,19 @@ from mammometry.base.identity import subject_id
 from mammometry.base.limits import LimitSettings
 from mammometry.base.parse import read_bytes, read_text, toml_table
 from mammometry.base.posture import POSTURES
-from mammometry.geometry.arrays import Array, UInt8
+from mammometry.geometry.arrays import Array, Float64, UInt8
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.mesh_files.obj import parse_obj
-from mammometry.io.meshes.foreign import ForeignMesh, read_foreign
-from mammometry.io.meshes.obj_texture import CoveredObj, read_covered_obj
+from mammometry.io.meshes.foreign import MM_PER_UNIT, ForeignMesh, read_foreign
+from mammometry.io.meshes.obj_texture import CoveredObj, read_covered_obj, texture_at
 from mammometry.io.meshes.own_ply import read_ply, write_ply
 from mammometry.io.meshes.scene_files import covered_parts
 from mammometry.io.photographs.images import read_photograph, read_plain_picture
 from mammometry.io.photographs.jpeg import without_tags
 
 ABOUT, MESH = "scan.toml", "scan.ply"
+RESULTS = "results"
+"""Folder of a scan's results in its folder."""
 OBJ, MTL = "scan.obj", "scan.mtl"
 MOST_PICTURES = 16
 """Pictures of one mesh. Scanners with several views write one a view; the most seen is six."""
@@ -44,6 +46,8 @@ FILES = (ABOUT, MESH, OBJ, MTL, *(f"texture-{n}.{end}" for n in range(1, MOST_PI
 AXES = ("y", "-y", "z", "-z", "x", "-x")
 """Axes of a file, of which one points to the head."""
 _MOST_MTL_MIB = 1  # of a material file; real ones have a few hundred bytes
+_MOST_OBJ_MIB = 1024  # as `obj_texture`
+_ON_SKIN_MM = 1.0  # from the scanner's surface; seams are joined within 0.05 mm
 _SAME_AREA = 1e-3  # by which the area of what was written may differ: faces without area are left out
 _LONGEST = 100  # characters of a scanner's name
 _KEYS = {"format", "scanner", "units", "head", "ahead", "subject", "posture", "sha256"}
@@ -85,10 +89,10 @@ def import_scan(
     """Read a scanner's files, and return the files of a scan's folder.
 
     Args:
-        mesh: OBJ, PLY, STL or GLB. The material file and the pictures of an OBJ lie beside it.
+        mesh: OBJ, PLY, STL, GLB or USDZ. The material file and the pictures of an OBJ lie beside it.
         about: what is known; its unit and digest are set here.
         units: ``mm``, ``cm`` or ``m``. None where the file states it.
-        texture: whether the pictures of an OBJ or a GLB are taken too.
+        texture: whether the pictures of an OBJ, a GLB or a USDZ are taken too.
         limits: size that a picture may have.
 
     Raises:
@@ -101,7 +105,7 @@ def import_scan(
     colours = foreign.colours
     with tempfile.TemporaryDirectory(prefix="mammometry-") as folder:
         source: Path | None = mesh
-        if mesh.suffix.lower() == ".glb":
+        if mesh.suffix.lower() in (".glb", ".usdz"):
             source = covered_parts(mesh, Path(folder), limits) if texture else None
         covered = read_covered_obj(source) if source is not None and source.suffix.lower() == ".obj" else None
         if source is not None and covered is not None and texture and covered.libraries:
@@ -147,6 +151,28 @@ def _check_written(mesh: Path, files: Mapping[str, bytes], foreign: ForeignMesh)
                 mesh, f"{surface.area_mm2() / 100:.1f} cm² in the imported files",
                 f"{expected_mm2 / 100:.1f} cm², as in the scanner's file", "Export it as PLY and import that",
             )  # fmt: skip
+
+
+def skin_colours(
+    folder: Path, scan: Scan, points_mm: Float64[Array, "n 3"], otherwise: UInt8[Array, "n 3"]
+) -> UInt8[Array, "n 3"]:
+    """Colours of a scan's pictures at points of its skin, which are finer than those of its vertices.
+
+    Args:
+        folder: of the scan.
+        scan: what its folder says.
+        points_mm: on its mesh, mm.
+        otherwise: colours of points that no picture covers, or of all where there are no pictures.
+    """
+    factor = MM_PER_UNIT.get(scan.units.partition(",")[0])
+    if factor is None or not (folder / OBJ).is_file() or not (folder / MTL).is_file():
+        return otherwise
+    names = {material: name for material, name in _materials(folder / MTL).items() if (folder / name).is_file()}
+    pictures = {material: _texture(folder / name, name, LimitSettings()) for material, name in names.items()}
+    obj = parse_obj(read_bytes(folder / OBJ, OBJ, "an OBJ", most_mib=_MOST_OBJ_MIB), OBJ)
+    if not len(obj.uv) or not len(obj.faces):
+        return otherwise
+    return texture_at(obj, pictures, points_mm / factor, otherwise, _ON_SKIN_MM / factor)
 
 
 def is_scan(folder: Path) -> bool:

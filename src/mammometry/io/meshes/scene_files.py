@@ -1,4 +1,4 @@
-"""A GLB with its pictures, written out as an OBJ with a material file and pictures."""
+"""A GLB or USDZ with its pictures, written out as an OBJ with a material file and pictures."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from mammometry.base.limits import LimitSettings
 from mammometry.base.parse import error_text, read_bytes
 from mammometry.geometry.arrays import Array, Float64, Int64
 from mammometry.geometry.mesh_files.mesh_file import check_glb
+from mammometry.geometry.mesh_files.usdz import read_usdz
 
 _MOST_MIB = 4096  # of a file, as of other meshes
 
@@ -32,19 +33,21 @@ class _Part:
 
 
 def covered_parts(path: Path, folder: Path, limits: LimitSettings) -> Path | None:
-    """Write a GLB with pictures as OBJ, MTL and PNG.
+    """Write a GLB or USDZ with pictures as OBJ, MTL and pictures.
 
     Args:
-        path: of the GLB.
+        path: of the GLB or USDZ.
         folder: empty, for the files.
         limits: size that a picture may have.
 
     Returns:
-        The OBJ, in the GLB's unit. None where a part has no picture: its colours lie elsewhere.
+        The OBJ, in the file's unit. None where a part has no picture: its colours lie elsewhere.
 
     Raises:
         SessionError: it cannot be read, or a picture is too large.
     """
+    if path.suffix.lower() == ".usdz":
+        return _covered_usdz(path, folder)
     content = read_bytes(path, path.name, "a GLB", most_mib=_MOST_MIB)
     check_glb(path, content)
     pictures: list[Any] = []
@@ -68,8 +71,27 @@ def covered_parts(path: Path, folder: Path, limits: LimitSettings) -> Path | Non
             expected="a GLB",
             remedy="Export it again",
         ) from None
-    names = range(len(pictures))
-    (folder / "a.mtl").write_text("".join(f"newmtl m{number}\nmap_Kd {number}.png\n" for number in names))
+    return _written(folder, parts, [f"{number}.png" for number in range(len(pictures))])
+
+
+def _covered_usdz(path: Path, folder: Path) -> Path | None:
+    scene = read_usdz(path)
+    names = list(scene.pictures)
+    files = [f"{number}{Path(name).suffix.lower()}" for number, name in enumerate(names)]
+    parts = [
+        _Part(points=part.points, faces=part.faces, uv=part.uv, picture=names.index(part.picture))
+        for part in scene.parts
+        if part.uv is not None and part.picture is not None
+    ]
+    if not parts or len(parts) < len(scene.parts):
+        return None
+    for file, content in zip(files, scene.pictures.values(), strict=True):
+        (folder / file).write_bytes(content)
+    return _written(folder, parts, files)
+
+
+def _written(folder: Path, parts: list[_Part], pictures: list[str]) -> Path:
+    (folder / "a.mtl").write_text("".join(f"newmtl m{n}\nmap_Kd {file}\n" for n, file in enumerate(pictures)))
     (folder / "a.obj").write_text(_obj(parts))
     return folder / "a.obj"
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from mammometry.base.errors import SessionError
 from mammometry.io.manifest import MANIFEST
+from mammometry.io.meshes.scans import RESULTS, is_scan
 from mammometry.io.results.records import RECORDS, FileRecord, file_of, is_link, read_ready, read_records
 from mammometry.io.results.store import ASIDE, READY, WRITING
 from mammometry.io.write import file_digest
@@ -44,19 +45,19 @@ class Findings:
 
 
 def results_in(folder: Path) -> Path:
-    """Results folder of a session. A measured mesh's folder is one itself.
+    """Results folder of a session or a scan. A measured mesh's folder is one itself.
 
     Raises:
         SessionError: it holds neither.
     """
-    if (folder / MANIFEST).is_file():
-        return folder / "results"
+    if (folder / MANIFEST).is_file() or is_scan(folder):
+        return folder / RESULTS
     if any((folder / stage).is_dir() for stage in STAGES):
         return folder
     raise SessionError(
         str(folder),
         found="no results",
-        expected="a session, or the folder of a measured mesh",
+        expected="a session, a scan, or the folder of a measured mesh",
         remedy="Name the folder that `mammometry run` or `mammometry measure` has written to",
     )
 

@@ -13,7 +13,16 @@ from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.report.figures.catalogue import preview
 from mammometry.report.figures.drawing import canvas
 from mammometry.report.figures.drawing.canvas import Caption, Sheet
-from mammometry.report.figures.drawing.shading import Scene, View, join_segments, picture_wh, section, views_of, visible
+from mammometry.report.figures.drawing.shading import (
+    Scene,
+    View,
+    even_curve,
+    join_segments,
+    picture_wh,
+    section,
+    views_of,
+    visible,
+)
 from mammometry.report.figures.drawing.sides import NAMES, wall_faces
 from mammometry.report.figures.stage_results import MeasureResult
 from mammometry.report.figures.surface import show
@@ -204,7 +213,8 @@ def curve(
     width: float = 1.8,
 ) -> None:
     """Draw a closed curve into a rendered view of that size. The curve is dashed where the mesh hides it."""
-    loop = _dense(np.concatenate([points_world, points_world[:1]]))
+    drawn = even_curve(points_world, scene.mesh)
+    loop = np.concatenate([drawn, drawn[:1]])
     seen = visible(loop, view, scene.cast(view, 2 * size_px))
     x, y, _ = view.project(loop).T
     axes.plot(x, y, color=colour, linewidth=width / 2, linestyle=(0, (2, 2)), alpha=0.8)
@@ -215,14 +225,6 @@ def curve(
 
 def _not(side: NoBreast) -> str:
     return "not measured" if side.unclear else "no breast"
-
-
-def _dense(line: Float64[Array, "n 3"], step_mm: float = 1.0) -> Float64[Array, "m 3"]:
-    """The same line with a point about every millimetre. So it can be hidden piece by piece."""
-    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
-    count = min(max(int(along[-1] / step_mm), len(line)), 4000)
-    wanted = np.linspace(0.0, along[-1], count)
-    return np.stack([np.interp(wanted, along, line[:, axis]) for axis in range(3)], axis=1)
 
 
 def _middle(measured: VolumeMeasurement) -> Float64[Array, 3]:

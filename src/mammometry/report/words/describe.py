@@ -301,7 +301,7 @@ def surface_report(
 
 def posture_fact(posture: str) -> Fact:
     """How the patient held herself, as far as that is known."""
-    return Fact(label="Posture", value=". ".join(filter(None, (posture, NOT_TO_BE_COMPARED))))
+    return Fact(label="Posture", value=f"{posture or 'not given'}. {NOT_TO_BE_COMPARED}")
 
 
 def measure_report(measurements: Sequence[VolumeMeasurement]) -> StageReport:

@@ -63,7 +63,7 @@ def clean_front(solid: Solid) -> VirtualScan:
     """The body's own triangles from the back's edge forward, without noise."""
     low, high = _box(solid)
     inside = np.all((solid.mesh.vertices > low) & (solid.mesh.vertices < high), axis=1)
-    mesh = solid.mesh.submesh(inside[solid.mesh.faces].all(axis=1) & _faces_ahead(solid.mesh))
+    mesh = solid.mesh.submesh(inside[solid.mesh.faces].all(axis=1) & _faces_ahead(solid))
     _, label = mesh.components()
     mesh = mesh.submesh(label[mesh.faces[:, 0]] == np.argmax(np.bincount(label[mesh.faces[:, 0]])))
     return VirtualScan(mesh=mesh, colours=_colours(solid, mesh))
@@ -99,11 +99,14 @@ def _box(solid: Solid) -> tuple[Float64[Array, 3], Float64[Array, 3]]:
     return np.maximum(low, vertices.min(axis=0)), np.minimum(high, vertices.max(axis=0) + 1.0)
 
 
-def _faces_ahead(mesh: TriangleMesh) -> Bool[Array, " m"]:
-    """Faces of the front: all but those of the back that lie far behind."""
-    vectors = mesh.face_vectors()
+def _faces_ahead(solid: Solid) -> Bool[Array, " m"]:
+    """Faces of the front: all but those that look back. Of a hanging breast some do."""
+    vectors = solid.mesh.face_vectors()
     length = np.maximum(np.linalg.norm(vectors, axis=1), 1e-12)
-    return np.asarray(vectors[:, 2] / length > -0.6)
+    ahead = np.asarray(vectors[:, 2] / length > -0.6)
+    for breast in solid.breasts.values():
+        ahead[breast.skin_faces] = True
+    return ahead
 
 
 def _colours(solid: Solid, mesh: TriangleMesh) -> UInt8[Array, "n 3"]:

@@ -10,7 +10,7 @@ from scipy.sparse.csgraph import connected_components
 
 from mammometry.geometry.arrays import Array, Float64, Int32
 from mammometry.geometry.mesh import TriangleMesh
-from mammometry.geometry.nearest import closest_on_mesh, closest_on_triangles
+from mammometry.geometry.nearest import barycentric, closest_on_mesh, closest_on_triangles
 from mammometry.surface.texture.texture_atlas import Atlas
 
 
@@ -52,11 +52,6 @@ def _charts(atlas: Atlas) -> Int32[Array, " m"]:
 
 def _places(atlas: Atlas, faces: Array, points: Float64[Array, "n 3"]) -> Float64[Array, "n 2"]:
     """Places in the picture of points on faces, by their barycentric coordinates, pixels."""
-    a, b, c = np.moveaxis(atlas.mesh.corners()[faces], 1, 0)
-    normal = np.cross(b - a, c - a)
-    size = np.maximum(np.einsum("ij,ij->i", normal, normal), 1e-300)
-    weights = np.stack(
-        [np.einsum("ij,ij->i", np.cross(q - p, points - p), normal) / size for p, q in ((b, c), (c, a), (a, b))]
-    )
-    found: Float64[Array, "n 2"] = np.einsum("kn,nkj->nj", weights, atlas.uv_px[faces].astype(np.float64))
+    weights = barycentric(points, atlas.mesh.corners()[faces])
+    found: Float64[Array, "n 2"] = np.einsum("nk,nkj->nj", weights, atlas.uv_px[faces].astype(np.float64))
     return found

@@ -88,11 +88,11 @@ _DESKS = _Desks()
 
 def _opened(visit: Visit) -> Drawable:
     from mammometry.api.job import open_session
-    from mammometry.api.mesh import scan_job
+    from mammometry.api.scans import drawable_scan
 
     settings = the_clinic().measuring()
     if visit.is_scan:
-        return scan_job(visit.folder, visit.folder / "results", settings)
+        return drawable_scan(visit.folder, settings)
     return open_session(visit.folder, settings)
 
 

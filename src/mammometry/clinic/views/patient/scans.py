@@ -58,7 +58,7 @@ class ScanForm(_ScanForm):
     scanner = forms.CharField(max_length=100, label="Device", help_text="Such as Vectra M5, 3dMD or Artec Leo.")
     sent = _FilesField(
         label="Files of the scan",
-        help_text="All together: OBJ, MTL and picture. Or one ZIP. A GLB holds its pictures; PLY and STL have none.",
+        help_text="All together: OBJ, MTL and picture. Or one ZIP. GLB and USDZ hold pictures; PLY and STL none.",
     )
     units = forms.ChoiceField(
         label="Unit of the mesh", required=False, help_text="The device’s export settings say it.",

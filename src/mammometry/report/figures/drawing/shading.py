@@ -11,16 +11,19 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy.ndimage import gaussian_filter1d
 
 from mammometry.base.value import value
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32, Int64, UInt8, bounds
 from mammometry.geometry.camera import Rig
 from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry.nearest import closest_on_mesh
 from mammometry.geometry.raster_kernels import nearest_faces
 from mammometry.measure.trunk.body import Body, Mounting, camera_up
 
 _LIGHTS = ((0.25, 0.45, 0.86, 0.72), (-0.75, 0.1, 0.65, 0.28), (0.1, -0.8, 0.6, 0.18))
 """Directions towards three lights (right, up, towards the viewer) and their strengths. Ambient light comes on top."""
+_EVEN_MM = 6.0  # standard deviation along a curve over which it is evened out to be drawn; chosen by eye
 _AMBIENT = 0.16  # strength of the ambient light; chosen by eye
 _FOOT = 0.09
 """Height of the strip for the scale bar, relative to the mesh's."""
@@ -318,3 +321,17 @@ def _halved(picture: Float32[Array, "h w 4"]) -> UInt8[Array, "h2 w2 4"]:
 def _unit(vector: Float64[Array, 3], *, fallback: Float64[Array, 3]) -> Float64[Array, 3]:
     length = float(np.linalg.norm(vector))
     return vector / length if length > 1e-6 else fallback
+
+
+def even_curve(points_world: Float64[Array, "n 3"], mesh: TriangleMesh) -> Float64[Array, "m 3"]:
+    """A closed curve as it is drawn: on the mesh, a point about every millimetre, evened out along itself.
+
+    Noise of the skin and of a mesh's edges makes a boundary wave by 1 to 3 mm.
+    """
+    loop = np.concatenate([points_world, points_world[:1]])
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(loop, axis=0), axis=1))])
+    count = min(max(int(along[-1]), len(points_world)), 4000)
+    wanted = np.linspace(0.0, along[-1], count, endpoint=False)
+    dense = np.stack([np.interp(wanted, along, loop[:, axis]) for axis in range(3)], axis=1)
+    even = gaussian_filter1d(dense, _EVEN_MM * count / max(float(along[-1]), 1e-9), axis=0, mode="wrap")
+    return closest_on_mesh(even, mesh).points

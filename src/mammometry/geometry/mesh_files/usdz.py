@@ -1,0 +1,233 @@
+"""Meshes of a USDZ, as telephones write it, and their pictures.
+
+A damaged USD may end or hang its library, so it is read in a second process with limits on time and memory. Nothing
+outside the file is read.
+"""
+
+from __future__ import annotations
+
+import resource
+import tempfile
+import threading
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mammometry.base.child_process import ChildProcess, NotDone
+from mammometry.base.errors import SessionError
+from mammometry.base.extras import require
+from mammometry.base.parse import error_text, require_file
+from mammometry.geometry.arrays import Array, Float64, Int64, UInt8
+
+_LAYERS = (".usd", ".usda", ".usdc")
+_PICTURES = (".png", ".jpg", ".jpeg")
+_GREY = 128  # sRGB; of what has no colour
+_LONGEST_S = 120.0  # a scan of a million faces takes 3 s
+_MOST_MEMORY = 16 << 30  # bytes; small packed numbers may unpack to any size
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class UsdPart:
+    """A piece of the scene with one picture or none."""
+
+    points: Float64[Array, "n 3"]
+    """In the file's unit, where they stand in the scene."""
+    faces: Int64[Array, "m 3"]
+    colours: UInt8[Array, "n 3"]
+    """sRGB of each point. Mid grey where the file has none."""
+    uv: Float64[Array, "n 2"] | None
+    """Place of each point in the picture, (0, 0) lower left. None: no picture covers it."""
+    picture: str | None
+    """Name of the picture."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class UsdScene:
+    """What a USDZ shows."""
+
+    parts: tuple[UsdPart, ...]
+    pictures: dict[str, bytes]
+    """Name, with its ending → content of a JPEG or PNG."""
+    metres_per_unit: float | None
+    """None where the file does not say it."""
+
+
+def read_usdz(path: Path, *, shape: bool = True) -> UsdScene:
+    """Read the meshes of a USDZ.
+
+    Args:
+        path: of the file.
+        shape: whether meshes and pictures are wanted, beside the unit.
+
+    Raises:
+        MissingLibraryError: USD is not installed.
+        SessionError: it cannot be read.
+    """
+    require_file(path, str(path), "a USDZ")
+    require("usdz", "pxr")
+    try:
+        with ChildProcess() as child:
+            late = threading.Timer(_LONGEST_S, child.process.kill)
+            late.start()
+            try:
+                read = child.call(_read, str(path), shape)
+            finally:
+                late.cancel()
+    except NotDone:
+        read = "a file on which its reader fails"
+    if isinstance(read, str):
+        expected = "a USDZ that holds its meshes itself"
+        raise SessionError(str(path), found=read, expected=expected, remedy="Export it again")
+    return read
+
+
+def _read(path: str, shape: bool) -> UsdScene | str:  # positional, as `ChildProcess.call` hands it on
+    """Read a USDZ, or say what it is instead."""
+    resource.setrlimit(resource.RLIMIT_AS, (_MOST_MEMORY, _MOST_MEMORY))
+    try:
+        return _opened(path, shape=shape)
+    except Exception as error:  # the reader raises anything that a damaged file makes it stumble over
+        return f"a file that cannot be read ({error_text(error)})"
+
+
+def _opened(path: str, *, shape: bool) -> UsdScene | str:
+    from pxr import Sdf, Usd, UsdGeom
+
+    with tempfile.TemporaryDirectory(prefix="mammometry-") as unpacked:
+        folder = Path(unpacked).resolve()
+        with zipfile.ZipFile(path) as archive:
+            members = archive.infolist()
+            if any(member.compress_type != zipfile.ZIP_STORED or member.flag_bits & 1 for member in members):
+                return "a ZIP that is packed, which a USDZ is not"
+            archive.extractall(folder)  # which keeps names within the folder
+            first = next((folder / m.filename for m in members if Path(m.filename).suffix.lower() in _LAYERS), None)
+        if first is None:
+            return "a ZIP without USD in it"
+        for file in sorted(folder.rglob("*")):
+            if file.suffix.lower() in _LAYERS:
+                layer = Sdf.Layer.FindOrOpen(str(file))
+                for name in layer.GetCompositionAssetDependencies() if layer else ():
+                    if not (file.parent / name).resolve().is_relative_to(folder):
+                        return "meshes in another file"
+        stage = Usd.Stage.Open(str(first))
+        stated = stage.HasAuthoredMetadata(UsdGeom.Tokens.metersPerUnit)
+        pictures: dict[str, bytes] = {}
+        return UsdScene(
+            parts=tuple(_parts(stage, folder, pictures)) if shape else (),
+            pictures=pictures,
+            metres_per_unit=float(UsdGeom.GetStageMetersPerUnit(stage)) if stated else None,
+        )
+
+
+def _parts(stage: Any, folder: Path, pictures: dict[str, bytes]) -> list[UsdPart]:
+    from pxr import Usd, UsdGeom
+
+    places = UsdGeom.XformCache(Usd.TimeCode.EarliestTime())
+    parts = []
+    for prim in stage.Traverse(Usd.TraverseInstanceProxies()):
+        mesh = UsdGeom.Mesh(prim)
+        if not mesh or mesh.ComputeVisibility() == UsdGeom.Tokens.invisible:
+            continue
+        now = Usd.TimeCode.EarliestTime()
+        points = np.array(mesh.GetPointsAttr().Get(now) or (), dtype=np.float64).reshape(-1, 3)
+        counts, corners = (
+            np.array(attribute.Get(now) or (), dtype=np.int64)
+            for attribute in (mesh.GetFaceVertexCountsAttr(), mesh.GetFaceVertexIndicesAttr())
+        )
+        if not len(counts):
+            continue
+        if counts.min() < 0 or counts.sum() != len(corners) or corners.min() < 0 or corners.max() >= len(points):
+            raise ValueError("faces of vertices that are not there")
+        place = np.array(places.GetLocalToWorldTransform(prim))
+        points = points @ place[:3, :3] + place[3, :3]
+        polygon, where = _fans(counts)
+        turned = mesh.GetOrientationAttr().Get() == UsdGeom.Tokens.leftHanded
+        if turned != (np.linalg.det(place[:3, :3]) < 0):
+            where = where[:, ::-1]
+        faces = corners[where]
+        uv, colours = _corner_values(prim, ("st", "UVMap", "st0"), faces, where), _colours(prim, faces, where)
+        pictured = _picture_of_each(prim, len(counts), folder, pictures)[polygon]
+        for name in dict.fromkeys(pictured.tolist()):
+            own = pictured == name
+            covered = uv is not None and bool(name)
+            parts.append(
+                UsdPart(
+                    points=points[faces[own]].reshape(-1, 3),
+                    faces=np.arange(3 * own.sum()).reshape(-1, 3),
+                    colours=colours[own].reshape(-1, 3),
+                    uv=uv[own].reshape(-1, 2) if uv is not None and covered else None,
+                    picture=str(name) if covered else None,
+                )
+            )
+    return parts
+
+
+def _fans(counts: Int64[Array, " k"]) -> tuple[Int64[Array, " m"], Int64[Array, "m 3"]]:
+    """Triangles of polygons: the polygon of each, and its three corners, counted over all polygons."""
+    triangles = np.maximum(counts - 2, 0)
+    polygon = np.repeat(np.arange(len(counts)), triangles)
+    number = np.arange(len(polygon)) - np.repeat(np.cumsum(triangles) - triangles, triangles)
+    first = (np.cumsum(counts) - counts)[polygon]
+    return polygon, np.stack([first, first + number + 1, first + number + 2], axis=1)
+
+
+def _corner_values(
+    prim: Any, names: tuple[str, ...], faces: Int64[Array, "m 3"], where: Int64[Array, "m 3"]
+) -> Float64[Array, "m 3 k"] | None:
+    """Values of the first of these primvars at each triangle's corners."""
+    from pxr import Usd, UsdGeom
+
+    primvars = UsdGeom.PrimvarsAPI(prim)
+    for name in names:
+        primvar = primvars.FindPrimvarWithInheritance(name)
+        flat = primvar.ComputeFlattened(Usd.TimeCode.EarliestTime()) if primvar.HasValue() else None
+        if flat is None:
+            continue
+        values = np.array(flat, dtype=np.float64)
+        kind = primvar.GetInterpolation()
+        if kind == UsdGeom.Tokens.faceVarying:
+            return values[where]
+        if kind in (UsdGeom.Tokens.vertex, UsdGeom.Tokens.varying):
+            return values[faces]
+        if kind == UsdGeom.Tokens.constant:
+            return np.broadcast_to(values[0], (*faces.shape, values.shape[1]))
+    return None
+
+
+def _colours(prim: Any, faces: Int64[Array, "m 3"], where: Int64[Array, "m 3"]) -> UInt8[Array, "m 3 3"]:
+    values = _corner_values(prim, ("displayColor",), faces, where)
+    if values is None:
+        return np.full((*faces.shape, 3), _GREY, dtype=np.uint8)
+    return np.round(255 * np.clip(np.nan_to_num(values), 0, 1)).astype(np.uint8)
+
+
+def _picture_of_each(prim: Any, count: int, folder: Path, pictures: dict[str, bytes]) -> Array:
+    """Name of each polygon's picture. Empty: none."""
+    from pxr import UsdShade
+
+    bound = UsdShade.MaterialBindingAPI(prim)
+    names = np.full(count, _picture(bound, folder, pictures), dtype=object)
+    for subset in bound.GetMaterialBindSubsets():
+        own = np.array(subset.GetIndicesAttr().Get() or (), dtype=np.int64)
+        names[own[(own >= 0) & (own < count)]] = _picture(UsdShade.MaterialBindingAPI(subset), folder, pictures)
+    return names
+
+
+def _picture(bound: Any, folder: Path, pictures: dict[str, bytes]) -> str:
+    """Name of the picture of a material's colour, which is read into `pictures`. Empty: none."""
+    from pxr import UsdShade
+
+    material, _ = bound.ComputeBoundMaterial()
+    shader = material.ComputeSurfaceSource()[0] if material else None
+    colour = shader.GetInput("diffuseColor") if shader else None
+    for attribute in colour.GetValueProducingAttributes() if colour else ():
+        file = UsdShade.Shader(attribute.GetPrim()).GetInput("file")
+        asset = file.Get() if file else None
+        path = Path(asset.resolvedPath) if asset and asset.resolvedPath else None
+        if path is not None and path.suffix.lower() in _PICTURES and path.resolve().is_relative_to(folder):
+            pictures.setdefault(path.name, path.read_bytes())
+            return path.name
+    return ""
