@@ -266,10 +266,6 @@ class MeasureSettings:
     """How far off a torso's boundary curve may be, as persons draw it. Where no pair measured the skin under it,
     `unseen_slope` of the distance from measured skin is added (root of the sum of squares): automatic boundaries were 3
     to 7 mm off on seen skin, 4 to 15 on unseen skin."""
-    wall_u95_mm: float = 5.0
-    """Half-width of the 95 % interval by which a torso's wall may lie off a flat chest, mm of wall height: .5 cc for
-    each cm² of base. On 145 breasts of real women the cylinder membrane was off by +1.5 ± 1.9 mm, 95 % by less than 4.1
-    (3.7 to 4.5). Walls that are worse have their own (`wall.registry`). docs/decisions/0029."""
     axis_u95_share: float = 0.025
     """Share of the volume that a trunk's axis of assumed depth adds: ± 2.5 % from 80 to 170 mm, on the same breasts."""
     wall_measured_u95_mm: float = 1.0

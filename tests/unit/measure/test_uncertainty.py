@@ -26,7 +26,6 @@ SETTINGS = MeasureSettings(
     invented_sigma_mm=0.4,
     unseen_slope=0.0,
     common_share=0.0,
-    wall_u95_mm=9.0,
     matching_reach_mm=3.0,
 )
 
@@ -42,6 +41,7 @@ def sheet(width_mm: float) -> TriangleMesh:
 
 
 SHEET = sheet(100.0)
+WALL_CC = 4.1 * np.sqrt(100 / 170) * 10  # over 100 cm²; on real women, whose bases have 170 cm², 4.1 mm
 RIM = np.array([[0.0, 0, 0], [100, 0, 0], [100, 100, 0], [0, 100, 0]])
 
 
@@ -85,7 +85,7 @@ def test_the_terms_of_a_torso() -> None:
             "repaired surface": 1.96 * 0.1 * 2500 / 1000,
             "invented surface": 1.96 * 0.4 * 2500 / 1000,
             "boundary": 1.96 * 8,
-            "chest wall": 90.0,
+            "chest wall": WALL_CC,
         },
         rel=0.025,  # vertices on the seams own half a cell
     )
@@ -93,7 +93,7 @@ def test_the_terms_of_a_torso() -> None:
     assert found.interval_cc == pytest.approx((400 - half, 400 + half))
     assert "not cover" not in found.note
     wall_mm = SETTINGS.wall_across_poses_u95_mm / np.sqrt(2)  # of each of two walls that differ by so much
-    half = np.sqrt(half**2 - 90.0**2 + (wall_mm * 10) ** 2)
+    half = np.sqrt(half**2 - WALL_CC**2 + (wall_mm * 10) ** 2)
     assert found.as_defined_cc == pytest.approx((400 - half, 400 + half))
 
 

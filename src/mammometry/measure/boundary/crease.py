@@ -53,6 +53,9 @@ _CENTRINGS = 3  # times that the border is looked for about its own middle; chos
 _NATS, _SIZE_NATS = 2.0, 0.2
 """Log of how much more probable a curve is that gathers 1 more, and a size whose curves gather 1 more: neighbouring
 directions err alike, so that a size has less evidence than their sum. Calibrated on virtual women (decision 43)."""
+_ERR_ALIKE = (
+    2.0  # error of a border over its paths' spread, for the same reason; 1.2 on scans, 2.3 on the hanging women
+)
 _FALLEN = 0.9  # share of the height to which a breast has fallen before it may end; chosen by eye
 _RISE_MM = 6.0  # skin that rises again by this much belongs to something else (arm, belly, other breast)
 _SUNK_MM = 12.0
@@ -143,7 +146,7 @@ def follow_crease(
         flat=flat,
         concavity_per_mm=concavity[row, way],
         seen=relief.at(flat, relief.known.astype(np.float64)) > 0.5,
-        sigma_mm=_STEP_MM * spread,
+        sigma_mm=_ERR_ALIKE * _STEP_MM * spread,
     )
 
 
@@ -205,13 +208,15 @@ def _outer_flank_mm(concavity: Float64[Array, "d s"], allowed: Bool[Array, "d s"
     count, length = concavity.shape
     ahead = way[:, None] + np.arange(int(_SHIFT_MM / _STEP_MM) + 1)
     along = np.where(allowed, concavity, 0.0)[np.arange(count)[:, None], np.minimum(ahead, length - 1)]
+    along = gaussian_filter1d(along, _EVEN_DIRECTIONS, axis=0, mode="wrap")
     half = along[:, :1] / 2
     fallen = along < half
     first = np.where(fallen.any(axis=1), np.argmax(fallen, axis=1), 0)
     row = np.arange(count)
     above, below = along[row, np.maximum(first - 1, 0)], along[row, first]
     share = np.divide(above - half[:, 0], above - below, out=np.zeros(count), where=above > below)
-    return np.where(first > 0, (first - 1 + share) * _STEP_MM, 0.0)
+    flank_mm = np.where(first > 0, (first - 1 + share) * _STEP_MM, 0.0)
+    return flank_mm * np.clip(along[:, 0] / CREASE_PER_MM, 0.0, 1.0)
 
 
 def _smeared_mm(concavity: Float64[Array, "d s"], fine: Float64[Array, "d s"], way: Array) -> Float64[Array, " d"]:

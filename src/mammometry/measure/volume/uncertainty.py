@@ -100,7 +100,7 @@ def interval(
       the skin could stand out without being seen.
     - *base*, of a cast: scatter of the rim, silhouettes off by a fraction of a pixel, and how the rim is rounded.
     - *boundary*, of a torso: drawn again (`boundary_jitter`).
-    - *chest wall*, of a torso: a height over the base.
+    - *chest wall*, of a torso: a height over the base, in proportion to the base's width.
     - *trunk's axis*, where it is assumed: a share of the volume.
 
     A torso's interval is about what stands out of a flat chest, which no photograph shows behind the breast. What
@@ -148,8 +148,7 @@ def interval(
             if boundary_std_cc is None:
                 boundary_std_cc = settings.observers.mean_mm * _BOUNDARY_CC_PER_MM_CM2 * area_cm2
             terms["boundary"] = _COVERAGE_95 * boundary_std_cc
-        off_mm = max(settings.wall_u95_mm, model.flat_u95_mm)
-        height_mm = settings.wall_measured_u95_mm if model.measured else off_mm
+        height_mm = settings.wall_measured_u95_mm if model.measured else model.off_u95_mm(area_cm2)
         terms[WALL] = height_mm * area_cm2 / 10
         if evidence.axis_assumed:
             terms[AXIS] = settings.axis_u95_share * volume_cc
