@@ -37,7 +37,7 @@ _SMOOTHING = 30.0  # of the thin plate, mm²; follows a breast's tip, and not a 
 _FEWEST = 10  # points that show how skin curves
 _SAID_MM2 = 5.0  # invented skin below this is not worth a note
 _NO_AREA_MM2 = 1e-6  # a hole of less is a seam
-_GRID_MM = 2.0  # distance of vertices in a closed hole, as `scanned.finer_along` makes edges
+_GRID_MM = 2.0  # distance of vertices in a closed hole: finer than `scanned.finer_along` makes edges
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
