@@ -41,7 +41,7 @@ def sheet(width_mm: float) -> TriangleMesh:
 
 
 SHEET = sheet(100.0)
-WALL_CC = 4.1 * np.sqrt(100 / 170) * 10  # over 100 cm²; on real women, whose bases have 170 cm², 4.1 mm
+WALL_CC = 4.5 * np.sqrt(100 / 170) * 10  # over 100 cm²; on real women, whose bases have 170 cm², 4.5 mm
 RIM = np.array([[0.0, 0, 0], [100, 0, 0], [100, 100, 0], [0, 100, 0]])
 
 
