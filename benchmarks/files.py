@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from mammometry.base.photograph import Photograph
-from mammometry.io.images import read_photograph
+from mammometry.io.photographs.images import read_photograph
 
 
 class Files(Mapping[tuple[str, str], Photograph]):

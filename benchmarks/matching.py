@@ -29,15 +29,15 @@ import cv2
 import numpy as np
 
 from benchmarks.pairs import Capture, calibrated, captures, cases
-from mammometry.base.memory import return_freed_arrays
+from mammometry.base.machine.memory import return_freed_arrays
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.transform import Transform
-from mammometry.matching.match import DisparityMap, match
+from mammometry.matching.dense.match import DisparityMap, match
 from mammometry.matching.rectify import RectifiedPair
 from mammometry.matching.settings import MatchSettings
 from mammometry.simulate.recipe import SessionRecipe
 from mammometry.simulate.rendering.film import Film
-from mammometry.simulate.rendering.skin import make_skin
+from mammometry.simulate.rendering.objects.skin import make_skin
 from mammometry.simulate.session import write_session
 from mammometry.simulate.studio import Studio
 from mammometry.study.accuracy_matching import TrueDisparity, judge_disparity

@@ -11,12 +11,12 @@ from benchmarks.rendered import make_session, subjects
 from mammometry.api.job import open_session
 from mammometry.base.photograph import Photograph
 from mammometry.geometry.camera import Rig, StereoPair
-from mammometry.io.images import read_photograph
+from mammometry.io.photographs.images import read_photograph
 from mammometry.io.truth import read_truth
-from mammometry.matching.foreground import Foreground, estimate_foreground
+from mammometry.matching.foreground.all_cameras import find_subjects
+from mammometry.matching.foreground.foreground import Foreground, estimate_foreground
 from mammometry.matching.rectify import RectifiedPair, rectify
 from mammometry.matching.settings import ForegroundSettings, MatchSettings
-from mammometry.matching.subjects import find_subjects
 from mammometry.study.accuracy_matching import TrueDisparity, true_disparity
 from mammometry.study.rays import RayScene
 

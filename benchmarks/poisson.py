@@ -15,9 +15,9 @@ from skimage.measure import marching_cubes
 
 from mammometry.geometry.arrays import Array
 from mammometry.geometry.mesh import TriangleMesh
-from mammometry.surface.range_image import RangeImage
-from mammometry.surface.topology import largest_part
-from mammometry.surface.visibility import gap_mm
+from mammometry.surface.fusion.topology import largest_part
+from mammometry.surface.ranges.range_image import RangeImage
+from mammometry.surface.ranges.visibility import gap_mm
 
 _AROUND_MM = 25.0
 _SAME_MM = 1.0

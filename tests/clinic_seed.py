@@ -43,7 +43,7 @@ def logins(folder: Path) -> dict[str, str]:
 def make(folder: Path) -> None:
     """Make a clinic with a rig."""
     from mammometry.clinic.config import new_clinic
-    from mammometry.clinic.server import migrate
+    from mammometry.clinic.web.server import migrate
 
     migrate(new_clinic(folder, name="Test clinic", second_factor="offered"))
     from mammometry.clinic.models import Rig

@@ -27,13 +27,13 @@ from benchmarks.poisson import screened_poisson
 from mammometry.geometry.arrays import Array
 from mammometry.geometry.camera import Rig
 from mammometry.geometry.mesh import TriangleMesh
-from mammometry.io.images import read_photograph
-from mammometry.matching.foreground import Foreground
-from mammometry.matching.match import match
+from mammometry.io.photographs.images import read_photograph
+from mammometry.matching.dense.match import match
+from mammometry.matching.foreground.foreground import Foreground
 from mammometry.matching.rectify import rectify
 from mammometry.matching.settings import MatchSettings
-from mammometry.report.figures.canvas import Caption, Sheet
-from mammometry.report.figures.shading import Scene, front_frame, picture_wh, standard_views
+from mammometry.report.figures.drawing.canvas import Caption, Sheet
+from mammometry.report.figures.drawing.shading import Scene, front_frame, picture_wh, standard_views
 from mammometry.report.figures.surface import show
 from mammometry.simulate.arrangement import Arrangement
 from mammometry.simulate.rigs.build import flashes
@@ -43,10 +43,10 @@ from mammometry.simulate.subjects.plaster import PlasterShape, plaster
 from mammometry.simulate.subjects.solid import rig_from_solid
 from mammometry.study.accuracy import compare_surfaces
 from mammometry.study.rays import RayScene, seen_by_pairs
-from mammometry.surface.decompose import decompose
-from mammometry.surface.dents import remove_dents
-from mammometry.surface.extract import extract
-from mammometry.surface.range_image import RangeImage, triangulate
+from mammometry.surface.fusion.fuse import extract
+from mammometry.surface.ranges.decompose import decompose
+from mammometry.surface.ranges.dents import remove_dents
+from mammometry.surface.ranges.range_image import RangeImage, triangulate
 from mammometry.surface.repair import repair
 from mammometry.surface.settings import DentSettings, ExtractSettings
 

@@ -32,13 +32,13 @@ from scipy import ndimage
 from benchmarks.pairs import Case, captures, cases
 from mammometry.base.photograph import LUMA, Photograph
 from mammometry.geometry.arrays import Array, Bool, Float32
-from mammometry.matching.correlate import least_squares, mean_slope, slope_ratio, warp_rows
+from mammometry.matching.correlation_kernels import least_squares, mean_slope, slope_ratio, warp_rows
+from mammometry.matching.dense.least_squares_step import FLAT_DEVIATION, prepare
+from mammometry.matching.dense.match import match
 from mammometry.matching.filters import blur, gaussian_taps
-from mammometry.matching.match import match
 from mammometry.matching.pyramid import Level
 from mammometry.matching.rectify import rectify
 from mammometry.matching.settings import MatchSettings
-from mammometry.matching.step import FLAT_DEVIATION, prepare
 
 _SETTINGS = MatchSettings(resolution="full")
 _SIGMA_PX = _SETTINGS.window_px / np.sqrt(12)

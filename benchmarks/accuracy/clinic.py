@@ -36,14 +36,14 @@ from mammometry.base.errors import MammometryError
 from mammometry.geometry.arrays import Array, Bool
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
-from mammometry.io.meshes import read_ply
+from mammometry.io.meshes.own_ply import read_ply
 from mammometry.io.truth import read_truth
 from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.settings import Settings
 from mammometry.simulate.disturbances.draw import draw, is_held_out
 from mammometry.simulate.disturbances.registry import DISTURBANCES
 from mammometry.simulate.recipe import SessionRecipe
-from mammometry.simulate.rendering.skin import make_skin
+from mammometry.simulate.rendering.objects.skin import make_skin
 from mammometry.simulate.rigs.plan import FULL_SIZE_WH
 from mammometry.simulate.session import write_session
 from mammometry.simulate.situation import Situation, parse_situation

@@ -29,9 +29,9 @@ from mammometry.report.figures.dents import draw_dent_grid
 from mammometry.simulate.recipe import SessionRecipe
 from mammometry.simulate.session import write_session
 from mammometry.study.rays import RayScene
-from mammometry.surface.decompose import decompose
-from mammometry.surface.dents import dent_grid, remove_dents
-from mammometry.surface.range_image import RangeImage
+from mammometry.surface.ranges.decompose import decompose
+from mammometry.surface.ranges.dents import dent_grid, remove_dents
+from mammometry.surface.ranges.range_image import RangeImage
 from mammometry.surface.settings import DecomposeSettings, DentSettings
 
 CASES = (*(f"plaster_{number}" for number in range(1, 10)), *(f"torso_{number}" for number in range(1, 7)))

@@ -37,7 +37,7 @@ from mammometry.simulate.subjects.registry import make_subject
 from mammometry.simulate.subjects.solid import rig_from_solid
 from mammometry.simulate.subjects.torso import SIDES, TorsoShape
 from mammometry.study.rays import RayScene, seen_by_pairs
-from mammometry.surface.repair import Provenance, RepairedSurface
+from mammometry.surface.repair.repair import Provenance, RepairedSurface
 
 _ARMS = ("", "raised", "sides", "frame")
 """In turn; as drawn where empty."""

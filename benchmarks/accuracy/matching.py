@@ -23,10 +23,10 @@ from typing import Any
 import numpy as np
 
 from benchmarks.pairs import Case, calibrated, captures, cases
-from mammometry.matching.match import match
+from mammometry.matching.dense.match import match
 from mammometry.matching.settings import MatchSettings
 from mammometry.study.accuracy_matching import judge_disparity, judge_range, judge_silhouette
-from mammometry.surface.range_image import triangulate
+from mammometry.surface.ranges.range_image import triangulate
 from mammometry.surface.settings import TriangulateSettings
 
 _EVERY_PIXEL = TriangulateSettings(spacing_mm=1e-3)

@@ -25,7 +25,7 @@ import mammometry as mm
 from mammometry.calibration.detection.detect import Observations
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.camera import Rig
-from mammometry.surface.range_image import RangeImage, triangulate
+from mammometry.surface.ranges.range_image import RangeImage, triangulate
 
 ROOT = Path(__file__).resolve().parents[2]
 PUBLISHED_SHA256 = "f2d59951511bc227219b70075843e8ffaa5d41b50e8a5201251bfa2fa65e1eea"

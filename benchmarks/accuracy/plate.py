@@ -29,7 +29,7 @@ from mammometry.settings import Settings
 from mammometry.simulate.recipe import SessionRecipe
 from mammometry.simulate.session import write_session
 from mammometry.study.rays import RayScene
-from mammometry.surface.range_image import RangeImage, triangulate
+from mammometry.surface.ranges.range_image import RangeImage, triangulate
 
 PAPER_MM = 0.5
 """The paper's bound of the depth error on its tilted flat surface (section 3)."""

@@ -30,12 +30,12 @@ from mammometry.io.truth import read_truth
 from mammometry.settings import Settings
 from mammometry.simulate.disturbances.draw import is_held_out
 from mammometry.simulate.recipe import SessionRecipe
-from mammometry.simulate.rendering.skin import make_skin
+from mammometry.simulate.rendering.objects.skin import make_skin
 from mammometry.simulate.session import write_session
 from mammometry.simulate.situation import parse_situation
 from mammometry.simulate.studio import Studio
 from mammometry.study.rays import RayScene, seen_by_pairs
-from mammometry.surface.repair import Provenance
+from mammometry.surface.repair.repair import Provenance
 
 _RIGS = Path(__file__).parent / "rigs"
 _POINTS = 20_000  # at which surfaces are judged, at most

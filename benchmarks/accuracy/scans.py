@@ -27,8 +27,8 @@ import numpy as np
 from mammometry.api.mesh import MeshFiles, MeshJob
 from mammometry.base.errors import MammometryError
 from mammometry.geometry.arrays import Array, Float64
-from mammometry.io.foreign import read_foreign
-from mammometry.io.meshes import write_ply
+from mammometry.io.meshes.foreign import read_foreign
+from mammometry.io.meshes.own_ply import write_ply
 from mammometry.simulate.disturbances.registry import disturbed
 from mammometry.simulate.scanning.scan import QUALITIES, VirtualScan, clean_front, scan
 from mammometry.simulate.situation import parse_situation

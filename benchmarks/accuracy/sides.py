@@ -39,7 +39,7 @@ from mammometry.simulate.situation import parse_situation
 from mammometry.simulate.subjects.registry import make_subject
 from mammometry.simulate.subjects.solid import rig_from_solid
 from mammometry.simulate.subjects.torso import BreastShape, TorsoShape, torso, torso_shape
-from mammometry.surface.repair import RepairedSurface
+from mammometry.surface.repair.repair import RepairedSurface
 
 _NOISE_MM, _TILT_DEG, _EDGE_MM = 0.15, 8.0, 3.0
 _MOUNDS_CC = (80.0, 400.0)

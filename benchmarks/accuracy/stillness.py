@@ -42,7 +42,7 @@ from mammometry.settings import Settings
 from mammometry.study.accuracy import align_surfaces, compare_surfaces
 from mammometry.study.rays import RayScene, seen_by_pairs
 from mammometry.study.truth import Truth
-from mammometry.surface.stillness import Stillness
+from mammometry.surface.motion.motion_test import Stillness
 
 T = TypeVar("T")
 _EVERY = 20  # true vertices of which one is judged

@@ -37,21 +37,21 @@ from mammometry.geometry.arrays import Array
 from mammometry.geometry.camera import Rig
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
-from mammometry.io.images import read_photograph
+from mammometry.io.photographs.images import read_photograph
 from mammometry.io.truth import read_truth
-from mammometry.matching.foreground import Foreground
-from mammometry.matching.match import match
+from mammometry.matching.dense.match import match
+from mammometry.matching.foreground.foreground import Foreground
 from mammometry.matching.rectify import rectify
 from mammometry.matching.settings import MatchSettings
 from mammometry.settings import Settings
 from mammometry.study.accuracy import compare_surfaces
 from mammometry.study.rays import RayScene, seen_by_pairs
 from mammometry.study.truth import Truth
-from mammometry.surface.crossing import crossing_faces
-from mammometry.surface.dents import remove_dents
-from mammometry.surface.extract import extract
-from mammometry.surface.range_image import RangeImage, triangulate
+from mammometry.surface.fusion.fuse import extract
+from mammometry.surface.ranges.dents import remove_dents
+from mammometry.surface.ranges.range_image import RangeImage, triangulate
 from mammometry.surface.repair import Provenance, repair
+from mammometry.surface.repair.crossing import crossing_faces
 from mammometry.surface.settings import SurfaceSettings
 
 

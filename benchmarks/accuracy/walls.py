@@ -27,7 +27,7 @@ from mammometry.measure.wall.open_breast import open_breasts
 from mammometry.measure.wall.registry import TORSO_WALLS
 from mammometry.simulate.subjects.registry import make_subject
 from mammometry.simulate.subjects.solid import Solid, rig_from_solid
-from mammometry.surface.repair import Provenance, RepairedSurface
+from mammometry.surface.repair.repair import Provenance, RepairedSurface
 
 SIDES = ("left", "right")
 _SEEN_COSINE = -0.3

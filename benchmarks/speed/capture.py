@@ -15,7 +15,7 @@ from pathlib import Path
 
 from tests.unit.capture.virtual_capture import make_pictures, rig_file
 
-from mammometry.base.cores import available_cores
+from mammometry.base.machine.cores import available_cores
 from mammometry.capture.live import LiveView
 from mammometry.capture.loop import Rigged
 

@@ -35,7 +35,7 @@ from benchmarks.speed.reference import beside
 from benchmarks.speed.whole_job import PIXELS, SCALES, make_session, measured, memory_mb
 from benchmarks.speed.whole_job import table as stages_table
 from mammometry.api.job import Job, open_session
-from mammometry.base.cores import CORES
+from mammometry.base.machine.cores import CORES
 from mammometry.io.cameras.own import cameras_table
 from mammometry.simulate.recipe import SessionRecipe
 from mammometry.simulate.session import write_session

@@ -17,7 +17,7 @@ import numpy as np
 from PIL import Image
 from tests.unit.capture.virtual_capture import RIG_TOML
 
-from mammometry.base.cores import available_cores
+from mammometry.base.machine.cores import available_cores
 from mammometry.capture.guide import POSES
 from mammometry.capture.loop import Rigged
 from mammometry.simulate.recipe import SessionRecipe

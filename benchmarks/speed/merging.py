@@ -23,11 +23,11 @@ from mammometry.geometry.arrays import Array
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
-from mammometry.matching.foreground import Foreground
+from mammometry.matching.foreground.foreground import Foreground
 from mammometry.study.rays import RayScene, pixel_grid
-from mammometry.surface.dents import remove_dents
-from mammometry.surface.extract import extract
-from mammometry.surface.range_image import RangeImage
+from mammometry.surface.fusion.fuse import extract
+from mammometry.surface.ranges.dents import remove_dents
+from mammometry.surface.ranges.range_image import RangeImage
 from mammometry.surface.repair import repair
 
 SIZE_MM = (350.0, 300.0, 200.0)

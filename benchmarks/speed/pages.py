@@ -23,7 +23,7 @@ _DEFINITIONS = ("named wall", "flat chest", "measured wall")
 def make(folder: Path, database: str, patients: int) -> None:
     """Make a clinic whose database is as full as that of a large one."""
     from mammometry.clinic.config import new_clinic
-    from mammometry.clinic.server import migrate
+    from mammometry.clinic.web.server import migrate
 
     migrate(new_clinic(folder, name="Large clinic", second_factor="offered", database=database))
     from django.utils import timezone

@@ -15,9 +15,9 @@ from tests.unit.measure.solids import dome
 from mammometry.base.errors import MeasureError, SessionError
 from mammometry.base.limits import LimitSettings
 from mammometry.geometry.mesh import TriangleMesh
-from mammometry.geometry.mesh_file import read_triangles
-from mammometry.io.foreign import read_foreign
-from mammometry.io.scans import Scan, import_scan
+from mammometry.geometry.mesh_files.mesh_file import read_triangles
+from mammometry.io.meshes.foreign import read_foreign
+from mammometry.io.meshes.scans import Scan, import_scan
 
 MESH = dome(sink_mm=10.0, rings=20, around=60)
 AREA_MM2 = MESH.area_mm2()

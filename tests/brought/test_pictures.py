@@ -13,7 +13,7 @@ import tifffile
 from PIL import Image, ImageOps
 
 from mammometry.base.errors import ImageError
-from mammometry.io.images import read_header, read_photograph
+from mammometry.io.photographs.images import read_header, read_photograph
 
 WIDE, HIGH = 37, 21
 """Odd and unlike, so that no turn or plane is taken for another."""
@@ -172,8 +172,8 @@ def test_a_folder_may_have_any_name(tmp_path: Path, folder: bytes, bits: int, en
     cv2.imwrite(str(tmp_path / f"a.{ending}"), scene(bits, 1))
     (tmp_path / f"a.{ending}").rename(place / f"a.{ending}")
     read = subprocess.run(  # a segmentation fault would end the tests
-        [sys.executable, "-c", "import sys; from pathlib import Path; from mammometry.io.images import read_photograph;"
-         "print(read_photograph(Path(sys.argv[1]), 'a').pixels.shape)", place / f"a.{ending}"],
+        [sys.executable, "-c", "import sys, pathlib; from mammometry.io.photographs.images import read_photograph;"
+         "print(read_photograph(pathlib.Path(sys.argv[1]), 'a').pixels.shape)", place / f"a.{ending}"],
         capture_output=True, text=True, check=False,
     ) if bits == 16 and ending == "png" else None  # fmt: skip
     if read is not None:

@@ -20,8 +20,8 @@ from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.transform import Transform
 from mammometry.io.cameras.formats import CameraFormat, camera_texts
 from mammometry.io.cameras.rig import require_rig
-from mammometry.io.foreign import read_foreign
-from mammometry.io.meshes import write_ply
+from mammometry.io.meshes.foreign import read_foreign
+from mammometry.io.meshes.own_ply import write_ply
 
 # Rigs by how far their cameras stand from the subject, mm, the distance of a pair's cameras, and the width of the
 # shorter side of a picture as a share of its distance.

@@ -19,8 +19,8 @@ from mammometry.api.mesh import MeshFiles, MeshJob
 from mammometry.base.errors import MeasureError, SessionError
 from mammometry.cli import main
 from mammometry.geometry.mesh import TriangleMesh, joined
-from mammometry.geometry.mesh_file import read_triangles
-from mammometry.io.foreign import read_foreign
+from mammometry.geometry.mesh_files.mesh_file import read_triangles
+from mammometry.io.meshes.foreign import read_foreign
 from mammometry.measure import scanned
 from mammometry.measure.boundary.boundary import Boundary, outline_torso
 from mammometry.measure.scan_front import front_of_body

@@ -123,7 +123,7 @@ def test_masks_and_ready_made_cameras_are_used(
     tiny_finished: Path, tiny_settings: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     job = open_session(tiny_finished, Settings.load(tiny_settings))
-    from mammometry.io.images import write_mask
+    from mammometry.io.photographs.images import write_mask
 
     (tiny_finished / "masks").mkdir()
     for camera, product in job.plan.matched.foregrounds.items():

@@ -8,7 +8,7 @@ import pytest
 from benchmarks.accuracy.dents import CASES, dented, judge, photographed
 
 from mammometry.report.figures.dents import draw_dent_grid
-from mammometry.surface.dents import dent_grid
+from mammometry.surface.ranges.dents import dent_grid
 
 
 def test_there_are_fifteen_cases_as_in_the_paper() -> None:

@@ -9,13 +9,13 @@ from pathlib import Path
 
 import pytest
 
-from mammometry.io.images import read_photograph
+from mammometry.io.photographs.images import read_photograph
 from mammometry.io.truth import read_truth
-from mammometry.matching.foreground import blocks_of, estimate_foreground, subject_blocks
+from mammometry.matching.foreground.all_cameras import find_subjects
+from mammometry.matching.foreground.foreground import blocks_of, estimate_foreground, subject_blocks
 from mammometry.matching.settings import ForegroundSettings
-from mammometry.matching.subjects import find_subjects
 from mammometry.simulate.recipe import SessionRecipe
-from mammometry.simulate.rendering.skin import make_skin
+from mammometry.simulate.rendering.objects.skin import make_skin
 from mammometry.simulate.session import write_session
 from mammometry.simulate.situation import parse_situation
 from mammometry.simulate.studio import Studio

@@ -22,8 +22,8 @@ from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.measure.volume.volume import measure
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.open_breast import open_breasts
-from mammometry.surface.range_image import triangulate
-from mammometry.surface.repair import RepairedSurface
+from mammometry.surface.ranges.range_image import triangulate
+from mammometry.surface.repair.repair import RepairedSurface
 
 pytestmark = [pytest.mark.slow, pytest.mark.data]
 

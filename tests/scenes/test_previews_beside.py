@@ -12,7 +12,8 @@ from mammometry.api import previews
 from mammometry.api.job import Job, open_session
 from mammometry.base.errors import StorageError
 from mammometry.base.second_process import NotDone, SecondProcess
-from mammometry.report import gather, stage_facts
+from mammometry.report import gather
+from mammometry.report.words import stage_facts
 from mammometry.settings import Settings
 
 

@@ -10,7 +10,7 @@ from mammometry.api.job import open_session
 from mammometry.geometry.nearest import closest_on_mesh
 from mammometry.io.truth import read_truth
 from mammometry.simulate.recipe import SessionRecipe
-from mammometry.simulate.rendering.skin import make_skin
+from mammometry.simulate.rendering.objects.skin import make_skin
 from mammometry.simulate.session import write_session
 from mammometry.simulate.situation import parse_situation
 from mammometry.simulate.studio import Studio
@@ -46,8 +46,8 @@ def test_a_head_before_a_pale_wall_is_measured_where_the_axes_meet_before_it(tmp
 @pytest.mark.slow
 def test_a_dark_figure_on_a_bright_table_is_found_by_given_cameras(tmp_path: Path, repository: Path) -> None:
     """No target was seen by them. The table was the subject in all twelve photographs."""
-    from mammometry.io.images import read_photograph
-    from mammometry.matching.subjects import find_subjects
+    from mammometry.io.photographs.images import read_photograph
+    from mammometry.matching.foreground.all_cameras import find_subjects
     from mammometry.study.rays import RayScene, pixel_grid
 
     session = tmp_path / "session"

@@ -25,7 +25,7 @@ from mammometry.base.errors import SessionError
 from mammometry.cli import main, simulation
 from mammometry.io.manifest import Manifest
 from mammometry.io.outputs import RECORD
-from mammometry.report.describe import settings_facts
+from mammometry.report.words.describe import settings_facts
 from mammometry.settings import Settings, names
 
 ID, OTHER = "P-7731", "P-8842"

@@ -40,11 +40,11 @@ from mammometry.cli import study as study_commands
 from mammometry.geometry.camera import Camera
 from mammometry.geometry.transform import Transform
 from mammometry.hospital import gather as gathering
-from mammometry.io import scans as scan_files
 from mammometry.io.cameras.own import cameras_table
+from mammometry.io.meshes import scans as scan_files
 from mammometry.io.outputs import RECORD
 from mammometry.measure.dates import change
-from mammometry.report import change_page, html, pdf
+from mammometry.report.documents import change_page, html, pdf
 from mammometry.report.figures import catalogue
 from mammometry.simulate import session as simulated
 from mammometry.simulate.recipe import SessionRecipe

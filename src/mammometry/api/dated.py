@@ -13,8 +13,8 @@ from mammometry.base.errors import SessionError
 from mammometry.base.identity import Identity
 from mammometry.base.posture import NOT_TO_BE_COMPARED
 from mammometry.geometry.arrays import Array, Float64
+from mammometry.io.meshes.scans import is_scan
 from mammometry.io.results.store import Store, Watch
-from mammometry.io.scans import is_scan
 from mammometry.job.inputs import Inputs
 from mammometry.job.measuring import Measured
 from mammometry.job.stage_values import FinishedSurface
@@ -72,7 +72,7 @@ class Dated:
 
     def frame(self) -> Float64[Array, "3 3"]:
         """Rows: the patient's left, the head, straight ahead. World frame."""
-        from mammometry.report.figures.shading import front_of
+        from mammometry.report.figures.drawing.shading import front_of
 
         return front_of(self.rig(), None if self.measured.body is None else self.measured.body())
 

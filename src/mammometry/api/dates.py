@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mammometry.api.dated import Dated, check_posture, open_dated, posture_warnings
-from mammometry.base.cores import one_blas_thread
 from mammometry.base.errors import MeasureError, SessionError
 from mammometry.base.identity import NAMELESS, one_subject
+from mammometry.base.machine.cores import one_blas_thread
 from mammometry.base.progress import Progress, no_progress, part
 from mammometry.geometry.transform import Transform
 from mammometry.io.outputs import require_apart, require_free, write_outputs
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from mammometry.measure.dates.change import Change, Visit
     from mammometry.measure.volume.measurement import VolumeMeasurement
     from mammometry.measure.volume.uncertainty import Evidence
-    from mammometry.report.change_page import ChangeReport
+    from mammometry.report.documents.change_page import ChangeReport
     from mammometry.report.privacy import Privacy
 
 FOLDER = "compare"
@@ -146,7 +146,7 @@ class _Request:
 
 def _compare(jobs: list[Dated], request: _Request, progress: Progress) -> Comparison:
     """Compare two dates, the earlier one first."""
-    from mammometry.report import change_page
+    from mammometry.report.documents import change_page
 
     settings, privacy = request.settings, request.privacy
     remarks = list(request.remarks)
@@ -436,10 +436,10 @@ def _report(
     remarks: list[str],
     privacy: Privacy,
 ) -> ChangeReport:
-    from mammometry.report.change_page import ChangeReport
-    from mammometry.report.describe import settings_facts
-    from mammometry.report.figures.change import Dated
+    from mammometry.report.documents.change_page import ChangeReport
+    from mammometry.report.figures.studies.change import Dated
     from mammometry.report.privacy import guard
+    from mammometry.report.words.describe import settings_facts
 
     motions = (Transform.identity(), change.fit.before_from_after)
     shown, holds = [], []

@@ -24,7 +24,6 @@ from mammometry.api.previews import Drawing, Previews
 from mammometry.api.refused import seen, show_refusal, withdraw_refusal
 from mammometry.api.results import Results
 from mammometry.api.stored_report import StoredReport
-from mammometry.base.cores import one_blas_thread
 from mammometry.base.errors import (
     CalibrationError,
     MammometryError,
@@ -34,7 +33,8 @@ from mammometry.base.errors import (
     SurfaceError,
 )
 from mammometry.base.identity import NAMELESS, Identity
-from mammometry.base.memory import peak_memory_mb, return_freed_arrays
+from mammometry.base.machine.cores import one_blas_thread
+from mammometry.base.machine.memory import peak_memory_mb, return_freed_arrays
 from mammometry.base.progress import Progress, no_progress
 from mammometry.geometry.camera import Rig
 from mammometry.io.drawn import read_boundaries
@@ -51,14 +51,14 @@ from mammometry.settings import Settings
 if TYPE_CHECKING:
     from mammometry.calibration.adjust.bundle import Calibration
     from mammometry.calibration.judge.check import RigCheck
-    from mammometry.matching.match import DisparityMap
+    from mammometry.matching.dense.match import DisparityMap
     from mammometry.measure.volume.measurement import Lacking, VolumeMeasurement
     from mammometry.report.clinical import Clinical
     from mammometry.report.content import ReportContent
+    from mammometry.report.documents.rendering import RenderedReport
     from mammometry.report.privacy import Privacy
-    from mammometry.report.rendering import RenderedReport
     from mammometry.report.scene import ViewerScene
-    from mammometry.report.stage_facts import Facts
+    from mammometry.report.words.stage_facts import Facts
 
 _HEAD = 4096  # characters of a page that hold its key: it stands first in the head
 _PAGE_KEY = re.compile(r'<meta name="mammometry-key" content="([0-9a-f,]+)">')
@@ -346,7 +346,7 @@ class Job:
         Raises:
             MammometryError: whatever stands in the way, in one sentence.
         """
-        from mammometry.report import html, pdf, rendering
+        from mammometry.report.documents import html, pdf, rendering
 
         require_apart(folder, self.session.brought)
         require_free(folder, [html.PAGE, pdf.DOCUMENT], command="report")
@@ -412,7 +412,7 @@ class Job:
         scene: ViewerScene | None = None,
     ) -> ReportContent:
         from mammometry.report import gather
-        from mammometry.report.stage_facts import Shown
+        from mammometry.report.words.stage_facts import Shown
 
         return gather.gather(
             self.plan,

@@ -24,10 +24,10 @@ import numpy as np
 from mammometry.api.refused import show_refusal, withdraw_refusal
 from mammometry.api.results import Results
 from mammometry.api.stored_report import StoredReport
-from mammometry.base.cores import one_blas_thread
 from mammometry.base.errors import MeasureError, SessionError
 from mammometry.base.identity import NAMELESS, Identity
-from mammometry.base.memory import peak_memory_mb
+from mammometry.base.machine.cores import one_blas_thread
+from mammometry.base.machine.memory import peak_memory_mb
 from mammometry.base.progress import Progress
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.mesh import TriangleMesh
@@ -42,10 +42,10 @@ from mammometry.io.drawn import (
     landmarks_in,
     read_boundaries,
 )
-from mammometry.io.foreign import ForeignMesh, read_foreign
+from mammometry.io.meshes.foreign import ForeignMesh, read_foreign
+from mammometry.io.meshes.scans import MESH, Scan, read_scan
 from mammometry.io.outputs import require_apart, require_own_folder, take_folder
 from mammometry.io.results.store import Store, Watch, unwatched
-from mammometry.io.scans import MESH, Scan, read_scan
 from mammometry.io.subject import check_mesh
 from mammometry.job.inputs import Inputs, SubjectKind
 from mammometry.job.measuring import Measured, Upstream, measure
@@ -58,9 +58,9 @@ if TYPE_CHECKING:
     from mammometry.measure.volume.measurement import VolumeMeasurement
     from mammometry.report.clinical import Clinical
     from mammometry.report.content import ReportContent
-    from mammometry.report.rendering import RenderedReport
-    from mammometry.surface.dents import ValidPatches
-    from mammometry.surface.repair import RepairedSurface
+    from mammometry.report.documents.rendering import RenderedReport
+    from mammometry.surface.ranges.dents import ValidPatches
+    from mammometry.surface.repair.repair import RepairedSurface
 
 T = TypeVar("T")
 SCALE_STD = 0.001
@@ -279,8 +279,8 @@ class MeshJob:
             by_drawing: digests of the drawing, where it decides the viewer's place.
         """
         from mammometry.measure.trunk.body import rig_frame
-        from mammometry.surface.dents import ValidPatches
-        from mammometry.surface.texture import TexturedMesh
+        from mammometry.surface.ranges.dents import ValidPatches
+        from mammometry.surface.texture.texture import TexturedMesh
 
         colours = foreign.colours[point_tree(foreign.mesh.vertices).query(surface.mesh.vertices)[1]]
         if not np.ptp(foreign.colours, axis=0).any():  # one colour shows no shape: shaded as by a lamp at the viewer's

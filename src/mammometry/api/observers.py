@@ -24,7 +24,7 @@ from mammometry.base.progress import Progress, no_progress
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.io.drawn import boundaries_in
 from mammometry.io.drawn_by import DrawnBy
-from mammometry.io.foreign import read_foreign
+from mammometry.io.meshes.foreign import read_foreign
 from mammometry.measure import scanned
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.boundary.trace import check_curve
@@ -34,7 +34,7 @@ from mammometry.measure.trunk.body import find_body
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.open_breast import open_breasts
 from mammometry.study.observers import Drawing, DrawnSurface
-from mammometry.surface.repair import RepairedSurface
+from mammometry.surface.repair.repair import RepairedSurface
 
 _SIDES = ("left", "right")
 

@@ -14,12 +14,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from mammometry.base.cores import available_cores
 from mammometry.base.errors import StorageError
+from mammometry.base.machine.cores import available_cores
 from mammometry.base.parse import said
 from mammometry.base.progress import Progress
 from mammometry.base.second_process import Ended, NotDone, SecondProcess
-from mammometry.io.images import megapixels_of
+from mammometry.io.photographs.images import megapixels_of
 from mammometry.io.results.store import Reader, Store
 from mammometry.job.pipeline import Plan, plan
 from mammometry.job.products import VERSIONS, Key, Stage
@@ -27,7 +27,7 @@ from mammometry.job.products import VERSIONS, Key, Stage
 if TYPE_CHECKING:
     from mammometry.io.session import Session
     from mammometry.job.inputs import Inputs
-    from mammometry.report.stage_facts import Facts
+    from mammometry.report.words.stage_facts import Facts
     from mammometry.settings import Settings
 
 _LOG = logging.getLogger(__name__)
@@ -61,7 +61,7 @@ class Previews:
         Raises:
             StorageError: one is not as it was written, or no picture.
         """
-        from mammometry.report.figures.canvas import caption_of
+        from mammometry.report.figures.drawing.canvas import caption_of
 
         pictures = {Path(name).stem: png for name, png in self.store.files(self.key(stage)).items()}
         for name, png in pictures.items():
@@ -126,7 +126,7 @@ class Previews:
                 raise
             except NotDone as why:
                 _LOG.warning("the previews of %s are drawn here: %s", stage, why)
-        from mammometry.report.stage_facts import drawn  # half a second, and the report alone may never be wanted
+        from mammometry.report.words.stage_facts import drawn
 
         return drawn(stage, self.plan, self.inputs)
 
@@ -164,12 +164,11 @@ class Drawing:
 
 def _load() -> None:
     """Import, in the second process, what draws."""
-    from mammometry.report import stage_facts  # noqa: F401
 
 
 def _draw(session: Session, settings: Settings, stage: Stage) -> tuple[dict[str, bytes], Facts]:
     """Draw a stage's pictures, in the second process, from the results on disk."""
-    from mammometry.report.stage_facts import drawn
+    from mammometry.report.words.stage_facts import drawn
 
     inputs = session.inputs()
     stored = Reader(Store(session.results, subject=session.manifest.subject.id))

@@ -36,7 +36,7 @@ def show_refusal(results: Path, identity: Identity, error: MammometryError, draw
         error: the refusal; its `page` is set.
         draw: makes the pictures.
     """
-    from mammometry.report.refusal_page import refusal_page
+    from mammometry.report.documents.refusal_page import refusal_page
 
     try:
         write_outputs(results / FOLDER, {PAGE: refusal_page(identity, error, draw()).encode()}, command="run")
@@ -71,7 +71,7 @@ def seen(
     """
     from mammometry.calibration.judge.suspects import SuspectPhotographsError
     from mammometry.report.figures import refused
-    from mammometry.report.figures.shading import front_frame
+    from mammometry.report.figures.drawing.shading import front_frame
 
     def there(product: Product[Any] | None) -> Any:
         return None if product is None or not store.has(product.key) else product()

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from mammometry.base.cores import one_blas_thread
+from mammometry.base.machine.cores import one_blas_thread
 from mammometry.base.progress import Progress
 from mammometry.io.results.store import Store
 from mammometry.job.products import Key
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from mammometry.measure.volume.attribution import Attribution
     from mammometry.report.clinical import Clinical
     from mammometry.report.content import ReportContent
-    from mammometry.report.rendering import RenderedReport
+    from mammometry.report.documents.rendering import RenderedReport
 
 WARNINGS = "warnings.json"
 """The report's warnings, for programs: a list of sentences."""
@@ -55,7 +55,7 @@ class StoredReport:
         """Write the report's files from the stored content, where they are not current."""
 
         def report() -> Callable[[Path, Progress], None]:
-            from mammometry.report import html, pdf
+            from mammometry.report.documents import html, pdf
 
             def write(folder: Path, progress: Progress) -> None:
                 made = self.rendered(None)
@@ -75,7 +75,7 @@ class StoredReport:
         Raises:
             StorageError: the content is not as it was written.
         """
-        from mammometry.report.rendering import render
+        from mammometry.report.documents.rendering import render
         from mammometry.report.stored_content import CONTENT, unpacked
 
         with one_blas_thread():

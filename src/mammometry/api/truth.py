@@ -57,7 +57,7 @@ def evaluate_session(
         "evaluation.md": "\n".join(table.as_markdown() for table in tables).encode(),
     }
     if found.error_map is not None:
-        from mammometry.report.figures.accuracy import error_map
+        from mammometry.report.figures.studies.accuracy import error_map
 
         mesh = list(results.surfaces.values())[-1]
         body = job.plan.measured.body

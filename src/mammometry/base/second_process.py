@@ -18,8 +18,8 @@ from contextlib import suppress
 from types import TracebackType
 from typing import IO, Any, Self, TypeVar
 
-from mammometry.base.cores import CORES
-from mammometry.base.memory import return_freed_arrays
+from mammometry.base.machine.cores import CORES
+from mammometry.base.machine.memory import return_freed_arrays
 
 _R = TypeVar("_R")
 

@@ -17,7 +17,7 @@ from mammometry.batch.engine import Began, Ended, Engine, Task, Wish
 from mammometry.batch.entry import Entry
 from mammometry.batch.record import Row, key_of
 from mammometry.batch.session import measure_entry
-from mammometry.io.images import megapixels_of
+from mammometry.io.photographs.images import megapixels_of
 from mammometry.settings import Settings
 
 State: TypeAlias = Literal["current", "measured", "failed", "stopped"]

@@ -57,7 +57,7 @@ def main() -> None:
         first = str(error).partition("\n")[0]
         said = f"A defect in mammometry: {type(error).__name__}: {first}. Run this session alone, with -v."
         answer = {"failed": said, "kind": "Defect", "exit_code": _DEFECT}
-    from mammometry.base.memory import peak_memory_mb
+    from mammometry.base.machine.memory import peak_memory_mb
 
     answers.write(json.dumps(answer | {"memory_mb": peak_memory_mb()}) + "\n")
     answers.flush()

@@ -10,9 +10,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from mammometry.base.cores import available_cores
 from mammometry.base.errors import BatchError
 from mammometry.base.extras import require
+from mammometry.base.machine.cores import available_cores
 from mammometry.batch.names import CORES, MEMORY
 
 if TYPE_CHECKING:

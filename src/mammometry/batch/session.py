@@ -21,12 +21,12 @@ from mammometry.api.job import Job, open_session
 from mammometry.api.stored_report import WARNINGS
 from mammometry.base.each import Tell
 from mammometry.base.errors import StorageError
-from mammometry.base.memory import peak_memory_mb
+from mammometry.base.machine.memory import peak_memory_mb
 from mammometry.base.progress import Progress
 from mammometry.batch import storage
 from mammometry.batch.entry import Entry
 from mammometry.batch.record import RECORD, Measured, Record, Row, key_of, read_record, stats_of, write_record
-from mammometry.io.images import megapixels_of
+from mammometry.io.photographs.images import megapixels_of
 from mammometry.io.write import disk_errors
 from mammometry.job.products import STAGES, Key
 from mammometry.settings import Settings

@@ -18,7 +18,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
-from mammometry.base.cores import CORES
+from mammometry.base.machine.cores import CORES
 from mammometry.batch.child import Order
 from mammometry.batch.names import MEMORY
 from mammometry.batch.record import software

@@ -20,7 +20,7 @@ from mammometry.capture.camera import Backend
 from mammometry.capture.checks.found import Found
 from mammometry.capture.checks.pixels import Seen, judge
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int64, UInt8
-from mammometry.matching.segment import segment
+from mammometry.matching.foreground.block_segmentation import segment
 from mammometry.matching.settings import ForegroundSettings
 
 WIDTH_PX = 480

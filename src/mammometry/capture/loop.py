@@ -10,10 +10,10 @@ from types import TracebackType
 from typing import TYPE_CHECKING
 
 from mammometry.api.job import open_session
-from mammometry.base.cores import available_cores
 from mammometry.base.errors import CalibrationError, CaptureError, SessionError
+from mammometry.base.machine.cores import available_cores
 from mammometry.calibration.detection.detect import Detection, detect_in
-from mammometry.calibration.judge.names import check_board_names
+from mammometry.calibration.judge.cameras.names import check_board_names
 from mammometry.calibration.settings import DetectSettings
 from mammometry.calibration.targets.board import Board
 from mammometry.calibration.targets.table import target_from_table
@@ -29,8 +29,8 @@ from mammometry.capture.skew.read import read_moment, skew_of
 from mammometry.capture.take import Taken, take
 from mammometry.capture.verdict import Expected, Verdict, judge
 from mammometry.geometry.camera import Rig
-from mammometry.io.images import read_photograph
 from mammometry.io.manifest import MANIFEST, read_manifest
+from mammometry.io.photographs.images import read_photograph
 
 if TYPE_CHECKING:
     from mammometry.calibration.adjust.calibrated import Calibration

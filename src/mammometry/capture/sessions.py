@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mammometry.base.errors import SessionError
-from mammometry.io.images import EXTENSIONS
 from mammometry.io.manifest import MANIFEST, Manifest, parse_manifest
+from mammometry.io.photographs.images import EXTENSIONS
 from mammometry.io.write import disk_errors, write_text
 
 if TYPE_CHECKING:

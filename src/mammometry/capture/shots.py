@@ -24,7 +24,7 @@ from mammometry.base.errors import SessionError
 from mammometry.base.photograph import Photograph
 from mammometry.capture.camera import Frame
 from mammometry.io.durable import sync_folder, sync_tree, write_new
-from mammometry.io.images import EXTENSIONS
+from mammometry.io.photographs.images import EXTENSIONS
 from mammometry.io.write import disk_errors, file_digest
 
 _SHOTS, _CAPTURE, _RECORD = "shots", "capture", "shot.json"

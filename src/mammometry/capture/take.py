@@ -14,7 +14,7 @@ from mammometry.calibration.features.keypoints import Keypoints, keypoints
 from mammometry.capture.camera import Backend, Frame
 from mammometry.capture.checks.pixels import QUICK_PX, Seen, look
 from mammometry.capture.shots import Shot
-from mammometry.io.images import read_photograph
+from mammometry.io.photographs.images import read_photograph
 from mammometry.io.write import file_digest
 
 

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from mammometry.calibration.judge.names import Names, check_names, wrong_photographs
+from mammometry.calibration.judge.cameras.names import Names, check_names, wrong_photographs
 from mammometry.capture.checks import cameras, pixels
 from mammometry.capture.checks.cameras import KnownCamera
 from mammometry.capture.checks.found import Found, refuses

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
     from mammometry.batch.batch import Line
     from mammometry.batch.engine import Began, Ended, Wish
-    from mammometry.report.batch_page import BatchLine
+    from mammometry.report.documents.batch_page import BatchLine
 
 app = typer.Typer()
 SOME_FAILED = 11
@@ -100,7 +100,7 @@ def batch(
     from mammometry.batch.entries import find_entries
     from mammometry.batch.entry import is_address
     from mammometry.io.outputs import require_apart, require_free, write_outputs
-    from mammometry.report.batch_page import FILES, batch_files, counted
+    from mammometry.report.documents.batch_page import FILES, batch_files, counted
 
     if scheduler is not None and (at_once or memory):
         raise typer.BadParameter("--at-once and --memory are for this machine: leave them out with --scheduler")
@@ -155,7 +155,7 @@ def batch(
 
 def _said(line: Line) -> BatchLine:
     """A line as the page shows it."""
-    from mammometry.report.batch_page import BatchLine, BatchVolume
+    from mammometry.report.documents.batch_page import BatchLine, BatchVolume
 
     row = line.row
     if row is None:

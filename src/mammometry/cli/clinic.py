@@ -59,7 +59,7 @@ def init(
 ) -> Answer:
     """Make the folder and the database of a new clinic."""
     from mammometry.clinic.config import new_clinic
-    from mammometry.clinic.server import migrate
+    from mammometry.clinic.web.server import migrate
 
     config = new_clinic(folder, name=name, database=database)
     opened(folder)
@@ -89,8 +89,8 @@ def serve(
 ) -> Answer:
     """Serve the clinic until Ctrl-C."""
     from mammometry.clinic.config import read_config
-    from mammometry.clinic.server import require_free
-    from mammometry.clinic.server import serve as run
+    from mammometry.clinic.web.server import require_free
+    from mammometry.clinic.web.server import serve as run
 
     changes: dict[str, object] = {} if address is None else {"address": address}
     if tls_certificate is not None or tls_key is not None:
@@ -114,7 +114,7 @@ def work(folder: Folder, json: Json = False, verbose: Verbose = 0) -> Answer:
     """
     config = opened(folder)
     from mammometry.clinic.jobs.process import run_here
-    from mammometry.clinic.server import require_current
+    from mammometry.clinic.web.server import require_current
 
     require_current(config)
     run_here(config)
@@ -135,8 +135,8 @@ def demo(
     Each was there at two dates. A demo that is there already is opened as it is.
     """
     from mammometry.clinic.jobs.process import beside
-    from mammometry.clinic.server import require_free
-    from mammometry.clinic.server import serve as run
+    from mammometry.clinic.web.server import require_free
+    from mammometry.clinic.web.server import serve as run
 
     if serve:
         require_free(address)
@@ -184,7 +184,7 @@ def upgrade(folder: Folder, json: Json = False, verbose: Verbose = 0) -> Answer:
 
     Stop the server and make a backup with the former version first. Killed on its way, the same command goes on.
     """
-    from mammometry.clinic.server import migrate
+    from mammometry.clinic.web.server import migrate
 
     done = migrate(opened(folder))
     lines = [f"Applied: {', '.join(done)}"] if done else ["The database is current."]
@@ -204,7 +204,7 @@ def backup(folder: Folder, to: Target = None, json: Json = False, verbose: Verbo
     config = opened(folder)
     from mammometry.clinic.keep.backup import make_backup
     from mammometry.clinic.keep.backups import make_kept_backup
-    from mammometry.clinic.server import require_current
+    from mammometry.clinic.web.server import require_current
 
     require_current(config)
     made = make_kept_backup(config) if to is None else make_backup(config, to)

@@ -49,7 +49,7 @@ def edit(
     require("edit", *WEB)
     from mammometry.editor.server import serve
     from mammometry.io.drawn import BOUNDARIES, LANDMARK_FILE
-    from mammometry.io.scans import MESH, is_scan
+    from mammometry.io.meshes.scans import MESH, is_scan
 
     def ready(address: str, local_page: str) -> None:
         # Standard output belongs to the answer, which comes after the page was closed.

@@ -306,7 +306,7 @@ def _gathered(
     parts: list[Any] | None = None,
 ) -> Exported:
     from mammometry.hospital.gather import gather, gather_scan
-    from mammometry.io.scans import MESH, is_scan
+    from mammometry.io.meshes.scans import MESH, is_scan
 
     with Bars(quiet) as bars:
         if is_scan(session):

@@ -60,8 +60,8 @@ def mesh(
     pictures. Their own names are not kept: they may hold a patient's name.
     """
     from mammometry.cli.stages import named_subject
+    from mammometry.io.meshes.scans import FILES, MESH, Scan, import_scan
     from mammometry.io.outputs import require_apart, require_free, write_outputs
-    from mammometry.io.scans import FILES, MESH, Scan, import_scan
 
     require_apart(out, [file])
     require_free(out, FILES, command=_COMMAND)

@@ -28,8 +28,8 @@ def scan_demo(folder: Path, settings: SettingsFile, assignments: Assignments, *,
         MammometryError: the folder holds something else, or the scan cannot be measured.
     """
     from mammometry.api.mesh import MeshJob, folder_for, scan_files
+    from mammometry.io.meshes.scans import FILES, MESH, is_scan, read_scan
     from mammometry.io.outputs import require_free, write_outputs
-    from mammometry.io.scans import FILES, MESH, is_scan, read_scan
 
     chosen = load_settings(settings, assignments)
     there = is_scan(folder)
@@ -71,8 +71,8 @@ def _woman() -> Solid:
 
 def _scanned(woman: Solid) -> dict[str, bytes]:
     """Files of the scan's folder, as if a telephone's mesh were imported."""
-    from mammometry.io.meshes import write_ply
-    from mammometry.io.scans import Scan, import_scan
+    from mammometry.io.meshes.own_ply import write_ply
+    from mammometry.io.meshes.scans import Scan, import_scan
     from mammometry.simulate.scanning.scan import QUALITIES, scan
 
     made = scan(woman, QUALITIES[_QUALITY], _SEED)

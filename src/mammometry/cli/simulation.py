@@ -169,7 +169,7 @@ def simulate(
     """Render a session of a virtual rig. The truth is written to OUT/truth."""
     from mammometry.simulate.disturbances.draw import draw
     from mammometry.simulate.disturbances.registry import check
-    from mammometry.simulate.rendering.skin import make_skin
+    from mammometry.simulate.rendering.objects.skin import make_skin
     from mammometry.simulate.rigs.targets import make_target
     from mammometry.simulate.session import write_session
     from mammometry.simulate.studio import Studio, refusing

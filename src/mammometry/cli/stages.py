@@ -63,7 +63,7 @@ def _stage(
 
 def _summary(job: Job, stage: Stage, begun: float) -> dict[str, Any]:
     """What a stage made and took since `begun`, by `time.monotonic`."""
-    from mammometry.base.memory import peak_memory_mb
+    from mammometry.base.machine.memory import peak_memory_mb
 
     return {
         "made": job.store.made,
@@ -170,7 +170,7 @@ def surface(
     Writes results/surface/mesh.ply (mm, world frame), model.glb and the range images.
     """
     job, table = _stage("surface", session, assignments, settings, quiet or json)
-    from mammometry.surface.stillness_words import concerns, summary
+    from mammometry.surface.motion.motion_messages import concerns, summary
 
     mesh, stillness = job.surface().repaired.mesh, job.plan.surfaced.stillness()
     path = job.session.results / "surface" / "mesh.ply"
@@ -274,8 +274,8 @@ def measure(
             results = job.run(report=False)
         return Answer(results.as_table(), volume_lines(results))
     from mammometry.api.mesh import SCALE_STD, SURFACE_STD_MM, MeshFiles, MeshJob, folder_for, scan_files
+    from mammometry.io.meshes.scans import MESH, is_scan, read_scan
     from mammometry.io.outputs import require_apart
-    from mammometry.io.scans import MESH, is_scan, read_scan
 
     if out is not None and out.is_symlink():
         out = out.resolve()  # a link that the user names is meant; one that came with the files is refused
@@ -377,7 +377,7 @@ def named_subject(text: str | None) -> str | None:
 
 def volume_lines(results: Results) -> list[Any]:
     """Volumes in words, and where the report is."""
-    from mammometry.report.volume_words import MEANINGS, definition_words, interval_words, volume_words
+    from mammometry.report.words.volume_words import MEANINGS, definition_words, interval_words, volume_words
 
     lines: list[Any] = []
     for name, measured in results.measurements.items():

@@ -70,8 +70,8 @@ def agreement(
     """
     from mammometry.base.identity import shown_name
     from mammometry.io.outputs import require_apart, require_free, write_outputs
-    from mammometry.io.tables import read_pairs, read_published
-    from mammometry.report.agreement_page import FILES, agreement_files
+    from mammometry.io.parsing.paired_tables import read_pairs, read_published
+    from mammometry.report.documents.agreement_page import FILES, agreement_files
     from mammometry.study.agreement import agreement as agree
     from mammometry.study.agreement import check_published
 
@@ -143,7 +143,7 @@ def observers(
     from mammometry.base.identity import shown_name
     from mammometry.io.drawn_by import read_drawn_by
     from mammometry.io.outputs import require_apart, require_free, write_outputs
-    from mammometry.report.observers_page import observers_files, observers_names
+    from mammometry.report.documents.observers_page import observers_files, observers_names
     from mammometry.study.observers import observer_study
     from mammometry.study.observers_tables import observers_json, observers_summary, observers_tables
 
@@ -194,7 +194,7 @@ def phantoms(
     """
     from mammometry.api.phantoms import MODELS, as_csv, measure_phantoms, paired
     from mammometry.io.outputs import require_apart, require_free, write_outputs
-    from mammometry.report.agreement_page import FILES, agreement_files
+    from mammometry.report.documents.agreement_page import FILES, agreement_files
     from mammometry.study.agreement import agreement as agree
 
     chosen = load_settings(settings, assignments)

@@ -127,7 +127,7 @@ def make_demo(folder: Path, say: Callable[[str], Progress], *, address: str | No
         ClinicError: there is something in the folder.
         BatchError: the jobs do not end.
     """
-    from mammometry.clinic.server import migrate
+    from mammometry.clinic.web.server import migrate
     from mammometry.io.write import write_text
 
     begun = time.monotonic()

@@ -43,8 +43,8 @@ def the_clinic() -> ClinicConfig:
 def application(config: ClinicConfig) -> Any:
     """The clinic as an ASGI application."""
     configure(config)
-    from mammometry.clinic.limits import Limited
-    from mammometry.clinic.threads import Dispatcher
+    from mammometry.clinic.web.limits import Limited
+    from mammometry.clinic.web.threads import Dispatcher
 
     return Limited(Dispatcher(), config.limits)
 

@@ -12,9 +12,9 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from mammometry.base.cores import one_blas_thread
 from mammometry.base.errors import MammometryError, SessionError, StorageError
 from mammometry.base.identity import Identity
+from mammometry.base.machine.cores import one_blas_thread
 from mammometry.editor.drawing import DrawingBoard, Handle, LiveVolume, drawing_board, handle_indices
 from mammometry.editor.messages import Finish, Measure, Point, Save, Sketch
 from mammometry.geometry.arrays import Array, Float64

@@ -27,7 +27,7 @@ from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.open_breast import OpenBreast
 from mammometry.report.models import thinned
-from mammometry.surface.repair import RepairedSurface
+from mammometry.surface.repair.repair import RepairedSurface
 
 TRIANGLES = 120_000  # of the thinned surface: a volume then follows within a second
 _STEP_MM = 2.0  # between points of a drawn curve; chosen by eye

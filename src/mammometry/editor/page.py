@@ -14,7 +14,7 @@ from mammometry.base.errors import MammometryError, StorageError
 from mammometry.editor.desk import Desk, Drawable
 from mammometry.editor.messages import Finish, Measure, Message, Save, sentence
 from mammometry.io.drawn_changes import LateError
-from mammometry.report.figures.shading import front_frame
+from mammometry.report.figures.drawing.shading import front_frame
 from mammometry.report.models import viewer_scene
 from mammometry.report.scene import json_in_page, to_json
 

@@ -4,7 +4,7 @@ The arithmetic is that of `lens`. `coefficients` is a tuple or an array of five.
 taken for every pixel, it costs more than the lens.
 """
 
-from mammometry.base.compiled import small_kernel
+from mammometry.base.machine.compiled import small_kernel
 from mammometry.geometry import lens
 from mammometry.geometry.arrays import Array
 

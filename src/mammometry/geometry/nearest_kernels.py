@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mammometry.base.compiled import kernel
+from mammometry.base.machine.compiled import kernel
 from mammometry.geometry.arrays import Array, Float64, Int32, Int64
 
 IN_A_LEAF = 4  # faces; for speed alone

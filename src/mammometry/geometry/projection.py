@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mammometry.base.cores import in_bands
+from mammometry.base.machine.cores import in_bands
 from mammometry.geometry import projection_kernels
 from mammometry.geometry.arrays import Array, Float64, read_only
 from mammometry.geometry.camera import Camera

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from mammometry.base.compiled import kernel
+from mammometry.base.machine.compiled import kernel
 from mammometry.geometry import lens_kernels
 from mammometry.geometry.arrays import Array, Float64
 

@@ -5,7 +5,7 @@ The mesh face nearest to the viewer, whose twin in the tests is a ray caster; wh
 
 import numpy as np
 
-from mammometry.base.compiled import kernel
+from mammometry.base.machine.compiled import kernel
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32, Int64
 
 _SLACK = 1e-9

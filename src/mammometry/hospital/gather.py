@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 import numpy as np
 
 from mammometry.hospital.exported import Absent, CoveredModel, CoveredModels, Exported, Model, Quantity, Side
-from mammometry.io.images import EXTENSIONS
+from mammometry.io.photographs.images import EXTENSIONS
 from mammometry.measure.volume.attribution import Attribution
 from mammometry.report.clinical import Clinical, Signed
-from mammometry.report.lengths import quantities_of
+from mammometry.report.words.lengths import quantities_of
 
 if TYPE_CHECKING:
     from mammometry.api.job import Job
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from mammometry.measure.boundary.breasts import NoBreast
     from mammometry.measure.shape.anthropometry import Dimensions
     from mammometry.measure.volume.measurement import VolumeMeasurement
-    from mammometry.surface.atlas import Atlas
+    from mammometry.surface.texture.texture_atlas import Atlas
 
 Part: TypeAlias = Literal["pdf", "models", "photographs"]
 """What may be gathered beside the numbers."""
@@ -142,7 +142,7 @@ def _source_of_scan(job: MeshJob, measured: Sequence[VolumeMeasurement], deident
 
 def _document(job: Job | MeshJob) -> bytes:
     """The stored report."""
-    from mammometry.report.pdf import DOCUMENT
+    from mammometry.report.documents.pdf import DOCUMENT
 
     return job.store.files(job.report_key)[DOCUMENT]
 
@@ -168,9 +168,9 @@ def stl(mesh: TriangleMesh) -> bytes:
 def covered(atlas: Atlas, measured: Sequence[VolumeMeasurement]) -> CoveredModels:
     """Cover the surface and the closed breasts with photographs."""
     from mammometry.geometry.mesh import TriangleMesh
-    from mammometry.io.models import material, obj_text
-    from mammometry.surface.atlas_jpeg import jpeg_of
-    from mammometry.surface.transfer import transferred
+    from mammometry.io.meshes.models import material, obj_text
+    from mammometry.surface.texture.atlas_jpeg import jpeg_of
+    from mammometry.surface.texture.transfer import transferred
 
     made = [CoveredModel(name="surface", title=_WHOLE, side="", obj=obj_text(atlas, _MTL).encode())]
     for each in measured:
@@ -194,7 +194,7 @@ def _report(job: Job, clinical: Clinical | None, deidentify: bool) -> bytes:
     if not deidentify:
         return _document(job) if clinical is None else job.rendered(clinical).pdf
     with tempfile.TemporaryDirectory(prefix="mammometry-") as folder:
-        from mammometry.report.pdf import DOCUMENT
+        from mammometry.report.documents.pdf import DOCUMENT
         from mammometry.report.privacy import Privacy
 
         return (job.share(Path(folder), Privacy(deidentify=True, geometry_only=True)).parent / DOCUMENT).read_bytes()

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from mammometry.base.errors import SessionError, TableError
-from mammometry.io.csv_tables import read_table
+from mammometry.io.parsing.csv_tables import read_table
 
 _SUFFIX = ".json"
 _COLUMNS = "columns mesh, boundary and observer, and repeat where somebody drew twice"

@@ -17,8 +17,8 @@ from mammometry.base.errors import SessionError
 from mammometry.base.identity import one_subject
 from mammometry.base.parse import json_value, read_text
 from mammometry.io.manifest import MANIFEST
+from mammometry.io.meshes.scans import ABOUT
 from mammometry.io.results.stamp import subject_of_mesh
-from mammometry.io.scans import ABOUT
 from mammometry.io.write import disk_errors, write_text
 
 _DRAWN = ("boundaries.json", "landmarks.json")

@@ -11,11 +11,11 @@ from mammometry.job.products import Memo, Product, Remade
 from mammometry.job.stage_values import CameraSet
 
 if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a plan alone need not wait for.
-    from mammometry.matching.subjects import Subjects
-    from mammometry.surface.dents import Kept, ValidPatches
-    from mammometry.surface.range_image import RangeImage
+    from mammometry.matching.foreground.all_cameras import Subjects
+    from mammometry.surface.motion.motion_test import Stillness
+    from mammometry.surface.ranges.dents import Kept, ValidPatches
+    from mammometry.surface.ranges.range_image import RangeImage
     from mammometry.surface.settings import SurfaceSettings
-    from mammometry.surface.stillness import Stillness
 
 
 def kept_data(
@@ -40,7 +40,8 @@ def kept_data(
         *,
         progress: Progress,
     ) -> Kept:
-        from mammometry.surface import decompose, dents, scraps
+        from mammometry.surface.ranges import decompose, dents
+        from mammometry.surface.ranges import foreign_pieces as scraps
 
         images = tuple(stillness.carry(image, cameras.rig) for image in ranges.values())
         patches = decompose.decompose(images, settings.decompose) if settings.dents.rule == "patch" else None

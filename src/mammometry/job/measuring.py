@@ -15,7 +15,7 @@ from mammometry.job.stage_values import CameraSet, FinishedSurface, earlier_erro
 
 if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a plan alone need not wait for.
     from mammometry.calibration.adjust.calibrated import Calibration
-    from mammometry.matching.foreground import Foreground
+    from mammometry.matching.foreground.foreground import Foreground
     from mammometry.measure.boundary.boundary import Boundary, TorsoSides
     from mammometry.measure.boundary.breasts import NoBreast
     from mammometry.measure.landmarks.landmarks import Landmark
@@ -25,9 +25,9 @@ if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a pla
     from mammometry.measure.trunk.body import Body
     from mammometry.measure.volume.measurement import Lacking, VolumeMeasurement
     from mammometry.measure.volume.uncertainty import Evidence
-    from mammometry.surface.dents import ValidPatches
-    from mammometry.surface.repair import RepairedSurface
-    from mammometry.surface.stillness import Stillness
+    from mammometry.surface.motion.motion_test import Stillness
+    from mammometry.surface.ranges.dents import ValidPatches
+    from mammometry.surface.repair.repair import RepairedSurface
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

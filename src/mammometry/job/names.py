@@ -5,8 +5,8 @@ from __future__ import annotations
 from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING
 
-from mammometry.base.cores import available_cores
 from mammometry.base.errors import MatchingError
+from mammometry.base.machine.cores import available_cores
 from mammometry.base.progress import Progress
 from mammometry.job.inputs import Inputs
 from mammometry.job.products import Product, Remade
@@ -14,7 +14,7 @@ from mammometry.job.stage_values import CameraSet
 
 if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a plan alone need not wait for.
     from mammometry.calibration.features.keypoints import Keypoints
-    from mammometry.calibration.judge.names import Names
+    from mammometry.calibration.judge.cameras.names import Names
 
 _AT_ONCE = 4  # photographs in memory; at full size each has 40 MB
 
@@ -28,7 +28,7 @@ def right_names(inputs: Inputs, cameras: Product[CameraSet]) -> Product[Names]:
 
     def compare(cameras: CameraSet, *, progress: Progress) -> Names:
         from mammometry.calibration.features.keypoints import keypoints
-        from mammometry.calibration.judge.names import check_names, wrong_photographs
+        from mammometry.calibration.judge.cameras.names import check_names, wrong_photographs
 
         def features(camera: str) -> tuple[tuple[int, int], Keypoints]:
             photograph = inputs.photographs[camera]

@@ -30,24 +30,24 @@ from mammometry.settings import Settings
 if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a plan alone need not wait for.
     from mammometry.calibration.adjust.bundle import Calibration
     from mammometry.calibration.detection.detect import Observations
-    from mammometry.calibration.judge.names import Names
+    from mammometry.calibration.judge.cameras.names import Names
     from mammometry.calibration.settings import CalibrateSettings
     from mammometry.calibration.targets.target import Target
     from mammometry.geometry.mesh import TriangleMesh
-    from mammometry.matching.foreground import Foreground
-    from mammometry.matching.match import DisparityMap
+    from mammometry.matching.dense.match import DisparityMap
+    from mammometry.matching.foreground.all_cameras import Subjects
+    from mammometry.matching.foreground.foreground import Foreground
     from mammometry.matching.rectify import RectifiedPair
     from mammometry.matching.settings import MatchSettings
-    from mammometry.matching.subjects import Subjects
-    from mammometry.surface.agreement import RowErrors
-    from mammometry.surface.atlas import Atlas
-    from mammometry.surface.dents import Kept, ValidPatches
-    from mammometry.surface.extract import Solid
-    from mammometry.surface.occluders import Blocked
-    from mammometry.surface.range_image import RangeImage
-    from mammometry.surface.repair import RepairedSurface
+    from mammometry.surface.fusion.fuse import Solid
+    from mammometry.surface.motion.agreement import RowErrors
+    from mammometry.surface.motion.motion_test import Stillness
+    from mammometry.surface.occlusion.occlusion import Blocked
+    from mammometry.surface.ranges.dents import Kept, ValidPatches
+    from mammometry.surface.ranges.range_image import RangeImage
+    from mammometry.surface.repair.repair import RepairedSurface
     from mammometry.surface.settings import SurfaceSettings
-    from mammometry.surface.stillness import Stillness
+    from mammometry.surface.texture.texture_atlas import Atlas
 
 __all__ = [
     "Calibrated", "CameraSet", "FinishedSurface", "Inputs", "Matched", "Measured", "Plan", "Surfaced",
@@ -218,7 +218,7 @@ def match(inputs: Inputs, cameras: Product[CameraSet], settings: MatchSettings, 
             )
 
         def matched(rectified: RectifiedPair, *, progress: Progress) -> DisparityMap:
-            from mammometry.matching.match import match
+            from mammometry.matching.dense.match import match
 
             return match(rectified, settings, progress=progress)
 
@@ -283,7 +283,7 @@ def surface(
 
     def ranged(pair: str) -> Product[RangeImage]:
         def triangulate(disparity: DisparityMap, *, progress: Progress) -> RangeImage:
-            from mammometry.surface import range_image
+            from mammometry.surface.ranges import range_image
 
             return range_image.triangulate(disparity, settings.triangulate)
 
@@ -300,7 +300,7 @@ def surface(
     def find_blocked(
         cameras: CameraSet, valid: ValidPatches, foregrounds: Mapping[str, Foreground], *, progress: Progress
     ) -> Mapping[str, Blocked]:
-        from mammometry.surface import occluders
+        from mammometry.surface.occlusion import occlusion as occluders
 
         return occluders.find_blocked(valid.range_images, foregrounds, cameras.rig)
 
@@ -312,7 +312,8 @@ def surface(
         *,
         progress: Progress,
     ) -> Solid | None:
-        from mammometry.surface import extract, occluders
+        from mammometry.surface.fusion import fuse as extract
+        from mammometry.surface.occlusion import occlusion as occluders
 
         if inputs.subject_kind == "surface":
             return None
@@ -320,27 +321,28 @@ def surface(
         return extract.solid_of(valid.range_images, opened, cameras.rig, extraction)
 
     def build(valid: ValidPatches, solid: Solid | None, *, progress: Progress) -> TriangleMesh:
-        from mammometry.surface import extract
+        from mammometry.surface.fusion import fuse as extract
 
         if solid is None:
             return extract.extract_open(valid.range_images, extraction, progress=progress)
         return extract.meshed(solid, extraction, progress=progress)
 
     def mend(first: TriangleMesh, valid: ValidPatches, *, progress: Progress) -> RepairedSurface:
-        from mammometry.surface import repair
+        from mammometry.surface.repair import repair
 
         if inputs.subject_kind == "surface":
             return repair.as_measured(first, valid)
         return repair.repair(first, valid, settings.repair, progress=progress)
 
     def paint(cameras: CameraSet, repaired: RepairedSurface, *, progress: Progress) -> FinishedSurface:
-        from mammometry.surface import texture
+        from mammometry.surface.texture import texture
 
         textured = texture.paint(repaired.mesh, inputs.photographs, cameras.rig, settings.texture)
         return FinishedSurface(repaired=repaired, textured=textured)
 
     def cover(cameras: CameraSet, repaired: RepairedSurface, *, progress: Progress) -> Atlas:
-        from mammometry.surface import atlas, atlas_jpeg, unmeasured
+        from mammometry.surface.texture import atlas_jpeg, unmeasured
+        from mammometry.surface.texture import texture_atlas as atlas
 
         covered = atlas.cover(repaired.mesh, inputs.photographs, cameras.rig, settings.texture, progress=progress)
         return atlas_jpeg.as_jpeg(unmeasured.faded_atlas(covered, repaired))

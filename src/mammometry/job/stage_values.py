@@ -11,8 +11,8 @@ from mammometry.geometry.camera import Rig
 if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a plan alone need not wait for.
     from mammometry.calibration.adjust.calibrated import Calibration
     from mammometry.measure.volume.uncertainty import EarlierErrors
-    from mammometry.surface.repair import RepairedSurface
-    from mammometry.surface.texture import TexturedMesh
+    from mammometry.surface.repair.repair import RepairedSurface
+    from mammometry.surface.texture.texture import TexturedMesh
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

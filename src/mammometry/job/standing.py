@@ -12,18 +12,18 @@ from mammometry.job.stage_values import CameraSet
 
 if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a plan alone need not wait for.
     from mammometry.calibration.adjust.calibrated import Calibration
-    from mammometry.matching.match import DisparityMap
-    from mammometry.surface.agreement import RowErrors
-    from mammometry.surface.range_image import RangeImage
+    from mammometry.matching.dense.match import DisparityMap
+    from mammometry.surface.motion.agreement import RowErrors
+    from mammometry.surface.motion.motion_test import Stillness
+    from mammometry.surface.ranges.range_image import RangeImage
     from mammometry.surface.settings import StillnessSettings
-    from mammometry.surface.stillness import Stillness
 
 
 def rows_of(disparities: Mapping[str, Product[DisparityMap]], memo: Memo) -> dict[str, Product[RowErrors]]:
     """Pair → its vertical disparity, summed up."""
 
     def summed_up(disparity: DisparityMap, *, progress: Progress) -> RowErrors:
-        from mammometry.surface.agreement import row_errors
+        from mammometry.surface.motion.agreement import row_errors
 
         return row_errors(disparity)
 
@@ -51,7 +51,7 @@ def what_moved(
         *,
         progress: Progress,
     ) -> Stillness:
-        from mammometry.surface import stillness
+        from mammometry.surface.motion import motion_test as stillness
 
         covariance = None if calibration is None else calibration.covariance
         return stillness.find(cameras.rig, tuple(ranges.values()), rows, covariance, settings)

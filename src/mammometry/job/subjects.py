@@ -11,9 +11,9 @@ from mammometry.job.products import Memo, Product
 from mammometry.job.stage_values import CameraSet
 
 if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a plan alone need not wait for.
-    from mammometry.matching.foreground import Foreground
+    from mammometry.matching.foreground.all_cameras import Subjects
+    from mammometry.matching.foreground.foreground import Foreground
     from mammometry.matching.settings import MatchSettings
-    from mammometry.matching.subjects import Subjects
 
 
 def find_subjects(
@@ -34,7 +34,7 @@ def find_subjects(
     photographs = {camera: photograph(camera) for camera in inputs.photographs}
 
     def search(cameras: CameraSet, *, progress: Progress) -> Subjects:
-        from mammometry.matching import subjects
+        from mammometry.matching.foreground import all_cameras as subjects
 
         return subjects.find_subjects(cameras.rig, inputs.photographs, settings.foreground, given=inputs.masks)
 
@@ -53,7 +53,7 @@ def find_subjects(
 
     def foreground(camera: str) -> Product[Foreground]:
         def outline(photograph: Photograph, subjects: Subjects | None, *, progress: Progress) -> Foreground:
-            from mammometry.matching.foreground import estimate_foreground
+            from mammometry.matching.foreground.foreground import estimate_foreground
 
             subject = None if subjects is None else subjects.blocks.get(camera)
             given = inputs.masks.get(camera)

@@ -6,7 +6,7 @@ twins in the tests. Each reads its image once, row by row: at full size that is 
 
 import numpy as np
 
-from mammometry.base.compiled import fast_kernel
+from mammometry.base.machine.compiled import fast_kernel
 from mammometry.geometry.arrays import Array, Bool, Float32, Int32
 
 _CELL = 16  # pixels, for speed alone: a cell of an image that is all inside or well outside a mask needs no filter

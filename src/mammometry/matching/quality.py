@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mammometry.geometry.arrays import Array, Bool, Float64
-from mammometry.matching.match import DisparityMap
+from mammometry.matching.dense.match import DisparityMap
 
 ALARMING_D_V_PX = 0.3
 """Smooth vertical disparity above which calibration and photographs do not fit, px. Chosen by eye: a right calibration

@@ -14,9 +14,9 @@ from mammometry.geometry.arrays import Array, Bool, Float32, Float64, read_only
 from mammometry.geometry.camera import Camera, StereoPair
 from mammometry.geometry.lens import fold_radius
 from mammometry.geometry.transform import Transform
-from mammometry.matching.correlate import sample_spline, spline_along_rows, weighted_channels
+from mammometry.matching.correlation_kernels import sample_spline, spline_along_rows, weighted_channels
 from mammometry.matching.filters import blur, rim
-from mammometry.matching.foreground import Foreground
+from mammometry.matching.foreground.foreground import Foreground
 from mammometry.matching.settings import RectifySettings
 
 _LEAST_AXES_COSINE = 0.17  # of the optical axes, 80°: farther apart, two cameras hardly see the same skin

@@ -24,7 +24,7 @@ from mammometry.measure.scan_front import ahead_by_feet
 from mammometry.measure.scan_repair import RepairedScan
 from mammometry.measure.solid.cut import check_whole, inside_curve
 from mammometry.measure.trunk.thorax import frame_from_sides, orthonormal, seen_skin
-from mammometry.surface.repair import Provenance, RepairedSurface
+from mammometry.surface.repair.repair import Provenance, RepairedSurface
 
 _EDGE_MM = 3.0  # longest edge near a boundary, so that it can be cut along it: 2 mm change a volume by .1 % at most
 _MARGIN_MM = 25.0  # around the boundaries in which edges are made short: the widest band of `trace.edge_loop`

@@ -11,8 +11,17 @@ from mammometry.calibration.judge.quality import assess
 from mammometry.job.pipeline import Inputs, Plan
 from mammometry.job.products import Stage
 from mammometry.measure.volume.measurement import VolumeMeasurement
-from mammometry.report import content, describe
-from mammometry.report.anthropometry import (
+from mammometry.report import content
+from mammometry.report.content import ReportContent
+from mammometry.report.figures.drawing.shading import front_of
+from mammometry.report.figures.previews import draw_stage
+from mammometry.report.models import viewer_scene, with_lengths
+from mammometry.report.page_inputs import PageInputs
+from mammometry.report.pictures import all_encoded
+from mammometry.report.privacy import Privacy, guard, without_photographs
+from mammometry.report.scene import ViewerScene, to_json
+from mammometry.report.words import describe
+from mammometry.report.words.anthropometry import (
     comparison,
     difference_number,
     dimension_tables,
@@ -20,18 +29,10 @@ from mammometry.report.anthropometry import (
     symmetry_facts,
     without_nipple,
 )
-from mammometry.report.content import ReportContent
-from mammometry.report.figures.previews import draw_stage
-from mammometry.report.figures.shading import front_of
-from mammometry.report.models import viewer_scene, with_lengths
-from mammometry.report.page_inputs import PageInputs
-from mammometry.report.pictures import all_encoded
-from mammometry.report.privacy import Privacy, guard, without_photographs
-from mammometry.report.scene import ViewerScene, to_json
-from mammometry.report.stage_facts import MatchingFacts, Shown, matching_facts, surface_facts
-from mammometry.report.warnings import RunResults, run_cautions, run_concerns, warnings
-from mammometry.surface.stillness_words import concerns
-from mammometry.surface.texture import TexturedMesh
+from mammometry.report.words.stage_facts import MatchingFacts, Shown, matching_facts, surface_facts
+from mammometry.report.words.warnings import RunResults, run_cautions, run_concerns, warnings
+from mammometry.surface.motion.motion_messages import concerns
+from mammometry.surface.texture.texture import TexturedMesh
 
 _COLOURED: tuple[Stage, ...] = ("surface", "measure")  # stages whose pictures show the surface in its colours
 

@@ -12,23 +12,23 @@ from mammometry.job.measuring import Measured
 from mammometry.job.stage_values import FinishedSurface
 from mammometry.measure.trunk.body import Body
 from mammometry.measure.volume.measurement import VolumeMeasurement
-from mammometry.report import describe
-from mammometry.report.anthropometry import (
+from mammometry.report.content import Fact, ReportContent, StageReport
+from mammometry.report.figures import previews
+from mammometry.report.figures.drawing.shading import front_of
+from mammometry.report.figures.drawing.sides import NAMES
+from mammometry.report.figures.stage_results import MeasureResult
+from mammometry.report.models import viewer_scene, with_lengths
+from mammometry.report.page_inputs import PageInputs
+from mammometry.report.pictures import all_encoded
+from mammometry.report.scene import to_json
+from mammometry.report.words import describe
+from mammometry.report.words.anthropometry import (
     comparison,
     difference_number,
     dimension_tables,
     planning_lengths,
     symmetry_facts,
 )
-from mammometry.report.content import Fact, ReportContent, StageReport
-from mammometry.report.figures import previews
-from mammometry.report.figures.shading import front_of
-from mammometry.report.figures.sides import NAMES
-from mammometry.report.figures.stage_results import MeasureResult
-from mammometry.report.models import viewer_scene, with_lengths
-from mammometry.report.page_inputs import PageInputs
-from mammometry.report.pictures import all_encoded
-from mammometry.report.scene import to_json
 from mammometry.study.tables import thousands
 
 _HUNG_UPWARDS = -0.04

@@ -19,16 +19,16 @@ from mammometry.geometry.transform import Transform
 from mammometry.measure.shape.lengths import LinearMeasure
 from mammometry.measure.shape.symmetry import Symmetry
 from mammometry.measure.volume.measurement import VolumeMeasurement
-from mammometry.report.figures.change import Dated
-from mammometry.report.figures.sides import NAMES
+from mammometry.report.figures.drawing.sides import NAMES
+from mammometry.report.figures.studies.change import Dated
 from mammometry.report.figures.surface import PROVENANCE_COLOURS
 from mammometry.report.figures.symmetry import reach_mm
 from mammometry.report.scene import Layer, Model, Texture, ViewerScene
-from mammometry.surface import thinning
-from mammometry.surface.atlas import Atlas
-from mammometry.surface.repair import Provenance, RepairedSurface
-from mammometry.surface.texture import TexturedMesh
-from mammometry.surface.unmeasured import shown_colours
+from mammometry.surface.repair.repair import Provenance, RepairedSurface
+from mammometry.surface.texture import simplify as thinning
+from mammometry.surface.texture.texture import TexturedMesh
+from mammometry.surface.texture.texture_atlas import Atlas
+from mammometry.surface.texture.unmeasured import shown_colours
 
 Seen = Callable[[Float64[Array, "n 3"]], Float64[Array, "n 3"]]
 """World frame to viewing frame."""

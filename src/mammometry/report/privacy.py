@@ -13,7 +13,7 @@ import numpy as np
 
 from mammometry.geometry.arrays import Array, Bool, Float64
 from mammometry.report.figures.catalogue import shows_photographs
-from mammometry.surface.texture import TexturedMesh
+from mammometry.surface.texture.texture import TexturedMesh
 
 WHOLE = "photographs of the subject, and no name except those in its heading"
 """What a full report contains."""

@@ -9,7 +9,7 @@ from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.camera import Rig
 from mammometry.geometry.transform import Transform
 from mammometry.simulate.disturbances.exposure import Exposure
-from mammometry.simulate.rendering.things import Thing
+from mammometry.simulate.rendering.objects.things import Thing
 from mammometry.simulate.subjects.solid import Solid
 
 

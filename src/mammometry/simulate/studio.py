@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from mammometry.base.cores import available_cores
 from mammometry.base.csv_cells import CsvWriter
 from mammometry.base.errors import MammometryError
+from mammometry.base.machine.cores import available_cores
 from mammometry.base.progress import Progress, no_progress
 from mammometry.calibration.targets.target import Target
 from mammometry.geometry.arrays import Array, Float32
@@ -24,10 +24,10 @@ from mammometry.simulate.arrangement import Arrangement
 from mammometry.simulate.disturbances.exposure import Exposure
 from mammometry.simulate.rendering.develop import develop
 from mammometry.simulate.rendering.film import Film
+from mammometry.simulate.rendering.objects.skin import Skin
+from mammometry.simulate.rendering.objects.solid_target import render_target
 from mammometry.simulate.rendering.registry import BUILT_IN, RENDERERS
 from mammometry.simulate.rendering.scene import Room, Scene, light_scene, moved
-from mammometry.simulate.rendering.skin import Skin
-from mammometry.simulate.rendering.solid_target import render_target
 from mammometry.simulate.rigs.targets import BOARD, sees_target, visible_points
 
 _SKIN, _FILM = Skin(), Film()

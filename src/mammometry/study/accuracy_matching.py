@@ -17,10 +17,10 @@ from skimage.measure import find_contours
 
 from mammometry.geometry.arrays import Array, Bool, Float64, read_only
 from mammometry.geometry.camera import Camera, StereoPair
-from mammometry.matching.foreground import Foreground
-from mammometry.matching.match import DisparityMap
+from mammometry.matching.dense.match import DisparityMap
+from mammometry.matching.foreground.foreground import Foreground
 from mammometry.study.rays import RayScene, inside, pixel_grid
-from mammometry.surface.range_image import RangeImage
+from mammometry.surface.ranges.range_image import RangeImage
 
 EDGE_PX = 5.0
 """Pixels nearer than this to an occluding edge, in either picture, are not judged."""

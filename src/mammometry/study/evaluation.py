@@ -15,8 +15,8 @@ from mammometry.geometry.arrays import Array, Bool
 from mammometry.geometry.camera import Rig
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
-from mammometry.matching.foreground import Foreground
-from mammometry.matching.match import DisparityMap
+from mammometry.matching.dense.match import DisparityMap
+from mammometry.matching.foreground.foreground import Foreground
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.study.accuracy import (
@@ -43,7 +43,7 @@ from mammometry.study.accuracy_matching import (
 from mammometry.study.rays import RayScene, seen_by_pairs
 from mammometry.study.tables import plain
 from mammometry.study.truth import Truth
-from mammometry.surface.range_image import RangeImage
+from mammometry.surface.ranges.range_image import RangeImage
 
 _POINTS = 60_000  # true points at which a surface is judged
 _OTHER_RIG_SHARE = 0.02  # of the pictures' width

@@ -15,7 +15,7 @@ from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
 from mammometry.io.cameras.own import cameras_table
 from mammometry.io.drawn_changes import Change, change_drawn, drawn_entry
-from mammometry.io.meshes import write_ply
+from mammometry.io.meshes.own_ply import write_ply
 from mammometry.job.stage_values import FinishedSurface
 from mammometry.measure.boundary.boundary import TO_BE_CONFIRMED, Boundary
 from mammometry.measure.shape.anthropometry import dimensions, find_landmarks
@@ -24,7 +24,7 @@ from mammometry.measure.volume import volume
 from mammometry.measure.volume.uncertainty import Evidence
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.open_breast import open_breasts
-from mammometry.surface.texture import TexturedMesh
+from mammometry.surface.texture.texture import TexturedMesh
 
 MANIFEST = """\
 format = 1

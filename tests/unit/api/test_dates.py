@@ -18,11 +18,11 @@ from mammometry.api.dates import Comparison, compare
 from mammometry.api.job import Job, open_session
 from mammometry.base.errors import MeasureError, SessionError, StorageError
 from mammometry.cli.main import run
-from mammometry.io.scans import Scan, import_scan
+from mammometry.io.meshes.scans import Scan, import_scan
 from mammometry.measure.volume import boundary_jitter
 from mammometry.measure.volume.uncertainty import Evidence
-from mammometry.report import change_page
-from mammometry.report.change_page import ChangeReport
+from mammometry.report.documents import change_page
+from mammometry.report.documents.change_page import ChangeReport
 from mammometry.report.privacy import Privacy
 from mammometry.settings import Settings
 from mammometry.simulate.subjects.torso import torso_shape

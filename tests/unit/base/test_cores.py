@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mammometry.base import cores
+from mammometry.base.machine import cores
 
 
 @given(count=st.integers(0, 500))

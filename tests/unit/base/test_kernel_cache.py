@@ -11,7 +11,7 @@ import pytest
 from numba.core import config
 
 import mammometry
-from mammometry.base import kernel_cache
+from mammometry.base.machine import kernel_cache
 from mammometry.matching import filters
 
 _PROGRAM = """

@@ -12,7 +12,7 @@ import numpy as np
 import psutil
 import pytest
 
-from mammometry.base.cores import available_cores
+from mammometry.base.machine.cores import available_cores
 from mammometry.base.second_process import Ended, NotDone, SecondProcess
 
 _ENDS_WITHIN_S = 20.0  # on a machine that is very busy

@@ -10,8 +10,8 @@ import batch_work
 import psutil
 import pytest
 
-from mammometry.base.cores import CORES, available_cores
 from mammometry.base.errors import BatchError
+from mammometry.base.machine.cores import CORES, available_cores
 from mammometry.batch import cluster
 from mammometry.batch import engine as engine_module
 from mammometry.batch.child import Order

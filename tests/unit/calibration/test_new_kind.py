@@ -22,7 +22,7 @@ from mammometry.calibration.targets.sheet import Sheet
 from mammometry.calibration.targets.table import target_from_table
 from mammometry.simulate.rendering.develop import develop
 from mammometry.simulate.rendering.film import Film
-from mammometry.simulate.rendering.solid_target import render_target
+from mammometry.simulate.rendering.objects.solid_target import render_target
 from mammometry.simulate.rigs.build import flashes
 from mammometry.simulate.rigs.poses import draw_poses
 from mammometry.simulate.rigs.rig import make_rig

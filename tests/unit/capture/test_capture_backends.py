@@ -18,7 +18,7 @@ from mammometry.capture.camera import CameraSettings, Devices
 from mammometry.capture.registry import BACKENDS
 from mammometry.capture.shots import Shot
 from mammometry.capture.take import take
-from mammometry.io.images import demosaiced, read_photograph
+from mammometry.io.photographs.images import demosaiced, read_photograph
 
 SOFTWARE = CameraSettings(exposure_ms=1.0, trigger="software")
 NAMES = tuple(f"camera_{number}" for number in range(8))

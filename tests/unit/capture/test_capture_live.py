@@ -11,7 +11,7 @@ from mammometry.capture.live import REGIONS, LiveView, aids
 from mammometry.capture.loop import Rigged
 from mammometry.simulate.rendering.develop import develop
 from mammometry.simulate.rendering.film import Film
-from mammometry.simulate.rendering.solid_target import render_target
+from mammometry.simulate.rendering.objects.solid_target import render_target
 from mammometry.simulate.rigs.build import build_rig, flashes
 from mammometry.simulate.rigs.plan import REFERENCE
 from mammometry.simulate.rigs.poses import draw_poses

@@ -14,7 +14,7 @@ from mammometry.capture.skew.measured import read_skew, write_skew
 from mammometry.capture.skew.read import Moment, moment_of, read_moment, skew_of
 from mammometry.cli.main import run
 from mammometry.geometry.transform import Transform
-from mammometry.simulate.rendering.lamps import LampScene, hold_lamps, render_lamps
+from mammometry.simulate.rendering.objects.lamps import LampScene, hold_lamps, render_lamps
 from mammometry.simulate.rigs.build import build_rig, flashes
 from mammometry.simulate.rigs.plan import REFERENCE
 

@@ -11,10 +11,10 @@ from django.test import Client, RequestFactory
 from django.urls import URLPattern, URLResolver, get_resolver, resolve, reverse
 from pytest_django import Settings
 
-from mammometry.clinic.access import Access
 from mammometry.clinic.models import Person
 from mammometry.clinic.roles import Role
-from mammometry.clinic.security import DeniedByDefault
+from mammometry.clinic.web.access import Access
+from mammometry.clinic.web.security import DeniedByDefault
 
 SCRIPT = {"Accept": "application/json"}
 """What every script of ours sends."""

@@ -10,7 +10,6 @@ from django.test import Client
 from django.urls import reverse
 from django.utils import timezone
 
-from mammometry.clinic.clinical_facts import clinical_of, operation_words
 from mammometry.clinic.models import (
     Comparison,
     Conclusion,
@@ -23,11 +22,12 @@ from mammometry.clinic.models import (
     Visit,
     Volume,
 )
-from mammometry.clinic.operations import phase_of
-from mammometry.clinic.results import latest
-from mammometry.clinic.retention import Retention, retentions
+from mammometry.clinic.records.clinical_facts import clinical_of, operation_words
+from mammometry.clinic.records.operations import phase_of
+from mammometry.clinic.records.results import latest
 from mammometry.clinic.roles import Role
-from mammometry.report.lengths import length_table
+from mammometry.clinic.study.retention import Retention, retentions
+from mammometry.report.words.lengths import length_table
 
 TODAY = timezone.localdate
 

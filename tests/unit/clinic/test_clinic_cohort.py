@@ -12,10 +12,7 @@ from django.test import Client
 from django.urls import reverse
 from django.utils import timezone
 
-from mammometry.clinic import results
-from mammometry.clinic.cohort import Row, left_out, pooled, study_rows, visits_between
 from mammometry.clinic.config import ClinicConfig
-from mammometry.clinic.confirmations import CHANGED, confirmation_of, is_changed
 from mammometry.clinic.models import (
     Confirmation,
     Consent,
@@ -27,7 +24,10 @@ from mammometry.clinic.models import (
     Visit,
     Volume,
 )  # fmt: skip
+from mammometry.clinic.records import results
+from mammometry.clinic.records.confirmations import CHANGED, confirmation_of, is_changed
 from mammometry.clinic.roles import Role
+from mammometry.clinic.study.cohort import Row, left_out, pooled, study_rows, visits_between
 
 NOON = datetime.datetime(2026, 3, 1, 12, tzinfo=datetime.UTC)
 DAY = datetime.timedelta(days=1)
@@ -171,7 +171,7 @@ def test_rows_go_on_where_many_visits_are_read_in_parts(clinic: ClinicConfig, mo
         measure(visit, [Volume(side="left", definition="flat chest", volume_cc=400.0 + number)])
     visits = visits_between(None, None, confirmed=False)
     whole = list(study_rows(visits))
-    monkeypatch.setattr("mammometry.clinic.cohort._VISITS_AT_ONCE", 2)
+    monkeypatch.setattr("mammometry.clinic.study.cohort._VISITS_AT_ONCE", 2)
     assert list(study_rows(visits)) == whole
     assert sorted(row.volume_cc or 0 for row in whole) == [400, 401, 402, 403, 404]
 

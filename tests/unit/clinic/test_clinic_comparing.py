@@ -14,11 +14,11 @@ from django.urls import reverse
 from PIL import Image
 
 import mammometry
-from mammometry.clinic import comparing
 from mammometry.clinic.config import ClinicConfig
 from mammometry.clinic.jobs import queue
 from mammometry.clinic.models import Calibration, Comparison, Job, Measurement, Patient, Rig, Upload, Visit, Volume
 from mammometry.clinic.roles import Role
+from mammometry.clinic.study import comparing
 
 pytestmark = pytest.mark.django_db
 

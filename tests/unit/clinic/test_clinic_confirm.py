@@ -19,15 +19,15 @@ from django.urls import reverse
 from django.utils import timezone
 
 from mammometry.base.errors import StorageError
-from mammometry.clinic import confirmations
 from mammometry.clinic.config import ClinicConfig
 from mammometry.clinic.jobs import queue
 from mammometry.clinic.models import Confirmation, Consent, Drawing, Job, Measurement, Visit
+from mammometry.clinic.records import confirmations
 from mammometry.clinic.roles import Role
 from mammometry.clinic.site import the_clinic
-from mammometry.clinic.views import deliveries as sending
-from mammometry.clinic.views import exports
-from mammometry.clinic.views import results as drawing
+from mammometry.clinic.views.administration import deliveries as sending
+from mammometry.clinic.views.patient import exports
+from mammometry.clinic.views.patient import results as drawing
 from mammometry.editor.messages import Save
 from mammometry.io.drawn_changes import Change, change_drawn, drawn_entries, drawn_entry, entry_digest
 from mammometry.io.write import disk_errors

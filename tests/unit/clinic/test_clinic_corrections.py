@@ -13,7 +13,6 @@ from django.utils import timezone
 from tests.clinic_seed import DEFINITION
 
 from mammometry.base.errors import SessionError
-from mammometry.clinic.cohort import study_rows, visits_between
 from mammometry.clinic.config import ClinicConfig
 from mammometry.clinic.intake.uploads import ready_folder
 from mammometry.clinic.keep.patient import erase_bin, erase_patient, find_patient, rows_of
@@ -38,6 +37,7 @@ from mammometry.clinic.records import corrections
 from mammometry.clinic.records.corrections import CorrectionError
 from mammometry.clinic.records.search import search
 from mammometry.clinic.roles import Role
+from mammometry.clinic.study.cohort import study_rows, visits_between
 from mammometry.io.session import Session
 
 NOON = datetime.datetime(2026, 3, 1, 12, tzinfo=datetime.UTC)

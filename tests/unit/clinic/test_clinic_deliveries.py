@@ -29,8 +29,8 @@ from mammometry.clinic import deliveries
 from mammometry.clinic.config import ClinicConfig
 from mammometry.clinic.models import Consent, Delivery, Destination, Visit
 from mammometry.clinic.roles import Role
-from mammometry.clinic.views import deliveries as pages
-from mammometry.clinic.views import exports
+from mammometry.clinic.views.administration import deliveries as pages
+from mammometry.clinic.views.patient import exports
 from mammometry.hospital.exported import Exported
 from mammometry.hospital.redcap import FILES as REDCAP
 from mammometry.hospital.tables import FILES as TABLES

@@ -17,10 +17,10 @@ from django.urls import reverse
 from tests.clinic_server import command, served
 
 from mammometry.clinic.config import ClinicConfig
-from mammometry.clinic.logs import Plain
 from mammometry.clinic.models import Person, Visit
 from mammometry.clinic.roles import Role
-from mammometry.clinic.security import report_policy
+from mammometry.clinic.web.logs import Plain
+from mammometry.clinic.web.security import report_policy
 
 
 def test_a_form_from_elsewhere_changes_nothing(person_of: Callable[..., Person]) -> None:

@@ -16,7 +16,7 @@ import mammometry
 from mammometry.clinic import deliveries
 from mammometry.clinic.models import Destination, Visit
 from mammometry.clinic.roles import Role
-from mammometry.clinic.views import exports
+from mammometry.clinic.views.patient import exports
 
 PROJECT = tomllib.loads((Path(mammometry.__file__).parents[2] / "pyproject.toml").read_text())["project"]
 

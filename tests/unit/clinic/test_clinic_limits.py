@@ -11,11 +11,11 @@ from django.conf import settings
 from django.test import Client
 from django.urls import reverse
 
-from mammometry.clinic import limits
-from mammometry.clinic.access import BODY_BYTES
 from mammometry.clinic.config import ClinicConfig, Limits
-from mammometry.clinic.limits import Limited
 from mammometry.clinic.roles import Role
+from mammometry.clinic.web import limits
+from mammometry.clinic.web.access import BODY_BYTES
+from mammometry.clinic.web.limits import Limited
 
 Message = dict[str, Any]
 

@@ -117,7 +117,7 @@ def test_a_session_ends_when_idle_and_after_its_hours(
     idle_s, most_s = 30 * 60, 12 * 3600
 
     def at(second: float) -> bool:
-        monkeypatch.setattr("mammometry.clinic.security.time.time", lambda: now + second)
+        monkeypatch.setattr("mammometry.clinic.web.security.time.time", lambda: now + second)
         return is_in(client)
 
     assert at(0)

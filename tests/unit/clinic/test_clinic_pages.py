@@ -11,13 +11,13 @@ from django.test import Client
 from django.urls import reverse
 from django.utils import timezone
 
-from mammometry.clinic.charts import Reading, round_levels, time_line
 from mammometry.clinic.config import ClinicConfig
 from mammometry.clinic.models import Consent, Drawing, Measurement, Patient, Person, Rig, Visit, Volume
-from mammometry.clinic.results import age
+from mammometry.clinic.records.results import age
 from mammometry.clinic.roles import Role
-from mammometry.clinic.views import results as result_pages
-from mammometry.report.rendering import RenderedReport
+from mammometry.clinic.study.charts import Reading, round_levels, time_line
+from mammometry.clinic.views.patient import results as result_pages
+from mammometry.report.documents.rendering import RenderedReport
 
 NOON = datetime.datetime(2026, 3, 1, 12, tzinfo=datetime.UTC)
 

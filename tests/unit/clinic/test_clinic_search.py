@@ -10,8 +10,8 @@ from django.utils import timezone
 from mammometry.clinic.config import ClinicConfig
 from mammometry.clinic.models import Patient, Rig, Visit
 from mammometry.clinic.records.search import MANY, matches, search
+from mammometry.clinic.records.search_words import read_query
 from mammometry.clinic.roles import Role
-from mammometry.clinic.search_words import read_query
 
 NOON = datetime.datetime(2026, 3, 1, 12, tzinfo=datetime.UTC)
 BORN = datetime.date(1979, 5, 14)

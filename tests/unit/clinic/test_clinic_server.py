@@ -12,8 +12,8 @@ import pytest
 from tests.clinic_server import command, served
 
 from mammometry.clinic.config import ClinicConfig, ClinicError, Tls, new_clinic, read_config
-from mammometry.clinic.server import require_current, serve
 from mammometry.clinic.site import configure
+from mammometry.clinic.web.server import require_current, serve
 
 
 def certificate(folder: Path) -> tuple[Path, Path]:
@@ -153,7 +153,7 @@ def test_addresses_of_no_database_are_refused_without_saying_the_password(tmp_pa
 
 
 def test_an_address_that_is_not_free_is_refused_before_anything_is_started(tmp_path: Path) -> None:
-    from mammometry.clinic.server import require_free
+    from mammometry.clinic.web.server import require_free
 
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
@@ -174,7 +174,7 @@ def test_an_address_that_is_not_free_is_refused_before_anything_is_started(tmp_p
 
 @pytest.mark.parametrize("address", ["192.0.2.1:8000", "127.0.0.1:99999", "nobody.invalid:8000"])
 def test_an_address_of_another_machine_is_named(address: str) -> None:
-    from mammometry.clinic.server import require_free
+    from mammometry.clinic.web.server import require_free
 
     with pytest.raises(ClinicError, match=f"address {address}: found an address or port that this machine does not"):
         require_free(address)

@@ -378,7 +378,7 @@ def test_a_calibration_says_how_many_poses_it_still_needs(client_of, rig_visit):
 
 
 def test_exchanged_photographs_are_named_before_they_are_measured(sender, rig_visit, monkeypatch):
-    from mammometry.calibration.judge.names import Names
+    from mammometry.calibration.judge.cameras.names import Names
     from mammometry.clinic.intake import names
     from mammometry.clinic.rigs.history import may_queue
 

@@ -13,7 +13,7 @@ from mammometry.clinic.config import ClinicConfig
 from mammometry.clinic.deliveries import order_of
 from mammometry.clinic.models import Destination, Patient, Rig, Visit
 from mammometry.clinic.roles import Role
-from mammometry.clinic.views import worklist
+from mammometry.clinic.views.patient import worklist
 from mammometry.hospital.dicom.worklist import Entry, Worklist
 from mammometry.hospital.exported import Order
 from mammometry.hospital.exported import Patient as PatientModule

@@ -13,7 +13,7 @@ from mammometry.capture.checks import cameras, pixels
 from mammometry.capture.checks.cameras import KnownCamera
 from mammometry.capture.checks.content import not_only_a_photograph
 from mammometry.clinic.rigs.today import Calibrated, Checked, judge
-from mammometry.io.exposure import Exposure, read_exposure
+from mammometry.io.photographs.exposure import Exposure, read_exposure
 
 SIZE_WH = (900, 600)
 

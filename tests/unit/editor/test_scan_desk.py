@@ -13,8 +13,8 @@ from mammometry.cli.main import run
 from mammometry.editor.desk import Desk
 from mammometry.editor.messages import PlaceChange, Save, SentHandle, Sketch, SketchChange
 from mammometry.editor.page import EditorPage
+from mammometry.io.meshes.scans import Scan, import_scan
 from mammometry.io.outputs import write_outputs
-from mammometry.io.scans import Scan, import_scan
 from mammometry.measure.volume.attribution import curve_digest
 
 

@@ -32,7 +32,7 @@ from mammometry.editor.messages import PlaceChange, Save, SentHandle, Sketch, Sk
 from mammometry.editor.server import Application, editor_app
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.settings import MeasureSettings
-from mammometry.surface.texture import TexturedMesh
+from mammometry.surface.texture.texture import TexturedMesh
 
 CHROMIUM = shutil.which("chromium")
 FLAGS = [

@@ -26,13 +26,13 @@ from mammometry.io.results.formats.deflate import deflated, inflated
 from mammometry.io.results.formats.rasters import read_raster, write_raster
 from mammometry.io.results.tree import STORED_TYPES, from_tree, to_tree
 from mammometry.job.pipeline import CameraSet, FinishedSurface
-from mammometry.matching.match import DisparityMap
+from mammometry.matching.dense.match import DisparityMap
 from mammometry.measure.boundary.boundary import Boundary
-from mammometry.surface.atlas import Atlas
-from mammometry.surface.atlas_jpeg import as_jpeg, jpeg_of
-from mammometry.surface.dents import Kept
-from mammometry.surface.repair import Provenance, RepairedSurface
-from mammometry.surface.texture import TexturedMesh
+from mammometry.surface.ranges.dents import Kept
+from mammometry.surface.repair.repair import Provenance, RepairedSurface
+from mammometry.surface.texture.atlas_jpeg import as_jpeg, jpeg_of
+from mammometry.surface.texture.texture import TexturedMesh
+from mammometry.surface.texture.texture_atlas import Atlas
 
 RNG = np.random.default_rng(3)
 

@@ -10,9 +10,9 @@ import pytest
 import trimesh
 
 from mammometry.base.errors import MammometryError, SessionError, StorageError
-from mammometry.geometry.mesh_file import read_triangles
-from mammometry.io.foreign import read_foreign
-from mammometry.io.meshes import read_ply, write_ply
+from mammometry.geometry.mesh_files.mesh_file import read_triangles
+from mammometry.io.meshes.foreign import read_foreign
+from mammometry.io.meshes.own_ply import read_ply, write_ply
 from mammometry.io.results.formats.rasters import read_raster
 
 HEADER = """\

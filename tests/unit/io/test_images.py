@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 
 from mammometry.base.errors import ImageError
-from mammometry.io.images import ImageHeader, check_sizes, read_header, read_mask, read_photograph
+from mammometry.io.photographs.images import ImageHeader, check_sizes, read_header, read_mask, read_photograph
 
 RGB8 = np.random.default_rng(1).integers(0, 256, (40, 60, 3), dtype=np.uint8)
 RGB16 = np.random.default_rng(2).integers(0, 65536, (40, 60, 3), dtype=np.uint16)

@@ -13,9 +13,9 @@ from tests.unit.io.scan_files import DARK, SKIN, scanned, texture
 from mammometry.base.errors import ImageError, MammometryError, SessionError
 from mammometry.base.limits import LimitSettings
 from mammometry.cli import main
-from mammometry.geometry.mesh_file import read_triangles
-from mammometry.io.foreign import read_foreign
-from mammometry.io.scans import ABOUT, MESH, MTL, OBJ, Scan, import_scan, is_scan, read_scan
+from mammometry.geometry.mesh_files.mesh_file import read_triangles
+from mammometry.io.meshes.foreign import read_foreign
+from mammometry.io.meshes.scans import ABOUT, MESH, MTL, OBJ, Scan, import_scan, is_scan, read_scan
 
 ABOUT_IT = Scan(scanner="Vectra M5", units="", subject="P-1")
 

@@ -21,7 +21,7 @@ from mammometry.io.results.formats.arrays import ARRAYS
 from mammometry.io.results.store import Store
 from mammometry.io.write import write_text
 from mammometry.job.products import Key
-from mammometry.surface.dents import Kept
+from mammometry.surface.ranges.dents import Kept
 
 
 def key(product: str = "mesh", **changes: object) -> Key:

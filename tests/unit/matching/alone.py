@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from mammometry.base.photograph import Photograph
-from mammometry.matching.foreground import Foreground, blocks_of, estimate_foreground, subject_blocks
-from mammometry.matching.seeded import DepthSeeds
+from mammometry.matching.foreground.foreground import Foreground, blocks_of, estimate_foreground, subject_blocks
+from mammometry.matching.foreground.seeded_segmentation import DepthSeeds
 from mammometry.matching.settings import ForegroundSettings
 
 

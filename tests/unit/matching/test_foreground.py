@@ -8,8 +8,8 @@ from skimage.measure import find_contours
 
 from mammometry.base.errors import ImageError, MatchingError
 from mammometry.base.photograph import Photograph, linear_of
-from mammometry.matching import silhouette
-from mammometry.matching.foreground import Foreground, estimate_foreground
+from mammometry.matching.foreground import silhouette
+from mammometry.matching.foreground.foreground import Foreground, estimate_foreground
 
 SIZE = (240, 320)
 V, U = np.mgrid[: SIZE[0], : SIZE[1]].astype(np.float64)

@@ -4,12 +4,12 @@ import numpy as np
 from scipy import ndimage
 from textured_pair import make_pair
 
-from mammometry.matching.free_vertical import FreeVertical, nothing_yet, vertical_step
-from mammometry.matching.match import DisparityMap, match
+from mammometry.matching.dense.least_squares_step import Side, prepare
+from mammometry.matching.dense.match import DisparityMap, match
+from mammometry.matching.dense.vertical_free import FreeVertical, nothing_yet, vertical_step
 from mammometry.matching.pyramid import Level
 from mammometry.matching.rectify import RectifiedPair
 from mammometry.matching.settings import MatchSettings
-from mammometry.matching.step import Side, prepare
 
 FREE = MatchSettings(vertical="free")
 SIZE_WH = (220, 180)

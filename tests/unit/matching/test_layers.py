@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from mammometry.matching.correlate import least_squares
+from mammometry.matching.correlation_kernels import least_squares
+from mammometry.matching.dense.depth_layers import beside_jump, jumps, layered_least_squares, without_specks
 from mammometry.matching.filters import gaussian_taps
-from mammometry.matching.layers import beside_jump, jumps, layered_least_squares, without_specks
 from mammometry.matching.pyramid import finer_shift
 
 V, U = np.mgrid[:40, :60].astype(np.float32)

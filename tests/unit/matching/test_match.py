@@ -11,9 +11,9 @@ from scipy import ndimage
 from textured_pair import make_pair
 
 from mammometry.base.errors import MatchingError
-from mammometry.matching import refine
-from mammometry.matching.levels import choose_levels
-from mammometry.matching.match import match
+from mammometry.matching.dense import finest_levels as refine
+from mammometry.matching.dense.levels import choose_levels
+from mammometry.matching.dense.match import match
 from mammometry.matching.rectify import RectifiedPair
 from mammometry.matching.settings import MatchSettings
 

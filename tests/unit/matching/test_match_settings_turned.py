@@ -15,13 +15,13 @@ from test_rectify import converging, foreground, grey
 from textured_pair import Texture, make_pair
 
 from mammometry.base.progress import no_progress
-from mammometry.matching.levels import Levels, choose_levels
-from mammometry.matching.match import DisparityMap, match, prepare
+from mammometry.matching.dense.least_squares_step import prepare as prepare_side
+from mammometry.matching.dense.least_squares_step import step
+from mammometry.matching.dense.levels import Levels, choose_levels
+from mammometry.matching.dense.match import DisparityMap, match, prepare
 from mammometry.matching.pyramid import Level
 from mammometry.matching.rectify import RectifiedPair, rectify
 from mammometry.matching.settings import ForegroundSettings, MatchSettings, RectifySettings
-from mammometry.matching.step import prepare as prepare_side
-from mammometry.matching.step import step
 
 DEFAULT = MatchSettings()
 

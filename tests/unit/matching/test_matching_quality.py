@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from textured_pair import make_pair
 
-from mammometry.matching.match import DisparityMap, match
+from mammometry.matching.dense.match import DisparityMap, match
 from mammometry.matching.quality import assess, concerns
 from mammometry.matching.rectify import RectifiedPair
-from mammometry.report.figures.thinning import thinned_map
-from mammometry.surface.agreement import row_errors
+from mammometry.report.figures.drawing.thinning import thinned_map
+from mammometry.surface.motion.agreement import row_errors
 
 
 def changed(pair: RectifiedPair, left: np.ndarray, right: np.ndarray) -> RectifiedPair:

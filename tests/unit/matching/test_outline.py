@@ -6,8 +6,8 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import gaussian_filter
 
-from mammometry.matching.foreground import Foreground
-from mammometry.matching.outline import edge_places, outline
+from mammometry.matching.foreground.contour import edge_places, outline
+from mammometry.matching.foreground.foreground import Foreground
 
 CENTRE, RADIUS = np.array([70.3, 64.7]), 40.0
 

@@ -8,7 +8,7 @@ from mammometry.base.errors import ImageError, MatchingError
 from mammometry.base.photograph import Photograph
 from mammometry.geometry.camera import Camera, StereoPair
 from mammometry.geometry.transform import Transform
-from mammometry.matching.foreground import Foreground
+from mammometry.matching.foreground.foreground import Foreground
 from mammometry.matching.rectify import RectifiedPair, rectify
 
 SIZE_WH = (300, 220)

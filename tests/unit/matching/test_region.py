@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from mammometry.matching.dense.crop import cut_levels
 from mammometry.matching.pyramid import Level
-from mammometry.matching.region import cut_levels
 
 
 def test_all_levels_are_cut_alike_and_take_the_masks_of_the_coarsest() -> None:

@@ -10,7 +10,7 @@ import pytest
 from scipy import ndimage
 from textured_pair import Texture, camera, make_pair
 
-from mammometry.matching.match import match
+from mammometry.matching.dense.match import match
 from mammometry.matching.rectify import RectifiedPair
 
 SIZE_WH = (240, 180)

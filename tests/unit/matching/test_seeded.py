@@ -10,8 +10,8 @@ from ball_scene import RADIUS_MM, Look, photograph, rig
 from mammometry.base.photograph import Photograph
 from mammometry.geometry.camera import Rig
 from mammometry.geometry.transform import Transform
-from mammometry.matching.coarse_depth import board, coarse_depths, depth_seeds, smaller_camera, subject_middle
-from mammometry.matching.seeded import DepthSeeds, agreed
+from mammometry.matching.coarse_stereo import board, coarse_depths, depth_seeds, smaller_camera, subject_middle
+from mammometry.matching.foreground.seeded_segmentation import DepthSeeds, agreed
 
 SKIN, DARK_SKIN, PLASTER = Look((0.75, 0.58, 0.5), 0.06), Look((0.36, 0.24, 0.18), 0.06), Look((0.7, 0.7, 0.68), 0.06)
 DARK, WALL, SMOOTH_WALL = Look((0.06, 0.06, 0.06), 0.0), Look((0.8, 0.8, 0.78), 0.04), Look((0.8, 0.8, 0.78), 0.0)

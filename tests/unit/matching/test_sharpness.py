@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from mammometry.matching.levels import choose_levels
+from mammometry.matching.dense.levels import choose_levels
 from mammometry.matching.settings import MatchSettings
 from mammometry.matching.sharpness import empty_levels
 

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy import ndimage
 
-from mammometry.matching.vertical import VerticalField, refine
+from mammometry.matching.dense.vertical_disparity import VerticalField, refine
 
 HEIGHT, WIDTH = 120, 160
 

@@ -6,8 +6,8 @@ import trimesh
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
-from mammometry.matching.foreground import Foreground
-from mammometry.surface.repair import Provenance, RepairedSurface
+from mammometry.matching.foreground.foreground import Foreground
+from mammometry.surface.repair.repair import Provenance, RepairedSurface
 
 
 def ball(radius_mm: float = 50.0, subdivisions: int = 5) -> TriangleMesh:

@@ -9,7 +9,7 @@ import pytest
 from solids import as_surface, dome, rig_around, silhouettes
 
 from mammometry.base.errors import MeasureError
-from mammometry.matching.foreground import Foreground
+from mammometry.matching.foreground.foreground import Foreground
 from mammometry.measure.boundary.boundary import Boundary, find_base, find_boundaries, leaving_whole
 from mammometry.measure.boundary.cast_base import Base, moved
 from mammometry.measure.boundary.cast_base_adjust import adjust_base, mean_height
@@ -18,7 +18,7 @@ from mammometry.measure.settings import BaseRimSettings, MeasureSettings
 from mammometry.measure.volume import volume
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.open_breast import OpenBreast
-from mammometry.surface.repair import Provenance, RepairedSurface
+from mammometry.surface.repair.repair import Provenance, RepairedSurface
 
 RIG = rig_around()
 # The made silhouettes show the dome to its very edge.

@@ -11,9 +11,9 @@ from mammometry.geometry.transform import Transform
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.volume.movement import Movement, movement_of, movement_std_cc
 from mammometry.measure.volume.uncertainty import Evidence, interval
-from mammometry.surface.motions import Unknowns, unknowns
-from mammometry.surface.repair import Provenance, RepairedSurface
-from mammometry.surface.stillness import Displaced, Stillness
+from mammometry.surface.motion.motion_test import Displaced, Stillness
+from mammometry.surface.motion.rigid_motion import Unknowns, unknowns
+from mammometry.surface.repair.repair import Provenance, RepairedSurface
 
 MIDDLE = np.array([50.0, 50.0, 0.0])
 BAND_MM = 4.5  # along the rim, measured by one pair; the other one measured all within

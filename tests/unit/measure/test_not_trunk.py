@@ -11,7 +11,7 @@ from trunks import LEFT, LENGTH_MM, RADIUS_MM, bump_mm, trunk_mesh
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.measure.boundary.boundary import TorsoSides, outline_torso
 from mammometry.measure.trunk.thorax import find_trunk, seen_skin
-from mammometry.surface.repair import Provenance, RepairedSurface
+from mammometry.surface.repair.repair import Provenance, RepairedSurface
 
 TWIN = (-LEFT[0], *LEFT[1:])
 FLAT = 0.72  # depth over width of a body's trunk

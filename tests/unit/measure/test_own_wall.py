@@ -16,11 +16,11 @@ from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.heights import TrunkChart, through
 from mammometry.measure.wall.open_breast import OpenBreast
 from mammometry.measure.wall.registry import CAST_WALLS, TORSO_WALLS, add_wall, in_order
-from mammometry.report.describe import breast_report
 from mammometry.report.figures import measure as figures
 from mammometry.report.figures.stage_results import MeasureResult
+from mammometry.report.words.describe import breast_report
 from mammometry.settings import Settings
-from mammometry.surface.texture import TexturedMesh
+from mammometry.surface.texture.texture import TexturedMesh
 
 RIG = rig_around()
 DENT_MM = 8.0

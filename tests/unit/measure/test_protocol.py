@@ -13,7 +13,7 @@ from mammometry.measure.boundary.protocol import PROTOCOL, sides_of
 from mammometry.measure.settings import MeasureSettings, ProtocolJoin
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.open_breast import OpenBreast
-from mammometry.surface.repair import RepairedSurface
+from mammometry.surface.repair.repair import RepairedSurface
 
 BREASTS = {"left": LEFT, "right": RIGHT}
 Places = dict[str, np.ndarray]

@@ -18,7 +18,7 @@ from mammometry.measure.volume.uncertainty import Evidence
 from mammometry.measure.volume.volumes import measured_or_refused
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.open_breast import OpenBreast, open_breasts
-from mammometry.surface.repair import RepairedSurface
+from mammometry.surface.repair.repair import RepairedSurface
 
 TRUNK = trunk_mesh(3.0)
 FRONT = TRUNK.submesh(TRUNK.corners().mean(axis=1)[:, 2] > -20)

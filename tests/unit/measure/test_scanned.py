@@ -17,7 +17,7 @@ from mammometry.measure.scanned import (
     viewing_frame,
 )
 from mammometry.measure.trunk.body import rig_frame
-from mammometry.surface.repair import Provenance
+from mammometry.surface.repair.repair import Provenance
 
 EDGES = {"left": edge_of(LEFT, "left").points_world, "right": edge_of(RIGHT, "right").points_world}
 

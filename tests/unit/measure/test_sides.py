@@ -22,7 +22,7 @@ from mammometry.measure.trunk.thorax import Trunk, seen_skin
 from mammometry.measure.volume.lacking import lacking
 from mammometry.measure.volume.volumes import measure_volumes
 from mammometry.measure.wall.open_breast import open_breasts
-from mammometry.surface.repair import RepairedSurface
+from mammometry.surface.repair.repair import RepairedSurface
 
 TWIN = (-LEFT[0], *LEFT[1:])
 MIDDLE = Body(frame=np.eye(3), point_world=np.zeros(3), plane_sigma_mm=0.1, scatter_mm=0.3, how="known")

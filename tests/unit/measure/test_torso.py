@@ -19,7 +19,7 @@ from mammometry.measure.volume import volume
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.open_breast import OpenBreast
 from mammometry.measure.wall.registry import TORSO_WALLS
-from mammometry.surface.repair import Provenance, RepairedSurface
+from mammometry.surface.repair.repair import Provenance, RepairedSurface
 
 RIG = rig_around()
 EDGES = (edge_of(LEFT, "left"), edge_of(RIGHT, "right"))

@@ -10,7 +10,7 @@ from solids import as_surface, ball
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
-from mammometry.matching.foreground import Foreground
+from mammometry.matching.foreground.foreground import Foreground
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.settings import MeasureSettings, ObserverSettings
 from mammometry.measure.volume.boundary_jitter import boundary_std_cc, displacements_mm, drawn_sigma_mm
@@ -18,7 +18,7 @@ from mammometry.measure.volume.uncertainty import EarlierErrors, Evidence, inter
 from mammometry.measure.volume.unseen_space import bounds
 from mammometry.measure.wall.chest_wall import ChestWall, fit
 from mammometry.measure.wall.open_breast import OpenBreast
-from mammometry.surface.repair import Provenance, RepairedSurface
+from mammometry.surface.repair.repair import Provenance, RepairedSurface
 
 SETTINGS = MeasureSettings(
     surface_sigma_mm=0.02,

@@ -8,10 +8,10 @@ from scipy.ndimage import gaussian_filter
 from solids import camera_at
 
 from mammometry.geometry.camera import Rig
-from mammometry.matching.foreground import Foreground
+from mammometry.matching.foreground.foreground import Foreground
 from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.volume.unseen_space import bounds, outward_room_mm
-from mammometry.surface.range_image import RangeImage
+from mammometry.surface.ranges.range_image import RangeImage
 
 AWAY_MM, FOCAL_PX, RADIUS_PX = 700.0, 900.0, 60.0
 CAMERA = camera_at("front_left", np.array([0.0, 0.0, AWAY_MM]), FOCAL_PX)

@@ -20,7 +20,7 @@ from mammometry.measure.wall.kinds.membrane import membrane
 from mammometry.measure.wall.kinds.plane import plane
 from mammometry.measure.wall.kinds.thin_plate import thin_plate
 from mammometry.measure.wall.open_breast import OpenBreast
-from mammometry.surface.repair import RepairedSurface
+from mammometry.surface.repair.repair import RepairedSurface
 
 RIG = rig_around()
 EDGE = edge_of(LEFT, "left")

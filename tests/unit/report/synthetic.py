@@ -13,16 +13,16 @@ from mammometry.calibration.targets.charuco import CharucoTarget
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
-from mammometry.matching.foreground import Foreground
-from mammometry.matching.match import DisparityMap
+from mammometry.matching.dense.match import DisparityMap
+from mammometry.matching.foreground.foreground import Foreground
 from mammometry.matching.quality import MatchQuality
 from mammometry.matching.quality import assess as assess_match
 from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.report.figures.stage_results import MeasureResult
-from mammometry.surface.dents import ValidPatches
-from mammometry.surface.range_image import RangeImage
-from mammometry.surface.repair import Provenance, RepairedSurface
-from mammometry.surface.texture import TexturedMesh
+from mammometry.surface.ranges.dents import ValidPatches
+from mammometry.surface.ranges.range_image import RangeImage
+from mammometry.surface.repair.repair import Provenance, RepairedSurface
+from mammometry.surface.texture.texture import TexturedMesh
 
 RADIUS_MM = 60.0
 DISTANCE_MM = 800.0

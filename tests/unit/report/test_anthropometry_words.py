@@ -9,8 +9,8 @@ from mammometry.measure.shape.anthropometry import Dimensions
 from mammometry.measure.shape.lengths import LinearMeasure, Ptosis
 from mammometry.measure.shape.shape import BreastShape
 from mammometry.measure.shape.symmetry import Symmetry
-from mammometry.report.anthropometry import dimension_tables, planning_lengths, symmetry_facts
-from mammometry.report.lengths import quantities_of
+from mammometry.report.words.anthropometry import dimension_tables, planning_lengths, symmetry_facts
+from mammometry.report.words.lengths import quantities_of
 
 
 def sizes_of_the_left() -> Dimensions:

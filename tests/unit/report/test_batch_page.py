@@ -6,7 +6,7 @@ import io
 import pyarrow.parquet as pq
 import pytest
 
-from mammometry.report.batch_page import BatchLine, BatchVolume, batch_files, counted
+from mammometry.report.documents.batch_page import BatchLine, BatchVolume, batch_files, counted
 
 LINES = (
     BatchLine(

@@ -12,8 +12,10 @@ import synthetic
 from mammometry.base.errors import SettingsError
 from mammometry.base.identity import Identity
 from mammometry.base.registry import Registry
-from mammometry.report import content, describe, figures, html
+from mammometry.report import content, figures
+from mammometry.report.documents import html
 from mammometry.report.figures import catalogue, previews
+from mammometry.report.words import describe
 
 ADDED = """
 import numpy as np

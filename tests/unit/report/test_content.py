@@ -11,15 +11,15 @@ import synthetic
 from mammometry.calibration.judge.quality import assess
 from mammometry.measure.trunk.head import HEAD_NOT_SHOWN
 from mammometry.measure.volume.definitions import DefinedVolume, Meaning
-from mammometry.report import describe
-from mammometry.report.anthropometry import comparison
-from mammometry.report.cautions import skin_shares
-from mammometry.report.figures.thinning import thinned_ranges
-from mammometry.report.volume_words import MEANINGS, interval_words, meaning_sentences, volume_words
-from mammometry.report.warnings import RunResults, run_cautions, run_concerns, warnings
+from mammometry.report.figures.drawing.thinning import thinned_ranges
+from mammometry.report.words import describe
+from mammometry.report.words.anthropometry import comparison
+from mammometry.report.words.cautions import skin_shares
+from mammometry.report.words.volume_words import MEANINGS, interval_words, meaning_sentences, volume_words
+from mammometry.report.words.warnings import RunResults, run_cautions, run_concerns, warnings
 from mammometry.settings import Settings
-from mammometry.surface.occluders import Blocked
-from mammometry.surface.repair import Provenance
+from mammometry.surface.occlusion.occlusion import Blocked
+from mammometry.surface.repair.repair import Provenance
 
 
 @pytest.fixture(scope="module")

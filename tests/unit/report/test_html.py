@@ -11,13 +11,15 @@ import synthetic
 from PIL import Image
 
 from mammometry.base.identity import Identity
-from mammometry.report import content, describe, html, pages
-from mammometry.report.anthropometry import comparison
+from mammometry.report import content
 from mammometry.report.content import ReportContent
+from mammometry.report.documents import html, pages
 from mammometry.report.figures import previews
-from mammometry.report.figures.canvas import Caption, encode
+from mammometry.report.figures.drawing.canvas import Caption, encode
 from mammometry.report.first_page import FirstPage, first_page
 from mammometry.report.pictures import all_encoded
+from mammometry.report.words import describe
+from mammometry.report.words.anthropometry import comparison
 from mammometry.settings import Settings
 
 VOID = {"meta", "img", "link", "br", "hr", "input"}

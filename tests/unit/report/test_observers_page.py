@@ -5,8 +5,8 @@ import json
 import numpy as np
 from tests.unit.measure.solids import dome
 
-from mammometry.report.figures.canvas import caption_of
-from mammometry.report.observers_page import observers_files, observers_names
+from mammometry.report.documents.observers_page import observers_files, observers_names
+from mammometry.report.figures.drawing.canvas import caption_of
 from mammometry.study.observers import Drawing, DrawnSurface, observer_study
 
 

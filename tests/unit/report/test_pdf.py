@@ -11,17 +11,19 @@ import pytest
 import synthetic
 
 from mammometry.base.identity import Identity
-from mammometry.report import content, describe, pdf
-from mammometry.report.anthropometry import comparison, difference_number
+from mammometry.report import content
 from mammometry.report.clinical import Clinical, Signed
 from mammometry.report.content import ReportContent
+from mammometry.report.documents import pdf
 from mammometry.report.figures import previews
-from mammometry.report.figures.canvas import Caption, Sheet
 from mammometry.report.figures.catalogue import PREVIEWS
+from mammometry.report.figures.drawing.canvas import Caption, Sheet
 from mammometry.report.figures.matching import disparity
 from mammometry.report.figures.stage_results import MatchingResult
 from mammometry.report.first_page import first_page
 from mammometry.report.pictures import all_encoded
+from mammometry.report.words import describe
+from mammometry.report.words.anthropometry import comparison, difference_number
 from mammometry.settings import Settings
 from mammometry.study.tables import Table
 

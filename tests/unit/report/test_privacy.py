@@ -10,10 +10,12 @@ import synthetic
 from PIL import Image
 
 from mammometry.base.identity import NAMELESS
-from mammometry.report import content, describe, html, pages, pdf
+from mammometry.report import content
+from mammometry.report.documents import html, pages, pdf
 from mammometry.report.figures.catalogue import PREVIEWS
 from mammometry.report.first_page import first_page
 from mammometry.report.privacy import Privacy, guard, without_photographs
+from mammometry.report.words import describe
 from mammometry.settings import Settings
 
 UP = np.array([0.0, -1.0, 0.0])

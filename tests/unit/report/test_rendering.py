@@ -12,8 +12,8 @@ from mammometry.measure.boundary.confirming import TO_BE_CONFIRMED
 from mammometry.measure.volume.attribution import Attribution, Confirmation
 from mammometry.report.clinical import Clinical, Signed
 from mammometry.report.content import ReportContent
+from mammometry.report.documents.rendering import attributed_content, render
 from mammometry.report.first_page import first_page
-from mammometry.report.rendering import attributed_content, render
 from mammometry.report.stored_content import packed, unpacked
 
 SEEN = datetime.datetime(2026, 11, 22, 10, 0, tzinfo=datetime.UTC)

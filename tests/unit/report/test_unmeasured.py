@@ -4,12 +4,12 @@ import numpy as np
 import synthetic
 
 from mammometry.geometry.mesh import TriangleMesh
-from mammometry.report.describe import surface_report
-from mammometry.report.figures.shading import front_frame
+from mammometry.report.figures.drawing.shading import front_frame
 from mammometry.report.models import viewer_scene
-from mammometry.surface.atlas import Atlas
-from mammometry.surface.repair import Provenance
-from mammometry.surface.unmeasured import GREY, faded, faded_atlas, shown_colours
+from mammometry.report.words.describe import surface_report
+from mammometry.surface.repair.repair import Provenance
+from mammometry.surface.texture.texture_atlas import Atlas
+from mammometry.surface.texture.unmeasured import GREY, faded, faded_atlas, shown_colours
 
 SKIN = np.array([205, 160, 140], dtype=np.uint8)
 

@@ -17,11 +17,13 @@ from playwright.sync_api import Locator, Page, expect, sync_playwright
 from mammometry.base.identity import Identity
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.measure.landmarks.geodesic import geodesic
-from mammometry.report import content, describe, html
-from mammometry.report.figures.shading import front_frame
+from mammometry.report import content
+from mammometry.report.documents import html
+from mammometry.report.figures.drawing.shading import front_frame
 from mammometry.report.first_page import first_page
 from mammometry.report.models import viewer_scene
 from mammometry.report.scene import Model, to_json
+from mammometry.report.words import describe
 from mammometry.settings import Settings
 
 CHROMIUM = shutil.which("chromium")

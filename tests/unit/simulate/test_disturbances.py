@@ -16,9 +16,9 @@ from mammometry.simulate.disturbances.surfaces import ball, bar, box, merged, st
 from mammometry.simulate.rendering.film import Film
 from mammometry.simulate.rendering.in_camera import magnified
 from mammometry.simulate.rendering.motion import Motion
+from mammometry.simulate.rendering.objects.skin import SKINS, Skin
 from mammometry.simulate.rendering.render import render_subject
 from mammometry.simulate.rendering.scene import Room, light_scene, moved
-from mammometry.simulate.rendering.skin import SKINS, Skin
 from mammometry.simulate.rigs.build import flashes
 from mammometry.simulate.rigs.rig import make_rig
 from mammometry.simulate.situation import parse_situation

@@ -12,8 +12,8 @@ from mammometry.geometry.camera import Camera, Rig, StereoPair
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
 from mammometry.io.truth import read_truth
-from mammometry.matching.foreground import Foreground
-from mammometry.matching.match import DisparityMap
+from mammometry.matching.dense.match import DisparityMap
+from mammometry.matching.foreground.foreground import Foreground
 from mammometry.study.accuracy_matching import (
     judge_disparity,
     judge_range,
@@ -22,7 +22,7 @@ from mammometry.study.accuracy_matching import (
     true_disparity,
 )
 from mammometry.study.rays import RayScene, pixel_grid, seen_by_pairs
-from mammometry.surface.range_image import RangeImage, thinned_camera
+from mammometry.surface.ranges.range_image import RangeImage, thinned_camera
 
 RADIUS, DISTANCE, BASELINE, FOCAL = 50.0, 600.0, 150.0, 900.0
 SIZE = (240, 180)

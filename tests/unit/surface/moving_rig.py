@@ -10,8 +10,8 @@ from spheres import camera_towards, ellipsoid_range, range_image
 
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.transform import Transform
-from mammometry.surface.agreement import RowErrors
-from mammometry.surface.range_image import RangeImage
+from mammometry.surface.motion.agreement import RowErrors
+from mammometry.surface.ranges.range_image import RangeImage
 
 RADII = (95.0, 120.0, 70.0)
 _FRONT, _LEFT, _RIGHT = (0.0, 0.0, 1.0), (-0.8, 0.1, 0.7), (0.8, 0.1, 0.7)

@@ -9,8 +9,8 @@ import numpy as np
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
-from mammometry.matching.foreground import Foreground
-from mammometry.surface.range_image import RangeImage
+from mammometry.matching.foreground.foreground import Foreground
+from mammometry.surface.ranges.range_image import RangeImage
 
 
 def camera_towards(name, direction, *, distance=400.0, size=120, focal=400.0, target=(0.0, 0.0, 0.0)) -> Camera:

@@ -6,9 +6,9 @@ from scipy import ndimage
 from spheres import camera_towards, rig_of, sphere_mesh
 
 from mammometry.base.photograph import Photograph
-from mammometry.io.models import write_glb, write_obj
-from mammometry.surface.atlas import Atlas, best_views, cover, thinned
+from mammometry.io.meshes.models import write_glb, write_obj
 from mammometry.surface.settings import TextureSettings
+from mammometry.surface.texture.texture_atlas import Atlas, best_views, cover, thinned
 
 SIZE = 240
 RADIUS = 30.0

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from mammometry.surface import atlas_kernels
+from mammometry.surface.texture import atlas_kernels
 
 LEVEL_STEP = 4
 

@@ -6,10 +6,10 @@ from spheres import camera_towards, ellipsoid_range, range_image, rig_of, silhou
 
 from mammometry.base.errors import SurfaceError
 from mammometry.geometry.transform import Transform
-from mammometry.matching.foreground import Foreground
-from mammometry.surface.decompose import decompose
-from mammometry.surface.dents import remove_dents
-from mammometry.surface.extract import extract
+from mammometry.matching.foreground.foreground import Foreground
+from mammometry.surface.fusion.fuse import extract
+from mammometry.surface.ranges.decompose import decompose
+from mammometry.surface.ranges.dents import remove_dents
 from mammometry.surface.repair import Provenance, repair
 from mammometry.surface.settings import DentSettings, ExtractSettings, RepairSettings
 

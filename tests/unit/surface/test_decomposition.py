@@ -7,10 +7,10 @@ import pytest
 from spheres import camera_towards, ellipsoid_range, range_image
 
 from mammometry.base.errors import SurfaceError
-from mammometry.surface.decompose import decompose
-from mammometry.surface.dents import Kept, patch_angle_rad, remove_dents
+from mammometry.surface.ranges.decompose import decompose
+from mammometry.surface.ranges.dents import Kept, patch_angle_rad, remove_dents
+from mammometry.surface.ranges.visibility import Label, check_agreement, compare, disagreement_mm, gap_mm
 from mammometry.surface.settings import DecomposeSettings, DentSettings
-from mammometry.surface.visibility import Label, check_agreement, compare, disagreement_mm, gap_mm
 
 
 def view(direction, radius=30.0, centre=(0, 0, 0), **camera):

@@ -10,10 +10,10 @@ from spheres import camera_towards, ellipsoid_range, range_image
 
 from mammometry.base.errors import SurfaceError
 from mammometry.report.figures.dents import draw_dent_grid
-from mammometry.surface.decompose import decompose
-from mammometry.surface.dents import dent_grid, remove_dents
+from mammometry.surface.ranges.decompose import decompose
+from mammometry.surface.ranges.dents import dent_grid, remove_dents
+from mammometry.surface.ranges.visibility import Label
 from mammometry.surface.settings import DecomposeSettings, DentSettings
-from mammometry.surface.visibility import Label
 
 
 def views(shift=0.0):

@@ -3,7 +3,7 @@
 import numpy as np
 from spheres import sphere_mesh
 
-from mammometry.surface.energy import Stiffness, graph_of, laplacian, minimum
+from mammometry.surface.repair.energy import Stiffness, graph_of, laplacian, minimum
 
 CONSTANTS = dict(rho=0.7, k_ext=1.3, k_int=2.1)
 

@@ -6,9 +6,8 @@ from spheres import camera_towards, ellipsoid_range, range_image, rig_of, silhou
 
 from mammometry.base.errors import SurfaceError
 from mammometry.geometry.mesh import TriangleMesh
-from mammometry.surface import image_kernels, kernels
-from mammometry.surface.extract import extract, extract_open
-from mammometry.surface.field import (
+from mammometry.surface.fusion import field_kernels as kernels
+from mammometry.surface.fusion.field import (
     EXTEND_WEIGHT,
     JUMP_MM,
     build_field,
@@ -17,11 +16,13 @@ from mammometry.surface.field import (
     silhouette_distance_px,
     view_elements,
 )
-from mammometry.surface.isosurface import Isosurface
-from mammometry.surface.range_image import NORMAL_MM, SIGMA_FLOOR_MM
+from mammometry.surface.fusion.fuse import extract, extract_open
+from mammometry.surface.fusion.isosurface import Isosurface
+from mammometry.surface.fusion.topology import largest_part, tunnel_places
+from mammometry.surface.fusion.voxels import sample_blocks
+from mammometry.surface.ranges import image_kernels
+from mammometry.surface.ranges.range_image import NORMAL_MM, SIGMA_FLOOR_MM
 from mammometry.surface.settings import TAPER_MM, ExtractSettings, FieldSettings
-from mammometry.surface.topology import largest_part, tunnel_places
-from mammometry.surface.voxels import sample_blocks
 
 AROUND = [(1, 0, 0.1), (-1, 0, 0.1), (0, 1, 0.1), (0, -1, 0.1), (0.1, 0, 1), (0.1, 0, -1)]
 FRONT = [(0, 0, 1), (0.6, 0, 1), (-0.6, 0, 1), (0, 0.8, 1)]
@@ -139,7 +140,7 @@ def test_an_open_surface_is_the_data_and_nothing_else():
 def test_silhouette_distance_of_a_disc_is_sub_pixel():
     u, v = np.meshgrid(np.arange(101.0), np.arange(101.0))
     true = np.hypot(u - 50.3, v - 49.6) - 30.25
-    from mammometry.matching.foreground import Foreground
+    from mammometry.matching.foreground.foreground import Foreground
 
     disc = Foreground(
         camera="a", coverage=np.clip(0.5 - true / 4, 0, 1).astype(np.float32), contour_level=0.5, everything=False
@@ -153,7 +154,7 @@ def test_silhouette_distance_of_a_disc_is_sub_pixel():
 
 def test_a_dark_spot_inside_the_subject_does_not_pierce_it():
     u, v = np.meshgrid(np.arange(101.0), np.arange(101.0))
-    from mammometry.matching.foreground import Foreground
+    from mammometry.matching.foreground.foreground import Foreground
 
     coverage = (np.hypot(u - 50, v - 50) < 40).astype(np.float32)
     coverage[50:52, 50:52] = 0.0
@@ -165,7 +166,7 @@ def test_a_silhouette_reaches_outside_where_its_edge_is_lost():
     """A disc of 60 px whose light fades over 20 px within 40° of straight below: there the line lies 10 px inside."""
     from scipy.ndimage import gaussian_filter
 
-    from mammometry.matching.foreground import Foreground
+    from mammometry.matching.foreground.foreground import Foreground
 
     v, u = np.mgrid[-80.0:81, -80.0:81]
     inside = 60 - np.hypot(u, v)

@@ -7,9 +7,9 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 from spheres import camera_towards, ellipsoid_range, range_image, sphere_mesh
 
-from mammometry.surface import image_kernels
-from mammometry.surface.correspond import Gates, correspond, view_data
-from mammometry.surface.visibility import gap_mm
+from mammometry.surface.ranges import image_kernels
+from mammometry.surface.ranges.visibility import gap_mm
+from mammometry.surface.repair.correspond import Gates, correspond, view_data
 
 
 def seen_ellipsoid(name="a", direction=(0.2, 0.1, 1)):

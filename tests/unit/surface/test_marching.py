@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy import ndimage
 
 from mammometry.geometry.mesh import TriangleMesh
-from mammometry.surface.marching import march
+from mammometry.surface.fusion.marching import march
 
 
 def drawn_field(seed, smoothing, shape=(9, 8, 10)):

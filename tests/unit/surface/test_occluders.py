@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from spheres import camera_towards, ellipsoid_range, range_image, rig_of, silhouette
 
-from mammometry.surface.extract import extract
-from mammometry.surface.occluders import find_blocked, unblocked
+from mammometry.surface.fusion.fuse import extract
+from mammometry.surface.occlusion.occlusion import find_blocked, unblocked
 from mammometry.surface.settings import ExtractSettings
 
 RADIUS_MM = 30.0

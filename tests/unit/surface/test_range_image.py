@@ -4,9 +4,9 @@ from spheres import camera_towards, ellipsoid_range, range_image
 
 from mammometry.geometry.camera import Camera
 from mammometry.geometry.transform import Transform
-from mammometry.matching.match import DisparityMap
-from mammometry.surface import ray_kernels
-from mammometry.surface.range_image import RangeImage, triangulate
+from mammometry.matching.dense.match import DisparityMap
+from mammometry.surface.ranges import ray_kernels
+from mammometry.surface.ranges.range_image import RangeImage, triangulate
 from mammometry.surface.settings import TriangulateSettings
 
 BASELINE, FOCAL, SIZE = 120.0, 400.0, 81

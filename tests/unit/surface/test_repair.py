@@ -6,11 +6,11 @@ from spheres import camera_towards, ellipsoid_range, range_image, sphere_mesh
 
 from mammometry.base.errors import SurfaceError
 from mammometry.geometry.mesh import TriangleMesh
-from mammometry.surface.crossing import crossing_faces
-from mammometry.surface.decompose import decompose
-from mammometry.surface.dents import ValidPatches, remove_dents
-from mammometry.surface.energy import graph_of
+from mammometry.surface.ranges.decompose import decompose
+from mammometry.surface.ranges.dents import ValidPatches, remove_dents
 from mammometry.surface.repair import Provenance, RepairedSurface, propagate, repair
+from mammometry.surface.repair.crossing import crossing_faces
+from mammometry.surface.repair.energy import graph_of
 from mammometry.surface.settings import DentSettings, RepairSettings
 
 RADIUS = 30.0

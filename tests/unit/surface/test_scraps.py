@@ -4,8 +4,8 @@ import numpy as np
 
 from mammometry.geometry.camera import Camera
 from mammometry.geometry.transform import Transform
-from mammometry.surface.range_image import RangeImage
-from mammometry.surface.scraps import subject_data
+from mammometry.surface.ranges.foreign_pieces import subject_data
+from mammometry.surface.ranges.range_image import RangeImage
 
 SHAPE = (90, 120)
 V, U = np.mgrid[: SHAPE[0], : SHAPE[1]]

@@ -7,14 +7,15 @@ import pytest
 from moving_rig import RADII, calibrated_rig, measured, standing
 
 from mammometry.base.errors import SurfaceError
-from mammometry.calibration.judge.shifts import shifts
-from mammometry.surface import motions, stillness
-from mammometry.surface.agreement import differences
-from mammometry.surface.carried import carried
-from mammometry.surface.motions import Observed, most_probable, rigid_motions, unknowns
+from mammometry.calibration.judge.cameras.shifts import shifts
+from mammometry.surface.motion import motion_test as stillness
+from mammometry.surface.motion import rigid_motion as motions
+from mammometry.surface.motion.agreement import differences
+from mammometry.surface.motion.motion_messages import concerns, summary
+from mammometry.surface.motion.motion_test import find
+from mammometry.surface.motion.retriangulate import carried
+from mammometry.surface.motion.rigid_motion import Observed, most_probable, rigid_motions, unknowns
 from mammometry.surface.settings import StillnessSettings
-from mammometry.surface.stillness import find
-from mammometry.surface.stillness_words import concerns, summary
 
 RIG = calibrated_rig()
 NOISE_MM = 0.04  # what clean captures' cells scatter by

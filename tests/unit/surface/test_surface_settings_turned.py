@@ -10,14 +10,14 @@ from test_repair import AROUND, RADIUS, dented, radial_error, valid_views
 from mammometry.base.errors import SurfaceError
 from mammometry.base.photograph import Photograph
 from mammometry.geometry.mesh import TriangleMesh, joined
-from mammometry.matching.foreground import Foreground
-from mammometry.surface.correspond import view_data
-from mammometry.surface.dents import remove_dents
-from mammometry.surface.extract import closing_box_of, extract
-from mammometry.surface.field import build_field, nearest_of_others_mm, view_elements
+from mammometry.matching.foreground.foreground import Foreground
+from mammometry.surface.fusion.field import build_field, nearest_of_others_mm, view_elements
+from mammometry.surface.fusion.fuse import closing_box_of, extract
+from mammometry.surface.ranges.dents import remove_dents
 from mammometry.surface.repair import Provenance, repair
+from mammometry.surface.repair.correspond import view_data
 from mammometry.surface.settings import DentSettings, ExtractSettings, FieldSettings, RepairSettings, TextureSettings
-from mammometry.surface.texture import paint, view_samples
+from mammometry.surface.texture.texture import paint, view_samples
 
 FRONT = [(0, 0, 1), (0.6, 0, 1), (-0.6, 0, 1), (0, 0.8, 1)]
 
@@ -242,7 +242,7 @@ def test_texture_clearance_ignores_what_lies_closer():
 
 
 def test_texture_triangles_are_the_most_of_the_viewing_mesh():
-    from mammometry.surface.atlas import thinned
+    from mammometry.surface.texture.texture_atlas import thinned
 
     mesh = sphere_mesh(RADIUS)
     assert len(mesh.faces) > 2000

@@ -4,7 +4,7 @@ from spheres import camera_towards, rig_of, sphere_mesh
 
 from mammometry.base.photograph import Photograph
 from mammometry.geometry.mesh import TriangleMesh
-from mammometry.surface.texture import TexturedMesh, paint
+from mammometry.surface.texture.texture import TexturedMesh, paint
 
 
 def plain(name, rgb, size=120):

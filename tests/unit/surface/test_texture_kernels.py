@@ -5,9 +5,9 @@ import pytest
 from scipy import ndimage
 from spheres import camera_towards, sphere_mesh
 
-from mammometry.surface import texture_kernels
-from mammometry.surface.texture import Picture
-from mammometry.surface.view_rows import view_row
+from mammometry.surface.fusion.camera_records import view_row
+from mammometry.surface.texture import texture_kernels
+from mammometry.surface.texture.texture import Picture
 
 
 def test_weights_and_places_are_those_of_the_camera():

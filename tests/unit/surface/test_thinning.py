@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from mammometry.geometry.mesh import TriangleMesh
-from mammometry.surface import thinning
-from mammometry.surface.thinning import thinned
+from mammometry.surface.texture import simplify as thinning
+from mammometry.surface.texture.simplify import thinned
 
 
 def ball(rows: int, radius_mm: float = 50.0) -> TriangleMesh:

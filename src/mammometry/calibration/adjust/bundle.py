@@ -10,8 +10,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from mammometry.base.cores import one_blas_thread
 from mammometry.base.errors import CalibrationError
+from mammometry.base.machine.cores import one_blas_thread
 from mammometry.base.progress import Progress, no_progress
 from mammometry.calibration.adjust.assemble import View, all_views, held_at_first, network_of
 from mammometry.calibration.adjust.calibrated import Calibration, ParameterCovariance, SetAside

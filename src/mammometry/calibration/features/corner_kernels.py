@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 
-from mammometry.base.compiled import fast_kernel, kernel
+from mammometry.base.machine.compiled import fast_kernel, kernel
 from mammometry.geometry.arrays import Array, Float32, Float64, Int64, UInt8
 
 EDGE_BAND_SIGMAS = 4.0

@@ -9,11 +9,11 @@ import numpy as np
 
 from mammometry.base.sizes import fitting
 from mammometry.calibration.adjust.bundle import Calibration
+from mammometry.calibration.judge.cameras.pose_motion import Movement
+from mammometry.calibration.judge.cameras.wrong_camera import Shot, true_shot
 from mammometry.calibration.judge.reconstruction import PairQuality
 from mammometry.calibration.judge.scale import calibrated_sizes
-from mammometry.calibration.judge.stillness import Movement
 from mammometry.calibration.judge.view_quality import ViewQuality, sees_badly
-from mammometry.calibration.judge.wrong_camera import Shot, true_shot
 from mammometry.calibration.settings import QualitySettings
 
 Verdict: TypeAlias = Literal["pass", "warn", "refuse"]

@@ -14,6 +14,7 @@ from types import MappingProxyType
 import numpy as np
 
 from mammometry.calibration.adjust.bundle import Calibration
+from mammometry.calibration.judge.cameras.pose_motion import Movement, movements
 from mammometry.calibration.judge.expected_error import expected_error
 from mammometry.calibration.judge.findings import (
     Finding,
@@ -33,7 +34,6 @@ from mammometry.calibration.judge.findings import (
 )
 from mammometry.calibration.judge.reconstruction import PairQuality, reconstruct
 from mammometry.calibration.judge.sighting import sightings
-from mammometry.calibration.judge.stillness import Movement, movements
 from mammometry.calibration.judge.target_shape import about_target
 from mammometry.calibration.judge.view_quality import ViewQuality, pooled_rms, view_qualities
 from mammometry.calibration.settings import QualitySettings

@@ -16,8 +16,8 @@ from mammometry.base.photograph import Photograph
 from mammometry.capture.camera import CameraSettings, Clock, Devices, Frame, Health, failed
 from mammometry.capture.checks.cameras import camera_of_name
 from mammometry.capture.registry import BACKENDS
-from mammometry.io.exposure import read_exposure
-from mammometry.io.images import EXTENSIONS, read_header, read_photograph
+from mammometry.io.photographs.exposure import read_exposure
+from mammometry.io.photographs.images import EXTENSIONS, read_header, read_photograph
 
 _TOGETHER_S = 20.0
 """Clocks that nobody set to one another differ by seconds: `capture.checks.cameras` has the same limit."""

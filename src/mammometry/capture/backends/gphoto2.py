@@ -19,7 +19,7 @@ from mammometry.base.errors import CaptureError
 from mammometry.base.photograph import Photograph
 from mammometry.capture.camera import CameraSettings, Devices, Frame, Health, failed
 from mammometry.capture.registry import BACKENDS, library, missing
-from mammometry.io.images import FORMATS
+from mammometry.io.photographs.images import FORMATS
 
 _OPEN_S = 20.0  # a camera that sleeps takes some seconds to answer
 _ANSWER_S = 5.0  # for settings and health

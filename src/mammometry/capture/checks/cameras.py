@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from mammometry.capture.checks.found import Found
-from mammometry.io.exposure import Exposure
+from mammometry.io.photographs.exposure import Exposure
 
 _TOGETHER_S = 20.0
 """Cameras are released together; their clocks are set by hand, and read to a second or two where no calibration tells

@@ -15,9 +15,9 @@ from skimage.measure import blur_effect
 from mammometry.base.photograph import LUMA, Photograph
 from mammometry.capture.checks.found import Found
 from mammometry.geometry.arrays import Array, Bool, Float32
-from mammometry.matching.segment import segment
+from mammometry.matching.foreground.block_segmentation import segment
+from mammometry.matching.foreground.silhouette import block_means
 from mammometry.matching.settings import ForegroundSettings
-from mammometry.matching.silhouette import block_means
 
 _LOOKED_AT_PX = 676.0  # diagonal at which the subject is sought: half of the reference size, as matching does
 QUICK_PX = 250.0

@@ -14,7 +14,7 @@ from mammometry.clinic.intake import uploads
 from mammometry.clinic.intake.set_aside import fired_files
 from mammometry.clinic.intake.thumbnail import small_picture, thumbnail_path
 from mammometry.clinic.models import Person, Upload, Visit
-from mammometry.io.images import FORMATS
+from mammometry.io.photographs.images import FORMATS
 
 
 def take_in(visit: Visit, fired: Fired, by: Person | None) -> None:

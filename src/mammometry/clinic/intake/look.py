@@ -14,8 +14,8 @@ from mammometry.clinic.intake import names
 from mammometry.clinic.intake.thumbnail import thumbnail_path, write_thumbnail
 from mammometry.clinic.models import Calibration, DailyCheck, Upload, Visit
 from mammometry.clinic.site import the_clinic
-from mammometry.io.exposure import read_exposure
-from mammometry.io.images import read_header, read_photograph
+from mammometry.io.photographs.exposure import read_exposure
+from mammometry.io.photographs.images import read_header, read_photograph
 
 Target = Visit | Calibration | DailyCheck
 

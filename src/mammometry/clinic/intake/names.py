@@ -9,12 +9,12 @@ from mammometry.api.job import open_session
 from mammometry.base.errors import CalibrationError, MammometryError
 from mammometry.base.photograph import Photograph
 from mammometry.calibration.features.keypoints import Keypoints, keypoints
-from mammometry.calibration.judge.names import check_names, wrong_photographs
+from mammometry.calibration.judge.cameras.names import check_names, wrong_photographs
 from mammometry.capture.checks.found import Found
 from mammometry.clinic.models import Visit
 from mammometry.clinic.site import the_clinic
 from mammometry.geometry.camera import Rig
-from mammometry.io.images import read_photograph
+from mammometry.io.photographs.images import read_photograph
 
 _KEPT = 64  # photographs whose features are kept, half a megabyte each: those of the visits that are being entered
 _features: dict[str, Keypoints] = {}

@@ -21,7 +21,7 @@ from mammometry.base.limits import LimitSettings
 from mammometry.capture.checks.content import not_only_a_photograph
 from mammometry.clinic.intake.uploads import UploadError
 from mammometry.clinic.site import the_clinic
-from mammometry.io.scans import Scan, import_scan
+from mammometry.io.meshes.scans import Scan, import_scan
 from mammometry.io.write import disk_errors
 
 _MESHES = (".obj", ".ply", ".stl", ".glb")

@@ -17,10 +17,10 @@ from django.db import IntegrityError, transaction
 from django.db.models import F, Q, QuerySet
 from django.utils import timezone
 
-from mammometry.clinic import comparing
 from mammometry.clinic.jobs import results
 from mammometry.clinic.jobs.results import Target
 from mammometry.clinic.models import Calibration, Comparison, DailyCheck, Job, Person, Visit
+from mammometry.clinic.study import comparing
 from mammometry.io.subject import rename_subject
 
 LEASE_S = 45.0

@@ -11,10 +11,10 @@ from typing import Any
 
 from django.utils import timezone
 
-from mammometry.clinic.comparing import measured_digests, refusal_of
-from mammometry.clinic.confirmations import has_unmeasured_drawing, settled_state
 from mammometry.clinic.models import Calibration, Comparison, DailyCheck, Job, Measurement, Visit, Volume
-from mammometry.clinic.results import add_volumes
+from mammometry.clinic.records.confirmations import has_unmeasured_drawing, settled_state
+from mammometry.clinic.records.results import add_volumes
+from mammometry.clinic.study.comparing import measured_digests, refusal_of
 
 Target = Visit | Calibration | DailyCheck | Comparison
 

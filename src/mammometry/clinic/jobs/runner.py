@@ -19,10 +19,10 @@ from mammometry.batch.child import Order
 from mammometry.batch.cluster import Machines, machines
 from mammometry.batch.engine import Began, Ended, Engine, Task, Wish
 from mammometry.batch.record import RECORD, read_record
-from mammometry.clinic.comparing import comparison_folder
 from mammometry.clinic.config import ClinicConfig
 from mammometry.clinic.jobs import queue, work
 from mammometry.clinic.models import Job, Visit
+from mammometry.clinic.study.comparing import comparison_folder
 
 _LOOK_S = 1.0  # between two looks into an empty queue
 _AGAIN_S = 5.0  # until a cluster that was gone is asked again
@@ -164,7 +164,7 @@ def whole(stage: str, fraction: float) -> float:
 
 
 def _megapixels(visit: Visit) -> float | None:
-    from mammometry.io.images import megapixels_of
+    from mammometry.io.photographs.images import megapixels_of
 
     try:
         return megapixels_of(visit.folder / "capture")

@@ -28,8 +28,8 @@ from mammometry.capture.checks.cameras import KnownCamera, clocks
 from mammometry.capture.sessions import share_calibration, take_over
 from mammometry.hospital.gather import quantities
 from mammometry.io import drift
-from mammometry.io.exposure import read_exposure
-from mammometry.io.images import EXTENSIONS, read_header
+from mammometry.io.photographs.exposure import read_exposure
+from mammometry.io.photographs.images import EXTENSIONS, read_header
 from mammometry.job.products import Key
 from mammometry.measure.volume.attribution import curve_digest
 from mammometry.measure.volume.difference import difference
@@ -87,7 +87,7 @@ def measure_scan(tell: Tell, folder: str, settings: str) -> dict[str, Any]:
 
     Args:
         tell: called with stage and fraction.
-        folder: the visit's, made by `mammometry.io.scans`.
+        folder: the visit's, made by `mammometry.io.meshes.scans`.
         settings: TOML.
 
     Returns:

@@ -92,7 +92,7 @@ def load(config: ClinicConfig, manifest: dict[str, Any]) -> None:
 
     from mammometry.clinic.keep.backup import known_migrations
     from mammometry.clinic.models import Person
-    from mammometry.clinic.server import migrate
+    from mammometry.clinic.web.server import migrate
 
     migrate(config)
     if Person.objects.exists():

@@ -10,7 +10,7 @@ from django.conf import settings
 from django.db import models
 
 from mammometry.clinic.models.keyed import InUse, Keyed
-from mammometry.clinic.search_words import words_of
+from mammometry.clinic.records.search_words import words_of
 
 ALPHABET = "ACDEFGHJKLMNPQRTUVWXY34679"
 """Letters and digits that are not taken for one another: no B and 8, I and 1, O and 0, S and 5, Z and 2."""

@@ -104,7 +104,7 @@ class Visit(Keyed):
     @property
     def shown_state(self) -> str:
         """Its state, as pages say it."""
-        from mammometry.clinic.confirmations import is_changed
+        from mammometry.clinic.records.confirmations import is_changed
 
         return Visit.State.CHANGED if is_changed(self) else self.state
 

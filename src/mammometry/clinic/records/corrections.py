@@ -17,7 +17,6 @@ from django.utils import timezone
 from django.utils.dateparse import parse_datetime
 
 from mammometry.base.errors import MammometryError
-from mammometry.clinic.comparing import comparison_folder
 from mammometry.clinic.jobs import queue
 from mammometry.clinic.models import (
     Comparison,
@@ -31,6 +30,7 @@ from mammometry.clinic.models import (
     VisitOrder,
 )
 from mammometry.clinic.rigs.history import may_queue
+from mammometry.clinic.study.comparing import comparison_folder
 
 DAYS = 30
 """Days within which a correction can be undone."""

@@ -10,7 +10,7 @@ from django.db.models import Q
 from django.utils import timezone
 
 from mammometry.clinic.models import Patient, Rig, Upload, Visit
-from mammometry.clinic.search_words import plain, plain_name
+from mammometry.clinic.records.search_words import plain, plain_name
 
 _CLOCK = datetime.timedelta(minutes=10)  # by which the clock of a browser's computer may be ahead
 

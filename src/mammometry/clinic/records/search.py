@@ -10,7 +10,7 @@ from django.db.models import Count, Max, Q, QuerySet
 from django.utils import timezone
 
 from mammometry.clinic.models import Patient, Visit
-from mammometry.clinic.search_words import read_query
+from mammometry.clinic.records.search_words import read_query
 
 MANY = 50
 """Rows that a search shows; more are not read."""

@@ -95,10 +95,10 @@ def may_queue(target: Visit | Calibration | DailyCheck | Comparison, *, anyway: 
 
     A visit takes its rig's current calibration when it is queued first, and keeps it.
     """
-    from mammometry.clinic.comparing import may_compare
     from mammometry.clinic.intake.uploads import state_of
     from mammometry.clinic.records.duplicates import elsewhere, same_photographs
-    from mammometry.io.scans import is_scan
+    from mammometry.clinic.study.comparing import may_compare
+    from mammometry.io.meshes.scans import is_scan
 
     if isinstance(target, Comparison):
         ready = may_compare(target.before, target.after)

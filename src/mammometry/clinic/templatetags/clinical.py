@@ -9,9 +9,9 @@ from django.utils import timezone
 
 from mammometry.clinic.intake.thumbnail import thumbnail_path
 from mammometry.clinic.models import Patient, Upload, Visit
-from mammometry.clinic.operations import sides_of
-from mammometry.clinic.results import age
-from mammometry.report.lengths import Length, length_words
+from mammometry.clinic.records.operations import sides_of
+from mammometry.clinic.records.results import age
+from mammometry.report.words.lengths import Length, length_words
 
 register = template.Library()
 

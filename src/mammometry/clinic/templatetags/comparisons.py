@@ -11,10 +11,10 @@ from django import template
 from django.utils.html import format_html
 from django.utils.safestring import SafeString
 
-from mammometry.clinic import comparing
-from mammometry.clinic.comparing import Verdict
 from mammometry.clinic.jobs import queue
 from mammometry.clinic.models import Patient, Visit
+from mammometry.clinic.study import comparing
+from mammometry.clinic.study.comparing import Verdict
 
 register = template.Library()
 _COVERAGE_95 = 1.96  # standard deviations on either side that hold 95 %

@@ -13,9 +13,9 @@ from django.utils import timezone
 
 import mammometry
 from mammometry.clinic import page_words
-from mammometry.clinic.charts import Event, Reading, time_line
-from mammometry.clinic.confirmations import CHANGED
+from mammometry.clinic.records.confirmations import CHANGED
 from mammometry.clinic.roles import Role
+from mammometry.clinic.study.charts import Event, Reading, time_line
 
 register = template.Library()
 register.filter(page_words.on_pages)

@@ -11,9 +11,9 @@ from django.template.loader import render_to_string
 
 from mammometry.base.errors import MammometryError, StorageError
 from mammometry.base.extras import MissingLibraryError
-from mammometry.clinic.access import is_program
 from mammometry.clinic.audit import record_refusal
 from mammometry.clinic.site import the_clinic
+from mammometry.clinic.web.access import is_program
 
 _LOG = logging.getLogger(__name__)
 

@@ -12,8 +12,8 @@ from django.shortcuts import render
 from django.utils import timezone
 
 from mammometry.base.csv_cells import CsvWriter
-from mammometry.clinic.cohort import left_out, measured_visits, pooled, study_rows, visits_between
 from mammometry.clinic.models import Visit
+from mammometry.clinic.study.cohort import left_out, measured_visits, pooled, study_rows, visits_between
 from mammometry.study.agreement import LEAST_SUBJECTS, PairedMeasurements, agreement
 
 _SHOWN = 200  # rows on the page

@@ -10,7 +10,7 @@ from django.utils import timezone
 
 from mammometry.clinic.first_day import first_day_of
 from mammometry.clinic.models import Job, Rig, Visit
-from mammometry.clinic.results import latest
+from mammometry.clinic.records.results import latest
 from mammometry.clinic.rigs.history import today as verdict_of
 from mammometry.clinic.roles import CARE, Role
 from mammometry.clinic.views.who import person_of

@@ -16,7 +16,7 @@ from pydicom.uid import ExplicitVRLittleEndian, JPEGBaseline8Bit, VLPhotographic
 from mammometry.base.photograph import Photograph
 from mammometry.hospital.codes import BREAST
 from mammometry.hospital.dicom.frame import Study, begun, coded, finished
-from mammometry.io.jpeg import Jpeg, without_tags
+from mammometry.io.photographs.jpeg import Jpeg, without_tags
 
 
 def photographs(study: Study, *, series: int) -> list[Dataset]:
@@ -79,7 +79,7 @@ def baseline(path: Path) -> Jpeg | None:
     """A file that is an upright baseline JPEG. None for any other."""
     from PIL import Image
 
-    from mammometry.io.images import exif_of
+    from mammometry.io.photographs.images import exif_of
 
     if path.suffix.lower() not in (".jpg", ".jpeg"):
         return None

@@ -16,7 +16,7 @@ from mammometry.base.errors import SessionError
 from mammometry.base.parse import numbers, parsing, read_bytes, shown
 from mammometry.geometry.camera import Camera
 from mammometry.io.cameras.own import camera_from_entry, pair_of_two, unfit
-from mammometry.io.mat_file import OBJECT, read_variables
+from mammometry.io.parsing.mat_file import OBJECT, read_variables
 
 _EXPECTED = "a structure of stereoParameters, or of cameraParameters with rotationMatrix and translationVector"
 _MOST_MIB = 64  # with all points of the board's pictures

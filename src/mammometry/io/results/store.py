@@ -27,8 +27,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Literal, TypeVar, cast
 
-from mammometry.base.cores import available_cores
 from mammometry.base.errors import StorageError
+from mammometry.base.machine.cores import available_cores
 from mammometry.base.progress import Progress, no_progress
 from mammometry.io.durable import sync_folder, sync_tree, write_new
 from mammometry.io.lock import RunLock

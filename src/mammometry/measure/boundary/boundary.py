@@ -12,7 +12,7 @@ from mammometry.base.errors import MeasureError
 from mammometry.base.progress import Progress, no_progress
 from mammometry.geometry.arrays import Array, Float64, read_only
 from mammometry.geometry.camera import Rig
-from mammometry.matching.foreground import Foreground
+from mammometry.matching.foreground.foreground import Foreground
 from mammometry.measure.boundary.breasts import NoBreast, Outline, find_breasts
 from mammometry.measure.boundary.cast_base import (
     BEND_GAIN,
@@ -34,7 +34,7 @@ from mammometry.measure.landmarks.landmarks import picked_landmarks
 from mammometry.measure.settings import BaseRimSettings, MeasureSettings
 from mammometry.measure.solid.cut import above
 from mammometry.measure.trunk.body import rig_frame
-from mammometry.surface.repair import Provenance, RepairedSurface
+from mammometry.surface.repair.repair import Provenance, RepairedSurface
 
 BreastName = Literal["model", "left", "right"]
 """A cast is "model". A torso has the patient's own left and right breast."""

@@ -18,10 +18,10 @@ import numpy as np
 from mammometry.geometry.arrays import Array, Bool, Float64, Int64, read_only
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.nearest import point_tree
-from mammometry.matching.foreground import Foreground
-from mammometry.matching.outline import Contour, outline
+from mammometry.matching.foreground.contour import Contour, outline
+from mammometry.matching.foreground.foreground import Foreground
 from mammometry.measure.settings import BaseRimSettings
-from mammometry.surface.repair import Provenance, RepairedSurface
+from mammometry.surface.repair.repair import Provenance, RepairedSurface
 
 _EDGE_BAND_PX = 8.0
 """Widest gap, pixels of the photograph, between a silhouette and the end of the measured surface beside it for the

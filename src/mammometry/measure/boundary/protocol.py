@@ -22,7 +22,7 @@ from mammometry.measure.landmarks.landmarks import Landmark
 from mammometry.measure.settings import ProtocolJoin, ThoraxSettings
 from mammometry.measure.trunk.skin_map import Relief, dense_samples, lay_flat
 from mammometry.measure.trunk.thorax import Thorax, find_trunk, fit_thorax, seen_faces, seen_skin
-from mammometry.surface.repair import RepairedSurface
+from mammometry.surface.repair.repair import RepairedSurface
 
 PROTOCOL = "wesselius2018-like"
 """Name of the protocol, as it stands in results."""

@@ -23,7 +23,7 @@ from mammometry.measure.shape.lengths import LinearMeasure
 from mammometry.measure.shape.symmetry import rms_mm, signed_mm
 from mammometry.measure.volume.difference import Pairing, VolumeDifference, difference
 from mammometry.measure.volume.measurement import VolumeMeasurement
-from mammometry.surface.repair import Provenance, RepairedSurface
+from mammometry.surface.repair.repair import Provenance, RepairedSurface
 
 _COVERAGE_95 = 1.96  # standard deviations of a normal distribution on either side that hold 95 %
 EARLIER, LATER = "before", "after"

@@ -20,7 +20,7 @@ from mammometry.measure.settings import ThoraxSettings
 from mammometry.measure.shape.symmetry import trunk_skin
 from mammometry.measure.trunk.register import Registration, register
 from mammometry.measure.trunk.thorax import Trunk, find_trunk, on_trunk, seen_skin
-from mammometry.surface.repair import RepairedSurface
+from mammometry.surface.repair.repair import RepairedSurface
 
 _FIXED = 60_000  # points of the earlier trunk; chosen for speed
 _JUDGED = 20_000  # points of the later trunk whose distance is judged; chosen for speed

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mammometry.base.cores import available_cores
+from mammometry.base.machine.cores import available_cores
 from mammometry.geometry.arrays import Array, Bool, Float64, read_only
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.nearest import point_tree
@@ -16,7 +16,7 @@ from mammometry.measure.trunk.body import within_boundary
 from mammometry.measure.trunk.mirror_plane import MirrorPlane, mirror
 from mammometry.measure.trunk.register import register
 from mammometry.measure.volume.measurement import VolumeMeasurement
-from mammometry.surface.repair import Provenance, RepairedSurface
+from mammometry.surface.repair.repair import Provenance, RepairedSurface
 
 _OBLIQUE, _FLUSH_MM = 0.8, 3.0
 """Largest distance of a counterpart from the normal, as a share of its distance along it, or in mm. Chosen by eye."""

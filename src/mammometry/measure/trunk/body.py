@@ -19,7 +19,7 @@ from mammometry.geometry.camera import Camera, Rig
 from mammometry.measure.settings import ThoraxSettings
 from mammometry.measure.trunk.mirror_plane import MirrorPlane, mirror_plane
 from mammometry.measure.trunk.thorax import Skin, Trunk, find_trunk, on_trunk, orthonormal, seen_skin
-from mammometry.surface.repair import RepairedSurface
+from mammometry.surface.repair.repair import RepairedSurface
 
 Mounting: TypeAlias = Literal["upright", "upside-down", "left", "right"]
 """Where a camera's top points, as seen from behind it."""

@@ -5,7 +5,7 @@ Plain NumPy twins stand in tests/unit/measure/test_skin_kernels.py.
 
 import numpy as np
 
-from mammometry.base.compiled import kernel
+from mammometry.base.machine.compiled import kernel
 from mammometry.geometry.arrays import Array, Float64, Int32, Int64
 
 

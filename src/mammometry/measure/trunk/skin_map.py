@@ -19,8 +19,8 @@ from scipy.ndimage import (
     map_coordinates,
 )
 
-from mammometry.base.cores import in_bands
 from mammometry.base.errors import MeasureError
+from mammometry.base.machine.cores import in_bands
 from mammometry.geometry.arrays import Array, Bool, Float64, read_only
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.measure.settings import ThoraxSettings

@@ -12,7 +12,7 @@ import numpy as np
 from mammometry.base.errors import MeasureError
 from mammometry.geometry.arrays import Array, Bool, Float64, Int64, read_only
 from mammometry.measure.settings import ThoraxSettings
-from mammometry.surface.repair import Provenance, RepairedSurface
+from mammometry.surface.repair.repair import Provenance, RepairedSurface
 
 _HARMONICS = 4  # Fourier order of the radius around the trunk; 4 follows a thorax and not a breast
 AROUND = 2 * _HARMONICS + 1  # Fourier terms

@@ -19,7 +19,7 @@ from mammometry.measure.solid.recut import Band
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.chest_wall import ChestWall
 from mammometry.measure.wall.open_breast import OpenBreast
-from mammometry.surface.repair import Provenance
+from mammometry.surface.repair.repair import Provenance
 
 _ORDERS = 4  # Fourier orders 0 to 3: wider, shifted, oblong, three-lobed (docs/decisions/0009)
 _SMOOTH = 48

@@ -24,7 +24,7 @@ from mammometry.measure.volume.measurement import Lacking, VolumeMeasurement
 from mammometry.measure.volume.uncertainty import AXIS, WALL
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.open_breast import open_breasts
-from mammometry.surface.repair import RepairedSurface
+from mammometry.surface.repair.repair import RepairedSurface
 
 _COVERAGE_95 = 1.96  # standard deviations of a normal distribution on either side that hold 95 %
 _ORDERS = 4  # Fourier orders of a boundary's jitter, as in `boundary_jitter`

@@ -14,9 +14,9 @@ from mammometry.geometry.arrays import Array, Float64, Int32
 from mammometry.geometry.camera import Rig
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.nearest import point_tree
-from mammometry.surface.motions import effects, rigid_motions
-from mammometry.surface.repair import RepairedSurface
-from mammometry.surface.stillness import Stillness
+from mammometry.surface.motion.motion_test import Stillness
+from mammometry.surface.motion.rigid_motion import effects, rigid_motions
+from mammometry.surface.repair.repair import RepairedSurface
 
 _SAMPLES = 2000  # vertices of the skin at which displacements are computed; chosen for speed
 _ALIKE_MM = 40.0

@@ -13,7 +13,7 @@ from mammometry.measure.boundary.breasts import NoBreast
 from mammometry.measure.trunk.body import Body
 from mammometry.measure.volume.volumes import measure_volume
 from mammometry.measure.wall.open_breast import OpenBreast
-from mammometry.surface.repair import RepairedSurface
+from mammometry.surface.repair.repair import RepairedSurface
 
 _ASIDE_MM = 80.0  # of the midline, where a removed breast is marked; a breast's middle lies so far aside
 

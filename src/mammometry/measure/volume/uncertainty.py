@@ -17,7 +17,7 @@ from mammometry.measure.volume.movement import Movement, movement_std_cc
 from mammometry.measure.volume.unseen_space import Bound, outward_room_mm
 from mammometry.measure.wall.chest_wall import ChestWall
 from mammometry.measure.wall.registry import CAST_WALLS, TORSO_WALLS
-from mammometry.surface.repair import Provenance, RepairedSurface
+from mammometry.surface.repair.repair import Provenance, RepairedSurface
 
 MOVEMENT = "movement"
 AXIS = "trunk's axis"

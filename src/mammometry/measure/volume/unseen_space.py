@@ -12,15 +12,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mammometry.base.cores import each_at_once
+from mammometry.base.machine.cores import each_at_once
 from mammometry.geometry import raster_kernels
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int64, read_only
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.nearest import point_tree
-from mammometry.matching.foreground import Foreground
-from mammometry.matching.outline import follow
+from mammometry.matching.foreground.contour import follow
+from mammometry.matching.foreground.foreground import Foreground
 from mammometry.measure.settings import MeasureSettings
-from mammometry.surface.range_image import RangeImage
+from mammometry.surface.ranges.range_image import RangeImage
 
 _STEPS = 24  # into which the farthest distance is divided; chosen for speed
 _SIGMAS = 3  # standard deviations of a datum within which nothing is excluded

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import replace
 
-from mammometry.base.cores import available_cores
 from mammometry.base.errors import MeasureError
+from mammometry.base.machine.cores import available_cores
 from mammometry.base.progress import Progress, no_progress
 from mammometry.measure.volume import boundary_jitter, volume
 from mammometry.measure.volume.measurement import VolumeMeasurement

@@ -15,7 +15,7 @@ from mammometry.measure.solid.cut import OpenPart
 from mammometry.measure.solid.sew import Closed
 from mammometry.measure.wall.open_breast import OpenBreast
 from mammometry.measure.wall.registry import DEFAULT, in_order
-from mammometry.surface.repair import Provenance
+from mammometry.surface.repair.repair import Provenance
 
 _ASTRAY_MM = 40.0
 """Mean distance of a wall from a straight one through the boundary above which it is no chest, mm: 145 breasts of real

@@ -28,7 +28,7 @@ from mammometry.measure.trunk.thorax import (
     seen_skin,
 )
 from mammometry.measure.wall.registry import CAST_WALLS, TORSO_WALLS, WallModel
-from mammometry.surface.repair import Provenance, RepairedSurface
+from mammometry.surface.repair.repair import Provenance, RepairedSurface
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

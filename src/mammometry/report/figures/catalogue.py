@@ -15,8 +15,8 @@ from mammometry.base.registry import Registry
 
 if TYPE_CHECKING:
     from mammometry.job.products import Stage
-    from mammometry.report.figures.canvas import Sheet
-    from mammometry.report.figures.source import Source
+    from mammometry.report.figures.drawing.canvas import Sheet
+    from mammometry.report.figures.drawing.source import Source
 
 Draw: TypeAlias = Callable[..., "bytes | None"]
 """Draws a PNG from its stage's result (`stage_results`). A figure of each breast also gets that breast's measurement.

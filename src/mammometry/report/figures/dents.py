@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from mammometry.geometry.arrays import Array, Bool, Float64, UInt8
-from mammometry.report.figures import canvas
-from mammometry.report.figures.canvas import Sheet
-from mammometry.surface.dents import DentGrid
-from mammometry.surface.visibility import Label
+from mammometry.report.figures.drawing import canvas
+from mammometry.report.figures.drawing.canvas import Sheet
+from mammometry.surface.ranges.dents import DentGrid
+from mammometry.surface.ranges.visibility import Label
 
 _PANEL_PX = 210  # width of a panel, px; chosen by eye
 _GREYS = {Label.BEHIND: 0.95, Label.OUTSIDE: 0.78, Label.IN_FRONT: 0.60, Label.OVERLAPPING: 0.38}

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from mammometry.report.figures import canvas
-from mammometry.report.figures.canvas import Caption, Sheet
+from mammometry.report.figures.drawing import canvas
+from mammometry.report.figures.drawing.canvas import Caption, Sheet
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -10,22 +10,14 @@ import numpy as np
 from mammometry.geometry.arrays import Array, Float64, bounds
 from mammometry.measure.boundary.breasts import NoBreast
 from mammometry.measure.volume.measurement import VolumeMeasurement
-from mammometry.report.figures import canvas
-from mammometry.report.figures.canvas import Caption, Sheet
 from mammometry.report.figures.catalogue import preview
-from mammometry.report.figures.shading import (
-    Scene,
-    View,
-    join_segments,
-    picture_wh,
-    section,
-    views_of,
-    visible,
-)
-from mammometry.report.figures.sides import NAMES, wall_faces
+from mammometry.report.figures.drawing import canvas
+from mammometry.report.figures.drawing.canvas import Caption, Sheet
+from mammometry.report.figures.drawing.shading import Scene, View, join_segments, picture_wh, section, views_of, visible
+from mammometry.report.figures.drawing.sides import NAMES, wall_faces
 from mammometry.report.figures.stage_results import MeasureResult
 from mammometry.report.figures.surface import show
-from mammometry.surface.unmeasured import WORDS, shown_colours
+from mammometry.surface.texture.unmeasured import WORDS, shown_colours
 
 _PANEL_PX = 330  # width of a panel, px; chosen by eye
 _OVERVIEW_PX = 470  # size of an overview's view, px; chosen by eye

@@ -12,14 +12,22 @@ import numpy as np
 from mammometry.base.errors import SessionError
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.job.pipeline import Plan
-from mammometry.report.figures import canvas
-from mammometry.report.figures.canvas import Sheet
 from mammometry.report.figures.catalogue import find_paper_figure, paper_figure
+from mammometry.report.figures.drawing import canvas
+from mammometry.report.figures.drawing.canvas import Sheet
+from mammometry.report.figures.drawing.shading import (
+    Scene,
+    View,
+    front_frame,
+    join_segments,
+    picture_wh,
+    section,
+    views_of,
+)
+from mammometry.report.figures.drawing.source import Source
 from mammometry.report.figures.matching import resampled
-from mammometry.report.figures.shading import Scene, View, front_frame, join_segments, picture_wh, section, views_of
-from mammometry.report.figures.source import Source
 from mammometry.report.figures.surface import show
-from mammometry.surface.range_image import RangeImage
+from mammometry.surface.ranges.range_image import RangeImage
 
 FORMATS = (".pdf", ".svg", ".png")
 _PANEL_PX = 250  # width of a panel, px; chosen by eye
@@ -78,7 +86,7 @@ def stereo_and_matching(source: Source) -> Sheet:
 @paper_figure(2)
 def meshes_of_each_pair(source: Source) -> Sheet:
     """Fig. 2: mesh of each range image, with dents at depth discontinuities."""
-    from mammometry.surface.extract import extract_open
+    from mammometry.surface.fusion.fuse import extract_open
 
     plan, _, settings = source
     images = [product() for product in plan.surfaced.ranges.values()]
@@ -168,7 +176,7 @@ def decompositions(source: Source) -> Sheet:
     Shown for several tolerances ε and thresholding angles.
     """
     from mammometry.report.figures.dents import draw_dent_grid
-    from mammometry.surface.dents import dent_grid
+    from mammometry.surface.ranges.dents import dent_grid
 
     plan, _, _ = source
     return draw_dent_grid(dent_grid(_at_least_two(plan, 5)))

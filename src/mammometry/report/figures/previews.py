@@ -10,7 +10,7 @@ from mammometry.job.pipeline import Inputs, Plan
 from mammometry.job.products import Stage
 from mammometry.report.figures.catalogue import previews_of
 from mammometry.report.figures.stage_results import MeasureResult, StageResult, stage_result
-from mammometry.surface.texture import TexturedMesh
+from mammometry.surface.texture.texture import TexturedMesh
 
 
 def draw(result: StageResult) -> dict[str, bytes]:

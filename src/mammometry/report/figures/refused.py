@@ -11,13 +11,13 @@ from mammometry.calibration.detection.detect import Observations
 from mammometry.geometry.arrays import Array, Bool, Float64
 from mammometry.job.stage_values import FinishedSurface
 from mammometry.measure.boundary.boundary import Boundary
-from mammometry.report.figures import canvas
-from mammometry.report.figures.canvas import Caption, Sheet
+from mammometry.report.figures.drawing import canvas
+from mammometry.report.figures.drawing.canvas import Caption, Sheet
+from mammometry.report.figures.drawing.shading import Scene, picture_wh, standard_views
+from mammometry.report.figures.drawing.sides import NAMES
 from mammometry.report.figures.measure import curve
-from mammometry.report.figures.shading import Scene, picture_wh, standard_views
-from mammometry.report.figures.sides import NAMES
 from mammometry.report.figures.surface import show
-from mammometry.surface.unmeasured import WORDS, shown_colours
+from mammometry.surface.texture.unmeasured import WORDS, shown_colours
 
 _PHOTOGRAPH_PX = 290  # width of a panel, px; chosen by eye
 _TARGETS = 12  # views of the target that are shown; more are too small to see

@@ -16,17 +16,17 @@ from mammometry.geometry.mesh import TriangleMesh
 from mammometry.job.inputs import Inputs
 from mammometry.job.pipeline import Plan
 from mammometry.job.products import Fleeting, Stage, fleeting
-from mammometry.matching.foreground import Foreground
-from mammometry.matching.match import DisparityMap
+from mammometry.matching.dense.match import DisparityMap
+from mammometry.matching.foreground.foreground import Foreground
 from mammometry.matching.quality import MatchQuality
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.boundary.breasts import NoBreast
 from mammometry.measure.shape.symmetry import Symmetry
 from mammometry.measure.trunk.body import Body, Mounting
 from mammometry.measure.volume.measurement import Lacking, VolumeMeasurement
-from mammometry.report.figures import canvas
-from mammometry.report.figures.shading import Scene, View, front_frame, front_of, standard_views
-from mammometry.report.figures.thinning import (
+from mammometry.report.figures.drawing import canvas
+from mammometry.report.figures.drawing.shading import Scene, View, front_frame, front_of, standard_views
+from mammometry.report.figures.drawing.thinning import (
     LARGEST_WIDTH_PX,
     ThinnedRange,
     matched_shares,
@@ -34,8 +34,8 @@ from mammometry.report.figures.thinning import (
     thinned_maps,
     thinned_ranges,
 )
-from mammometry.surface.repair import RepairedSurface
-from mammometry.surface.texture import TexturedMesh
+from mammometry.surface.repair.repair import RepairedSurface
+from mammometry.surface.texture.texture import TexturedMesh
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

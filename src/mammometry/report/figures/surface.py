@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 
 from mammometry.geometry.arrays import Array, UInt8
-from mammometry.report.figures import canvas
-from mammometry.report.figures.canvas import Caption, Sheet
 from mammometry.report.figures.catalogue import preview
-from mammometry.report.figures.shading import Scene, View, picture_wh
+from mammometry.report.figures.drawing import canvas
+from mammometry.report.figures.drawing.canvas import Caption, Sheet
+from mammometry.report.figures.drawing.shading import Scene, View, picture_wh
 from mammometry.report.figures.stage_results import SurfaceResult
 from mammometry.study.tables import thousands
-from mammometry.surface.repair import Provenance, RepairedSurface
-from mammometry.surface.unmeasured import WORDS, shown_colours
+from mammometry.surface.repair.repair import Provenance, RepairedSurface
+from mammometry.surface.texture.unmeasured import WORDS, shown_colours
 
 _PANEL_PX = 290  # width of a panel, px; chosen by eye
 

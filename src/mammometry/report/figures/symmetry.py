@@ -7,12 +7,12 @@ import numpy as np
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.measure.shape.symmetry import Symmetry
 from mammometry.measure.volume.measurement import VolumeMeasurement
-from mammometry.report.figures import canvas
-from mammometry.report.figures.canvas import Caption, Sheet
 from mammometry.report.figures.catalogue import preview
+from mammometry.report.figures.drawing import canvas
+from mammometry.report.figures.drawing.canvas import Caption, Sheet
+from mammometry.report.figures.drawing.shading import Scene, picture_wh, views_of
+from mammometry.report.figures.drawing.sides import NAMES, wall_faces
 from mammometry.report.figures.measure import curve
-from mammometry.report.figures.shading import Scene, picture_wh, views_of
-from mammometry.report.figures.sides import NAMES, wall_faces
 from mammometry.report.figures.stage_results import MeasureResult
 from mammometry.report.figures.surface import show
 

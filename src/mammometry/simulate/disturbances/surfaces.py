@@ -16,7 +16,7 @@ from scipy.spatial import ConvexHull
 
 from mammometry.geometry.arrays import Array, Float64, Int32
 from mammometry.geometry.mesh import TriangleMesh
-from mammometry.simulate.rendering.props import Props
+from mammometry.simulate.rendering.objects.props import Props
 
 _NOT_FOUND_MM = 150.0
 """Radius assumed where a ray from the axis meets no skin, as beyond a body's cut ends, mm."""

@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from mammometry.base.compiled import kernel, small_kernel
+from mammometry.base.machine.compiled import kernel, small_kernel
 from mammometry.geometry.arrays import Array
 from mammometry.geometry.lens_kernels import undistorted
 

@@ -11,9 +11,9 @@ from mammometry.base.registry import Registry
 if TYPE_CHECKING:
     from mammometry.geometry.arrays import Array, Float32
     from mammometry.geometry.camera import Camera
+    from mammometry.simulate.rendering.objects.skin import Skin
     from mammometry.simulate.rendering.sampling import Aperture
     from mammometry.simulate.rendering.scene import Scene
-    from mammometry.simulate.rendering.skin import Skin
 
 BUILT_IN = "built-in"
 """The renderer that needs no optional package."""

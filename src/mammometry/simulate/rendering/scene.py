@@ -18,10 +18,10 @@ from scipy.sparse import csr_matrix
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32, UInt8, read_only
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
-from mammometry.simulate.rendering import props
 from mammometry.simulate.rendering.motion import Motion
-from mammometry.simulate.rendering.skin import Skin
-from mammometry.simulate.rendering.things import Thing
+from mammometry.simulate.rendering.objects import props
+from mammometry.simulate.rendering.objects.skin import Skin
+from mammometry.simulate.rendering.objects.things import Thing
 from mammometry.simulate.subjects.solid import Solid
 
 SOFT_BOX_RADIUS_MM = 90.0

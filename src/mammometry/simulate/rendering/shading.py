@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from mammometry.base.compiled import kernel
+from mammometry.base.machine.compiled import kernel
 from mammometry.geometry.arrays import Array
 from mammometry.simulate.rendering.kernels import GOLDEN, U16, mixed
 

@@ -10,7 +10,7 @@ from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.simulate.scanning.depth_camera import DepthPicture
 from mammometry.simulate.scanning.fusion_kernels import add_picture
-from mammometry.surface.marching import march
+from mammometry.surface.fusion.marching import march
 
 _TRUNCATION_CUBES = 4.0  # as voxel grids of telephones have; ARKit's and Open3D's samples: 3 to 5
 _MARGIN_CUBES = 3  # around the body, so that the level never meets the grid's edge

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from mammometry.base.compiled import kernel
+from mammometry.base.machine.compiled import kernel
 from mammometry.geometry.arrays import Array, Float32, Float64
 
 

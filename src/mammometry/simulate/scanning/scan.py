@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from mammometry.geometry.arrays import Array, Bool, Float64, UInt8, read_only
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.simulate.rendering.in_camera import srgb_encoded
-from mammometry.simulate.rendering.skin import SKINS
+from mammometry.simulate.rendering.objects.skin import SKINS
 from mammometry.simulate.scanning.depth_camera import depth_pictures
 from mammometry.simulate.scanning.fusion import fuse
 from mammometry.simulate.subjects.solid import Solid

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mammometry.geometry.mesh import TriangleMesh
-from mammometry.io.meshes import write_ply
+from mammometry.io.meshes.own_ply import write_ply
 from mammometry.io.results.formats.arrays import read_arrays, write_arrays, write_json
 from mammometry.io.results.formats.registry import FORMATS, Format
 from mammometry.io.results.tree import to_tree

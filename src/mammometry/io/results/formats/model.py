@@ -9,13 +9,13 @@ from mammometry.io.results.formats.arrays import read_arrays, write_arrays
 from mammometry.io.results.formats.registry import FORMATS, Format
 
 if TYPE_CHECKING:
-    from mammometry.surface.atlas import Atlas
+    from mammometry.surface.texture.texture_atlas import Atlas
 
 
 def _write(path: Path, model: Atlas) -> None:
     # They bring compilers, which reading other results need not wait for.
-    from mammometry.io.models import write_glb, write_obj
-    from mammometry.surface.atlas_jpeg import without_picture
+    from mammometry.io.meshes.models import write_glb, write_obj
+    from mammometry.surface.texture.atlas_jpeg import without_picture
 
     write_arrays(path.with_suffix(".npz"), without_picture(model))
     write_obj(path.with_suffix(".obj"), model)
@@ -23,7 +23,7 @@ def _write(path: Path, model: Atlas) -> None:
 
 
 def _read(path: Path) -> Any:
-    from mammometry.surface.atlas_jpeg import with_picture
+    from mammometry.surface.texture.atlas_jpeg import with_picture
 
     return with_picture(read_arrays(path))
 

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from mammometry.base.cores import each_at_once
 from mammometry.base.errors import MammometryError
+from mammometry.base.machine.cores import each_at_once
 from mammometry.base.parse import said
 from mammometry.io.results.formats.deflate import deflated, inflated
 from mammometry.io.results.formats.registry import FORMATS, Format

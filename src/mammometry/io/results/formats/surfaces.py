@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from mammometry.geometry.mesh import TriangleMesh
-from mammometry.io.meshes import read_ply, write_ply
+from mammometry.io.meshes.own_ply import read_ply, write_ply
 from mammometry.io.results.formats.registry import FORMATS, Format
 from mammometry.job.stage_values import FinishedSurface
 
@@ -51,8 +51,8 @@ def _read(path: Path) -> Any:
     mesh, properties, comments = read_ply(path)
     if "provenance" not in properties:
         return mesh
-    from mammometry.surface.repair import RepairedSurface  # brings compilers, which a bare mesh need not wait for
-    from mammometry.surface.texture import TexturedMesh
+    from mammometry.surface.repair.repair import RepairedSurface
+    from mammometry.surface.texture.texture import TexturedMesh
 
     (about,) = (json.loads(line.partition(" ")[2]) for line in comments if line.startswith("mammometry "))
     repaired = RepairedSurface(

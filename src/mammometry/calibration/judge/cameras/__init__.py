@@ -1,0 +1,1 @@
+"""Cameras that were moved, exchanged or named wrongly."""

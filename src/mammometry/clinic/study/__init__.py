@@ -1,0 +1,1 @@
+"""Many visits together: cohorts, charts, comparisons."""

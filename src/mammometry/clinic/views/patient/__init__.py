@@ -1,0 +1,1 @@
+"""Pages of a patient and a visit."""

@@ -1,0 +1,162 @@
+"""The server process: uvicorn in front of the clinic's application."""
+
+from __future__ import annotations
+
+import errno
+import ipaddress
+import socket
+from contextlib import nullcontext
+from pathlib import Path
+
+import mammometry
+from mammometry.clinic.config import ClinicConfig, ClinicError, host_and_port
+from mammometry.clinic.jobs.process import beside
+from mammometry.clinic.site import application
+
+
+def migrate(config: ClinicConfig) -> list[str]:
+    """Bring the database's tables to what this version needs. Return the migrations that were applied.
+
+    Each migration is one transaction, so a killed one leaves nothing, and the same command goes on.
+    """
+    from django.core.management import call_command
+    from django.db import connection
+    from django.db.migrations.executor import MigrationExecutor
+
+    from mammometry.clinic.site import configure
+
+    configure(config)
+    executor = MigrationExecutor(connection)
+    waiting = [
+        f"{migration.app_label} {migration.name}"
+        for migration, _ in executor.migration_plan(executor.loader.graph.leaf_nodes())
+    ]
+    call_command("migrate", interactive=False, verbosity=0)
+    if config.database == "sqlite":
+        for path in config.folder.glob("clinic.sqlite3*"):
+            path.chmod(0o600)
+    return waiting
+
+
+def require_current(config: ClinicConfig) -> None:
+    """Refuse a database of another version. Or one whose audit can be changed.
+
+    Raises:
+        ClinicError: migrations are waiting, the database is newer, or the audit's triggers are gone.
+    """
+    from django.db import OperationalError, connection
+    from django.db.migrations.executor import MigrationExecutor
+
+    from mammometry.clinic import audit
+    from mammometry.clinic.site import configure
+
+    configure(config)
+    try:
+        executor = MigrationExecutor(connection)
+    except OperationalError as error:
+        raise ClinicError(
+            "the database", found=f"no answer ({type(error).__name__})", expected="a database that answers",
+            remedy="Start it, or correct the line database in clinic.toml",
+        ) from None  # fmt: skip
+    unknown = [key for key in executor.loader.applied_migrations if key not in executor.loader.disk_migrations]
+    if unknown:
+        raise ClinicError(
+            "the database", found="tables of another version of mammometry",
+            expected=f"those of this version, {mammometry.__version__}",
+            remedy="Serve the clinic with the version that served it last",
+        )  # fmt: skip
+    if executor.migration_plan(executor.loader.graph.leaf_nodes()):
+        raise ClinicError(
+            "the database", found="tables of an older version", expected="those of this version",
+            remedy=f"Run `mammometry clinic upgrade {config.folder}`, which makes a backup first",
+        )  # fmt: skip
+    if not audit.is_sealed():
+        raise ClinicError(
+            "the audit", found="no triggers that keep it from being changed", expected="them in the database",
+            remedy=f"Find out who removed them, then run `mammometry clinic upgrade {config.folder}`",
+        )  # fmt: skip
+
+
+def serve(config: ClinicConfig, *, jobs: bool = True) -> None:
+    """Serve the clinic until a signal ends it.
+
+    Args:
+        config: the clinic's.
+        jobs: whether to measure, too, by a process beside this one.
+
+    Raises:
+        ClinicError: other machines could call it without encryption, or a certificate's file is missing.
+    """
+    import uvicorn
+    from django.core.management import call_command
+
+    from mammometry.clinic.web.slow import closing_silent
+
+    host, port = host_and_port(config.address)
+    tls = config.tls
+    if not tls.certificate and not _is_loopback(host):
+        raise ClinicError(
+            f"address {config.address}", found="no certificate", expected="encryption, as other machines can call it",
+            remedy="Give --tls-certificate and --tls-key, or listen on 127.0.0.1 behind a proxy that speaks TLS",
+        )  # fmt: skip
+    for name in filter(None, (tls.certificate, tls.key)):
+        if not Path(name).is_file():
+            raise ClinicError(name, found="no file", expected="a PEM file", remedy="Correct [tls] in clinic.toml")
+    require_current(config)
+    call_command("clearsessions")  # those that have ended
+    with beside(config) if jobs else nullcontext():
+        uvicorn.run(
+            application(config),
+            host=host,
+            port=port,
+            ssl_certfile=tls.certificate or None,
+            ssl_keyfile=tls.key or None,
+            proxy_headers=tls.behind_proxy,
+            forwarded_allow_ips="127.0.0.1,::1",
+            server_header=False,
+            date_header=True,
+            access_log=False,  # a query may hold a name; the audit says who opened what
+            log_config=None,
+            lifespan="off",
+            timeout_keep_alive=15,
+            timeout_graceful_shutdown=10,
+            http=closing_silent(config.limits.request_s),
+            h11_max_incomplete_event_size=64 * 1024,
+            limit_concurrency=1000,
+            ws="none",
+        )
+
+
+def require_free(address: str) -> None:
+    """Refuse an address on which the server cannot listen, before anything is started for it.
+
+    Raises:
+        ClinicError: another program listens there, the port is the system's, or the host is no address of this machine.
+    """
+    host, port = host_and_port(address)
+    remedy = "Name another address with --address HOST:PORT, or in clinic.toml"
+    try:
+        if port > 65535:
+            raise OSError(errno.EADDRNOTAVAIL, "no such port")  # bind raises OverflowError
+        family, kind, protocol, _, place = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        with socket.socket(family, kind, protocol) as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # as the server: ended connections do not count
+            probe.bind(place)
+    except OSError as error:
+        found = "an address or port that this machine does not have"
+        if error.errno == errno.EADDRINUSE:
+            found = "another program that listens there"
+            remedy = f"Stop that program, perhaps another server of this clinic. Or: {remedy[0].lower()}{remedy[1:]}"
+        elif error.errno == errno.EACCES:
+            found = "a port that only the system may use"
+        raise ClinicError(
+            f"address {address}", found=found, expected="an address on which the clinic can listen",
+            remedy=remedy,
+        ) from None  # fmt: skip
+
+
+def _is_loopback(host: str) -> bool:
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"

@@ -1,0 +1,1 @@
+"""Meshes on disk: ours, and those of other devices."""

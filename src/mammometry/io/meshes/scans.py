@@ -1,0 +1,342 @@
+"""Scans of other devices as folders.
+
+A folder holds the mesh in mm, its colours, and the scanner's name and unit.
+An OBJ comes with a material file and pictures. Their names are not kept, as they may hold a patient's name.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import re
+import tempfile
+import unicodedata
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from mammometry.base.errors import SessionError
+from mammometry.base.identity import subject_id
+from mammometry.base.limits import LimitSettings
+from mammometry.base.parse import read_bytes, read_text, toml_table
+from mammometry.base.posture import POSTURES
+from mammometry.geometry.arrays import Array, UInt8
+from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry.mesh_files.obj import parse_obj
+from mammometry.io.meshes.foreign import ForeignMesh, read_foreign
+from mammometry.io.meshes.obj_texture import CoveredObj, read_covered_obj
+from mammometry.io.meshes.own_ply import read_ply, write_ply
+from mammometry.io.meshes.scene_files import covered_parts
+from mammometry.io.photographs.images import read_photograph, read_plain_picture
+from mammometry.io.photographs.jpeg import without_tags
+
+ABOUT, MESH = "scan.toml", "scan.ply"
+OBJ, MTL = "scan.obj", "scan.mtl"
+MOST_PICTURES = 16
+"""Pictures of one mesh. Scanners with several views write one a view; the most seen is six."""
+FILES = (ABOUT, MESH, OBJ, MTL, *(f"texture-{n}.{end}" for n in range(1, MOST_PICTURES + 1) for end in ("jpg", "png")))
+"""All files that a scan's folder may hold."""
+AXES = ("y", "-y", "z", "-z", "x", "-x")
+"""Axes of a file, of which one points to the head."""
+_MOST_MTL_MIB = 1  # of a material file; real ones have a few hundred bytes
+_SAME_AREA = 1e-3  # by which the area of what was written may differ: faces without area are left out
+_LONGEST = 100  # characters of a scanner's name
+_KEYS = {"format", "scanner", "units", "head", "ahead", "subject", "posture", "sha256"}
+_MAP_OPTION = re.compile(r"-(?:blendu|blendv|cc|clamp|texres|bm|boost|type|imfchan|mm|o|s|t)(?=\s)", re.IGNORECASE)
+"""An option before the name of a map's picture (the format's specification, "Texture map statements")."""
+_OPTION_VALUE = re.compile(r"\s+(?:on|off|[-+]?[0-9.]+)(?=\s)")
+_JPEG_MARK, _BMP_MARK = b"\xff\xd8", b"BM"
+_MARK_BYTES = 4  # the longest of the marks
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Scan:
+    """What is known of a scan beside its shape."""
+
+    scanner: str
+    """Name of the device, as entered."""
+    units: str
+    """Unit of the scanner's own file, and who says so, in words. The folder's mesh is in mm."""
+    head: str = ""
+    """The file's axis towards the head. Empty: nobody said."""
+    ahead: str = ""
+    """The axis straight ahead. Empty: where an open mesh faces."""
+    subject: str | None = None
+    """Pseudonym. None: not given."""
+    posture: str = ""
+    """How the patient held herself: ``standing``, ``leaning`` or ``lying``. Empty: nobody said."""
+    sha256: str = ""
+    """Of the scanner's own mesh file."""
+
+
+def import_scan(
+    mesh: Path,
+    about: Scan,
+    *,
+    units: str | None = None,
+    texture: bool = True,
+    limits: LimitSettings = LimitSettings(),
+) -> dict[str, bytes]:
+    """Read a scanner's files, and return the files of a scan's folder.
+
+    Args:
+        mesh: OBJ, PLY, STL or GLB. The material file and the pictures of an OBJ lie beside it.
+        about: what is known; its unit and digest are set here.
+        units: ``mm``, ``cm`` or ``m``. None where the file states it.
+        texture: whether the pictures of an OBJ or a GLB are taken too.
+        limits: size that a picture may have.
+
+    Raises:
+        SessionError: a file is missing or unreadable, nobody says the unit, or the scanner has no name.
+        ImageError: a picture cannot be read or is too large.
+    """
+    _check(about)
+    foreign = read_foreign(mesh, units, of_torso=True)
+    files: dict[str, bytes] = {}
+    colours = foreign.colours
+    with tempfile.TemporaryDirectory(prefix="mammometry-") as folder:
+        source: Path | None = mesh
+        if mesh.suffix.lower() == ".glb":
+            source = covered_parts(mesh, Path(folder), limits) if texture else None
+        covered = read_covered_obj(source) if source is not None and source.suffix.lower() == ".obj" else None
+        if source is not None and covered is not None and texture and covered.libraries:
+            files, colours = _covered(source, covered, foreign, limits)
+        elif covered is not None:
+            files[OBJ] = covered.text(None).encode()
+    files[MESH] = _ply(foreign, colours)
+    _check_written(mesh, files, foreign)
+    made = {
+        "format": 1, "scanner": about.scanner.strip(), "units": foreign.units, "head": about.head, "ahead": about.ahead,
+        **({} if about.subject is None else {"subject": about.subject}),
+        **({"posture": about.posture} if about.posture else {}),
+        "sha256": hashlib.sha256(mesh.read_bytes()).hexdigest(),
+    }  # fmt: skip
+    lines = [f"{name} = {json.dumps(value, ensure_ascii=False)}" for name, value in made.items()]
+    files[ABOUT] = ("# A scan of another device. scan.ply is in mm.\n" + "\n".join(lines) + "\n").encode()
+    return files
+
+
+def _check_written(mesh: Path, files: Mapping[str, bytes], foreign: ForeignMesh) -> None:
+    """Read back what was made, and refuse at the door what no measurement takes.
+
+    Raises:
+        SessionError: the files hold another surface than was read.
+        MeasureError: it is no surface that can be measured.
+    """
+    # Here, since sessions are opened without algorithms.
+    from mammometry.measure.scan_repair import repair_scan
+    from mammometry.measure.scanned import check_mesh
+
+    check_mesh(repair_scan(foreign.mesh).mesh)
+    with tempfile.TemporaryDirectory(prefix="mammometry-") as folder:
+        path = Path(folder) / MESH
+        path.write_bytes(files[MESH])
+        surfaces = [read_ply(path)[0]]
+    if OBJ in files:
+        obj = parse_obj(files[OBJ], OBJ)
+        surfaces.append(TriangleMesh(vertices=obj.points * foreign.mm_per_unit, faces=obj.faces.astype(np.int32)))
+    expected_mm2 = foreign.mesh.area_mm2()
+    for surface in surfaces:
+        if abs(surface.area_mm2() - expected_mm2) > _SAME_AREA * expected_mm2:
+            raise _refused(
+                mesh, f"{surface.area_mm2() / 100:.1f} cm² in the imported files",
+                f"{expected_mm2 / 100:.1f} cm², as in the scanner's file", "Export it as PLY and import that",
+            )  # fmt: skip
+
+
+def is_scan(folder: Path) -> bool:
+    """Whether a folder is that of a scan."""
+    return (folder / ABOUT).is_file() and (folder / MESH).is_file()
+
+
+def read_scan(folder: Path) -> Scan:
+    """Read what a scan's folder says of its mesh.
+
+    Raises:
+        SessionError: scan.toml is missing or not as documented.
+    """
+    path = folder / ABOUT
+    table = toml_table(read_text(path, ABOUT, "a scan's description"), ABOUT, "a scan's description")
+    unknown = sorted(set(table) - _KEYS)
+    if unknown or table.get("format") != 1 or not all(isinstance(table.get(k), str) for k in ("scanner", "units")):
+        raise SessionError(
+            str(path), found=f"the key {unknown[0]!r}" if unknown else "no format, scanner or units",
+            expected="format = 1, scanner, units, head, ahead, subject, posture and sha256",
+            remedy="Import the mesh again: mammometry import mesh",
+        )  # fmt: skip
+    read = {name: value for name, value in table.items() if name != "format" and isinstance(value, str)}
+    made = Scan(**read)
+    _check(made)
+    return made
+
+
+def _check(about: Scan) -> None:
+    name = about.scanner.strip()
+    if not name or len(name) > _LONGEST or not name.isprintable():
+        raise SessionError(
+            "the scanner's name", found=f"{about.scanner[:_LONGEST]!r}", expected=f"1 to {_LONGEST} letters",
+            remedy="Give the device's name, such as --scanner 'Vectra M5'",
+        )  # fmt: skip
+    try:
+        if about.subject is not None:
+            subject_id(about.subject)
+    except ValueError as error:
+        raise SessionError(
+            "the scan's subject", found=f"{about.subject!r:.40}", expected=str(error), remedy="Correct --subject"
+        ) from None  # fmt: skip
+    if about.posture not in ("", *POSTURES):
+        raise SessionError(
+            "the scan's posture", found=f"{about.posture[:20]!r}", expected=f"one of {', '.join(POSTURES)}",
+            remedy="Correct --posture",
+        )  # fmt: skip
+    for axis, given in (("head", about.head), ("ahead", about.ahead)):
+        if given not in ("", *AXES):
+            raise SessionError(
+                f"the axis {'towards the head' if axis == 'head' else 'straight ahead'}", found=f"{given[:20]!r}",
+                expected=f"one of {', '.join(AXES)}", remedy=f"Correct --{axis}",
+            )  # fmt: skip
+
+
+def _covered(
+    mesh: Path, covered: CoveredObj, foreign: ForeignMesh, limits: LimitSettings
+) -> tuple[dict[str, bytes], UInt8[Array, "n 3"]]:
+    """Files of the covered surface under names of ours, and a colour for each vertex."""
+    from scipy.spatial import cKDTree
+
+    materials: dict[str, str] = {}
+    for path in _libraries(mesh, covered.libraries):
+        materials = _materials(path) | materials
+    names = sorted({picture for picture in materials.values() if picture})
+    if len(names) > MOST_PICTURES:
+        raise _refused(mesh, f"{len(names)} pictures", f"{MOST_PICTURES} at most", "Export the scan with fewer")
+    files: dict[str, bytes] = {}
+    kept: dict[str, str] = {}
+    pixels: dict[str, UInt8[Array, "h w 3"]] = {}
+    for number, name in enumerate(names, 1):
+        path = _beside(mesh, name, "picture")
+        pixels[name] = _texture(path, f"the picture of {mesh.name}", limits)
+        content = path.read_bytes()
+        jpeg = without_tags(content) if content.startswith(_JPEG_MARK) else None
+        kept[name] = f"texture-{number}.{'png' if jpeg is None else 'jpg'}"
+        files[kept[name]] = _png(pixels[name]) if jpeg is None else jpeg.content  # without days, places and names
+    lines = []
+    for number, material in enumerate(covered.materials, 1):
+        picture = materials.get(material, "")
+        lines += [f"newmtl m{number}", "Kd 1 1 1", *([f"map_Kd {kept[picture]}"] if picture else [])]
+    files[MTL] = ("\n".join(lines) + "\n").encode()
+    files[OBJ] = covered.text(MTL).encode()
+    shown = {material: pixels[name] for material, name in materials.items() if name}
+    points, colours = covered.colours(shown)
+    nearest = cKDTree(points * foreign.mm_per_unit).query(foreign.mesh.vertices)[1]
+    return files, np.ascontiguousarray(colours[nearest])
+
+
+def _libraries(mesh: Path, lines: tuple[str, ...]) -> list[Path]:
+    """Material files of an OBJ: a line names one file, or several with blanks between them."""
+    paths = []
+    for line in lines:
+        whole = _found_beside(mesh, line)
+        paths += [whole] if whole is not None else [_beside(mesh, name, "material file") for name in line.split()]
+    return list(dict.fromkeys(paths))
+
+
+def _materials(path: Path) -> dict[str, str]:
+    """Material → its picture's file name. Empty for a plain colour."""
+    content = read_bytes(path, path.name, "a material file", most_mib=_MOST_MTL_MIB)
+    found: dict[str, str] = {}
+    current = ""
+    for line in re.split("\r\n|\r|\n", content.decode("utf-8-sig", "surrogateescape")):
+        word, _, rest = line.strip().replace("\t", " ").partition(" ")
+        if word == "newmtl":
+            current = rest.strip()
+            found.setdefault(current, "")
+        elif word.lower() == "map_kd" and current in found:
+            found[current] = _picture(rest)
+    if not found:
+        raise _refused(path, "no materials", "a material file (MTL)", "Export the scan again as OBJ with its texture")
+    return found
+
+
+def _picture(rest: str) -> str:
+    """File name behind the options of a map, such as ``-s 1 1 1 skin.jpg``, as it stands."""
+    rest = rest.strip()
+    while option := _MAP_OPTION.match(rest):
+        at = option.end()
+        while value := _OPTION_VALUE.match(rest, at):
+            at = value.end()
+        rest = rest[at:].strip()
+    return rest
+
+
+def _beside(mesh: Path, name: str, what: str) -> Path:
+    path = _found_beside(mesh, name)
+    if path is not None:
+        return path
+    plain = _plain_name(name)
+    raise _refused(
+        mesh, f"no {what} {plain[:80]!r} beside it, which it needs", "OBJ, MTL and picture together",
+        "Add it, or import the mesh without its texture",
+    )  # fmt: skip
+
+
+def _found_beside(mesh: Path, name: str) -> Path | None:
+    """The file of this name beside the mesh. None: there is none.
+
+    Folders in the name do not count, and letters may be large or small. A name whose bytes are not UTF-8 is tried as
+    Western Windows writes it (code page 1252) too.
+    """
+    plain = _plain_name(name)
+    wanted = {_compared(plain), _compared(plain.encode("utf-8", "surrogateescape").decode("cp1252", "replace"))}
+    for path in sorted(mesh.parent.iterdir()):
+        if plain and _compared(path.name) in wanted and path.is_file():
+            return path
+    return None
+
+
+def _plain_name(name: str) -> str:
+    return PurePosixPath(name.replace("\\", "/")).name
+
+
+def _compared(name: str) -> str:
+    return unicodedata.normalize("NFC", name).casefold()
+
+
+def _texture(path: Path, name: str, limits: LimitSettings) -> UInt8[Array, "h w 3"]:
+    """A picture's pixels as stored, from which places in a texture count whatever its orientation tag says.
+
+    Raises:
+        ImageError: it cannot be read or is too large.
+    """
+    with path.open("rb") as file:
+        head = file.read(_MARK_BYTES)
+    if head.startswith(_BMP_MARK) or path.suffix.lower() == ".tga":
+        return read_plain_picture(path, name, ("BMP", "TGA"), limits)
+    pixels = read_photograph(path, name, limits, as_stored=True).pixels
+    if pixels.dtype == np.uint16:
+        pixels = (pixels >> 8).astype(np.uint8)
+    return np.repeat(pixels[..., None], 3, axis=2) if pixels.ndim == 2 else pixels
+
+
+def _png(pixels: UInt8[Array, "h w 3"]) -> bytes:
+    buffer = io.BytesIO()
+    Image.fromarray(pixels).save(buffer, "PNG")
+    return buffer.getvalue()
+
+
+def _ply(foreign: ForeignMesh, colours: UInt8[Array, "n 3"]) -> bytes:
+    properties: Mapping[str, Any] = {
+        name: np.ascontiguousarray(colours[:, place]) for place, name in enumerate(("red", "green", "blue"))
+    }
+    with tempfile.TemporaryDirectory(prefix="mammometry-") as folder:
+        path = Path(folder) / MESH
+        write_ply(path, foreign.mesh, properties, comments=("units: mm",))
+        return path.read_bytes()
+
+
+def _refused(path: Path, found: str, expected: str, remedy: str) -> SessionError:
+    return SessionError(path.name, found=found, expected=expected, remedy=remedy)

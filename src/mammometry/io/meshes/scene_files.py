@@ -1,0 +1,111 @@
+"""A GLB with its pictures, written out as an OBJ with a material file and pictures."""
+
+from __future__ import annotations
+
+import io
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mammometry.base.errors import SessionError
+from mammometry.base.limits import LimitSettings
+from mammometry.base.parse import read_bytes, said
+from mammometry.geometry.arrays import Array, Float64, Int64
+from mammometry.geometry.mesh_files.mesh_file import check_glb
+
+_MOST_MIB = 4096  # of a file, as of other meshes
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Part:
+    """A part of a scene with one picture."""
+
+    points: Float64[Array, "n 3"]
+    faces: Int64[Array, "m 3"]
+    uv: Float64[Array, "n 2"]
+    """Place of each point in the picture, (0, 0) lower left."""
+    picture: int
+    """Number of the picture."""
+
+
+def covered_parts(path: Path, folder: Path, limits: LimitSettings) -> Path | None:
+    """Write a GLB with pictures as OBJ, MTL and PNG.
+
+    Args:
+        path: of the GLB.
+        folder: empty, for the files.
+        limits: size that a picture may have.
+
+    Returns:
+        The OBJ, in the GLB's unit. None where a part has no picture: its colours lie elsewhere.
+
+    Raises:
+        SessionError: it cannot be read, or a picture is too large.
+    """
+    content = read_bytes(path, path.name, "a GLB", most_mib=_MOST_MIB)
+    check_glb(path, content)
+    pictures: list[Any] = []
+    try:
+        parts = _parts(content, pictures)
+        if parts is None:
+            return None
+        for number, picture in enumerate(pictures):
+            if math.prod(picture.size) > limits.megapixels * 1e6:
+                raise SessionError(
+                    path.name, found=f"a picture of {picture.size[0]} × {picture.size[1]} pixels",
+                    expected=f"at most {limits.megapixels:g} megapixels", remedy="Export it with a smaller texture",
+                )  # fmt: skip
+            picture.convert("RGB").save(folder / f"{number}.png")
+    except SessionError:
+        raise
+    except Exception as error:  # the reader raises anything that a damaged file makes it stumble over
+        raise SessionError(
+            path.name, found=f"a file that cannot be read ({said(error)})", expected="a GLB", remedy="Export it again"
+        ) from None
+    names = range(len(pictures))
+    (folder / "a.mtl").write_text("".join(f"newmtl m{number}\nmap_Kd {number}.png\n" for number in names))
+    (folder / "a.obj").write_text(_obj(parts))
+    return folder / "a.obj"
+
+
+def _parts(content: bytes, pictures: list[Any]) -> list[_Part] | None:
+    """Parts of a scene as they stand in it, with the pictures that cover them."""
+    import trimesh
+
+    scene: Any = trimesh.load_scene(io.BytesIO(content), file_type="glb", process=False)
+    parts = []
+    for node in scene.graph.nodes_geometry:
+        place, name = scene.graph[node]
+        mesh = scene.geometry[name]
+        if not len(getattr(mesh, "faces", ())):
+            continue
+        uv = getattr(mesh.visual, "uv", None)
+        picture = getattr(getattr(mesh.visual, "material", None), "baseColorTexture", None)
+        if uv is None or picture is None:
+            return None
+        if not any(picture is other for other in pictures):
+            pictures.append(picture)
+        points = np.asarray(mesh.vertices, dtype=np.float64) @ place[:3, :3].T + place[:3, 3]
+        parts.append(
+            _Part(
+                points=points,
+                faces=np.asarray(mesh.faces, dtype=np.int64),
+                uv=np.asarray(uv, dtype=np.float64),
+                picture=next(number for number, other in enumerate(pictures) if other is picture),
+            )
+        )
+    return parts or None
+
+
+def _obj(parts: list[_Part]) -> str:
+    lines, before = ["mtllib a.mtl"], 1
+    for part in parts:
+        lines += [f"v {x!r} {y!r} {z!r}" for x, y, z in part.points.tolist()]
+        lines += [f"vt {u!r} {v!r}" for u, v in part.uv.tolist()]
+        lines.append(f"usemtl m{part.picture}")
+        lines += [f"f {a}/{a} {b}/{b} {c}/{c}" for a, b, c in (part.faces + before).tolist()]
+        before += len(part.points)
+    return "\n".join(lines) + "\n"

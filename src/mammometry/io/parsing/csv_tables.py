@@ -1,0 +1,155 @@
+"""CSV tables made by people, programs and spreadsheets of any country.
+
+UTF-8 with or without a byte-order mark; commas, semicolons or tabs between the cells, or what a first line ``sep=;``
+says. Numbers may have decimal commas, all of them or none. One that may mean two numbers is refused (`decimal_marks`).
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from mammometry.base.errors import MammometryError, SessionError
+from mammometry.base.parse import read_text, said, shown
+from mammometry.geometry.arrays import Array, Float64
+from mammometry.io.parsing.decimal_marks import DecimalMark, both_readings, decimal_mark
+
+_SEPARATORS = ",;\t"
+_MOST_MIB = 16  # of a whole table: some hundred thousand rows
+_STATED = re.compile(r'"?sep=([^\w\s"\'.]|\t)"?[,;\t ]*', re.IGNORECASE)  # as spreadsheets begin a table
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Table:
+    """A table with named columns. Its cells are text without blanks around them."""
+
+    name: str
+    """What to call it in messages."""
+    columns: tuple[str, ...]
+    """As the first line names them."""
+    lines: tuple[int, ...]
+    """Line of each row in the file, from 1. Empty lines are no rows."""
+    rows: tuple[tuple[str, ...], ...]
+    """As many cells each as there are columns."""
+    separator: str
+    """What stands between the cells."""
+    refusal: type[MammometryError] = SessionError
+    """The class of its errors."""
+
+    def texts(self, column: str) -> tuple[str, ...]:
+        """All cells of a column.
+
+        Raises:
+            MammometryError: there is no such column, or it is there twice.
+        """
+        if (count := self.columns.count(column)) != 1:
+            there = ", ".join(name for name in self.columns if name) or "no names"
+            raise self.refusal(
+                self.name,
+                found=f"two columns {column}" if count else f"columns {there}",
+                expected=f"one column {column}",
+                remedy="Correct the first line, which names the columns",
+            )
+        place = self.columns.index(column)
+        return tuple(row[place] for row in self.rows)
+
+    def numbers(self, *columns: str, blank: bool = False) -> Float64[Array, "n k"]:
+        """Some columns as numbers.
+
+        Args:
+            columns: their names.
+            blank: whether a cell may be empty. It is NaN then.
+
+        Raises:
+            MammometryError: as `texts`; a cell that is no number, one written otherwise than the others, or one that
+                may mean two numbers.
+        """
+        cells = [self.texts(column) for column in columns]
+        mark = decimal_mark(cells)
+        values = np.full((len(self.rows), len(columns)), np.nan)
+        for row, line in enumerate(self.lines):
+            for column, name in enumerate(columns):
+                if (cell := cells[column][row]) or not blank:
+                    where = f"{self.name}, row {line}, column {name}"
+                    values[row, column] = self._number(cell, where, mark, doubted=column in mark.ambiguous)
+        return values
+
+    def _number(self, cell: str, where: str, mark: DecimalMark, *, doubted: bool) -> float:
+        readings = both_readings(cell)
+        if readings is not None and doubted:
+            raise self.refusal(
+                where,
+                found=f"{shown(cell)}, which may mean {' or '.join(readings)}",
+                expected="numbers without marks between thousands",
+                remedy="Write whole numbers without a mark, or decimals of all numbers to another place",
+            )
+        try:
+            return mark.number(cell)
+        except ValueError:
+            doubt = "" if readings is None else f", which may mean {' or '.join(readings)}"
+            raise self.refusal(
+                where,
+                found=f"{shown(cell)}{doubt}" if cell else "no value",
+                expected=f"a number with a decimal {'comma, as the others' if mark.mark == ',' else 'point'}",
+                remedy="Correct the value, or leave the whole row out",
+            ) from None
+
+
+def read_table(path: Path, name: str, expected: str, *, refusal: type[MammometryError] = SessionError) -> Table:
+    """Read a CSV whose first line names the columns.
+
+    Args:
+        path: the table.
+        name: what to call it in messages.
+        expected: what it should hold, in words.
+        refusal: the class of its errors.
+
+    Raises:
+        MammometryError: `refusal`; it cannot be read or is empty, or a row has more cells than there are columns.
+    """
+    text = read_text(path, name, expected, most_mib=_MOST_MIB, refusal=refusal)
+    head = next((line for line in re.split(r"[\r\n]", text) if line.strip()), "")
+    stated = _STATED.fullmatch(head)
+    if stated is not None:
+        text = text.replace(head, "", 1)  # its line stays empty, so that lines are counted rightly
+    text = re.sub(" +$", "", text, flags=re.MULTILINE)  # after a quote they are a mistake to the reader
+    separator = stated[1] if stated is not None else max(_SEPARATORS, key=head.count)
+    reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator, strict=True)
+    lines: list[int] = []
+    rows: list[tuple[str, ...]] = []
+    columns: tuple[str, ...] = ()
+    try:
+        for cells in reader:
+            row = tuple(cell.strip() for cell in cells)
+            if not any(row):
+                continue
+            if not columns:
+                columns = row
+                continue
+            if any(row[len(columns) :]):
+                raise refusal(
+                    f"{name}, row {reader.line_num}",
+                    found=f"{len(row)} values",
+                    expected=f"{len(columns)}, one a column",
+                    remedy="Correct the row; where commas separate, decimals take a point",
+                )
+            lines.append(reader.line_num)
+            rows.append((*row, *[""] * (len(columns) - len(row)))[: len(columns)])
+    except csv.Error as error:
+        where = f"{name}, row {reader.line_num}"
+        raise refusal(where, found=said(error), expected=expected, remedy="Correct the table") from None
+    if not columns:
+        raise refusal(name, found="an empty file", expected=expected, remedy="Fill in the table")
+    return Table(
+        name=name,
+        columns=columns,
+        lines=tuple(lines),
+        rows=tuple(rows),
+        separator=separator,
+        refusal=refusal,
+    )

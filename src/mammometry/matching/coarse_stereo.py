@@ -1,0 +1,360 @@
+"""Coarse stereo of whole photographs: what is near, what is behind.
+
+Before the subject is known, both photographs of a pair are made small, rectified and matched all over, from well before
+the place where the calibration target was held to far behind it. Where both directions agree, the depth says whether a
+block lies in the working volume or behind it, whatever its brightness. What is dark or smooth says nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import ndimage
+
+from mammometry.base.errors import MatchingError
+from mammometry.base.photograph import Photograph
+from mammometry.geometry.arrays import Array, Bool, Float32, Float64, read_only
+from mammometry.geometry.camera import Camera, Rig
+from mammometry.matching.foreground.foreground import Foreground
+from mammometry.matching.foreground.seeded_segmentation import DepthSeeds
+from mammometry.matching.foreground.silhouette import block_means
+from mammometry.matching.pyramid import Level
+from mammometry.matching.rectify import RectifiedPair, rectify
+from mammometry.matching.semiglobal.semiglobal_start import both_ways
+
+# Where no other source is named: chosen on the simulated captures of docs/decisions/0028.
+_SPAN_PX = 270  # longer side of the small photographs, about: a trunk is a hundred pixels wide
+_NEAREST, _FARTHEST = 0.6, 4.0  # depths searched, of that of the working volume's centre
+_NEAR, _FAR = 1.25, 1.4  # nearer than the one is in the volume, beyond the other behind it; in between is not known
+_AGREEMENT_PX = 1.0  # of both directions, small pixels
+_SMALLEST_PART = 0.02  # of the largest part: smaller ones are chance
+_SMALLEST_FAR = 0.015  # of the picture: beside the frame, where the partner's ends, small parts match by chance
+_LEAST_SHARE = 0.02  # of the picture that must be near for a pair to say anything
+_FLATNESS = 0.012  # of the depth: what is nearer to a plane lies on it; a pixel of disparity, and a tenth of a cast
+_STANDING = 1.5  # times that: what certainly stands before it
+_BOARD, _ON_BOARD, _BELOW = 0.5, 0.03, 0.4  # of what is near: on a board; before it; behind it, of what is before it
+_SOME, _TRIALS, _LEAST_AREA, _DRAWN = 1500, 150, 0.02, 28  # points and planes tried, their size of the picture, seed
+_FITS = 3  # least squares on what lies on the plane
+_LEAST_COMMON = 0.25  # of the pictures' width, at the nearest depth searched where no target was seen; by eye
+_LEAST_THING, _GAP, _DEPTHS_TRIED = 0.05, 0.1, 60  # of what is known: nearest things, the gap behind them; by eye
+_CALM, _LEAST_SURFACE = 0.06, 0.003  # relative change of depth within 3 × 3 pixels; of the picture; by eye
+_TABLE, _LEAST_STANDING = 0.8, 0.004  # of what is near: a wide table; of the picture, what stands on one; by eye
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CoarseDepths:
+    """Depths all over both photographs of a pair, made small."""
+
+    step: int
+    """Pixels of the photographs to one of these."""
+    cameras: tuple[Camera, Camera]
+    """The photographs' own, made small."""
+    ideal: tuple[Camera, Camera]
+    """Rectified."""
+    depth_mm: tuple[Float32[Array, "h w"], Float32[Array, "h w"]]
+    """z of each pixel of the rectified pictures. NaN where both directions do not agree."""
+
+    def middle_mm(self, middle_world: Float64[Array, 3]) -> float:
+        """Depth of a point in the rectified pictures."""
+        return float(self.ideal[0].camera_from_world.apply(middle_world[None])[0, 2])
+
+
+def coarse_depths(rig: Rig, pair_name: str, photographs: tuple[Photograph, Photograph]) -> CoarseDepths | None:
+    """Match a pair coarsely.
+
+    None where the photographs have not their cameras' sizes or cannot be rectified: matching then says why.
+
+    Args:
+        rig: calibrated cameras.
+        pair_name: one of its pairs.
+        photographs: its left and right ones.
+    """
+    pair = rig.pair(pair_name)
+    if [photograph.size_wh for photograph in photographs] != [pair.left.size_wh, pair.right.size_wh]:
+        return None
+    step = max(1, round(max(pair.left.size_wh) / _SPAN_PX))
+    cameras = smaller_camera(pair.left, step), smaller_camera(pair.right, step)
+    left, right = (_smaller(photograph, step) for photograph in photographs)
+    everything = [
+        Foreground(
+            camera=camera.name,
+            coverage=np.ones(camera.shape_hw, dtype=np.float32),
+            contour_level=0.5,
+            everything=True,
+        )
+        for camera in cameras
+    ]
+    small = replace(pair, left=cameras[0], right=cameras[1])
+    try:
+        rectified = rectify(small, left, right, everything[0], everything[1], middle_world=rig.target_middle_world)
+    except MatchingError:
+        return None
+    return CoarseDepths(
+        step=step,
+        cameras=cameras,
+        ideal=(rectified.left, rectified.right),
+        depth_mm=_depths(rectified, rig.target_middle_world),
+    )
+
+
+def subject_middle(rig: Rig, depths: Sequence[CoarseDepths]) -> Float64[Array, 3] | None:
+    """Point about which the subject stands, world frame, mm.
+
+    It is where the calibration target was held. Where no target was seen, or nothing is near its places, it is in the
+    middle of the nearest things that the pairs see. None where they see none.
+    """
+    held = rig.target_middle_world
+    if held is not None and any(np.mean(_is_near(one, held)[0]) >= _LEAST_SHARE for one in depths):
+        return held
+    middles = [middle for middle in map(_nearest_things, depths) if middle is not None]
+    return np.median(middles, axis=0) if middles else held
+
+
+def _nearest_things(depths: CoarseDepths) -> Float64[Array, 3] | None:
+    """Median point of the nearest things with a gap in depth behind them, world frame, mm; of all if there is none."""
+    depth = _of_surfaces(depths.depth_mm[0])
+    known = np.sort(depth[np.isfinite(depth)])
+    if len(known) < _LEAST_SHARE * depth.size:
+        return None
+    ends = known[int(_LEAST_THING * len(known))] * np.geomspace(1.0, _FARTHEST / _NEAREST, _DEPTHS_TRIED)
+    before, within = np.searchsorted(known, ends), np.searchsorted(known, _FAR / _NEAR * ends)
+    gaps = np.flatnonzero((within - before < _GAP * before) & (before >= _LEAST_THING * len(known)))
+    farthest = ends[gaps[0]] if len(gaps) else np.inf
+    return np.median(_points_world(depths, depth < farthest), axis=0)
+
+
+def _of_surfaces(depth: Float32[Array, "h w"]) -> Float32[Array, "h w"]:
+    """The depths that go on from pixel to pixel over a part of the picture. NaN elsewhere, where chance matched."""
+    logs = np.log(depth)
+    known = np.isfinite(logs)
+    highest = ndimage.maximum_filter(np.where(known, logs, np.inf), 3)
+    lowest = ndimage.minimum_filter(np.where(known, logs, -np.inf), 3)
+    with np.errstate(invalid="ignore"):
+        calm = highest - lowest < _CALM
+    labels, count = ndimage.label(calm)
+    large = np.bincount(labels.ravel(), minlength=count + 1) >= _LEAST_SURFACE * depth.size
+    large[0] = False
+    return np.where(large[labels], depth, np.float32(np.nan))
+
+
+def _is_near(depths: CoarseDepths, middle_world: Float64[Array, 3]) -> list[Bool[Array, "h w"]]:
+    return [depth < _NEAR * depths.middle_mm(middle_world) for depth in depths.depth_mm]
+
+
+def depth_seeds(depths: CoarseDepths, middle_world: Float64[Array, 3]) -> tuple[DepthSeeds, ...]:
+    """Sort a pair's blocks by depth.
+
+    Args:
+        depths: of the pair.
+        middle_world: about which the subject stands.
+
+    Returns:
+        For the left and for the right camera. Nothing where too little is near for depth to tell.
+    """
+    sides, on_board = _sorted(depths, middle_world)
+    seeds = []
+    for (near, far), camera, ideal in zip(sides, depths.cameras, depths.ideal, strict=True):
+        at = _places(camera, ideal)
+        one = DepthSeeds(camera=camera.name, step=depths.step, near=_looked_up(near, at), far=_looked_up(far, at))
+        if one.near.mean() < (_LEAST_STANDING if on_board else _LEAST_SHARE):
+            return ()
+        seeds.append(one)
+    return tuple(seeds)
+
+
+def near_points(depths: CoarseDepths, middle_world: Float64[Array, 3]) -> Float64[Array, "n 3"]:
+    """Some of the points in the working volume that a pair sees, world frame, mm."""
+    ((near, _), _), _ = _sorted(depths, middle_world)
+    near &= np.isfinite(depths.depth_mm[0])
+    return _points_world(depths, near)[:: max(1, int(np.count_nonzero(near) / _SOME))]
+
+
+def _sorted(
+    depths: CoarseDepths, middle_world: Float64[Array, 3]
+) -> tuple[list[tuple[Bool[Array, "h w"], Bool[Array, "h w"]]], bool]:
+    """Near and far pixels of both rectified pictures, and whether the subject stands on a board."""
+    far_mm = _FAR * depths.middle_mm(middle_world)
+    nears = _is_near(depths, middle_world)
+    plane = board(depths.depth_mm[0], _cleaned(nears[0], 0.0))
+    planes = None if plane is None else (plane, _of_the_right(plane, depths.ideal))
+    sides = []
+    for number, (depth, near) in enumerate(zip(depths.depth_mm, nears, strict=True)):
+        far = depth > far_mm
+        if planes is not None:
+            near, lying = _parted(depth, near, planes[number])
+            far = far | lying
+        sides.append((_cleaned(near, 0.0), _cleaned(far, _SMALLEST_FAR)))
+    return sides, plane is not None
+
+
+def _points_world(depths: CoarseDepths, chosen: Bool[Array, "h w"]) -> Float64[Array, "n 3"]:
+    """Points of chosen pixels of the left rectified picture."""
+    rows, columns = np.nonzero(chosen)
+    camera = depths.ideal[0]
+    rays = camera.rays_world(np.stack([columns, rows], axis=1).astype(np.float64))
+    along = depths.depth_mm[0][rows, columns] / (rays @ camera.axis_world)
+    points: Float64[Array, "n 3"] = camera.centre_world + along[:, None] * rays
+    return points
+
+
+def _of_the_right(plane: Float64[Array, 3], ideal: tuple[Camera, Camera]) -> Float64[Array, 3]:
+    """The same plane in the right picture.
+
+    u_left is u_right + focal length × base × reciprocal depth + the offset.
+    """
+    left, right = ideal
+    focal = float(left.matrix[0, 0])
+    base = float(np.linalg.norm(right.centre_world - left.centre_world))
+    offset = float(left.matrix[0, 2] - right.matrix[0, 2])
+    moved = np.array([plane[0], plane[1], plane[2] + plane[0] * offset])
+    return moved / (1 - plane[0] * focal * base)
+
+
+def smaller_camera(camera: Camera, step: int) -> Camera:
+    """The camera whose pixels are whole blocks of step × step pixels."""
+    matrix = camera.matrix.copy()
+    matrix[:2, :2] /= step
+    matrix[:2, 2] = (matrix[:2, 2] + 0.5) / step - 0.5
+    width, height = camera.size_wh
+    return replace(camera, size_wh=(width // step, height // step), matrix=matrix)
+
+
+def _smaller(photograph: Photograph, step: int) -> Photograph:
+    pixels = np.atleast_3d(photograph.pixels)
+    height, width = (size // step * step for size in pixels.shape[:2])
+    largest = np.iinfo(pixels.dtype).max
+    levels = np.linspace(0, 65535, largest + 1, dtype=np.float32)
+    means = block_means(read_only(pixels[:height, :width].copy()), levels, step)
+    made = np.rint(means).astype(np.uint16)  # 16 bits keep what the means gained over the noise
+    return replace(photograph, pixels=made[..., 0] if made.shape[2] == 1 else made)
+
+
+def _depths(
+    rectified: RectifiedPair, middle_world: Float64[Array, 3] | None
+) -> tuple[Float32[Array, "h w"], Float32[Array, "h w"]]:
+    """Depth z of each pixel of both rectified pictures, mm.
+
+    NaN where both directions do not agree. Without a middle all depths are searched at which the pictures share a
+    quarter of their width.
+    """
+    left, right = rectified.left, rectified.right
+    focal = float(left.matrix[0, 0])
+    base = float(np.linalg.norm(right.centre_world - left.centre_world))
+    columns = float(left.matrix[0, 2] - right.matrix[0, 2])  # the disparity of what is infinitely far
+    if middle_world is None:
+        nearest, farthest = (1 - _LEAST_COMMON) * left.size_wh[0], columns
+    else:
+        middle = float(left.camera_from_world.apply(middle_world[None])[0, 2])
+        nearest, farthest = (focal * base / (share * middle) + columns for share in (_NEAREST, _FARTHEST))
+    lowest, count = int(np.floor(-nearest)), int(np.ceil(nearest - farthest)) + 2
+    levels = [
+        Level(image=image.copy(), mask=mask.copy())  # as the matching has them: one type for each kernel
+        for image, mask in (
+            (rectified.left_image, rectified.left_mask),
+            (rectified.right_image, rectified.right_mask),
+        )
+    ]
+    here, there = both_ways(levels[0], levels[1], lowest, count)
+    found = []
+    for shift, other, mask, sign in ((here, there, levels[0].mask, -1), (there, here, levels[1].mask, 1)):
+        column = np.arange(shift.shape[1]) + shift
+        partner = np.clip(np.rint(column), 0, other.shape[1] - 1).astype(np.intp)
+        agreed = mask & (np.abs(shift + np.take_along_axis(other, partner, axis=1)) <= _AGREEMENT_PX)
+        parallax = sign * shift - columns
+        known = agreed & (column > -0.5) & (column < other.shape[1] - 0.5) & (parallax > 0)
+        found.append(np.where(known, focal * base / np.where(known, parallax, 1), np.nan).astype(np.float32))
+    return found[0], found[1]
+
+
+def board(depth: Float32[Array, "h w"], near: Bool[Array, "h w"]) -> Float64[Array, 3] | None:
+    """The plane on which the subject lies or against which it leans.
+
+    None where it does neither. Half of what is near makes such a plane, and the rest stands before it: a body curves
+    away behind whatever plane fits it best. Something small may stand on a table that is nearly all of it.
+
+    Args:
+        depth: z of each pixel of a rectified picture, mm; NaN where not known.
+        near: what is in the working volume.
+
+    Returns:
+        a, b, c of the plane's reciprocal depth a u + b v + c, 1/mm, linear in the picture as every plane's.
+    """
+    rows, columns = np.nonzero(near)
+    if len(rows) < _LEAST_SHARE * near.size:
+        return None
+    places = np.stack([columns, rows, np.ones(len(rows))], axis=1).astype(np.float64)
+    inverse = 1.0 / depth[near].astype(np.float64)
+    rng = np.random.default_rng(_DRAWN)
+    some = rng.choice(len(rows), size=min(len(rows), _SOME), replace=False)
+    best, most = np.zeros(3), -1
+    for _ in range(_TRIALS):
+        three = rng.choice(some, size=3, replace=False)
+        if abs(np.linalg.det(places[three])) < _LEAST_AREA * near.size:
+            continue
+        plane = np.linalg.solve(places[three], inverse[three])
+        on = int(np.count_nonzero(np.abs(places[some] @ plane - inverse[some]) < _FLATNESS * inverse[some]))
+        if on > most:
+            best, most = plane, on
+    for _ in range(_FITS):  # three points' own errors grow towards the picture's corners
+        on_it = np.abs(places @ best - inverse) < _FLATNESS * inverse
+        if np.count_nonzero(on_it) >= 3:
+            best = np.linalg.lstsq(places[on_it], inverse[on_it])[0]
+    ahead = 1 - places @ best / inverse  # share of the depth by which it stands before the plane
+    lying, standing = float(np.mean(np.abs(ahead) < _FLATNESS)), float(np.mean(ahead >= _FLATNESS))
+    behind = 1 - lying - standing
+    if lying >= _BOARD and standing >= _ON_BOARD and behind <= _BELOW * standing:
+        return best
+    if lying < _TABLE:
+        return None
+    standing, behind = (
+        float(_cleaned(_laid(side, near), 0.0).mean()) for side in (ahead >= _STANDING * _FLATNESS, ahead <= -_FLATNESS)
+    )
+    return best if standing >= _LEAST_STANDING and behind <= _BELOW * standing else None
+
+
+def _laid(values: Bool[Array, " n"], where: Bool[Array, "h w"]) -> Bool[Array, "h w"]:
+    """A picture with the values of its chosen pixels."""
+    picture = np.zeros_like(where)
+    picture[where] = values
+    return picture
+
+
+def _parted(
+    depth: Float32[Array, "h w"], near: Bool[Array, "h w"], plane: Float64[Array, 3]
+) -> tuple[Bool[Array, "h w"], Bool[Array, "h w"]]:
+    """Split near pixels at a board: in front, and on or behind."""
+    rows, columns = np.indices(depth.shape)
+    with np.errstate(invalid="ignore"):
+        ahead = 1 - (plane[0] * columns + plane[1] * rows + plane[2]) * depth
+    return near & (ahead >= _STANDING * _FLATNESS), near & (ahead < _FLATNESS)
+
+
+def _cleaned(mask: Bool[Array, "h w"], least_share: float) -> Bool[Array, "h w"]:
+    """Remove thin parts and specks beside the largest part, and close gaps."""
+    opened = ndimage.binary_opening(ndimage.binary_closing(mask), iterations=2)
+    labels, count = ndimage.label(opened)
+    if count == 0:
+        return opened
+    sizes = np.bincount(labels.ravel())
+    sizes[0] = 0
+    large: Bool[Array, "h w"] = (sizes >= max(_SMALLEST_PART * sizes.max(), least_share * mask.size))[labels]
+    return large
+
+
+def _places(camera: Camera, ideal: Camera) -> tuple[Array, Array, Bool[Array, "h w"]]:
+    """Rectified row and column of each pixel of a photograph, with mask."""
+    height, width = camera.shape_hw
+    uv = np.stack(np.meshgrid(np.arange(width, dtype=float), np.arange(height, dtype=float)), axis=2)
+    places = np.rint(ideal.project(ideal.centre_world + camera.rays_world(uv)))
+    limits = np.array(ideal.size_wh)
+    with np.errstate(invalid="ignore"):
+        there = ((places >= 0) & (places < limits)).all(axis=2)
+    whole = np.where(there[..., None], places, 0).astype(np.intp)
+    return whole[..., 1], whole[..., 0], there
+
+
+def _looked_up(mask: Bool[Array, "h w"], at: Sequence[Array]) -> Bool[Array, "H W"]:
+    found: Bool[Array, "H W"] = mask[at[0], at[1]] & at[2]
+    return found

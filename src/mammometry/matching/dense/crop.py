@@ -1,0 +1,112 @@
+"""The part of a cluttered scene that is worth matching finely."""
+
+import numpy as np
+from scipy import ndimage
+
+from mammometry.geometry.arrays import Array, Bool
+from mammometry.matching.dense.least_squares import Solved
+from mammometry.matching.dense.least_squares_step import Both, Estimate
+from mammometry.matching.pyramid import Level, finer_mask
+
+_REACH_PX = 8  # around what the coarsest level matched, its pixels: one window; chosen by eye
+_CERTAIN_PX = 0.3  # expected deviation, coarsest level's pixels, of a match that is believed; chosen by eye
+_SMALLEST_PART = 0.05  # of the largest matched part; the rest is clutter; chosen by eye
+_MOSTLY = 0.6  # matched share of the masks above which nothing is cut: a subject, not a scene; chosen by eye
+
+Window = tuple[slice, slice]
+"""Rows and columns."""
+
+
+def worth_matching(matches: Both[Estimate], masks: Both[Bool[Array, "h w"]]) -> tuple[Both[Bool[Array, "h w"]], Window]:
+    """What of the coarsest level is kept for the finer ones.
+
+    The masks, and the rows and columns that hold them. Where both pictures show one subject, these are the masks
+    themselves. In a cluttered scene most pixels have no partner; there only the surroundings of those that found one
+    are kept.
+    """
+    kept = [
+        mask & match.plausible & (match.variance < _CERTAIN_PX**2) for match, mask in zip(matches, masks, strict=True)
+    ]
+    whole = whole_window(masks[0])
+    if sum(np.count_nonzero(k) for k in kept) > _MOSTLY * sum(np.count_nonzero(mask) for mask in masks):
+        return masks, whole
+    wide = [
+        mask & ndimage.binary_dilation(_large_parts(ndimage.binary_opening(k, iterations=2)), iterations=_REACH_PX)
+        for k, mask in zip(kept, masks, strict=True)
+    ]
+    if not (wide[0].any() and wide[1].any()):
+        return masks, whole
+    both = wide[0] | wide[1]
+    rows, columns = np.nonzero(both.any(axis=1))[0], np.nonzero(both.any(axis=0))[0]
+    window = (
+        slice(max(int(rows[0]) - _REACH_PX, 0), int(rows[-1]) + 1 + _REACH_PX),
+        slice(max(int(columns[0]) - _REACH_PX, 0), int(columns[-1]) + 1 + _REACH_PX),
+    )
+    return (wide[0], wide[1]), window
+
+
+def _large_parts(mask: Bool[Array, "h w"]) -> Bool[Array, "h w"]:
+    labels, count = ndimage.label(mask)
+    if count == 0:
+        return mask
+    sizes = np.bincount(labels.ravel())
+    sizes[0] = 0
+    large: Bool[Array, "h w"] = (sizes >= _SMALLEST_PART * sizes.max())[labels]
+    return large
+
+
+def at_level(window: Window, steps: int, shape_hw: tuple[int, int]) -> Window:
+    """A window in the pixels of a finer level. It is `steps` finer, and its image has the given shape."""
+    return (
+        slice(window[0].start << steps, min(window[0].stop << steps, shape_hw[0])),
+        slice(window[1].start << steps, min(window[1].stop << steps, shape_hw[1])),
+    )
+
+
+def whole_window(mask: Bool[Array, "h w"]) -> Window:
+    """All rows and columns."""
+    return slice(0, mask.shape[0]), slice(0, mask.shape[1])
+
+
+def cut_levels(
+    images: tuple[Both[Level], ...], kept: Both[Bool[Array, "h w"]], window: Window
+) -> tuple[Both[Level], ...]:
+    """Cut both pictures' levels to a window of the coarsest one.
+
+    Fine to coarse. The masks kept of the coarsest are imposed on all.
+    """
+    made: list[Both[Level]] = []
+    for steps, (left, right) in enumerate(reversed(images)):
+        if steps > 0:
+            kept = finer_mask(kept[0], left.mask.shape), finer_mask(kept[1], right.mask.shape)
+        part = at_level(window, steps, left.mask.shape)
+        made.insert(0, (_cut(left, kept[0], part), _cut(right, kept[1], part)))
+    return tuple(made)
+
+
+def _cut(level: Level, mask: Bool[Array, "h w"], part: Window) -> Level:
+    return Level(image=np.ascontiguousarray(level.image[part]), mask=np.ascontiguousarray((level.mask & mask)[part]))
+
+
+def cut_solved(solved: Solved, window: Window, level: int) -> Solved:
+    """A level's results within a window of it. Both images are cut alike, so the shifts stay as they are."""
+
+    def one(match: Estimate) -> Estimate:
+        return Estimate(
+            **{name: np.ascontiguousarray(getattr(match, name)[window]) for name in Estimate.__dataclass_fields__}
+        )
+
+    return Solved(
+        matches=(one(solved.matches[0]), one(solved.matches[1])),
+        shifts=(np.ascontiguousarray(solved.shifts[0][window]), np.ascontiguousarray(solved.shifts[1][window])),
+        vertical=solved.vertical.cut(window, level),
+    )
+
+
+def pasted(values: Array, window: Window, shape_hw: tuple[int, int]) -> Array:
+    """The window's values in an array of the whole image, 0 elsewhere."""
+    if values.shape == shape_hw:
+        return values
+    whole = np.zeros(shape_hw, dtype=values.dtype)
+    whole[window] = values
+    return whole

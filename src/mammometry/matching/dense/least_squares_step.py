@@ -1,0 +1,173 @@
+"""One least-squares step of one direction.
+
+It works in bands of rows, so that what it needs beyond its result stays small.
+"""
+
+from dataclasses import dataclass
+from typing import Any, TypeAlias, TypeVar
+
+import numpy as np
+from scipy import ndimage
+
+from mammometry.geometry.arrays import Array, Bool, Float32, Int64
+from mammometry.matching.correlation_kernels import least_squares, mean_slope, slope_ratio, warp_rows
+from mammometry.matching.dense.depth_layers import beside_jump, layered_least_squares
+from mammometry.matching.filters import blur, gaussian_taps
+from mammometry.matching.pyramid import Level
+from mammometry.matching.settings import MatchSettings
+
+LEAST_MASS = 0.3  # of the window inside both subjects; chosen by eye
+FLAT_DEVIATION = 0.002  # luma (0…1) within a window: half a step of 8 bit; below, too flat to match
+_BAND_ROWS = 192  # bounds memory: a full-size torso under a gigabyte (docs/decisions/0020)
+_LARGEST_STEP_PX = 1.0  # beyond, the linear model of a window does not hold; chosen by eye
+_WIDER = 2.0  # times the window, where the ordinary one fails: weak texture, dark folds (docs/decisions/0015)
+_WIDE_YIELDS_AT = 3.0  # times the wide window's standard deviation; chosen by eye
+_DOUBTED_DEVIATION_PX = 0.3  # where the wide window is tried, too (docs/decisions/0015)
+_HIGH_PASS = 2.0  # times the window's σ; σ 3, 5 and 10 px were compared (docs/decisions/0015, Whitening)
+
+_T = TypeVar("_T")
+Both: TypeAlias = tuple[_T, _T]
+"""Of the left image and of the right one."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Side:
+    """One image of the pair on one level, prepared."""
+
+    image: Float32[Array, "h w"]
+    """High-passed luma."""
+    coefficients: Float32[Array, "h w"]
+    """Its cubic B-spline coefficients along the rows."""
+    mask: Bool[Array, "h w"]
+    """The subject."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Estimate:
+    """Matches of one direction, before smoothing."""
+
+    shift: Float32[Array, "h w"]
+    """Column of each pixel's match in the other image minus its own. Pixels of the level."""
+    step: Float32[Array, "h w"]
+    """The last change of it."""
+    correlation: Float32[Array, "h w"]
+    """c of Eq. 1 before that change, −1…1."""
+    variance: Float32[Array, "h w"]
+    """Variance of the shift, from the residual and the slope in the window, px²."""
+    plausible: Bool[Array, "h w"]
+    """On the subject in both images, correlated, a small step, and both directions agree."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Warp:
+    """What the bands of one step have in common."""
+
+    here: Side
+    there: Side
+    shift: Float32[Array, "h w"]
+    """Of the whole image, before the step."""
+    ratio: float
+    """How much steeper the other image is, see `slope_ratio`."""
+    beside: Bool[Array, "h w"]
+    """Pixels beside a jump of depth."""
+
+
+def prepare(level: Level, sigma_px: float) -> Side:
+    """An image high-passed for windows of σ `sigma_px`, and its spline."""
+    image = blur(level.image, gaussian_taps(_HIGH_PASS * sigma_px))
+    np.subtract(level.image, image, out=image)
+    coefficients = ndimage.spline_filter1d(image, order=3, axis=1, mode="mirror", output=np.float32)
+    return Side(image=image, coefficients=coefficients, mask=level.mask)
+
+
+def step(
+    here: Side, there: Side, shift: Float32[Array, "h w"], sigma_px: float, settings: MatchSettings, *, widely: bool
+) -> Estimate:
+    """Improve a direction's shifts by least squares once.
+
+    Beside jumps of depth only neighbours on the pixel's own layer count. Where the match fails or is uncertain a window
+    of twice the width is tried, too, if `widely`.
+    """
+    height, width = shift.shape
+    warp = _Warp(
+        here=here,
+        there=there,
+        shift=shift,
+        ratio=slope_ratio(here.coefficients, here.mask, there.coefficients, there.mask, shift),
+        beside=beside_jump(shift, here.mask, len(gaussian_taps(sigma_px)) // 2),
+    )
+    result = Estimate(
+        shift=np.empty((height, width), dtype=np.float32),
+        step=np.empty((height, width), dtype=np.float32),
+        correlation=np.empty((height, width), dtype=np.float32),
+        variance=np.empty((height, width), dtype=np.float32),
+        plausible=np.empty((height, width), dtype=bool),
+    )
+    for top in range(0, height, _BAND_ROWS):
+        band = slice(top, min(top + _BAND_ROWS, height))
+        found = _step_of_band(warp, band, sigma_px, settings.least_correlation, widely=widely)
+        for name in Estimate.__dataclass_fields__:
+            getattr(result, name)[band] = getattr(found, name)
+    return result
+
+
+def _step_of_band(warp: _Warp, band: slice, sigma_px: float, least_correlation: float, *, widely: bool) -> Estimate:
+    """`step` for the rows of a band."""
+    here, there, shift = warp.here, warp.there, warp.shift
+    taps, wide_taps = gaussian_taps(sigma_px), gaussian_taps(_WIDER * sigma_px)
+    floor = FLAT_DEVIATION**2
+    reach = len(wide_taps if widely else taps) // 2
+    read = slice(max(0, band.start - reach), min(len(shift), band.stop + reach))
+    inner = (band.start - read.start, band.stop - read.start)
+    shifts = shift[read]
+    value, slope, seen = warp_rows(there.coefficients[read], there.mask[read], shifts)
+    mean_slope(slope, here.coefficients[read], shifts, warp.ratio)
+    subject = here.mask[band] & (seen[slice(*inner)] > 0.5)
+    seen *= here.mask[read]
+    images = (here.image[read], value, slope, seen)
+
+    def estimate(solved: Any, where: Any) -> Estimate:
+        change, correlation, mass, variance = solved
+        plausible = (
+            subject[where]
+            & (mass > LEAST_MASS)
+            & (correlation > least_correlation)
+            & (np.abs(change) < _LARGEST_STEP_PX)
+        )
+        np.clip(change, -_LARGEST_STEP_PX, _LARGEST_STEP_PX, out=change)
+        return Estimate(
+            shift=shift[band][where] + change,
+            step=change,
+            correlation=correlation,
+            variance=variance,
+            plausible=plausible,
+        )
+
+    def in_windows(where: tuple[Int64[Array, " n"], Int64[Array, " n"]], window: Array) -> Float32[Array, "4 n"]:
+        return layered_least_squares((where[0] + inner[0], where[1]), images, shifts, window, floor)
+
+    solved = least_squares(*images, taps, floor, inner)
+    jumping = _pixels(warp.beside[band] & subject)
+    for whole, part in zip(solved, in_windows(jumping, taps), strict=True):
+        whole[jumping] = part
+    found = estimate(solved, (slice(None), slice(None)))
+    if widely:
+        doubted = _pixels(subject & (~found.plausible | (found.variance > _DOUBTED_DEVIATION_PX**2)))
+        _take_better(found, estimate(in_windows(doubted, wide_taps), doubted), doubted)
+    return found
+
+
+def _pixels(where: Bool[Array, "h w"]) -> tuple[Int64[Array, " n"], Int64[Array, " n"]]:
+    rows, columns = np.nonzero(where)
+    return rows, np.ascontiguousarray(columns)
+
+
+def _take_better(found: Estimate, wide: Estimate, where: Any) -> None:
+    """Take the wide window's matches where they are better.
+
+    At the given pixels where the ordinary ones fail or are far less certain.
+    """
+    better = wide.plausible & (~found.plausible[where] | (_WIDE_YIELDS_AT**2 * wide.variance < found.variance[where]))
+    chosen = tuple(index[better] for index in where)
+    for name in Estimate.__dataclass_fields__:
+        getattr(found, name)[chosen] = getattr(wide, name)[better]

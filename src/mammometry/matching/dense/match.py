@@ -1,0 +1,345 @@
+"""Dense correspondence of a rectified pair (paper 2.3, Eq. 1)."""
+
+from concurrent.futures import Executor, ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+
+from mammometry.base.errors import MatchingError
+from mammometry.base.progress import Progress, no_progress
+from mammometry.geometry.arrays import Array, Bool, Float32, read_only
+from mammometry.geometry.camera import Camera
+from mammometry.geometry.rounding import SIGMA_BITS, to_bits, to_step
+from mammometry.matching.dense.consistency_kernels import agreeing
+from mammometry.matching.dense.crop import (
+    Window,
+    at_level,
+    cut_levels,
+    cut_solved,
+    pasted,
+    whole_window,
+    worth_matching,
+)
+from mammometry.matching.dense.depth_layers import without_specks
+from mammometry.matching.dense.finest_levels import Refined, refined
+from mammometry.matching.dense.least_squares import Known, both, finally_smoothed, handed_down, initial, solve_level
+from mammometry.matching.dense.least_squares_step import Both
+from mammometry.matching.dense.levels import Levels, choose_levels
+from mammometry.matching.dense.texture_strength import unexplained, weak_texture
+from mammometry.matching.dense.vertical_disparity import Vertical, VerticalField
+from mammometry.matching.dense.vertical_free import nothing_yet
+from mammometry.matching.filters import squared_slope
+from mammometry.matching.noise import noise_variance
+from mammometry.matching.pyramid import Level, build, coarser_camera, decimation, finer_field, finer_mask
+from mammometry.matching.rectify import RectifiedPair
+from mammometry.matching.semiglobal.semiglobal_start import start
+from mammometry.matching.settings import MatchSettings
+from mammometry.matching.sharpness import empty_levels
+
+_SIGMA_SCALE = 1.8  # expected σ over the smoothing's; captures of two renderers (error / σ in docs/decisions/0015)
+_SIGMA_SLOPE = 1.0  # … and so much more by slope²
+_DOUBT_SLOPE = 4.0  # a window on steep skin is doubted sooner, by 1 + 4·slope²; chosen by eye
+_LAST_STEP_PX = 0.5  # a match that still moves by more has not settled; half of the largest step
+_D_H_STEP_PX = 2.0**-8  # of what is handed on: its rounding has a σ of .0011 px, matching .019 at least (0039)
+_D_V_STEP_PX = 2.0**-10  # finer: medians are taken of it, which find what moved
+_CONFIDENCE_STEP = 2.0**-7  # shown with two decimals
+_ISLAND_WINDOWS = 4  # of a Gaussian window's area, 4πσ²: smaller islands are not believed (docs/decisions/0015)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class DisparityMap:
+    """Where each left pixel is seen in the right image. (u, v) → (u − d_h, v − d_v)."""
+
+    name: str
+    left: Camera
+    """Ideal rectified camera at the map's resolution: pixels are the map's."""
+    right: Camera
+    """Its partner with the same resolution and orientation. Only the principal column differs."""
+    d_h_px: Float32[Array, "h w"]
+    """Horizontal disparity u_left − u_right, in steps of 2^-8. 0 where not valid."""
+    d_v_px: Float32[Array, "h w"]
+    """Vertical disparity v_left − v_right, ~0 if the calibration is right, in steps of 2^-10. 0 where not valid."""
+    confidence: Float32[Array, "h w"]
+    """Zero-mean normalised cross-correlation c(i, j) of the matched windows, −1…1, in steps of 2^-7.
+
+    0 where not valid.
+    """
+    sigma_px: Float32[Array, "h w"]
+    """Expected standard deviation of d_h_px, six binary digits of it. 0 where not valid."""
+    valid: Bool[Array, "h w"]
+    weak: Bool[Array, "h w"]
+    """Subject whose texture is too weak for a sure match, matched or not."""
+    halvings: int = 0
+    """From the rectified pair's pixels to the map's: 1 where one of the map is two of theirs."""
+
+    @property
+    def pair_px(self) -> float:
+        """Pixels of the rectified pair in one of the map."""
+        return 2.0**self.halvings
+
+    def __post_init__(self) -> None:
+        for name in ("d_h_px", "d_v_px", "confidence", "sigma_px", "valid", "weak"):
+            object.__setattr__(self, name, read_only(getattr(self, name)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Start:
+    """What matching starts from."""
+
+    levels: Levels
+    images: tuple[Both[Level], ...]
+    """Both pictures on each level, fine to coarse."""
+    known: Both[Known]
+    """The semi-global start of the coarsest level."""
+    vertical: Vertical
+    """None of it known yet."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SolvedBoth:
+    """What the levels came to that both pictures solve."""
+
+    images: tuple[Both[Level], ...]
+    """Levels cut to the window: the last one solved, and before it those refined from the left picture only."""
+    matches: Refined
+    vertical: Vertical
+    window: Window
+    """Part of the picture in use: rows and columns of the coarsest level."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Finest:
+    """What the finest level came to, in its own pixels."""
+
+    levels: Levels
+    image: Level
+    """The left picture."""
+    matches: Refined
+    vertical: Vertical
+    window: Window
+    """Part of the picture used: rows and columns of the coarsest level."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Trusted:
+    """The finest level and what to trust of it. Not yet 0 where not valid."""
+
+    shift: Float32[Array, "h w"]
+    """−d_h, pixels of the level."""
+    d_v: Float32[Array, "h w"]
+    """Pixels of the level."""
+    sigma: Float32[Array, "h w"]
+    """Expected standard deviation of the shift, pixels of the level."""
+    confidence: Float32[Array, "h w"]
+    valid: Bool[Array, "h w"]
+    weak: Bool[Array, "h w"]
+
+
+def match(
+    pair: RectifiedPair, settings: MatchSettings = MatchSettings(), *, progress: Progress = no_progress
+) -> DisparityMap:
+    """Match a rectified pair densely (Eq. 1).
+
+    Finds d_H and d_V that maximise the correlation of the local areas around each left pixel.
+
+    1. `prepare`: image pyramids of the subject, and semi-global matching of 3 × 3 neighbourhoods where it is small.
+    2. `coarse_to_fine`: dense least squares with free gain and offset in Gaussian windows, on the image warped by the
+       whole field, in both directions (of a large subject's last level in one); plane smoothing between the steps.
+    3. `finish`: what to believe, and the map at the resolution asked for.
+
+    Pixels of the rectified pair.
+
+    Raises:
+        MatchingError: a mask is empty, or nothing could be matched.
+    """
+    with ThreadPoolExecutor(2) as pool:
+        # No names in between: what a phase has used up is freed.
+        result = finish(
+            pair,
+            coarse_to_fine(prepare(pair, settings, pool, progress), settings, pool, progress),
+            settings,
+            pool,
+        )
+    progress(1.0)
+    return result
+
+
+# --- 1. Prepare ------------------------------------------------------------------------------------------------------
+
+
+def prepare(pair: RectifiedPair, settings: MatchSettings, pool: Executor, progress: Progress) -> Start:
+    """Build both pictures' levels, and start on the coarsest one."""
+    masks = [_eroded(mask, settings.erode_px) for mask in (pair.left_mask, pair.right_mask)]
+    pictures = (pair.left_image, pair.right_image)
+    empty = max(both(pool, empty_levels, pictures, (masks[0], masks[1])))
+    levels = choose_levels(pair.name, masks, settings, empty=empty)
+    left, right = both(
+        pool,
+        lambda image, mask: build(image, mask, levels.finest, levels.coarsest),
+        (pair.left_image, pair.right_image),
+        (masks[0], masks[1]),
+    )
+    progress(0.1)
+    decimations = [decimation(level) for level in range(levels.finest + 1, levels.coarsest + 1)]
+    noise = both(pool, lambda pyramid: noise_variance(pyramid[0], decimations), (left, right))
+    subject = (left[-1].mask, right[-1].mask)
+    vertical: Vertical = VerticalField(size_wh=(pair.left_image.shape[1], pair.left_image.shape[0]))
+    if settings.vertical == "free":
+        vertical = nothing_yet(subject[0].shape, levels.coarsest, settings.window_sigma_px)
+    return Start(
+        levels=levels,
+        images=tuple(zip(left, right, strict=True)),
+        known=initial(start(left[-1], right[-1], noise, settings.search_share), subject),
+        vertical=vertical,
+    )
+
+
+def _eroded(mask: Bool[Array, "h w"], pixels: int) -> Bool[Array, "h w"]:
+    """Take the rim off a mask. Pixels within so many steps of it, along rows and columns."""
+    for _ in range(pixels):
+        smaller = np.zeros_like(mask)
+        middle = mask[1:-1, 1:-1]
+        smaller[1:-1, 1:-1] = middle & mask[:-2, 1:-1] & mask[2:, 1:-1] & mask[1:-1, :-2] & mask[1:-1, 2:]
+        mask = smaller
+    return mask
+
+
+# --- 2. Coarse to fine -----------------------------------------------------------------------------------------------
+
+
+def coarse_to_fine(begun: Start, settings: MatchSettings, pool: Executor, progress: Progress) -> Finest:
+    """Solve the levels, coarse to fine.
+
+    First those of both pictures, then the left picture's matches alone are refined on those that are left.
+    """
+    found = _solve_both(begun, settings, pool, progress)
+    images, vertical, matches = found.images, found.vertical, found.matches
+    for level in begun.levels.left_only():
+        images = images[:-1]
+        matches = refined(images[-1], matches, vertical, level, settings, pool)
+        progress(begun.levels.share_done(level))
+    return Finest(levels=begun.levels, image=images[-1][0], matches=matches, vertical=vertical, window=found.window)
+
+
+def _solve_both(begun: Start, settings: MatchSettings, pool: Executor, progress: Progress) -> SolvedBoth:
+    """Solve all levels of both pictures.
+
+    After the coarsest one a cluttered scene is cut down to the subject.
+    """
+    first, *further = begun.levels.both()
+    images = begun.images
+    solved = solve_level(images[-1], first, begun.known, begun.vertical, settings, pool)
+    progress(0.3)
+    masks = (images[-1][0].mask, images[-1][1].mask)
+    window = whole_window(masks[0])
+    if len(images) > 1:
+        kept, window = worth_matching(solved.matches, masks)
+        images = cut_levels(images, kept, window)
+        solved = cut_solved(solved, window, first.level)
+    for work in further:
+        images = images[:-1]
+        known = handed_down(solved, settings.agreement_px, images[-1][0].mask.shape)
+        solved = solve_level(images[-1], work, known, solved.vertical, settings, pool)
+        progress(begun.levels.share_done(work.level))
+    subject = (images[-1][0].mask, images[-1][1].mask)
+    ours, theirs = both(pool, finally_smoothed, solved.matches, subject, solved.shifts, (settings, settings))
+    return SolvedBoth(
+        images=images,
+        matches=Refined(matches=solved.matches[0], shift=ours[0], variance=ours[1], other=theirs[0], halvings=0),
+        vertical=solved.vertical,
+        window=window,
+    )
+
+
+# --- 3. Finish -------------------------------------------------------------------------------------------------------
+
+
+def finish(pair: RectifiedPair, found: Finest, settings: MatchSettings, pool: Executor) -> DisparityMap:
+    """Decide which matches to accept, and return the map. The map has the requested resolution."""
+    levels, window = found.levels, found.window
+    trusted = _believed(pair.name, found, settings, pool)
+    del found  # of a full-size pair 50 MB, while as much again is made
+    finest_hw = _level_shape(pair, levels.finest)
+    part = at_level(window, levels.coarsest - levels.finest, finest_hw)
+    left, right = pair.left, pair.right
+    full = settings.resolution == "full"
+    for _ in range(0 if full else levels.finest):
+        left, right = coarser_camera(left), coarser_camera(right)
+    doublings = levels.finest if full else 0
+
+    def laid_out(values: Array) -> Array:
+        values = pasted(values, part, finest_hw)
+        for level in range(levels.finest - 1, levels.finest - 1 - doublings, -1):
+            double = finer_mask if values.dtype == np.bool_ else finer_field
+            values = double(values, _level_shape(pair, level))
+        return values
+
+    valid, weak = laid_out(trusted.valid), laid_out(trusted.weak)
+    if full:
+        valid, weak = valid & pair.left_mask, weak & pair.left_mask
+
+    def field_of(values: Float32[Array, "h w"], scale: float, step: float | None) -> Float32[Array, "H W"]:
+        made = laid_out(values)
+        made *= np.float32(scale)
+        made *= valid
+        return to_bits(made, SIGMA_BITS) if step is None else to_step(made, step)
+
+    scale = 2.0**doublings
+    fields = (trusted.shift, trusted.d_v, trusted.confidence, trusted.sigma)
+    steps = (_D_H_STEP_PX, _D_V_STEP_PX, _CONFIDENCE_STEP, None)
+    d_h, d_v, confidence, sigma = pool.map(field_of, fields, (-scale, scale, 1.0, scale), steps)
+    return DisparityMap(
+        name=pair.name,
+        halvings=levels.finest - doublings,
+        left=left,
+        right=right,
+        d_h_px=d_h,
+        d_v_px=d_v,
+        confidence=confidence,
+        sigma_px=sigma,
+        valid=valid,
+        weak=weak,
+    )
+
+
+def _believed(name: str, found: Finest, settings: MatchSettings, pool: Executor) -> Trusted:
+    """Accept matches that correlate, have settled, agree, and are certain.
+
+    They must agree in both directions.
+    """
+    fine, matches, shift, sigma = found.matches, found.matches.matches, found.matches.shift, found.matches.variance
+    window = settings.window_sigma_px
+    too_weak = pool.submit(weak_texture, found.image, matches, window, settings.largest_sigma_px)
+    doubted = matches.variance * unexplained(found.image, matches, window)
+    steep = squared_slope(shift)
+    weak = too_weak.result()  # before the correlation is changed
+    valid = (
+        matches.plausible
+        & (matches.correlation > settings.least_correlation)
+        & (np.abs(matches.step) < _LAST_STEP_PX)
+        & agreeing(shift, fine.other, settings.agreement_px * 2**fine.halvings)
+        & (np.sqrt(doubted) * (1 + _DOUBT_SLOPE * steep) < settings.largest_sigma_px)
+    )
+    # What noise alone lets agree are small islands, most often beyond an outline; they hold too little to be confirmed.
+    valid = without_specks(valid, round(_ISLAND_WINDOWS * 4 * np.pi * window**2))
+    if not valid.any():
+        raise MatchingError(
+            f"pair {name}",
+            found="no point that both pictures show alike",
+            expected="the same textured skin in both",
+            remedy="Look at the subject's outlines in both, and give a mask where one is wrong. If both are right, "
+            "check that the photographs are sharp, of one moment, and of the cameras named",
+        )
+    np.sqrt(sigma, out=sigma)
+    steep *= np.float32(_SIGMA_SLOPE)
+    steep += np.float32(1)
+    sigma *= steep
+    sigma *= np.float32(_SIGMA_SCALE)
+    confidence = np.clip(matches.correlation, -1, 1, out=matches.correlation)
+    columns = np.arange(shift.shape[1], dtype=np.float32) + shift
+    d_v = found.vertical.at(columns, found.levels.finest)
+    return Trusted(shift=shift, d_v=d_v, sigma=sigma, confidence=confidence, valid=valid, weak=weak)
+
+
+def _level_shape(pair: RectifiedPair, level: int) -> tuple[int, int]:
+    return -(-pair.left_mask.shape[0] // 2**level), -(-pair.left_mask.shape[1] // 2**level)

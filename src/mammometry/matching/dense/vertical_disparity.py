@@ -1,0 +1,199 @@
+"""The vertical disparity that an imperfect calibration leaves after rectification.
+
+With the right calibration it is zero; what remains is the calibration's own alarm (paper 2.3). It is d_v(u, v) at the
+*right* image's position u and the common row v, so that the right image can be brought onto the left one's rows by
+resampling. Here it is one quadratic polynomial, estimated from all pixels at once: it varies slowly over the picture.
+`free_vertical` has it free at each pixel, as Eq. 1 is printed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import ClassVar, Protocol, runtime_checkable
+
+import numpy as np
+from scipy import ndimage
+
+from mammometry.base.machine.cores import in_bands
+from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Shaped, read_only
+from mammometry.matching.correlation_kernels import calm_at, warp_rows
+from mammometry.matching.dense.least_squares_step import Both, Estimate, Side
+from mammometry.matching.filters import gaussian_taps
+from mammometry.matching.pyramid import Level
+
+_HARMLESS_PX = 0.1  # of a level's pixels; a vertical error of that size leaves d_h as it is (docs/decisions/0011)
+_STEEPEST = 0.25  # change of the shift a pixel; on steeper skin errors of smoothing look vertical (docs/decisions/0011)
+_FEWEST_PIXELS = 400  # thirty for each of thirteen unknowns
+_ENOUGH_PIXELS = 20_000  # 1,500 for each of thirteen unknowns; chosen by eye, bounds time
+_BAND_ROWS = 128  # bounds memory
+_CALM_PX = 1.0  # Gaussian σ over which pictures and slopes are averaged first; chosen by eye
+_LARGEST_SLOPE_RESIDUAL = 3.0  # times the median residual: beyond, a pixel tells nothing; chosen by eye
+_SMALL_STEP_PX = 0.3  # a match that still moves by more says nothing about the rows; chosen by eye
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LevelState:
+    """A level when the vertical disparity is refined on it."""
+
+    level: int
+    """Halvings of the rectified pictures."""
+    sides: Both[Side]
+    """The right one aligned by the vertical disparity known so far."""
+    matches: Both[Estimate]
+    """The last step's."""
+    shifts: Both[Float32[Array, "h w"]]
+    """Smoothed, pixels of the level."""
+    smoothing_px: float
+    """Gaussian σ of the plane fits between the steps."""
+
+
+@runtime_checkable
+class Vertical(Protocol):
+    """A vertical disparity, and how matching refines it. d_v = v_left − v_right over the right image."""
+
+    refinements: ClassVar[int]
+    """How many of a level's last steps refine it."""
+
+    def matters(self, level: int) -> bool:
+        """Whether a level's right image is better resampled by it."""
+
+    def at(self, u: Float32[Array, "h w"], level: int) -> Float32[Array, "h w"]:
+        """d_v at columns u of the right image, on every row. Pixels of the level."""
+
+    def cut(self, window: tuple[slice, slice], level: int) -> Vertical:
+        """The same for a part of a level's rows and columns."""
+
+    def refined(self, state: LevelState) -> Vertical:
+        """Add what is left of it after the right image was aligned."""
+
+
+def aligned(vertical: Vertical, right: Level, level: int) -> Level:
+    """Resample the right image so that corresponding points lie on one row."""
+    if not vertical.matters(level):
+        return right
+    height, width = right.image.shape
+    columns = np.broadcast_to(np.arange(width, dtype=np.float32), (height, width))
+    shift = np.ascontiguousarray(-vertical.at(columns, level).T)
+    upright = np.ascontiguousarray(right.image.T)
+    coefficients = ndimage.spline_filter1d(upright, order=3, axis=1, mode="mirror", output=np.float32)
+    image, _, seen = warp_rows(coefficients, np.ones(upright.shape, dtype=bool), shift)
+    image = np.where(seen > 0, image, upright)
+    return Level(image=np.ascontiguousarray(image.T), mask=right.mask)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class VerticalField:
+    """The vertical disparity as one quadratic polynomial.
+
+    d_v = v_left − v_right over the right image, held within what was seen.
+    """
+
+    refinements: ClassVar[int] = 2
+    """Earlier, the shifts still move by more than what is left of d_v."""
+    size_wh: tuple[int, int]
+    """Of the rectified image at level 0, pixels."""
+    origin_uv: tuple[int, int] = (0, 0)
+    """First column and row, level 0, of the part in use."""
+    coefficients_px: Float64[Array, " 6"] = field(default_factory=lambda: np.zeros(6))
+    """Coefficients of 1, x, y, x², xy, y², with x and y from −1 to 1 over the image. Pixels of level 0."""
+    limits_px: tuple[float, float] = (0.0, 0.0)
+    """Smallest and largest value supported by matches. The polynomial is held within them."""
+    typical_px: float = 0.0
+    """Median size where matches support it. Its extremes, in the corners, are the least certain."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "coefficients_px", read_only(self.coefficients_px))
+
+    def matters(self, level: int) -> bool:
+        """Whether resampling a level's right image helps.
+
+        Below that, the estimate's own noise would do more harm.
+        """
+        return self.typical_px > _HARMLESS_PX * 2**level
+
+    def at(self, u: Float32[Array, "h w"], level: int) -> Float32[Array, "h w"]:
+        """d_v at columns u of the right image, on every row. Pixels of the level."""
+        out = np.empty(u.shape, dtype=np.float32)
+        for top in range(0, u.shape[0], _BAND_ROWS):  # the monomials of the whole image would take six times its memory
+            band = u[top : top + _BAND_ROWS]
+            rows = np.arange(top, top + len(band), dtype=np.float32)[:, None]
+            out[top : top + len(band)] = self._polynomial(self.terms_at(band, rows, level))
+        np.clip(out, *self.limits_px, out=out)
+        out /= np.float32(2**level)
+        return out
+
+    def terms_at(self, u: Shaped[Array, "*n"], v: Shaped[Array, "*m"], level: int) -> list[Shaped[Array, "*n"]]:
+        """The six monomials at columns u and rows v of a level. Columns and rows are those of the right image."""
+        x = 2 * ((u + 0.5) * 2**level + self.origin_uv[0]) / self.size_wh[0] - 1
+        y = np.broadcast_to(2 * ((v + 0.5) * 2**level + self.origin_uv[1]) / self.size_wh[1] - 1, u.shape)
+        return [np.ones_like(x), x, y, x * x, x * y, y * y]
+
+    def cut(self, window: tuple[slice, slice], level: int) -> VerticalField:
+        """The same polynomial in the pixels of a part of the image."""
+        return replace(self, origin_uv=(window[1].start << level, window[0].start << level))
+
+    def refined(self, state: LevelState) -> VerticalField:
+        """Add the remaining vertical disparity, from settled left matches. `refine` estimates it."""
+        (left, right), found = state.sides, state.matches[0]
+        settled = found.plausible & (np.abs(found.step) < _SMALL_STEP_PX)
+        return refine(self, left.image, right.coefficients, state.shifts[0], settled, state.level)
+
+    def changed(self, coefficients_px: Float64[Array, " 6"], terms: Sequence[Float64[Array, " n"]]) -> VerticalField:
+        """The same with other coefficients, supported at points whose monomials are given."""
+        moved = replace(self, coefficients_px=coefficients_px)
+        values = moved._polynomial(terms)
+        return replace(
+            moved,
+            limits_px=(float(values.min()), float(values.max())),
+            typical_px=float(np.median(np.abs(values))),
+        )
+
+    def _polynomial(self, terms: Sequence[Array]) -> Array:
+        return np.asarray(sum(float(c) * term for c, term in zip(self.coefficients_px, terms, strict=True)))
+
+
+def refine(
+    before: VerticalField,
+    left: Float32[Array, "h w"],
+    right_coefficients: Float32[Array, "h w"],
+    shift: Float32[Array, "h w"],
+    trusted: Bool[Array, "h w"],
+    level: int,
+) -> VerticalField:
+    """Add what is left of the vertical disparity.
+
+    After the right image was aligned with `before`. Linear least squares of left ≈ gain·right + vertical slope·δ(x, y)
+    + horizontal slope·ε(x, y) over trusted pixels on a grid, δ and ε quadratic: ε keeps errors of the horizontal shift
+    out of the vertical one.
+    """
+    height, width = shift.shape
+    every = max(1, int(np.sqrt(np.count_nonzero(trusted) / _ENOUGH_PIXELS)))
+    taps = gaussian_taps(_CALM_PX)
+    reach = len(taps) // 2 + 1  # a window, and one row more for its slope
+    rows, columns = (every * index for index in np.nonzero(trusted[::every, ::every]))
+    inside = (rows >= reach) & (rows < height - reach) & (columns >= reach) & (columns < width - reach)
+    rows, columns = rows[inside], columns[inside]
+    along = (shift[rows, columns + 1] - shift[rows, columns - 1]) / 2
+    across = (shift[rows + 1, columns] - shift[rows - 1, columns]) / 2
+    gentle = np.hypot(along, across) < _STEEPEST
+    rows, columns, across = rows[gentle], columns[gentle], across[gentle]
+    if len(rows) < _FEWEST_PIXELS:
+        return before
+
+    def calm(part: slice) -> Float32[Array, "4 _"]:
+        return calm_at((rows[part], columns[part]), left, right_coefficients, shift, taps)
+
+    target, value, slope, upright = np.concatenate(in_bands(calm, len(rows)), axis=1).astype(np.float64)
+    # The warped image changes along a column by the right image's vertical slope and by the change of the shift.
+    vertical = upright - slope * across
+    terms = [term.astype(np.float64) for term in before.terms_at(columns + shift[rows, columns], rows, level)]
+    design = np.stack([value, *(vertical * term for term in terms), *(slope * term for term in terms)], axis=1)
+    solution = np.linalg.lstsq(design, target, rcond=1e-6)[0]
+    residual = np.abs(target - design @ solution)
+    keep = residual < _LARGEST_SLOPE_RESIDUAL * np.median(residual)
+    solution = np.linalg.lstsq(design[keep], target[keep], rcond=1e-6)[0]
+    if solution[0] <= 0:
+        return before
+    aligned_by = before.coefficients_px if before.matters(level) else np.zeros(6)
+    return before.changed(aligned_by - 2**level * solution[1:7] / solution[0], terms)

@@ -1,0 +1,150 @@
+"""Foreground: sub-pixel coverage map of the subject in each photograph.
+
+`segment` separates subject and background by brightness and colour, block by block. Where a coarse stereo contradicts
+it, `seeded` grows the subject from what is near. `silhouette` then places the outline to a fraction of a pixel. This
+module holds the result, which rectification and carving read.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import ndimage
+
+from mammometry.base.errors import ImageError, MatchingError
+from mammometry.base.photograph import Photograph, linear_of
+from mammometry.geometry.arrays import Array, Bool, Float32, read_only
+from mammometry.matching.foreground.block_segmentation import segment
+from mammometry.matching.foreground.seeded_segmentation import DepthSeeds, agreed
+from mammometry.matching.foreground.silhouette import block_means, sub_pixel_coverage
+from mammometry.matching.settings import ForegroundSettings
+
+_REFERENCE_DIAGONAL_PX = 1353.0  # of the 1126 × 750 images, a quarter of the paper's, on which widths were measured
+_BLOCK_PX = 2.0  # pixels a block, at that size, for what needs no sub-pixel position; for speed
+_EVEN = 0.02  # difference of encoded values (sRGB), five of 255, that noise leaves in the blocks of an empty picture
+_BLACK = 0.1  # encoded value (sRGB) that no block of a black photograph reaches: 1 % of the light; chosen by eye
+_BLUR_OF_A_DRAWN_MASK_PX = 1.0  # Gaussian σ that gives a drawn mask an edge to interpolate; chosen by eye
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Foreground:
+    """Share of each pixel that the subject covers, in the distorted photograph."""
+
+    camera: str
+    coverage: Float32[Array, "h w"]
+    """0 background … 1 subject. Smooth near the contour, so that its `contour_level` is a sub-pixel silhouette."""
+    contour_level: float
+    """Coverage on the silhouette."""
+    everything: bool
+    """True: no silhouette is known, every pixel may be surface. It must not be used for carving."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "coverage", read_only(self.coverage))
+
+    @property
+    def mask(self) -> Bool[Array, "h w"]:
+        """Pixels whose centre lies inside the silhouette."""
+        return self.coverage >= self.contour_level
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Blocks:
+    """A photograph's means over blocks of pixels."""
+
+    encoded: Float32[Array, "h w channels"]
+    """sRGB-encoded values, 0…1; one channel or three."""
+    step: int
+    """Pixels to a block."""
+    unit: float
+    """Pixels to one of the reference size."""
+
+
+def blocks_of(photograph: Photograph) -> Blocks:
+    """Means of a photograph over blocks, in which its subject is sought."""
+    unit = max(1.0, float(np.hypot(*photograph.size_wh)) / _REFERENCE_DIAGONAL_PX)
+    step = round(_BLOCK_PX * unit)
+    pixels = np.atleast_3d(photograph.pixels)
+    levels = np.linspace(0, 1, np.iinfo(pixels.dtype).max + 1, dtype=np.float32)
+    return Blocks(encoded=block_means(pixels, levels, step), step=step, unit=unit)
+
+
+def subject_blocks(
+    name: str, blocks: Blocks, settings: ForegroundSettings, seeds: Sequence[DepthSeeds]
+) -> Bool[Array, "h w"] | None:
+    """Blocks that show the subject. None where nothing parts it from the rest.
+
+    Args:
+        name: of the photograph.
+        blocks: its means.
+        settings: levels.
+        seeds: what is near and what far by a coarse stereo of each pair that the camera is in.
+
+    Raises:
+        MatchingError: the photograph is black, or even all over.
+    """
+    bright = segment(blocks.encoded, blocks.unit / blocks.step, settings.background_margin)
+    subject = agreed(blocks.encoded, bright, seeds, blocks.step, blocks.unit / blocks.step)
+    if subject is None:
+        _refuse_empty(name, blocks.encoded)
+    return subject
+
+
+def estimate_foreground(
+    photograph: Photograph,
+    camera_name: str,
+    settings: ForegroundSettings = ForegroundSettings(),
+    *,
+    given: Bool[Array, "h w"] | None = None,
+    subject: Bool[Array, "H W"] | None = None,
+) -> Foreground:
+    """Find the subject's outline in a photograph, or take the given mask.
+
+    Args:
+        photograph: the capture.
+        camera_name: whose it is.
+        settings: levels.
+        given: the subject's pixels, drawn or segmented elsewhere; overrules all else.
+        subject: its blocks. None: no silhouette is known.
+
+    Raises:
+        ImageError: the given mask has another size than the photograph.
+    """
+    if given is not None:
+        return _from_mask(photograph, camera_name, given)
+    if subject is None:
+        whole = np.ones(photograph.pixels.shape[:2], dtype=np.float32)
+        return Foreground(camera=camera_name, coverage=whole, contour_level=settings.contour_level, everything=True)
+    unit = max(1.0, float(np.hypot(*photograph.size_wh)) / _REFERENCE_DIAGONAL_PX)
+    step, pixels = round(_BLOCK_PX * unit), np.atleast_3d(photograph.pixels)
+    coverage = sub_pixel_coverage(pixels, linear_of(pixels.dtype), subject, step, unit, settings.contour_level)
+    return Foreground(camera=camera_name, coverage=coverage, contour_level=settings.contour_level, everything=False)
+
+
+def _refuse_empty(name: str, encoded: Float32[Array, "H W c"]) -> None:
+    brightest, darkest = float(encoded.max()), float(encoded.min())
+    if brightest < _BLACK:
+        raise MatchingError(
+            name,
+            found=f"a photograph that is black: its brightest place has {100 * brightest:.0f} % of full brightness",
+            expected=f"a lit subject, with at least {100 * _BLACK:.0f} %",
+            remedy="Check that this camera's flash fires and its lens is uncovered, and take the capture again",
+        )
+    if brightest - darkest < _EVEN:
+        raise MatchingError(
+            name,
+            found="a photograph of one even tone",
+            expected="a subject",
+            remedy="Look at the photograph, and take the capture again",
+        )
+
+
+def _from_mask(photograph: Photograph, camera_name: str, given: Bool[Array, "h w"]) -> Foreground:
+    if given.shape != photograph.pixels.shape[:2] or not given.any():
+        raise ImageError(
+            photograph.name,
+            found=f"a mask of {given.shape[1]} × {given.shape[0]} pixels with {np.count_nonzero(given)} of them set",
+            expected=f"{photograph.size_wh[0]} × {photograph.size_wh[1]} pixels as in the photograph, some of them set",
+            remedy="Draw the mask on the photograph itself, at its own size",
+        )
+    coverage = ndimage.gaussian_filter(given.astype(np.float32), _BLUR_OF_A_DRAWN_MASK_PX, mode="nearest")
+    return Foreground(camera=camera_name, coverage=coverage, contour_level=0.5, everything=False)

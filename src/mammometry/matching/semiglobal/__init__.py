@@ -1,0 +1,1 @@
+"""Semi-global matching, from which the dense matching starts."""

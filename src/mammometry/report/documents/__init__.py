@@ -1,0 +1,1 @@
+"""Pages and paper: a report, a comparison, a study, a batch."""

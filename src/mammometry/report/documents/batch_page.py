@@ -1,0 +1,200 @@
+"""Many sessions on one self-contained page, and as tables.
+
+The page has a sortable line with pictures for each session.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from mammometry.base.csv_cells import csv_text
+from mammometry.report.documents.pages import embed, render
+from mammometry.report.figures.studies.agreement import bland_altman, scatter
+from mammometry.study.agreement import PairedMeasurements, agreement
+from mammometry.study.agreement_tables import agreement_tables, summary
+from mammometry.study.tables import Table, number
+
+FILES = ("batch.html", "batch.csv", "batch.parquet")
+_NAMES = {"model": "model", "left": "left breast", "right": "right breast"}
+_FEWEST = 3  # pairs that an agreement study takes
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BatchVolume:
+    """One volume."""
+
+    name: str
+    """``model``, ``left`` or ``right``."""
+    volume_cc: float
+    interval_cc: tuple[float, float] | None
+    """95 %."""
+    reference_cc: float | None = None
+    """By another method."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BatchLine:
+    """One session."""
+
+    session: str
+    address: str
+    state: str
+    """``current``, ``measured``, ``failed`` or ``stopped``."""
+    subject: str = ""
+    date: str = ""
+    volumes: tuple[BatchVolume, ...] = ()
+    no_breast: Mapping[str, str] = field(default_factory=dict)
+    """Side → why nothing was measured there."""
+    warnings: tuple[str, ...] = ()
+    failed: str = ""
+    seconds: float | None = None
+    peak_memory_mb: float | None = None
+    made_at: str = ""
+    host: str = ""
+    page: str = ""
+    """Address of its report."""
+    thumbnail: str | None = None
+    """WebP in base64."""
+
+
+def batch_files(title: str, lines: Sequence[BatchLine]) -> dict[str, bytes]:
+    """The page and the tables: file name → content.
+
+    The Parquet table is left out where pyarrow is not installed. Where there are references of three volumes or more,
+    the page holds their agreement study.
+
+    Args:
+        title: of the page.
+        lines: one a session.
+    """
+    columns = _columns(lines)
+    files = {"batch.html": _page(title, lines).encode(), "batch.csv": _as_csv(columns)}
+    parquet = _as_parquet(columns)
+    return files if parquet is None else files | {"batch.parquet": parquet}
+
+
+def _page(title: str, lines: Sequence[BatchLine]) -> str:
+    paired = _paired(lines)
+    found = None if paired is None else agreement(paired)
+    pictures: list[object] = []
+    tables: list[Table] = []
+    said: list[str] = []
+    if paired is not None and found is not None:
+        pictures = [embed(bland_altman(paired, found)), embed(scatter(paired))]
+        tables, said = [*agreement_tables(paired, found)], [*summary(paired, found)]
+    return render(
+        "batch.html.j2",
+        title=title,
+        counts=counted(lines),
+        lines=[_shown(line) for line in lines],
+        pictures=pictures,
+        tables=tables,
+        summary=said,
+    )
+
+
+def counted(lines: Sequence[BatchLine]) -> str:
+    """How many sessions there are, and what became of them, in words."""
+    words = {
+        "measured": "measured now",
+        "current": "current already",
+        "failed": "failed",
+        "stopped": "not measured yet",
+    }
+    counts = {word: sum(line.state == state for line in lines) for state, word in words.items()}
+    return (
+        f"{len(lines)} session{'s' if len(lines) != 1 else ''}: "
+        + ", ".join(f"{count} {word}" for word, count in counts.items() if count)
+        + "."
+    )
+
+
+def _shown(line: BatchLine) -> dict[str, object]:
+    remarks = [*([line.failed] if line.failed else []), *(f"{side}: {why}" for side, why in line.no_breast.items())]
+    return {
+        "line": line,
+        "picture": None if line.thumbnail is None else f"data:image/webp;base64,{line.thumbnail}",
+        "volumes": [
+            {
+                "name": _NAMES[each.name],
+                "value": number(each.volume_cc, ".0f"),
+                "interval": ""
+                if each.interval_cc is None
+                else " … ".join(number(end, ".0f") for end in each.interval_cc),
+                "reference": "" if each.reference_cc is None else number(each.reference_cc, ".0f"),
+            }
+            for each in line.volumes
+        ],
+        "largest": max((each.volume_cc for each in line.volumes), default=-1.0),
+        "remarks": remarks,
+        "seconds": "" if line.seconds is None else number(line.seconds, ".0f"),
+        "memory": "" if line.peak_memory_mb is None else number(line.peak_memory_mb, ".0f"),
+    }
+
+
+def _paired(lines: Sequence[BatchLine]) -> PairedMeasurements | None:
+    """Volumes that have a reference. None where they are too few for a study."""
+    pairs = [
+        (line.subject or line.session, each) for line in lines for each in line.volumes if each.reference_cc is not None
+    ]
+    if len(pairs) < _FEWEST:
+        return None
+    return PairedMeasurements(
+        names=tuple(name if each.name == "model" else f"{name} {each.name}" for name, each in pairs),
+        reference=np.array([each.reference_cc for _, each in pairs], dtype=np.float64),
+        measured=np.array([each.volume_cc for _, each in pairs]),
+        reference_name="reference",
+        measured_name="photographs",
+        unit="cc",
+    )
+
+
+def _columns(lines: Sequence[BatchLine]) -> dict[str, list[str | float | None]]:
+    """A row a volume. A session without any has one row."""
+    columns: dict[str, list[str | float | None]] = {}
+    for line in lines:
+        for each in line.volumes or (None,):
+            interval = None if each is None else each.interval_cc
+            cells: dict[str, str | float | None] = {
+                "session": line.session,
+                "address": line.address,
+                "subject": line.subject or None,
+                "date": line.date or None,
+                "state": line.state,
+                "volume": None if each is None else each.name,
+                "volume_cc": None if each is None else round(each.volume_cc, 3),
+                "low_cc": None if interval is None else round(interval[0], 3),
+                "high_cc": None if interval is None else round(interval[1], 3),
+                "reference_cc": None if each is None else each.reference_cc,
+                "no_breast": "; ".join(f"{side}: {why}" for side, why in line.no_breast.items()) or None,
+                "warnings": " ".join(line.warnings) or None,
+                "failed": line.failed or None,
+                "seconds": line.seconds,
+                "peak_memory_mb": line.peak_memory_mb,
+                "made_at": line.made_at or None,
+                "report": line.page or None,
+            }
+            for name, cell in cells.items():
+                columns.setdefault(name, []).append(cell)
+    return columns
+
+
+def _as_csv(columns: Mapping[str, Sequence[str | float | None]]) -> bytes:
+    return csv_text(columns, zip(*columns.values(), strict=True)).encode()
+
+
+def _as_parquet(columns: Mapping[str, Sequence[str | float | None]]) -> bytes | None:
+    try:
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+    except ImportError:
+        return None
+    numbers = {"volume_cc", "low_cc", "high_cc", "reference_cc", "seconds", "peak_memory_mb"}
+    schema = pa.schema([(name, pa.float64() if name in numbers else pa.string()) for name in columns])
+    buffer = io.BytesIO()
+    pq.write_table(pa.table({name: list(cells) for name, cells in columns.items()}, schema=schema), buffer)
+    return buffer.getvalue()

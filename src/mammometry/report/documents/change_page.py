@@ -1,0 +1,312 @@
+"""Comparison of two dates of one patient: page, document, numbers, pictures."""
+
+from __future__ import annotations
+
+import datetime
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from mammometry.geometry.arrays import Array, Float64
+from mammometry.measure.dates.change import BreastChange, Change, LengthChange
+from mammometry.report.content import DISCLAIMER, Fact, sentence
+from mammometry.report.documents import paper
+from mammometry.report.documents.pages import STYLE, embed, render, viewer_program
+from mammometry.report.figures.drawing.sides import NAMES
+from mammometry.report.figures.studies import change as change_figures
+from mammometry.report.figures.studies.change import Dated
+from mammometry.report.models import change_scene
+from mammometry.report.pictures import encoded
+from mammometry.report.scene import to_json
+from mammometry.report.words.change_words import change_sentence
+from mammometry.report.words.describe import versions
+from mammometry.report.words.volume_words import interval_words, is_coarse, term_words, volume_words
+from mammometry.study.tables import Table, signed
+
+PAGE, DOCUMENT, NUMBERS = "compare.html", "compare.pdf", "compare.json"
+FILES = (PAGE, DOCUMENT, NUMBERS, "change.png", "sections.png")
+_FORMAT = 1  # version of compare.json
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ChangeReport:
+    """All words, pictures and values of a comparison."""
+
+    title: str
+    subtitle: str
+    """The dates, in words."""
+    subject: str | None = None
+    """Identifier of the subject where both dates name it, else None."""
+    keys: tuple[str, str]
+    """For each date, digest of all that its report shows, to tell later whether the page is current."""
+    change: Change
+    dates: tuple[Dated, Dated]
+    """The earlier one first, in the earlier one's world frame."""
+    frame: Float64[Array, "3 3"]
+    """Rows: right, up and towards the viewer of the front view. World frame of the earlier date."""
+    warnings: tuple[str, ...]
+    """The gravest first."""
+    remarks: tuple[str, ...]
+    """How the comparison was made."""
+    contains: str
+    """What the page reveals of the patient."""
+    settings: tuple[Fact, ...]
+    """Those that differ from the recommended ones."""
+    before: datetime.date | None = None
+    """The earlier date, where the page may name it."""
+    at_one_date: Mapping[str, str] = field(default_factory=dict)
+    """Breast → ``earlier`` or ``later``: the date at which alone it has a volume."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BreastCard:
+    """One breast's change, in words."""
+
+    title: str
+    change: str
+    interval: str
+    verdict: str
+    facts: tuple[Fact, ...]
+
+
+def change_files(report: ChangeReport) -> dict[str, bytes]:
+    """Page, document, numbers and pictures: file name → content."""
+    from markupsafe import Markup
+
+    change = report.change
+    pictures = {
+        "change.png": change_figures.change_map(report.frame, report.dates, change),
+        "sections.png": change_figures.change_sections(report.frame, report.dates, change),
+    }
+    cards = [breast_card(breast, report.before) for breast in change.breasts]
+    tables = length_tables(change.lengths)
+    scene = change_scene(report.frame, report.dates, change_figures.limit_mm(change))
+    page = render(
+        "compare.html.j2",
+        styles=(STYLE, "viewer.css"),
+        report=report,
+        cards=cards,
+        trunk=trunk_facts(change),
+        definitions=definitions(change),
+        tables=tables,
+        pictures=[embed(png) for png in pictures.values()],
+        versions=versions(),
+        disclaimer=DISCLAIMER,
+        scene=Markup(to_json(scene)),
+        viewer=Markup(viewer_program()),
+    )
+    document = paper.document(report.title, report.subtitle, lambda width: _story(report, cards, pictures, width))
+    return {
+        PAGE: page.encode(),
+        DOCUMENT: document,
+        NUMBERS: (json.dumps(as_table(report), indent=1, ensure_ascii=False) + "\n").encode(),
+        **pictures,
+    }
+
+
+def as_table(report: ChangeReport) -> dict[str, Any]:
+    """The comparison as JSON-ready data. Lengths in mm, volumes in cc."""
+    change = report.change
+    fit = change.fit
+    return {
+        "format": _FORMAT,
+        "title": report.title,
+        "dates": report.subtitle,
+        "subject": report.subject,
+        "warnings": list(report.warnings),
+        "remarks": list(report.remarks),
+        "registration": {
+            "before_from_after": fit.before_from_after.matrix.tolist(),
+            "scatter_mm": round(fit.scatter_mm, 4),
+            "within_mm": round(fit.within_mm, 4),
+            "weakest_mm": round(fit.weakest_mm, 4),
+            "turned_deg": round(fit.turned_deg, 3),
+            "doubtful": change.doubtful,
+            "pairing": change.pairing,
+        },
+        "at_one_date": dict(report.at_one_date),
+        "breasts": {
+            breast.name: {
+                "verdict": verdict_of(breast, report.before),
+                "before_cc": round(breast.before.volume_cc, 3),
+                "before_interval_cc": _rounded(breast.before.interval_cc),
+                "after_cc": round(breast.after.volume_cc, 3),
+                "after_interval_cc": _rounded(breast.after.interval_cc),
+                "change_cc": round(breast.volume.difference_cc, 3),
+                "change_interval_cc": _rounded(breast.volume.difference_interval_cc),
+                "ratio": round(breast.volume.ratio, 5),
+                "ratio_interval": _rounded(breast.volume.ratio_interval, 5),
+                "terms_cc": {name: round(term, 3) for name, term in breast.volume.terms_cc.items()},
+                "beyond_error": breast.volume.beyond_error,
+                "rms_mm": round(breast.rms_mm, 3),
+                "wall": breast.after.wall_kind,
+                "boundaries": [breast.before.boundary_method, breast.after.boundary_method],
+                "note": breast.volume.note,
+            }
+            for breast in change.breasts
+        },
+        "lengths": [
+            {
+                "name": each.name,
+                "title": each.title,
+                "along_the_skin": each.along,
+                "before_mm": round(each.before_mm, 2),
+                "after_mm": round(each.after_mm, 2),
+                "change_mm": round(each.change_mm, 2),
+                "sigma_mm": round(each.sigma_mm, 2),
+                "beyond_error": each.beyond_error,
+            }
+            for each in change.lengths
+        ],
+    }
+
+
+def verdict_of(breast: BreastChange, before: datetime.date | None) -> str:
+    """A breast's change and verdict, in the sentence that the clinic's pages say too."""
+    volume = breast.volume
+    return change_sentence(
+        breast.name, volume.difference_cc, volume.difference_interval_cc, volume.beyond_error, before
+    )
+
+
+def breast_card(breast: BreastChange, before: datetime.date | None) -> BreastCard:
+    """Describe the change of one breast: amount, interval and verdict.
+
+    Args:
+        breast: at both dates.
+        before: the earlier date; None where it is not to be named.
+    """
+    volume = breast.volume
+    title = NAMES[breast.name]
+    interval = volume.difference_interval_cc
+    digits = 0 if is_coarse(interval) else 1
+    facts = [
+        Fact(label="Before", value=_with_interval(breast.before.volume_cc, breast.before.interval_cc)),
+        Fact(label="After", value=_with_interval(breast.after.volume_cc, breast.after.interval_cc)),
+        Fact(label="After in % of before", value=_percent(volume.ratio, volume.ratio_interval)),
+        Fact(label="Skin moved (RMS)", value=f"{breast.rms_mm:.1f} mm, with the trunks aligned"),
+        Fact(label="Chest wall", value=f"{breast.after.wall_kind}, at both dates"),
+    ]
+    facts += [
+        Fact(label=f"Uncertainty from {name}", value=f"± {term_words(term)} cc (95 %)")
+        for name, term in volume.terms_cc.items()
+    ]
+    said = "no interval, because one of the volumes has none"
+    if interval is not None:
+        low, high = (signed(bound, digits) for bound in interval)
+        half = (interval[1] - interval[0]) / 2
+        said = f"± {half:.{digits}f} cc (95 %: {low} to {high} cc)"
+    return BreastCard(
+        title=f"{title[:1].upper()}{title[1:]}",
+        change=f"{signed(volume.difference_cc, digits)} cc",
+        interval=said,
+        verdict=verdict_of(breast, before),
+        facts=tuple(facts),
+    )
+
+
+def trunk_facts(change: Change) -> tuple[Fact, ...]:
+    """How well the trunks of both dates fit together."""
+    fit = change.fit
+    posed = {
+        "same pose": "the same, judged by the trunk",
+        "across poses": "different. The interval of the change includes this",
+    }
+    return (
+        Fact(label="Fit beside the breasts", value=f"80 % of the trunk within {fit.within_mm:.1f} mm"),
+        Fact(label="Scatter (robust SD)", value=f"{fit.scatter_mm:.2f} mm"),
+        Fact(label="Uncertainty of the fit", value=f"{fit.weakest_mm:.2f} mm (standard uncertainty)"),
+        Fact(label="Lean", value=f"differs by {fit.turned_deg:.0f}° from the upright of the photographs"),
+        Fact(label="Pose", value=posed.get(change.pairing, change.pairing)),
+    )
+
+
+def length_tables(lengths: Sequence[LengthChange]) -> tuple[Table, ...]:
+    """Lengths known at both dates. None without landmarks."""
+    if not lengths:
+        return ()
+    rows = tuple(
+        (
+            each.title,
+            "along the skin" if each.along else "straight",
+            f"{each.before_mm:.1f}",
+            f"{each.after_mm:.1f}",
+            f"{signed(each.change_mm, 1)} ± {each.sigma_mm:.1f}",
+            "yes" if each.beyond_error else "no",
+        )
+        for each in lengths
+    )
+    columns = ("from, to", "path", "before, mm", "after, mm", "change ± σ, mm", "larger than the error")
+    return (Table(title="Lengths between landmarks", columns=columns, rows=rows),)
+
+
+def definitions(change: Change) -> tuple[Fact, ...]:
+    """The boundaries, the chest wall and the interval that were compared."""
+    found = []
+    for breast in change.breasts:
+        name = NAMES[breast.name]
+        found += [
+            Fact(label=f"Boundary before, {name}", value=sentence(breast.before.boundary_method)),
+            Fact(label=f"Boundary after, {name}", value=sentence(breast.after.boundary_method)),
+        ]
+    first = change.breasts[0]
+    wall = f"{first.after.wall_kind.capitalize()}: {sentence(first.after.wall_definition, capital=False)}"
+    found.append(Fact(label="Chest wall", value=wall))
+    found.append(Fact(label="95 % interval", value=sentence(first.volume.note)))
+    return tuple(found)
+
+
+def _story(
+    report: ChangeReport, cards: Sequence[BreastCard], pictures: dict[str, bytes], width: float
+) -> Iterator[Any]:
+    from reportlab.platypus import Spacer
+
+    yield paper.text("mammometry: two dates compared", size=8, colour=paper.ACCENT)
+    yield paper.text(report.title, size=18, bold=True)
+    yield paper.text(report.subtitle, size=8.5, colour=paper.FAINT)
+    yield Spacer(0, 6)
+    if report.warnings:
+        yield paper.box([paper.text(f"• {warning}", size=8.5) for warning in report.warnings], width)
+        yield Spacer(0, 8)
+    shown = [
+        [
+            paper.text(card.title, size=9.5, colour=paper.FAINT),
+            paper.text(card.change, size=22, bold=True),
+            paper.text(card.interval, size=9, colour=paper.ACCENT),
+            paper.text(card.verdict, size=9, bold=True),
+            *paper.facts(card.facts),
+        ]
+        for card in cards
+    ]
+    trunk = [
+        paper.text("Fit of the trunk", size=9.5, colour=paper.FAINT),
+        *paper.facts(trunk_facts(report.change)),
+    ]
+    yield paper.side_by_side([*shown, trunk], width)
+    yield Spacer(0, 8)
+    yield paper.picture(encoded(pictures["change.png"]).jpeg, width, 400)
+    yield from paper.facts([Fact(label="Remark", value=remark) for remark in report.remarks])
+    for table in length_tables(report.change.lengths):
+        yield paper.text(table.title, size=11, bold=True, before=6)
+        yield paper.table(table, width)
+    yield paper.picture(encoded(pictures["sections.png"]).jpeg, width, 180)
+    yield paper.text("What was compared", size=11, bold=True, before=6)
+    yield from paper.facts(definitions(report.change), size=7.5)
+    held = Fact(label="This document contains", value=f"{report.contains}.")
+    named = ", ".join(f"{fact.label} {fact.value}" for fact in versions())
+    yield from paper.facts([held, *report.settings, Fact(label="Versions", value=named)], size=7.5)
+
+
+def _with_interval(volume_cc: float, interval_cc: tuple[float, float] | None) -> str:
+    words = volume_words(volume_cc, interval_cc)
+    return words if interval_cc is None else f"{words} ({interval_words(interval_cc)})"
+
+
+def _percent(ratio: float, interval: tuple[float, float] | None) -> str:
+    words = f"{100 * ratio:.0f} %"
+    return words if interval is None else f"{words} ({100 * interval[0]:.0f} to {100 * interval[1]:.0f})"
+
+
+def _rounded(interval: tuple[float, float] | None, digits: int = 3) -> list[float] | None:
+    return None if interval is None else [round(bound, digits) for bound in interval]

@@ -1,0 +1,53 @@
+"""The report as one self-contained page.
+
+Pictures, style and 3D viewer are inside. It needs no network.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from mammometry.report.content import DISCLAIMER, Picture, ReportContent
+from mammometry.report.documents import pages
+from mammometry.report.documents.arrangement import breast_pictures, stage_pictures, whole_pictures
+from mammometry.report.first_page import FirstPage, signature
+from mammometry.report.words.volume_words import MEANINGS_INTRODUCTION
+
+PAGE = "report.html"
+
+
+def render(content: ReportContent, first: FirstPage) -> str:
+    """The page's text.
+
+    Args:
+        content: what was measured.
+        first: what stands before all else.
+    """
+    from markupsafe import Markup
+
+    return pages.render(
+        "report.html.j2",
+        styles=(pages.STYLE, "viewer.css"),
+        content=content,
+        first=first,
+        signature="" if first.conclusion is None else signature(first.conclusion),
+        disclaimer=DISCLAIMER,
+        introduction=MEANINGS_INTRODUCTION,
+        scene=Markup(content.scene) if content.scene else None,
+        viewer=Markup(pages.viewer_program()) if content.scene else None,
+        pictures=_arranged(content, first),
+    )
+
+
+def _arranged(content: ReportContent, first: FirstPage) -> Mapping[str, object]:
+    """Pictures where the page wants them, embedded."""
+    return {
+        "first": _embedded(first.pictures),
+        "whole": _embedded(whole_pictures(content)),
+        "breasts": {breast.name: _embedded(breast_pictures(content, breast.name)) for breast in content.breasts},
+        "stages": {stage: _embedded(stage_pictures(content, stage)) for stage in content.pictures},
+    }
+
+
+def _embedded(pictures: Sequence[Picture]) -> list[pages.Shown]:
+    return [pages.shown(picture) for picture in pictures]

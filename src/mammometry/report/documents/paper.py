@@ -1,0 +1,287 @@
+"""Parts of our paper documents: paragraphs, facts, tables, pictures on A4."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+from xml.sax.saxutils import escape
+
+from PIL import Image
+
+from mammometry.report.content import DISCLAIMER, Fact, Picture
+from mammometry.report.figures.drawing.canvas import INK
+from mammometry.study.tables import Table
+
+_MARGIN_MM = 14.0  # of the page; chosen by eye
+ACCENT, FAINT = "#005a8e", "#586573"
+WARN = "#8a5a00"
+_LINE, _EDGE, _WARN_GROUND = "#dde2e8", "#d08700", "#fff4dc"
+
+
+def document(title: str, subject: str, story: Callable[[float], Iterable[Any]]) -> bytes:
+    """A document's bytes. The same content gives the same bytes.
+
+    Args:
+        title: of the document, and at the foot of each page.
+        subject: what it is about.
+        story: given the width of a page's text, points, what stands on the pages.
+    """
+    return _built(title, subject, lambda width, height: story(width))[0]
+
+
+def fitted(
+    title: str, subject: str, stories: Sequence[Callable[[float, float], Iterable[Any]]], *, most_pages: int
+) -> bytes:
+    """First `document` of the stories with at most so many pages. The last one if none fits.
+
+    Args:
+        title: of the document.
+        subject: what it is about.
+        stories: given width and height of a page's text, points, what stands on the pages.
+        most_pages: number of pages.
+    """
+    made = b""
+    for story in stories:
+        made, pages = _built(title, subject, story)
+        if pages <= most_pages:
+            break
+    return made
+
+
+def _built(title: str, subject: str, story: Callable[[float, float], Iterable[Any]]) -> tuple[bytes, int]:
+    """A document's bytes, and the number of its pages."""
+    from reportlab.lib.pagesizes import A4
+    from reportlab.lib.units import mm
+    from reportlab.platypus import BaseDocTemplate, Frame, PageTemplate
+
+    _prepare()
+    margin = _MARGIN_MM * mm
+    width, height = A4[0] - 2 * margin, A4[1] - 2 * margin
+    buffer = io.BytesIO()
+    made = BaseDocTemplate(
+        buffer,
+        pagesize=A4,
+        title=f"{title}: mammometry",
+        author="mammometry",
+        subject=subject,
+        lang="en",
+        invariant=True,
+    )
+    frame = Frame(margin, margin, width, height, 0, 0, 0, 0)
+    made.addPageTemplates(PageTemplate(frames=[frame], onPage=_footer(title, margin)))
+    made.build([*story(width, height)])
+    return buffer.getvalue(), int(made.page)
+
+
+def text(
+    words: str,
+    *,
+    size: float = 8.5,
+    bold: bool = False,
+    colour: str = INK,
+    before: float = 0.0,
+    leading: float | None = None,
+    square: str = "",
+) -> Any:
+    """A paragraph. Sizes in points.
+
+    Args:
+        words: its text.
+        size: of the letters.
+        bold: whether they are bold.
+        colour: of the letters.
+        before: room above it.
+        leading: from line to line. None: as the size wants it.
+        square: colour of a square before the words. Empty: none.
+    """
+    from reportlab.lib.styles import ParagraphStyle
+    from reportlab.platypus import Paragraph
+
+    style = ParagraphStyle(
+        "text",
+        fontName="DejaVu-Bold" if bold else "DejaVu",
+        fontSize=size,
+        leading=leading or 1.3 * size,
+        textColor=colour,
+        spaceBefore=before,
+        spaceAfter=0.15 * size,
+        splitLongWords=1,
+    )
+    mark = f'<font color="{square}">■</font> ' if square else ""
+    return Paragraph(mark + _marked(words), style)
+
+
+def _marked(words: str) -> str:
+    """Words as ReportLab wants them: line breaks kept, commands without their `backticks`."""
+    return escape(words).replace("\n", "<br/>").replace("`", "")
+
+
+def facts(lines: Sequence[Fact], size: float = 8.0) -> Iterator[Any]:
+    """One line a fact: label and value."""
+    from reportlab.lib.styles import ParagraphStyle
+    from reportlab.platypus import Paragraph
+
+    style = ParagraphStyle("fact", fontName="DejaVu", fontSize=size, leading=1.3 * size, textColor=INK, spaceAfter=1.5)
+    for fact in lines:
+        label = f'<font color="{FAINT}">{escape(fact.label)}:</font>'
+        yield Paragraph(f"{label} {_marked(fact.value)}", style)
+
+
+def table(data: Table, width: float, *, size: float = 6.5, first: float | None = None) -> Any:
+    """A table as wide as its room, points.
+
+    Args:
+        data: columns and rows.
+        width: of the table.
+        size: of its text.
+        first: share of the first column. None: all are alike.
+    """
+    from reportlab.lib.styles import ParagraphStyle
+    from reportlab.platypus import Paragraph, TableStyle
+    from reportlab.platypus import Table as Grid
+
+    style = ParagraphStyle("cell", fontName="DejaVu", fontSize=size, leading=1.2 * size, textColor=INK)
+    faint = ParagraphStyle("head", parent=style, textColor=FAINT)
+    rows = [[Paragraph(escape(name), faint) for name in data.columns]]
+    rows += [[Paragraph(escape(cell), style) for cell in row] for row in data.rows]
+    lined = TableStyle(
+        [
+            ("LINEBELOW", (0, 0), (-1, -1), 0.4, _LINE),
+            ("VALIGN", (0, 0), (-1, -1), "TOP"),
+            *((f"{side}PADDING", (0, 0), (-1, -1), 0.18 * size) for side in ("TOP", "BOTTOM", "LEFT", "RIGHT")),
+        ]
+    )
+    count = len(data.columns)
+    share = 1 / count if first is None else first
+    widths = [share * width, *[(1 - share) * width / max(count - 1, 1)] * (count - 1)]
+    return Grid(rows, colWidths=widths, style=lined, spaceBefore=3)
+
+
+def columns(cells: Sequence[Sequence[Any]], widths: Sequence[float], *, gap: float = 0.0) -> Any:
+    """Cells of given widths in one row, without lines. `gap` points between them."""
+    from reportlab.platypus import Table as Grid
+    from reportlab.platypus import TableStyle
+
+    style = TableStyle(
+        [
+            ("VALIGN", (0, 0), (-1, -1), "TOP"),
+            *((f"{side}PADDING", (0, 0), (-1, -1), 0) for side in ("TOP", "BOTTOM", "LEFT", "RIGHT")),
+            ("RIGHTPADDING", (0, 0), (-2, -1), gap),
+        ]
+    )
+    return Grid([[list(cell) for cell in cells]], colWidths=list(widths), style=style, hAlign="LEFT")
+
+
+def line(width: float) -> Any:
+    """A thin line across the page."""
+    from reportlab.platypus import HRFlowable
+
+    return HRFlowable(width=width, thickness=0.6, color=_LINE, spaceBefore=3, spaceAfter=4)
+
+
+def signature_line(width: float, room: float) -> Iterator[Any]:
+    """An empty line to sign on, with so much room above it to write, points."""
+    from reportlab.platypus import HRFlowable, Spacer
+
+    yield Spacer(0, 22 + room)
+    yield HRFlowable(width=width, thickness=0.6, color=FAINT, spaceBefore=0, spaceAfter=2)
+    yield text("name, date, signature", size=7, colour=FAINT)
+
+
+def height_of(flowables: Sequence[Any], width: float) -> float:
+    """Height that these take in a column, with the room around them, points."""
+    heights = [each.wrap(width, 1e6)[1] + each.getSpaceBefore() + each.getSpaceAfter() for each in flowables]
+    return float(sum(heights))
+
+
+def side_by_side(cells: Sequence[Sequence[Any]], width: float) -> Any:
+    """Cells of equal width in one row."""
+    from reportlab.platypus import Table as Grid
+    from reportlab.platypus import TableStyle
+
+    style = TableStyle(
+        [
+            ("VALIGN", (0, 0), (-1, -1), "TOP"),
+            ("BOX", (0, 0), (-1, -1), 0.5, _LINE),
+            ("INNERGRID", (0, 0), (-1, -1), 0.5, _LINE),
+            *((f"{side}PADDING", (0, 0), (-1, -1), 6) for side in ("TOP", "BOTTOM", "LEFT", "RIGHT")),
+        ]
+    )
+    return Grid([[list(cell) for cell in cells]], colWidths=[width / len(cells)] * len(cells), style=style)
+
+
+def box(words: Sequence[Any], width: float, *, ground: str = _WARN_GROUND, edge: str = _EDGE) -> Any:
+    """Paragraphs on a coloured ground with a left edge: a warning."""
+    from reportlab.platypus import Table as Grid
+    from reportlab.platypus import TableStyle
+
+    style = TableStyle(
+        [
+            ("BACKGROUND", (0, 0), (-1, -1), ground),
+            ("LINEBEFORE", (0, 0), (0, -1), 3, edge),
+            *((f"{side}PADDING", (0, 0), (-1, -1), 5) for side in ("TOP", "BOTTOM", "RIGHT")),
+            ("LEFTPADDING", (0, 0), (-1, -1), 9),
+        ]
+    )
+    return Grid([[list(words)]], colWidths=[width], style=style)
+
+
+def pictures(shown: Sequence[Picture], width: float, height: float) -> Iterator[Any]:
+    """Pictures two a row, each under its title."""
+    from reportlab.platypus import Table as Grid
+    from reportlab.platypus import TableStyle
+
+    half = 0.5 * width - 4
+    bare = TableStyle(
+        [
+            ("VALIGN", (0, 0), (-1, -1), "TOP"),
+            *((f"{side}PADDING", (0, 0), (-1, -1), 2) for side in ("TOP", "BOTTOM", "LEFT", "RIGHT")),
+        ]
+    )
+    for start in range(0, len(shown), 2):
+        row = [
+            [text(one.title, size=8, bold=True), picture(one.jpeg, half, height)] for one in shown[start : start + 2]
+        ]
+        yield Grid([row], colWidths=[0.5 * width] * len(row), style=bare, hAlign="LEFT", spaceBefore=4)
+
+
+def picture(jpeg: bytes, width: float, height: float) -> Any:
+    """A JPEG fitted into a space, points."""
+    from reportlab.platypus import Image as Placed
+
+    with Image.open(io.BytesIO(jpeg), formats=("JPEG",)) as opened:
+        image_width, image_height = opened.size
+    scale = min(width / image_width, height / image_height)
+    return Placed(io.BytesIO(jpeg), image_width * scale, image_height * scale)
+
+
+def _footer(title: str, margin: float) -> Callable[[Any, Any], None]:
+    def draw(canvas: Any, document: Any) -> None:
+        canvas.saveState()
+        canvas.setFont("DejaVu", 6)
+        canvas.setFillColor(FAINT)
+        canvas.drawString(margin, 0.55 * margin, DISCLAIMER)
+        canvas.drawRightString(document.pagesize[0] - margin, 0.55 * margin, f"{title} · {document.page}")
+        canvas.restoreState()
+
+    return draw
+
+
+@lru_cache(maxsize=1)
+def _prepare() -> None:
+    """Register DejaVu, and keep pictures as bytes instead of ASCII.
+
+    Matplotlib brings DejaVu, which has every sign we use: ± σ ² − °.
+    """
+    from matplotlib import get_data_path
+    from reportlab import rl_config
+    from reportlab.pdfbase.pdfmetrics import registerFont
+    from reportlab.pdfbase.ttfonts import TTFont
+
+    rl_config.useA85 = 0  # a fifth less to store, and most of the time that a document took
+    folder = Path(get_data_path()) / "fonts" / "ttf"
+    registerFont(TTFont("DejaVu", folder / "DejaVuSans.ttf"))
+    registerFont(TTFont("DejaVu-Bold", folder / "DejaVuSans-Bold.ttf"))

@@ -1,0 +1,91 @@
+"""Render a report: stored content, whoever drew and confirmed the boundaries, and what a clinic knows."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from mammometry.measure.boundary.confirming import TO_BE_CONFIRMED
+from mammometry.measure.volume.attribution import Attribution, Confirmation, attributed_words
+from mammometry.report.clinical import Clinical
+from mammometry.report.content import BreastReport, ReportContent, sentence
+from mammometry.report.figures.drawing.sides import NAMES
+from mammometry.report.first_page import first_page
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RenderedReport:
+    """A report as a page and as a document."""
+
+    html: bytes
+    """One page that needs no other file."""
+    pdf: bytes
+    warnings: tuple[str, ...]
+    """What a reader must know before the numbers, the gravest first."""
+
+
+def render(
+    content: ReportContent,
+    attributions: Mapping[str, Attribution],
+    clinical: Clinical | None = None,
+    *,
+    named: bool = True,
+) -> RenderedReport:
+    """Render a report. Equal arguments give equal bytes.
+
+    Args:
+        content: what was measured.
+        attributions: breast → who drew its boundary, and who confirmed it.
+        clinical: what a clinic knows. Its confirmation stands for all boundaries. None: the reader has the command
+            line.
+        named: whether names, dates and people's own words are said, which a de-identified report must not do.
+    """
+    from mammometry.report.documents import html, pdf
+
+    first = first_page(content, attributions, clinical, named=named)
+    whole = attributed_content(content, attributions, clinical, named=named)
+    return RenderedReport(
+        html=html.render(whole, first).encode(), pdf=pdf.render(whole, first), warnings=whole.warnings
+    )
+
+
+def attributed_content(
+    content: ReportContent, attributions: Mapping[str, Attribution], clinical: Clinical | None, *, named: bool
+) -> ReportContent:
+    """The content with who drew and who confirmed each boundary, and with the warnings of boundaries."""
+    breasts = []
+    for breast in content.breasts:
+        attribution = attributions.get(breast.name, Attribution())
+        if clinical is not None:
+            signed = clinical.confirmed
+            at = "" if signed is None else signed.at.isoformat()
+            seen = None if signed is None else Confirmation(by=signed.by, at=at, curve=breast.curve)
+            attribution = replace(attribution, confirmation=seen)
+        if not breast.unmeasured:
+            words = attributed_words(breast.boundary, breast.curve, attribution, named=named)
+            breast = replace(breast, boundary=words)
+        breasts.append(breast)
+    warnings = (*content.warnings, *_boundary_warnings(breasts, in_clinic=clinical is not None), *content.concerns)
+    return replace(content, breasts=tuple(_with_sentence(each) for each in breasts), warnings=warnings)
+
+
+def _with_sentence(breast: BreastReport) -> BreastReport:
+    return replace(breast, boundary=sentence(breast.boundary))
+
+
+def _boundary_warnings(breasts: Sequence[BreastReport], *, in_clinic: bool) -> Iterator[str]:
+    for breast in breasts:
+        if breast.unmeasured:
+            seen = "No breast was found" if breast.unmeasured == "none" else "Nothing was measured"
+            yield (
+                f"{seen} on the patient's {breast.name} side. {sentence(breast.boundary)} If there is a breast, draw "
+                "its boundary."
+            )
+    unconfirmed = [NAMES[each.name] for each in breasts if TO_BE_CONFIRMED in each.boundary]
+    if unconfirmed:
+        yield (
+            f"Nobody has confirmed the automatic boundary of the {' and of the '.join(unconfirmed)}. Look at it, and "
+            "confirm it or draw a better one."
+        )
+    if not in_clinic and (unconfirmed or any(breast.unmeasured for breast in breasts)):
+        yield "Boundaries are drawn and confirmed with `mammometry edit`."

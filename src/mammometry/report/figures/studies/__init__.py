@@ -1,0 +1,1 @@
+"""Pictures of more than one measurement: dates, methods, observers, truth."""

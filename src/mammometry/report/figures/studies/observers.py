@@ -1,0 +1,108 @@
+"""Several persons' curves on one surface, their volumes and distances."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from mammometry.report.figures.drawing import canvas
+from mammometry.report.figures.drawing.canvas import Caption, Sheet
+from mammometry.report.figures.drawing.shading import Scene, picture_wh, standard_views
+from mammometry.report.figures.measure import curve
+from mammometry.report.figures.surface import show
+from mammometry.study.observers import WHOLE, Apart, Drawing, DrawnSurface, ObserverStudy
+
+_VIEW_PX = 380  # longer side of a view; chosen by eye
+_PLOT = (560, 300)  # size of a plot, px; chosen by eye
+_ROOM = (70, 46)  # for its labels, px; chosen by eye
+_LINE = 1.0  # width of a curve among many, points; chosen by eye
+_BAR = 0.38  # width of a bar, of a region's place
+
+
+def curves_on(surface: DrawnSurface, observers: Sequence[str]) -> bytes:
+    """All curves on a surface, a colour a person."""
+    views = [view for view in standard_views(surface.mesh, surface.frame, of_patient=True) if "below" not in view.name]
+    sheet = Sheet(len(views), 1, picture_wh(views[0], _VIEW_PX), header=26)
+    colours = _colours(observers)
+    there = {name for name, _ in surface.curves}
+    sheet.legend([(colours[name], name) for name in observers if name in there])
+    scene = Scene(surface.mesh)
+    for index, view in enumerate(views):
+        axes = sheet.panel(index, view.name)
+        show(axes, scene.render(view, size_px=_VIEW_PX), view)
+        for name, points in surface.curves:
+            curve(axes, scene, view, points, colours[name], size_px=_VIEW_PX, width=_LINE)
+    return sheet.png(
+        Caption(
+            title=f"What was drawn on {surface.name}",
+            text="Every curve that was drawn on this surface, a colour a person, dashed where the surface hides it.",
+        )
+    )
+
+
+def volumes(drawings: Sequence[Drawing], found: ObserverStudy) -> bytes:
+    """Each drawing's volume less the mean of its breast."""
+    sheet = Sheet(1, 1, _PLOT, axes_room=_ROOM, header=26)
+    colours = _colours(found.observers)
+    sheet.legend([(colours[name], name) for name in found.observers])
+    axes = sheet.panel(0, plain=False)
+    for place, breast in enumerate(found.breasts):
+        own = [each for each in drawings if each.breast == breast]
+        mean = float(np.mean([each.volume_cc for each in own]))
+        for each in own:
+            beside = (found.observers.index(each.observer) + 1) / (len(found.observers) + 1) - 0.5
+            axes.plot(place + 0.6 * beside, each.volume_cc - mean, "o", color=colours[each.observer], markersize=5)
+    for scatter, style in ((found.within, ":"), (found.between, "--")):
+        if scatter is not None:
+            for sign in (-1, 1):
+                axes.axhline(sign * scatter.sem.value, color=canvas.FAINT, linewidth=1.0, linestyle=style)
+    axes.axhline(0, color=canvas.FAINT, linewidth=0.8)
+    axes.set(xlim=(-0.6, len(found.breasts) - 0.4), ylabel="volume less the breast's mean, cc")
+    axes.set_xticks(range(len(found.breasts)), found.breasts)
+    return sheet.png(
+        Caption(
+            title="Volumes",
+            text="The volume that each drawing gives, less the mean of all drawings of that breast. Dotted: plus and "
+            "minus one standard error of measurement of one person who draws again. Dashed: of whoever draws.",
+        )
+    )
+
+
+def regions(found: ObserverStudy) -> bytes:
+    """Mean distance between curves by region."""
+    sheet = Sheet(1, 1, _PLOT, axes_room=_ROOM, header=26)
+    shown = [
+        (apart, colour, words)
+        for apart, colour, words in (
+            (found.apart_within, canvas.SKY, "two curves of one person"),
+            (found.apart_between, canvas.BLUE, "curves of two persons"),
+        )
+        if apart
+    ]
+    sheet.legend([(colour, words) for _, colour, words in shown])
+    axes = sheet.panel(0, plain=False)
+    names = tuple(dict.fromkeys(region for apart, _, _ in shown for region in apart))
+    for number, (apart, colour, _) in enumerate(shown):
+        at = np.arange(len(names)) + _BAR * (number - (len(shown) - 1) / 2)
+        means = [_of(apart.get(name), "mean_mm") for name in names]
+        highest = [_of(apart.get(name), "q95_mm") for name in names]
+        axes.bar(at, means, _BAR, color=colour)
+        axes.vlines(at, means, highest, color=canvas.INK, linewidth=1.0)
+    axes.set_xticks(np.arange(len(names)), names)
+    axes.set(ylabel="distance between two curves, mm")
+    return sheet.png(
+        Caption(
+            title="Where the curves differ",
+            text="Distance from one curve to another of the same breast: its mean by region, and the thin line up to "
+            f"what 95 % are less than. The last is the {WHOLE}.",
+        )
+    )
+
+
+def _of(apart: Apart | None, name: str) -> float:
+    return float("nan") if apart is None else float(getattr(apart, name))
+
+
+def _colours(observers: Sequence[str]) -> dict[str, str]:
+    return {name: canvas.CYCLE[number % len(canvas.CYCLE)] for number, name in enumerate(observers)}

@@ -1,0 +1,218 @@
+"""Lengths, shape, and left against right, in words."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from mammometry.measure.boundary.breasts import NoBreast
+from mammometry.measure.landmarks.landmarks import Landmark
+from mammometry.measure.landmarks.names import LANDMARKS
+from mammometry.measure.settings import MeasureSettings
+from mammometry.measure.shape.anthropometry import Dimensions
+from mammometry.measure.shape.symmetry import Symmetry
+from mammometry.measure.volume.difference import difference
+from mammometry.measure.volume.measurement import Lacking, VolumeMeasurement
+from mammometry.report.content import Fact, LargeNumber, sentence
+from mammometry.report.figures.drawing.sides import NAMES
+from mammometry.report.words.change_words import verdict_words
+from mammometry.report.words.lengths import length_table, length_words, projections_of, quantities_of
+from mammometry.report.words.volume_words import interval_words, span_words, volume_words
+from mammometry.study.tables import Table, signed
+
+
+def comparison(
+    measurements: Sequence[VolumeMeasurement],
+    settings: MeasureSettings = MeasureSettings(),
+    *,
+    absent: Sequence[NoBreast] = (),
+    lacking: Sequence[Lacking] = (),
+) -> tuple[Fact, ...]:
+    """Compare left and right: difference, ratio and deficit, each with its interval."""
+    sides = {measured.name: measured for measured in measurements}
+    facts: tuple[Fact, ...] = ()
+    if {"left", "right"} <= set(sides):
+        facts = _both(sides["left"], sides["right"], settings)
+    elif len(sides) == 1 and absent and not absent[0].unclear and "model" not in sides:
+        (only,) = sides.values()
+        gap = signed(only.volume_cc if only.name == "left" else -only.volume_cc, 0)
+        facts = (
+            Fact(
+                label="Left less right",
+                value=f"{gap} cc: the {only.name} breast in front of its own chest wall. There is no breast on the "
+                f"{absent[0].name} side. Its interval is that of the {only.name} breast",
+            ),
+        )
+    return facts + tuple(_lacks(each) for each in lacking)
+
+
+def difference_number(
+    measurements: Sequence[VolumeMeasurement], settings: MeasureSettings = MeasureSettings()
+) -> LargeNumber | None:
+    """Difference of both volumes for the first page. None without two."""
+    sides = {measured.name: measured for measured in measurements}
+    if not {"left", "right"} <= set(sides):
+        return None
+    larger, smaller = sorted((sides["left"], sides["right"]), key=lambda side: side.volume_cc, reverse=True)
+    found = difference(larger, smaller, "sides", settings)
+    note = f"{larger.name} larger"
+    if found.beyond_error is not None:
+        note += f", {verdict_words(found.beyond_error)}"
+    return LargeNumber(
+        title="Difference",
+        value=volume_words(found.difference_cc, found.difference_interval_cc),
+        interval=span_words(found.difference_interval_cc),
+        note=note,
+    )
+
+
+def planning_lengths(dimensions: Dimensions | None, landmarks: Sequence[Landmark] = ()) -> tuple[Table | None, str]:
+    """Lengths that surgeons plan with, what their table leaves out, and what they rest on.
+
+    Args:
+        dimensions: of the measurement. None: there are no lengths.
+        landmarks: from which they were measured.
+    """
+    if dimensions is None:
+        return None, ""
+    laid_out = length_table([*quantities_of(dimensions), *projections_of(dimensions)])
+    if laid_out is None:
+        return None, ""
+    shown = [row for row in laid_out.rows if row.sides != (None, None)]
+    rows = [(row.title, *map(length_words, row.sides), length_words(row.difference, "+")) for row in shown]
+    grades = {each.name: " or ".join(each.likely) for each in dimensions.ptosis}
+    if grades:
+        rows.append(("Ptosis, grade after Regnault", grades.get("left", "–"), grades.get("right", "–"), ""))
+    table = Table(
+        title="Lengths", columns=("Lengths in mm, ± 95 %", "Left", "Right", "Left less right"), rows=tuple(rows)
+    )
+    lacking = [row.title[0].lower() + row.title[1:] for row in laid_out.rows if row.sides == (None, None)]
+    note = [] if laid_out.nipples is None else [f"Nipple to nipple: {length_words(laid_out.nipples)} mm."]
+    note += [f"Not measured, since a landmark is not marked: {'; '.join(lacking)}."] if lacking else []
+    guessed = {mark.name for mark in landmarks if mark.proposed}
+    titles = [mark.title for mark in LANDMARKS["torso"] if mark.name in guessed and mark.kind == "point"]
+    note += [f"Proposed by the program, not confirmed by anybody: {', '.join(titles)}."] if titles else []
+    return table, " ".join(note)
+
+
+def _lacks(found: Lacking) -> Fact:
+    """What a side lacks, in words."""
+    volume = "nothing" if found.volume_cc < 0 else volume_words(found.volume_cc, found.interval_cc)
+    interval = "" if found.interval_cc is None else f", {interval_words(found.interval_cc)}"
+    return Fact(label=f"Volume that the {found.name} side lacks", value=f"{volume}{interval}. {sentence(found.note)}")
+
+
+def _both(left: VolumeMeasurement, right: VolumeMeasurement, settings: MeasureSettings) -> tuple[Fact, ...]:
+    larger, smaller = sorted((left, right), key=lambda side: side.volume_cc, reverse=True)
+    found = difference(larger, smaller, "sides", settings)
+    gap, share = f"{larger.name} larger by {found.difference_cc:.0f} cc", f"{100 / found.ratio:.0f} %"
+    if found.difference_interval_cc is not None:
+        low, high = (f"{bound:.0f}".replace("-", "−") for bound in found.difference_interval_cc)
+        verdict = "larger than the measurement error" if found.beyond_error else "within measurement error"
+        gap = f"{verdict}: {gap} (95 %: {low} to {high} cc)"
+    if found.ratio_interval is not None:
+        low, high = (f"{100 / bound:.0f}" for bound in reversed(found.ratio_interval))
+        share += f" (95 %: {low} to {high} %)"
+    return (
+        Fact(label="Difference in volume", value=gap),
+        Fact(label=f"{smaller.name.capitalize()} as a share of {larger.name}", value=share),
+    )
+
+
+def without_nipple(
+    measurements: Sequence[VolumeMeasurement], landmarks: Sequence[Landmark], settings: MeasureSettings
+) -> tuple[str, ...]:
+    """Breasts of a torso without a nipple certain enough to measure from."""
+    least = settings.nipple.least_probability
+    seen = {mark.name for mark in landmarks if mark.probability >= least}
+    names = [measured.name for measured in measurements if measured.name != "model"]
+    return tuple(name for name in names if f"nipple_{name}" not in seen)
+
+
+def symmetry_facts(symmetry: Symmetry | None) -> tuple[Fact, ...]:
+    """How the breasts differ in place and in shape. Empty without a symmetry."""
+    if symmetry is None:
+        return ()
+    across, up, ahead = symmetry.shift_mm
+    return (
+        Fact(
+            label="Difference in shape (RMS)",
+            value=f"{symmetry.rms_mm:.1f} mm, with one breast laid onto the other",
+        ),
+        Fact(label="Difference in place and shape (RMS)", value=f"{symmetry.rms_mirrored_mm:.1f} mm"),
+        Fact(
+            label="Movement from the mirrored right onto the left",
+            value=f"{signed(across)} mm sideways, {signed(up)} mm up, {signed(ahead)} mm forwards, turned by "
+            f"{symmetry.turn_deg:.0f}°",
+        ),
+        Fact(
+            label="Asymmetry of the trunk (robust SD)",
+            value=f"{symmetry.trunk_scatter_mm:.1f} mm from its mid-sagittal plane",
+        ),
+    )
+
+
+def dimension_tables(dimensions: Dimensions | None, landmarks: Sequence[Landmark] = ()) -> tuple[Table, ...]:
+    """Lengths, shape and ptosis as tables. Those without rows are left out."""
+    if dimensions is None:
+        return ()
+    lengths = Table(
+        title="Lengths, ± standard uncertainty",
+        columns=("from, to", "straight, mm", "along the skin, mm"),
+        rows=tuple(
+            (
+                each.title,
+                f"{each.straight_mm:.1f} ± {each.straight_sigma_mm:.1f}",
+                "–" if each.geodesic_mm is None else f"{each.geodesic_mm:.1f} ± {each.geodesic_sigma_mm:.1f}",
+            )
+            for each in dimensions.lengths
+        ),
+    )
+    shapes = Table(
+        title="Shape",
+        columns=("breast", "base, width × height, mm", "projection, mm", "upper pole, cc", "lower pole, cc"),
+        rows=tuple(
+            (
+                NAMES[each.name],
+                f"{each.base_width_mm:.0f} × {each.base_height_mm:.0f}",
+                f"{each.projection_mm:.1f}",
+                "–" if each.above_nipple_cc is None else f"{each.above_nipple_cc:.0f} ± {each.pole_sigma_cc:.0f}",
+                "–" if each.below_nipple_cc is None else f"{each.below_nipple_cc:.0f} ± {each.pole_sigma_cc:.0f}",
+            )
+            for each in dimensions.shapes
+        ),
+    )
+    names = tuple(dict.fromkeys(name for shape in dimensions.shapes for name in shape.quadrants_cc))
+    quadrants = Table(
+        title="Volume of the quadrants around the nipple, cc",
+        columns=("breast", *names),
+        rows=tuple(
+            (
+                NAMES[shape.name],
+                *(f"{shape.quadrants_cc[name]:.0f}" if name in shape.quadrants_cc else "–" for name in names),
+            )
+            for shape in dimensions.shapes
+            if shape.quadrants_cc
+        ),
+    )
+    sunk = Table(
+        title="Ptosis (Regnault)",
+        columns=("breast", "grade", "grades within 95 %", "nipple below the fold, mm"),
+        rows=tuple(
+            (
+                NAMES[each.name],
+                each.grade,
+                ", ".join(each.likely),
+                f"{signed(each.nipple_below_fold_mm)} ± {each.sigma_mm:.1f}",
+            )
+            for each in dimensions.ptosis
+        ),
+    )
+    marks = Table(
+        title="Landmarks",
+        columns=("landmark", "how it was found", "σ, mm", "probability"),
+        rows=tuple(
+            (each.name.replace("_", " "), sentence(each.method), f"{each.sigma_mm:.1f}", f"{each.probability:.2f}")
+            for each in landmarks
+        ),
+    )
+    return tuple(table for table in (lengths, shapes, quadrants, sunk, marks) if table.rows)

@@ -1,0 +1,416 @@
+"""Describe products in the words, numbers and tables of a report."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Iterator, Mapping, Sequence
+from datetime import UTC, datetime
+from importlib.metadata import version
+from typing import Any
+
+import numpy as np
+
+from mammometry.base.posture import NOT_TO_BE_COMPARED
+from mammometry.calibration.adjust.bundle import Calibration
+from mammometry.calibration.judge.quality import CalibrationQuality
+from mammometry.calibration.targets.target import Target
+from mammometry.geometry.arrays import Array, Float32
+from mammometry.geometry.camera import Rig
+from mammometry.matching.foreground.foreground import Foreground
+from mammometry.matching.quality import MatchQuality
+from mammometry.measure.boundary.breasts import NoBreast
+from mammometry.measure.volume.attribution import curve_digest
+from mammometry.measure.volume.measurement import VolumeMeasurement
+from mammometry.report.content import BreastReport, Fact, LargeNumber, Meaning, StageReport, sentence
+from mammometry.report.figures.drawing.sides import NAMES
+from mammometry.report.figures.drawing.thinning import ThinnedRange
+from mammometry.report.figures.surface import provenance_shares
+from mammometry.report.words.cautions import own_cautions, skin_shares
+from mammometry.report.words.volume_words import (
+    MEANINGS,
+    definition_words,
+    is_coarse,
+    meaning_sentences,
+    meaning_title,
+    span_words,
+    term_words,
+    volume_words,
+)
+from mammometry.settings import Settings, as_table
+from mammometry.study.tables import Table, number, signed, thousands
+from mammometry.surface.repair.repair import Provenance, RepairedSurface
+
+_PACKAGES = ("numpy", "scipy", "numba", "opencv-python-headless", "scikit-image", "trimesh", "manifold3d", "pyamg")
+
+
+def breast_report(
+    measured: VolumeMeasurement, repaired: RepairedSurface | None = None, cautions: Sequence[str] = ()
+) -> BreastReport:
+    """Describe one measurement in words.
+
+    Args:
+        measured: one breast.
+        repaired: the whole surface, to tell what of the skin was measured.
+        cautions: of the run, which change the meaning of its volumes.
+    """
+    facts = [
+        Fact(label="Projection", value=f"{measured.projection_mm:.1f} mm"),
+        Fact(label="Skin within the boundary", value=f"{measured.area_cm2:.0f} cm²"),
+        Fact(label="Base area", value=f"{measured.base_area_cm2:.0f} cm²"),
+    ]
+    shares = None if repaired is None else skin_shares(measured, repaired)
+    if shares is not None:
+        seen, mended, invented = (100 * shares[kind] for kind in sorted(Provenance, reverse=True))
+        facts.append(
+            Fact(label="Skin", value=f"{seen:.1f} % measured, {mended:.1f} % repaired, {invented:.1f} % invented")
+        )
+    if not measured.watertight:
+        facts.append(Fact(label="Closed solid", value="NOT watertight: do not use this volume"))
+    return BreastReport(
+        name=measured.name,
+        wall_label=wall_label(measured),
+        title=side_title(measured.name),
+        number=LargeNumber(
+            title=side_title(measured.name),
+            value=volume_words(measured.volume_cc, measured.interval_cc),
+            interval=span_words(measured.interval_cc),
+            note=MEANINGS[measured.definitions[0].meaning if measured.definitions else "closed solid"]
+            if measured.definitions or measured.name == "model"
+            else "",
+        ),
+        interval_note=sentence(measured.interval_note),
+        facts=tuple(facts),
+        cautions=(*own_cautions(measured, shares), *cautions),
+        wall=f"{measured.wall_kind.capitalize()}: {sentence(measured.wall_definition, capital=False)}",
+        boundary=measured.boundary_method,
+        curve=curve_digest(measured.boundary_world),
+        tables=_breast_tables(measured),
+    )
+
+
+def side_title(name: str) -> str:
+    """What a page calls a breast, or the cast."""
+    return "Model" if name == "model" else f"{name.capitalize()} breast"
+
+
+def meanings(measurements: Sequence[VolumeMeasurement]) -> tuple[Meaning, ...]:
+    """The volumes in every meaning of the breast."""
+    found: dict[str, list[Fact]] = {}
+    walls: dict[str, str] = {}
+    for measured in measurements:
+        for defined in measured.definitions:
+            words = Fact(label=side_title(measured.name), value=definition_words(defined))
+            found.setdefault(defined.meaning, []).append(words)
+            walls[defined.meaning] = measured.wall_kind
+    return tuple(
+        Meaning(title=meaning_title(name), sentences=meaning_sentences(name, walls[name]), volumes=tuple(volumes))
+        for name, volumes in found.items()
+    )
+
+
+def absent_report(absent: NoBreast) -> BreastReport:
+    """Content for a side without a breast, with the evidence for that."""
+    seen = absent.standing
+    facts = [Fact(label="It rests on", value=sentence(absent.why))]
+    if seen is not None:
+        facts.append(Fact(label="What stands out there at most", value=f"{seen.volume_cc:.0f} cc"))
+    return BreastReport(
+        name=absent.name,
+        title=f"{absent.name.capitalize()} side",
+        number=LargeNumber(
+            title=side_title(absent.name),
+            value="not measured" if absent.unclear or absent.refused else "none",
+            interval=_without(absent),
+        ),
+        interval_note="There is no volume, so there is no interval.",
+        facts=tuple(facts),
+        wall_label="Chest wall",
+        wall="None is needed.",
+        boundary=absent.why,
+        unmeasured="refused" if absent.refused else "unclear" if absent.unclear else "none",
+    )
+
+
+def _without(absent: NoBreast) -> str:
+    if absent.refused:
+        return "The volume was refused"
+    return "It is not clear whether this is a breast" if absent.unclear else "No breast on this side"
+
+
+def wall_label(measured: VolumeMeasurement) -> str:
+    """Name of what closes a breast at its back. The chest wall, or a cast's base."""
+    return "Chest wall" if measured.name != "model" else "Base"
+
+
+def _breast_tables(measured: VolumeMeasurement) -> tuple[Table, ...]:
+    wall = wall_label(measured).lower()
+    terms = Table(
+        title="Where the error comes from",
+        columns=("source of error", "± cc (95 %)"),
+        rows=tuple((name, term_words(value)) for name, value in measured.interval_terms_cc.items()),
+    )
+    walls = Table(
+        title=f"Volume with other {'chest walls' if measured.name != 'model' else 'bases'}",
+        columns=(wall, "cc", f"difference from {measured.wall_kind}, cc"),
+        rows=tuple(
+            (
+                kind,
+                volume_words(value, measured.interval_cc).removesuffix(" cc"),
+                signed(value - measured.volume_cc, 0 if is_coarse(measured.interval_cc) else 1),
+            )
+            for kind, value in measured.alternatives_cc.items()
+        ),
+    )
+    return tuple(table for table in (terms, walls) if table.rows)
+
+
+def calibration_report(rig: Rig, calibration: Calibration | None, quality: CalibrationQuality | None) -> StageReport:
+    """The calibrate stage in words and numbers."""
+    title = "Calibration"
+    if calibration is None or quality is None:
+        imported = Fact(label="Cameras", value=f"{len(rig.cameras)}, imported. Their errors are not known")
+        return StageReport(stage="calibrate", title=title, facts=(imported,), tables=(_camera_table(rig, None),))
+    observations = calibration.observations
+    used = sum(int(np.isfinite(part).all(axis=1).sum()) for part in calibration.residuals_px)
+    total = sum(len(part) for part in calibration.residuals_px)
+    facts = (
+        Fact(label="Verdict", value=quality.verdict),
+        Fact(label="Reasons", value="\n".join(map(sentence, quality.reasons))),
+        Fact(label="Target", value=target_words(observations.target)),
+        Fact(
+            label="Photographs",
+            value=f"{len(observations.detections)}, in {len(observations.poses)} poses, by {len(observations.cameras)} "
+            "cameras",
+        ),
+        Fact(label="Points", value=f"{thousands(used)} used, {thousands(total - used)} left out"),
+        Fact(
+            label="Reprojection error (RMS)",
+            value=f"{calibration.rms_px:.3f} px, {quality.rms_mm:.3f} mm at the target",
+        ),
+    )
+    pairs = Table(
+        title="How well each pair measures the target",
+        columns=("pair", "poses seen by both", "scale error, ppm", "shape error, mm", "flatness, mm"),
+        rows=tuple(
+            (
+                pair.pair,
+                str(pair.poses),
+                signed(pair.scale_ppm, 0),
+                number(pair.geometry_mm, ".3f"),
+                number(pair.planarity_mm, ".3f"),
+            )
+            for pair in quality.pairs
+        ),
+    )
+    return StageReport(stage="calibrate", title=title, facts=facts, tables=(pairs, _camera_table(rig, quality)))
+
+
+def matching_report(
+    foregrounds: Mapping[str, Foreground], matching: Mapping[str, MatchQuality], shares: Mapping[str, float]
+) -> StageReport:
+    """The match stage in numbers."""
+    rows = []
+    for name, judged in matching.items():
+        width, height = judged.size_wh
+        some = judged.matched_pixels > 0
+        rows.append(
+            (
+                name,
+                f"{width} × {height}",
+                f"{100 * shares[name]:.1f}" if name in shares else "–",
+                f"{judged.weak_percent:.1f}",
+                f"{judged.confidence_median:.2f}" if some else "–",
+                f"{judged.sigma_median_px:.3f}" if some else "–",
+                f"{number(judged.d_v_median_px, '+.3f')} ± {judged.d_v_spread_px:.3f}",
+            )
+        )
+    table = Table(
+        title="Pairs",
+        columns=(
+            "pair",
+            "size, px",
+            "matched, % of silhouette",
+            "texture too weak, %",
+            "correlation (median)",
+            "σ (median), px",
+            "vertical disparity, px (68 %)",
+        ),
+        rows=tuple(rows),
+    )
+    known = sum(not found.everything for found in foregrounds.values())
+    facts = (Fact(label="Silhouettes", value=f"found in {known} of {len(foregrounds)} photographs"),)
+    return StageReport(stage="match", title="Matching", facts=facts, tables=(table,))
+
+
+def surface_report(
+    ranges: Sequence[ThinnedRange], repaired: RepairedSurface, stillness: str = "not compared"
+) -> StageReport:
+    """The surface stage in numbers."""
+    mesh = repaired.mesh
+    closed = mesh.is_watertight()
+    shares = provenance_shares(repaired)
+    area_cm2 = mesh.area_mm2() / 100
+    closed_cm2, beside_cm2 = area_cm2 * (1 - shares[Provenance.MEASURED]), area_cm2 * shares[Provenance.REPAIRED]
+    facts = (
+        Fact(
+            label="Mesh",
+            value=f"{thousands(len(mesh.vertices))} vertices, {thousands(len(mesh.faces))} triangles, "
+            f"{area_cm2:.0f} cm²",
+        ),
+        Fact(label="Cameras and body", value=stillness),
+        Fact(label="Topology", value=f"{'watertight' if closed else 'open'}, Euler number {mesh.euler_number()}"),
+        Fact(
+            label="Self-intersections",
+            value="not checked"
+            if repaired.crossings is None
+            else f"{thousands(repaired.crossings)} pairs of triangles",
+        ),
+        Fact(
+            label="Area",
+            value=", ".join(
+                f"{100 * shares[kind]:.1f} % {kind.name.lower()}" for kind in sorted(Provenance, reverse=True)
+            ),
+        ),
+        Fact(
+            label="Closed without having been measured",
+            value=f"{closed_cm2:.0f} cm², {beside_cm2:.0f} cm² of them between or beside measured places; greyed in "
+            "photographic colours",
+        ),
+        Fact(
+            label="Movement in each repair round",
+            value=", ".join(f"{moved:.3g} mm" for moved in repaired.convergence) or "none",
+        ),
+    )
+    rows = [
+        (
+            each.name,
+            thousands(len(each.ranges_mm)),
+            f"{100 * (1 - each.kept_count / max(len(each.ranges_mm), 1)):.1f}",
+            _range_words(each.ranges_mm),
+            "–" if each.sigma_median_mm is None else f"{each.sigma_median_mm:.3f}",
+        )
+        for each in ranges
+    ]
+    table = Table(
+        title="Range images",
+        columns=("pair", "points", "dropped, %", "distance, mm", "σ (median), mm"),
+        rows=tuple(rows),
+    )
+    return StageReport(stage="surface", title="Surface", facts=facts, tables=(table,))
+
+
+def posture_fact(posture: str) -> Fact:
+    """How the patient held herself, as far as that is known."""
+    return Fact(label="Posture", value=". ".join(filter(None, (posture, NOT_TO_BE_COMPARED))))
+
+
+def measure_report(measurements: Sequence[VolumeMeasurement]) -> StageReport:
+    """The measure stage in numbers: the solids whose volumes were computed."""
+    facts = tuple(
+        Fact(
+            label=NAMES[measured.name][:1].upper() + NAMES[measured.name][1:],
+            value=f"{measured.volume_cc:.2f} cc before rounding, {thousands(len(measured.closed.faces))} triangles, "
+            f"{'watertight' if measured.watertight else 'NOT watertight'}, closed by {measured.wall_kind}",
+        )
+        for measured in measurements
+    )
+    return StageReport(stage="measure", title="Measurement", facts=facts)
+
+
+def settings_facts(settings: Settings) -> tuple[tuple[Fact, ...], tuple[Fact, ...]]:
+    """Changed settings, and all settings, by their dotted names."""
+    mine, recommended = dict(_flat(as_table(settings))), dict(_flat(as_table(Settings())))
+    everything = tuple(Fact(label=name, value=_value_words(value)) for name, value in mine.items())
+    changed = tuple(
+        Fact(label=name, value=f"{_value_words(value)} (recommended: {_value_words(recommended.get(name))})")
+        for name, value in mine.items()
+        if value != recommended.get(name)
+    )
+    return changed, everything
+
+
+def versions() -> tuple[Fact, ...]:
+    """Versions of all software that the numbers depend on."""
+    import mammometry
+
+    return (
+        Fact(label="mammometry", value=mammometry.__version__),
+        Fact(label="Python", value=platform.python_version()),
+        *(Fact(label=name, value=version(name)) for name in _PACKAGES),
+        Fact(label="system", value=f"{platform.system()} {platform.machine()}"),
+    )
+
+
+def timings(stage_seconds: Mapping[str, float]) -> tuple[Fact, ...]:
+    """Seconds of each stage in words."""
+    facts = [Fact(label=stage, value=f"{seconds:.1f} s") for stage, seconds in stage_seconds.items()]
+    return (*facts, Fact(label="total", value=f"{sum(stage_seconds.values()):.1f} s")) if facts else ()
+
+
+def created_words(moment: datetime | None = None) -> str:
+    """A moment in words, UTC, to the minute."""
+    return (moment or datetime.now(UTC)).astimezone(UTC).strftime("%Y-%m-%d %H:%M UTC")
+
+
+SUBJECTS: Mapping[str, str] = {
+    "model": "a cast: one closed solid",
+    "torso": "a torso",
+    "surface": "an open surface, which has no volume",
+}
+
+
+def target_words(target: Target) -> str:
+    """The calibration target in words."""
+    table = ", ".join(
+        _with_unit(name, _value_words(value))
+        for name, value in as_table(target).items()
+        if name != "points_mm" and value is not None and value is not False
+    )
+    return f"{target.kind}: {table}" if table else f"{target.kind}: {len(target.points_target)} points"
+
+
+def _with_unit(name: str, value: str) -> str:
+    """``square_mm``, ``25`` → "square 25 mm"."""
+    return f"{name.removesuffix('_mm').replace('_', ' ')} {value}{' mm' if name.endswith('_mm') else ''}"
+
+
+def _camera_table(rig: Rig, quality: CalibrationQuality | None) -> Table:
+    rows = []
+    for name, camera in rig.cameras.items():
+        row: tuple[str, ...] = (
+            name,
+            f"{camera.size_wh[0]} × {camera.size_wh[1]}",
+            f"{camera.matrix[0, 0]:.2f}",
+            f"{camera.matrix[0, 2]:.2f}, {camera.matrix[1, 2]:.2f}",
+            ", ".join(number(value, ".3f") for value in camera.distortion[:2]),
+        )
+        if quality is not None:
+            row += (
+                number(quality.rms_px_per_camera.get(name, np.nan), ".3f"),
+                number(1e6 * quality.focal_std.get(name, np.nan), ".0f"),
+                number(100 * quality.coverage.get(name, np.nan), ".0f"),
+            )
+        rows.append(row)
+    judged = () if quality is None else ("RMS, px", "σ of focal length, ppm", "picture covered, %")
+    columns = ("camera", "size, px", "focal length, px", "principal point, px", "k1, k2", *judged)
+    return Table(title="Cameras", columns=columns, rows=tuple(rows))
+
+
+def _range_words(values: Float32[Array, " n"]) -> str:
+    return f"{values.min():.0f}–{values.max():.0f}" if len(values) else "–"
+
+
+def _flat(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    for name, value in table.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{prefix}{name}.")
+        else:
+            yield prefix + name, value
+
+
+def _value_words(value: object) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, tuple | list):
+        return " × ".join(map(_value_words, value))
+    return f"{value:g}" if isinstance(value, float) else str(value)

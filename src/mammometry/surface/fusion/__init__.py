@@ -1,0 +1,1 @@
+"""Range images fused into one closed surface (paper 2.5)."""

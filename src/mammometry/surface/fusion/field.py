@@ -1,0 +1,340 @@
+"""Signed distance field of the solid (paper 2.5).
+
+It comes from range images, silhouettes and a closing box. A signed distance in mm, positive outside the solid, cut at
+± the truncation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+import numpy as np
+from scipy import ndimage
+
+from mammometry.base.machine.cores import each_at_once, in_bands
+from mammometry.geometry import raster_kernels
+from mammometry.geometry.arrays import Array, Bool, Float32, Float64, read_only
+from mammometry.geometry.camera import Camera, Rig
+from mammometry.matching.foreground.contour import follow
+from mammometry.matching.foreground.foreground import Foreground
+from mammometry.surface.fusion import field_kernels as kernels
+from mammometry.surface.fusion.camera_records import COLUMNS, view_row
+from mammometry.surface.occlusion import contour_kernels as outline_kernels
+from mammometry.surface.ranges import image_kernels
+from mammometry.surface.ranges.range_image import NORMAL_MM, SIGMA_FLOOR_MM, RangeImage, thinned_camera
+from mammometry.surface.settings import TAPER_MM, FieldSettings
+
+Rule: TypeAlias = Literal["default", "nearest", "furthest", "tsdf"]
+_RULES: dict[Rule, int] = {
+    "default": kernels.RULE_DEFAULT,
+    "nearest": kernels.RULE_NEAREST,
+    "furthest": kernels.RULE_FURTHEST,
+    "tsdf": kernels.RULE_TSDF,
+}
+EXTEND_WEIGHT = 0.05
+"""Weight of continued data relative to the datum they continue. Chosen by eye."""
+JUMP_MM = 2.0
+"""Difference of neighbouring ranges above which nothing is interpolated, mm: there is an edge."""
+_CONTOUR_BAND_PX = 12.0  # within it distances from a silhouette are exact; wider than the field's band in pixels
+_AROUND_PX = 64  # beyond it outside the subject's box a pixel counts as this far from the silhouette; chosen by eye
+_OUTLIERS = 0.002  # percent of the data at either end of an axis, one in 50,000, that do not widen the closing box
+_BOX_SAMPLES = 1_000_000  # data that the box's percentiles are taken of
+_SMALLEST_HOLE_SHARE = 2e-3  # of the subject's area: a larger hole in a mask is a gap between limbs; chosen by eye
+_SLOPE_MM = 4.0  # over which the slope of skin beside a gap is taken; chosen by eye
+_BLOCK_PX = 4  # side of the blocks in which other views' data are looked up; some data fall into each
+_SAMPLES = 300_000  # of another view's data that are looked up
+_BEFORE_MM = 5.0  # a datum of another view further before a span contradicts it; chosen by eye
+_CLOSING_MM = 4.0  # gaps in a view's data narrower than twice this belong to the subject without a silhouette; by eye
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ClosingBox:
+    """Box behind and around the measured data, which closes the solid."""
+
+    planes: Float64[Array, "f 4"]
+    """Outward unit normal and offset of each side: ``n · x − d``, positive outside, mm. The back comes first."""
+    corners: Float64[Array, "8 3"]
+    """World frame, mm."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "planes", read_only(self.planes))
+        object.__setattr__(self, "corners", read_only(self.corners))
+
+    def distance_mm(self, points_world: Float64[Array, "n 3"]) -> Float64[Array, " n"]:
+        """Signed distance to the nearest side, mm, negative inside."""
+        sides: Float64[Array, " n"] = (points_world @ self.planes[:, :3].T - self.planes[:, 3]).max(axis=1)
+        return sides
+
+
+def closing_box(range_images: Sequence[RangeImage], *, back_mm: float, around_mm: float) -> ClosingBox:
+    """Bound the solid by a box along the views' mean direction.
+
+    Only the data's extent counts. The back side lies `back_mm` behind the furthest datum along that direction, the
+    others `around_mm` outside. One datum in fifty thousand at either end is taken for an outlier: what little is seen
+    of an arm stays inside.
+    """
+    seen = [image for image in range_images if image.valid.any()]
+    points = block_seeds(seen)
+    inward = np.sum([image.camera.axis_world for image in seen], axis=0)
+    if np.linalg.norm(inward) < 1e-3 * len(seen):  # cameras all around: any direction will do
+        inward = seen[0].camera.axis_world
+    inward = inward / np.linalg.norm(inward)
+    across = np.eye(3)[np.argmin(np.abs(inward))]
+    across = across - (across @ inward) * inward
+    across /= np.linalg.norm(across)
+    axes = np.stack([inward, across, np.cross(inward, across)])
+    some = points[:: max(1, len(points) // _BOX_SAMPLES)]
+    low, high = np.percentile(some @ axes.T, [_OUTLIERS, 100 - _OUTLIERS], axis=0)
+    low, high = low - around_mm, high + np.array([back_mm, around_mm, around_mm])
+    planes = np.concatenate(
+        [np.column_stack([axes, high]), np.column_stack([-axes, -low])],
+    )
+    choice = np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)], dtype=bool)
+    return ClosingBox(planes=planes, corners=np.where(choice, high, low) @ axes)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Field:
+    """Signed distance of the solid, as a function of the point."""
+
+    views: Float64[Array, "v 24"]
+    elements: Float32[Array, "p 3"]
+    contours: Float64[Array, "c 24"]
+    distances: Float32[Array, " q"]
+    box: ClosingBox
+    truncation_mm: float
+    rule: Rule
+
+    def sample(self, origins: Float64[Array, "n 3"], side: int, spacing_mm: float) -> Float32[Array, "n s s s"]:
+        """Evaluate at side³ points, `spacing_mm` apart, from each origin, mm. Positive outside."""
+
+        def sampled(part: slice) -> Float32[Array, "k s s s"]:
+            return kernels.sample_field(
+                np.ascontiguousarray(origins[part], dtype=np.float64),
+                side,
+                float(spacing_mm),
+                self.views,
+                self.elements,
+                self.contours,
+                self.distances,
+                np.array(self.box.planes),
+                self.truncation_mm,
+                JUMP_MM,
+                _RULES[self.rule],
+            )
+
+        return np.concatenate(in_bands(sampled, len(origins)))
+
+
+def build_field(
+    range_images: Sequence[RangeImage],
+    foregrounds: Mapping[str, Foreground],
+    rig: Rig,
+    box: ClosingBox,
+    settings: FieldSettings,
+    rule: Rule,
+) -> Field:
+    """Pack views with their weights, and all silhouettes."""
+    seen = [image for image in range_images if image.valid.any()]
+    starts = np.cumsum([0, *(image.valid.size for image in seen)])
+    elements = np.empty((starts[-1], 3), dtype=np.float32)
+    view_rows = [
+        view_row(image.camera, image.valid.shape, start) for image, start in zip(seen, starts[:-1], strict=True)
+    ]
+
+    def fill(number: int) -> None:
+        image = seen[number]
+        left = rig.pair(image.name).left
+        others_mm = nearest_of_others_mm(image, seen)
+        rows = view_elements(image, left, foregrounds.get(left.name), settings, others_mm)
+        elements[starts[number] : starts[number + 1]] = rows.reshape(-1, 3)
+
+    each_at_once(fill, range(len(seen)))
+    outlined = {
+        name: foreground
+        for name, foreground in foregrounds.items()
+        if not foreground.everything and foreground.mask.any()
+    }
+    steps = {name: _silhouette_step(rig.cameras[name], range_images) for name in outlined}
+    distances = each_at_once(
+        lambda name: silhouette_distance_px(outlined[name], steps[name], settings.lost_slope), list(outlined)
+    )
+    starts_of_lines = np.cumsum([0, *(each.size for each in distances)])
+    contour_rows = [
+        view_row(thinned_camera(rig.cameras[name], steps[name]), each.shape, start)
+        for name, each, start in zip(outlined, distances, starts_of_lines[:-1], strict=True)
+    ]
+    return Field(
+        views=np.array(view_rows).reshape(-1, COLUMNS),
+        elements=elements,
+        contours=np.array(contour_rows).reshape(-1, COLUMNS),
+        distances=np.concatenate([np.zeros(0, dtype=np.float32), *(each.ravel() for each in distances)]),
+        box=box,
+        truncation_mm=settings.truncation_mm,
+        rule=rule,
+    )
+
+
+def _silhouette_step(camera: Camera, range_images: Sequence[RangeImage]) -> int:
+    """Step between a camera's pixels for its silhouette.
+
+    It keeps them as close on the subject as the range images' elements.
+    """
+    ranges = [np.linalg.norm(image.camera.centre_world - camera.centre_world) for image in range_images]
+    nearest = range_images[int(np.argmin(ranges))]  # stands beside it, so sees the subject at about the same distance
+    return max(1, round(nearest.pixel_mm() / np.median(nearest.range_mm[nearest.valid]) * camera.matrix[0, 0]))
+
+
+def nearest_of_others_mm(image: RangeImage, all_images: Sequence[RangeImage]) -> Float32[Array, "H W"]:
+    """Range of the nearest datum of other views, mm.
+
+    For each block of pixels of a range image. Infinite where there is none.
+    """
+    height, width = image.valid.shape
+    nearest = np.full((-(-height // _BLOCK_PX), -(-width // _BLOCK_PX)), np.inf, dtype=np.float32)
+    for other in all_images:
+        if other is image:
+            continue
+        points = other.valid_points_world()
+        points = points[:: max(1, len(points) // _SAMPLES)]
+        uv = image.camera.project(points)
+        with np.errstate(invalid="ignore"):
+            inside = ((uv > -0.5) & (uv < [width - 0.5, height - 0.5])).all(axis=1)
+        column, row = np.rint(uv[inside]).astype(np.intp).T // _BLOCK_PX
+        range_mm = np.linalg.norm(points[inside] - image.camera.centre_world, axis=1).astype(np.float32)
+        np.minimum.at(nearest, (row, column), range_mm)
+    return nearest
+
+
+def view_elements(
+    image: RangeImage,
+    left: Camera,
+    foreground: Foreground | None,
+    settings: FieldSettings,
+    others_mm: Float32[Array, "H W"],
+) -> Float32[Array, "h w 3"]:
+    """Range, cosine of incidence and signed weight of every pixel.
+
+    `kernels.sample_field` reads them. Measured data weigh cos²/(σ² + floor²), less near the edge of the data. Up to
+    `extend_mm` outwards they are continued along the nearest datum's tangent plane; the rest of the subject's
+    silhouette (or of the data's own outline, where there is no silhouette) is filled with the nearest datum's range,
+    which only supports. A gap between near and far skin is spanned instead (`image_kernels.spans`): skin turns away
+    there and is hidden, and nothing that was not measured stands before the span. `others_mm` is of
+    `nearest_of_others_mm`.
+    """
+    normals = image.normals_camera(NORMAL_MM)
+    subject = _subject_mask(image, left, foreground)
+    slope_px = max(2, round(_SLOPE_MM / image.pixel_mm()))
+    spans_mm = image_kernels.spans(
+        image.range_mm,
+        image.valid,
+        subject,
+        others_mm,
+        _BLOCK_PX,
+        slope_px,
+        settings.span_jump_mm,
+        _BEFORE_MM,
+    )
+    elements: Float32[Array, "h w 3"] = kernels.view_elements(
+        image.range_mm,
+        image.valid,
+        image.sigma_mm,
+        image.trust(TAPER_MM),
+        normals,
+        *image_kernels.nearest_true(image.valid & np.isfinite(normals[..., 0])),
+        subject,
+        spans_mm,
+        image.camera.intrinsics,
+        image.pixel_mm(),
+        settings.extend_mm,
+        EXTEND_WEIGHT,
+        SIGMA_FLOOR_MM,
+    )
+    return elements
+
+
+def silhouette_distance_px(foreground: Foreground, step: int = 1, lost_slope: float = 0.0) -> Float32[Array, "h w"]:
+    """Distance of every `step`-th pixel from the silhouette, positive outside.
+
+    In such steps, sub-pixel near the silhouette. Beyond `_AROUND_PX` from the subject's bounding box it is
+    `_AROUND_PX`: nothing is measured so far outside. The silhouette is the `contour_level` line of the coverage, as
+    straight pieces; the frame's edge is none. Small holes inside the subject (a dark spot taken for background) are
+    closed first. The mask must not be empty. Where the line is not the subject's edge but the border of a shadow on
+    it, the subject reaches `lost_slope` times as far outside as the nearest edge that is seen is away along the line.
+    """
+    height, width = (-(-side // step) for side in foreground.coverage.shape)
+    mask = foreground.mask
+    top, bottom, left, right = raster_kernels.extent(mask).tolist()
+    if bottom - top == mask.shape[0] and right - left == mask.shape[1] and mask.all():
+        return np.full((height, width), -1e4, dtype=np.float32)
+    window = tuple(
+        slice(max(start // step - _AROUND_PX, 0) * step, min((stop // step + _AROUND_PX) * step, side))
+        for start, stop, side in zip((top, left), (bottom, right), mask.shape, strict=True)
+    )
+    inside = mask[window][::step, ::step]
+    holes = _small_holes(inside)
+    if step > 1:  # what is dark between two steps belongs to the hole beside it
+        holes = ndimage.binary_dilation(holes)
+    inside = inside | holes
+    if inside.all():
+        return np.full((height, width), -1e4, dtype=np.float32)
+    ends = np.array([end for axis in window for end in (axis.start, axis.stop)], dtype=np.int64)
+    starts, steps = outline_kernels.contour_pieces(
+        np.ascontiguousarray(foreground.coverage), ends, np.ascontiguousarray(holes), step, foreground.contour_level
+    )
+    distances = np.full((height, width), np.float32(_AROUND_PX))
+    distances[tuple(slice(axis.start // step, -(-axis.stop // step)) for axis in window)] = (
+        image_kernels.outline_distances(inside, starts, steps, _CONTOUR_BAND_PX)
+    )
+    if lost_slope > 0:
+        _let_out(distances, foreground, step, lost_slope)
+    return distances
+
+
+def _let_out(distances: Float32[Array, "h w"], foreground: Foreground, step: int, lost_slope: float) -> None:
+    """Join discs to the silhouette where its edge is lost. The discs are around points of the contour."""
+    traced = follow(foreground)
+    lost = traced.lost_px > 0
+    for (column, row), radius in zip(traced.uv[lost] / step, lost_slope * traced.lost_px[lost] / step, strict=True):
+        reach = radius + _AROUND_PX
+        top, left = max(int(row - reach), 0), max(int(column - reach), 0)
+        around = distances[top : int(row + reach) + 1, left : int(column + reach) + 1]
+        down, across = np.ogrid[top : top + around.shape[0], left : left + around.shape[1]]
+        np.minimum(around, np.hypot(down - row, across - column) - radius, out=around, casting="same_kind")
+
+
+def _small_holes(mask: Bool[Array, "h w"]) -> Bool[Array, "h w"]:
+    """Small background regions enclosed by the subject. They are too small to be a gap between body parts."""
+    holes, count = ndimage.label(~mask)
+    sizes = np.bincount(holes.ravel(), minlength=count + 1)
+    for border in (holes[0], holes[-1], holes[:, 0], holes[:, -1]):
+        sizes[border] = mask.size
+    sizes[0] = mask.size
+    return np.asarray(sizes < _SMALLEST_HOLE_SHARE * mask.sum())[holes]
+
+
+def _subject_mask(image: RangeImage, left: Camera, foreground: Foreground | None) -> Bool[Array, "h w"]:
+    """Pixels of the range image that show the subject. By its silhouette, else by the outline of the data."""
+    if foreground is None or foreground.everything:
+        radius = max(1, round(_CLOSING_MM / image.pixel_mm()))
+        padded = np.pad(image.valid, radius)
+        near = ndimage.distance_transform_edt(~padded) <= radius
+        closed = ndimage.distance_transform_edt(near) > radius
+        return np.asarray(ndimage.binary_fill_holes(closed[radius:-radius, radius:-radius] | image.valid))
+    # The way from the ideal to the real image is smooth: exact on a coarse grid, linear between.
+    height, width = image.valid.shape
+    rows, columns = np.linspace(0, height - 1, height // 16 + 2), np.linspace(0, width - 1, width // 16 + 2)
+    u, v = np.meshgrid(columns, rows)
+    directions = image.camera.rays_world(np.stack([u, v], axis=-1).reshape(-1, 2))
+    original = left.project(left.centre_world + directions * 1000.0).reshape(len(rows), len(columns), 2)
+    places = np.ascontiguousarray(original[..., ::-1])
+    coverage = image_kernels.carried_over(np.ascontiguousarray(foreground.coverage), places, height, width)
+    mask = coverage >= foreground.contour_level
+    return np.asarray(mask | _small_holes(mask) | image.valid)
+
+
+def block_seeds(range_images: Sequence[RangeImage]) -> Float64[Array, "n 3"]:
+    """Return all measured points, world frame, mm. The surface certainly passes near them."""
+    return np.concatenate([image.valid_points_world() for image in range_images if image.valid.any()])

@@ -1,0 +1,267 @@
+"""Closed surface of a field on a grid of cubes.
+
+It is smoothed, healed on demand, and meshed piece by piece on all cores.
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import ndimage
+
+from mammometry.base.machine.cores import available_cores
+from mammometry.base.progress import Progress, no_progress
+from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int64
+from mammometry.geometry.mesh import TriangleMesh
+from mammometry.surface.fusion.marching import march, without_saddles
+from mammometry.surface.fusion.stitch import OpenMesh, edge_keys, stitched
+from mammometry.surface.fusion.voxels import BLOCK, FAR_CUBES, TRANSITION, BlockGrid
+
+_CHUNK = 8  # blocks along the edge of what one thread meshes at a time; for speed alone
+_APRON = 3  # fine cubes that the Gaussian reaches to either side
+_BLEND = TRANSITION - _APRON  # fine cubes over which the fine field turns into the coarse one
+_COARSE_SMOOTHING = 0.5  # σ at most, in large cubes: chosen by eye
+_LEVEL_CLEARANCE = 0.01  # share of a cube's edge that a vertex keeps from its ends; chosen by eye
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Piece:
+    """One chunk's part of the surface."""
+
+    mesh: OpenMesh
+    border: Int64[Array, " k"]
+    """Vertices that it may share with other chunks: those on a plane between two."""
+
+
+_EMPTY = OpenMesh(vertices=np.zeros((0, 3)), faces=np.zeros((0, 3), dtype=np.int32))
+
+
+class Isosurface:
+    """Marching cubes on a grid's field, smoothed by a Gaussian.
+
+    The Gaussian has a standard deviation of `smoothing` cubes. Chunks of 8³ blocks are meshed side by side and joined
+    at the vertices that they share. Values within a hundredth of a cube of the level are moved off it, so that every
+    vertex lies strictly inside a cube's edge. The chunks' pieces are kept, so that healing a place redoes its
+    surroundings only. Towards far blocks the field is led over into the coarse one, so that fine and coarse cubes
+    agree where they meet.
+    """
+
+    def __init__(self, grid: BlockGrid, *, smoothing: float, progress: Progress = no_progress) -> None:
+        self._grid = grid
+        self._smoothing = smoothing
+        self._healed = np.zeros((0, 4))
+        coarse = _off_level(_smooth(grid.coarse, min(smoothing, _COARSE_SMOOTHING)), grid.cube_mm * FAR_CUBES)
+        self._coarse = self._without_saddles(coarse)
+        shape = np.array(grid.index.shape)
+        near = ndimage.maximum_filter(grid.index >= 0, size=3)  # a block's neighbours share its field's smoothing
+        chunks = [chunk for chunk in np.ndindex(*(-(-shape // _CHUNK))) if near[self._blocks(chunk)].any()]
+        self._pieces = self._meshed(chunks, progress)
+        self._far = self._far_piece() if grid.far.any() else None
+
+    def heal(self, points: Float64[Array, "n 3"], *, reach_mm: float = 6.0, sigma_mm: float = 2.0) -> None:
+        """Blend the field into the coarse one near the points.
+
+        Fully within `reach_mm`, and less so up to twice that far. There the coarse field is smoothed by a Gaussian of
+        `sigma_mm`. Places healed before stay so. Only what the new points reach is redone.
+        """
+        self._healed = np.concatenate([np.column_stack([points, np.full(len(points), reach_mm)]), self._healed])
+        touched = self._smoothed_coarse(points, reach_mm, sigma_mm)
+        reached = [chunk for chunk in self._pieces if self._reaching(chunk)[: len(points)].any()]
+        self._pieces |= self._meshed(reached)
+        if touched:
+            self._far = self._far_piece()
+
+    def _meshed(
+        self, chunks: list[tuple[int, ...]], progress: Progress = no_progress
+    ) -> dict[tuple[int, ...], _Piece | None]:
+        """Pieces of some chunks, on all cores. Filters and marching cubes hold no lock."""
+        pieces: dict[tuple[int, ...], _Piece | None] = {}
+        with ThreadPoolExecutor(available_cores()) as pool:
+            for chunk, piece in zip(chunks, pool.map(self._piece, chunks), strict=True):
+                pieces[chunk] = piece
+                progress(len(pieces) / len(chunks))
+        return pieces
+
+    def _reaching(self, chunk: tuple[int, ...]) -> Bool[Array, " n"]:
+        """Which of the healed places reach into a chunk."""
+        edge = BLOCK * self._grid.cube_mm
+        blocks = self._blocks(chunk)
+        low = self._grid.origin + np.array([axis.start for axis in blocks]) * edge
+        high = self._grid.origin + np.array([axis.stop for axis in blocks]) * edge
+        at, reach = self._healed[:, :3], 2 * self._healed[:, 3:]
+        return np.asarray(((at > low - reach) & (at < high + reach)).all(axis=1))
+
+    def _smoothed_coarse(self, points: Float64[Array, "n 3"], reach_mm: float, sigma_mm: float) -> bool:
+        """Smooth the coarse field around the points. Whether any far block is reached."""
+        step, shape = self._grid.cube_mm * FAR_CUBES, np.array(self._coarse.shape)
+        self._coarse, touched = self._coarse.copy(), False
+        for point in points:
+            middle = (point - self._grid.origin) / step
+            low = np.maximum(np.floor(middle - 2 * reach_mm / step).astype(int), 0)
+            high = np.minimum(np.ceil(middle + 2 * reach_mm / step).astype(int) + 1, shape)
+            window = tuple(slice(a, b) for a, b in zip(low, high, strict=True))
+            field = self._coarse[window]
+            place = np.array([[*point, reach_mm]])
+            strength = _nearness(self._grid.origin + low * step, field.shape, step, place)
+            self._coarse[window] = _off_level(field + strength * (_smooth(field, sigma_mm / step) - field), step)
+            ends = zip(low * FAR_CUBES // BLOCK, high * FAR_CUBES // BLOCK + 1, strict=True)
+            touched |= bool(self._grid.far[tuple(slice(a, b) for a, b in ends)].any())
+        self._coarse = self._without_saddles(self._coarse)
+        return touched
+
+    def _without_saddles(self, coarse: Float32[Array, "p q r"]) -> Float32[Array, "p q r"]:
+        far = _repeated(self._grid.far, BLOCK // FAR_CUBES)
+        return without_saddles(coarse, far, _LEVEL_CLEARANCE * self._grid.cube_mm * FAR_CUBES)
+
+    def mesh(self) -> TriangleMesh | None:
+        """Join the pieces.
+
+        Faces counter-clockwise seen from outside, world frame, mm. None where fine and coarse cubes do not fit
+        together: a saddle that both decide differently.
+        """
+        near = _joined([piece for piece in self._pieces.values() if piece is not None])
+        whole = near if self._far is None else stitched(near, self._far, FAR_CUBES)
+        if whole is None:
+            return None
+        vertices = self._grid.origin + whole.vertices * self._grid.cube_mm
+        return TriangleMesh(vertices=vertices, faces=whole.faces)
+
+    def _blocks(self, chunk: tuple[int, ...]) -> tuple[slice, ...]:
+        """The blocks of a chunk."""
+        ends = zip(chunk, self._grid.far.shape, strict=True)
+        return tuple(slice(number * _CHUNK, min((number + 1) * _CHUNK, count)) for number, count in ends)
+
+    def _piece(self, chunk: tuple[int, ...]) -> _Piece | None:
+        """Vertices, in cubes from the grid's origin, and faces of one chunk. None where no surface passes."""
+        grid, blocks = self._grid, self._blocks(chunk)
+        wide = tuple(slice(max(axis.start - 1, 0), axis.stop + 1) for axis in blocks)
+        used = ndimage.find_objects((grid.index[wide] >= 0).astype(np.uint8))[0]  # a surface fills few of the blocks
+        first = np.array([max(w.start + u.start - 1, b.start) for w, u, b in zip(wide, used, blocks, strict=True)])
+        last = np.array([min(w.start + u.stop + 1, b.stop) for w, u, b in zip(wide, used, blocks, strict=True)])
+        if (first >= last).any():
+            return None
+        field = _blurred(grid.dense(first - 1, last + 1), self._smoothing)
+        field = _off_level(self._led_over(field, first, last, self._healed[self._reaching(chunk)]), grid.cube_mm)
+        far = grid.far[tuple(slice(a, b) for a, b in zip(first, last, strict=True))]
+        mesh = _marched(field, ~_repeated(far, BLOCK), first * BLOCK, 1)
+        if mesh is None:
+            return None
+        on_plane = np.logical_or.reduce([axis % (_CHUNK * BLOCK) == 0 for axis in mesh.vertices.T])
+        return _Piece(mesh=mesh, border=np.flatnonzero(on_plane))
+
+    def _led_over(
+        self,
+        field: Float32[Array, "x y z"],
+        first: Int64[Array, 3],
+        last: Int64[Array, 3],
+        heal: Float64[Array, "n 4"],
+    ) -> Float32[Array, "x y z"]:
+        """Field of some blocks, blended into the coarse one.
+
+        The blocks are first ≤ block < last. It is blended where healed and towards far blocks. The share is known at
+        the coarse cubes' corners and linear between, as the coarse field itself.
+        """
+        times = BLOCK // FAR_CUBES
+        low, high = np.maximum(first - 2, 0), np.minimum(last + 2, self._grid.far.shape)
+        far = self._grid.far[tuple(slice(a, b) for a, b in zip(low, high, strict=True))]
+        if not far.any() and not len(heal):
+            return field
+        cells = _repeated(far, times)
+        touching = np.zeros(np.array(cells.shape) + 1, dtype=bool)
+        for corner in np.ndindex(2, 2, 2):
+            touching[tuple(slice(c, c + n) for c, n in zip(corner, cells.shape, strict=True))] |= cells
+        steps = ndimage.distance_transform_cdt(~touching, metric="chessboard")
+        steps = np.where(steps < 0, TRANSITION, FAR_CUBES * steps)  # -1 where nothing is far
+        inner = tuple(slice((a - c) * times, (b - c) * times + 1) for a, b, c in zip(first, last, low, strict=True))
+        share = np.clip((TRANSITION - steps[inner]) / _BLEND, 0.0, 1.0).astype(np.float32)
+        cube_mm = self._grid.cube_mm
+        corner_mm = self._grid.origin + first * BLOCK * cube_mm
+        share = np.maximum(share, _nearness(corner_mm, share.shape, cube_mm * FAR_CUBES, heal))
+        if not share.any():
+            return field
+        coarse = self._coarse[tuple(slice(a * times, b * times + 1) for a, b in zip(first, last, strict=True))]
+        for axis in range(3):
+            coarse, share = _interpolated(coarse, axis), _interpolated(share, axis)
+        return field + share * (coarse - field)
+
+    def _far_piece(self) -> OpenMesh:
+        grid = self._grid
+        found = _marched(self._coarse, _repeated(grid.far, BLOCK // FAR_CUBES), np.zeros(3, np.int64), FAR_CUBES)
+        return found or _EMPTY
+
+
+def _marched(
+    field: Float32[Array, "x y z"], cells: Bool[Array, "x1 y1 z1"], first: Int64[Array, 3], step: int
+) -> OpenMesh | None:
+    """Marching cubes on the chosen cells. Vertices in fine cubes, the field's first corner at `first`."""
+    if field.min() > 0 or field.max() < 0:
+        return None
+    vertices, faces = march(np.ascontiguousarray(field), cells)
+    return OpenMesh(vertices=vertices * step + first, faces=faces) if len(faces) else None
+
+
+def _repeated(blocks: Bool[Array, "x y z"], times: int) -> Bool[Array, "x2 y2 z2"]:
+    return blocks.repeat(times, axis=0).repeat(times, axis=1).repeat(times, axis=2)
+
+
+def _interpolated(values: Float32[Array, "x y z"], axis: int) -> Float32[Array, "x2 y2 z2"]:
+    """Linear interpolation to `FAR_CUBES` steps along one axis. Exact at the corners given."""
+    values = np.moveaxis(values, axis, 0)
+    between = np.arange(FAR_CUBES, dtype=np.float32)[:, None, None] / np.float32(FAR_CUBES)
+    fine = values[:-1, None] + between * (values[1:] - values[:-1])[:, None]
+    return np.moveaxis(np.concatenate([fine.reshape(-1, *values.shape[1:]), values[-1:]]), 0, axis)
+
+
+def _off_level(field: Float32[Array, "x y z"], cube_mm: float) -> Float32[Array, "x y z"]:
+    """Move values off the level by a hundredth of a cube."""
+    clearance = np.float32(_LEVEL_CLEARANCE * cube_mm)
+    return np.where(np.abs(field) < clearance, np.copysign(clearance, field), field)
+
+
+def _smooth(field: Float32[Array, "x y z"], sigma: float) -> Float32[Array, "x y z"]:
+    smooth: Float32[Array, "x y z"] = ndimage.gaussian_filter(field, sigma, mode="nearest") if sigma > 0 else field
+    return smooth
+
+
+def _blurred(values: Float32[Array, "x y z"], sigma: float) -> Float32[Array, "x2 y2 z2"]:
+    """Gaussian of a chunk with a block's margin around it.
+
+    The margin is taken off, but for one layer of corners.
+    """
+    keep = tuple(slice(BLOCK - _APRON, size - BLOCK + 1 + _APRON) for size in values.shape)
+    field = values[keep]
+    if sigma > 0:
+        field = ndimage.gaussian_filter(field, sigma, mode="nearest", truncate=_APRON / sigma)
+    inner: Float32[Array, "x2 y2 z2"] = field[_APRON:-_APRON, _APRON:-_APRON, _APRON:-_APRON]
+    return inner
+
+
+def _nearness(
+    low: Float64[Array, 3], shape: tuple[int, ...], step_mm: float, places: Float64[Array, "n 4"]
+) -> Float32[Array, "x y z"]:
+    """1 within reach of any place, 0 beyond twice that. Places are (x, y, z, reach), mm."""
+    strength = np.zeros(shape, dtype=np.float32)
+    axes = [low[axis] + np.arange(shape[axis]) * step_mm for axis in range(3)]
+    for *point, reach_mm in places:
+        x, y, z = ((axis - at) ** 2 for axis, at in zip(axes, point, strict=True))
+        distance = np.sqrt(x[:, None, None] + y[:, None] + z).astype(np.float32)
+        np.maximum(strength, np.clip(2.0 - distance / np.float32(reach_mm), 0.0, 1.0), out=strength)
+    return strength
+
+
+def _joined(pieces: list[_Piece]) -> OpenMesh:
+    """Join the vertices that two pieces share. They lie on the same cube edge."""
+    if not pieces:
+        return _EMPTY
+    starts = np.cumsum([0] + [len(piece.mesh.vertices) for piece in pieces])[:-1]
+    vertices = np.concatenate([piece.mesh.vertices for piece in pieces])
+    faces = np.concatenate([piece.mesh.faces + np.int32(start) for piece, start in zip(pieces, starts, strict=True)])
+    border = np.concatenate([piece.border + start for piece, start in zip(pieces, starts, strict=True)])
+    _, first, inverse = np.unique(edge_keys(vertices[border], 1), return_index=True, return_inverse=True)
+    stands_for = np.arange(len(vertices), dtype=np.int32)
+    stands_for[border] = border[first][inverse]
+    kept = stands_for == np.arange(len(vertices))
+    number = (np.cumsum(kept, dtype=np.int32) - 1)[stands_for]
+    return OpenMesh(vertices=vertices[kept], faces=number[faces])

@@ -1,0 +1,1 @@
+"""Motion of cameras and body between calibration and photographs: found, corrected, said."""

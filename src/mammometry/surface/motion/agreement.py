@@ -1,0 +1,196 @@
+"""Agreement of pairs: distance between common skin, and row errors.
+
+Both are summed up in cells of skin, because neighbouring data err alike.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mammometry.base.machine.cores import each_at_once
+from mammometry.geometry.arrays import Array, Float64, Int64, read_only
+from mammometry.geometry.camera import Camera
+from mammometry.matching.dense.match import DisparityMap
+from mammometry.surface.ranges.range_image import RangeImage, thinned_camera
+from mammometry.surface.ranges.visibility import CommonSkin, common_skin
+from mammometry.surface.settings import TAPER_MM
+
+_CELL_MM = 16.0
+"""Edge of the cells, mm: several matching windows, so that errors of two cells are nearly independent. Chosen by eye.
+"""
+_SPACING_MM = 0.8  # between the data that are compared; chosen for speed
+_FEWEST_DATA = 6  # of a cell, for its median; chosen by eye
+_LEAST_COSINE = 0.5  # 60° off the normal: data seen more obliquely are not compared
+OTHER_SKIN_MM = 4.0
+"""Two pairs further apart than this, mm, see different skin, such as an arm in front of the trunk. Chosen by eye."""
+_INSIDE = 0.99  # trust of data that no edge of the data touches
+_MEDIAN_FACTOR = 1.2533  # standard deviation of a median over the mean's, √(π/2)
+_ROW_CELLS = 6  # along each side of a pair's picture: the vertical disparity has six terms; more say the same
+_FEWEST_ROWS = 50  # pixels of such a cell; chosen by eye
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Differences:
+    """Distances between two pairs' surfaces, a median a cell of common skin."""
+
+    first: str
+    second: str
+    """Names of the pairs."""
+    points: Float64[Array, "n 3"]
+    """World frame, mm."""
+    normals: Float64[Array, "n 3"]
+    """Outward, world frame."""
+    apart_mm: Float64[Array, " n"]
+    """Distance of the first surface in front of the second, along the normal."""
+    scatter_mm: Float64[Array, " n"]
+    """Standard deviation of that median from the scatter within the cell, data taken as independent."""
+    expected_mm: Float64[Array, " n"]
+    """Median standard deviation that both pairs' data expect of themselves."""
+
+    def __post_init__(self) -> None:
+        for field in ("points", "normals", "apart_mm", "scatter_mm", "expected_mm"):
+            object.__setattr__(self, field, read_only(getattr(self, field)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RowErrors:
+    """A pair's vertical disparity, a median a cell of its picture."""
+
+    points: Float64[Array, "n 3"]
+    """Where the pair sees the skin, world frame, mm."""
+    angle_rad: Float64[Array, " n"]
+    """By which the right ray leaves the epipolar plane (`shifts.Shifts.vertical_rad`)."""
+    pixel_rad: float
+    """Angle of a pixel at full resolution of the rectified picture."""
+
+    def __post_init__(self) -> None:
+        for field in ("points", "angle_rad"):
+            object.__setattr__(self, field, read_only(getattr(self, field)))
+
+
+def differences(range_images: Sequence[RangeImage], other_skin_mm: float = OTHER_SKIN_MM) -> tuple[Differences, ...]:
+    """Compare each two views where they see the same skin well. Views without common skin are left out.
+
+    Args:
+        range_images: one for each pair.
+        other_skin_mm: distance from which on two views are taken to see different skin.
+    """
+    images = each_at_once(lambda image: _thinned(image.keeping(image.trust(TAPER_MM) > _INSIDE)), range_images)
+    normals = each_at_once(RangeImage.normals_camera, images)
+    found = []
+    for a, image in enumerate(images):
+        for b, other in enumerate(images[a + 1 :], start=a + 1):
+            forth = common_skin(image, normals[a], other, normals[b])
+            back = common_skin(other, normals[b], image, normals[a])
+            points, directions, apart, sigma = (
+                np.concatenate(parts)
+                for parts in zip(
+                    _well_seen(forth, 1.0, other_skin_mm), _well_seen(back, -1.0, other_skin_mm), strict=True
+                )
+            )
+            cells = _cells(points)
+            if len(cells):
+                found.append(_in_cells(image.name, other.name, (points, directions, apart, sigma), cells))
+    return tuple(found)
+
+
+def _thinned(image: RangeImage) -> RangeImage:
+    """Every few rows and columns: windows that give normals are wider."""
+    step = max(1, int(_SPACING_MM / image.pixel_mm())) if image.valid.any() else 1
+    thin = (slice(None, None, step), slice(None, None, step))
+    return replace(
+        image,
+        camera=thinned_camera(image.camera, step),
+        range_mm=np.ascontiguousarray(image.range_mm[thin]),
+        sigma_mm=np.ascontiguousarray(image.sigma_mm[thin]),
+        confidence=np.ascontiguousarray(image.confidence[thin]),
+        valid=np.ascontiguousarray(image.valid[thin]),
+    )
+
+
+def _well_seen(
+    common: CommonSkin, sign: float, other_skin_mm: float
+) -> tuple[Float64[Array, "n 3"], Float64[Array, "n 3"], Float64[Array, " n"], Float64[Array, " n"]]:
+    well = (common.own_cosine > _LEAST_COSINE) & (np.abs(common.apart_mm) < other_skin_mm)
+    return common.points[well], common.normals[well], sign * common.apart_mm[well], common.sigma_mm[well]
+
+
+def _cells(points: Float64[Array, "n 3"]) -> list[Int64[Array, " k"]]:
+    """Indices of the points of each cell that holds enough."""
+    if not len(points):
+        return []
+    number = np.unique(np.floor(points / _CELL_MM).astype(np.int64), axis=0, return_inverse=True)[1].ravel()
+    order = np.argsort(number, kind="stable")
+    parts = np.split(order, np.flatnonzero(np.diff(number[order])) + 1)
+    return [part for part in parts if len(part) >= _FEWEST_DATA]
+
+
+def _in_cells(
+    first: str,
+    second: str,
+    data: tuple[Float64[Array, "n 3"], Float64[Array, "n 3"], Float64[Array, " n"], Float64[Array, " n"]],
+    cells: Sequence[Int64[Array, " k"]],
+) -> Differences:
+    points, normals, apart, sigma = data
+    mean = np.array([normals[cell].mean(axis=0) for cell in cells])
+    return Differences(
+        first=first,
+        second=second,
+        points=np.array([points[cell].mean(axis=0) for cell in cells]),
+        normals=mean / np.linalg.norm(mean, axis=1, keepdims=True),
+        apart_mm=np.array([np.median(apart[cell]) for cell in cells]),
+        scatter_mm=np.array([_MEDIAN_FACTOR * apart[cell].std() / np.sqrt(len(cell)) for cell in cells]),
+        expected_mm=np.array([np.median(sigma[cell]) for cell in cells]),
+    )
+
+
+def row_errors(disparity: DisparityMap) -> RowErrors:
+    """Sum up a pair's vertical disparity over its matched picture."""
+    left, right = disparity.left, disparity.right
+    focal_px = disparity.pair_px * float(right.matrix[1, 1])
+    parts = [_in_parts(np.flatnonzero(disparity.valid.any(axis=axis))) for axis in (1, 0)]
+    places, angles = [], []
+    for rows, columns in itertools.product(*parts):
+        valid = disparity.valid[rows, columns]
+        inside = np.flatnonzero(valid)
+        if len(inside) >= _FEWEST_ROWS:
+            row, column = np.unravel_index(inside[len(inside) // 2], valid.shape)
+            at = int(row) + rows.start, int(column) + columns.start
+            point = _point(left, right, at, float(disparity.d_h_px[at]))
+            places.append(point)
+            angles.append(_angle(right, point, float(np.median(disparity.d_v_px[rows, columns][valid]))))
+    return RowErrors(
+        points=np.array(places).reshape(-1, 3), angle_rad=np.array(angles, dtype=np.float64), pixel_rad=1 / focal_px
+    )
+
+
+def _in_parts(used: Int64[Array, " n"]) -> list[slice]:
+    """Divide rows or columns, from the first used one to the last, equally."""
+    if not len(used):
+        return []
+    edges = np.ceil(np.linspace(used[0], used[-1] + 1, _ROW_CELLS + 1)).astype(int)
+    return [slice(int(first), int(last)) for first, last in itertools.pairwise(edges)]
+
+
+def _point(left: Camera, right: Camera, at: tuple[int, int], d_h_px: float) -> Float64[Array, 3]:
+    """Point seen by a rectified pixel and its match, world frame, mm."""
+    row, column = at
+    baseline_mm = float(np.linalg.norm(right.centre_world - left.centre_world))
+    columns_apart = (column - left.matrix[0, 2]) - (column - d_h_px - right.matrix[0, 2])
+    depth_mm = baseline_mm * left.matrix[0, 0] / columns_apart
+    x, y = left.normalised_from_pixels(np.array([[float(column), float(row)]]))[0]
+    point: Float64[Array, 3] = left.camera_from_world.inverse().apply(depth_mm * np.array([x, y, 1.0]))
+    return point
+
+
+def _angle(right: Camera, point: Float64[Array, 3], d_v_px: float) -> float:
+    """Vertical disparity as an angle across the epipolar plane. The plane turns about the baseline."""
+    x, y, z = right.camera_from_world.apply(point)
+    from_baseline = float(np.hypot(y, z))
+    return (
+        d_v_px / float(right.matrix[1, 1]) * (z / from_baseline) ** 2 * from_baseline / float(np.linalg.norm([x, y, z]))
+    )

@@ -1,0 +1,280 @@
+"""Test whether cameras and body stood still up to the last exposure.
+
+A camera that turned after the calibration, or a body that moved between the pairs' exposures, makes pairs disagree
+about common skin, and rows of a pair miss one another. `motions` finds what most probably moved. If nothing did,
+nothing is changed. Otherwise the cameras are set to their most probable poses (docs/decisions/0027).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mammometry.base.errors import SurfaceError
+from mammometry.calibration.adjust.calibrated import ParameterCovariance
+from mammometry.geometry.arrays import Array, Float64, read_only
+from mammometry.geometry.camera import Camera, Rig
+from mammometry.geometry.transform import Transform
+from mammometry.surface.motion.agreement import RowErrors, differences
+from mammometry.surface.motion.retriangulate import carried
+from mammometry.surface.motion.rigid_motion import (
+    Fit,
+    Found,
+    Unknowns,
+    effects,
+    most_probable,
+    observed,
+    rigid_motions,
+    unknowns,
+    without_contradicted_rows,
+    without_outliers,
+)
+from mammometry.surface.ranges.range_image import RangeImage
+from mammometry.surface.settings import StillnessSettings
+
+_FIRST_OTHER_SKIN_MM = 12.0
+"""`OTHER_SKIN_MM` of the first round, mm: a camera of the reference rig turned by .1° moves skin so far."""
+_ROUNDS = 2  # after the first, pairs are compared where the corrected cameras see them
+_LEAST_SIGMAS = 2.0  # of a displacement, before anything is done: small, noisy pictures show rows that are none
+_SURE = 5.0  # times the least evidence: something moved, even if what it did to each pair is not certain
+_HONEST_SIGMAS = 3.0  # of what pairs expect of themselves, before a rest is refused, as in `visibility`
+_CERTAIN_SIGMAS = 3.0  # of a turn, before its camera is named
+_UNEXPLAINED_MM = 0.12
+"""Rest above which something moved that is not rigid, mm. Clean captures leave .05 at most (docs/decisions/0027)."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Turn:
+    """How a camera turned about its own centre."""
+
+    camera: str
+    turn_deg: float
+    std_deg: float
+    """Standard deviation of the turn along its own axis."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Displaced:
+    """Displacement of a pair's points by the motions. What moves all pairs together is left out."""
+
+    pair: str
+    effect_mm: float
+    """RMS displacement, mm."""
+    std_mm: float
+    """What of it remains unknown, RMS standard deviation, mm."""
+    body_mm: float
+    """Part of it caused by the body, or by both cameras together, and not by a turn of one camera."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Stillness:
+    """Motion between calibration and exposures, as the pairs show it."""
+
+    compared: bool
+    """Whether two pairs see common skin. If not, only each pair's vertical disparity is known."""
+    moved: bool
+    """Whether anything moved."""
+    corrected: bool
+    """Whether `motions` are to be applied."""
+    asked: Unknowns
+    motions: Float64[Array, " p"]
+    """Most probable motions. Zeros where nothing moved."""
+    covariance: Float64[Array, "p p"]
+    """Of what the motions leave. Zeros where nothing moved."""
+    rest_mm: float
+    """Disagreement that no motion explains, standard deviation, mm. 0 where nothing moved."""
+    evidence: float
+    """Rise of the log probability of the observations by the motions."""
+    apart_mm: tuple[float, float]
+    """RMS distance between pairs' surfaces, measured and after correction, mm."""
+    unexplained: bool = False
+    """Whether the rest exceeds matching's own errors: something moved that is not rigid."""
+    alone: str | None = None
+    """Camera or pair whose motion alone explains everything, if there is one."""
+    turns: tuple[Turn, ...] = ()
+    """Of cameras that certainly turned, the largest first."""
+    displaced: tuple[Displaced, ...] = ()
+    """Each pair, the most displaced first."""
+
+    def __post_init__(self) -> None:
+        for field in ("motions", "covariance"):
+            object.__setattr__(self, field, read_only(getattr(self, field)))
+
+    def rig(self, calibrated: Rig) -> Rig:
+        """The cameras where they most probably stood."""
+        return _moved_rig(calibrated, self.asked, self.motions) if self.corrected else calibrated
+
+    def carry(self, image: RangeImage, calibrated: Rig) -> RangeImage:
+        """A range image with the cameras at their most probable poses."""
+        if not self.corrected:
+            return image
+        return carried(image, calibrated.pair(image.name), self.rig(calibrated).pair(image.name))
+
+
+def find(
+    rig: Rig,
+    range_images: Sequence[RangeImage],
+    rows: Mapping[str, RowErrors],
+    covariance: ParameterCovariance | None = None,
+    settings: StillnessSettings = StillnessSettings(),
+) -> Stillness:
+    """Find what moved since the calibration, from the pairs' disagreement.
+
+    Args:
+        rig: as calibrated.
+        range_images: what each pair measured with it.
+        rows: pair → its vertical disparity.
+        covariance: of the calibration; None where the cameras came ready-made.
+        settings: limits.
+
+    Raises:
+        SurfaceError: pairs disagree by more than motions of cameras explain, or than is put right.
+    """
+    apart = differences(range_images, _FIRST_OTHER_SKIN_MM)
+    compared = {name for each in apart for name in (each.first, each.second)}
+    pairs = [name for name in rig.pair_names if name in compared or (name in rows and len(rows[name].points))]
+    centre = np.concatenate([each.points for each in apart]).mean(axis=0) if apart else np.zeros(3)
+    asked = unknowns(rig, pairs, centre)
+    rows = {name: rows[name] for name in pairs if name in rows and len(rows[name].points)}
+    if not apart:
+        return _nothing(asked, compared=False)
+    seen = without_contradicted_rows(without_outliers(observed(rig, apart, rows, covariance, asked), asked), asked)
+    before_mm = seen.rms_mm()
+    honest_mm = float(np.median(np.concatenate([each.expected_mm for each in apart])))
+    limit_mm = max(_UNEXPLAINED_MM, honest_mm)
+    moved = most_probable(seen, asked)
+    evidence = moved.expected.log_evidence - moved.still.log_evidence
+    if evidence < settings.least_evidence and moved.expected.rest_mm < limit_mm:
+        return _nothing(asked, apart_mm=before_mm, evidence=evidence)
+    for _ in range(1, _ROUNDS):
+        so_far = moved.expected.motions
+        there = _moved_rig(rig, asked, so_far)
+        images = [carried(image, rig.pair(image.name), there.pair(image.name)) for image in range_images]
+        again = observed(there, differences(images), rows, covariance, asked)
+        values = again.values + np.where(again.distances, again.by_unknown @ so_far, 0.0)
+        seen = without_contradicted_rows(without_outliers(replace(again, values=values), asked), asked)
+        moved = most_probable(seen, asked)
+    best = moved.expected
+    found = replace(_judged(rig, rows, moved, asked), unexplained=best.rest_mm >= limit_mm)
+    found = replace(found, evidence=evidence, apart_mm=(before_mm, seen.rms_mm(best.motions)))
+    sigmas = 0.0 if evidence >= _SURE * settings.least_evidence else _LEAST_SIGMAS
+    matters = any(each.effect_mm >= max(settings.least_mm, sigmas * each.std_mm) for each in found.displaced)
+    if not (matters or found.unexplained):
+        return _nothing(asked, apart_mm=before_mm, evidence=evidence)
+    _refuse(found, settings, honest_mm)
+    if settings.correct and evidence >= settings.least_evidence:
+        return replace(found, corrected=True)
+    return replace(found, covariance=found.covariance + np.outer(found.motions, found.motions))
+
+
+def _nothing(asked: Unknowns, *, compared: bool = True, apart_mm: float = 0.0, evidence: float = 0.0) -> Stillness:
+    return Stillness(
+        compared=compared,
+        moved=False,
+        corrected=False,
+        asked=asked,
+        motions=np.zeros(asked.count),
+        covariance=np.zeros((asked.count, asked.count)),
+        rest_mm=0.0,
+        evidence=evidence,
+        apart_mm=(apart_mm, apart_mm),
+    )
+
+
+def _moved_rig(rig: Rig, asked: Unknowns, motions: Float64[Array, " p"]) -> Rig:
+    cameras = dict(rig.cameras)
+    for name in asked.cameras:
+        pair = next(pair for pair in rig.pair_names if name in rig.pair_names[pair] and _within(asked, pair))
+        cameras[name] = _moved(rig.cameras[name], motions[asked.of_camera(name)], motions[asked.of_group(pair)], asked)
+    return replace(rig, cameras=cameras)
+
+
+def _within(asked: Unknowns, pair: str) -> bool:
+    return any(pair in group for group in asked.groups)
+
+
+def _moved(camera: Camera, turn: Float64[Array, 3], motion: Float64[Array, 6], asked: Unknowns) -> Camera:
+    """Turn a camera about its centre, then move it with its group."""
+    turned = Transform.from_rotation_vector(turn.copy(), np.zeros(3)).rotation @ camera.camera_from_world.rotation
+    about = Transform.from_rotation_vector(motion[:3].copy(), np.zeros(3)).rotation
+    centre = about @ (camera.centre_world - asked.centre_world) + asked.centre_world + motion[3:]
+    rotation = turned @ about.T
+    return replace(camera, camera_from_world=Transform(rotation=rotation, translation_mm=-rotation @ centre))
+
+
+def _judged(rig: Rig, rows: Mapping[str, RowErrors], moved: Found, asked: Unknowns) -> Stillness:
+    """Name what moved, by how much, and the effect on each pair."""
+    best, alone = moved.expected, moved.alone
+    named = best if alone is None else alone[1]
+    turns = [turn for turn in (_turn(name, named, asked) for name in asked.cameras) if turn is not None]
+    effect = np.concatenate([effects(rig, name, seen.points, asked).points_mm for name, seen in rows.items()])
+    points = np.concatenate([seen.points for seen in rows.values()])
+    together = rigid_motions(points - points.mean(axis=0)).reshape(-1, 6)
+    basis, _ = np.linalg.qr(together)
+    flat = effect.reshape(len(basis), -1)
+    free = (flat - basis @ (basis.T @ flat)).reshape(effect.shape)
+    shift_alone = best.motions.copy()
+    shift_alone[: 3 * len(asked.cameras)] = 0.0
+    displaced, start = [], 0
+    for name, seen in rows.items():
+        own = free[start : start + len(seen.points)]
+        start += len(seen.points)
+        spread = np.einsum("nip,pq,niq->n", own, best.covariance, own)
+        displaced.append(
+            Displaced(
+                pair=name,
+                effect_mm=_rms(own @ best.motions),
+                std_mm=float(np.sqrt(np.mean(spread))),
+                body_mm=_rms(own @ shift_alone),
+            )
+        )
+    return Stillness(
+        compared=True,
+        moved=True,
+        corrected=False,
+        asked=asked,
+        motions=best.motions,
+        covariance=best.covariance,
+        rest_mm=best.rest_mm,
+        evidence=0.0,
+        apart_mm=(0.0, 0.0),
+        alone=None if alone is None else alone[0],
+        turns=tuple(sorted(turns, key=lambda each: -each.turn_deg)),
+        displaced=tuple(sorted(displaced, key=lambda each: -each.effect_mm)),
+    )
+
+
+def _turn(name: str, best: Fit, asked: Unknowns) -> Turn | None:
+    """A camera's turn. None where it is not certain."""
+    where = asked.of_camera(name)
+    turn, spread = best.motions[where], best.covariance[where, where]
+    size = float(np.linalg.norm(turn))
+    std = float(np.sqrt(turn @ spread @ turn) / size) if size > 0 else 0.0
+    certain = size > _CERTAIN_SIGMAS * std and size > 0
+    return Turn(camera=name, turn_deg=float(np.degrees(size)), std_deg=float(np.degrees(std))) if certain else None
+
+
+def _rms(vectors: Float64[Array, "n 3"]) -> float:
+    return float(np.sqrt(np.mean(np.sum(vectors**2, axis=1))))
+
+
+def _refuse(found: Stillness, settings: StillnessSettings, honest_mm: float) -> None:
+    if found.rest_mm > max(settings.most_unexplained_mm, _HONEST_SIGMAS * honest_mm):
+        raise SurfaceError(
+            "pairs of the capture",
+            found=f"surfaces {found.apart_mm[0]:.2f} mm apart (RMS), {found.apart_mm[1]:.2f} mm with the best motion "
+            "of every camera and pair",
+            expected=f"at most {settings.most_unexplained_mm:g} mm that no such motion explains",
+            remedy="The body probably moved or breathed between the exposures: expose all cameras together, and repeat",
+        )
+    worst = found.displaced[0] if found.displaced else None
+    if worst is not None and worst.effect_mm > settings.most_mm:
+        names = ", ".join(f"{each.camera} by {each.turn_deg:.2f}°" for each in found.turns[:2])
+        raise SurfaceError(
+            f"pair {worst.pair}",
+            found=f"points {worst.effect_mm:.1f} mm off the other pairs'" + (f" ({names})" if names else ""),
+            expected=f"at most {settings.most_mm:g} mm, which can be corrected",
+            remedy="A camera has moved since the calibration: calibrate again",
+        )

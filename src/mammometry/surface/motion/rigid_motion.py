@@ -1,0 +1,412 @@
+"""Most probable small motions of cameras and body, from pairs' disagreement.
+
+Everything is linear in the errors θ of the cameras' poses: a distance between two pairs' surfaces, and the vertical
+disparity within a pair. Observations are y = Hθ + noise, with the covariance of calibration and matching. Turns and
+shifts have normal priors. Their sizes are those that make y most probable (the evidence, or type-II likelihood: MacKay
+1992, Neural Computation 4, 415). With sizes of zero nothing moved.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+from scipy.linalg import cholesky, solve_triangular
+from scipy.spatial.distance import cdist
+
+from mammometry.calibration.adjust.calibrated import ParameterCovariance
+from mammometry.calibration.adjust.network import POSE_NAMES_CAMERA
+from mammometry.calibration.judge.cameras.shifts import shifts
+from mammometry.geometry.arrays import Array, Bool, Float64, Int64, read_only
+from mammometry.geometry.camera import Rig
+from mammometry.surface.motion.agreement import Differences, RowErrors
+
+_CELL_MM = 0.06
+"""Standard deviation of one cell's difference besides its data's own: matching errors within a window, mm."""
+_COMMON_MM = 0.05
+"""Standard deviation common to cells within `_REACH_MM`, mm: curved skin is smoothed alike."""
+_EXPECTED_SHARE = 0.5
+"""Share of two pairs' own expected standard deviation that is in a cell's median, and again in all cells near it. Noise
+and weak texture make windows err alike (docs/decisions/0009 has .35 for one pair).
+"""
+_REACH_MM = 40.0
+_ROW_PX = 0.1
+"""Standard deviation of a cell's vertical disparity, px of the matched picture. A right calibration leaves .02 to .05
+RMS, alike over the picture (docs/decisions/0027).
+"""
+_LEVER_MM = 150.0
+"""Lever arm, mm: a body that moves by a millimetre also turns by a millimetre over this, half a trunk's width."""
+_TURNS_DEG = (0.0, 0.001, 0.0015, 0.0025, 0.004, 0.006, 0.01, 0.015, 0.025, 0.04, 0.06)
+_SHIFTS_MM = (0.0, 0.03, 0.06, 0.1, 0.2, 0.35, 0.6, 1.0, 1.7)
+_RESTS_MM = (0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.45, 0.7, 1.1)
+"""Standard deviations of turns, shifts and rests that are weighed, degrees and mm."""
+_FIRST_TURN_DEG, _FIRST_SHIFT_MM, _FIRST_REST_MM = 0.05, 1.0, 0.1
+"""Sizes used to find outliers: large, so that outliers and not motions are left out."""
+_OUTLIER_SIGMAS = 4.0  # robust, of a cell's difference; chosen by eye
+_CONTRADICTION = 2.0  # times the distance between pairs, that rows of one pair alone may move skin; chosen by eye
+_OUTLIER_ROUNDS = 5  # times that outliers are looked for; fewer if none changes
+_UNLIKELY = 10.0  # natural logarithm of a share of the probability that is left out
+_MAD = 1.4826  # standard deviation over median of the absolute deviations, of a normal distribution
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Unknowns:
+    """Unknowns: three turns of each camera, then a motion of each group.
+
+    A camera turns about its centre. Groups are groups of pairs.
+    """
+
+    cameras: tuple[str, ...]
+    groups: tuple[tuple[str, ...], ...]
+    """Pairs that share cameras, and so are exposed together."""
+    centre_world: Float64[Array, 3]
+    """The point about which groups turn, mm."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "centre_world", read_only(self.centre_world))
+
+    @property
+    def count(self) -> int:
+        """Number of unknowns."""
+        return 3 * len(self.cameras) + 6 * len(self.groups)
+
+    def of_camera(self, camera: str) -> slice:
+        """A camera's rotation vector in its frame, rad, applied from left."""
+        start = 3 * self.cameras.index(camera)
+        return slice(start, start + 3)
+
+    def of_group(self, pair: str) -> slice:
+        """A group's rotation vector about the centre, rad, and translation, mm. World axes."""
+        number = next(i for i, names in enumerate(self.groups) if pair in names)
+        start = 3 * len(self.cameras) + 6 * number
+        return slice(start, start + 6)
+
+    def prior_std(self, turn_rad: float, shift_mm: float) -> Float64[Array, " p"]:
+        """Standard deviations of all unknowns for given turns and shifts."""
+        group = np.repeat([shift_mm / _LEVER_MM, shift_mm], 3)
+        return np.concatenate([np.full(3 * len(self.cameras), turn_rad), np.tile(group, len(self.groups))])
+
+
+def unknowns(rig: Rig, pairs: Sequence[str], centre_world: Float64[Array, 3]) -> Unknowns:
+    """What may have moved of these pairs of a rig."""
+    groups: list[tuple[set[str], list[str]]] = []
+    for pair in pairs:
+        cameras, names = set(rig.pair_names[pair]), [pair]
+        for each in [each for each in groups if each[0] & cameras]:
+            groups.remove(each)
+            cameras, names = cameras | each[0], each[1] + names
+        groups.append((cameras, names))
+    return Unknowns(
+        cameras=tuple(dict.fromkeys(camera for pair in pairs for camera in rig.pair_names[pair])),
+        groups=tuple(tuple(names) for _, names in groups),
+        centre_world=centre_world,
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Effects:
+    """Effect of a unit of each unknown on one pair's points."""
+
+    points_mm: Float64[Array, "n 3 p"]
+    """Displacement of the true points from the measured ones, world axes, mm."""
+    vertical_rad: Float64[Array, "n p"]
+    """Vertical disparity that it leaves (`shifts.Shifts.vertical_rad`)."""
+
+
+def effects(rig: Rig, pair: str, points: Float64[Array, "n 3"], asked: Unknowns) -> Effects:
+    """Effects of all unknowns on one pair's points, world frame, mm."""
+    names = tuple(f"{camera}.{name}" for camera in asked.cameras for name in POSE_NAMES_CAMERA[:3])
+    of_turns = shifts(rig.pair(pair), points, names)
+    moved = np.zeros((len(points), 3, asked.count))
+    vertical = np.zeros((len(points), asked.count))
+    moved[:, :, : len(names)], vertical[:, : len(names)] = of_turns.points_mm, of_turns.vertical_rad
+    whole = moved[:, :, asked.of_group(pair)]
+    whole[:] = rigid_motions(points - asked.centre_world)
+    return Effects(points_mm=moved, vertical_rad=vertical)
+
+
+def rigid_motions(points: Float64[Array, "n 3"]) -> Float64[Array, "n 3 6"]:
+    """Displacements of points by unit turns and unit shifts, mm.
+
+    Turns are about the origin's x, y and z, rad.
+    """
+    turns = np.cross(np.eye(3)[None], points[:, None, :]).transpose(0, 2, 1)
+    return np.concatenate([turns, np.broadcast_to(np.eye(3), (len(points), 3, 3))], axis=2)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Observed:
+    """Everything that pairs show of one another, and each unknown's effect."""
+
+    values: Float64[Array, " m"]
+    """Distances between surfaces, mm, then rows' angles, rad."""
+    by_unknown: Float64[Array, "m p"]
+    own: tuple[Float64[Array, "b b"], ...]
+    """Covariances by matching along the diagonal: a block for each two compared pairs, then for each pair's rows."""
+    common: Float64[Array, "m k"]
+    """What calibration adds: times its transpose, a covariance of all observations."""
+    distances: Bool[Array, " m"]
+    """Which are distances between surfaces."""
+    rows_of: Int64[Array, " m"]
+    """Number of the pair whose row each is. −1 of distances."""
+
+    def only(self, keep: Bool[Array, " m"]) -> Observed:
+        """Some of the observations."""
+        return Observed(
+            values=self.values[keep],
+            by_unknown=self.by_unknown[keep],
+            own=tuple(block[np.ix_(kept, kept)] for block, kept in zip(self.own, self.of_blocks(keep), strict=True)),
+            common=self.common[keep],
+            distances=self.distances[keep],
+            rows_of=self.rows_of[keep],
+        )
+
+    @property
+    def variance(self) -> Float64[Array, " m"]:
+        """Of each observation's noise."""
+        return np.concatenate([np.diag(block) for block in self.own]) + np.sum(self.common**2, axis=1)
+
+    def of_blocks(self, values: Array) -> list[Array]:
+        """Rows of the observations that belong to each block."""
+        return np.split(values, np.cumsum([len(block) for block in self.own])[:-1])
+
+    def rms_mm(self, motions: Float64[Array, " p"] | None = None) -> float:
+        """RMS distance between surfaces, measured or after correction, mm."""
+        values, design = self.values[self.distances], self.by_unknown[self.distances]
+        left = values if motions is None else values - design @ motions
+        return float(np.sqrt(np.mean(left**2))) if len(left) else 0.0
+
+
+def observed(
+    rig: Rig,
+    apart: Sequence[Differences],
+    rows: Mapping[str, RowErrors],
+    covariance: ParameterCovariance | None,
+    asked: Unknowns,
+) -> Observed:
+    """Put all observations in one system.
+
+    Args:
+        rig: with which the points were measured.
+        apart: distances between the pairs' surfaces.
+        rows: pair → its vertical disparity.
+        covariance: of the calibration; None where it is not known, and passes for motion.
+        asked: what is estimated.
+    """
+    names = () if covariance is None else tuple(n for n in covariance.names if n.rpartition(".")[0] in rig.cameras)
+    values, design, noises, of_calibration = [], [], [], []
+    for each in apart:
+        first, second = (effects(rig, name, each.points, asked).points_mm for name in (each.first, each.second))
+        design.append(np.einsum("ni,nip->np", each.normals, second - first))
+        one, other = (shifts(rig.pair(name), each.points, names).points_mm for name in (each.first, each.second))
+        of_calibration.append(np.einsum("ni,nip->np", each.normals, other - one))
+        values.append(each.apart_mm)
+        near = np.exp(-cdist(each.points, each.points, "sqeuclidean") / (2 * _REACH_MM**2))
+        own, shared = (np.hypot(floor, _EXPECTED_SHARE * each.expected_mm) for floor in (_CELL_MM, _COMMON_MM))
+        noises.append(np.diag(each.scatter_mm**2 + own**2) + np.outer(shared, shared) * near)
+    count = sum(map(len, values))
+    for name, seen in rows.items():
+        design.append(effects(rig, name, seen.points, asked).vertical_rad)
+        of_calibration.append(shifts(rig.pair(name), seen.points, names).vertical_rad)
+        values.append(seen.angle_rad)
+        noises.append(np.eye(len(seen.points)) * (_ROW_PX * seen.pixel_rad) ** 2)
+    common = np.zeros((sum(map(len, values)), 0))
+    if covariance is not None:
+        index = [covariance.names.index(name) for name in names]
+        common = np.concatenate(of_calibration) @ _root(covariance.matrix[np.ix_(index, index)])
+    return Observed(
+        values=np.concatenate(values),
+        by_unknown=np.concatenate(design),
+        own=tuple(noises),
+        common=common,
+        distances=np.arange(len(common)) < count,
+        rows_of=np.repeat([-1, *range(len(rows))], [count, *(len(seen.points) for seen in rows.values())]),
+    )
+
+
+def _root(covariance: Float64[Array, "q q"]) -> Float64[Array, "q k"]:
+    """A matrix that gives the covariance times its transpose."""
+    values, vectors = np.linalg.eigh(covariance)
+    return vectors * np.sqrt(np.maximum(values, 0.0))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Fit:
+    """Motions of certain sizes, and how probable the observations are with them."""
+
+    rest_mm: float
+    """Standard deviation of what no such motion explains, beyond the known noise, of distances between surfaces."""
+    log_evidence: float
+    motions: Float64[Array, " p"]
+    covariance: Float64[Array, "p p"]
+    """Of the motions, after the observations."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Reduced:
+    """Observations in the unknowns' own terms, whitened with a certain rest."""
+
+    rest_mm: float
+    matrix: Float64[Array, "p p"]
+    right: Float64[Array, " p"]
+    squares: float
+    log_det: float
+
+
+def _reduced(seen: Observed, rest_mm: float) -> _Reduced:
+    """Whitened block by block: as many pairs' noise in one matrix would take the sixth power of their number.
+
+    What calibration adds has few terms. It is taken off by the Woodbury identity.
+    """
+    both = np.column_stack([seen.by_unknown, seen.values, seen.common])
+    products, log_det = np.zeros((both.shape[1],) * 2), 0.0
+    for own, part, distances in zip(seen.own, seen.of_blocks(both), seen.of_blocks(seen.distances), strict=True):
+        if len(own):
+            lower = cholesky(own + np.diag(distances * rest_mm**2), lower=True, check_finite=False)
+            white = solve_triangular(lower, part, lower=True, check_finite=False)
+            products += white.T @ white
+            log_det += 2 * float(np.sum(np.log(np.diag(lower))))
+    known = seen.by_unknown.shape[1] + 1
+    lower = cholesky(np.eye(len(products) - known) + products[known:, known:], lower=True, check_finite=False)
+    taken = solve_triangular(lower, products[known:, :known], lower=True, check_finite=False)
+    left = products[:known, :known] - taken.T @ taken
+    return _Reduced(
+        rest_mm=rest_mm,
+        matrix=left[:-1, :-1],
+        right=left[:-1, -1],
+        squares=float(left[-1, -1]),
+        log_det=log_det + 2 * float(np.sum(np.log(np.diag(lower)))),
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Sized:
+    """Motions of certain sizes, as far as their evidence needs them."""
+
+    known: _Reduced
+    std: Float64[Array, " p"]
+    free: Int64[Array, " f"]
+    """Unknowns that may differ from 0 and that an observation depends on. All others stay as they were before."""
+    lower: Float64[Array, "f f"]
+    pulled: Float64[Array, " f"]
+    log_evidence: float
+
+
+def _sized(known: _Reduced, std: Float64[Array, " p"]) -> _Sized:
+    """The evidence for sizes."""
+    free = np.flatnonzero((std > 0) & (np.diag(known.matrix) > 0))
+    own = std[free]
+    lower = cholesky(np.eye(len(free)) + known.matrix[np.ix_(free, free)] * np.outer(own, own), lower=True)
+    pulled = solve_triangular(lower, known.right[free] * own, lower=True)
+    misfit = known.squares - float(pulled @ pulled)
+    evidence = -(misfit + known.log_det) / 2 - float(np.sum(np.log(np.diag(lower))))
+    return _Sized(known=known, std=std, free=free, lower=lower, pulled=pulled, log_evidence=evidence)
+
+
+def _fit(sized: _Sized) -> Fit:
+    """The motions themselves."""
+    motions, covariance = np.zeros(len(sized.std)), np.diag(sized.std**2)
+    root = solve_triangular(sized.lower, np.diag(sized.std[sized.free]), lower=True)
+    motions[sized.free] = root.T @ sized.pulled
+    covariance[np.ix_(sized.free, sized.free)] = root.T @ root
+    return Fit(rest_mm=sized.known.rest_mm, log_evidence=sized.log_evidence, motions=motions, covariance=covariance)
+
+
+def without_outliers(seen: Observed, asked: Unknowns) -> Observed:
+    """Leave out cells that no plausible motion explains.
+
+    Hair, edges and arms in front of the trunk are examples. Rows of a pair are left out together: they miss one another
+    by pixels without a motion where much of it was matched by chance, as on a pale wall.
+    """
+    keep = np.ones(len(seen.values), dtype=bool)
+    std = np.sqrt(seen.variance)
+    large_std = asked.prior_std(np.radians(_FIRST_TURN_DEG), _FIRST_SHIFT_MM)
+    for _ in range(_OUTLIER_ROUNDS):
+        large = _fit(_sized(_reduced(seen.only(keep), _FIRST_REST_MM), large_std))
+        left = np.abs(seen.values - seen.by_unknown @ large.motions)
+        typical = max(_MAD * float(np.median(left[keep & seen.distances])), _CELL_MM)
+        inside = ~seen.distances | (left < _OUTLIER_SIGMAS * typical)
+        for pair in range(seen.rows_of.max(initial=-1) + 1):
+            its = seen.rows_of == pair
+            inside[its] = np.sqrt(np.mean((left[its] / std[its]) ** 2)) < _OUTLIER_SIGMAS
+        if np.array_equal(inside, keep):
+            break
+        keep = inside
+    return seen.only(keep)
+
+
+def without_contradicted_rows(seen: Observed, asked: Unknowns) -> Observed:
+    """Leave out rows of a pair that common skin contradicts.
+
+    What most probably moved by them alone would put pairs much further apart than they are, and not nearer together:
+    the pair was matched by chance somewhere.
+    """
+    apart_mm, by_unknown = seen.values[seen.distances], seen.by_unknown[seen.distances]
+    keep = np.ones(len(seen.values), dtype=bool)
+    for pair in range(seen.rows_of.max(initial=-1) + 1) if len(apart_mm) else ():
+        its = seen.rows_of == pair
+        if not its.any():
+            continue
+        moved_mm = by_unknown @ most_probable(seen.only(its), asked).expected.motions
+        far = float(moved_mm @ moved_mm) > _CONTRADICTION**2 * float(apart_mm @ apart_mm)
+        keep[its] = not far or float(np.sum((apart_mm - moved_mm) ** 2)) < float(apart_mm @ apart_mm)
+    return seen.only(keep)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Found:
+    """What the observations say of motions."""
+
+    still: Fit
+    """The best fit without any motion."""
+    expected: Fit
+    """Mean over all motions, each size weighted by its evidence. Its `log_evidence` is the best one's."""
+    alone: tuple[str, Fit] | None
+    """Camera, or first pair of a group, whose motion alone explains everything equally well, and that fit."""
+
+
+def most_probable(seen: Observed, asked: Unknowns) -> Found:
+    """Find what most probably moved.
+
+    All cameras and groups are drawn from common sizes. That one camera or one group alone moved is asked only to name
+    it: cameras of one pair may turn alike by chance, and the others' motions would then be taken for certain.
+    """
+    rests_mm = _RESTS_MM if seen.distances.any() else _RESTS_MM[:1]  # rows alone say nothing of a rest
+    reduced = [_reduced(seen, rest_mm) for rest_mm in rests_mm]
+    none = np.zeros(asked.count)
+    still = max((_sized(known, none) for known in reduced), key=lambda each: each.log_evidence)
+    sizes = [asked.prior_std(*size) for size in product(np.radians(_TURNS_DEG).tolist(), _SHIFTS_MM)]
+    tried = [_sized(known, std) for known, std in product(reduced, sizes)]
+    top = max(tried, key=lambda each: each.log_evidence)
+    likely = [_fit(each) for each in tried if each.log_evidence > top.log_evidence - _UNLIKELY]
+    parts = ((name, _sized(top.known, std)) for name, std in _alone(asked))
+    name, alone = max(parts, key=lambda each: each[1].log_evidence)
+    return Found(
+        still=_fit(still),
+        expected=_expected(likely, _fit(top)),
+        alone=(name, _fit(alone)) if alone.log_evidence > top.log_evidence else None,
+    )
+
+
+def _expected(likely: Sequence[Fit], top: Fit) -> Fit:
+    """Mean and covariance over the likely sizes, by their evidence."""
+    weights = np.exp([each.log_evidence - top.log_evidence for each in likely])
+    weights /= weights.sum()
+    motions = np.sum([w * each.motions for w, each in zip(weights, likely, strict=True)], axis=0)
+    spread = [
+        w * (each.covariance + np.outer(each.motions - motions, each.motions - motions))
+        for w, each in zip(weights, likely, strict=True)
+    ]
+    return replace(top, motions=np.asarray(motions), covariance=np.asarray(np.sum(spread, axis=0)))
+
+
+def _alone(asked: Unknowns) -> Iterator[tuple[str, Float64[Array, " p"]]]:
+    """Sizes for one camera that turned, or one group that moved."""
+    parts = [(n, asked.of_camera(n), (turn, 0.0)) for n in asked.cameras for turn in np.radians(_TURNS_DEG[1:])]
+    parts += [(group[0], asked.of_group(group[0]), (0.0, mm)) for group in asked.groups for mm in _SHIFTS_MM[1:]]
+    for name, where, size in parts:
+        std = np.zeros(asked.count)
+        std[where] = asked.prior_std(*size)[where]
+        yield name, std

@@ -1,0 +1,254 @@
+"""Removal of dented range data (paper 2.6.2, Eq. 2–3).
+
+Dents are smeared depth discontinuities, seen at grazing angles.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import ndimage
+
+from mammometry.base.errors import SurfaceError
+from mammometry.base.machine.cores import each_at_once
+from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32, UInt8, read_only
+from mammometry.geometry.projection import projected
+from mammometry.geometry.rounding import to_step
+from mammometry.surface.ranges.decompose import Patches, decompose
+from mammometry.surface.ranges.range_image import RangeImage
+from mammometry.surface.ranges.visibility import gap_mm
+from mammometry.surface.settings import DecomposeSettings, DentSettings
+
+_MIN_PATCH = 3  # points that determine a normal
+_SMALLEST_ISLAND = 30  # connected data; fewer are crumbs that the other rules leave (rule ``element``); chosen by eye
+_COMMON_MM = 3.0  # data of two views closer than this show the same skin; chosen by eye
+_ANGLE_STEP_RAD = 2.0**-6  # of the angles handed on, a degree: they shade a picture
+_SIGMAS = 3.0  # of both data, that a gap must exceed before a datum counts as seen through
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ValidPatches:
+    """The range data that survived, per view."""
+
+    range_images: tuple[RangeImage, ...]
+    """Same views in the same order, with reduced `valid`."""
+    angles_rad: tuple[Float32[Array, "h w"], ...]
+    """Per view and element, angle between local normal and direction to the camera, rad. NaN if unknown.
+
+    In steps of 2^-6.
+    """
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "angles_rad", tuple(read_only(angle) for angle in self.angles_rad))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Kept:
+    """Which range data survived. With the range images it gives `ValidPatches`."""
+
+    keep: tuple[Bool[Array, "h w"], ...]
+    """Per view and element, whether its datum survived."""
+    angles_rad: tuple[Float32[Array, "h w"], ...]
+    """As of `ValidPatches`."""
+
+    def __post_init__(self) -> None:
+        for field in ("keep", "angles_rad"):
+            object.__setattr__(self, field, tuple(read_only(each) for each in getattr(self, field)))
+
+    def of(self, range_images: Sequence[RangeImage]) -> ValidPatches:
+        """The data that survived, of the views they were chosen from."""
+        images = tuple(image.keeping(keep) for image, keep in zip(range_images, self.keep, strict=True))
+        return ValidPatches(range_images=images, angles_rad=self.angles_rad)
+
+
+def remove_dents(
+    range_images: Sequence[RangeImage], patches: Patches | None, settings: DentSettings = DentSettings()
+) -> ValidPatches:
+    """Drop range data at grazing angles or that another view sees through.
+
+    Rule ``patch`` is the paper's (2.6.2): every patch of the decomposition, judged by the normal at its centre.
+    Rule ``element`` judges each datum by its own neighbourhood: a large patch is not flat (METHOD 6.2); it needs no
+    patches.
+
+    Raises:
+        ValueError: rule ``patch`` without patches.
+        SurfaceError: no datum is left in any view; names the pairs.
+    """
+    angles = tuple(each_at_once(lambda image: image.incidence_rad(settings.neighbourhood_mm), range_images))
+    limit = np.radians(settings.angle_deg)
+    if settings.rule == "none":
+        kept = [image.valid.copy() for image in range_images]
+    elif settings.rule == "patch":
+        if patches is None:
+            raise ValueError("the rule by patch needs the decomposition")
+        kept = [_flat_patches(image, patches, settings.neighbourhood_mm, limit) for image in range_images]
+    else:
+        with np.errstate(invalid="ignore"):
+            kept = [image.valid & (angle <= limit) for image, angle in zip(range_images, angles, strict=True)]
+        if settings.drop_seen_through:
+            facing = [image.keeping(keep) for image, keep in zip(range_images, kept, strict=True)]
+            through = each_at_once(lambda k: _seen_through(k, facing, angles, settings), range(len(kept)))
+            kept = [keep & ~beside for keep, beside in zip(kept, through, strict=True)]
+        kept = each_at_once(_without_islands, kept)
+    if not any(keep.any() for keep in kept):
+        counts = ", ".join(f"{image.name} had {int(image.valid.sum())} data" for image in range_images)
+        raise SurfaceError(
+            "range images",
+            found=f"none that faces its camera within {settings.angle_deg:g}° ({counts})",
+            expected="range data of the subject in at least one pair",
+            remedy="Look at the disparity previews: the subject may be out of the working volume or without texture",
+        )
+    return ValidPatches(
+        range_images=tuple(image.keeping(keep) for image, keep in zip(range_images, kept, strict=True)),
+        angles_rad=tuple(to_step(angle, _ANGLE_STEP_RAD) for angle in angles),
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class DentGrid:
+    """One view decomposed and thresholded in many ways (Fig. 5)."""
+
+    name: str
+    """The pair whose range image is decomposed."""
+    against: str
+    """The pair against which its elements are labelled."""
+    angles_deg: tuple[float, ...]
+    """Thresholds of the patches' angles, degrees. One row each."""
+    epsilons_mm: tuple[float, ...]
+    """Half-widths of the overlapping zone, mm. One column each."""
+    labels: UInt8[Array, "e h w"]
+    """Per ε: `visibility.Label` of each element. OUTSIDE also where there is no datum."""
+    valid: Bool[Array, "h w"]
+    """Where there is a datum."""
+    kept: Bool[Array, "a e h w"]
+    """Per threshold and ε: data that stay."""
+
+    def __post_init__(self) -> None:
+        for field in ("labels", "valid", "kept"):
+            object.__setattr__(self, field, read_only(getattr(self, field)))
+
+
+def dent_grid(
+    range_images: Sequence[RangeImage],
+    *,
+    name: str | None = None,
+    against: str | None = None,
+    angles_deg: Sequence[float] = (40.0, 50.0, 60.0, 70.0),
+    epsilons_mm: Sequence[float] = (0.0, 0.1, 1.0, 1.5),
+    neighbourhood_mm: float = 5.0,
+) -> DentGrid:
+    """Decompose one view for several ε and remove dents at several angles.
+
+    Paper 2.6.1–2, Fig. 5. The paper's rule, patch by patch (Eq. 2–3), in the comparison with one other view. `name` is
+    by default the first view, `against` the one that has most data in common with it.
+
+    Raises:
+        SurfaceError: fewer than two views, or a name that is none of theirs.
+    """
+    views = {image.name: image for image in range_images}
+    unknown = [wanted for wanted in (name, against) if wanted is not None and wanted not in views]
+    if len(views) < 2 or unknown or (name is not None and name == against):
+        raise SurfaceError(
+            "decomposition",
+            found=f"pairs {', '.join(views) or 'none'}" + (f", asked for {', '.join(unknown)}" if unknown else ""),
+            expected="two different pairs with range images",
+            remedy="Name two pairs of this session",
+        )
+    image = views[name] if name else next(view for view in range_images if view.name != against)
+    others = [views[against]] if against else [view for view in range_images if view is not image]
+    points = image.valid_points_world()
+    other = max(others, key=lambda view: int((np.abs(gap_mm(points, view)) < _COMMON_MM).sum()))
+    labels, kept = [], []
+    for epsilon_mm in epsilons_mm:
+        patches = decompose([image, other], DecomposeSettings(epsilon_mm=epsilon_mm))
+        labels.append(patches.labels[image.name, other.name])
+        angle_rad = _patch_angles_rad(image, patches.patches[image.name, other.name], neighbourhood_mm)
+        kept.append([image.valid & ~(angle_rad > np.radians(limit)) for limit in angles_deg])
+    return DentGrid(
+        name=image.name,
+        against=other.name,
+        angles_deg=tuple(angles_deg),
+        epsilons_mm=tuple(epsilons_mm),
+        labels=np.array(labels),
+        valid=image.valid,
+        kept=np.array(kept).swapaxes(0, 1),
+    )
+
+
+def patch_angle_rad(
+    points_world: Float64[Array, "n 3"], centre_camera: Float64[Array, 3], neighbourhood_mm: float
+) -> float:
+    """Angle between a patch's normal and the camera direction, rad.
+
+    Eq. 2–3, at the patch's centre. P_c is the mean of the patch (Eq. 2); C the covariance about P_c of its points
+    within `neighbourhood_mm` of it (Eq. 3); the normal is C's least significant eigenvector. NaN when fewer than three
+    points lie there (the mean of a ring lies in its hole), for then the patch has no normal.
+    """
+    centre = points_world.mean(axis=0)
+    offsets = points_world - centre
+    near = offsets[np.einsum("ij,ij->i", offsets, offsets) <= neighbourhood_mm**2]
+    if len(near) < _MIN_PATCH:
+        return float("nan")
+    normal = np.linalg.eigh(near.T @ near / len(near))[1][:, 0]
+    towards = centre_camera - centre
+    return float(np.arccos(np.clip(abs(normal @ towards) / np.linalg.norm(towards), 0.0, 1.0)))
+
+
+def _flat_patches(image: RangeImage, patches: Patches, neighbourhood_mm: float, limit_rad: float) -> Bool[Array, "h w"]:
+    """Elements in no steep patch of any comparison. Nor in a patch of fewer than three elements."""
+    keep = image.valid.copy()
+    for (name, _), numbers in patches.patches.items():
+        if name == image.name:
+            keep &= ~(_patch_angles_rad(image, numbers, neighbourhood_mm) > limit_rad)
+    return keep
+
+
+def _patch_angles_rad(
+    image: RangeImage, numbers: Int32[Array, "h w"], neighbourhood_mm: float
+) -> Float64[Array, "h w"]:
+    """Each element's patch's angle, rad.
+
+    Infinite for patches of fewer than three elements. NaN without datum, and for a large patch without a normal (its
+    centre lies in a hole of its own): the rule says nothing of it.
+    """
+    points = image.points_world()
+    angles = [float("nan")]
+    for number, window in enumerate(ndimage.find_objects(numbers), start=1):
+        members = points[window][numbers[window] == number]
+        few = len(members) < _MIN_PATCH
+        angles.append(np.inf if few else patch_angle_rad(members, image.camera.centre_world, neighbourhood_mm))
+    return np.array(angles)[numbers]
+
+
+def _seen_through(
+    index: int, images: Sequence[RangeImage], angles: Sequence[Float32[Array, "h w"]], settings: DentSettings
+) -> Bool[Array, "h w"]:
+    """Elements of view `index` in front of what another view saw. The other view saw it at a better angle."""
+    image = images[index]
+    points = image.valid_points_world()
+    own_sigma = image.sigma_mm[image.valid]
+    own_angle = angles[index][image.valid]
+    through = np.zeros(len(points), dtype=bool)
+    for other, other_angle in zip(images, angles, strict=True):
+        if other is image or not other.valid.any():
+            continue
+        gap = gap_mm(points, other)
+        known = np.isfinite(gap)
+        uv = np.rint(projected(other.camera, points[known])[:, :2]).astype(np.intp)
+        sigma, angle = other.sigma_mm[uv[:, 1], uv[:, 0]], other_angle[uv[:, 1], uv[:, 0]]
+        tolerance = np.maximum(settings.seen_through_mm, _SIGMAS * np.hypot(own_sigma[known], sigma))
+        # A gap along a grazing ray exaggerates the distance between the surfaces: measure it across the surface.
+        through[known] |= (gap[known] * np.cos(angle) > tolerance) & (angle <= own_angle[known])
+    result = np.zeros(image.valid.shape, dtype=bool)
+    result[image.valid] = through
+    return result
+
+
+def _without_islands(keep: Bool[Array, "h w"]) -> Bool[Array, "h w"]:
+    """Drop connected groups of fewer than `_SMALLEST_ISLAND` elements."""
+    numbers, count = ndimage.label(keep)
+    sizes = np.bincount(numbers.ravel(), minlength=count + 1)
+    sizes[0] = 0
+    return np.asarray(sizes >= _SMALLEST_ISLAND)[numbers]

@@ -1,0 +1,226 @@
+"""Comparison of world points with what one view saw.
+
+No other module does this. The paper uses the same words for opposite things. Section 2.5 calls a cube *visible* when
+it lies in front of the surface; section 2.6.1 calls a point *visible* when it lies behind the other range image's
+surface. Ours: ================ ================ =====================
+======================================================= label section 2.5 section 2.6.1 meaning ================
+================ ===================== ======================================================= ``IN_FRONT`` visible
+invisible nearer than the seen surface: the view looks through it ``BEHIND`` invisible visible further than the seen
+surface: hidden from the view ``OVERLAPPING`` on surface overlapping within ε of the seen surface ``OUTSIDE`` (not
+said) unprocessed outside the image, behind the camera, or no datum there ================ ================
+===================== ======================================================= The compiled form of the same comparison,
+for the millions of cubes of the first surface, is `kernels.sample_field`.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+
+from mammometry.base.errors import SurfaceError
+from mammometry.base.machine.cores import each_at_once, in_bands
+from mammometry.geometry.arrays import Array, Float32, Float64, Int64, UInt8
+from mammometry.surface.ranges import image_kernels
+from mammometry.surface.ranges.range_image import RangeImage
+
+_AGREEMENT_SAMPLES = 20000  # data of a view that are compared: their median is good to 1 %
+_JUMP_MM = 5.0  # neighbouring ranges that differ by more show two surfaces; chosen by eye
+_CULPRIT_RATIO = 1.2  # a pair is named as the moved one where its differences exceed the next by this; chosen by eye
+_HONEST_SIGMAS = 3.0  # honest errors stay below .7 σ in the median: see `check_agreement`
+_ALIKE_DEG = 20.0  # between normals of two views that show the same skin; chosen by eye
+_LEAST_COSINE = 0.5  # 60° off the normal: data seen more obliquely are not compared
+
+
+class Label(IntEnum):
+    """Position of a point relative to the surface that a view saw."""
+
+    OUTSIDE = 0
+    """No datum there: the view says nothing."""
+    IN_FRONT = 1
+    """Between camera and seen surface: free space to that view."""
+    OVERLAPPING = 2
+    """Within ε of the seen surface."""
+    BEHIND = 3
+    """Beyond the seen surface: hidden from that view."""
+
+
+def gap_mm(points_world: Float64[Array, "n 3"], range_image: RangeImage) -> Float64[Array, " n"]:
+    """Signed distance along the ray to the seen surface, mm.
+
+    |r_B(m, n)| − D.
+
+    D is the point's distance from the perspective centre. Positive in front of the surface, negative behind;
+    NaN where the view has no datum at the nearest element, outside the image and behind the camera. Between four
+    data of one surface the range is interpolated: at 70° half a pixel would otherwise already be a disagreement.
+    """
+    transform = range_image.camera.camera_from_world
+
+    def gaps(part: slice) -> Float64[Array, " k"]:
+        return image_kernels.ray_gaps(
+            np.ascontiguousarray(points_world[part], dtype=np.float64),
+            np.ascontiguousarray(transform.rotation),
+            np.ascontiguousarray(transform.translation_mm),
+            range_image.camera.intrinsics,
+            range_image.range_mm,
+            range_image.valid,
+            _JUMP_MM,
+        )
+
+    return np.concatenate(in_bands(gaps, len(points_world)))
+
+
+def compare(
+    points_world: Float64[Array, "n 3"], range_image: RangeImage, epsilon_mm: float = 0.5
+) -> UInt8[Array, " n"]:
+    """Label world points against one range image (paper 2.6.1).
+
+    Overlapping is |r_B − D| ≤ ε. World frame, mm. Departure: the paper prints the overlapping case without the
+    absolute value, which would contradict its others.
+    """
+    gap = gap_mm(points_world, range_image)
+    labels = np.full(gap.shape, Label.OUTSIDE, dtype=np.uint8)
+    with np.errstate(invalid="ignore"):
+        labels[gap > epsilon_mm] = Label.IN_FRONT
+        labels[gap < -epsilon_mm] = Label.BEHIND
+        labels[np.abs(gap) <= epsilon_mm] = Label.OVERLAPPING
+    return labels
+
+
+def check_agreement(range_images: Sequence[RangeImage], *, limit_mm: float = 1.0, smallest: int = 500) -> None:
+    """Refuse views that contradict one another.
+
+    A camera has moved, or the calibration is wrong. Two views are compared where their surfaces face the same way
+    (where one hides the other, they rarely do): half of those data must lie within `limit_mm` of one another, along
+    the normal, or within three times what their own expected errors make (σ) where that is more, as in small or noisy
+    photographs of weak texture. Clean captures stay below .1 mm, and half of honest errors below .7 σ. Views with
+    fewer than `smallest` common data are not compared.
+
+    Raises:
+        SurfaceError: names the pairs that disagree, and the one that disagrees most where it stands out.
+    """
+    found = disagreement_mm(range_images, smallest=smallest)
+    differences = {names: apart_mm for names, (apart_mm, _) in found.items()}
+    limits = {names: max(limit_mm, _HONEST_SIGMAS * sigma_mm) for names, (_, sigma_mm) in found.items()}
+    bad = {names: value for names, value in differences.items() if value > limits[names]}
+    if not bad:
+        return
+    names = sorted({name for pair in bad for name in pair})
+    total = {name: sum(value for pair, value in differences.items() if name in pair) for name in names}
+    first, second = sorted(names, key=lambda name: -total[name])[:2]
+    worst = max(bad, key=lambda names: bad[names] / limits[names])
+    raise SurfaceError(
+        f"pairs {' and '.join(names)}",
+        found=f"surfaces {bad[worst]:.1f} mm apart (median, {worst[0]} against {worst[1]})",
+        expected=f"agreement within {limits[worst]:.2g} mm",
+        remedy=(
+            f"A camera of {first} has probably moved since the calibration: calibrate again"
+            if total[first] > _CULPRIT_RATIO * total[second]
+            else "A camera has probably moved since the calibration, or photographs were exchanged: calibrate again"
+        ),
+    )
+
+
+def disagreement_mm(
+    range_images: Sequence[RangeImage], *, smallest: int = 500
+) -> dict[tuple[str, str], tuple[float, float]]:
+    """Median distance along the normal between each two views, mm.
+
+    Only where both face alike (20°). Its expected σ comes with it. Data that neither sees within 60° of its normal are
+    left out; so are views with fewer than `smallest` common data.
+    """
+    normals = each_at_once(RangeImage.normals_camera, range_images)
+    result: dict[tuple[str, str], tuple[float, float]] = {}
+    for a, image in enumerate(range_images):
+        for b, other in enumerate(range_images[a + 1 :], start=a + 1):
+            samples = [
+                _distances_across(image, normals[a], other, normals[b]),
+                _distances_across(other, normals[b], image, normals[a]),
+            ]
+            common = np.concatenate(samples)
+            if len(common) >= smallest:
+                apart_mm, sigma_mm = np.median(common, axis=0).tolist()
+                result[image.name, other.name] = apart_mm, sigma_mm
+    return result
+
+
+def _distances_across(
+    image: RangeImage, normals: Float32[Array, "h w 3"], other: RangeImage, other_normals: Float32[Array, "h w 3"]
+) -> Float64[Array, "n 2"]:
+    """Unsigned distances of one view's data from the other's surface, mm.
+
+    Along the normal, where both face alike. Beside each the standard deviation of it that both data's own expected
+    errors make.
+    """
+    common = common_skin(image, normals, other, other_normals)
+    return np.stack([np.abs(common.apart_mm), common.sigma_mm], axis=1)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CommonSkin:
+    """Some data of one view, where another one sees the same skin."""
+
+    rows: Int64[Array, " n"]
+    columns: Int64[Array, " n"]
+    """Of the view's image."""
+    other_uv: Int64[Array, "n 2"]
+    """The other image's element at each."""
+    points: Float64[Array, "n 3"]
+    """World frame, mm."""
+    normals: Float64[Array, "n 3"]
+    """The other surface's, towards its camera, world frame."""
+    own_cosine: Float64[Array, " n"]
+    """Cosine between the view's own normal and its line of sight."""
+    apart_mm: Float64[Array, " n"]
+    """Distance from the other surface along its normal. Positive in front of it."""
+    sigma_mm: Float64[Array, " n"]
+    """Standard deviation of that, from both data's expected errors."""
+
+
+def common_skin(
+    image: RangeImage, normals: Float32[Array, "h w 3"], other: RangeImage, other_normals: Float32[Array, "h w 3"]
+) -> CommonSkin:
+    """Compare up to 20,000 of a view's data with another view.
+
+    Only where both face alike (20°). Data that the other view sees more than 60° off their normal are left out.
+
+    Args:
+        image: the view.
+        normals: its `RangeImage.normals_camera`.
+        other: to compare with.
+        other_normals: its own.
+    """
+    stride = max(1, int(image.valid.sum()) // _AGREEMENT_SAMPLES)
+    rows, columns = (index[::stride] for index in np.nonzero(image.valid))
+    points = (
+        image.camera.centre_world
+        + image.camera.rays_world(np.stack([columns, rows], axis=-1).astype(np.float64))
+        * image.range_mm[rows, columns].astype(np.float64)[:, None]
+    )
+    gap = gap_mm(points, other)
+    known = np.isfinite(gap)
+    rows, columns, points, gap = rows[known], columns[known], points[known], gap[known]
+    own = normals[rows, columns] @ image.camera.camera_from_world.rotation
+    uv = np.rint(other.camera.project(points)).astype(np.intp)
+    theirs = other_normals[uv[:, 1], uv[:, 0]] @ other.camera.camera_from_world.rotation
+    cosine = _cosine(theirs, other.camera.centre_world - points)
+    with np.errstate(invalid="ignore"):
+        alike = (np.einsum("ij,ij->i", own, theirs) > np.cos(np.radians(_ALIKE_DEG))) & (cosine > _LEAST_COSINE)
+    rows, columns, uv, points, gap, cosine = (each[alike] for each in (rows, columns, uv, points, gap, cosine))
+    sigma = np.hypot(image.sigma_mm[rows, columns], other.sigma_mm[uv[:, 1], uv[:, 0]])
+    return CommonSkin(
+        rows=rows,
+        columns=columns,
+        other_uv=uv,
+        points=points,
+        normals=theirs[alike],
+        own_cosine=_cosine(own[alike], image.camera.centre_world - points),
+        apart_mm=gap * cosine,
+        sigma_mm=sigma * cosine,
+    )
+
+
+def _cosine(normals: Float64[Array, "n 3"], towards: Float64[Array, "n 3"]) -> Float64[Array, " n"]:
+    towards = towards / np.linalg.norm(towards, axis=1, keepdims=True)
+    cosine: Float64[Array, " n"] = np.einsum("ij,ij->i", normals, towards)
+    return cosine

@@ -1,0 +1,240 @@
+"""Elastic repair of the first surface towards valid data (paper 2.6.3)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+from scipy import ndimage
+
+from mammometry.base.errors import SurfaceError
+from mammometry.base.machine.cores import each_at_once
+from mammometry.base.progress import Progress, no_progress
+from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32, UInt8, bounds, read_only
+from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry.nearest import point_tree
+from mammometry.surface.ranges.dents import ValidPatches
+from mammometry.surface.repair import elastic_kernels
+from mammometry.surface.repair.correspond import Correspondences, Gates, ViewData, correspond, view_data
+from mammometry.surface.repair.energy import Graph, Stiffness, graph_of_mesh, minimum
+from mammometry.surface.repair.untangle import touching, without_crossings, without_flips
+from mammometry.surface.settings import RepairSettings
+
+_MAX_ITERATIONS = 400  # of the conjugate gradients; about 125 are usual (docs/decisions/0007)
+_TOLERANCE = 1e-3  # relative residual at which they stop; 1e-6 changed nothing
+_FADED = 10.0  # fading lengths after which a displacement is nothing: e⁻¹⁰ of it is left
+_CELL_MM = 4.0  # of the grid that finds the faces near data: coarse, for speed alone
+
+
+class Provenance(IntEnum):
+    """Where a vertex comes from."""
+
+    INVENTED = 0
+    """Nothing was seen there: closed plainly."""
+    REPAIRED = 1
+    """No range datum of its own. Moved along with its neighbours and bounded by silhouettes."""
+    MEASURED = 2
+    """Drawn to range data of at least one pair."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RepairedSurface:
+    """The repaired mesh and where each of its vertices comes from."""
+
+    mesh: TriangleMesh
+    """Same faces as the first surface. World frame, mm."""
+    provenance: UInt8[Array, " n"]
+    """`Provenance` of each vertex."""
+    sigma_mm: Float32[Array, " n"]
+    """Expected standard deviation of a measured vertex along the normal, mm. NaN if not measured."""
+    pair_bits: Int32[Array, " n"]
+    """Bit k set: pair `pair_names[k]` measured this vertex."""
+    pair_names: tuple[str, ...]
+    """The pairs that the bits stand for, in order."""
+    convergence: Float64[Array, " rounds"]
+    """RMS movement in each round, mm, of vertices near enough to data to move."""
+    crossings: int | None = None
+    """Pairs of crossing faces found after the repair. None if nothing was repaired."""
+
+    def __post_init__(self) -> None:
+        for field in ("provenance", "sigma_mm", "pair_bits", "convergence"):
+            object.__setattr__(self, field, read_only(getattr(self, field)))
+        n = len(self.mesh.vertices)
+        if not len(self.provenance) == len(self.sigma_mm) == len(self.pair_bits) == n:
+            raise ValueError(f"one provenance, sigma and pair set per vertex expected, mesh has {n}")
+
+
+def repair(
+    initial: TriangleMesh,
+    valid: ValidPatches,
+    settings: RepairSettings = RepairSettings(),
+    *,
+    progress: Progress = no_progress,
+) -> RepairedSurface:
+    """Pull the first surface elastically towards the valid range data.
+
+    Paper 2.6.3, Eq. 4–6. World frame, mm. Faces and topology are those of `initial`. Each round finds the plausible
+    points again (TRUE vertices), carries their displacements ring by ring over the others (FALSE) and solves for all.
+    It ends after `rounds`, or when a round moves the vertices no less than the one before. (The paper's step 4 repeats
+    its steps 2 to 4. Correspondences must be found again, so ours repeats 1 to 3.) Where the solution would turn a
+    triangle over, its vertices take their neighbours' mean displacement. Where faces would pass through one another,
+    they move back towards the first surface, which does not cross itself, until none does. If displacements fade,
+    invented vertices too far from all data to move are left out of all this.
+
+    Raises:
+        SurfaceError: no vertex has a plausible point; names the pairs.
+    """
+    near = _near_data(initial, valid, settings)
+    displacement, provenance, found, moves = _drawn_to_data(initial.submesh(near), valid, settings, progress)
+    kept = np.zeros(len(initial.vertices), dtype=bool)
+    kept[initial.faces[near]] = True
+    mesh, crossings = without_crossings(initial, _spread(displacement, kept, 0.0))
+    progress(1.0)
+    return RepairedSurface(
+        mesh=mesh,
+        provenance=_spread(provenance, kept, Provenance.INVENTED),
+        sigma_mm=_spread(found.sigma_mm, kept, np.nan),
+        pair_bits=_spread(found.pair_bits, kept, 0),
+        pair_names=tuple(image.name for image in valid.range_images),
+        convergence=np.array(moves),
+        crossings=crossings,
+    )
+
+
+def _drawn_to_data(
+    initial: TriangleMesh, valid: ValidPatches, settings: RepairSettings, progress: Progress
+) -> tuple[Float64[Array, "n 3"], UInt8[Array, " n"], Correspondences, list[float]]:
+    """Displacements of the vertices near data, mm, their provenance, their last data, and the moves.
+
+    What else is needed here is large, and let go before crossings are looked for.
+    """
+    graph = graph_of_mesh(initial)
+    spacing = float(np.sqrt(2 * np.median(np.linalg.norm(initial.face_vectors(), axis=1))))  # of the fine cubes
+    views = each_at_once(lambda image: view_data(image, spacing, taper_mm=settings.taper_mm), valid.range_images)
+    displacement = np.zeros_like(initial.vertices)
+    moves: list[float] = []
+    progress(0.1)
+    found = _correspondences(initial, views, settings)
+    if not found.found.any():
+        raise SurfaceError(
+            f"pairs {', '.join(image.name for image in valid.range_images)}",
+            found="no valid range data near the first surface",
+            expected="a first surface made from the same range data",
+            remedy="Run the surface stage again from the range images",
+        )
+    rounds = max(settings.rounds, 1)
+    for number in range(rounds):
+        solved = _solve(initial, found, displacement if moves else None, graph, settings)
+        move = float(np.sqrt(np.mean(np.sum((solved - displacement) ** 2, axis=1))))
+        progress(0.1 + 0.8 * (number + 1) / rounds)
+        if moves and move >= moves[-1]:
+            break
+        displacement = solved
+        moves.append(move)
+        if number + 1 < rounds:
+            found = _correspondences(_moved(initial, displacement), views, settings)
+    provenance = np.where(found.found, Provenance.MEASURED, Provenance.REPAIRED).astype(np.uint8)
+    _, away_mm = propagate(np.zeros((len(provenance), 1)), found.found, graph, initial.vertices)
+    provenance[away_mm > settings.repaired_reach_mm] = Provenance.INVENTED
+    return displacement, provenance, found, moves
+
+
+def as_measured(mesh: TriangleMesh, valid: ValidPatches) -> RepairedSurface:
+    """Provenance of an open surface's vertices, which are range data. Nothing is moved."""
+    images = valid.range_images
+    data = np.concatenate([image.valid_points_world() for image in images])
+    sigma_mm = np.concatenate([image.sigma_mm[image.valid] for image in images])
+    bits = np.concatenate([np.full(int(image.valid.sum()), 1 << k, np.int32) for k, image in enumerate(images)])
+    _, nearest = point_tree(data).query(mesh.vertices)
+    return RepairedSurface(
+        mesh=mesh,
+        provenance=np.full(len(mesh.vertices), Provenance.MEASURED, dtype=np.uint8),
+        sigma_mm=sigma_mm[nearest],
+        pair_bits=bits[nearest],
+        pair_names=tuple(image.name for image in images),
+        convergence=np.zeros(0),
+    )
+
+
+def _near_data(mesh: TriangleMesh, valid: ValidPatches, settings: RepairSettings) -> Bool[Array, " m"]:
+    """Faces near enough to data to move or count as repaired. All faces if displacements do not fade."""
+    if settings.fade_mm == 0:
+        return np.ones(len(mesh.faces), dtype=bool)
+    reach_mm = settings.reach_mm + max(settings.repaired_reach_mm, _FADED * settings.fade_mm)
+    low, high = bounds(mesh.vertices)
+    low -= settings.reach_mm
+    cell = ((mesh.vertices - low) / _CELL_MM).astype(np.int32)
+    empty = np.ones(((high - low) / _CELL_MM).astype(np.int32) + 1 + int(settings.reach_mm / _CELL_MM), dtype=bool)
+    for image in valid.range_images:
+        of_data = np.floor((image.valid_points_world() - low) / _CELL_MM).astype(np.int64)
+        empty[tuple(of_data[((of_data >= 0) & (of_data < empty.shape)).all(axis=1)].T)] = False
+    if empty.all():
+        return np.ones(len(mesh.faces), dtype=bool)
+    # Centres of cells lie up to a cell's diagonal further from one another than points in them.
+    close = ndimage.distance_transform_edt(empty) * _CELL_MM <= reach_mm + np.sqrt(3) * _CELL_MM
+    return touching(np.asarray(close[tuple(cell.T)]), mesh.faces)
+
+
+def _spread(values: Array, kept: Bool[Array, " n"], otherwise: float) -> Array:
+    """Values of the vertices kept, among all. The others have one value."""
+    result = np.full((len(kept), *values.shape[1:]), otherwise, dtype=values.dtype)
+    result[kept] = values
+    return result
+
+
+def _solve(
+    initial: TriangleMesh,
+    found: Correspondences,
+    displacement: Float64[Array, "n 3"] | None,
+    graph: Graph,
+    settings: RepairSettings,
+) -> Float64[Array, "n 3"]:
+    """One round: propagate over FALSE vertices, then minimise Eq. 4.
+
+    It starts from the displacements reached so far.
+    """
+    wish, away_mm = propagate(found.targets - initial.vertices, found.found, graph, initial.vertices)
+    if settings.fade_mm > 0:
+        wish *= np.exp(-away_mm / settings.fade_mm)[:, None]
+    weights = np.where(found.found, found.similarity, settings.false_weight)
+    solved, _ = minimum(
+        wish,
+        weights,
+        graph,
+        Stiffness(rho=settings.rho, k_ext=settings.k_ext, k_int=settings.k_int),
+        start=wish if displacement is None else displacement,
+        tolerance=_TOLERANCE,
+        max_iterations=_MAX_ITERATIONS,
+    )
+    return without_flips(initial, solved, graph)
+
+
+def propagate(
+    displacements: Float64[Array, "n k"], known: Bool[Array, " n"], graph: Graph, vertices: Float64[Array, "n 3"]
+) -> tuple[Float64[Array, "n k"], Float64[Array, " n"]]:
+    """Carry displacements ring by ring from TRUE to FALSE vertices.
+
+    Paper 2.6.3, step 2. A FALSE vertex beside TRUE ones takes their mean and becomes TRUE for the next ring. Also
+    gives how far each is from those known along the edges on the way, mm: 0 for those, infinite for vertices that none
+    reaches; they stay unmoved.
+    """
+    values = np.where(known[:, None], displacements, 0.0)
+    away_mm = np.where(known, 0.0, np.inf)
+    elastic_kernels.carried(graph.indptr, graph.indices, vertices, values, away_mm, np.flatnonzero(known))
+    return values, away_mm
+
+
+def _correspondences(mesh: TriangleMesh, views: list[ViewData | None], settings: RepairSettings) -> Correspondences:
+    gates = Gates(
+        reach_mm=settings.reach_mm,
+        normal_angle_deg=settings.normal_angle_deg,
+        tangential_mm=settings.tangential_mm,
+        similarity_mm=settings.similarity_mm,
+        blend=settings.target == "blend",
+    )
+    return correspond(mesh.vertices, mesh.vertex_normals(), views, gates)
+
+
+def _moved(mesh: TriangleMesh, displacement: Float64[Array, "n 3"]) -> TriangleMesh:
+    return TriangleMesh(vertices=mesh.vertices + displacement, faces=mesh.faces)

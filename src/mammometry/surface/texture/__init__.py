@@ -1,0 +1,1 @@
+"""Photographic colour on the surface."""

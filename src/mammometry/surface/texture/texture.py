@@ -1,0 +1,196 @@
+"""Photographic colour of each vertex, from its best photographs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+
+from mammometry.base.machine.cores import in_bands
+from mammometry.base.photograph import Photograph
+from mammometry.base.progress import Progress, no_progress
+from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int64, Integer, UInt8, read_only
+from mammometry.geometry.camera import Camera, Rig
+from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry.raster_kernels import nearest_faces
+from mammometry.surface.fusion.camera_records import view_row
+from mammometry.surface.settings import TextureSettings
+from mammometry.surface.texture import texture_kernels
+
+_LEAST_COSINE = 0.1  # 84° off the normal: a photograph shows nothing of skin seen more obliquely
+_LEAST_COMMON = 200  # vertices that two photographs both see before they are levelled; chosen by eye
+_LEAST_BRIGHT = 0.02  # of full scale: darker values are noise, whose ratio says nothing; chosen by eye
+_UNSEEN = 128.0  # mid grey, sRGB
+_SHADOW_MM = 0.5  # on the skin: side of the pixels in which one part is found to hide another, about a cube's edge
+_LEVELLED = 20_000  # vertices of which two photographs' ratio is taken: its median is known to a thousandth
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TexturedMesh:
+    """A mesh with a colour per vertex."""
+
+    mesh: TriangleMesh
+    """World frame, mm."""
+    colours: UInt8[Array, "n 3"]
+    """sRGB-encoded colour of each vertex. Mid grey where no camera sees it."""
+
+    def __post_init__(self) -> None:
+        if len(self.colours) != len(self.mesh.vertices):
+            raise ValueError(f"{len(self.mesh.vertices)} vertices but {len(self.colours)} colours")
+        object.__setattr__(self, "colours", read_only(self.colours))
+
+
+def paint(
+    mesh: TriangleMesh,
+    photographs: Mapping[str, Photograph],
+    rig: Rig,
+    settings: TextureSettings = TextureSettings(),
+    *,
+    progress: Progress = no_progress,
+) -> TexturedMesh:
+    """Colour every vertex from the photographs that see it best.
+
+    Paper 2.1: photographic texture. A photograph counts where it faces the vertex, nothing stands between, and with
+    the weight cosⁿ(incidence)/distance². Photographs are first levelled to one another: one gain per camera and
+    channel, from the vertices that two of them see well. The world frame is the mesh's.
+    """
+    _, weights, samples = view_samples(mesh, photographs, rig, settings, progress=progress)
+    total = weights.sum(axis=0)
+    colours = np.where(total[:, None] > 0, np.clip(blended(weights, samples), 0.0, 1.0) * 255.0, _UNSEEN)
+    progress(1.0)
+    return TexturedMesh(mesh=mesh, colours=np.rint(colours).astype(np.uint8))
+
+
+def blended(weights: Float32[Array, "k n"], samples: Float32[Array, "k n 3"]) -> Float32[Array, "n 3"]:
+    """Weighted mean over the photographs. Black where none counts."""
+    total = np.maximum(weights.sum(axis=0), np.float32(1e-12))
+    mean: Float32[Array, "n 3"] = np.einsum("kn,knc->nc", weights, samples) / total[:, None]
+    return mean
+
+
+def view_samples(
+    mesh: TriangleMesh,
+    photographs: Mapping[str, Photograph],
+    rig: Rig,
+    settings: TextureSettings,
+    *,
+    progress: Progress = no_progress,
+) -> tuple[Float32[Array, "k 3"], Float32[Array, "k n"], Float32[Array, "k n 3"]]:
+    """Gain of each photograph, and its weight and colour at every vertex.
+
+    Colours are levelled. Weight 0: the photograph does not see the vertex. The photographs in their order, but for
+    those of no camera of the rig.
+    """
+    names = [name for name in photographs if name in rig.cameras]
+    normals = mesh.vertex_normals()
+    n = len(mesh.vertices)
+    weights = np.zeros((len(names), n), dtype=np.float32)
+    samples = np.zeros((len(names), n, 3), dtype=np.float32)
+    for k, (name, photograph) in enumerate(zip(names, read_ahead(photographs, names), strict=True)):
+        camera = rig.cameras[name]
+        weights[k], places = _facing(mesh, normals, camera, settings.sharpness)
+        weights[k, _hidden(mesh, camera, places, weights[k] > 0, settings.clearance_mm)] = 0.0
+        seen = np.flatnonzero(weights[k])
+        samples[k, seen] = picture_of(photograph).colours_at(places[seen, :2])
+        progress(0.9 * (k + 1) / len(names))
+    gains = _gains(samples, weights)
+    samples *= gains[:, None, :]
+    return gains, weights, samples
+
+
+def read_ahead(photographs: Mapping[str, Photograph], names: Sequence[str]) -> Iterator[Photograph]:
+    """The photographs one by one. While one is worked on, the next is read."""
+    with ThreadPoolExecutor(1) as reader:
+        waiting = [reader.submit(photographs.__getitem__, name) for name in names[:1]]
+        for following in [*names[1:], None]:
+            photograph = waiting.pop().result()
+            if following is not None:
+                waiting.append(reader.submit(photographs.__getitem__, following))
+            yield photograph
+
+
+def _facing(
+    mesh: TriangleMesh, normals: Float64[Array, "n 3"], camera: Camera, sharpness: float
+) -> tuple[Float32[Array, " n"], Float64[Array, "n 3"]]:
+    """Weight of a photograph at every vertex, its place there and its inverse depth (`texture_kernels.facing`)."""
+    row = view_row(camera, camera.shape_hw, 0)
+
+    def of(band: slice) -> tuple[Float32[Array, " k"], Float64[Array, "k 3"]]:
+        return texture_kernels.facing(
+            np.array(mesh.vertices[band]), normals[band], row, camera.centre_world, _LEAST_COSINE, sharpness
+        )
+
+    weights, places = zip(*in_bands(of, len(normals)), strict=True)
+    return np.concatenate(weights), np.concatenate(places)
+
+
+def _hidden(
+    mesh: TriangleMesh, camera: Camera, places: Float64[Array, "n 3"], shown: Bool[Array, " n"], clearance_mm: float
+) -> Int64[Array, " k"]:
+    """The shown vertices before which something of the mesh stands."""
+    index = np.flatnonzero(shown)
+    if not len(index):
+        return index
+    step = max(1, round(_SHADOW_MM * camera.matrix[0, 0] * float(np.median(places[index, 2]))))
+    width, height = (-(-side // step) for side in camera.size_wh)
+    inside = places[:, 0] >= 0
+    a, b, c = mesh.faces.T
+    corners = places.copy()
+    corners[:, :2] = (corners[:, :2] + 0.5) / step - 0.5
+    faces = read_only(mesh.faces[inside[a] & inside[b] & inside[c]])
+    _, _, inverse_depths = nearest_faces(corners, faces, height, width)
+    return index[texture_kernels.hidden(corners[index], inverse_depths, clearance_mm)]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Picture:
+    """A photograph's levels as recorded, and which of them counts as 1."""
+
+    levels: Integer[Array, "h w c"]
+    full_scale: float
+
+    def colours_at(self, uv: Float64[Array, "n 2"]) -> Float32[Array, "n 3"]:
+        """Colours at places in pixels, 0…1, linear between pixels."""
+
+        def of(band: slice) -> Float32[Array, "k 3"]:
+            return texture_kernels.colours_at(self.levels, self.full_scale, uv[band])
+
+        return np.concatenate(in_bands(of, len(uv)))
+
+
+def picture_of(photograph: Photograph) -> Picture:
+    """Pixels as recorded, with one or three channels."""
+    pixels = photograph.pixels
+    return Picture(
+        levels=pixels[..., None] if pixels.ndim == 2 else pixels, full_scale=float(np.iinfo(pixels.dtype).max)
+    )
+
+
+def _gains(samples: Float32[Array, "k n 3"], weights: Float32[Array, "k n"]) -> Float32[Array, "k 3"]:
+    """Gain per camera and channel that makes the cameras agree.
+
+    Where two see the same vertices. The mean gain is 1. Least squares on the logarithms of the median ratios, each
+    pair weighted by the number of common vertices.
+    """
+    count = len(samples)
+    usable = (weights > 0) & (samples.min(axis=2) > _LEAST_BRIGHT)
+    rows, ratios = [], []
+    for a in range(count):
+        for b in range(a + 1, count):
+            common = np.flatnonzero(usable[a] & usable[b])
+            if len(common) < _LEAST_COMMON:
+                continue
+            strength = np.sqrt(len(common))
+            common = common[:: max(1, len(common) // _LEVELLED)]
+            row = np.zeros(count)
+            row[a], row[b] = strength, -strength
+            rows.append(row)
+            ratios.append(strength * np.median(np.log(samples[b][common] / samples[a][common]), axis=0))
+    if not rows:
+        return np.ones((count, 3), dtype=np.float32)
+    rows.append(np.ones(count))
+    ratios.append(np.zeros(3))
+    logs = np.linalg.lstsq(np.array(rows), np.array(ratios), rcond=None)[0]
+    return np.exp(logs).astype(np.float32)

@@ -1,0 +1,254 @@
+"""Viewing mesh covered with photographs: each face shows its best one.
+
+Photographs keep full resolution. Neighbouring faces with the same photograph form a chart, a piece cut out of that
+photograph. Its brightness and colour are levelled towards the mean of all photographs (low frequencies only, so that
+no detail is blurred). All charts lie beside one another in one picture. Along the seams one photograph fades into the
+next (`seams`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from scipy import ndimage
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+from mammometry.base.machine.cores import in_bands
+from mammometry.base.photograph import Photograph
+from mammometry.base.progress import Progress, no_progress, part
+from mammometry.geometry.arrays import Array, Float32, Float64, Int32, Int64, UInt8, read_only
+from mammometry.geometry.camera import Rig
+from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry.projection import projected
+from mammometry.surface.settings import TextureSettings
+from mammometry.surface.texture import atlas_kernels
+from mammometry.surface.texture.seams import FadingPixels, fading_pixels, fading_weights, spread
+from mammometry.surface.texture.simplify import thinned
+from mammometry.surface.texture.texture import blended, picture_of, read_ahead, view_samples
+
+_PADDING_PX = 3  # around a chart's piece of photograph, for programs that read between pixels
+_GREY = 128  # sRGB; where no camera sees the surface
+_SMOOTHING_ROUNDS = 12  # edges over which the weights are smoothed before faces choose; chosen by eye
+_LEVEL_PX = 24.0  # σ of the smoothing by which photographs are levelled: wider than any detail; chosen by eye
+_LEVEL_STEP_PX = 4  # grid on which the levelling is known; it is smooth over six times that
+_PLACES = 1 << 24  # places along a picture's side that count as different: finer than a float32
+_MOST_REDUCED = 16  # pixels a side that one pixel of the covering picture may stand for
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Atlas:
+    """A mesh for looking, and the picture that covers it."""
+
+    mesh: TriangleMesh
+    """World frame, mm. Fewer triangles than the measured surface."""
+    uv_px: Float32[Array, "m 3 2"]
+    """Place of each face's corners in the picture, pixels, integers at pixel centres."""
+    picture: UInt8[Array, "h w 3"]
+    """sRGB-encoded. Mid grey where no camera sees the surface."""
+    view: Int64[Array, " m"]
+    """Number of the photograph that each face shows. −1 for none."""
+    names: tuple[str, ...]
+    """Cameras that the numbers stand for."""
+    jpeg: UInt8[Array, " b"] | None = None
+    """Bytes of the JPEG that `picture` was read from. None: it comes from none."""
+
+    def __post_init__(self) -> None:
+        if self.uv_px.shape != (len(self.mesh.faces), 3, 2) or len(self.view) != len(self.mesh.faces):
+            raise ValueError(f"{len(self.mesh.faces)} faces but {self.uv_px.shape} positions, {len(self.view)} views")
+        for field in ("uv_px", "picture", "view"):
+            object.__setattr__(self, field, read_only(getattr(self, field)))
+        if self.jpeg is not None:
+            object.__setattr__(self, "jpeg", read_only(self.jpeg))
+
+    def unwelded(self) -> tuple[Int64[Array, " n"], Int32[Array, "m 3"], Float64[Array, "n 2"]]:
+        """One vertex for each place in the picture, for drawing programs.
+
+        Returns:
+            For each vertex, the mesh's vertex that it stands for; the faces; the place in the picture, 0…1 from its
+            upper left corner to the right and down.
+        """
+        height, width = self.picture.shape[:2]
+        places = (self.uv_px.reshape(-1, 2).astype(np.float64) + 0.5) / (width, height)
+        rows = np.column_stack([self.mesh.faces.reshape(-1), np.rint(places * _PLACES)]).astype(np.int64)
+        order = np.lexsort(rows.T[::-1])
+        rows = rows[order]
+        new = np.append(True, np.logical_or.reduce([np.diff(column) != 0 for column in rows.T]))[: len(rows)]
+        number = np.empty(len(rows), dtype=np.int32)
+        number[order] = np.cumsum(new, dtype=np.int32) - 1
+        rows = rows[new]
+        return rows[:, 0], number.reshape(-1, 3), rows[:, 1:] / _PLACES
+
+
+def cover(
+    surface: TriangleMesh,
+    photographs: Mapping[str, Photograph],
+    rig: Rig,
+    settings: TextureSettings = TextureSettings(),
+    *,
+    progress: Progress = no_progress,
+) -> Atlas:
+    """Thin a surface for looking and cover it with its photographs. World frame, mm."""
+    mesh = thinned(surface, settings.triangles)
+    progress(0.1)
+    names = tuple(name for name in photographs if name in rig.cameras)
+    gains, weights, samples = view_samples(mesh, photographs, rig, settings, progress=part(progress, 0.1, 0.5))
+    view = best_views(mesh, weights)
+    target = blended(weights, samples)
+    photographed = [projected(rig.cameras[name], mesh.vertices)[:, :2] for name in names]
+    step = 0
+    while True:  # a picture too large for what viewers can hold shows the means of step² pixels each
+        step += 1
+        pixels = [(uv + 0.5) / step - 0.5 for uv in photographed]
+        sizes_wh = [(size[0] // step, size[1] // step) for size in (rig.cameras[name].size_wh for name in names)]
+        charts = _charts(mesh, view, pixels, sizes_wh)
+        corners, uv_px, size_wh = _laid_out(charts, len(mesh.faces))
+        if max(size_wh) <= settings.atlas_px or step == _MOST_REDUCED:
+            break
+        step = min(-(-step * max(size_wh) // settings.atlas_px), _MOST_REDUCED) - 1
+    sheet = np.full((size_wh[1], size_wh[0], 3), _GREY, dtype=np.uint8)
+    fading = fading_pixels(mesh, view, fading_weights(mesh, view, weights > 0), uv_px, size_wh)
+    mixed = np.zeros((len(fading.row), 3), dtype=np.float32)
+    for k, (photograph, uv) in enumerate(zip(read_ahead(photographs, names), pixels, strict=True)):
+        picture, seen = picture_of(photograph), weights[k] > 0
+        shape_hw = (sizes_wh[k][1], sizes_wh[k][0])
+        level = _levelling(uv[seen], (target - samples[k])[seen], shape_hw, _LEVEL_PX / step)
+        shown, levelling = (picture.levels, picture.full_scale, step), (gains[k], level, _LEVEL_STEP_PX)
+        for chart, (x, y) in zip(charts, corners, strict=True):
+            if chart.view == k:
+                cut = atlas_kernels.pasted(shown, chart.low, chart.high, levelling)
+                sheet[y : y + cut.shape[0], x : x + cut.shape[1]] = cut
+        in_bands(partial(_mix_in, mixed, fading, k, uv, (shown, levelling)), len(mixed))
+        progress(0.5 + 0.45 * (k + 1) / len(names))
+    sheet[fading.row, fading.column] = np.rint(np.clip(mixed, 0.0, 1.0) * 255).astype(np.uint8)
+    progress(1.0)
+    return Atlas(mesh=mesh, uv_px=uv_px.astype(np.float32), picture=sheet, view=view, names=names)
+
+
+def _mix_in(
+    mixed: Float32[Array, "p 3"],
+    fading: FadingPixels,
+    k: int,
+    uv: Float64[Array, "n 2"],
+    how: tuple[Any, Any],
+    band: slice,
+) -> None:
+    """Add a photograph's share to pixels that show several."""
+    places = fading.shares[k, band], fading.corners[band], fading.between[band]
+    atlas_kernels.mix_in(mixed[band], *places, uv, *how)
+
+
+def best_views(mesh: TriangleMesh, weights: Float32[Array, "k n"]) -> Int64[Array, " m"]:
+    """Number of the best photograph of each face, −1 for none.
+
+    It is chosen among those that see all corners of the face. The weights are first smoothed over the mesh, so that
+    charts become large and their borders short.
+    """
+    seen = weights > 0
+    smooth = spread(weights.T.astype(np.float64), mesh, _SMOOTHING_ROUNDS)
+    score = np.where(seen.T, np.maximum(smooth, 1e-9), -np.inf)[mesh.faces].min(axis=1)
+    if not score.shape[1]:
+        return np.full(len(mesh.faces), -1, dtype=np.int64)
+    return np.where(np.isfinite(score.max(axis=1)), score.argmax(axis=1), -1)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Chart:
+    """Connected faces that show one photograph, and their piece of it."""
+
+    view: int
+    faces: Int64[Array, " k"]
+    inside: Float64[Array, "k 3 2"]
+    """The faces' corners in the piece, pixels."""
+    low: Int64[Array, 2]
+    """First column and row of the piece in the photograph."""
+    high: Int64[Array, 2]
+    """One more than its last."""
+
+
+def _charts(
+    mesh: TriangleMesh,
+    view: Int64[Array, " m"],
+    pixels: Sequence[Float64[Array, "n 2"]],
+    sizes_wh: Sequence[tuple[int, int]],
+) -> list[_Chart]:
+    """The charts of all photographs. Last one for the faces that show none."""
+    group = _groups(mesh, view)
+    charts = []
+    for k, (uv, size_wh) in enumerate(zip(pixels, sizes_wh, strict=True)):
+        shown = np.flatnonzero(view == k)
+        for faces in _split(shown, group[shown]) if len(shown) else []:
+            at = uv[mesh.faces[faces]]
+            low = np.maximum(np.floor(at.min(axis=(0, 1))).astype(int) - _PADDING_PX, 0)
+            high = np.minimum(np.ceil(at.max(axis=(0, 1))).astype(int) + _PADDING_PX + 1, size_wh)
+            charts.append(_Chart(view=k, faces=faces, inside=at - low, low=low, high=high))
+    blank = np.flatnonzero(view < 0)
+    middle = np.full((len(blank), 3, 2), float(_PADDING_PX))
+    low = np.zeros(2, dtype=np.int64)
+    return [*charts, _Chart(view=-1, faces=blank, inside=middle, low=low, high=low + 2 * _PADDING_PX + 1)]
+
+
+def _groups(mesh: TriangleMesh, view: Int64[Array, " m"]) -> Int64[Array, " m"]:
+    """Number of each face's connected group with one view."""
+    sides = np.sort(mesh.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1).astype(np.int64)
+    keys = sides[:, 0] * len(mesh.vertices) + sides[:, 1]
+    order = np.argsort(keys, kind="stable")
+    twins = np.flatnonzero(np.diff(keys[order]) == 0)
+    a, b = order[twins] // 3, order[twins + 1] // 3
+    same = view[a] == view[b]
+    n = len(mesh.faces)
+    graph = coo_matrix((np.ones(int(same.sum()), dtype=np.int8), (a[same], b[same])), shape=(n, n))
+    return connected_components(graph, directed=False)[1].astype(np.int64)
+
+
+def _split(items: Int64[Array, " k"], groups: Int64[Array, " k"]) -> list[Int64[Array, " j"]]:
+    order = np.argsort(groups, kind="stable")
+    return np.split(items[order], np.flatnonzero(np.diff(groups[order])) + 1)
+
+
+def _levelling(
+    uv: Float64[Array, "k 2"], difference: Float32[Array, "k 3"], shape_hw: tuple[int, ...], smooth_px: float
+) -> Float32[Array, "a b 3"]:
+    """Correction that levels a photograph to the mean of all.
+
+    It is smooth over `smooth_px`. A Gaussian-weighted mean of the vertices' differences, at every `_LEVEL_STEP_PX`-th
+    pixel.
+    """
+    height, width = (-(-side // _LEVEL_STEP_PX) + 1 for side in shape_hw)
+    row, column = np.clip(np.rint(uv[:, ::-1] / _LEVEL_STEP_PX).astype(int), 0, (height - 1, width - 1)).T
+    flat = row * width + column
+    sigma = smooth_px / _LEVEL_STEP_PX
+    mass = np.bincount(flat, minlength=height * width).reshape(height, width)
+    smooth_mass = np.maximum(ndimage.gaussian_filter(mass.astype(np.float64), sigma), 1e-9)
+    result = np.empty((height, width, 3), dtype=np.float32)
+    for channel in range(3):
+        total = np.bincount(flat, difference[:, channel], minlength=height * width).reshape(height, width)
+        result[..., channel] = ndimage.gaussian_filter(total, sigma) / smooth_mass
+    return result
+
+
+def _laid_out(
+    charts: Sequence[_Chart], count: int
+) -> tuple[Int64[Array, "c 2"], Float64[Array, "m 3 2"], tuple[int, int]]:
+    """Lay the charts on shelves, tallest first, in a squarish picture.
+
+    Returns:
+        Column and row of each piece's upper left corner, the place of every face's corners, and the picture's width and
+        height.
+    """
+    sizes = np.array([chart.high - chart.low for chart in charts])
+    width = max(int(sizes[:, 0].max()), int(1.1 * np.sqrt(sizes.prod(axis=1).sum())))
+    uv_px, places = np.zeros((count, 3, 2)), np.zeros((len(charts), 2), dtype=np.int64)
+    x, y, shelf = 0, 0, 0
+    for number in np.argsort(-sizes[:, 1], kind="stable"):
+        across, height = sizes[number]
+        if x + across > width:
+            x, y, shelf = 0, y + shelf, 0
+        places[number] = x, y
+        uv_px[charts[number].faces] = charts[number].inside + places[number]
+        x, shelf = x + across, max(shelf, height)
+    return places, uv_px, (width, int(y + shelf))
