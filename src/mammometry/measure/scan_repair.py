@@ -24,7 +24,7 @@ from mammometry.measure.solid.patch import fill, harmonic
 
 TOUCHING_MM = 0.05
 """Open edges this near to one another are one seam: half of the coarsest step that coordinates may have."""
-WIDEST_HOLE_MM = 30.0
+WIDEST_HOLE_MM = 50.0
 """A hole up to this wide is closed: the diameter of a circle of its area."""
 _LONGEST_HOLE_MM = 120.0  # a slit that is longer is no hole in a breast; chosen by eye
 _CRUMB = 0.01  # share of the area below which a piece is a crumb
