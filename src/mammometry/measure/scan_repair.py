@@ -24,9 +24,10 @@ from mammometry.measure.solid.patch import fill, harmonic
 
 TOUCHING_MM = 0.05
 """Open edges this near to one another are one seam: half of the coarsest step that coordinates may have."""
-WIDEST_HOLE_MM = 50.0
-"""A hole up to this wide is closed: the diameter of a circle of its area."""
-_LONGEST_HOLE_MM = 120.0  # a slit that is longer is no hole in a breast; chosen by eye
+WIDEST_HOLE_MM = 70.0
+"""A hole up to this wide is closed: the diameter of a circle of its area. What a hanging breast hides from a telephone
+has 40 to 60; necks and arms that were cut off have 90 and more."""
+_LONGEST_HOLE_MM = 150.0  # a slit that is longer is no hole in a breast; chosen by eye
 _CRUMB = 0.01  # share of the area below which a piece is a crumb
 _BESIDE = 0.2  # share of the area that all pieces beside the body may have together; chosen by eye
 _FEW_FINS = 0.01  # share of the faces that may be left out because three or more meet at an edge; chosen by eye
