@@ -308,7 +308,7 @@ def _filled(mesh: TriangleMesh, notes: list[str]) -> tuple[TriangleMesh, Bool[Ar
     if invented_mm2 > _SAID_MM2:
         holes_words = "1 hole was" if len(patches) == 1 else f"{len(patches)} holes were"
         notes.append(
-            f"{holes_words} closed, up to {widest_mm:.0f} mm wide: {invented_mm2 / 100:.2g} cm² of skin are invented. "
+            f"{holes_words} closed, up to {widest_mm:.0f} mm wide: {invented_mm2 / 100:.1f} cm² of skin are invented. "
             "The interval holds their uncertainty."
         )
     return filled, invented
@@ -358,8 +358,8 @@ def _patch(
     flat = (rim - middle) @ frame.T
     reach = float(np.linalg.norm(flat[:, :2], axis=1).max()) + _RING_MM
     near = np.setdiff1d(mesh.vertices_between(middle - reach, middle + reach), np.concatenate(holes))
+    near = near[np.asarray(point_tree(rim).query(mesh.vertices[near])[0]) < _RING_MM]
     local = (mesh.vertices[near] - middle) @ frame.T
-    local = local[np.linalg.norm(local[:, :2], axis=1) < reach]
     local = np.concatenate([flat, local[:: max(1, len(local) // _RING_POINTS)]])
     local = local[np.unique(np.round(local[:, :2], 3), axis=0, return_index=True)[1]]
     if len(local) < _FEWEST:
