@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
-from mammometry.batch.child import Order
+from mammometry.base.child_process import Call
 from mammometry.batch.cluster import machines
 from mammometry.batch.engine import Ended, Engine, Task
 
@@ -20,7 +20,7 @@ def each_as_it_ends(
     """Call a function for each capture, on all cores of this machine or on a cluster, and yield what it returns.
 
     Args:
-        function: called with `(tell, *arguments)`, returns plain JSON data; of a module that other processes can
+        function: called with `(progress, *arguments)`, returns plain JSON data; of a module that other processes can
             import, so not of `__main__`.
         arguments: name → what it is called with.
         megapixels: of one capture's photographs: its memory grows with it.
@@ -30,7 +30,7 @@ def each_as_it_ends(
         SystemExit: a capture failed, other than by a refusal that the function returns.
     """
     tasks = [
-        Task(name=name, order=Order(function=function, arguments=given), megapixels=megapixels)
+        Task(name=name, call=Call(function=function, arguments=given), megapixels=megapixels)
         for name, given in arguments.items()
     ]
     with machines(scheduler) as there:

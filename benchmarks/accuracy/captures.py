@@ -20,6 +20,7 @@ from threadpoolctl import threadpool_limits
 
 from mammometry.api.job import Job, open_session
 from mammometry.base.errors import MammometryError
+from mammometry.job.stages import measure, surface
 from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.settings import Settings
 from mammometry.simulate.recipe import SessionRecipe
@@ -169,8 +170,8 @@ def _find_surface(session: Path, scale: float) -> str | None:
     refused = None
     with job.store.taken(), threadpool_limits(limits=1, user_api="blas"):
         try:
-            job.plan.calibrated.ensure()
-            job.plan.surfaced.repaired.ensure()
+            job.plan.ensure("calibrate")
+            job.plan[surface.repaired].ensure()
         except MammometryError as error:
             refused = str(error)
     for folder in ("match/disparity", "surface/range"):
@@ -187,11 +188,10 @@ def measured(session: Path, scale: float) -> tuple[tuple[VolumeMeasurement, ...]
     Raises:
         MammometryError: nothing can be measured.
     """
-    product = _job(session, scale).plan.measured
-    assert product.measurements is not None  # casts and torsos have volumes
+    plan = _job(session, scale).plan
     with threadpool_limits(limits=1, user_api="blas"):
-        found = product.measurements()
-        absent = () if product.absent is None else product.absent()
+        found = plan[measure.measurements]()
+        absent = plan.value(measure.absent) or ()
     return found, {side.name: side.why for side in absent}
 
 

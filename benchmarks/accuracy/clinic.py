@@ -31,8 +31,8 @@ from benchmarks.accuracy.captures import take_over_calibration
 from benchmarks.road import each_as_it_ends
 from mammometry.api.job import Job, open_session
 from mammometry.api.truth import current_results
-from mammometry.base.each import Tell
 from mammometry.base.errors import MammometryError
+from mammometry.base.progress import StageProgress
 from mammometry.geometry.arrays import Array, Bool
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
@@ -153,12 +153,12 @@ def _case(subject: str, seed: int, scale: float, situation: Situation) -> Case:
     return Case(recipe=SessionRecipe(subject=subject, seed=seed, scale=scale, situation=situation), situation=situation)
 
 
-def both(tell: Tell, case: Case, out: str) -> dict[str, Any]:
+def both(progress: StageProgress, case: Case, out: str) -> dict[str, Any]:
     """Measure a capture, and the same body without the disturbance, as JSON: a task of a batch."""
-    tell("without the disturbance", 0.0)
+    progress("without the disturbance", 0.0)
     before = case.undisturbed
     plain, plain_job = measured(before, Path(out)) if before.name != case.name else (None, None)
-    tell("measure", 0.5)
+    progress("measure", 0.5)
     found, job = measured(case, Path(out))
     surfaces = [_surface(job, job), None if plain_job is None else _surface(plain_job, job)]
     with_it, without = surfaces

@@ -27,8 +27,8 @@ from scipy.stats import beta
 from benchmarks.accuracy.captures import CHOSEN_ON, in_rounds, made, measured, recipe
 from benchmarks.accuracy.walls import TrueTorso, as_seen, true_torso
 from benchmarks.road import each_as_it_ends
-from mammometry.base.each import Tell
 from mammometry.base.errors import MammometryError
+from mammometry.base.progress import StageProgress
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.io.truth import read_volumes
@@ -212,12 +212,12 @@ def rendered(count: int, out: Path, scale: float, first: int = 1, scheduler: str
             yield from (Held(**one) for one in held)
 
 
-def one_capture(tell: Tell, number: int, out: str, scale: float) -> tuple[str, list[dict[str, Any]]]:
+def one_capture(progress: StageProgress, number: int, out: str, scale: float) -> tuple[str, list[dict[str, Any]]]:
     """Simulate one capture and measure it: why it was refused, or "", and its volumes, as JSON."""
-    tell("capture", 0.0)
+    progress("capture", 0.0)
     wanted = recipe(number)
     session, refused = made(wanted, Path(out), scale)
-    tell("measure", 0.5)
+    progress("measure", 0.5)
     truth_cc = read_volumes(session / "truth")
     found: tuple[VolumeMeasurement, ...] = ()
     if not refused:

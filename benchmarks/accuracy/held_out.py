@@ -16,7 +16,7 @@ from typing import Any
 
 from benchmarks.accuracy.matching import measure, table
 from benchmarks.road import each_as_it_ends
-from mammometry.base.each import Tell
+from mammometry.base.progress import StageProgress
 from mammometry.matching.settings import MatchSettings
 from mammometry.simulate.recipe import SessionRecipe
 from mammometry.simulate.rendering.film import Film
@@ -54,15 +54,15 @@ CAPTURES = (
 )
 
 
-def matched(tell: Tell, capture: HeldOut, folder: str) -> list[dict[str, Any]]:
+def matched(progress: StageProgress, capture: HeldOut, folder: str) -> list[dict[str, Any]]:
     """Render one capture, if it is not there, and match it: its rows."""
-    tell("capture", 0.0)
+    progress("capture", 0.0)
     session = Path(folder)
     if not session.exists():
         studio = Studio(skin=make_skin(capture.skin, contrast=capture.contrast), film=Film().with_noise(capture.noise))
         recipe = SessionRecipe(rig=capture.rig, subject=capture.subject, scale=capture.scale, seed=capture.seed)
         write_session(session, recipe, studio)
-    tell("match", 0.5)
+    progress("match", 0.5)
     return measure(session, [], [], MatchSettings(resolution="full"), estimated=True)
 
 

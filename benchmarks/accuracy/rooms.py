@@ -27,6 +27,7 @@ from mammometry.base.errors import MammometryError
 from mammometry.geometry.nearest import closest_on_mesh
 from mammometry.geometry.transform import Transform
 from mammometry.io.truth import read_truth
+from mammometry.job.stages import match
 from mammometry.settings import Settings
 from mammometry.simulate.disturbances.draw import is_held_out
 from mammometry.simulate.recipe import SessionRecipe
@@ -130,7 +131,7 @@ def judged(one: Case, out: Path, settings: Settings) -> tuple[bool, str]:
     of_ours = closest_on_mesh(mesh.vertices[measured[:: max(1, len(measured) // _POINTS)]], truth.mesh).distances_mm
     complete, stray = float((of_truth < _RIGHT_MM).mean()), float((of_ours > _STRAY_MM).mean())
     right = complete >= _COMPLETE and stray <= _STRAY
-    blind = sum(found().everything for found in job.plan.matched.foregrounds.values())
+    blind = sum(found().everything for found in job.plan[match.foreground].values())
     found = ("right" if right else "WRONG") + (f", {blind} without silhouette" if blind else "")
     return right, f"{head}{found} | {np.median(of_truth):.2f} | {100 * complete:.0f} | {100 * stray:.1f} |"
 

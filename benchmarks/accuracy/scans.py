@@ -29,6 +29,7 @@ from mammometry.base.errors import MammometryError
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.io.meshes.foreign import read_foreign
 from mammometry.io.meshes.own_ply import write_ply
+from mammometry.job.stages import measure
 from mammometry.simulate.disturbances.registry import disturbed
 from mammometry.simulate.scanning.scan import QUALITIES, VirtualScan, clean_front, scan
 from mammometry.simulate.situation import parse_situation
@@ -85,8 +86,7 @@ def measured(path: Path, units: str = "mm") -> Row:
             job = MeshJob(MeshFiles(mesh=path, units=units, automatic=True), Path(folder) / "results")
             results = job.run(report=False)
             row["seconds"] = time.monotonic() - begun
-            assert job.plan.boundaries is not None
-            curves = {boundary.name: boundary.points_world for boundary in job.plan.boundaries()}
+            curves = {boundary.name: boundary.points_world for boundary in job.plan[measure.boundaries]()}
             for side, found in results.measurements.items():
                 row["sides"][side] = {
                     "volume_cc": found.volume_cc,
@@ -94,10 +94,8 @@ def measured(path: Path, units: str = "mm") -> Row:
                     "outline": np.round(curves[side], 2).tolist(),
                 }
             row["no_breast"] = dict(results.no_breast)
-            if job.plan.landmarks is not None:
-                row["landmarks"] = {
-                    mark.name: np.asarray(mark.points_world)[0].tolist() for mark in job.plan.landmarks()
-                }
+            marks = job.plan.value(measure.landmarks) or ()
+            row["landmarks"] = {mark.name: np.asarray(mark.points_world)[0].tolist() for mark in marks}
         except MammometryError as error:
             row["refused"] = str(error)
         except Exception:  # a failure of ours is a failure, too

@@ -28,7 +28,7 @@ from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.measure.boundary.boundary import Boundary, outline_torso
 from mammometry.measure.trunk.body import find_body
-from mammometry.measure.volume.lacking import lacking
+from mammometry.measure.volume.deficit import volume_deficit
 from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.measure.volume.volumes import measure_volumes
 from mammometry.measure.wall import chest_wall
@@ -160,7 +160,7 @@ def rows_of(number: int, seed: int, clinic: bool = False) -> Iterator[dict[str, 
             row["plane_mm"] = body.plane_sigma_mm
             measured = measure_volumes(open_breasts(found.boundaries, case.surface, frame=body.frame))
             row |= _volumes(case, measured, same_wall_cc(case, body.frame))
-            less = lacking(case.surface, measured, body)
+            less = volume_deficit(case.surface, measured, body)
             if less is not None and less.interval_cc is not None:
                 sign = 1.0 if less.name == "right" else -1.0
                 row["lacking_error"] = less.volume_cc - sign * case.lacking_cc

@@ -29,20 +29,18 @@ from benchmarks.accuracy.coverage import share_interval
 from benchmarks.pairs import Capture, captures
 from mammometry.api.job import Job, open_session
 from mammometry.base.errors import MammometryError
-from mammometry.base.progress import Progress
+from mammometry.base.progress import Progress, no_progress
 from mammometry.geometry.arrays import Array, Int64
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.transform import Transform
-from mammometry.io.results.store import Store
 from mammometry.io.truth import read_truth
-from mammometry.job.measuring import Upstream, measure
-from mammometry.job.pipeline import Calibrated, match, surface
-from mammometry.job.products import Forgetful, Key, Product
+from mammometry.job.graph import Plan
+from mammometry.job.products import Key, at_hand
+from mammometry.job.stages import calibrate, match, measure, surface
 from mammometry.settings import Settings
 from mammometry.study.accuracy import align_surfaces, compare_surfaces
 from mammometry.study.rays import RayScene, seen_by_pairs
 from mammometry.study.truth import Truth
-from mammometry.surface.motion.motion_test import Stillness
 
 T = TypeVar("T")
 _EVERY = 20  # true vertices of which one is judged
@@ -52,16 +50,22 @@ breathes moves in 20 ms."""
 _MATTERS_PERCENT, _MATTERS_MM = 1.0, 0.3  # of a volume, and of the surface: issue 18
 
 
-class _Recalling(Forgetful):
-    """Takes silhouettes from a session's results, where no camera's pose enters; remembers nothing."""
+class _MatchedOnce:
+    """Remembers in memory what the matching makes, which both ways to measure share."""
 
-    def __init__(self, store: Store) -> None:
-        self._store = store
+    def __init__(self) -> None:
+        self._values: dict[str, Any] = {}
+
+    def has(self, key: Key) -> bool:
+        return key.digest in self._values
 
     def recall(self, key: Key, prepare: Callable[[], Callable[[Progress], T]]) -> T:
-        if key.product.startswith("foreground/"):
-            return self._store.recall(key, prepare)
-        return super().recall(key, prepare)
+        if key.stage != "match":
+            return prepare()(no_progress)
+        if key.digest not in self._values:
+            self._values[key.digest] = prepare()(no_progress)
+        value: T = self._values[key.digest]
+        return value
 
 
 def disturbed(rig: Rig, turn_deg: float, shift_mm: float, random: np.random.Generator) -> Rig:
@@ -100,9 +104,7 @@ class Judge:
 def judge_of(capture: Capture, job: Job) -> Judge:
     """Read a capture's truth, in the frame of its calibration."""
     truth = read_truth(capture.truth, job.inputs.pair_names)
-    calibration = job.plan.calibrated.calibration
-    assert calibration is not None
-    world_from_target = calibration().world_from_target
+    world_from_target = job.plan[calibrate.calibration]().world_from_target
     pose = next(name for name, placed in world_from_target.items() if np.allclose(placed.matrix, np.eye(4)))
     looked_at, by_pair = seen_by_pairs(RayScene(truth.mesh), truth.rig, every=_EVERY)
     seen = looked_at[np.any(list(by_pair.values()), axis=0)]
@@ -111,44 +113,23 @@ def judge_of(capture: Capture, job: Job) -> Judge:
 
 def measured(job: Job, rig: Rig, settings: Settings, judge: Judge) -> Iterator[dict[str, Any]]:
     """Match with a rig, then measure with and without putting right what moved; one row each."""
-    memo = _Recalling(job.store)
-    calibration, cameras = job.plan.calibrated.calibration, job.plan.calibrated.cameras
-    assert calibration is not None
-
-    def given(name: str, value: T) -> Product[T]:
-        def give(*, progress: Progress) -> T:
-            return value
-
-        return Product(Forgetful(), "calibrate", name, lambda progress: give(progress=progress))
-
-    moved = Calibrated(
-        observations={},
-        intrinsics={},
-        calibration=given("calibration", replace(calibration(), rig=rig)),
-        cameras=given("cameras", replace(cameras(), rig=rig)),
-    )
-    matched = match(job.inputs, moved.cameras, settings.matching, memo)
-    for product in matched.disparities.values():
-        product()
+    calibration, cameras = job.plan[calibrate.calibration](), job.plan[calibrate.cameras]()
+    given = {
+        product: at_hand(replace(value, rig=rig), stage="calibrate", name=product.name, version=0, inputs={})
+        for product, value in ((calibrate.calibration, calibration), (calibrate.cameras, cameras))
+    }
+    memo = _MatchedOnce()
     for correct in (True, False):
-        chosen = replace(settings.surface, stillness=replace(settings.surface.stillness, correct=correct))
-        surfaced = surface(job.inputs, moved, matched, chosen, memo)
+        stillness = replace(settings.surface.stillness, correct=correct)
+        chosen = replace(settings, surface=replace(settings.surface, stillness=stillness))
+        plan = Plan(job.inputs, chosen, memo, given=given)
+        for disparity in plan[match.disparity].values():
+            disparity()  # what it refuses is an error here
         row: dict[str, Any] = {"put right": correct}
         try:
-            found: Stillness = surfaced.stillness()
-            repaired = surfaced.repaired()
-            upstream = Upstream(
-                cameras=surfaced.cameras,
-                calibration=moved.calibration,
-                stillness=surfaced.stillness,
-                foregrounds=matched.foregrounds,
-                valid=surfaced.valid,
-                mesh=surfaced.mesh,
-                repaired=surfaced.repaired,
-            )
-            volumes = measure(job.inputs, upstream, settings.measure, memo).measurements
-            assert volumes is not None
-            measurements = volumes()
+            found = plan[surface.stillness]()
+            repaired = plan[surface.repaired]()
+            measurements = plan[measure.measurements]()
         except MammometryError as error:
             yield row | {"refused": str(error)}
             continue
@@ -157,7 +138,7 @@ def measured(job: Job, rig: Rig, settings: Settings, judge: Judge) -> Iterator[d
         errors = compare_surfaces(world, judge.truth.mesh, at=judge.seen, truth_from_measured=placed)
         yield row | {
             "noticed": found.moved,
-            "apart": found.apart_mm,
+            "apart": found.distance_mm,
             "evidence": found.evidence,
             "rest_mm": found.rest_mm,
             "pairs": {each.pair: (each.effect_mm, each.std_mm) for each in found.displaced},
@@ -296,8 +277,8 @@ def main() -> None:
         for capture in captures(arguments.captures, arguments.subject, arguments.scratch or Path(scratch)):
             job = open_session(capture.session, settings)
             with job.store.taken():
-                job.plan.calibrated.ensure()
-                judge, rig = judge_of(capture, job), job.plan.calibrated.cameras().rig
+                job.plan.ensure("calibrate")
+                judge, rig = judge_of(capture, job), job.plan[calibrate.cameras]().rig
                 for turn_deg, shift_mm in chosen:
                     last = arguments.first_seed + (arguments.seeds if turn_deg or shift_mm else 1)
                     for seed in range(arguments.first_seed, last):

@@ -22,7 +22,7 @@ from mammometry.calibration.adjust.initialise import initialise
 from mammometry.calibration.adjust.robust import adjusted
 from mammometry.calibration.detection.detect import Detection, Observations
 from mammometry.calibration.settings import BundleSettings
-from mammometry.calibration.targets.chessboard import ChessboardTarget
+from mammometry.calibration.targets.kinds.chessboard import ChessboardTarget
 from mammometry.geometry.camera import Camera
 from mammometry.geometry.transform import Transform
 

@@ -17,7 +17,7 @@ from tests.unit.capture.virtual_capture import make_pictures, rig_file
 
 from mammometry.base.machine.cores import available_cores
 from mammometry.capture.live import LiveView
-from mammometry.capture.loop import Rigged
+from mammometry.capture.loop import OpenRig
 
 _FIRINGS, _ROUNDS = 5, 20
 
@@ -26,14 +26,14 @@ def main(folder: Path) -> None:
     """Fire, look live, and print what it took."""
     if not (folder / "calibrated").exists():
         make_pictures(folder / "calibrated", 1.0)
-    with Rigged(rig_file(folder, timeout_s=10)) as rigged, tempfile.TemporaryDirectory(dir=folder) as place:
+    with OpenRig(rig_file(folder, timeout_s=10)) as rigged, tempfile.TemporaryDirectory(dir=folder) as place:
         rigged.faults()  # reads the pictures
         fired = []
         for number in range(_FIRINGS + 1):
             cpu_s = time.process_time()
             one = rigged.fire_into(Path(place) / "session")
             fired.append((one.written_s, one.verdict.seconds, time.process_time() - cpu_s))
-            assert one.accepted, (number, one.verdict.said)
+            assert one.accepted, (number, one.verdict.sentences)
         written, verdict, cpu = (sorted(values)[_FIRINGS // 2] for values in zip(*fired[1:], strict=True))
         live = LiveView(rigged.backend, rigged.cameras, "model")
         live.look()

@@ -27,11 +27,11 @@ import dask
 import numpy as np
 import psutil
 
+from mammometry.base.child_process import Call
 from mammometry.batch import engine
-from mammometry.batch.child import Order
 from mammometry.batch.cluster import machines
 from mammometry.batch.engine import Ended, Engine, Task
-from mammometry.batch.offer import CORES, MEMORY
+from mammometry.batch.entry import CORES, MEMORY
 from mammometry.batch.supervise import TOPIC
 
 _SESSION_MPX = 108.0  # eight photographs of 13.5 megapixels: the reference rig
@@ -50,11 +50,11 @@ _QUIET = {  # what every worker does many times a second, a thousand cannot do i
 }
 
 
-async def wait_for(name: str, order: Order, limits: object) -> dict[str, Any]:
+async def wait_for(name: str, call: Call, limits: object) -> dict[str, Any]:
     """Take the place of `supervise`: say five stages and wait as long as the order says."""
     from distributed import get_worker
 
-    worker, (seconds, memory_mb) = get_worker(), order.arguments
+    worker, (seconds, memory_mb) = get_worker(), call.arguments
     begun = time.time()
     for stage in _STAGES:
         worker.log_event(TOPIC, {"task": name, "stage": stage, "fraction": 0.0})
@@ -83,7 +83,7 @@ def share_busy(workers: int, cores: int, each: int, rate: float, seed: int = 7) 
     tasks = [
         Task(
             name=f"/archive/{number:06d}",
-            order=Order(function=time.sleep, arguments=(float(wait), _SESSION_MB * float(size))),
+            call=Call(function=time.sleep, arguments=(float(wait), _SESSION_MB * float(size))),
             megapixels=_SESSION_MPX * float(size),
         )
         for number, (size, wait) in enumerate(zip(sizes, seconds, strict=True))

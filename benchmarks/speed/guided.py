@@ -19,7 +19,7 @@ from tests.unit.capture.virtual_capture import RIG_TOML
 
 from mammometry.base.machine.cores import available_cores
 from mammometry.capture.guide import POSES
-from mammometry.capture.loop import Rigged
+from mammometry.capture.loop import OpenRig
 from mammometry.simulate.recipe import SessionRecipe
 from mammometry.simulate.session import write_session
 
@@ -40,7 +40,7 @@ def main(folder: Path) -> None:
             options = f'session = "{rendered}"\nscene = "{pose}"'
             text = RIG_TOML.format(backend="virtual", subject="torso", timeout_s=20, lines="", options=options)
             rig.write_text(text.replace('calibration = "calibrated"\n', ""))
-            with Rigged(rig) as rigged:
+            with OpenRig(rig) as rigged:
                 rigged.faults()  # reads the pictures
                 begun = time.monotonic()
                 posed = rigged.fire_pose(Path(place) / "calibration")

@@ -30,6 +30,7 @@ import numpy as np
 import mammometry as mm
 from benchmarks.speed.whole_job import make_session
 from mammometry.io.session import Session
+from mammometry.job.stages import calibrate, match
 from mammometry.matching.settings import ForegroundSettings, MatchSettings
 from mammometry.settings import Settings
 
@@ -58,7 +59,7 @@ def matched(session: Path, settings: Settings = Settings()) -> dict[str, float]:
     """Match all pairs, no previews; products are written, for memory is bounded by letting them go."""
     job = _fresh(session, settings)
     with job.store.taken():
-        return _timed(job.plan.matched.ensure)
+        return _timed(lambda: job.plan.ensure("match"))
 
 
 def all_foreground(session: Path) -> dict[str, float]:
@@ -77,15 +78,14 @@ def peer(session: Path) -> dict[str, float]:
     job = mm.open_session(session)
     job.ensure("match")
     rows = []
-    for found in job.plan.matched.disparities.values():
-        disparity = found()
-        found.release()
+    for found in job.plan[match.disparity].values():
+        disparity = found.uncached()
         low, high = (float(value) for value in np.percentile(disparity.d_h_px[disparity.valid], (0.1, 99.9)))
         lowest, count = int(np.floor(low)) - 8, 16 * int(np.ceil((high - low + 16) / 16))
         photographs = [job.inputs.photographs[name] for name in job.inputs.pair_names[disparity.name]]
         grey = []
         for photograph, ideal in zip(photographs, (disparity.left, disparity.right), strict=True):
-            camera = job.plan.calibrated.cameras().rig.cameras[ideal.name]
+            camera = job.plan[calibrate.cameras]().rig.cameras[ideal.name]
             turn = ideal.camera_from_world.rotation @ camera.camera_from_world.rotation.T
             maps = cv2.initUndistortRectifyMap(
                 camera.matrix, camera.distortion, turn, ideal.matrix, ideal.size_wh, cv2.CV_32FC1

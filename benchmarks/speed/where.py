@@ -37,8 +37,8 @@ _LEAST = 0.004  # of a stage's samples, below which a frame is not drawn
 _DEEPEST = 40  # frames drawn one below the other
 _LINE = 300  # characters that fit across the picture
 _HANDED_ON = (
-    "job/products",
-    "job/beside",
+    "job/graph",
+    "job/stages",
     "io/results/store",
     "api/job",
     "benchmarks",

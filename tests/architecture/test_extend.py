@@ -1,5 +1,7 @@
 """The page on how to extend the package is true: each of its blocks is run, and what it adds is then used."""
 
+import __future__
+
 import io
 import json
 import re
@@ -11,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.unit.measure.solids import as_surface, ball, dome
+from tests.unit.measure.solids import as_surface, ball, dome, rig_around
 from tests.unit.report import synthetic
 
 from mammometry.base.registry import Registry
@@ -22,11 +24,14 @@ from mammometry.capture.camera import Devices
 from mammometry.capture.registry import BACKENDS
 from mammometry.capture.shots import Shot
 from mammometry.capture.take import take
-from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
 from mammometry.io.results.formats.registry import FORMATS
 from mammometry.io.results.store import Store
-from mammometry.job.products import VERSIONS, Product
+from mammometry.job.graph import Plan
+from mammometry.job.inputs import Inputs
+from mammometry.job.products import DEFINITIONS, at_hand
+from mammometry.job.stages import surface
+from mammometry.job.values import CameraSet
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.open_breast import OpenBreast
@@ -34,6 +39,7 @@ from mammometry.measure.wall.registry import CAST_WALLS, TORSO_WALLS
 from mammometry.report.figures import previews
 from mammometry.report.figures.catalogue import PAPER_FIGURES, PREVIEWS
 from mammometry.report.figures.drawing.canvas import CYCLE, caption_of
+from mammometry.report.figures.product_graph import product_graph
 from mammometry.settings import Settings
 from mammometry.simulate.disturbances.about import Surroundings
 from mammometry.simulate.disturbances.registry import DISTURBANCES, check, disturbed
@@ -58,7 +64,7 @@ REGISTRIES: tuple[Registry[Any], ...] = (
     RENDERERS,
     SUBJECTS,
     DISTURBANCES,
-    VERSIONS,
+    DEFINITIONS,
     FORMATS,
     PREVIEWS,
     PAPER_FIGURES,
@@ -184,19 +190,47 @@ def test_a_product_is_made_once_kept_and_made_anew(run: Callable[[str], dict[str
     names = run("A stage product")
 
     def area(radius_mm: float) -> tuple[dict[str, float], list[str]]:
-        def give(*, progress: object) -> TriangleMesh:
-            return ball(radius_mm, 4)
-
+        first = at_hand(ball(radius_mm, 4), stage="surface", name="first", version=1, inputs={"radius": str(radius_mm)})
         memo = Store(tmp_path / "results")
-        first: Product[TriangleMesh] = Product(memo, "surface", "first", give, inputs={"radius": str(radius_mm)})
-        return dict(names["plan_area"](first, memo)()), memo.made
+        plan = Plan(NO_INPUTS, Settings(), memo, stages=("surface",), given={surface.initial_surface: first})
+        return dict(plan[names["area"]]()), memo.made
 
     value, made = area(50.0)
     assert value["area_cm2"] == pytest.approx(4 * np.pi * 25.0, rel=0.01)
-    assert made == ["surface/first", "surface/area"]
+    assert made == ["surface/area"]
     assert json.loads((tmp_path / "results" / "surface" / "area.json").read_text())["area"] == value
     assert area(50.0) == (value, [])
     assert area(25.0)[0]["area_cm2"] == pytest.approx(value["area_cm2"] / 4)
+
+
+NO_INPUTS = Inputs(
+    rig_name="none", pair_names={}, subject_kind="torso", photographs={}, target=None, calibration_photographs={},
+    digests={"subject": "torso"},
+)  # fmt: skip
+
+
+def test_a_product_is_added_to_the_surface_stage_in_one_file(
+    repository: Path, run: object, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """The walk of CONTRIBUTING.md, in under thirty lines, as if they stood in the stage's file."""
+    page = (repository / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    (code,) = re.findall(r"```python\n(.*?)```", page.partition("## Add a product to the surface stage")[2], re.DOTALL)
+    assert code.count("\n") < 30
+    names = dict(vars(surface))
+    exec(compile(code, "CONTRIBUTING.md", "exec", __future__.annotations.compiler_flag), names)
+
+    rig = rig_around()
+    cameras = CameraSet(rig=rig, std={}, world="", rms_px=None)
+    values: dict[Any, Any] = {surface.corrected_cameras: cameras, surface.repaired: as_surface(ball(50.0, 4))}
+    given = {
+        known: at_hand(value, stage="surface", name=known.name, version=1, inputs={}) for known, value in values.items()
+    }
+    memo = Store(tmp_path / "results")
+    plan = Plan(NO_INPUTS, Settings(), memo, stages=("surface",), given=given)
+    disc_cm2 = np.pi * 25.0
+    assert plan[names["facing_area"]]() == pytest.approx(dict.fromkeys(rig.cameras, disc_cm2), rel=0.01)
+    assert memo.state(plan[names["facing_area"]].key) == "current"
+    assert "facing area" in product_graph(plan, {})
 
 
 def test_every_block_of_the_page_is_run_by_a_test_above(repository: Path) -> None:

@@ -33,8 +33,8 @@ for module in pkgutil.walk_packages(mammometry.__path__, "mammometry.", onerror=
         print(module.name)
 """
 _MAY_NEED_ONE = (
-    *("mammometry.clinic", "mammometry.hospital", "mammometry.editor.server", "mammometry.editor.door"),
-    *("mammometry.capture.page", "mammometry.batch.offer"),
+    *("mammometry.clinic", "mammometry.hospital", "mammometry.editor.server", "mammometry.editor.auth"),
+    *("mammometry.capture.page", "mammometry.batch.worker_resources"),
 )
 
 

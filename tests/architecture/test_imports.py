@@ -14,13 +14,14 @@ PACKAGE = "src/mammometry"
 CV2_MAY = (
     "calibration/features/*.py",
     "calibration/targets/*.py",
+    "calibration/targets/*/*.py",
     "calibration/detection/*.py",
     "calibration/adjust/initialise.py",
     "matching/rectify.py",
-    "io/images.py",
+    "io/photographs/images.py",
     "io/cameras/opencv.py",
 )
-SERVERS = {"editor/server.py", "editor/door.py", "capture/page.py"}
+SERVERS = {"editor/server.py", "editor/auth.py", "capture/page.py"}
 """Written in terms of such a library throughout, and themselves imported where they are used."""
 LAZY = ("matplotlib", "jinja2", "weasyprint", "mitsuba", "django")
 """Heavy or optional: imported where they are used, not when a module is."""
@@ -131,21 +132,21 @@ def test_only_what_serves_pages_exports_and_batches_speaks_to_the_network(reposi
         # Shares of a batch go to the cluster, and sessions come from the store, that the command names:
         "batch/cluster.py imports distributed",
         "batch/engine.py imports distributed",
-        "batch/offer.py imports distributed",
-        "batch/offer.py imports distributed.system",
+        "batch/worker_resources.py imports distributed",
+        "batch/worker_resources.py imports distributed.system",
         "batch/supervise.py imports distributed",
         "batch/storage.py imports fsspec",
         "batch/storage.py imports fsspec.core",
         # Pages are served at the address that the command names:
-        "clinic/server.py imports uvicorn",
-        "clinic/slow.py imports uvicorn.protocols.http.h11_impl",
+        "clinic/web/server.py imports uvicorn",
+        "clinic/web/slow.py imports uvicorn.protocols.http.h11_impl",
         "editor/server.py imports uvicorn",
-        "clinic/server.py imports socket",  # whether the port is free
+        "clinic/web/server.py imports socket",  # whether the port is free
         "editor/server.py imports socket",
         "clinic/jobs/events.py imports asyncio",  # to wait between two looks at the database
-        "clinic/limits.py imports asyncio",  # to stop waiting for a body that does not come
-        "clinic/slow.py imports asyncio",  # to close connections on which no request comes
-        "clinic/threads.py imports asyncio",  # to hand a request to a thread
+        "clinic/web/limits.py imports asyncio",  # to stop waiting for a body that does not come
+        "clinic/web/slow.py imports asyncio",  # to close connections on which no request comes
+        "clinic/web/threads.py imports asyncio",  # to hand a request to a thread
         # To the archive that a command or the clinic's administrator names:
         "hospital/dicom/association.py imports pynetdicom",
         "hospital/dicom/association.py imports pynetdicom.sop_class",

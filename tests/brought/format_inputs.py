@@ -20,7 +20,7 @@ from tests.unit.measure.solids import dome
 
 from mammometry.base.errors import SessionError
 from mammometry.batch.entries import find_entries
-from mammometry.calibration.targets.charuco import CharucoTarget
+from mammometry.calibration.targets.kinds.charuco import CharucoTarget
 from mammometry.calibration.targets.table import target_from_table
 from mammometry.geometry.camera import Camera
 from mammometry.geometry.transform import Transform

@@ -14,9 +14,9 @@ from mammometry.calibration.adjust.bundle import calibrate
 from mammometry.calibration.detection.detect import Observations, detect
 from mammometry.calibration.judge.findings import about_pixels
 from mammometry.calibration.targets.board import Board
-from mammometry.calibration.targets.charuco import CharucoTarget
-from mammometry.calibration.targets.circles import CirclesTarget
-from mammometry.calibration.targets.cylinder import DottedCylinderTarget
+from mammometry.calibration.targets.kinds.charuco import CharucoTarget
+from mammometry.calibration.targets.kinds.circles import CirclesTarget
+from mammometry.calibration.targets.kinds.cylinder import DottedCylinderTarget
 from mammometry.geometry.camera import Camera
 from mammometry.geometry.transform import Transform
 

@@ -21,10 +21,10 @@ from mammometry.calibration.judge.no_target import no_target, with_causes
 from mammometry.calibration.judge.quality import assess
 from mammometry.calibration.judge.suspects import SuspectPhotographsError, refusal
 from mammometry.calibration.settings import CalibrateSettings, DetectSettings, QualitySettings
-from mammometry.calibration.targets.charuco import CharucoTarget
 from mammometry.calibration.targets.charuco_board import charuco_board
-from mammometry.calibration.targets.chessboard import ChessboardTarget
-from mammometry.calibration.targets.circles import CirclesTarget
+from mammometry.calibration.targets.kinds.charuco import CharucoTarget
+from mammometry.calibration.targets.kinds.chessboard import ChessboardTarget
+from mammometry.calibration.targets.kinds.circles import CirclesTarget
 from mammometry.calibration.targets.target import Target
 from mammometry.geometry.transform import Transform
 from mammometry.simulate.rendering.develop import develop

@@ -13,7 +13,7 @@ from mammometry.base.errors import CalibrationError, MammometryError, SessionErr
 from mammometry.calibration.adjust.calibrated import Calibration
 from mammometry.calibration.judge.findings import about_scale
 from mammometry.calibration.judge.scale import require_scale
-from mammometry.calibration.targets.chessboard import ChessboardTarget
+from mammometry.calibration.targets.kinds.chessboard import ChessboardTarget
 from mammometry.calibration.targets.table import target_from_table
 from mammometry.cli import main
 from mammometry.geometry.camera import Camera, Rig
@@ -22,6 +22,7 @@ from mammometry.io.cameras.formats import CameraFormat, camera_texts
 from mammometry.io.cameras.rig import require_rig
 from mammometry.io.meshes.foreign import read_foreign
 from mammometry.io.meshes.own_ply import write_ply
+from mammometry.job.stages import calibrate
 
 # Rigs by how far their cameras stand from the subject, mm, the distance of a pair's cameras, and the width of the
 # shorter side of a picture as a share of its distance.
@@ -228,7 +229,7 @@ def test_edited_cameras_json_is_refused_before_matching(tmp_path: Path) -> None:
     folder = session(tmp_path / "s")
     (folder / "cameras.json").write_text(camera_texts(cameras_of(1e-3), "json")["cameras.json"])
     with pytest.raises(MammometryError, match=r"cameras.json: t: found translations by which .*: they seem to be in m"):
-        open_session(folder).plan.calibrated.cameras()
+        open_session(folder).plan[calibrate.cameras]()
 
 
 @pytest.mark.parametrize(("factor", "fits"), [(1e-3, "m"), (0.1, "cm")])

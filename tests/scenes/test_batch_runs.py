@@ -138,7 +138,7 @@ def test_workers_and_processes_killed_at_random_lose_nothing(place: Path, tiny_f
     def kill() -> None:
         while not over.wait(chance.uniform(4.0, 9.0)) and len(killed) < 8:
             family = psutil.Process(process.pid).children(recursive=True)
-            children = [each for each in family if "mammometry.batch.child" in _command(each)]
+            children = [each for each in family if "mammometry.base.child_process" in _command(each)]
             workers = [each.parent() for each in children]
             prey = chance.choice([*children, *workers[:1]]) if children else None
             if prey is not None:

@@ -11,6 +11,7 @@ from mammometry.api.job import open_session
 from mammometry.capture.sessions import take_over
 from mammometry.clinic.jobs import work
 from mammometry.io.drift import read_history
+from mammometry.job.stages import calibrate
 from mammometry.settings import Settings
 
 
@@ -21,14 +22,14 @@ def test_cameras_and_their_errors_are_taken_over(tiny_finished: Path, tiny_origi
     manifest.write_text(manifest.read_text().replace('kind = "model"', 'kind = "model"\nid = "P-ACD347"'))
     job, source = open_session(visit), open_session(tiny_finished)
     taken = take_over(job, source)
-    assert taken == len(job.products("calibrate"))
+    assert taken == len(job.plan.products("calibrate"))
     assert take_over(job, source) == 0
     theirs, ours = source.calibrate(), job.calibrate()
     assert len(job.store.made) == taken + 1  # and the previews, which show this visit's pictures
     for name, camera in theirs.rig.cameras.items():
         assert np.array_equal(camera.matrix, ours.rig.cameras[name].matrix)
     assert ours.std == theirs.std
-    record = job.store.record(job.plan.calibrated.cameras.key)
+    record = job.store.record(job.plan[calibrate.cameras].key)
     assert record is not None
     assert record.subject == "P-ACD347"
 
@@ -39,7 +40,7 @@ def test_other_photographs_are_not_taken_for_the_same(tiny_finished: Path, tiny_
     photograph.write_bytes(photograph.read_bytes() + b"\x00")
     job = open_session(tiny, Settings())
     take_over(job, open_session(tiny_finished))  # what was seen in the others
-    assert not job.store.has(job.plan.calibrated.cameras.key)
+    assert not job.store.has(job.plan[calibrate.cameras].key)
 
 
 def test_what_a_calibrations_photographs_tell(tiny_original: Path) -> None:

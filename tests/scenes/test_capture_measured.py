@@ -9,7 +9,7 @@ import pytest
 from tests.scenes.conftest import TINY, TRUE_CC
 
 from mammometry.base.errors import CaptureError
-from mammometry.capture.loop import Rigged
+from mammometry.capture.loop import OpenRig
 from mammometry.cli.main import run
 from mammometry.simulate.session import write_session
 
@@ -68,11 +68,11 @@ def test_an_exchanged_cable_is_found_on_the_board_and_the_pose_is_not_taken(rig_
     text = rig_toml.read_text().replace('" }\n', '", scene = "03", faults = { front_left = "swapped=front_right" } }\n')
     rig_toml.write_text(text)
     session = rig_toml.parent / "new-calibration"
-    with Rigged(rig_toml) as rigged:
+    with OpenRig(rig_toml) as rigged:
         with pytest.raises(CaptureError, match=r"front_left and front_right.*exchanged.*Swap their cables"):
             rigged.fire_pose(session)
         assert not list((session / "calibration").glob("*")) if (session / "calibration").exists() else True
         assert not list(session.rglob("*.jpg"))
     rig_toml.write_text(text.replace(', faults = { front_left = "swapped=front_right" }', ""))
-    with Rigged(rig_toml) as rigged:
+    with OpenRig(rig_toml) as rigged:
         assert rigged.fire_pose(session).count == 1

@@ -14,6 +14,7 @@ from tests.scenes.conftest import TINY, TRUE_CC
 
 from mammometry.api.job import open_session
 from mammometry.cli import main, simulation
+from mammometry.job.stages import match
 from mammometry.settings import Settings
 
 KEYS = {"volumes_cc", "intervals_cc", "watertight", "seconds", "stage_seconds", "peak_memory_mb", "results"}
@@ -126,7 +127,7 @@ def test_masks_and_ready_made_cameras_are_used(
     from mammometry.io.photographs.images import write_mask
 
     (tiny_finished / "masks").mkdir()
-    for camera, product in job.plan.matched.foregrounds.items():
+    for camera, product in job.plan[match.foreground].items():
         write_mask(tiny_finished / "masks" / f"{camera}.png", product().mask)
     cameras = tiny_finished / "results" / "calibrate" / "cameras.json"
     arguments = ["--settings", str(tiny_settings), "--json"]

@@ -14,10 +14,11 @@ from benchmarks.rendered import make_session, read_truth
 import mammometry as mm
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.nearest import closest_on_mesh
+from mammometry.job.stages import surface
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.trunk.body import find_body
-from mammometry.measure.volume.lacking import lacking
+from mammometry.measure.volume.deficit import volume_deficit
 from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.measure.volume.volume import measure
 from mammometry.measure.wall import chest_wall
@@ -142,7 +143,7 @@ def test_what_one_side_lacks_is_held_though_the_chest_beneath_is_no_mirror_image
     body = find_body(skin, np.eye(3), boundaries=[curve])
     edge = Boundary(name="left", points_world=curve, method="true")
     breast = open_breasts((edge,), skin, MeasureSettings(), frame=body.frame)[0]
-    found = lacking(skin, (measure(edge, chest_wall.fit(breast)),), body)
+    found = volume_deficit(skin, (measure(edge, chest_wall.fit(breast)),), body)
     assert found is not None
     assert found.interval_cc is not None
     assert found.interval_cc[0] <= truth.volumes_cc["left"] <= found.interval_cc[1]
@@ -180,7 +181,7 @@ def test_a_rail_before_the_body_carves_nothing_away(shared_data: Path, tmp_path:
     """
     job = mm.open_session(make_session(shared_data / "rendered", "torso_rail", tmp_path / "torso_rail"))
     found = job.surface().repaired.mesh
-    assert set(job.plan.surfaced.blocked()) == set(job.calibrate().rig.cameras)
+    assert set(job.plan[surface.occlusions]()) == set(job.calibrate().rig.cameras)
     truth = read_truth(shared_data / "rendered", "torso_rail")
     mesh = trimesh.load(truth.folder / "mesh.ply", process=False)
     seen = np.load(truth.folder / "visibility.npz")["pair_bits"].ravel() > 0

@@ -7,7 +7,7 @@ import pytest
 from mammometry.calibration.adjust.bundle import Calibration, calibrate
 from mammometry.calibration.detection.detect import detect
 from mammometry.calibration.judge.quality import assess
-from mammometry.calibration.targets.chessboard import ChessboardTarget
+from mammometry.calibration.targets.kinds.chessboard import ChessboardTarget
 from mammometry.io.photographs.images import read_photograph
 
 BOARD = ChessboardTarget(squares=(10, 7), square_mm=25.0)

@@ -10,8 +10,9 @@ import pytest
 
 from mammometry.api import previews
 from mammometry.api.job import Job, open_session
+from mammometry.base.child_process import ChildProcess, NotDone
 from mammometry.base.errors import StorageError
-from mammometry.base.second_process import NotDone, SecondProcess
+from mammometry.job.stages import calibrate
 from mammometry.report import gather
 from mammometry.report.words import stage_facts
 from mammometry.settings import Settings
@@ -39,13 +40,13 @@ def job(tiny_finished: Path, drawn: dict[Path, bytes], tiny_settings: Path, monk
 def calls(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     """Last argument of each call of the second process."""
     made: list[Any] = []
-    before = SecondProcess.call
+    before = ChildProcess.call
 
-    def call(self: SecondProcess, function: Callable[..., Any], *arguments: Any) -> Any:
+    def call(self: ChildProcess, function: Callable[..., Any], *arguments: Any) -> Any:
         made.append(arguments[-1] if arguments else None)
         return before(self, function, *arguments)
 
-    monkeypatch.setattr(SecondProcess, "call", call)
+    monkeypatch.setattr(ChildProcess, "call", call)
     return made
 
 
@@ -80,7 +81,7 @@ def test_what_it_cannot_draw_is_drawn_here(
     def call(*_: object) -> None:
         raise NotDone("no memory there")
 
-    monkeypatch.setattr(SecondProcess, "call", call)
+    monkeypatch.setattr(ChildProcess, "call", call)
     caplog.set_level(logging.WARNING, logger="mammometry")
     job.ensure("match")
     there = [path for path in drawn if path.parent.name in ("calibrate", "match")]
@@ -102,7 +103,7 @@ def test_what_the_report_says_of_a_stage_is_the_same_with_its_pictures_and_witho
     plan, inputs = job.plan, job.inputs
     _, matched = stage_facts.drawn("match", plan, inputs)
     assert isinstance(matched, stage_facts.MatchingFacts)
-    alone = stage_facts.matching_facts(plan, plan.calibrated.cameras().rig)
+    alone = stage_facts.matching_facts(plan, plan[calibrate.cameras]().rig)
     assert (matched.quality, matched.shares) == (alone.quality, alone.shares)
     assert matched.quality.keys() == matched.shares.keys() == job.session.pair_names.keys()
     _, surfaced = stage_facts.drawn("surface", plan, inputs)
@@ -110,10 +111,10 @@ def test_what_the_report_says_of_a_stage_is_the_same_with_its_pictures_and_witho
 
 
 def test_ctrl_c_ends_both_and_leaves_nothing_half_written(job: Job, monkeypatch: pytest.MonkeyPatch) -> None:
-    def interrupted(self: object, beside: object) -> None:
+    def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(type(job.plan.matched), "ensure", interrupted)
+    monkeypatch.setattr(job.plan, "ensure", interrupted)
     before = {process.pid for process in psutil.Process().children()}
     with pytest.raises(KeyboardInterrupt):
         job.ensure("match")

@@ -9,6 +9,7 @@ import pytest
 from mammometry.api.job import open_session
 from mammometry.geometry.nearest import closest_on_mesh
 from mammometry.io.truth import read_truth
+from mammometry.job.stages import match
 from mammometry.simulate.recipe import SessionRecipe
 from mammometry.simulate.rendering.objects.skin import make_skin
 from mammometry.simulate.session import write_session
@@ -30,8 +31,7 @@ def test_a_head_before_a_pale_wall_is_measured_where_the_axes_meet_before_it(tmp
     write_session(session, recipe, Studio(skin=make_skin("skin")))
     job = open_session(session)
     job.ensure("surface", drawn=False)
-    assert job.plan.matched.subjects is not None
-    assert not job.plan.matched.subjects().blind
+    assert not job.plan[match.subjects]().blind
     truth = read_truth(session / "truth", job.inputs.pair_names)
     calibration = job.calibration()
     assert calibration is not None

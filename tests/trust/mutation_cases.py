@@ -22,13 +22,14 @@ from tests.unit.calibration import virtual_rig
 from tests.unit.measure.solids import dome
 
 from mammometry.base.progress import Progress
-from mammometry.calibration.targets.chessboard import ChessboardTarget
-from mammometry.calibration.targets.points import PointsTarget
+from mammometry.calibration.targets.kinds.chessboard import ChessboardTarget
+from mammometry.calibration.targets.kinds.points import PointsTarget
 from mammometry.cli import main, simulation
 from mammometry.geometry.camera import Camera
 from mammometry.io.cameras.formats import camera_texts
 from mammometry.io.drift import CameraDrift, Entry, append_history
 from mammometry.job.products import STAGES
+from mammometry.job.stages.report import previews_key
 from mammometry.settings import Settings
 from mammometry.simulate.subjects.torso import torso_shape
 
@@ -89,7 +90,7 @@ def _dated(folder: Path, place: int = 2, date: str = "2026-03-01", growth: float
     left.unlink()
     right.unlink()
     job = put_results(folder, visit)
-    pictures = [job.previews_key(stage) for stage in STAGES if stage != "report"]
+    pictures = [previews_key(stage, job.plan) for stage in STAGES if stage != "report"]
     for key in (*(product.key for product in job.plan.products()), *pictures):
         if not job.store.has(key):  # what no command below reads
             job.store.write_folder(key, _standing_in(key.product))

@@ -25,6 +25,7 @@ from mammometry.base.errors import SessionError
 from mammometry.cli import main, simulation
 from mammometry.io.manifest import Manifest
 from mammometry.io.outputs import RECORD
+from mammometry.job.stages import match, surface
 from mammometry.report.words.describe import settings_facts
 from mammometry.settings import Settings, names
 
@@ -259,8 +260,8 @@ def test_results_are_read_back_and_nothing_is_made_again(identified: Run, option
     job = open_session(identified.folder, Settings.load(Path(options[1])))
     job.run()
     assert job.store.made == []
-    assert job.plan.matched.disparities["front"]().valid.any()
-    assert job.plan.surfaced.model().mesh.faces.size
+    assert job.plan[match.disparity]["front"]().valid.any()
+    assert job.plan[surface.model]().mesh.faces.size
 
 
 @pytest.fixture

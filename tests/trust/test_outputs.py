@@ -28,7 +28,7 @@ from mammometry.api import mesh as mesh_job
 from mammometry.api import observers as drawn_alike
 from mammometry.api import truth as proof
 from mammometry.api.job import Job
-from mammometry.base.each import one_after_another
+from mammometry.base.progress import map_in_sequence
 from mammometry.batch import batch as batches
 from mammometry.batch.record import Row
 from mammometry.calibration.detection import detect as detecting
@@ -144,7 +144,7 @@ def nine_models(place: Path, patch: pytest.MonkeyPatch) -> Case:
 
     patch.setattr(phantoms, "write_session", write_session)
     patch.setattr(phantoms, "open_session", open_session)
-    patch.setattr(study_commands, "_side_by_side", lambda bars, count, scale: nullcontext(one_after_another))
+    patch.setattr(study_commands, "_tasks_side_by_side", lambda bars, count, scale: nullcontext(map_in_sequence))
     out = place / "study"
     (place / "settings.toml").write_text("")
     return Case(
@@ -215,6 +215,15 @@ def figure(place: Path, patch: pytest.MonkeyPatch) -> Case:
     )
 
 
+def graph(place: Path, patch: pytest.MonkeyPatch) -> Case:
+    session = _session(place / "session")
+    inside = session / "capture" / "products.svg"
+    return Case(
+        ["graph", session, "--out", place / "products.svg"], place, ("products.svg",),
+        [["graph", session, "--out", inside]],
+    )  # fmt: skip
+
+
 def target(place: Path, patch: pytest.MonkeyPatch) -> Case:
     session = _session(place / "session")
     inside = session / "capture" / "board.pdf"
@@ -280,7 +289,7 @@ def measure(place: Path, patch: pytest.MonkeyPatch) -> Case:
     rim = 60 * np.stack([np.cos(angles), np.sin(angles), 0 * angles], axis=1)
     boundary = place / "data" / "b.json"
     boundary.write_text(json.dumps({"boundaries": {"model": {"points": rim.tolist()}}}))
-    patch.setattr(mesh_job.MeshJob, "_stored_report", SimpleNamespace(ensure=lambda gathered: None))
+    patch.setattr(mesh_job.MeshJob, "_write_report", lambda self, gathered: None)
     command: list[object] = ["measure", scan, "--units", "mm", "--boundary", boundary, "--out"]
     return Case(
         [*command, place / "out"], place / "out", (), [[*command, out] for out in (scan.parent, place, boundary)]
@@ -370,6 +379,7 @@ CASES: dict[str, Callable[[Path, pytest.MonkeyPatch], Case]] = {
     "compare": compare,
     "report": report,
     "figure": figure,
+    "graph": graph,
     "target": target,
     "export-cameras": export_cameras,
     "import-cameras": import_cameras,

@@ -15,9 +15,10 @@ from mammometry.base.posture import NOT_TO_BE_COMPARED
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.io.meshes.scans import is_scan
 from mammometry.io.results.store import Store, Watch
+from mammometry.job.graph import Plan
 from mammometry.job.inputs import Inputs
-from mammometry.job.measuring import Measured
-from mammometry.job.stage_values import FinishedSurface
+from mammometry.job.stages import calibrate, measure, surface
+from mammometry.job.values import FinishedSurface
 from mammometry.settings import Settings
 
 if TYPE_CHECKING:
@@ -43,8 +44,8 @@ class Dated:
     inputs: Inputs
     settings: Settings
     store: Store
-    measured: Measured
-    """Plan of its measurement."""
+    plan: Plan
+    """Its products, those of the measurement at least."""
     finished: Callable[[], FinishedSurface]
     """Gives the surface with its colours."""
     rig: Callable[[], Rig]
@@ -74,7 +75,7 @@ class Dated:
         """Rows: the patient's left, the head, straight ahead. World frame."""
         from mammometry.report.figures.drawing.shading import front_of
 
-        return front_of(self.rig(), None if self.measured.body is None else self.measured.body())
+        return front_of(self.rig(), self.plan.value(measure.body))
 
 
 def open_dated(path: Path | str, settings: Settings, watch: Watch) -> Dated:
@@ -135,9 +136,9 @@ def _session(folder: Path, settings: Settings, watch: Watch) -> Dated:
         inputs=job.inputs,
         settings=job.settings,
         store=job.store,
-        measured=job.plan.measured,
-        finished=job.plan.surfaced.mesh,
-        rig=lambda: job.plan.calibrated.cameras().rig,
+        plan=job.plan,
+        finished=job.plan[surface.mesh],
+        rig=lambda: job.plan[calibrate.cameras]().rig,
         ensure=lambda: job.ensure("measure", drawn=False),
         page_digest=lambda deidentify: job.page_digest(deidentify=deidentify),
     )
@@ -157,7 +158,7 @@ def _scan(folder: Path, settings: Settings, watch: Watch) -> Dated:
         inputs=job.inputs,
         settings=job.settings,
         store=job.store,
-        measured=job.plan,
+        plan=job.plan,
         finished=lambda: job.finished,
         rig=lambda: job.rig,
         ensure=lambda: job.run(report=False),

@@ -17,6 +17,7 @@ from mammometry.geometry.transform import Transform
 from mammometry.io.outputs import require_apart, require_free, write_outputs
 from mammometry.io.results.stamp import stamped
 from mammometry.io.results.store import Watch, unwatched
+from mammometry.job.stages import measure
 from mammometry.settings import Settings
 
 if TYPE_CHECKING:
@@ -155,7 +156,7 @@ def _compare(jobs: list[Dated], request: _Request, progress: Progress) -> Compar
     require_apart(folder, [path for job in jobs for path in job.brought])
     require_free(folder, change_page.FILES, command=_COMMAND)
     for which, job in zip(_WHICH, jobs, strict=True):
-        measurements = job.measured.measurements
+        measurements = job.plan.get(measure.measurements)
         if measurements is not None and job.store.state(measurements.key) == "stale":
             remarks.append(f"The {which} session had been measured with other settings. It was measured again.")
         job.ensure()
@@ -343,27 +344,23 @@ def _measured_again(
 
 def _evidence(job: Dated) -> Evidence:
     """What the stages before know of a volume's errors."""
-    assert job.measured.evidence is not None  # what has breasts is no open surface
-    return job.measured.evidence()
+    return job.plan[measure.evidence]()
 
 
 def _measurements(job: Dated) -> tuple[VolumeMeasurement, ...]:
     from mammometry.measure.volume.attribution import attributed
 
-    product = job.measured.measurements
-    return (
-        () if product is None else tuple(attributed(each, job.inputs.attributions, named=False) for each in product())
-    )
+    made = job.plan.value(measure.measurements) or ()
+    return tuple(attributed(each, job.inputs.attributions, named=False) for each in made)
 
 
 def _boundaries(job: Dated) -> tuple[Boundary, ...]:
-    product = job.measured.boundaries
-    return () if product is None else product()
+    return job.plan.value(measure.boundaries) or ()
 
 
 def _automatic(job: Dated) -> tuple[Boundary, ...]:
-    if job.measured.sides is not None:  # found when it was measured
-        return job.measured.sides().boundaries
+    if (sides := job.plan.value(measure.sides)) is not None:  # found when it was measured
+        return sides.boundaries
     from mammometry.measure.boundary.boundary import outline_torso
     from mammometry.measure.trunk.body import rig_frame
 
@@ -374,12 +371,12 @@ def _automatic(job: Dated) -> tuple[Boundary, ...]:
 def _visit(job: Dated, volumes: tuple[VolumeMeasurement, ...]) -> Visit:
     from mammometry.measure.dates.change import Visit
 
-    sizes = job.measured.dimensions
+    sizes = job.plan.value(measure.dimensions)
     return Visit(
         surface=job.finished().repaired,
         measurements=volumes,
         frame=job.frame(),
-        lengths=() if sizes is None else sizes().lengths,
+        lengths=() if sizes is None else sizes.lengths,
     )
 
 

@@ -18,12 +18,12 @@ from datetime import datetime
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from mammometry.api.previews import Drawing, Previews
 from mammometry.api.refused import seen, show_refusal, withdraw_refusal
 from mammometry.api.results import Results
-from mammometry.api.stored_report import StoredReport
+from mammometry.api.stored_report import Reported
 from mammometry.base.errors import (
     CalibrationError,
     MammometryError,
@@ -32,82 +32,55 @@ from mammometry.base.errors import (
     SessionError,
     SurfaceError,
 )
-from mammometry.base.identity import NAMELESS, Identity
 from mammometry.base.machine.cores import one_blas_thread
 from mammometry.base.machine.memory import peak_memory_mb, return_freed_arrays
 from mammometry.base.progress import Progress, no_progress
 from mammometry.geometry.camera import Rig
-from mammometry.io.drawn import read_boundaries
 from mammometry.io.outputs import require_apart, require_free, write_output, write_outputs
 from mammometry.io.results.store import State, Store, Watch, unwatched
 from mammometry.io.session import Session
-from mammometry.job.beside import Beside, beside_the_next_stage
-from mammometry.job.measuring import Measured
-from mammometry.job.pipeline import CameraSet, FinishedSurface, Plan, plan
-from mammometry.job.products import STAGES, Key, Product, Stage
-from mammometry.report.page_inputs import PageInputs, report_key
+from mammometry.job.graph import Background, Plan
+from mammometry.job.products import STAGES, Key, Stage
+from mammometry.job.stages import calibrate, match, measure, surface
+from mammometry.job.stages.report import PageInputs, previews_key
+from mammometry.job.values import CameraSet, FinishedSurface
 from mammometry.settings import Settings
 
 if TYPE_CHECKING:
     from mammometry.calibration.adjust.bundle import Calibration
     from mammometry.calibration.judge.check import RigCheck
     from mammometry.matching.dense.match import DisparityMap
-    from mammometry.measure.volume.measurement import Lacking, VolumeMeasurement
-    from mammometry.report.clinical import Clinical
+    from mammometry.measure.volume.measurement import VolumeDeficit, VolumeMeasurement
     from mammometry.report.content import ReportContent
-    from mammometry.report.documents.rendering import RenderedReport
     from mammometry.report.privacy import Privacy
     from mammometry.report.scene import ViewerScene
     from mammometry.report.words.stage_facts import Facts
 
+_DRAWN = STAGES[:-1]  # stages with previews
 _HEAD = 4096  # characters of a page that hold its key: it stands first in the head
 _PAGE_KEY = re.compile(r'<meta name="mammometry-key" content="([0-9a-f,]+)">')
 
 
-class Job:
+class Job(Reported):
     """The main job on one session, resumed from disk where current."""
 
     def __init__(self, session: Session, settings: Settings, watch: Watch = unwatched) -> None:
         self.session = replace(session, limits=settings.limits)
+        self.identity, self.folder = session.identity, session.path
         self.settings = settings
         self.store = Store(session.results, watch, session.manifest.subject.id)
         self.inputs = self.session.inputs()
-        self.plan: Plan = plan(self.inputs, settings, self.store)
-        """Every product, made or recalled when called: ``job.plan.matched.disparities["front"]()``."""
+        self.plan = Plan(self.inputs, settings, self.store)
+        """Every product, made or read back when called: ``job.plan[match.disparity]["front"]()``."""
         self.stage_seconds: dict[str, float] = {}
-        self._stages = self.plan.stages
         self._previews = Previews(
             session=self.session, settings=settings, inputs=self.inputs, plan=self.plan, store=self.store
         )
 
     @property
-    def identity(self) -> Identity:
-        """Whose photographs and results these are: what pages call them."""
-        return self.session.identity
-
-    @property
-    def folder(self) -> Path:
-        """Where boundaries.json and landmarks.json lie."""
-        return self.session.path
-
-    @property
     def rig(self) -> Rig:
         """The cameras in their places at the exposures."""
-        return self.plan.calibrated.cameras().rig
-
-    @property
-    def mesh(self) -> Product[FinishedSurface]:
-        """The surface that is measured, with its colours."""
-        return self.plan.surfaced.mesh
-
-    @property
-    def measured(self) -> Measured:
-        """Products of the measurement."""
-        return self.plan.measured
-
-    def products(self, stage: Stage) -> tuple[Product[Any], ...]:
-        """Products of one stage, without the report, which has its own record."""
-        return tuple(self._stages[stage].products()) if stage in self._stages else ()
+        return self.plan[calibrate.cameras]().rig
 
     def ensure(self, stage: Stage, *, drawn: bool = True) -> None:
         """Make a stage and those before it, where they are not current.
@@ -126,25 +99,23 @@ class Job:
             self.store.taken(),
             one_blas_thread(),
             self._previews.drawing(stages if drawn else ()) as drawing,
-            beside_the_next_stage() as beside,
+            Background() as background,
         ):
-            for each in stages:
+            for current in stages:
                 begun = time.monotonic()
-                if each == "report":
-                    beside.wait()
+                if current == "report":
+                    background.wait()
                     self._ensure_report(drawing)
                 else:
-                    self._ensure_stage(each, drawing if drawn else None, beside)
-                if each == "match":
-                    self.plan.matched.release()  # large, and read back in a moment where wanted
-                self.stage_seconds[each] = self.stage_seconds.get(each, 0.0) + time.monotonic() - begun
-            beside.wait()
+                    self._ensure_stage(current, drawing if drawn else None, background)
+                self.stage_seconds[current] = self.stage_seconds.get(current, 0.0) + time.monotonic() - begun
+            background.wait()
             if stage in ("measure", "report"):
                 withdraw_refusal(self.session.results)
 
-    def _ensure_stage(self, stage: Stage, drawing: Drawing | None, beside: Beside) -> None:
+    def _ensure_stage(self, stage: Stage, drawing: Drawing | None, background: Background) -> None:
         try:
-            beside.ensure(self._stages[stage])
+            self.plan.ensure(stage, background)
         except (CalibrationError, MatchingError, SurfaceError, MeasureError) as error:
             if drawing is not None:
                 show_refusal(self.session.results, self.identity, error, partial(self._seen, stage, error, drawing))
@@ -154,17 +125,17 @@ class Job:
 
     def _seen(self, stage: Stage, error: MammometryError, drawing: Drawing) -> Mapping[str, bytes]:
         drawing.facts()  # all pictures that were begun are there then
-        return seen(stage, error, self.plan, self.inputs, self.store, self.previews)
+        return seen(stage, error, self.plan, self.inputs, self.previews)
 
     def calibrate(self) -> CameraSet:
         """Calibrate the rig, or take the ready-made cameras."""
         self.ensure("calibrate")
-        return self.plan.calibrated.cameras()
+        return self.plan[calibrate.cameras]()
 
     def calibration(self) -> Calibration | None:
         """Residuals, covariance and target placements. None where the cameras came ready-made."""
         self.ensure("calibrate")
-        return None if self.plan.calibrated.calibration is None else self.plan.calibrated.calibration()
+        return self.plan.value(calibrate.calibration)
 
     def check(self, image_set: Path | str, *, progress: Progress = no_progress) -> RigCheck:
         """Compare a later exposure of the target with the calibration.
@@ -198,7 +169,7 @@ class Job:
         self.ensure("calibrate")
         calibration = self.calibration()
         reference = (
-            check.Reference.of_cameras(self.plan.calibrated.cameras().rig, target)
+            check.Reference.of_cameras(self.plan[calibrate.cameras]().rig, target)
             if calibration is None
             else check.Reference.of(calibration)
         )
@@ -212,7 +183,7 @@ class Job:
                 result,
                 when=datetime.now().astimezone().isoformat(timespec="seconds"),
                 image_set=str(image_set),
-                calibration=self.plan.calibrated.cameras.key.digest[:12],
+                calibration=self.plan[calibrate.cameras].key.digest[:12],
             ),
         )
         history = drift.read_history(self.session.path).entries
@@ -222,34 +193,32 @@ class Job:
     def match(self) -> dict[str, DisparityMap]:
         """Match every pair: pair → disparity map."""
         self.ensure("match")
-        return {pair: product() for pair, product in self.plan.matched.disparities.items()}
+        return {pair: product() for pair, product in self.plan[match.disparity].items()}
 
     def surface(self) -> FinishedSurface:
         """Build, repair and colour the surface."""
         self.ensure("surface")
-        return self.plan.surfaced.mesh()
+        return self.plan[surface.mesh]()
 
     def measure(self) -> dict[str, VolumeMeasurement]:
         """Side or ``model`` → volume. Empty for an open surface."""
         self.ensure("measure")
-        product = self.plan.measured.measurements
-        return {} if product is None else {measured.name: measured for measured in product()}
+        return {measured.name: measured for measured in self.plan.value(measure.measurements) or ()}
 
     def no_breast(self) -> dict[str, str]:
         """Unmeasured sides of a torso → no breast, unclear or refused."""
         self.ensure("measure")
-        absent = self.plan.measured.absent
-        return {} if absent is None else {side.name: side.why for side in absent()}
+        return {side.name: side.why for side in self.plan.value(measure.absent) or ()}
 
-    def lacking(self) -> tuple[Lacking, ...]:
+    def lacking(self) -> tuple[VolumeDeficit, ...]:
         """What a side of a torso lacks to the mirrored other one."""
         self.ensure("measure")
-        return () if self.plan.measured.lacking is None else self.plan.measured.lacking()
+        return self.plan.value(measure.lacking) or ()
 
     def report(self) -> Path:
         """Write the report and return its page."""
         self.ensure("report")
-        return self._report_page
+        return self.page
 
     def run(self, *, report: bool = True) -> Results:
         """Calibrate, match, build the surface, measure, report. What is current is not done again.
@@ -271,33 +240,14 @@ class Job:
             seconds=time.monotonic() - begun,
             stage_seconds=dict(self.stage_seconds),
             peak_memory_mb=peak_memory_mb(),
-            world=self.plan.calibrated.cameras().world,
+            world=self.plan[calibrate.cameras]().world,
             folder=self.session.results,
-            report=self._report_page if report else None,
+            report=self.page if report else None,
             no_breast=self.no_breast(),
-            lacking={found.name: found for found in self.lacking()},
+            lacking={side.name: side for side in self.lacking()},
             made=tuple(self.store.made[before:]),
             made_at=self.made_at(last),
         )
-
-    @property
-    def _report_page(self) -> Path:
-        return self.session.results / "report" / "report.html"
-
-    @property
-    def report_key(self) -> Key:
-        """What the rendered report depends on: its content, and who drew and confirmed the boundaries."""
-        return report_key(self.content_key, self.inputs.attributions)
-
-    @property
-    def content_key(self) -> Key:
-        """What the report's content depends on: every product, and whatever else it shows."""
-        return self._page_inputs.key(self.plan.products())
-
-    def page_digest(self, *, deidentify: bool) -> str:
-        """Digest of everything a report would show now, with or without names."""
-        page = self._page_inputs
-        return (replace(page, identity=NAMELESS) if deidentify else page).key(self.plan.products()).digest
 
     def pages(self) -> dict[str, State]:
         """Pages in results/ for others or of two dates → whether current."""
@@ -307,7 +257,7 @@ class Job:
         return {
             page.relative_to(folder).as_posix(): "current" if here & _keys_in(page) else "stale"
             for page in found
-            if page != self._report_page
+            if page != self.page
         }
 
     @property
@@ -326,12 +276,12 @@ class Job:
         """
         if stage == "report":
             return (self.content_key,)
-        return (*(product.key for product in self.products(stage)), self.previews_key(stage))
+        return (*(product.key for product in self.plan.products(stage)), previews_key(stage, self.plan))
 
     def made_at(self, stage: Stage) -> str | None:
         """Time of the newest result up to a stage, ISO 8601, UTC."""
         stages = STAGES[: STAGES.index(stage) + 1]
-        return self.store.made_at([key for each in stages for key in self.keys(each)])
+        return self.store.made_at([key for earlier in stages for key in self.keys(earlier)])
 
     def share(self, folder: Path, privacy: Privacy) -> Path:
         """Write a report for others into a folder, and return its page.
@@ -370,39 +320,7 @@ class Job:
 
             return self._report_content(Privacy(), progress, facts, scene)
 
-        self._stored_report.ensure(gathered)
-
-    def rendered(self, clinical: Clinical) -> RenderedReport:
-        """The report with what a clinic knows of the visit, from stored results.
-
-        It is not stored. What is not current is made first.
-
-        Args:
-            clinical: names, operations, the confirmation, the conclusion.
-
-        Raises:
-            MammometryError: whatever stands in the way, in one sentence.
-        """
-        if not self.store.has(self.content_key):
-            self.ensure("report")
-        return self._stored_report.rendered(clinical)
-
-    def render_report(self) -> None:
-        """Render the report again with who drew and confirmed the boundaries by now.
-
-        Nothing is measured. Where the report's content is not current, nothing happens.
-
-        Raises:
-            MammometryError: another run is at work, or boundaries.json is not as documented.
-        """
-        drawn = read_boundaries(self.session.path, self.inputs.subject_kind, self.session.manifest.subject.id)
-        self.inputs = replace(self.inputs, attributions=drawn.attributions)
-        if self.store.has(self.content_key):
-            self._stored_report.render()
-
-    @property
-    def _stored_report(self) -> StoredReport:
-        return StoredReport(store=self.store, content_key=self.content_key, attributions=self.inputs.attributions)
+        self._write_report(gathered)
 
     def _report_content(
         self,
@@ -418,7 +336,7 @@ class Job:
             self.plan,
             self.inputs,
             self._page_inputs,
-            Shown(pictures={stage: self.previews(stage) for stage in self._stages}, facts=facts, scene=scene),
+            Shown(pictures={stage: self.previews(stage) for stage in _DRAWN}, facts=facts, scene=scene),
             privacy=privacy,
             progress=progress,
         )
@@ -426,14 +344,10 @@ class Job:
     def _all_seconds(self) -> dict[str, float]:
         """Seconds that each stage took, in this run or an earlier one."""
         seconds: dict[str, float] = {}
-        for stage in self._stages:
+        for stage in _DRAWN:
             records = [self.store.record(key) for key in self.keys(stage)]
             seconds[stage] = round(sum(record.seconds for record in records if record is not None), 1)
         return seconds
-
-    def previews_key(self, stage: Stage) -> Key:
-        """Key of a stage's previews: its products, the cameras, the photographs."""
-        return self._previews.key(stage)
 
     def previews(self, stage: Stage) -> dict[str, bytes]:
         """PNG previews of a finished stage: name → file content.

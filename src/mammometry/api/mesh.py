@@ -16,16 +16,17 @@ import hashlib
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
 from mammometry.api.refused import show_refusal, withdraw_refusal
 from mammometry.api.results import Results
-from mammometry.api.stored_report import StoredReport
+from mammometry.api.stored_report import Reported
 from mammometry.base.errors import MeasureError, SessionError
-from mammometry.base.identity import NAMELESS, Identity
+from mammometry.base.identity import Identity
 from mammometry.base.machine.cores import one_blas_thread
 from mammometry.base.machine.memory import peak_memory_mb
 from mammometry.base.progress import Progress
@@ -40,26 +41,22 @@ from mammometry.io.drawn import (
     boundaries_in,
     landmarks_digest,
     landmarks_in,
-    read_boundaries,
 )
 from mammometry.io.meshes.foreign import ForeignMesh, read_foreign
 from mammometry.io.meshes.scans import MESH, Scan, read_scan
 from mammometry.io.outputs import require_apart, require_own_folder, take_folder
 from mammometry.io.results.store import Store, Watch, unwatched
 from mammometry.io.subject import check_mesh
+from mammometry.job.graph import Plan
 from mammometry.job.inputs import Inputs, SubjectKind
-from mammometry.job.measuring import Measured, Upstream, measure
-from mammometry.job.products import Forgetful, Key, Product
-from mammometry.job.stage_values import CameraSet, FinishedSurface
-from mammometry.report.page_inputs import PageInputs, report_key
+from mammometry.job.products import Key, at_hand
+from mammometry.job.stages import calibrate, measure, surface
+from mammometry.job.stages.report import PageInputs
+from mammometry.job.values import CameraSet, FinishedSurface
 from mammometry.settings import Settings
 
 if TYPE_CHECKING:
-    from mammometry.measure.volume.measurement import VolumeMeasurement
-    from mammometry.report.clinical import Clinical
     from mammometry.report.content import ReportContent
-    from mammometry.report.documents.rendering import RenderedReport
-    from mammometry.surface.ranges.dents import ValidPatches
     from mammometry.surface.repair.repair import RepairedSurface
 
 T = TypeVar("T")
@@ -149,7 +146,7 @@ def scan_job(folder: Path, results: Path, settings: Settings | None = None) -> M
         return MeshJob(scan_files(folder, drawn=False), results, settings)
 
 
-class MeshJob:
+class MeshJob(Reported):
     """Measure a mesh. What is in the folder and current is not done again."""
 
     def __init__(
@@ -206,6 +203,7 @@ class MeshJob:
             own = replace(own, boundary="landmarks")
         self.settings = replace(settings, measure=own)
         self.files = files
+        self.folder = files.mesh.parent
         self.identity = Identity.of(files.mesh if files.scan is None else self.folder, files.subject)
         self.store: Store = _StoreOfMesh(folder, watch, files.subject)
         self.units = foreign.units if files.scan is None else files.scan.units
@@ -242,39 +240,29 @@ class MeshJob:
             check_curve(name, curve, mesh)
         near = [mesh.vertices] if files.automatic else [*curves.values(), *places.values()]
         scan = scanned.finer_scan(scan, near)
-        surface, fine = scanned.as_scanned(scan.mesh, scan.invented), scan.mesh
+        repaired, fine = scanned.as_scanned(scan.mesh, scan.invented), scan.mesh
         for name, curve in curves.items():
             if self.kind == "torso":  # a cast is cut by its base, not along the curve
                 scanned.check_cut(name, curve, fine)
         if frame is None:
-            frame = scanned.viewing_frame(surface, curves, places)
+            frame = scanned.viewing_frame(repaired, curves, places)
         middle = np.mean([curve.mean(axis=0) for curve in curves.values()], axis=0) if len(curves) == 2 else None
         sides = frame if self.kind == "torso" else None
         picked_landmarks(places, fine, sides, sigma_mm=own.picked_sigma_mm, middle_world=middle)
         self.rig = scanned.viewer(frame, fine)
         self.inputs = _inputs(files, self.kind, drawn, places)
         by_drawing = {} if self.kind == "torso" and files.automatic else _drawn(self.inputs)
-        self._lay_out(surface, foreign, by_drawing)
-
-    @property
-    def folder(self) -> Path:
-        """Where boundaries.json and landmarks.json of a scan lie."""
-        return self.files.mesh.parent
-
-    @property
-    def measured(self) -> Measured:
-        """Products of the measurement."""
-        return self.plan
+        self._lay_out(repaired, foreign, by_drawing)
 
     def surface(self) -> FinishedSurface:
         """The surface with its colours."""
         return self.finished
 
-    def _lay_out(self, surface: RepairedSurface, foreign: ForeignMesh, by_drawing: dict[str, str]) -> None:
+    def _lay_out(self, repaired: RepairedSurface, foreign: ForeignMesh, by_drawing: dict[str, str]) -> None:
         """Plan the measurement as for a session. The earlier products are given.
 
         Args:
-            surface: to be measured.
+            repaired: the surface to be measured.
             foreign: the mesh with its colours.
             by_drawing: digests of the drawing, where it decides the viewer's place.
         """
@@ -282,25 +270,30 @@ class MeshJob:
         from mammometry.surface.ranges.dents import ValidPatches
         from mammometry.surface.texture.texture import TexturedMesh
 
-        colours = foreign.colours[point_tree(foreign.mesh.vertices).query(surface.mesh.vertices)[1]]
+        colours = foreign.colours[point_tree(foreign.mesh.vertices).query(repaired.mesh.vertices)[1]]
         if not np.ptp(foreign.colours, axis=0).any():  # one colour shows no shape: shaded as by a lamp at the viewer's
-            facing = np.abs(surface.mesh.vertex_normals() @ rig_frame(self.rig)[2])
+            facing = np.abs(repaired.mesh.vertex_normals() @ rig_frame(self.rig)[2])
             colours = np.repeat((_DARK + _LIGHT * facing[:, None]).astype(np.uint8), 3, axis=1)
-        textured = TexturedMesh(mesh=surface.mesh, colours=colours)
+        textured = TexturedMesh(mesh=repaired.mesh, colours=colours)
+        self.finished = FinishedSurface(repaired=repaired, textured=textured)
         cameras = CameraSet(rig=self.rig, std={}, world=WORLD, rms_px=None)
+        valid = ValidPatches(range_images=(), angles_rad=())
         digests = {"mesh": self.inputs.digests["mesh"]}
-        self.finished = FinishedSurface(repaired=surface, textured=textured)
-        self.mesh: Product[FinishedSurface] = _at_hand("mesh", self.finished, digests)
-        valid: Product[ValidPatches] = _at_hand("valid", ValidPatches(range_images=(), angles_rad=()), digests)
-        upstream = Upstream(
-            cameras=_at_hand("cameras", cameras, {**digests, **by_drawing}),
-            calibration=None,
-            foregrounds={},
-            valid=valid,
-            mesh=self.mesh,
-            repaired=_at_hand("repaired", surface, digests),
+        given = partial(at_hand, stage="surface")
+        self.plan = Plan(
+            self.inputs,
+            self.settings,
+            self.store,
+            stages=("measure",),
+            given={
+                surface.corrected_cameras: given(
+                    cameras, name="cameras", version=calibrate.cameras.version, inputs={**digests, **by_drawing}
+                ),
+                surface.valid_patches: given(valid, name="valid", version=surface.keep_masks.version, inputs=digests),
+                surface.repaired: given(repaired, name="repaired", version=surface.repaired.version, inputs=digests),
+                surface.mesh: given(self.finished, name="mesh", version=surface.mesh.version, inputs=digests),
+            },
         )
-        self.plan: Measured = measure(self.inputs, upstream, self.settings.measure, self.store)
 
     def run(self, *, report: bool = True) -> Results:
         """Measure, and write the report.
@@ -312,20 +305,17 @@ class MeshJob:
         take_folder(self.store.folder, command=_COMMAND)
         with self.store.taken(), one_blas_thread():
             try:
-                self.plan.ensure()
+                self.plan.ensure("measure")
             except MeasureError as error:
                 show_refusal(self.store.folder, self.identity, error, self._seen)
                 raise
             withdraw_refusal(self.store.folder)
-            assert self.plan.measurements is not None  # a mesh with a boundary is no open surface
-            measurements: dict[str, VolumeMeasurement] = {
-                measured.name: measured for measured in self.plan.measurements()
-            }
-            absent = () if self.plan.absent is None else self.plan.absent()
-            no_breast: dict[str, str] = {side.name: side.why for side in absent}
+            made = self.plan.value(measure.measurements) or ()
+            measurements = {str(measured.name): measured for measured in made}
+            no_breast: dict[str, str] = {side.name: side.why for side in self.plan.value(measure.absent) or ()}
             seconds = time.monotonic() - begun
             if report:
-                self._stored_report.ensure(self._gathered)
+                self._write_report(self._gathered)
         return Results(
             measurements=measurements,
             watertight=all(measured.watertight for measured in measurements.values()),
@@ -348,46 +338,13 @@ class MeshJob:
         from mammometry.measure.trunk.body import rig_frame
         from mammometry.report.figures.refused import surface_seen
 
-        boundaries = self.plan.boundaries
-        assert boundaries is not None
         drawn = surface_seen(
             self.finished,
             rig_frame(self.rig),
-            boundaries() if self.store.has(boundaries.key) else (),
+            self.plan.current(measure.boundaries) or (),
             of_patient=self.kind == "torso",
         )
         return {"surface": drawn}
-
-    @property
-    def page(self) -> Path:
-        """The report's page."""
-        return self.store.folder / "report" / "report.html"
-
-    def rendered(self, clinical: Clinical) -> RenderedReport:
-        """The report with what a clinic knows of the visit, from stored results.
-
-        It is not stored. What is not current is made first.
-
-        Args:
-            clinical: names, operations, the confirmation, the conclusion.
-
-        Raises:
-            MammometryError: whatever stands in the way, in one sentence.
-        """
-        if not self.store.has(self.content_key):
-            self.run()
-        return self._stored_report.rendered(clinical)
-
-    def render_report(self) -> None:
-        """Render the report again with who drew and confirmed the boundaries by now, as `api.job.Job` does.
-
-        Raises:
-            MammometryError: another run is at work, or boundaries.json is not as documented.
-        """
-        drawn = read_boundaries(self.folder, self.kind, self.files.subject)
-        self.inputs = replace(self.inputs, attributions=drawn.attributions)
-        if self.store.has(self.content_key):
-            self._stored_report.render()
 
     def _gathered(self, progress: Progress) -> ReportContent:
         from mammometry.report.gather_mesh import MeshOrigin, gather_mesh
@@ -402,28 +359,9 @@ class MeshJob:
         )
         return gather_mesh(self.plan, self.finished, self.rig, self._page_inputs, origin, progress=progress)
 
-    @property
-    def _stored_report(self) -> StoredReport:
-        return StoredReport(store=self.store, content_key=self.content_key, attributions=self.inputs.attributions)
-
-    @property
-    def report_key(self) -> Key:
-        """Key of the rendered report: its content, and who drew and confirmed the boundaries."""
-        return report_key(self.content_key, self.inputs.attributions)
-
-    @property
-    def content_key(self) -> Key:
-        """Key of the report's content: products, the mesh, and the rest it shows."""
-        return self._content_key(self._page_inputs)
-
-    def page_digest(self, *, deidentify: bool) -> str:
-        """Digest of everything a report would show now, with or without names."""
-        page = self._page_inputs
-        return self._content_key(replace(page, identity=NAMELESS) if deidentify else page).digest
-
-    def _content_key(self, page: PageInputs) -> Key:
-        said = {"units": self.units, "posture": self.posture, "scanner": self.scanner}
-        return page.key(self.plan.products(), {"mesh": self.inputs.digests["mesh"], **said})
+    def _page_key(self, page: PageInputs) -> Key:
+        stated = {"units": self.units, "posture": self.posture, "scanner": self.scanner}
+        return page.key(self.plan.products(), {"mesh": self.inputs.digests["mesh"], **stated})
 
     @property
     def _page_inputs(self) -> PageInputs:
@@ -464,18 +402,9 @@ def _drawn(inputs: Inputs) -> dict[str, str]:
     return {name: inputs.digests[name] for name in ("boundaries", "landmarks")}
 
 
-def _digest(path: Path | None, *beside: object) -> str:
+def _digest(path: Path | None, *options: object) -> str:
     content = b"" if path is None else path.read_bytes()
-    return hashlib.sha256(repr(beside).encode() + content).hexdigest()
-
-
-def _at_hand(name: str, value: Any, digests: dict[str, str]) -> Product[Any]:
-    """A product that holds a given value and is not written."""
-
-    def give(*, progress: Progress) -> Any:
-        return value
-
-    return Product(Forgetful(), "surface", name, give, inputs=digests)
+    return hashlib.sha256(repr(options).encode() + content).hexdigest()
 
 
 class _StoreOfMesh(Store):

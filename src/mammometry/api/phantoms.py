@@ -17,8 +17,8 @@ import numpy as np
 
 from mammometry.api.job import open_session
 from mammometry.base.csv_cells import csv_text
-from mammometry.base.each import Each, Tell, one_after_another
 from mammometry.base.errors import SessionError
+from mammometry.base.progress import MapTasks, StageProgress, map_in_sequence
 from mammometry.io.truth import read_volumes
 from mammometry.io.write import write_text
 from mammometry.settings import Settings
@@ -54,7 +54,7 @@ def measure_phantoms(
     seed: int = 1,
     models: tuple[str, ...] = MODELS,
     settings: Settings | None = None,
-    each: Each = one_after_another,
+    map_tasks: MapTasks = map_in_sequence,
 ) -> tuple[PhantomResult, ...]:
     """Simulate, calibrate and measure each model. What is there already is not made again.
 
@@ -64,7 +64,7 @@ def measure_phantoms(
         seed: of the rig, its calibration poses and the models' shapes.
         models: which ones; the first one's calibration serves all.
         settings: of all stages; None for the recommended ones.
-        each: how to go through the models.
+        map_tasks: how to go through the models.
 
     Raises:
         SessionError: the folder holds a study with another scale or seed, or something else.
@@ -78,7 +78,7 @@ def measure_phantoms(
     }
     found: dict[str, Any] = {}
     for some in (models[:1], models[1:]):
-        found |= each(measure_model, {model: arguments[model] for model in some})
+        found |= map_tasks(measure_model, {model: arguments[model] for model in some})
     return tuple(
         PhantomResult(
             name=model,
@@ -90,11 +90,13 @@ def measure_phantoms(
     )
 
 
-def measure_model(tell: Tell, session: Path, recipe: SessionRecipe, settings: str, first: Path) -> dict[str, Any]:
+def measure_model(
+    progress: StageProgress, session: Path, recipe: SessionRecipe, settings: str, first: Path
+) -> dict[str, Any]:
     """Simulate one model if it is not there, and measure it.
 
     Args:
-        tell: called with the stage and how far it is.
+        progress: called with the stage and how far it is.
         session: of this model.
         recipe: of its photographs.
         settings: of all stages, TOML.
@@ -107,9 +109,9 @@ def measure_model(tell: Tell, session: Path, recipe: SessionRecipe, settings: st
         MammometryError: whatever stands in the way.
     """
     if not (session / "session.toml").is_file():
-        write_session(session, recipe, progress=lambda fraction: tell("simulate", fraction))
+        write_session(session, recipe, progress=lambda fraction: progress("simulate", fraction))
     _share_calibration(first, session)
-    tell("measure", 0.0)
+    progress("measure", 0.0)
     measured = open_session(session, Settings.from_toml(settings)).run(report=False).measurements["model"]
     return {
         "true_cc": read_volumes(session / "truth")["model"],

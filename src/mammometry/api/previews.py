@@ -14,15 +14,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from mammometry.base.child_process import ChildProcess, Ended, NotDone
 from mammometry.base.errors import StorageError
 from mammometry.base.machine.cores import available_cores
-from mammometry.base.parse import said
+from mammometry.base.parse import error_text
 from mammometry.base.progress import Progress
-from mammometry.base.second_process import Ended, NotDone, SecondProcess
 from mammometry.io.photographs.images import megapixels_of
 from mammometry.io.results.store import Reader, Store
-from mammometry.job.pipeline import Plan, plan
-from mammometry.job.products import VERSIONS, Key, Stage
+from mammometry.job.graph import Plan
+from mammometry.job.products import Stage
+from mammometry.job.stages.report import previews_key
 
 if TYPE_CHECKING:
     from mammometry.io.session import Session
@@ -44,17 +45,6 @@ class Previews:
     plan: Plan
     store: Store
 
-    def key(self, stage: Stage) -> Key:
-        """Key of a stage's pictures: its products, the cameras, the photographs."""
-        made = [*self.plan.stages[stage].products(), self.plan.calibrated.cameras]
-        return Key(
-            stage=stage,
-            product="previews",
-            version=VERSIONS["previews"],
-            settings={},
-            inputs={product.key.product: product.key.digest for product in made},
-        )
-
     def files(self, stage: Stage) -> dict[str, bytes]:
         """PNG previews of a finished stage: name → file content.
 
@@ -63,14 +53,14 @@ class Previews:
         """
         from mammometry.report.figures.drawing.canvas import caption_of
 
-        pictures = {Path(name).stem: png for name, png in self.store.files(self.key(stage)).items()}
+        pictures = {Path(name).stem: png for name, png in self.store.files(previews_key(stage, self.plan)).items()}
         for name, png in pictures.items():
             try:
                 caption_of(png)
             except Exception as error:  # Pillow raises anything that a damaged file makes it stumble over
                 raise StorageError(
                     f"{stage}/{name}.png",
-                    found=f"a picture that cannot be read back ({said(error)})",
+                    found=f"a picture that cannot be read back ({error_text(error)})",
                     expected="the file as it was written",
                     remedy="Remove it and run the command again: it will be made again",
                 ) from None
@@ -83,14 +73,13 @@ class Previews:
         Args:
             stages: what will be made, in order. Without pictures to draw beside a later one there is no second process.
         """
-        known = [stage for stage in stages[:-1] if stage in self.plan.stages]
-        missing = any(not self.store.has(self.key(stage)) for stage in known)
+        missing = any(not self.store.has(previews_key(stage, self.plan)) for stage in stages[:-1])
         if not missing or available_cores() < 2 or self._megapixels() < _LEAST_MEGAPIXELS:
             yield Drawing(self._ensure, None)
             return
-        with ThreadPoolExecutor(1) as pool, SecondProcess() as second:
-            pool.submit(second.call, _load)
-            drawing = Drawing(lambda stage: self._ensure(stage, second), pool)
+        with ThreadPoolExecutor(1) as pool, ChildProcess() as child:
+            pool.submit(child.call, _load)
+            drawing = Drawing(lambda stage: self._ensure(stage, child), pool)
             try:
                 yield drawing
                 drawing.facts()
@@ -102,26 +91,26 @@ class Previews:
         folder = self.session.path / "capture"
         return megapixels_of(folder, self.session.limits) if folder.is_dir() else 0.0
 
-    def _ensure(self, stage: Stage, second: SecondProcess | None = None) -> Facts:
+    def _ensure(self, stage: Stage, child: ChildProcess | None = None) -> Facts:
         facts: Facts = None
 
         def prepare() -> Callable[[Path, Progress], None]:
             def write(folder: Path, progress: Progress) -> None:
                 nonlocal facts
-                pictures, facts = self._drawn(stage, second)
+                pictures, facts = self._drawn(stage, child)
                 for name, png in pictures.items():
                     (folder / f"{name}.png").write_bytes(png)
 
             return write
 
-        if not self.store.has(self.key(stage)):
-            self.store.write_folder(self.key(stage), prepare)
+        if not self.store.has(previews_key(stage, self.plan)):
+            self.store.write_folder(previews_key(stage, self.plan), prepare)
         return facts
 
-    def _drawn(self, stage: Stage, second: SecondProcess | None) -> tuple[dict[str, bytes], Facts]:
-        if second is not None:
+    def _drawn(self, stage: Stage, child: ChildProcess | None) -> tuple[dict[str, bytes], Facts]:
+        if child is not None:
             try:
-                return second.call(_draw, self.session, self.settings, stage)
+                return child.call(_draw, self.session, self.settings, stage)
             except Ended:
                 raise
             except NotDone as why:
@@ -151,7 +140,7 @@ class Drawing:
     @property
     def waiting(self) -> bool:
         """Whether pictures that were begun are still being drawn."""
-        return not all(each.done() for each in self._begun.values())
+        return not all(future.done() for future in self._begun.values())
 
     def facts(self) -> dict[Stage, Facts]:
         """Wait for all pictures that were begun. Returns what the report says of their stages.
@@ -159,7 +148,7 @@ class Drawing:
         Raises:
             MammometryError: whatever stood in the way, in one sentence.
         """
-        return {stage: each.result() for stage, each in self._begun.items()}
+        return {stage: future.result() for stage, future in self._begun.items()}
 
 
 def _load() -> None:
@@ -172,4 +161,4 @@ def _draw(session: Session, settings: Settings, stage: Stage) -> tuple[dict[str,
 
     inputs = session.inputs()
     stored = Reader(Store(session.results, subject=session.manifest.subject.id))
-    return drawn(stage, plan(inputs, settings, stored), inputs)
+    return drawn(stage, Plan(inputs, settings, stored), inputs)

@@ -8,15 +8,15 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
 
 from mammometry.base.errors import MammometryError
 from mammometry.base.identity import Identity
-from mammometry.base.parse import said
+from mammometry.base.parse import error_text
 from mammometry.io.outputs import write_outputs
-from mammometry.io.results.store import Store
-from mammometry.job.pipeline import Inputs, Plan
-from mammometry.job.products import Product, Stage
+from mammometry.job.graph import Plan
+from mammometry.job.inputs import Inputs
+from mammometry.job.products import Stage
+from mammometry.job.stages import calibrate, match, measure, surface
 
 _LOG = logging.getLogger(__name__)
 FOLDER, PAGE = "refused", "refused.html"
@@ -42,7 +42,7 @@ def show_refusal(results: Path, identity: Identity, error: MammometryError, draw
         write_outputs(results / FOLDER, {PAGE: refusal_page(identity, error, draw()).encode()}, command="run")
         error.page = results / FOLDER / PAGE
     except Exception as trouble:  # whatever hinders the page must not hide why there is no volume
-        _LOG.warning("what was seen could not be drawn: %s", said(trouble))
+        _LOG.warning("what was seen could not be drawn: %s", error_text(trouble))
 
 
 def withdraw_refusal(results: Path) -> None:
@@ -56,7 +56,6 @@ def seen(
     error: MammometryError,
     plan: Plan,
     inputs: Inputs,
-    store: Store,
     previews: Callable[[Stage], Pictures],
 ) -> Pictures:
     """Pictures of a refused stage: its inputs and what it found.
@@ -66,30 +65,26 @@ def seen(
         error: the refusal.
         plan: the whole job.
         inputs: what the session brought.
-        store: tells which products there are.
         previews: pictures of a stage that was made.
     """
     from mammometry.calibration.judge.suspects import SuspectPhotographsError
     from mammometry.report.figures import refused
     from mammometry.report.figures.drawing.shading import front_frame
 
-    def there(product: Product[Any] | None) -> Any:
-        return None if product is None or not store.has(product.key) else product()
-
     if stage == "calibrate":
-        looked = {pose: made() for pose, made in plan.calibrated.observations.items() if store.has(made.key)}
+        looked = {pose: made() for pose, made in plan[calibrate.observation].items() if not made.missing}
         suspects = error.suspects.reasons if isinstance(error, SuspectPhotographsError) else ()
         return {"targets": refused.targets_seen(inputs.calibration_photographs, looked, suspects)} if looked else {}
     if stage == "match":
-        subjects = there(plan.matched.subjects)
+        subjects = plan.current(match.subjects)
         outlines = None if subjects is None else subjects.blocks
         return {"photographs": refused.photographs_seen(inputs.photographs, outlines)}
     if stage == "surface":
         return previews("match")
-    body, boundaries = there(plan.measured.body), there(plan.measured.boundaries)
+    body, boundaries = plan.current(measure.body), plan.current(measure.boundaries)
     drawn = refused.surface_seen(
-        plan.surfaced.mesh(),
-        front_frame(plan.calibrated.cameras().rig, mounting=inputs.mounting) if body is None else body.frame,
+        plan[surface.mesh](),
+        front_frame(plan[calibrate.cameras]().rig, mounting=inputs.mounting) if body is None else body.frame,
         boundaries or (),
         of_patient=inputs.subject_kind == "torso",
     )

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from mammometry.measure.volume.measurement import Lacking, VolumeMeasurement
+    from mammometry.measure.volume.measurement import VolumeDeficit, VolumeMeasurement
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -35,7 +35,7 @@ class Results:
     """Side of a torso without a breast → the evidence for that."""
     notes: tuple[str, ...] = ()
     """What was changed in a scanner's mesh, and what was taken for granted, one sentence each."""
-    lacking: Mapping[str, Lacking] = field(default_factory=dict)
+    lacking: Mapping[str, VolumeDeficit] = field(default_factory=dict)
     """Side of a torso → what it lacks compared with the mirrored other side."""
     made: tuple[str, ...] = ()
     """``stage/product`` of everything that this run made. Empty if everything existed already."""
@@ -66,13 +66,13 @@ class Results:
             },
             "definitions": {
                 name: {
-                    each.meaning: {
-                        "volume_cc": round(each.volume_cc, 3),
-                        "interval_cc": [round(bound, 3) for bound in each.interval_cc],
-                        "weight_g": round(each.weight_g[0], 1),
-                        "weight_half_g": round(each.weight_g[1], 1),
+                    defined.meaning: {
+                        "volume_cc": round(defined.volume_cc, 3),
+                        "interval_cc": [round(bound, 3) for bound in defined.interval_cc],
+                        "weight_g": round(defined.weight_g[0], 1),
+                        "weight_half_g": round(defined.weight_g[1], 1),
                     }
-                    for each in measured.definitions
+                    for defined in measured.definitions
                 }
                 for name, measured in self.measurements.items()
             },

@@ -5,13 +5,14 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from mammometry.base.errors import SessionError
 from mammometry.base.progress import Progress, no_progress, part
 from mammometry.io.outputs import require_apart, require_free, write_outputs
 from mammometry.io.results.stamp import stamped
 from mammometry.io.truth import read_truth
+from mammometry.job.stages import calibrate, match, measure, surface
 from mammometry.study.evaluation import Evaluation, SessionResults, evaluate
 from mammometry.study.evaluation_tables import evaluation_tables
 
@@ -60,8 +61,8 @@ def evaluate_session(
         from mammometry.report.figures.studies.accuracy import error_map
 
         mesh = list(results.surfaces.values())[-1]
-        body = job.plan.measured.body
-        left = None if body is None or not job.store.has(body.key) else body().left
+        body = job.plan.current(measure.body)
+        left = None if body is None else body.left
         files["error-map.png"] = error_map(results.rig, mesh, found.error_map, patient_left_world=left)
     subject = job.identity.subject
     files = {name: stamped(name, data, subject) for name, data in files.items()}
@@ -78,45 +79,29 @@ def current_results(job: Job) -> SessionResults:
     """
     plan = job.plan
 
-    def here(product: Product[T] | None) -> T | None:
-        return None if product is None or not job.store.has(product.key) else product()
+    def all_current(products: Mapping[str, Product[T]]) -> dict[str, Callable[[], T]]:
+        return {name: product.uncached for name, product in products.items() if not product.missing}
 
-    def all_here(products: Mapping[str, Product[T]]) -> dict[str, Callable[[], T]]:
-        return {name: _once(product) for name, product in products.items() if job.store.has(product.key)}
-
-    cameras = here(plan.calibrated.cameras)
+    cameras = plan.current(calibrate.cameras)
     if cameras is None:
         found = {"stale": "results of other photographs or settings", "damaged": "results that were changed since"}
         raise SessionError(
             str(job.session.path),
-            found=found.get(job.store.state(plan.calibrated.cameras.key), "no results"),
+            found=found.get(job.store.state(plan[calibrate.cameras].key), "no results"),
             expected="a session that was measured, with these settings",
             remedy="Run `mammometry run` on it first, and give the same --set and --settings here",
         )
-    calibration = here(plan.calibrated.calibration)
-    repaired = here(plan.surfaced.repaired)
-    boundaries, measurements = here(plan.measured.boundaries), here(plan.measured.measurements)
-    absent = here(plan.measured.absent)
-    surfaces = {"first": here(plan.surfaced.first), "repaired": None if repaired is None else repaired.mesh}
+    calibration, repaired = plan.current(calibrate.calibration), plan.current(surface.repaired)
+    first = plan.current(surface.initial_surface)
+    surfaces = {"first": first, "repaired": None if repaired is None else repaired.mesh}
     return SessionResults(
         rig=cameras.rig,
         world_from_target={} if calibration is None else calibration.world_from_target,
-        foregrounds=all_here(plan.matched.foregrounds),
-        disparities=all_here(plan.matched.disparities),
-        ranges=all_here(plan.surfaced.ranges),
+        foregrounds=all_current(plan[match.foreground]),
+        disparities=all_current(plan[match.disparity]),
+        ranges=all_current(plan[surface.range_image]),
         surfaces={name: mesh for name, mesh in surfaces.items() if mesh is not None},
-        boundaries=boundaries or (),
-        measurements=measurements or (),
-        absent=() if absent is None else tuple(each.name for each in absent),
+        boundaries=plan.current(measure.boundaries) or (),
+        measurements=plan.current(measure.measurements) or (),
+        absent=tuple(side.name for side in plan.current(measure.absent) or ()),
     )
-
-
-def _once(product: Product[Any]) -> Callable[[], Any]:
-    """Load a large product without keeping it in memory."""
-
-    def load() -> Any:
-        value = product()
-        product.release()
-        return value
-
-    return load

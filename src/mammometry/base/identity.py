@@ -49,7 +49,10 @@ NAMELESS = Identity(name="De-identified case")
 def shown_name(path: Path) -> str:
     r"""Name of a file or folder as printable text. Bytes that are not UTF-8 appear as ``\xfc``."""
     name = path.resolve().name.encode("utf-8", "surrogateescape").decode("utf-8", "backslashreplace")
-    return "".join(each if each.isprintable() else each.encode("unicode_escape").decode("ascii") for each in name)
+    return "".join(
+        character if character.isprintable() else character.encode("unicode_escape").decode("ascii")
+        for character in name
+    )
 
 
 def subject_id(text: str) -> str:

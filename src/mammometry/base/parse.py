@@ -119,7 +119,7 @@ def parsing(what: str, subject: str, expected: str, refusal: type[MammometryErro
     except MammometryError:
         raise
     except (ValueError, LookupError, TypeError, AttributeError, ArithmeticError) as error:
-        raise refusal(subject, found=f"{what} ({said(error)})", expected=expected, remedy="Correct it") from None
+        raise refusal(subject, found=f"{what} ({error_text(error)})", expected=expected, remedy="Correct it") from None
     except RecursionError:
         found = f"{what} (nested more than {DEEPEST} deep)"
         raise refusal(subject, found=found, expected=expected, remedy="Correct it") from None
@@ -260,7 +260,7 @@ def shown(value: object) -> str:
     return text if len(text) <= _VALUE else f"{text[:_VALUE]}…"
 
 
-def said(error: BaseException) -> str:
+def error_text(error: BaseException) -> str:
     """What somebody else's error says, on one line."""
     text = f"no {error}" if isinstance(error, KeyError) else str(error)
     line = (text.splitlines() or [""])[0].strip() or type(error).__name__
@@ -283,7 +283,7 @@ def _integer(digits: str) -> int:
 
 
 def _why(error: BaseException) -> str:
-    return (isinstance(error, OSError) and error.strerror) or said(error)
+    return (isinstance(error, OSError) and error.strerror) or error_text(error)
 
 
 def _unreadable(subject: str, why: str, expected: str, refusal: type[MammometryError]) -> MammometryError:

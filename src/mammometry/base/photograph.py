@@ -1,17 +1,16 @@
 """Photographs as the stages see them: pixels and a name, no file."""
 
-from dataclasses import dataclass
-
 import numpy as np
 from jaxtyping import Float32, Shaped
 
 from mammometry.base.errors import ImageError
+from mammometry.base.value import value
 
 LUMA = np.array([0.2126, 0.7152, 0.0722], dtype=np.float32)
 """Weights of red, green and blue, encoded, in Rec. 709 luma."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class Photograph:
     """One exposure of one camera, upright as the sensor wrote it.
 
@@ -35,7 +34,6 @@ class Photograph:
                 expected="8 or 16 bit, grey or RGB",
                 remedy="Export it as an ordinary JPEG, PNG or TIFF",
             )
-        self.pixels.flags.writeable = False
 
     @property
     def size_wh(self) -> tuple[int, int]:

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, TypeAlias
 
+from mammometry.base.child_process import Call
 from mammometry.base.errors import MammometryError
 from mammometry.base.progress import Progress, no_progress
 from mammometry.batch import record, storage
-from mammometry.batch.child import Order
 from mammometry.batch.cluster import Machines
-from mammometry.batch.engine import Began, Ended, Engine, Task, Wish
+from mammometry.batch.engine import Began, Ended, Engine, StopRequest, Task
 from mammometry.batch.entry import Entry
 from mammometry.batch.record import Row, key_of
 from mammometry.batch.session import measure_entry
@@ -92,7 +92,7 @@ def measure_batch(
     *,
     cores: int = 1,
     watch: Callable[[Began | Ended], None] = lambda event: None,
-    wish: Callable[[], Wish] = lambda: Wish.GO_ON,
+    stop: Callable[[], StopRequest] = lambda: StopRequest.NONE,
 ) -> tuple[Line, ...]:
     """Measure the sessions that are not current.
 
@@ -103,7 +103,7 @@ def measure_batch(
         looked: what is current.
         cores: that each session takes.
         watch: called for all that happens.
-        wish: what the user wants now.
+        stop: what the user wants now.
 
     Returns:
         A line for every entry, in their order. Sessions that were not begun, or stopped, are ``stopped``.
@@ -116,7 +116,7 @@ def measure_batch(
     with ThreadPoolExecutor(_READERS) as pool:
         sizes = list(pool.map(lambda entry: _size(entry, looked), todo.values()))
     tasks = [
-        Task(name=address, order=Order(function=measure_entry, arguments=(entry, text)), megapixels=size)
+        Task(name=address, call=Call(function=measure_entry, arguments=(entry, text)), megapixels=size)
         for (address, entry), size in zip(todo.items(), sizes, strict=True)
     ]
     known = [(row.megapixels, row.peak_memory_mb) for row in looked.known.values() if row.peak_memory_mb]
@@ -126,7 +126,7 @@ def measure_batch(
         if address in looked.current
     }
     if tasks:
-        engine = Engine(machines, cores=cores, known=known, wish=wish)
+        engine = Engine(machines, cores=cores, known=known, stop=stop)
         for event in engine.run(tasks):
             watch(event)
             if isinstance(event, Ended):
@@ -160,10 +160,10 @@ def _line(entry: Entry, event: Ended) -> Line:
     except MammometryError as error:
         return Line(entry=entry, state="failed", failed=str(error), kind="StorageError", exit_code=error.exit_code)
     if found is None or found.digest != event.value["digest"]:
-        said = (
+        refusal = (
             "Its results are not those that were measured: somebody changed them, or this machine sees other storage."
         )
-        return Line(entry=entry, state="failed", failed=said, kind="StorageError", exit_code=9)
+        return Line(entry=entry, state="failed", failed=refusal, kind="StorageError", exit_code=9)
     return Line(entry=entry, state="measured", row=found.row, **about)  # type: ignore[arg-type]
 
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from mammometry.base.errors import BatchError
 from mammometry.base.extras import require
 from mammometry.base.machine.cores import available_cores
-from mammometry.batch.names import CORES, MEMORY
+from mammometry.batch.entry import CORES, MEMORY
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -55,8 +55,8 @@ class Machines:
         return int(sum(offers.get(CORES, 0.0) for offers in self._offers()))
 
     def _offers(self) -> list[dict[str, float]]:
-        there = self.client.sync(self.client.scheduler.identity, n_workers=-1)["workers"]
-        return [about["resources"] for about in there.values()]
+        workers = self.client.sync(self.client.scheduler.identity, n_workers=-1)["workers"]
+        return [about["resources"] for about in workers.values()]
 
 
 @contextmanager
@@ -76,7 +76,7 @@ def machines(scheduler: str | None, cores: int | None = None, memory_mb: float |
     import dask
     from distributed import Client, LocalCluster
 
-    from mammometry.batch.offer import Offer
+    from mammometry.batch.worker_resources import WorkerResources
 
     for name in ("distributed", *(name for name in logging.root.manager.loggerDict if name.startswith("distributed."))):
         logging.getLogger(name).setLevel(logging.CRITICAL)  # what matters of it we say ourselves
@@ -85,7 +85,7 @@ def machines(scheduler: str | None, cores: int | None = None, memory_mb: float |
         if scheduler is not None:
             with _connected(scheduler) as client:
                 _require_same(client, scheduler)
-                client.register_plugin(Offer())
+                client.register_plugin(WorkerResources())
                 yield Machines(client=client, local=False, dashboard=client.dashboard_link)
             return
         threads = cores or available_cores()
@@ -104,7 +104,7 @@ def machines(scheduler: str | None, cores: int | None = None, memory_mb: float |
             ) as cluster,
             Client(cluster, set_as_default=False) as client,
         ):
-            client.register_plugin(Offer())
+            client.register_plugin(WorkerResources())
             yield Machines(client=client, local=True, dashboard=client.dashboard_link if pages else None)
 
 
@@ -115,10 +115,10 @@ def _connected(scheduler: str) -> Iterator[Client]:
     try:
         client = Client(scheduler, timeout=_ANSWER_S, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:
-        said = str(error).partition("\n")[0]
+        reason = str(error).partition("\n")[0]
         raise BatchError(
             scheduler,
-            found=f"no scheduler that answers ({said})",
+            found=f"no scheduler that answers ({reason})",
             expected="the address of a Dask scheduler, such as tcp://host:8786",
             remedy="Start one with `dask scheduler`, or leave --scheduler out to use this machine",
         ) from None
@@ -141,8 +141,8 @@ def _require_same(client: Client, scheduler: str) -> None:
         ) from None
     ours = importlib.metadata.version("mammometry")
     # A function of the standard library: a worker without mammometry can run no other.
-    said = client.run(importlib.metadata.version, "mammometry", on_error="return")
-    for address, theirs in said.items():
+    versions = client.run(importlib.metadata.version, "mammometry", on_error="return")
+    for address, theirs in versions.items():
         if theirs != ours:
             raise other_version(
                 address, "no mammometry" if isinstance(theirs, Exception) else f"version {theirs}", ours

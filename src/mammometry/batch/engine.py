@@ -15,18 +15,18 @@ from enum import Enum, auto
 from typing import Any, TypeAlias
 from uuid import uuid4
 
+from mammometry.base.child_process import Call
 from mammometry.base.errors import BatchError
 from mammometry.batch import memory
-from mammometry.batch.child import Order
 from mammometry.batch.cluster import Machines, other_version
-from mammometry.batch.names import CORES, MEMORY
+from mammometry.batch.entry import CORES, MEMORY
 from mammometry.batch.record import software
 from mammometry.batch.supervise import TOPIC, Limits, stop, stop_all, supervise
 
 _KIND = "mammometry"  # first word of all keys: Dask learns by it how long tasks take, and spreads them evenly
 _DEATHS = 2  # of a task, the last one alone on its worker, before it is blamed
 _WAIT_S = 15.0  # for a worker to say what it offers
-_WORDS_A_SECOND = 20  # on how far sessions are, from all workers together; stages that begin come on top
+_REPORTS_A_SECOND = 20  # on how far sessions are, from all workers together; stages that begin come on top
 _LOOK_S = 0.25  # between two looks at what the user wants
 
 
@@ -36,7 +36,7 @@ class Task:
 
     name: str
     """Of its own in the batch."""
-    order: Order
+    call: Call
     megapixels: float | None = None
     """Size of the photographs, on which the memory depends. None if unknown."""
 
@@ -69,10 +69,10 @@ class Ended:
 Event: TypeAlias = Began | Ended
 
 
-class Wish(Enum):
+class StopRequest(Enum):
     """What the user wants of a batch that is at work."""
 
-    GO_ON = auto()
+    NONE = auto()
     FINISH = auto()
     """Begin nothing new, and finish what runs."""
     STOP = auto()
@@ -98,7 +98,7 @@ class Engine:
         machines: the workers.
         cores: that each task takes.
         known: (megapixels, peak memory in MB) of earlier tasks of the same kind.
-        wish: what the user wants now.
+        stop: what the user wants now.
     """
 
     def __init__(
@@ -107,16 +107,16 @@ class Engine:
         *,
         cores: int = 1,
         known: Sequence[tuple[float, float]] = (),
-        wish: Callable[[], Wish] = lambda: Wish.GO_ON,
+        stop: Callable[[], StopRequest] = lambda: StopRequest.NONE,
     ) -> None:
-        self._machines, self._wish = machines, wish
+        self._machines, self._stop_request = machines, stop
         self._known = list(known)
-        self._said: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        self._events: queue.SimpleQueue[Any] = queue.SimpleQueue()
         self._at_work: dict[str, tuple[Any, _Tried]] = {}
         self._names: dict[str, str] = {}
         self._largest_mb = 0.0
         self._limits = Limits(
-            batch=uuid4().hex, cores=cores, software=software(), say_s=max(1.0, machines.count() / _WORDS_A_SECOND)
+            batch=uuid4().hex, cores=cores, software=software(), report_s=max(1.0, machines.count() / _REPORTS_A_SECOND)
         )
 
     def run(self, tasks: Iterable[Task]) -> Iterator[Event]:
@@ -158,13 +158,13 @@ class Engine:
         client = self._machines.client
         client.subscribe_topic(TOPIC, self._hear)
         try:
-            while self._wish() is Wish.GO_ON or self._at_work:
-                self._obey()
+            while self._stop_request() is StopRequest.NONE or self._at_work:
+                self._apply()
                 self._stop(unwanted())
                 room = max(self._machines.cores() // self._limits.cores, 1) - len(self._at_work)
-                claimed = tuple(claim(room)) if room > 0 and self._wish() is Wish.GO_ON else ()
+                claimed = tuple(claim(room)) if room > 0 and self._stop_request() is StopRequest.NONE else ()
                 if claimed:
-                    self._largest_mb = self._offer()
+                    self._largest_mb = self._resources()
                 for task in claimed:
                     self._submit(_Tried(task, alone=not self._known))
                 yield from self._next()
@@ -175,34 +175,34 @@ class Engine:
     def _hear(self, event: tuple[float, Mapping[str, Any]]) -> None:
         """Called in Dask's own thread."""
         about = event[1]
-        self._said.put(Began(name=about["task"], stage=about["stage"], fraction=about["fraction"]))
+        self._events.put(Began(name=about["task"], stage=about["stage"], fraction=about["fraction"]))
 
     def _until_done(self, tasks: Sequence[_Tried]) -> Iterator[Event]:
-        if self._wish() is not Wish.GO_ON:
+        if self._stop_request() is not StopRequest.NONE:
             return
         if tasks:
-            self._largest_mb = self._offer()
+            self._largest_mb = self._resources()
         for tried in tasks:
             self._submit(tried)
         while self._at_work:
-            self._obey()
+            self._apply()
             yield from self._next()
 
     def _next(self) -> Iterator[Event]:
         """What happens next, if it is soon."""
         try:
-            said = self._said.get(timeout=_LOOK_S)
+            item = self._events.get(timeout=_LOOK_S)
         except queue.Empty:
             self._require_scheduler()
             return
-        if isinstance(said, Began):
-            if said.name in self._at_work:
-                self._at_work[said.name][1].began = True
-                yield said
-        elif (ended := self._ended(said)) is not None:
+        if isinstance(item, Began):
+            if item.name in self._at_work:
+                self._at_work[item.name][1].began = True
+                yield item
+        elif (ended := self._ended(item)) is not None:
             yield ended
 
-    def _offer(self) -> float:
+    def _resources(self) -> float:
         """Memory of the worker that offers most, MB.
 
         Raises:
@@ -226,7 +226,7 @@ class Engine:
         future = self._machines.client.submit(
             supervise,
             tried.task.name,
-            tried.task.order,
+            tried.task.call,
             self._limits,
             key=f"{_KIND}-{uuid4().hex}",
             resources={CORES: self._limits.cores, MEMORY: need},
@@ -234,7 +234,7 @@ class Engine:
         )
         self._names[future.key] = tried.task.name
         self._at_work[tried.task.name] = (future, tried)
-        future.add_done_callback(self._said.put)
+        future.add_done_callback(self._events.put)
 
     def _ended(self, future: Any) -> Ended | None:
         """What a future came to. None where it is tried again, or was dropped."""
@@ -248,7 +248,7 @@ class Engine:
             raise other_version(str(answer["host"]), f"version {theirs['mammometry']} ({theirs['results']})", ours)
         taken = answer.get("memory_mb")
         if (why := answer.get("killed")) is not None:
-            if self._wish() is Wish.STOP:
+            if self._stop_request() is StopRequest.STOP:
                 return None
             if tried.deaths < _DEATHS - 1:
                 self._submit(_Tried(tried.task, alone=True, deaths=tried.deaths + 1))
@@ -288,11 +288,11 @@ class Engine:
             return {"failed": f"The worker failed: {type(error).__name__}: {error}", "kind": "Worker", "exit_code": 1}
         return answer
 
-    def _obey(self) -> None:
-        wish = self._wish()
-        if wish is Wish.FINISH:
+    def _apply(self) -> None:
+        stop = self._stop_request()
+        if stop is StopRequest.FINISH:
             self._drop(lambda tried: not tried.began)
-        elif wish is Wish.STOP:
+        elif stop is StopRequest.STOP:
             self._drop(lambda tried: True)
             self._machines.client.run(stop_all, self._limits.batch)
 

@@ -96,8 +96,8 @@ def _sessions_in(folder: Path) -> list[Path]:
         return [resolved]
     if not resolved.is_dir():
         return []
-    with os.scandir(resolved) as there:
-        names = sorted(each.name for each in there if not each.name.startswith("."))
+    with os.scandir(resolved) as found_entries:
+        names = sorted(path.name for path in found_entries if not path.name.startswith("."))
     return [(resolved / name).resolve() for name in names if (resolved / name / MANIFEST).is_file()]
 
 

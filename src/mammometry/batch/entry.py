@@ -1,4 +1,4 @@
-"""One session of a batch: its location and its own data."""
+"""One session of a batch, and what its task takes of a worker."""
 
 from __future__ import annotations
 
@@ -6,6 +6,10 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+MEMORY = "mammometry_mb"
+"""Resource of a worker: memory that its tasks may take together, MB."""
+CORES = "mammometry_cores"
+"""Resource of a worker: cores that its tasks may take together."""
 _ADDRESS = re.compile(r"[a-z][a-z0-9+]*://")
 
 

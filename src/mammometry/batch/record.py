@@ -19,7 +19,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 import mammometry
 from mammometry.base.limits import LimitSettings
 from mammometry.io.write import write_text
-from mammometry.job.products import VERSIONS
+from mammometry.job.products import versions
+from mammometry.job.stages.report import VERSIONS
 from mammometry.settings import Settings
 
 RECORD = "batch.json"
@@ -90,8 +91,8 @@ class Record(BaseModel):
 
 def software() -> dict[str, str]:
     """Versions that must be equal on every machine of a batch. With other versions, results would differ."""
-    versions = json.dumps(dict(VERSIONS), sort_keys=True).encode()
-    return {"mammometry": mammometry.__version__, "results": hashlib.sha256(versions).hexdigest()[:12]}
+    numbers = json.dumps({**versions(), **VERSIONS}, sort_keys=True).encode()
+    return {"mammometry": mammometry.__version__, "results": hashlib.sha256(numbers).hexdigest()[:12]}
 
 
 def key_of(settings: Settings, limits: LimitSettings | None = None) -> str:
@@ -111,15 +112,15 @@ def stats_of(session: Path) -> dict[str, Stat]:
 
 
 def _stats(folder: str, above: str) -> Iterator[tuple[str, Stat]]:
-    with os.scandir(folder) as there:
-        for each in sorted(there, key=lambda entry: entry.name):
-            if each.name.startswith("."):
+    with os.scandir(folder) as found_entries:
+        for path in sorted(found_entries, key=lambda entry: entry.name):
+            if path.name.startswith("."):
                 continue
-            if each.is_dir():
-                yield from _stats(each.path, f"{above}{each.name}/")
+            if path.is_dir():
+                yield from _stats(path.path, f"{above}{path.name}/")
             else:
-                about = each.stat()
-                yield f"{above}{each.name}", (about.st_size, about.st_mtime_ns)
+                about = path.stat()
+                yield f"{above}{path.name}", (about.st_size, about.st_mtime_ns)
 
 
 def write_record(session: Path, record: Record) -> None:

@@ -19,10 +19,9 @@ from PIL import Image
 
 from mammometry.api.job import Job, open_session
 from mammometry.api.stored_report import WARNINGS
-from mammometry.base.each import Tell
 from mammometry.base.errors import StorageError
 from mammometry.base.machine.memory import peak_memory_mb
-from mammometry.base.progress import Progress
+from mammometry.base.progress import Progress, StageProgress
 from mammometry.batch import storage
 from mammometry.batch.entry import Entry
 from mammometry.batch.record import RECORD, Measured, Record, Row, key_of, read_record, stats_of, write_record
@@ -39,11 +38,11 @@ _WAIT_S, _STEP_S = 30.0, 1.0
 """Wait for the previous run of a restarted task, which may still be ending in the session."""
 
 
-def measure_entry(tell: Tell, entry: Entry, settings: str) -> dict[str, Any]:
+def measure_entry(progress: StageProgress, entry: Entry, settings: str) -> dict[str, Any]:
     """Measure one session in place, or in a scratch folder if remote.
 
     Args:
-        tell: called with stage and fraction.
+        progress: called with stage and fraction.
         entry: the session.
         settings: all settings of the batch, TOML; those of the entry come on top.
 
@@ -56,15 +55,15 @@ def measure_entry(tell: Tell, entry: Entry, settings: str) -> dict[str, Any]:
     chosen = Settings.from_toml(settings).overridden(entry.assignments)
     if not entry.remote:
         with disk_errors(Path(entry.address)):
-            record = _measured(Path(entry.address), chosen, tell)
+            record = _measured(Path(entry.address), chosen, progress)
     else:
         with _scratch() as scratch, disk_errors(scratch):
             folder = scratch / entry.name
-            tell("fetch", 0.0)
-            there = storage.fetch(entry, folder)
-            record = _measured(folder, chosen, tell).model_copy(update={"files": there})
+            progress("fetch", 0.0)
+            files = storage.fetch(entry, folder)
+            record = _measured(folder, chosen, progress).model_copy(update={"files": files})
             write_record(folder, record)
-            tell("put", 0.0)
+            progress("put", 0.0)
             storage.put(entry, folder / "results", record.digest)
     return {"digest": record.digest, "megapixels": record.row.megapixels}
 
@@ -81,9 +80,9 @@ def _scratch() -> Iterator[Path]:
         yield Path(folder)
 
 
-def _measured(session: Path, settings: Settings, tell: Tell) -> Record:
+def _measured(session: Path, settings: Settings, progress: StageProgress) -> Record:
     """Measure a session and write its record."""
-    job = open_session(session, settings, watch=lambda key: _watched(key, tell))
+    job = open_session(session, settings, watch=lambda key: _watched(key, progress))
     made = _when_free(lambda: job.run().made)
     earlier = None if made else _earlier(session)
     row = _row_of(job, peak_memory_mb() if earlier is None else earlier.peak_memory_mb)
@@ -117,7 +116,7 @@ def _when_free(run: Callable[[], _R]) -> _R:
 
 
 def _row_of(job: Job, peak_mb: float | None) -> Row:
-    said = json.loads((job.session.results / "report" / WARNINGS).read_text(encoding="utf-8"))
+    warnings = json.loads((job.session.results / "report" / WARNINGS).read_text(encoding="utf-8"))
     made = [job.store.record(key) for stage in STAGES for key in job.keys(stage)]
     return Row(
         session=job.identity.name,
@@ -128,7 +127,7 @@ def _row_of(job: Job, peak_mb: float | None) -> Row:
             for name, found in job.measure().items()
         ),
         no_breast=job.no_breast(),
-        warnings=tuple(said),
+        warnings=tuple(warnings),
         made_at=job.made_at("report"),
         seconds=round(sum(record.seconds for record in made if record is not None), 3),
         peak_memory_mb=peak_mb,
@@ -153,6 +152,6 @@ def _thumbnail(results: Path) -> str | None:
 
 
 @contextmanager
-def _watched(key: Key, tell: Tell) -> Iterator[Progress]:
-    tell(key.stage, 0.0)
-    yield lambda fraction: tell(key.stage, fraction)
+def _watched(key: Key, progress: StageProgress) -> Iterator[Progress]:
+    progress(key.stage, 0.0)
+    yield lambda fraction: progress(key.stage, fraction)

@@ -36,8 +36,8 @@ def sessions_at(address: str) -> list[str]:
         system.invalidate_cache()
         if system.isfile(f"{root}/{MANIFEST}"):
             return [address.rstrip("/")]
-        below = sorted(each.rstrip("/") for each in system.ls(root, detail=False)) if system.isdir(root) else []
-        found = [each for each in below if system.isfile(f"{each}/{MANIFEST}")]
+        below = sorted(folder.rstrip("/") for folder in system.ls(root, detail=False)) if system.isdir(root) else []
+        found = [folder for folder in below if system.isfile(f"{folder}/{MANIFEST}")]
     if not found:
         raise SessionError(
             address,
@@ -45,7 +45,7 @@ def sessions_at(address: str) -> list[str]:
             expected=f"a folder with a {MANIFEST}, or of such folders",
             remedy="Check the address",
         )
-    return [f"{address.rstrip('/')}/{each.rpartition('/')[2]}" for each in found]
+    return [f"{address.rstrip('/')}/{folder.rpartition('/')[2]}" for folder in found]
 
 
 def fetch(entry: Entry, folder: Path) -> dict[str, Stat]:
@@ -57,10 +57,10 @@ def fetch(entry: Entry, folder: Path) -> dict[str, Stat]:
     Raises:
         StorageError: the storage does not answer.
     """
-    there = stats(entry)
+    remote = stats(entry)
     with _answers(entry.address):
         system, root = _opened(entry.address)
-        for name in there:
+        for name in remote:
             target = folder / name
             if not target.resolve().is_relative_to(folder.resolve()):
                 raise SessionError(
@@ -75,7 +75,7 @@ def fetch(entry: Entry, folder: Path) -> dict[str, Stat]:
         with _answers(entry.address):
             system, root = _opened(_base(entry))
             system.get(f"{root}/{former}/", str(folder / _RESULTS), recursive=True)
-    return there
+    return remote
 
 
 def put(entry: Entry, results: Path, digest: str) -> None:
@@ -158,15 +158,15 @@ def stats(entry: Entry) -> dict[str, Stat]:
         system, root = _opened(entry.address)
         system.invalidate_cache()
         found: Mapping[str, Mapping[str, Any]] = system.find(root, detail=True)
-    there = {}
+    remote = {}
     for path, about in found.items():
         name = path[len(root) :].lstrip("/")
         first = name.partition("/")[0]
         if first in (_RESULTS, POINTER) or first.startswith((f"{_RESULTS}-", ".")) or "/." in name:
             continue
         changed = about.get("ETag") or about.get("mtime") or about.get("LastModified") or ""
-        there[name] = (int(about["size"]), changed if isinstance(changed, int | float) else str(changed))
-    return dict(sorted(there.items()))
+        remote[name] = (int(about["size"]), changed if isinstance(changed, int | float) else str(changed))
+    return dict(sorted(remote.items()))
 
 
 def _base(entry: Entry) -> str:
@@ -218,10 +218,10 @@ def _answers(address: str) -> Iterator[None]:
     except (StorageError, SessionError):
         raise
     except Exception as error:
-        said = str(error).partition("\n")[0] or type(error).__name__
+        reason = str(error).partition("\n")[0] or type(error).__name__
         raise StorageError(
             address,
-            found=f"storage that does not answer as it should ({said})",
+            found=f"storage that does not answer as it should ({reason})",
             expected="to read the session and to write its results",
             remedy="Check the address, the credentials and the network, and run the same command again",
         ) from None

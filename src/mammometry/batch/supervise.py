@@ -5,36 +5,30 @@ A process that grows too large is ended.
 
 from __future__ import annotations
 
-import json
 import os
-import pickle
 import subprocess
-import sys
 import tempfile
 import threading
-import time
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Collection, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
 from typing import Any
 
-from mammometry.base.machine.cores import CORES
-from mammometry.batch.child import Order
-from mammometry.batch.names import MEMORY
+from mammometry.base.child_process import Call, ChildProcess, NotDone
+from mammometry.base.value import value
+from mammometry.batch.entry import MEMORY
 from mammometry.batch.record import software
 
 TOPIC = "mammometry"
 """Of the events by which workers say how far their tasks are."""
 _LOOK_S = 0.5  # between two looks at the memory of a process: it grows by some 100 MB a second
 _LAST_LINES = 3  # of what a process that died has said
-_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")
 _MIB = 1 << 20  # bytes in a MiB
 
 running: dict[tuple[str, str], subprocess.Popen[bytes]] = {}
 """Processes of this worker by batch and task, for stopping them."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value
 class Limits:
     """What a task's process may use."""
 
@@ -43,21 +37,21 @@ class Limits:
     cores: int
     software: Mapping[str, str]
     """What the batch's own machine runs."""
-    say_s: float = 1.0
-    """Between two words on the same stage, s. The scheduler hears the words of all workers."""
+    report_s: float = 1.0
+    """Between two reports on the same stage, s. The scheduler hears those of all workers."""
 
 
-def supervise(name: str, order: Order, limits: Limits) -> dict[str, Any]:
+def supervise(name: str, call: Call, limits: Limits) -> dict[str, Any]:
     """Do a task in a process of its own.
 
     Args:
         name: of the task, for its events.
-        order: what to do.
+        call: what to do; its function is called with a `StageProgress` first.
         limits: of its process, whose memory is limited to what the worker offers.
 
     Returns:
-        What the process answered; ``killed`` with the reason where it did not; ``other`` with what this worker runs
-        where that is not what the batch runs. Always ``worker`` and ``memory_mb``.
+        What the process answered (`ChildProcess.answer`); ``killed`` with the reason where it did not; ``other`` with
+        what this worker runs where that is not what the batch runs. Always ``worker`` and ``memory_mb``.
     """
     from distributed import get_worker
 
@@ -65,42 +59,23 @@ def supervise(name: str, order: Order, limits: Limits) -> dict[str, Any]:
     about = {"worker": str(worker.name), "host": os.uname().nodename}
     if software() != dict(limits.software):
         return {"other": software(), **about}
-    with tempfile.TemporaryFile() as complaints:
-        process = subprocess.Popen(
-            [sys.executable, "-m", "mammometry.batch.child"],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=complaints,
-            env=os.environ | dict.fromkeys(_THREADS, str(limits.cores)) | {CORES: str(limits.cores)},
-            start_new_session=True,  # Ctrl-C at the terminal is the batch's to answer
-        )
-        running[limits.batch, name] = process
+
+    def report(stage: str, fraction: float) -> None:
+        worker.log_event(TOPIC, {"task": name, "stage": stage, "fraction": fraction})
+
+    with tempfile.TemporaryFile() as errors, ChildProcess(cores=limits.cores, errors=errors) as child:
+        running[limits.batch, name] = child.process
+        peak = _Peak(child.process, worker.state.total_resources.get(MEMORY, 0.0))
         try:
-            peak = _Peak(process, worker.state.total_resources.get(MEMORY, 0.0))
-            pass_on = _seldom(lambda event: worker.log_event(TOPIC, {"task": name, **event}), limits.say_s)
-            answer = _conversation(process, order, pass_on)
+            report("start", 0.0)
+            answer = child.answer(call, report, limits.report_s)
+        except NotDone:
             peak.end()
-            if answer is None:
-                answer = {"killed": peak.why or _last_words(process, complaints)}
-            return {"memory_mb": peak.mb} | answer | about
+            answer = {"killed": peak.why or _last_words(child.process, errors)}
         finally:
-            process.kill()
-            process.wait()
+            peak.end()
             running.pop((limits.batch, name), None)
-
-
-def _seldom(say: Callable[[dict[str, Any]], None], every_s: float) -> Callable[[dict[str, Any]], None]:
-    """Say each new stage at once, and how far it is at most every so many seconds."""
-    stage, at = "", -every_s
-
-    def say_seldom(event: dict[str, Any]) -> None:
-        nonlocal stage, at
-        now = time.monotonic()
-        if event["stage"] != stage or now - at >= every_s:
-            stage, at = event["stage"], now
-            say(event)
-
-    return say_seldom
+    return {"memory_mb": peak.mb} | answer | about
 
 
 def stop_all(batch: str) -> int:
@@ -110,45 +85,19 @@ def stop_all(batch: str) -> int:
 
 def stop(batch: str, tasks: Collection[str]) -> int:
     """End the processes of some tasks of a batch on this worker. Return how many there were."""
-    there = [process for (of, task), process in list(running.items()) if of == batch and task in tasks]
-    for process in there:
+    stopped = [process for (of, task), process in list(running.items()) if of == batch and task in tasks]
+    for process in stopped:
         with suppress(OSError):
             process.kill()
-    return len(there)
+    return len(stopped)
 
 
-def _conversation(process: subprocess.Popen[bytes], order: Order, pass_on: Any) -> dict[str, Any] | None:
-    """Give the order, pass on what is said, and return the answer.
-
-    None where the process ends without one.
-    """
-    assert process.stdin is not None
-    assert process.stdout is not None
-    pass_on({"stage": "start", "fraction": 0.0})
-    try:
-        process.stdin.write(pickle.dumps(order))
-        process.stdin.flush()
-        for line in process.stdout:
-            said = json.loads(line)
-            if "stage" not in said:
-                answer: dict[str, Any] = said
-                return answer
-            pass_on(said)
-    except (OSError, ValueError):
-        pass  # it died while it spoke
-    finally:
-        for pipe in (process.stdin, process.stdout):
-            with suppress(OSError):
-                pipe.close()
-    return None
-
-
-def _last_words(process: subprocess.Popen[bytes], complaints: Any) -> str:
+def _last_words(process: subprocess.Popen[bytes], errors: Any) -> str:
     """Why a process ended without an answer."""
     code = process.wait()
-    size = complaints.seek(0, os.SEEK_END)
-    complaints.seek(max(0, size - 4096))
-    lines = complaints.read().decode("utf-8", errors="replace").strip().splitlines()[-_LAST_LINES:]
+    size = errors.seek(0, os.SEEK_END)
+    errors.seek(max(0, size - 4096))
+    lines = errors.read().decode("utf-8", errors="replace").strip().splitlines()[-_LAST_LINES:]
     ended = f"it was ended by signal {-code}" if code < 0 else f"it ended with code {code}"
     return " ".join([ended, *([f"after saying: {' / '.join(lines)}"] if lines else [])])
 
@@ -174,8 +123,8 @@ class _Peak:
         while True:
             with suppress(psutil.Error):
                 whole = psutil.Process(self._process.pid)
-                each = [whole, *whole.children(recursive=True)]
-                self.mb = max(self.mb, round(sum(one.memory_info().rss for one in each) / _MIB, 1))
+                family = [whole, *whole.children(recursive=True)]
+                self.mb = max(self.mb, round(sum(process.memory_info().rss for process in family) / _MIB, 1))
             if self._limit_mb and self.mb > self._limit_mb:
                 self.why = f"it took {self.mb:.0f} MB of memory, more than the {self._limit_mb:.0f} MB that it may"
                 self._process.kill()

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
 
 import numpy as np
 
+from mammometry.base.value import value
 from mammometry.calibration.adjust.calibrated import Calibration
 from mammometry.calibration.judge.expected_error import derivatives, expected_error, shape_shifts
 from mammometry.calibration.judge.working_volume import working_volume
@@ -31,7 +31,7 @@ _TILT_STD = 0.35  # of each coordinate of the direction that the board faces, of
 _FEWEST_CAMERAS = 2  # that must see the board; one alone ties nothing together
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class Suggestion:
     """Where to hold the board, and what that is expected to bring."""
 
@@ -46,10 +46,6 @@ class Suggestion:
     """The same as shares of the picture's width and height, for a live picture of any size. Read-only."""
     sentence: str
     """For whoever holds the board."""
-
-    def __post_init__(self) -> None:
-        for name in ("outlines_px", "outlines"):
-            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -185,8 +181,10 @@ def _pair_axes(rig: Rig) -> Float64[Array, "p 3"]:
 
 def _variance_px2(calibration: Calibration) -> float:
     """Of one coordinate of a point, as the calibration found it."""
-    each = [np.trace(one.covariance_px2, axis1=1, axis2=2) / 2 for one in calibration.observations.detections]
-    return float(np.median(np.concatenate(each))) * calibration.noise_factor**2
+    variances = [
+        np.trace(detection.covariance_px2, axis1=1, axis2=2) / 2 for detection in calibration.observations.detections
+    ]
+    return float(np.median(np.concatenate(variances))) * calibration.noise_factor**2
 
 
 def _outlines(calibration: Calibration, placed: Transform) -> dict[str, Float64[Array, "4 2"]]:
@@ -194,7 +192,7 @@ def _outlines(calibration: Calibration, placed: Transform) -> dict[str, Float64[
     corners = target.points_target[:, :2]
     (left, top), (right, bottom) = corners.min(axis=0), corners.max(axis=0)
     outline = np.array([[left, top, 0.0], [right, top, 0.0], [right, bottom, 0.0], [left, bottom, 0.0]])
-    seeing = [one for one in calibration.rig.cameras.values() if sees_target(one, placed, target)]
+    seeing = [camera for camera in calibration.rig.cameras.values() if sees_target(camera, placed, target)]
     return {camera.name: camera.project(placed.apply(outline)) for camera in seeing}
 
 

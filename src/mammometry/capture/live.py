@@ -187,7 +187,7 @@ def _whole(small: UInt8[Array, "h w *c"], subject_kind: str) -> Found:
         clipped=0.0,
         blur=0.0,
     )  # fmt: skip
-    return next(one for one in judge(seen, subject_kind) if one.check == "whole")
+    return next(finding for finding in judge(seen, subject_kind) if finding.check == "whole")
 
 
 def _target_in(

@@ -18,19 +18,20 @@ from mammometry.calibration.settings import DetectSettings
 from mammometry.calibration.targets.board import Board
 from mammometry.calibration.targets.table import target_from_table
 from mammometry.capture.camera import Backend
+from mammometry.capture.camera_locks import Holds
 from mammometry.capture.guide import Progress, Suggestion, opening, progress, suggest
-from mammometry.capture.holds import Holds
 from mammometry.capture.registry import BACKENDS
 from mammometry.capture.rig_file import RigFile, read_rig_file
 from mammometry.capture.sessions import definition_of, make_session, manifest_text, share_calibration
 from mammometry.capture.shots import Shot, accept, add_pose, last_record, require_replaceable
 from mammometry.capture.skew.measured import Skew, read_skew, write_skew
 from mammometry.capture.skew.read import read_moment, skew_of
-from mammometry.capture.take import Taken, take
+from mammometry.capture.take import Firing, take
 from mammometry.capture.verdict import Expected, Verdict, judge
 from mammometry.geometry.camera import Rig
 from mammometry.io.manifest import MANIFEST, read_manifest
 from mammometry.io.photographs.images import read_photograph
+from mammometry.job.stages import calibrate
 
 if TYPE_CHECKING:
     from mammometry.calibration.adjust.calibrated import Calibration
@@ -40,7 +41,7 @@ _SEARCH_PX = 480  # width in which the board is sought to tell cameras apart: hu
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Fired:
+class CaptureResult:
     """What came of one firing."""
 
     shot: Path
@@ -53,7 +54,7 @@ class Fired:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Posed:
+class PoseResult:
     """What came of one pose of the calibration board."""
 
     pose: str
@@ -69,7 +70,7 @@ class Posed:
     """Why there is no calibration yet."""
 
 
-class Rigged:
+class OpenRig:
     """A rig's open cameras, with all that its pictures are compared with.
 
     Opening reads the calibration once, so that a verdict takes two seconds and not twenty.
@@ -122,7 +123,7 @@ class Rigged:
             self.close()
             raise
 
-    def __enter__(self) -> Rigged:
+    def __enter__(self) -> OpenRig:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
@@ -143,7 +144,7 @@ class Rigged:
         states = {name: self.backend.health(name) for name in self.cameras}
         return {name: state.fault for name, state in states.items() if state.fault}
 
-    def fire_into(self, session: Path, *, subject_id: str | None = None) -> Fired:
+    def fire_into(self, session: Path, *, subject_id: str | None = None) -> CaptureResult:
         """Fire, write and judge. The pictures become the session's capture if nothing speaks against that.
 
         Args:
@@ -176,10 +177,10 @@ class Rigged:
             accept(session, folder)
             if self.skew is not None:
                 write_skew(session, self.skew)
-        written_s = max(one.seconds for one in taken.frames.values())
-        return Fired(shot=folder, verdict=verdict, accepted=verdict.may_be_measured, written_s=written_s)
+        written_s = max(frame.seconds for frame in taken.frames.values())
+        return CaptureResult(shot=folder, verdict=verdict, accepted=verdict.may_be_measured, written_s=written_s)
 
-    def fire_pose(self, session: Path) -> Posed:
+    def fire_pose(self, session: Path) -> PoseResult:
         """Fire at the calibration board. Calibrate with all poses so far, and say where to hold it next.
 
         Args:
@@ -204,7 +205,7 @@ class Rigged:
             raise
         return self.guidance(session, pose=add_pose(session, shot.finish({"format": 1, "pose": True})))
 
-    def _require_named(self, session: Path, taken: Taken) -> None:
+    def _require_named(self, session: Path, taken: Firing) -> None:
         """Refuse a pose whose pictures show that two cables are exchanged."""
         known = self._calibrated_so_far(session) or self.rig
         if known is None or self.file.target is None:
@@ -217,7 +218,9 @@ class Rigged:
 
         with ThreadPoolExecutor(available_cores()) as pool:
             found = dict(zip(taken.frames, pool.map(detected, taken.frames), strict=True))
-        swapped = check_board_names(known, {name: one for name, one in found.items() if one is not None})
+        swapped = check_board_names(
+            known, {name: detection for name, detection in found.items() if detection is not None}
+        )
         if swapped is not None:
             raise CaptureError(
                 " and ".join(swapped), found="exchanged: by the board, each shows the other's view",
@@ -231,7 +234,7 @@ class Rigged:
             return None
         return None if calibration is None else calibration.rig
 
-    def guidance(self, session: Path, *, pose: str = "") -> Posed:
+    def guidance(self, session: Path, *, pose: str = "") -> PoseResult:
         """How good the calibration is, and where to hold the board next.
 
         Args:
@@ -240,18 +243,18 @@ class Rigged:
         """
         pairs = tuple(pair.name for pair in self.file.rig.pairs)
         if not (session / "calibration").is_dir():
-            return Posed(pose=pose, count=0, progress=None, suggestion=None, sentence=opening(pairs, 0))
+            return PoseResult(pose=pose, count=0, progress=None, suggestion=None, sentence=opening(pairs, 0))
         count = sum(1 for path in (session / "calibration").iterdir() if path.name.isdecimal())
         try:
             calibration = _calibration_of(session)
         except (CalibrationError, SessionError) as error:  # too few poses yet
-            return Posed(
+            return PoseResult(
                 pose=pose, count=count, progress=None, suggestion=None, sentence=opening(pairs, count), why=str(error)
             )
         assert calibration is not None  # the rig's file has a target, and no ready-made cameras
         next_one = suggest(calibration)
         so_far = progress(calibration)
-        return Posed(
+        return PoseResult(
             pose=pose,
             count=count,
             progress=so_far,
@@ -297,7 +300,9 @@ class Rigged:
             except BaseException:
                 shot.drop()
                 raise
-            moments = {name: {"begin_ms": one.begin_ms, "std_ms": one.std_ms} for name, one in seen[-1].items()}
+            moments = {
+                name: {"begin_ms": moment.begin_ms, "std_ms": moment.std_ms} for name, moment in seen[-1].items()
+            }
             shot.finish({"format": 1, "moments": moments})
         self.skew = skew_of(seen, exposure_ms)
         write_skew(session, self.skew)
@@ -329,7 +334,7 @@ def prepare(session: Path, file: RigFile, calibration: Path | None, *, subject_i
         share_calibration(calibration, session)
 
 
-def record_of(taken: Taken, verdict: Verdict, backend: str) -> dict[str, object]:
+def record_of(taken: Firing, verdict: Verdict, backend: str) -> dict[str, object]:
     """A firing's shot.json."""
     when = datetime.datetime.fromtimestamp(taken.fired_s, datetime.UTC).isoformat(timespec="milliseconds")
     return {
@@ -338,15 +343,15 @@ def record_of(taken: Taken, verdict: Verdict, backend: str) -> dict[str, object]
         "backend": backend,
         "cameras": {
             name: {
-                "file": one.path.name,
-                "sha256": one.sha256,
-                "taken_s": one.taken_s,
-                "clock": one.clock,
-                "number": one.number,
-                "serial": one.serial,
-                "seconds": round(one.seconds, 3),
+                "file": frame.path.name,
+                "sha256": frame.sha256,
+                "taken_s": frame.taken_s,
+                "clock": frame.clock,
+                "number": frame.number,
+                "serial": frame.serial,
+                "seconds": round(frame.seconds, 3),
             }
-            for name, one in taken.frames.items()
+            for name, frame in taken.frames.items()
         },
         "faults": {name: str(error) for name, error in taken.faults.items()},
         "verdict": verdict.as_table(),
@@ -360,5 +365,4 @@ def _calibration_of(session: Path) -> Calibration | None:
     """
     job = open_session(session)
     job.ensure("calibrate", drawn=False)
-    product = job.plan.calibrated.calibration
-    return None if product is None else product()
+    return job.plan.value(calibrate.calibration)

@@ -1,6 +1,6 @@
 """The local page on which cameras are aimed, focused and fired.
 
-As the editor's, it listens only on 127.0.0.1 and answers only those who entered with a key (`editor.door`).
+As the editor's, it listens only on 127.0.0.1 and answers only those who entered with a key (`editor.auth`).
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from typing import Any
 from django.http import HttpRequest, HttpResponse
 from django.urls import URLPattern, path
 
-from mammometry.capture.loop import Rigged
-from mammometry.capture.stand import Stand, told
-from mammometry.editor.door import Door
+from mammometry.capture.loop import OpenRig
+from mammometry.capture.page_service import Stand, firing_table
+from mammometry.editor.auth import Door
 from mammometry.editor.page import resource
 from mammometry.editor.server import Application, entrance_route, guarded_app, listen, page_view
 
@@ -38,7 +38,7 @@ def capture_app(stand: Stand, goal: Goal, door: Door) -> Application:
     return guarded_app(_routes(stand, goal, door), door)
 
 
-def serve(rigged: Rigged, goal: Goal, *, ready: Callable[[str, str], None]) -> None:
+def serve(rigged: OpenRig, goal: Goal, *, ready: Callable[[str, str], None]) -> None:
     """Serve the page until interrupted.
 
     Args:
@@ -67,7 +67,7 @@ def _routes(stand: Stand, goal: Goal, door: Door) -> tuple[URLPattern, ...]:
         if goal.posing:
             return stand.pose(goal.session)
         fired = stand.fire(goal.session, subject_id=goal.subject_id)
-        return told(fired, f"mammometry run {goal.session}")
+        return firing_table(fired, f"mammometry run {goal.session}")
 
     return (
         entrance_route(door),

@@ -92,7 +92,9 @@ def read_rig_file(path: Path) -> RigFile:
             f"{path}: capture.cameras", found=strangers[0], expected=f"one of {', '.join(file.camera_names)}",
             remedy="Name the cameras as the pairs do",
         )  # fmt: skip
-    twice = [one for one in file.capture.cameras.values() if list(file.capture.cameras.values()).count(one) > 1]
+    twice = [
+        camera for camera in file.capture.cameras.values() if list(file.capture.cameras.values()).count(camera) > 1
+    ]
     if twice:
         raise SessionError(
             f"{path}: capture.cameras", found=f"{twice[0]!r} for two cameras", expected="a device each",

@@ -95,9 +95,9 @@ def share_calibration(calibration: Path, session: Path) -> None:
             if path.is_file() and path.suffix.lower() in (*EXTENSIONS, ".csv")
         }
         wanted |= {Path(name): calibration / name for name in _SHARED if (calibration / name).is_file()}
-        there = {path.relative_to(session) for path in (session / "calibration").rglob("*") if path.is_file()}
-        there |= {Path(name) for name in _SHARED if (session / name).is_file()}
-        for name in there - set(wanted):
+        present = {path.relative_to(session) for path in (session / "calibration").rglob("*") if path.is_file()}
+        present |= {Path(name) for name in _SHARED if (session / name).is_file()}
+        for name in present - set(wanted):
             (session / name).unlink()
         for name, path in wanted.items():
             target = session / name
@@ -127,9 +127,9 @@ def take_over(job: Job, source: Job) -> int:
     Raises:
         StorageError: the disk is full or refuses.
     """
-    theirs = {product.key.digest: product for product in source.products("calibrate")}
+    theirs = {product.key.digest: product for product in source.plan.products("calibrate")}
     taken = 0
-    for product in job.products("calibrate"):
+    for product in job.plan.products("calibrate"):
         same = theirs.get(product.key.digest)
         if same is None or job.store.has(product.key) or not source.store.has(same.key):
             continue
@@ -149,7 +149,7 @@ def _key(name: str) -> str:
 def _value(value: object) -> str:
     """A value as TOML, on one line."""
     if isinstance(value, Mapping):
-        return "{ " + ", ".join(f"{_key(name)} = {_value(each)}" for name, each in value.items()) + " }"
+        return "{ " + ", ".join(f"{_key(name)} = {_value(item)}" for name, item in value.items()) + " }"
     if isinstance(value, (list, tuple)):
         return "[" + ", ".join(map(_value, value)) + "]"
     if isinstance(value, (bool, int, float, str)):

@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from types import MappingProxyType
 
 from mammometry.base.errors import CaptureError, MammometryError
+from mammometry.base.value import value
 from mammometry.calibration.features.keypoints import Keypoints, keypoints
 from mammometry.capture.camera import Backend, Frame
 from mammometry.capture.checks.pixels import QUICK_PX, Seen, look
@@ -36,8 +36,8 @@ class Delivered:
     """From the pulse until it was on the disk."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Taken:
+@value(eq=False)
+class Firing:
     """One firing."""
 
     fired_s: float
@@ -49,12 +49,8 @@ class Taken:
     seconds: float
     """From the pulse until all were on the disk and looked at."""
 
-    def __post_init__(self) -> None:
-        for name in ("frames", "faults"):
-            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
 
-
-def take(backend: Backend, cameras: tuple[str, ...], shot: Shot, *, timeout_s: float, features: bool = True) -> Taken:
+def take(backend: Backend, cameras: tuple[str, ...], shot: Shot, *, timeout_s: float, features: bool = True) -> Firing:
     """Arm, fire and fetch all cameras.
 
     One camera's failure, or the disk's, is its own fault: the others' pictures are written.
@@ -82,10 +78,10 @@ def take(backend: Backend, cameras: tuple[str, ...], shot: Shot, *, timeout_s: f
     # Waiting for a slow camera holds a thread, and must hold nobody else up.
     with ThreadPoolExecutor(max(1, len(cameras))) as pool:
         got = dict(zip(cameras, pool.map(one, cameras), strict=True))
-    return Taken(
+    return Firing(
         fired_s=fired_s,
-        frames={name: each for name, each in got.items() if isinstance(each, Delivered)},
-        faults={name: each for name, each in got.items() if isinstance(each, MammometryError)},
+        frames={name: outcome for name, outcome in got.items() if isinstance(outcome, Delivered)},
+        faults={name: outcome for name, outcome in got.items() if isinstance(outcome, MammometryError)},
         seconds=time.monotonic() - begun,
     )
 

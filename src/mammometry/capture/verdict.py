@@ -19,7 +19,7 @@ from mammometry.capture.checks import cameras, pixels
 from mammometry.capture.checks.cameras import KnownCamera
 from mammometry.capture.checks.found import Found, refuses
 from mammometry.capture.skew.measured import Skew
-from mammometry.capture.take import Taken
+from mammometry.capture.take import Firing
 from mammometry.geometry.camera import Rig
 
 _OLD_S = 2.0  # before the pulse: clocks that are shared differ by far less
@@ -38,18 +38,18 @@ class Verdict:
     @property
     def may_be_measured(self) -> bool:
         """Whether nothing refuses."""
-        return not refuses(each for _, each in self.found)
+        return not refuses(finding for _, finding in self.found)
 
     @property
-    def said(self) -> tuple[str, ...]:
+    def sentences(self) -> tuple[str, ...]:
         """Sentences for the technician, the gravest first. What was good is said once a kind."""
-        bad = [(who, one) for who, one in self.found if one.level in ("refuse", "warn")]
-        lines = [f"{who}: {one.sentence}" if who else one.sentence for who, one in bad]
-        for check in dict.fromkeys(one.check for _, one in self.found):
-            alike = [one for _, one in self.found if one.check == check]
-            if all(one.level == "ok" for one in alike):
+        bad = [(who, finding) for who, finding in self.found if finding.level in ("refuse", "warn")]
+        lines = [f"{who}: {finding.sentence}" if who else finding.sentence for who, finding in bad]
+        for check in dict.fromkeys(finding.check for _, finding in self.found):
+            alike = [finding for _, finding in self.found if finding.check == check]
+            if all(finding.level == "ok" for finding in alike):
                 lines.append(_WELL.get(check, alike[0].sentence))
-            lines += [one.sentence for one in alike if one.level == "unknown"][:1]
+            lines += [finding.sentence for finding in alike if finding.level == "unknown"][:1]
         return tuple(lines)
 
     def as_table(self) -> dict[str, Any]:
@@ -57,7 +57,7 @@ class Verdict:
         return {
             "may_be_measured": self.may_be_measured,
             "seconds": round(self.seconds, 3),
-            "checks": [{"camera": who, **one.as_table()} for who, one in self.found],
+            "checks": [{"camera": who, **finding.as_table()} for who, finding in self.found],
         }
 
 
@@ -89,7 +89,7 @@ class Expected:
     skew_limit_ms: float = 1.0
 
 
-def judge(taken: Taken, expected: Expected) -> Verdict:
+def judge(taken: Firing, expected: Expected) -> Verdict:
     """Say whether a firing may be measured, and what is wrong.
 
     Args:
@@ -107,23 +107,25 @@ def judge(taken: Taken, expected: Expected) -> Verdict:
         *_names_and_stillness(taken, expected),
     ]
     for name, frame in taken.frames.items():
-        found += [(name, each) for each in pixels.judge(frame.seen, expected.subject_kind)]
+        found += [(name, finding) for finding in pixels.judge(frame.seen, expected.subject_kind)]
     order = {"refuse": 0, "warn": 1, "unknown": 2, "ok": 3}
-    found.sort(key=lambda each: order[each[1].level])
+    found.sort(key=lambda named: order[named[1].level])
     return Verdict(found=tuple(found), seconds=taken.seconds + time.monotonic() - begun)
 
 
-def _delivered(taken: Taken, expected: Expected) -> Iterator[tuple[str, Found]]:
+def _delivered(taken: Firing, expected: Expected) -> Iterator[tuple[str, Found]]:
     for name in expected.cameras:
         fault = taken.faults.get(name)
         if fault is not None:
             yield name, _refuse("delivered", f"No picture: {fault.found}. {fault.remedy.rstrip('.')}.")
         elif name in taken.frames:
             yield name, Found(check="delivered", level="ok", sentence="Delivered.")
-    yield from (("", each) for each in cameras.twice({name: one.sha256 for name, one in taken.frames.items()}))
+    yield from (
+        ("", finding) for finding in cameras.twice({name: frame.sha256 for name, frame in taken.frames.items()})
+    )
 
 
-def _sizes(taken: Taken, expected: Expected) -> Iterator[tuple[str, Found]]:
+def _sizes(taken: Firing, expected: Expected) -> Iterator[tuple[str, Found]]:
     known = {} if expected.rig is None else {
         name: KnownCamera(stored_wh=camera.size_wh) for name, camera in expected.rig.cameras.items()
     }  # fmt: skip
@@ -131,7 +133,7 @@ def _sizes(taken: Taken, expected: Expected) -> Iterator[tuple[str, Found]]:
         yield name, cameras.right_size(name, frame.size_wh, 1, known)
 
 
-def _serials(taken: Taken, expected: Expected) -> Iterator[tuple[str, Found]]:
+def _serials(taken: Firing, expected: Expected) -> Iterator[tuple[str, Found]]:
     wanted = expected.serials or {}
     for name, frame in taken.frames.items():
         if not frame.serial or name not in wanted:
@@ -139,7 +141,7 @@ def _serials(taken: Taken, expected: Expected) -> Iterator[tuple[str, Found]]:
         if frame.serial == wanted[name]:
             yield name, Found(check="serial", level="ok", sentence="Its serial number is right.")
             continue
-        other = next((each for each, serial in wanted.items() if serial == frame.serial), None)
+        other = next((camera for camera, serial in wanted.items() if serial == frame.serial), None)
         by = other or f"a camera with serial number {frame.serial}, which the rig's file does not have"
         yield (
             name,
@@ -147,10 +149,10 @@ def _serials(taken: Taken, expected: Expected) -> Iterator[tuple[str, Found]]:
         )
 
 
-def _fresh(taken: Taken, expected: Expected) -> Iterator[tuple[str, Found]]:
+def _fresh(taken: Firing, expected: Expected) -> Iterator[tuple[str, Found]]:
     """Whether each picture is of this firing."""
     before = (expected.before or {}).get("cameras", {})
-    counts = {name: one.number for name, one in taken.frames.items() if one.number is not None}
+    counts = {name: frame.number for name, frame in taken.frames.items() if frame.number is not None}
     usual = statistics.mode(counts.values()) if counts else None
     for name, frame in taken.frames.items():
         earlier = before.get(name, {})
@@ -170,9 +172,9 @@ def _fresh(taken: Taken, expected: Expected) -> Iterator[tuple[str, Found]]:
             yield name, Found(check="fresh", level="ok", sentence="Of this firing.")
 
 
-def _together(taken: Taken, expected: Expected) -> Found:
-    times = {name: one.taken_s for name, one in taken.frames.items() if one.taken_s is not None}
-    clocks = {one.clock for one in taken.frames.values()}
+def _together(taken: Firing, expected: Expected) -> Found:
+    times = {name: frame.taken_s for name, frame in taken.frames.items() if frame.taken_s is not None}
+    clocks = {frame.clock for frame in taken.frames.values()}
     if len(times) < 2 or clocks - {"ptp", "exif"}:
         return Found(
             check="times", level="unknown", sentence="The cameras do not say when they exposed. Measure their skew."
@@ -204,29 +206,29 @@ def _skew(expected: Expected) -> Found:
     missing = [name for name in expected.cameras if name not in skew.offset_ms]
     if missing:
         return Found(check="skew", level="warn", sentence=f"The skew of {', '.join(missing)} was not measured.")
-    said = f"Measured skew of the cameras: {skew.spread_ms:.2f} ± {skew.std_ms:.2f} ms"
+    sentence = f"Measured skew of the cameras: {skew.spread_ms:.2f} ± {skew.std_ms:.2f} ms"
     if skew.spread_ms > expected.skew_limit_ms:
         level = "refuse" if expected.subject_kind == "torso" else "warn"
         return Found(
             check="skew", level=level,  # type: ignore[arg-type]
-            sentence=f"{said}, most at {skew.worst}. For a patient {expected.skew_limit_ms:g} ms are allowed. "
+            sentence=f"{sentence}, most at {skew.worst}. For a patient {expected.skew_limit_ms:g} ms are allowed. "
             "Check the trigger wires.",
         )  # fmt: skip
-    return Found(check="skew", level="ok", sentence=f"{said}.")
+    return Found(check="skew", level="ok", sentence=f"{sentence}.")
 
 
-def _names_and_stillness(taken: Taken, expected: Expected) -> Iterator[tuple[str, Found]]:
+def _names_and_stillness(taken: Firing, expected: Expected) -> Iterator[tuple[str, Found]]:
     if expected.rig is None:
         yield "", Found(check="names", level="unknown", sentence="Names are not compared: the rig is not calibrated.")
         return
     sizes_fit = {
-        name: one.features
-        for name, one in taken.frames.items()
-        if one.features is not None and name in expected.rig.cameras
-        and one.size_wh == expected.rig.cameras[name].size_wh
+        name: frame.features
+        for name, frame in taken.frames.items()
+        if frame.features is not None and name in expected.rig.cameras
+        and frame.size_wh == expected.rig.cameras[name].size_wh
     }  # fmt: skip
     names = check_names(expected.rig, sizes_fit)
-    yield from (("", each) for each in _named(names, expected.rig))
+    yield from (("", finding) for finding in _named(names, expected.rig))
     if names.right:
         yield "", _stillness(names)
 
@@ -245,7 +247,7 @@ def _named(names: Names, rig: Rig) -> Iterator[Found]:
 
 
 def _stillness(names: Names) -> Found:
-    known = {name: one for name, one in names.pairs.items() if one.tells and np.isfinite(one.offset_mm)}
+    known = {name: pair for name, pair in names.pairs.items() if pair.tells and np.isfinite(pair.offset_mm)}
     if not known:
         return Found(check="moved", level="unknown", sentence="Too little texture to tell whether anybody moved.")
     worst = max(known, key=lambda name: abs(known[name].offset_mm))
@@ -257,7 +259,8 @@ def _stillness(names: Names) -> Found:
         )
     return Found(
         check="moved", level="ok",
-        sentence=f"Nobody moved: views agree to {max(abs(one.offset_mm) for one in known.values()):.2f} mm.",
+        sentence="Nobody moved: views agree to "
+        f"{max(abs(agreement.offset_mm) for agreement in known.values()):.2f} mm.",
     )  # fmt: skip
 
 

@@ -15,23 +15,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mammometry.cli.common import (
-    Answer,
-    Assignments,
-    Bars,
-    Json,
-    Quiet,
-    SettingsFile,
-    Verbose,
-    examples,
-    load_settings,
-)
+from mammometry.cli.common import Answer, Bars, Options, command
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
     from mammometry.batch.batch import Line
-    from mammometry.batch.engine import Began, Ended, Wish
+    from mammometry.batch.engine import Began, Ended, StopRequest
     from mammometry.report.documents.batch_page import BatchLine
 
 app = typer.Typer()
@@ -43,15 +33,15 @@ _OUT = Path("batch")
 _SHOWN = 12  # sessions at work that the live table shows
 
 
-@app.command(
-    epilog=examples(
-        "mammometry batch ARCHIVE",
-        "mammometry batch 'ARCHIVE/2026-*' --out trial --cores 2",
-        "mammometry batch sessions.csv --scheduler tcp://host:8786 --json",
-        "mammometry batch s3://bucket/trial --results s3://bucket/results",
-    )
+@command(
+    app,
+    "mammometry batch ARCHIVE",
+    "mammometry batch 'ARCHIVE/2026-*' --out trial --cores 2",
+    "mammometry batch sessions.csv --scheduler tcp://host:8786 --json",
+    "mammometry batch s3://bucket/trial --results s3://bucket/results",
 )
 def batch(
+    options: Options,
     sessions: Annotated[
         list[str],
         typer.Argument(
@@ -83,11 +73,6 @@ def batch(
         float | None,
         typer.Option(metavar="GB", help="Memory of this machine to use.", min=0.1, show_default="nearly all"),
     ] = None,
-    assignments: Assignments = None,
-    settings: SettingsFile = None,
-    quiet: Quiet = False,
-    json: Json = False,
-    verbose: Verbose = 0,
 ) -> Answer:
     """Measure many sessions, some at a time.
 
@@ -105,10 +90,12 @@ def batch(
     if scheduler is not None and (at_once or memory):
         raise typer.BadParameter("--at-once and --memory are for this machine: leave them out with --scheduler")
     begun = time.monotonic()
-    chosen = load_settings(settings, assignments)
+    chosen = options.settings()
     entries = find_entries(sessions, results)
     local = [Path(entry.address) for entry in entries if not is_address(entry.address)]
-    require_apart(out, [*local, *(Path(each) for each in sessions if each.lower().endswith(".csv")), settings])
+    require_apart(
+        out, [*local, *(Path(session) for session in sessions if session.lower().endswith(".csv")), options.file]
+    )
     require_free(out, FILES, command="batch")
     for entry in entries:
         try:
@@ -117,25 +104,25 @@ def batch(
             raise SettingsError(
                 f"{entry.address}, {error.subject}", found=error.found, expected=error.expected, remedy=error.remedy
             ) from None
-    with Bars(quiet or json) as bars, bars.task("look", "sessions") as progress:
+    with Bars(options.silent) as bars, bars.task("look", "sessions") as progress:
         looked = look(entries, chosen, progress)
     todo = [entry.address for entry in entries if entry.address not in looked.current]
-    show = _Show(len(entries), todo, quiet=quiet, json=json)
+    show = _Show(len(entries), todo, options)
     lines: Sequence[Line]
-    wish = _Wishes()
-    with wish.heard():
+    stop = _Wishes()
+    with stop.heard():
         if todo:
-            with machines(scheduler, at_once, None if memory is None else 1000 * memory) as there:
-                show.begin(there.dashboard)
+            with machines(scheduler, at_once, None if memory is None else 1000 * memory) as workers:
+                show.begin(workers.dashboard)
                 with show.live():
                     lines = measure_batch(
-                        entries, chosen, there, looked, cores=cores, watch=show.happened, wish=wish.now
+                        entries, chosen, workers, looked, cores=cores, watch=show.happened, stop=stop.now
                     )
         else:
             lines = measure_batch(entries, chosen, None, looked)  # type: ignore[arg-type]  # nobody is asked
-    said = [_said(line) for line in lines]
+    texts = [_said(line) for line in lines]
     title = Path(sessions[0]).stem if len(sessions) == 1 else f"{len(sessions)} folders"
-    written = batch_files(title, said)
+    written = batch_files(title, texts)
     write_outputs(out, written, command="batch")
     counts = Counter(line.state for line in lines)
     code = INTERRUPTED if counts["stopped"] else SOME_FAILED if counts["failed"] else 0
@@ -150,7 +137,7 @@ def batch(
     shown: list[RenderableType] = [f"{line.entry.name}: {line.failed}" for line in lines if line.failed]
     if counts["stopped"]:
         shown.append("Interrupted: finished sessions are kept. The same command goes on with the others.")
-    return Answer(table, [*shown, counted(said), f"Page and tables: {out / 'batch.html'}"], code)
+    return Answer(table, [*shown, counted(texts), f"Page and tables: {out / 'batch.html'}"], code)
 
 
 def _said(line: Line) -> BatchLine:
@@ -176,12 +163,12 @@ def _said(line: Line) -> BatchLine:
         date=row.date or "",
         volumes=tuple(
             BatchVolume(
-                name=each.name,
-                volume_cc=each.volume_cc,
-                interval_cc=each.interval_cc,
-                reference_cc=line.entry.reference_cc.get(each.name),
+                name=side.name,
+                volume_cc=side.volume_cc,
+                interval_cc=side.interval_cc,
+                reference_cc=line.entry.reference_cc.get(side.name),
             )
-            for each in row.measured
+            for side in row.measured
         ),
         no_breast=row.no_breast,
         warnings=row.warnings,
@@ -200,11 +187,11 @@ class _Wishes:
     def __init__(self) -> None:
         self._pressed = 0
 
-    def now(self) -> Wish:
+    def now(self) -> StopRequest:
         """What the user wants."""
-        from mammometry.batch.engine import Wish
+        from mammometry.batch.engine import StopRequest
 
-        return (Wish.GO_ON, Wish.FINISH, Wish.STOP)[min(self._pressed, 2)]
+        return (StopRequest.NONE, StopRequest.FINISH, StopRequest.STOP)[min(self._pressed, 2)]
 
     @contextmanager
     def heard(self) -> Iterator[None]:
@@ -228,9 +215,9 @@ class _Wishes:
 class _Show:
     """Progress of a batch as a live table, lines or JSON lines."""
 
-    def __init__(self, count: int, todo: Sequence[str], *, quiet: bool, json: bool) -> None:
+    def __init__(self, count: int, todo: Sequence[str], options: Options) -> None:
         self._count, self._todo = count, len(todo)
-        self._quiet, self._json = quiet or json, json
+        self._quiet, self._json = options.silent, options.json
         self._at_work: dict[str, tuple[str, float, float]] = {}
         self._ended = Counter[str]()
         self._begun = time.monotonic()

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
-from mammometry.cli.common import Answer, Bars, Json, Quiet, SessionFolder, Verbose, examples
+from mammometry.cli.common import Answer, Bars, OutputOptions, SessionFolder, command
 
 app = typer.Typer()
 RigToml = Annotated[
@@ -24,16 +24,16 @@ REFUSED = 12
 """Exit code of a firing that must not be measured."""
 
 
-@app.command(
-    epilog=examples(
-        "mammometry capture SESSION --rig rig.toml",
-        "mammometry capture SESSION --rig rig.toml --page",
-        "mammometry capture CALIBRATION-SESSION --rig rig.toml --pose",
-        "mammometry capture CALIBRATION-SESSION --rig rig.toml --pose --page",
-        "mammometry capture SESSION --rig rig.toml --backend virtual && mammometry run SESSION",
-    )
+@command(
+    app,
+    "mammometry capture SESSION --rig rig.toml",
+    "mammometry capture SESSION --rig rig.toml --page",
+    "mammometry capture CALIBRATION-SESSION --rig rig.toml --pose",
+    "mammometry capture CALIBRATION-SESSION --rig rig.toml --pose --page",
+    "mammometry capture SESSION --rig rig.toml --backend virtual && mammometry run SESSION",
 )
 def capture(
+    options: OutputOptions,
     session: SessionFolder,
     rig: RigToml,
     backend: BackendName = None,
@@ -47,22 +47,19 @@ def capture(
         bool, typer.Option("--page", help="Aim, focus and fire on a page in the browser. Ctrl-C ends it.")
     ] = False,
     browser: Annotated[bool, typer.Option(help="With --page: open it in the browser.")] = True,
-    quiet: Quiet = False,
-    json: Json = False,
-    verbose: Verbose = 0,
 ) -> Answer:
     """Fire all cameras, and judge the pictures at once.
 
     The pictures become SESSION/capture if nothing speaks against it. All firings are kept in SESSION/shots. The exit
     code is 12 if a camera failed or the pictures are refused.
     """
-    from mammometry.capture.loop import Rigged
+    from mammometry.capture.loop import OpenRig
 
     if page:
         return _on_a_page(session, rig, backend, subject_id, browser=browser, posing=pose)
     if pose:
-        return _pose(session, rig, backend, quiet or json)
-    with Bars(quiet or json) as bars, bars.task("open", "cameras"), Rigged(rig, backend=backend) as rigged:
+        return _pose(session, rig, backend, options.silent)
+    with Bars(options.silent) as bars, bars.task("open", "cameras"), OpenRig(rig, backend=backend) as rigged:
         faults = rigged.faults()
         fired = rigged.fire_into(session, subject_id=subject_id)
     table: dict[str, Any] = {
@@ -73,7 +70,7 @@ def capture(
         "faults": faults,
         **fired.verdict.as_table(),
     }
-    lines: list[Any] = [f"- {sentence}" for sentence in fired.verdict.said]
+    lines: list[Any] = [f"- {sentence}" for sentence in fired.verdict.sentences]
     if fired.accepted:
         lines = ["The pictures may be measured.", *lines, f"Next: mammometry run {session}"]
     else:
@@ -82,9 +79,9 @@ def capture(
 
 
 def _pose(session: Path, rig: Path, backend: str | None, silent: bool) -> Answer:
-    from mammometry.capture.loop import Rigged
+    from mammometry.capture.loop import OpenRig
 
-    with Bars(silent) as bars, bars.task("open", "cameras"), Rigged(rig, backend=backend) as rigged:
+    with Bars(silent) as bars, bars.task("open", "cameras"), OpenRig(rig, backend=backend) as rigged:
         posed = rigged.fire_pose(session)
     lines: list[Any] = [f"Pose {posed.pose} is taken, {posed.count} in all."]
     table: dict[str, Any] = {"session": str(session), "pose": posed.pose, "poses": posed.count, "next": posed.sentence}
@@ -107,7 +104,7 @@ def _on_a_page(
     from mammometry.base.extras import WEB, require
 
     require("edit", *WEB)
-    from mammometry.capture.loop import Rigged
+    from mammometry.capture.loop import OpenRig
     from mammometry.capture.page import Goal, serve
 
     def ready(address: str, local_page: str) -> None:
@@ -116,7 +113,7 @@ def _on_a_page(
         if browser:
             webbrowser.open(local_page)
 
-    with Rigged(rig, backend=backend) as rigged, suppress(KeyboardInterrupt):  # the way to stop it
+    with OpenRig(rig, backend=backend) as rigged, suppress(KeyboardInterrupt):  # the way to stop it
         serve(rigged, Goal(session=session, subject_id=subject_id, posing=posing), ready=ready)
     made = session / ("calibration" if posing else "capture")
     taken = made.is_dir() and any(made.iterdir())
@@ -124,23 +121,21 @@ def _on_a_page(
     return Answer({"session": str(session), "accepted": taken}, lines, exit_code=0 if taken else REFUSED)
 
 
-@app.command(epilog=examples("mammometry skew CALIBRATION-SESSION --rig rig.toml"))
+@command(app, "mammometry skew CALIBRATION-SESSION --rig rig.toml")
 def skew(
+    options: OutputOptions,
     session: SessionFolder,
     rig: RigToml,
     backend: BackendName = None,
     firings: Annotated[int, typer.Option(min=1, max=100, help="Firings of which the median counts.")] = 5,
-    quiet: Quiet = False,
-    json: Json = False,
-    verbose: Verbose = 0,
 ) -> Answer:
     """Measure how far apart the cameras expose, with the counting lamps.
 
     Writes SESSION/skew.json. Captures with this calibration then know it. The exit code is 12 above the rig's limit.
     """
-    from mammometry.capture.loop import Rigged
+    from mammometry.capture.loop import OpenRig
 
-    with Bars(quiet or json) as bars, bars.task("open", "cameras"), Rigged(rig, backend=backend) as rigged:
+    with Bars(options.silent) as bars, bars.task("open", "cameras"), OpenRig(rig, backend=backend) as rigged:
         measured = rigged.measure_skew(session, firings=firings)
         limit_ms = rigged.file.capture.skew_limit_ms
     good = measured.spread_ms <= limit_ms

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from mammometry.base.extras import WEB, require
-from mammometry.cli.common import Answer, Bars, Json, Quiet, Verbose, examples
+from mammometry.cli.common import Answer, Bars, JsonOptions, OutputOptions, command
 
 if TYPE_CHECKING:
     from mammometry.base.progress import Progress
@@ -44,18 +44,17 @@ def opened(folder: Path, **changes: object) -> ClinicConfig:
     return config
 
 
-@app.command(
-    epilog=examples(
-        "mammometry clinic init my-clinic", "mammometry clinic init my-clinic --database postgresql:///clinic"
-    )
+@command(
+    app,
+    "mammometry clinic init my-clinic",
+    "mammometry clinic init my-clinic --database postgresql:///clinic",
 )
 def init(
+    options: JsonOptions,
     folder: Folder,
     name: Annotated[str, typer.Option(help="As pages say it.")] = "Clinic",
     database: Annotated[str, typer.Option(help="sqlite, or postgresql://user:password@host/name.")] = "sqlite",
     administrator: Annotated[str | None, typer.Option(metavar="NAME", help="Enter this first administrator.")] = None,
-    json: Json = False,
-    verbose: Verbose = 0,
 ) -> Answer:
     """Make the folder and the database of a new clinic."""
     from mammometry.clinic.config import new_clinic
@@ -75,8 +74,9 @@ def init(
     return Answer(table, [*lines, f"Then: mammometry clinic serve {folder}"])
 
 
-@app.command(epilog=examples("mammometry clinic serve my-clinic"))
+@command(app, "mammometry clinic serve my-clinic")
 def serve(
+    options: JsonOptions,
     folder: Folder,
     address: Annotated[str | None, typer.Option(metavar="HOST:PORT", help="Listen here.", show_default=False)] = None,
     tls_certificate: Annotated[
@@ -84,8 +84,6 @@ def serve(
     ] = None,
     tls_key: Annotated[Path | None, typer.Option(metavar="FILE", help="Its key, PEM.", show_default=False)] = None,
     jobs: Annotated[bool, typer.Option("--jobs/--no-jobs", help="Measure on this machine, too.")] = True,
-    json: Json = False,
-    verbose: Verbose = 0,
 ) -> Answer:
     """Serve the clinic until Ctrl-C."""
     from mammometry.clinic.config import read_config
@@ -106,8 +104,8 @@ def serve(
     return Answer({"clinic": str(folder)})
 
 
-@app.command(epilog=examples("mammometry clinic work my-clinic"))
-def work(folder: Folder, json: Json = False, verbose: Verbose = 0) -> Answer:
+@command(app, "mammometry clinic work my-clinic")
+def work(options: JsonOptions, folder: Folder) -> Answer:
     """Measure what is queued, until Ctrl-C.
 
     For a second machine, or beside `serve --no-jobs`. It must see the clinic's folder under the same path.
@@ -121,14 +119,12 @@ def work(folder: Folder, json: Json = False, verbose: Verbose = 0) -> Answer:
     return Answer({"clinic": str(folder)})
 
 
-@app.command(epilog=examples("mammometry clinic demo", "mammometry clinic demo my-demo --no-serve"))
+@command(app, "mammometry clinic demo", "mammometry clinic demo my-demo --no-serve")
 def demo(
+    options: OutputOptions,
     folder: Annotated[Path, typer.Argument(metavar="[DIR]", help="Folder for the demo.")] = Path("demo-clinic"),
     serve: Annotated[bool, typer.Option("--serve/--no-serve", help="Open it when it is made.")] = True,
     address: Annotated[str, typer.Option(metavar="HOST:PORT", help="Listen here.")] = "127.0.0.1:8000",
-    quiet: Quiet = False,
-    json: Json = False,
-    verbose: Verbose = 0,
 ) -> Answer:
     """Make a clinic of three virtual patients, and open it.
 
@@ -148,7 +144,7 @@ def demo(
     else:
         from mammometry.clinic.demo import make_demo
 
-        with Bars(quiet or json) as bars, ExitStack() as shown:
+        with Bars(options.silent) as bars, ExitStack() as shown:
 
             def say(what: str) -> Progress:
                 shown.close()
@@ -178,8 +174,8 @@ def demo(
     return Answer(table)
 
 
-@app.command()
-def upgrade(folder: Folder, json: Json = False, verbose: Verbose = 0) -> Answer:
+@command(app)
+def upgrade(options: JsonOptions, folder: Folder) -> Answer:
     """Bring the database to this version.
 
     Stop the server and make a backup with the former version first. Killed on its way, the same command goes on.
@@ -195,15 +191,15 @@ Target = Annotated[Path | None, typer.Option("--to", metavar="FILE", help="The f
 Who = Annotated[str, typer.Argument(metavar="PATIENT", help="Pseudonym or record number.", show_default=False)]
 
 
-@app.command(epilog=examples("mammometry clinic backup my-clinic --to /backup/clinic-monday.tar"))
-def backup(folder: Folder, to: Target = None, json: Json = False, verbose: Verbose = 0) -> Answer:
+@command(app, "mammometry clinic backup my-clinic --to /backup/clinic-monday.tar")
+def backup(options: JsonOptions, folder: Folder, to: Target = None) -> Answer:
     """Write database, settings, keys and photographs into one file.
 
     The clinic may be in use. Without --to the file goes to the clinic's backups, of which the newest are kept.
     """
     config = opened(folder)
-    from mammometry.clinic.keep.backup import make_backup
-    from mammometry.clinic.keep.backups import make_kept_backup
+    from mammometry.clinic.maintenance.backup import make_backup
+    from mammometry.clinic.maintenance.backups import make_kept_backup
     from mammometry.clinic.web.server import require_current
 
     require_current(config)
@@ -211,32 +207,31 @@ def backup(folder: Folder, to: Target = None, json: Json = False, verbose: Verbo
     return Answer({"backup": str(made)}, [f"{made}: {made.stat().st_size / 1e6:.1f} MB. It holds names and keys."])
 
 
-@app.command("test-restore", epilog=examples("mammometry clinic test-restore my-clinic"))
-def check_restore(folder: Folder, json: Json = False, verbose: Verbose = 0) -> Answer:
+@command(app, "mammometry clinic test-restore my-clinic", name="test-restore")
+def check_restore(options: JsonOptions, folder: Folder) -> Answer:
     """Restore the newest backup into a temporary folder, and compare what came back.
 
     It needs as much free space as the backup has. The clinic may be in use.
     """
     from mammometry.clinic.config import read_config
-    from mammometry.clinic.keep import restore_test
+    from mammometry.clinic.maintenance import restore_test
 
     made = restore_test.run_restore_test(read_config(folder))
     table = {"backup": made.backup, "rows": made.rows, "files": made.files, "seconds": round(made.seconds, 1)}
     return Answer(table, [made.sentence])
 
 
-@app.command(epilog=examples("mammometry clinic restore clinic-monday.tar new-clinic"))
+@command(app, "mammometry clinic restore clinic-monday.tar new-clinic")
 def restore(
+    options: JsonOptions,
     archive: Annotated[Path, typer.Argument(metavar="FILE", help="A backup.", show_default=False)],
     folder: Folder,
     database: Annotated[
         str | None, typer.Option(help="Another database than the backup's, such as postgresql://…", show_default=False)
     ] = None,
-    json: Json = False,
-    verbose: Verbose = 0,
 ) -> Answer:
     """Make a clinic out of a backup. In a new folder, with an empty database."""
-    from mammometry.clinic.keep.restore import fill, unpack
+    from mammometry.clinic.maintenance.restore import fill, unpack
 
     config, manifest = unpack(archive, folder, database)
     opened(config.folder)
@@ -245,11 +240,11 @@ def restore(
     return Answer({"clinic": str(folder), "made_at": manifest["made_at"], "people": number}, [*lines])
 
 
-@app.command(epilog=examples("mammometry clinic export my-clinic P-ACD347 --to P-ACD347.zip"))
-def export(folder: Folder, patient: Who, to: Target = None, json: Json = False, verbose: Verbose = 0) -> Answer:
+@command(app, "mammometry clinic export my-clinic P-ACD347 --to P-ACD347.zip")
+def export(options: JsonOptions, folder: Folder, patient: Who, to: Target = None) -> Answer:
     """Write all that is kept of one patient into a ZIP."""
     config = opened(folder)
-    from mammometry.clinic.keep.patient import export_patient, find_patient
+    from mammometry.clinic.maintenance.patient import export_patient, find_patient
 
     found = find_patient(patient)
     target = to or Path(f"{found.pseudonym}.zip")
@@ -257,21 +252,20 @@ def export(folder: Folder, patient: Who, to: Target = None, json: Json = False, 
     return Answer({"export": str(target), "files": number}, [f"{target}: {number} files. It holds the name."])
 
 
-@app.command(epilog=examples("mammometry clinic erase my-clinic P-ACD347 --yes"))
+@command(app, "mammometry clinic erase my-clinic P-ACD347 --yes")
 def erase(
+    options: JsonOptions,
     folder: Folder,
     patient: Who,
     binned: Annotated[bool, typer.Option("--bin", help="Only the patient's visits that lie in the bin.")] = False,
     yes: Annotated[bool, typer.Option("--yes", help="Erase without asking.")] = False,
-    json: Json = False,
-    verbose: Verbose = 0,
 ) -> Answer:
     """Erase one patient: photographs, results and all rows.
 
     The audit keeps the pseudonym. Backups made before still hold the patient.
     """
     config = opened(folder)
-    from mammometry.clinic.keep.patient import erase_bin, erase_patient, find_patient
+    from mammometry.clinic.maintenance.patient import erase_bin, erase_patient, find_patient
     from mammometry.clinic.models import Visit
 
     found = find_patient(patient)
@@ -291,8 +285,8 @@ def erase(
     return Answer({"erased": name, "visits": number, "backups": older}, [*lines])
 
 
-@app.command(epilog=examples("mammometry clinic audit my-clinic --to audit.csv"))
-def audit(folder: Folder, to: Target = None, json: Json = False, verbose: Verbose = 0) -> Answer:
+@command(app, "mammometry clinic audit my-clinic --to audit.csv")
+def audit(options: JsonOptions, folder: Folder, to: Target = None) -> Answer:
     """Write who saw and changed what, as CSV."""
     opened(folder)
     from mammometry.clinic.audit_entries import write_audit
@@ -307,42 +301,47 @@ def audit(folder: Folder, to: Target = None, json: Json = False, verbose: Verbos
     return Answer({"audit": str(target), "entries": number}, [f"{target}: {number} entries"])
 
 
-@people.command(
-    "add", epilog=examples("mammometry clinic people add my-clinic anna --role technician --name 'Anna A.'")
+@command(
+    people,
+    "mammometry clinic people add my-clinic anna --role technician --name 'Anna A.'",
+    name="add",
 )
 def people_add(
+    options: JsonOptions,
     folder: Folder,
     username: Annotated[str, typer.Argument(metavar="NAME", help="To log in with.", show_default=False)],
     role: RoleNames,
     name: Annotated[str, typer.Option(help="Full name, as pages say it.")] = "",
     email: Annotated[str, typer.Option(help="Address by which the hospital's own login knows them.")] = "",
-    json: Json = False,
-    verbose: Verbose = 0,
 ) -> Answer:
     """Enter somebody, and print the link that sets a password."""
     return _invite(opened(folder), username, role, name, email)
 
 
-@people.command("list")
-def people_list(folder: Folder, json: Json = False, verbose: Verbose = 0) -> Answer:
+@command(people, name="list")
+def people_list(options: JsonOptions, folder: Folder) -> Answer:
     """Who may log in."""
     opened(folder)
     from mammometry.clinic.models import Person
 
     rows: list[dict[str, Any]] = [
-        {"name": each.username, "full_name": each.full_name, "roles": list(each.roles), "active": each.is_active}
-        for each in Person.objects.all()
+        {
+            "name": person.username,
+            "full_name": person.full_name,
+            "roles": list(person.roles),
+            "active": person.is_active,
+        }
+        for person in Person.objects.all()
     ]
     lines = [f"{row['name']}  {', '.join(row['roles'])}{'' if row['active'] else '  (inactive)'}" for row in rows]
     return Answer({"people": rows}, [*lines])
 
 
-@people.command("invite")
+@command(people, name="invite")
 def people_invite(
+    options: JsonOptions,
     folder: Folder,
     username: Annotated[str, typer.Argument(metavar="NAME", help="Who forgot the password.", show_default=False)],
-    json: Json = False,
-    verbose: Verbose = 0,
 ) -> Answer:
     """Print a new link that sets a password."""
     config = opened(folder)
@@ -358,7 +357,7 @@ def _invite(config: ClinicConfig, username: str, roles: list[str], name: str, em
     unknown = sorted(set(roles) - {role.value for role in Role})
     if unknown:
         raise typer.BadParameter(f"no such role: {', '.join(unknown)}; there are {', '.join(Role.values)}")
-    chosen = [Role(each) for each in dict.fromkeys(roles)]
+    chosen = [Role(role) for role in dict.fromkeys(roles)]
     return _invitation(config, add_person(username, chosen, full_name=name, email=email))
 
 

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import inspect
 import logging
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, is_dataclass
 from datetime import datetime
+from functools import wraps
 from pathlib import Path
 from threading import Lock
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 import typer
+
+from mammometry.base.value import value
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -40,6 +44,95 @@ SettingsFile = Annotated[
 ]
 
 
+@value
+class JsonOptions:
+    """Options of every command."""
+
+    json: Json = False
+    verbose: Verbose = 0
+
+
+@value
+class OutputOptions:
+    """Options of a command that takes a while."""
+
+    quiet: Quiet = False
+    json: Json = False
+    verbose: Verbose = 0
+
+    @property
+    def silent(self) -> bool:
+        """Whether no progress is shown."""
+        return self.quiet or self.json
+
+
+@value
+class Options:
+    """Options of a command that needs the settings."""
+
+    assignments: Assignments = None
+    file: SettingsFile = None
+    quiet: Quiet = False
+    json: Json = False
+    verbose: Verbose = 0
+
+    @property
+    def silent(self) -> bool:
+        """Whether no progress is shown."""
+        return self.quiet or self.json
+
+    def settings(self, *more: str) -> Settings:
+        """Recommended settings, changed by the file, then by the assignments, then by some more."""
+        from mammometry.settings import Settings
+
+        settings = Settings() if self.file is None else Settings.load(self.file)
+        return settings.overridden([*(self.assignments or ()), *more])
+
+
+def command(
+    app: typer.Typer, *lines: str, name: str | None = None
+) -> Callable[[Callable[..., Answer]], Callable[..., Answer]]:
+    """Make a function a command. The fields of its parameters that are values become options.
+
+    Args:
+        app: the group of commands.
+        lines: examples for the end of its help.
+        name: of the command, where it is not the function's.
+    """
+
+    def register(function: Callable[..., Answer]) -> Callable[..., Answer]:
+        own = inspect.signature(function, eval_str=True).parameters.values()
+        values: dict[str, Any] = {
+            parameter.name: parameter.annotation for parameter in own if is_dataclass(parameter.annotation)
+        }
+        options = {
+            name: [
+                inspect.Parameter(field.name, inspect.Parameter.KEYWORD_ONLY, default=field.default, annotation=hint)
+                for field, hint in zip(fields(kind), get_type_hints(kind, include_extras=True).values(), strict=True)
+            ]
+            for name, kind in values.items()
+        }
+
+        @wraps(function)
+        def call(**given: Any) -> Answer:
+            made = {
+                name: kind(**{option.name: given.pop(option.name) for option in options[name]})
+                for name, kind in values.items()
+            }
+            return function(**given, **made)
+
+        shown = [
+            parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY) for parameter in own if parameter.name not in values
+        ]
+        shown += [option for group in reversed(options.values()) for option in group]
+        call.__signature__ = inspect.Signature(shown)  # type: ignore[attr-defined]
+        call.__annotations__ = {parameter.name: parameter.annotation for parameter in shown}
+        app.command(name, epilog=examples(*lines) if lines else None)(call)
+        return call
+
+    return register
+
+
 @dataclass(frozen=True, slots=True)
 class Answer:
     """The answer of a command: lines for people, and JSON."""
@@ -55,14 +148,6 @@ class Answer:
 def examples(*lines: str) -> str:
     """End of a command's help: its examples, one per line."""
     return "\n\n".join(["Examples:", *(f"  $ {line}" for line in lines)])
-
-
-def load_settings(file: Path | None, assignments: list[str] | None) -> Settings:
-    """Recommended settings, changed by the file, then by the assignments."""
-    from mammometry.settings import Settings
-
-    settings = Settings() if file is None else Settings.load(file)
-    return settings.overridden(assignments or ())
 
 
 def nothing_made(made_at: str | None) -> str:

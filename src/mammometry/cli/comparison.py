@@ -7,17 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mammometry.cli.common import (
-    Answer,
-    Assignments,
-    Bars,
-    Json,
-    Quiet,
-    SettingsFile,
-    Verbose,
-    examples,
-    load_settings,
-)
+from mammometry.cli.common import Answer, Bars, Options, command
 
 if TYPE_CHECKING:
     from mammometry.api.dates import Comparison
@@ -25,10 +15,9 @@ if TYPE_CHECKING:
 app = typer.Typer()
 
 
-@app.command(
-    epilog=examples("mammometry compare BEFORE AFTER", "mammometry compare BEFORE AFTER --deidentify --out for-others")
-)
+@command(app, "mammometry compare BEFORE AFTER", "mammometry compare BEFORE AFTER --deidentify --out for-others")
 def compare(
+    options: Options,
     before: Annotated[Path, typer.Argument(metavar="BEFORE", help="The earlier session.", show_default=False)],
     after: Annotated[Path, typer.Argument(metavar="AFTER", help="The later session.", show_default=False)],
     out: Annotated[
@@ -42,11 +31,6 @@ def compare(
     geometry_only: Annotated[
         bool, typer.Option("--geometry-only", help="For others: no photographic colours.")
     ] = False,
-    assignments: Assignments = None,
-    settings: SettingsFile = None,
-    quiet: Quiet = False,
-    json: Json = False,
-    verbose: Verbose = 0,
 ) -> Answer:
     """Compare two dates of one patient on one page.
 
@@ -56,10 +40,10 @@ def compare(
     from mammometry.io.outputs import require_apart
     from mammometry.report.privacy import Privacy
 
-    chosen = load_settings(settings, assignments)
+    chosen = options.settings()
     if out is not None:
-        require_apart(out, [settings])
-    with Bars(quiet or json) as bars:
+        require_apart(out, [options.file])
+    with Bars(options.silent) as bars:
         watches = tuple(bars.watch_as(number) for number in (1, 2))
         with bars.task("compare", "") as progress:
             found = compare_sessions(

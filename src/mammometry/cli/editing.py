@@ -9,36 +9,21 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from mammometry.cli.common import (
-    Answer,
-    Assignments,
-    Bars,
-    Json,
-    Quiet,
-    SessionFolder,
-    SettingsFile,
-    Verbose,
-    examples,
-    load_settings,
-)
+from mammometry.cli.common import Answer, Bars, Options, SessionFolder, command
 from mammometry.cli.stages import opened
 
 if TYPE_CHECKING:
-    from mammometry.editor.desk import Drawable
+    from mammometry.editor.session import Drawable
 
 app = typer.Typer()
 
 
-@app.command(epilog=examples("mammometry edit SESSION", "mammometry edit SESSION --no-browser --author 'A. Nurse'"))
+@command(app, "mammometry edit SESSION", "mammometry edit SESSION --no-browser --author 'A. Nurse'")
 def edit(
+    options: Options,
     session: SessionFolder,
     browser: Annotated[bool, typer.Option(help="Open the page in the browser.")] = True,
     author: Annotated[str | None, typer.Option(help="Your name. Without it, the page asks.")] = None,
-    assignments: Assignments = None,
-    settings: SettingsFile = None,
-    quiet: Quiet = False,
-    json: Json = False,
-    verbose: Verbose = 0,
 ) -> Answer:
     """Draw or confirm boundaries and landmarks of a session or an imported scan in the browser.
 
@@ -61,15 +46,15 @@ def edit(
         from mammometry.api.job import open_session
         from mammometry.api.mesh import folder_for, scan_job
 
-        chosen = load_settings(settings, assignments)
+        chosen = options.settings()
         return scan_job(session, folder_for(session / MESH), chosen) if scan else open_session(session, chosen)
 
     scan = is_scan(session)
     if not scan:
-        with Bars(quiet or json) as bars:
-            opened(session, settings, assignments, bars).ensure("surface")
+        with Bars(options.silent) as bars:
+            opened(session, options, bars).ensure("surface")
     with suppress(KeyboardInterrupt):  # the way to stop it
         serve(drawable, ready=ready, author=author)
-    there = [name for name in (BOUNDARIES, LANDMARK_FILE) if (session / name).is_file()]
+    present = [name for name in (BOUNDARIES, LANDMARK_FILE) if (session / name).is_file()]
     then = f"mammometry measure {session / MESH}" if scan else f"mammometry run {session}"
-    return Answer({"session": str(session), "drawn": there}, [f"Then: {then}"] if there else [])
+    return Answer({"session": str(session), "drawn": present}, [f"Then: {then}"] if present else [])

@@ -7,18 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mammometry.cli.common import (
-    Answer,
-    Assignments,
-    Bars,
-    Json,
-    Quiet,
-    SessionFolder,
-    SettingsFile,
-    Verbose,
-    examples,
-    load_settings,
-)
+from mammometry.cli.common import Answer, Bars, Options, SessionFolder, command
 
 if TYPE_CHECKING:
     from mammometry.study.tables import Table
@@ -27,20 +16,14 @@ app = typer.Typer()
 _IN_WORDS = ("meaning", "remark")
 
 
-@app.command(
-    epilog=examples("mammometry evaluate SESSION", "mammometry evaluate SESSION --truth ELSEWHERE/truth --json")
-)
+@command(app, "mammometry evaluate SESSION", "mammometry evaluate SESSION --truth ELSEWHERE/truth --json")
 def evaluate(
+    options: Options,
     session: SessionFolder,
     truth: Annotated[
         Path | None,
         typer.Option(metavar="FOLDER", help="Folder of the truth. Without it, SESSION/truth.", show_default=False),
     ] = None,
-    assignments: Assignments = None,
-    settings: SettingsFile = None,
-    quiet: Quiet = False,
-    json: Json = False,
-    verbose: Verbose = 0,
 ) -> Answer:
     """Compare the results of a virtual session with its truth.
 
@@ -50,8 +33,8 @@ def evaluate(
     from mammometry.api.truth import evaluate_session
     from mammometry.study.evaluation_tables import evaluation_tables
 
-    job = open_session(session, load_settings(settings, assignments))
-    with Bars(quiet or json) as bars, bars.task("evaluate", "results against truth") as progress:
+    job = open_session(session, options.settings())
+    with Bars(options.silent) as bars, bars.task("evaluate", "results against truth") as progress:
         found, folder = evaluate_session(job, truth, progress=progress)
     table = {"session": str(session), "evaluation": str(folder), **found.as_table()}
     lines: list[Any] = [part for shown in evaluation_tables(found) for part in (*table_lines(shown), "")]

@@ -9,18 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mammometry.cli.common import (
-    Answer,
-    Assignments,
-    Bars,
-    Json,
-    Quiet,
-    SessionFolder,
-    SettingsFile,
-    Verbose,
-    examples,
-    load_settings,
-)
+from mammometry.cli.common import Answer, Bars, Options, SessionFolder, command
 from mammometry.cli.stages import opened
 
 if TYPE_CHECKING:
@@ -64,15 +53,15 @@ _Born = Annotated[datetime.datetime | None, typer.Option("--born", formats=["%Y-
 _Sex = Annotated[Sex | None, typer.Option("--sex", show_default=False)]
 
 
-@app.command(
-    epilog=examples(
-        "mammometry export dicom SESSION --out objects",
-        "mammometry export dicom SESSION --send PACS@10.0.0.5:104 --patient-id 4711 --patient-name 'Muster^Anna'",
-        "mammometry export dicom SESSION --send PACS@pacs:2762 --tls --worklist RIS@ris:105 --accession A123",
-        "mammometry export dicom SESSION --out for-others --deidentify",
-    )
+@command(
+    app,
+    "mammometry export dicom SESSION --out objects",
+    "mammometry export dicom SESSION --send PACS@10.0.0.5:104 --patient-id 4711 --patient-name 'Muster^Anna'",
+    "mammometry export dicom SESSION --send PACS@pacs:2762 --tls --worklist RIS@ris:105 --accession A123",
+    "mammometry export dicom SESSION --out for-others --deidentify",
 )
 def dicom(
+    options: Options,
     session: SessionFolder,
     out: Annotated[
         Path | None, typer.Option(metavar="FOLDER", help="Write the objects into a folder.", show_default=False)
@@ -115,11 +104,6 @@ def dicom(
         Path | None, typer.Option(metavar="FILE", help="Our certificate (PEM).", show_default=False)
     ] = None,
     tls_key: Annotated[Path | None, typer.Option(metavar="FILE", help="Its key (PEM).", show_default=False)] = None,
-    assignments: Assignments = None,
-    settings: SettingsFile = None,
-    quiet: Quiet = False,
-    json: Json = False,
-    verbose: Verbose = 0,
 ) -> Answer:
     """Write or send a session as DICOM objects.
 
@@ -137,20 +121,20 @@ def dicom(
     require_text(own_title, "AE", "--own-title")
     patient, order = _who(patient_id, patient_name, born, sex, accession, study_uid, referring)
     peer = None if send is None else Peer.parse(send)
-    asked = None if worklist is None else Peer.parse(worklist)
+    worklist_peer = None if worklist is None else Peer.parse(worklist)
     encrypted = Tls(authorities=tls_ca, certificate=tls_certificate, key=tls_key)
     chosen = encrypted if tls or encrypted != Tls() else None
     if stow is not None:
         stow = web_address(stow)
     if out is not None:
-        require_apart(out, [session, settings])
+        require_apart(out, [session, options.file])
         from mammometry.hospital.dicom.objects import possible_names
 
         capture = session / "capture"
         taken = len(list(capture.iterdir())) if capture.is_dir() else 0
         require_free(out, possible_names(taken), command="export dicom")
-    if asked is not None:
-        patient, order = _from_worklist(asked, patient, order, own_title, chosen)
+    if worklist_peer is not None:
+        patient, order = _from_worklist(worklist_peer, patient, order, own_title, chosen)
 
     from mammometry.hospital.dicom.objects import files, objects
     from mammometry.hospital.dicom.store import Sent
@@ -158,7 +142,7 @@ def dicom(
     from mammometry.hospital.dicom.stow import stow as stow_to
 
     parts = [name for name, part in _PARTS.items() if part not in (without or ())]
-    exported = _gathered(session, assignments, settings, quiet or json, deidentify=deidentify, parts=parts)
+    exported = _gathered(session, options, deidentify=deidentify, parts=parts)
     made = objects(exported, patient, order)
     lines: list[Any] = []
     table: dict[str, Any] = {"study": str(made[0].StudyInstanceUID), "objects": len(made)}
@@ -168,7 +152,7 @@ def dicom(
         table |= {"folder": str(out), "files": sorted(written)}
         lines.append(f"{len(made)} objects in {out}")
     sent: dict[str, Sent] = {}
-    with Bars(quiet or json) as bars:
+    with Bars(options.silent) as bars:
         if peer is not None:
             with bars.task("send", str(peer)) as progress:
                 sent[str(peer)] = send_to(made, peer, own_title=own_title, tls=chosen, progress=progress)
@@ -176,8 +160,8 @@ def dicom(
             with bars.task("send", stow) as progress:
                 sent[stow] = stow_to(made, stow, tls=chosen, progress=progress)
     for where, what in sent.items():
-        table[where] = {"sent": what.sent, "there_before": what.there}
-        before = f", {what.there} were there before" if what.there else ""
+        table[where] = {"sent": what.sent, "there_before": what.stored}
+        before = f", {what.stored} were there before" if what.stored else ""
         lines.append(f"{where}: {what.sent} objects sent{before}")
     if commitment and peer is not None:
         from mammometry.hospital.dicom.commitment import committed
@@ -188,12 +172,9 @@ def dicom(
     return Answer(table, lines)
 
 
-@app.command(
-    epilog=examples(
-        "mammometry export fhir SESSION --out bundle", "mammometry export fhir SESSION --out bundle --release R5"
-    )
-)
+@command(app, "mammometry export fhir SESSION --out bundle", "mammometry export fhir SESSION --out bundle --release R5")
 def fhir(
+    options: Options,
     session: SessionFolder,
     out: Annotated[Path, typer.Option(metavar="FOLDER", help="Folder for bundle.json.", show_default=False)],
     release: Annotated[FhirRelease, typer.Option(help="Release of FHIR.")] = FhirRelease.r4,
@@ -202,11 +183,6 @@ def fhir(
     patient_name: _PatientName = "",
     born: _Born = None,
     sex: _Sex = None,
-    assignments: Assignments = None,
-    settings: SettingsFile = None,
-    quiet: Quiet = False,
-    json: Json = False,
-    verbose: Verbose = 0,
 ) -> Answer:
     """Write a session's measurements as a FHIR bundle.
 
@@ -218,25 +194,21 @@ def fhir(
     require("hospital", "fhir.resources")
     patient, _ = _who(patient_id, patient_name, born, sex)
     names = ("bundle.json",)
-    require_apart(out, [session, settings])
+    require_apart(out, [session, options.file])
     require_free(out, names, command="export fhir")
     from mammometry.hospital.fhir import bundle
 
-    exported = _gathered(session, assignments, settings, quiet or json, deidentify=deidentify)
+    exported = _gathered(session, options, deidentify=deidentify)
     write_outputs(out, {names[0]: bundle(exported, patient, release=release.value)}, command="export fhir")
     return Answer({"file": str(out / names[0])}, [f"FHIR {release.value}: {out / names[0]}"])
 
 
-@app.command(epilog=examples("mammometry export redcap SESSION... --out for-redcap"))
+@command(app, "mammometry export redcap SESSION... --out for-redcap")
 def redcap(
+    options: Options,
     sessions: _Sessions,
     out: Annotated[Path, typer.Option(metavar="FOLDER", help="Folder for both files.", show_default=False)],
     deidentify: _Deidentify = False,
-    assignments: Assignments = None,
-    settings: SettingsFile = None,
-    quiet: Quiet = False,
-    json: Json = False,
-    verbose: Verbose = 0,
 ) -> Answer:
     """Write a study for REDCap: data dictionary and records.
 
@@ -244,21 +216,15 @@ def redcap(
     """
     from mammometry.hospital import redcap as redcap_tables
 
-    return _tables(
-        "export redcap", redcap_tables, sessions, out, deidentify, assignments, settings, quiet=quiet or json
-    )
+    return _tables("export redcap", redcap_tables, sessions, out, deidentify, options)
 
 
-@app.command(epilog=examples("mammometry export table SESSION... --out table"))
+@command(app, "mammometry export table SESSION... --out table")
 def table(
+    options: Options,
     sessions: _Sessions,
     out: Annotated[Path, typer.Option(metavar="FOLDER", help="Folder for table and codebook.", show_default=False)],
     deidentify: _Deidentify = False,
-    assignments: Assignments = None,
-    settings: SettingsFile = None,
-    quiet: Quiet = False,
-    json: Json = False,
-    verbose: Verbose = 0,
 ) -> Answer:
     """Write measurements as a table with a codebook.
 
@@ -266,7 +232,7 @@ def table(
     """
     from mammometry.hospital import tables as plain_tables
 
-    return _tables("export table", plain_tables, sessions, out, deidentify, assignments, settings, quiet=quiet or json)
+    return _tables("export table", plain_tables, sessions, out, deidentify, options)
 
 
 _PARTS = {"pdf": Part.report, "models": Part.models, "photographs": Part.photographs}
@@ -278,16 +244,13 @@ def _tables(
     sessions: list[Path],
     out: Path,
     deidentify: bool,
-    assignments: list[str] | None,
-    settings: Path | None,
-    *,
-    quiet: bool,
+    options: Options,
 ) -> Answer:
     from mammometry.io.outputs import require_apart, require_free, write_outputs
 
-    require_apart(out, [*sessions, settings])
+    require_apart(out, [*sessions, options.file])
     require_free(out, kind.FILES, command=command)
-    gathered = [_gathered(each, assignments, settings, quiet, deidentify=deidentify) for each in sessions]
+    gathered = [_gathered(session, options, deidentify=deidentify) for session in sessions]
     written = kind.tables(gathered)
     write_outputs(out, written, command=command)
     return Answer(
@@ -298,9 +261,7 @@ def _tables(
 
 def _gathered(
     session: Path,
-    assignments: list[str] | None,
-    settings: Path | None,
-    quiet: bool,
+    options: Options,
     *,
     deidentify: bool,
     parts: list[Any] | None = None,
@@ -308,14 +269,14 @@ def _gathered(
     from mammometry.hospital.gather import gather, gather_scan
     from mammometry.io.meshes.scans import MESH, is_scan
 
-    with Bars(quiet) as bars:
+    with Bars(options.silent) as bars:
         if is_scan(session):
             from mammometry.api.mesh import MeshJob, folder_for, scan_files
 
-            chosen = load_settings(settings, assignments)
+            chosen = options.settings()
             job = MeshJob(scan_files(session), folder_for(session / MESH), chosen, watch=bars.watch)
             return gather_scan(job, deidentify=deidentify, parts=parts or ())
-        return gather(opened(session, settings, assignments, bars), deidentify=deidentify, parts=parts or ())
+        return gather(opened(session, options, bars), deidentify=deidentify, parts=parts or ())
 
 
 def _who(

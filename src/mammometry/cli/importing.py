@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from mammometry.cli.common import Answer, Json, Quiet, Verbose, examples
+from mammometry.cli.common import Answer, OutputOptions, command
 
 app = typer.Typer(name="import", help="Take over what other devices made: a scanner's mesh with its texture.")
 _COMMAND = "import mesh"
@@ -22,13 +22,13 @@ class Units(StrEnum):
     m = "m"
 
 
-@app.command(
-    epilog=examples(
-        "mammometry import mesh scan.obj --scanner 'Vectra M5' --units mm --out anna",
-        "mammometry measure anna/scan.ply --automatic",
-    )
+@command(
+    app,
+    "mammometry import mesh scan.obj --scanner 'Vectra M5' --units mm --out anna",
+    "mammometry measure anna/scan.ply --automatic",
 )
 def mesh(
+    options: OutputOptions,
     file: Annotated[
         Path, typer.Argument(metavar="MESH", help="OBJ with MTL and pictures beside it, or PLY, STL, GLB.")
     ],
@@ -50,16 +50,13 @@ def mesh(
     without_texture: Annotated[
         bool, typer.Option("--without-texture", help="Take the shape alone, without material file and pictures.")
     ] = False,
-    quiet: Quiet = False,
-    json: Json = False,
-    verbose: Verbose = 0,
 ) -> Answer:
     """Take over another scanner's mesh with its texture.
 
     Writes scan.ply (mm, with colours), scan.toml with the scanner's name and unit, and the OBJ with its material and
     pictures. Their own names are not kept: they may hold a patient's name.
     """
-    from mammometry.cli.stages import named_subject
+    from mammometry.cli.mesh import named_subject
     from mammometry.io.meshes.scans import FILES, MESH, Scan, import_scan
     from mammometry.io.outputs import require_apart, require_free, write_outputs
 
@@ -69,5 +66,5 @@ def mesh(
     made = import_scan(file, about, units=None if units is None else units.value, texture=not without_texture)
     write_outputs(out, made, command=_COMMAND)
     pictures = sum(name.startswith("texture-") for name in made)
-    said = f"{out / MESH}: with {pictures} pictures" if pictures else f"{out / MESH}: without pictures"
-    return Answer({"folder": str(out), "mesh": str(out / MESH), "files": sorted(made)}, [said])
+    sentence = f"{out / MESH}: with {pictures} pictures" if pictures else f"{out / MESH}: without pictures"
+    return Answer({"folder": str(out), "mesh": str(out / MESH), "files": sorted(made)}, [sentence])

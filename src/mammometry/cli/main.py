@@ -128,27 +128,27 @@ def run(arguments: Sequence[str]) -> int:
         about |= {"page": str(error.page)} if shown else {}
         return _fail(f"{error}{shown}", error.exit_code, as_json, kind=type(error).__name__, **about)
     except (KeyboardInterrupt, typer.Abort):
-        said = "Interrupted: finished results are kept. The same command continues from them."
-        return _fail(said, INTERRUPTED, as_json, kind="Interrupted")
+        sentence = "Interrupted: finished results are kept. The same command continues from them."
+        return _fail(sentence, INTERRUPTED, as_json, kind="Interrupted")
     except _ClickException as error:
         return _fail(_usage(error), USAGE, as_json, kind="UsageError")
     except BrokenPipeError:
         sys.stderr.close()  # the reader of our output has gone
         return 1
     except MemoryError:
-        said = "Out of memory. Close other programs, or use smaller photographs."
-        return _fail(said, 1, as_json, kind="MemoryError")
+        sentence = "Out of memory. Close other programs, or use smaller photographs."
+        return _fail(sentence, 1, as_json, kind="MemoryError")
     except Exception as error:
         if isinstance(error, OSError) and error.errno in _DISK_FULL:
-            said = f"No room on the disk ({error.strerror}). Make room and run the same command again."
-            return _fail(said, StorageError.exit_code, as_json, kind="StorageError")
+            sentence = f"No room on the disk ({error.strerror}). Make room and run the same command again."
+            return _fail(sentence, StorageError.exit_code, as_json, kind="StorageError")
         if verbose:
             import traceback
 
             traceback.print_exc()
-        said = f"A defect in mammometry: {type(error).__name__}: {_first_line(error)}. "
-        said += "Please report it with the output of the same command with -v."
-        return _fail(said, UNEXPECTED, as_json, kind="Defect")
+        sentence = f"A defect in mammometry: {type(error).__name__}: {_first_line(error)}. "
+        sentence += "Please report it with the output of the same command with -v."
+        return _fail(sentence, UNEXPECTED, as_json, kind="Defect")
 
 
 def _verbosity(argument: str) -> int:

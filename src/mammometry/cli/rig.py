@@ -8,18 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mammometry.cli.common import (
-    Answer,
-    Assignments,
-    Bars,
-    Json,
-    Quiet,
-    SessionFolder,
-    SettingsFile,
-    Verbose,
-    examples,
-    load_settings,
-)
+from mammometry.cli.common import Answer, Bars, Options, OutputOptions, SessionFolder, command
 
 if TYPE_CHECKING:
     from mammometry.io.drift import History
@@ -29,25 +18,20 @@ MOVED = 10
 """Exit code of a check that found a camera moved."""
 
 
-@app.command(
-    epilog=examples(
-        "mammometry check SESSION --image-set monday",
-        "mammometry check SESSION --history",
-        "mammometry check SESSION --image-set monday --set calibration.check.refuse_mm=0.2",
-    )
+@command(
+    app,
+    "mammometry check SESSION --image-set monday",
+    "mammometry check SESSION --history",
+    "mammometry check SESSION --image-set monday --set calibration.check.refuse_mm=0.2",
 )
 def check(
+    options: Options,
     session: SessionFolder,
     image_set: Annotated[
         Path | None,
         typer.Option(help="Folder of a later exposure of the target, with <camera>.jpg in it.", show_default=False),
     ] = None,
     history: Annotated[bool, typer.Option("--history", help="Only show earlier checks.")] = False,
-    assignments: Assignments = None,
-    settings: SettingsFile = None,
-    quiet: Quiet = False,
-    json: Json = False,
-    verbose: Verbose = 0,
 ) -> Answer:
     """Check with a new photograph whether a camera has moved.
 
@@ -58,10 +42,10 @@ def check(
 
     if history == (image_set is not None):
         raise typer.BadParameter("give either --image-set FOLDER or --history")
-    loaded = load_settings(settings, assignments)
+    loaded = options.settings()
     if image_set is not None:
-        with Bars(quiet or json) as bars:
-            job = opened(session, settings, assignments, bars)
+        with Bars(options.silent) as bars:
+            job = opened(session, options, bars)
             with bars.task("check", "photographs") as progress:
                 result = job.check(image_set, progress=progress)
     known = drift.read_history(session)
@@ -69,7 +53,7 @@ def check(
     if image_set is None:
         return _history(session, known, drawn, loaded.calibration.check.refuse_mm)
     # Another check may have ended meanwhile: ours is the last of its photographs.
-    entry = next(each for each in reversed(known.entries) if each.image_set == str(image_set))
+    entry = next(entry for entry in reversed(known.entries) if entry.image_set == str(image_set))
     table = drift.entry_table(entry) | {
         "unseen": list(result.unseen),
         "alternatives": [list(names) for names in result.alternatives],
@@ -109,25 +93,25 @@ def _history(session: Path, history: History, drawn: Path, limit_mm: float) -> A
     write_output(drawn, draw(history.entries, limit_mm), command="check")
     shown = Table("when", "image set", "verdict", "error, mm", "moved cameras", box=None, pad_edge=False)
     for entry in history.entries:
-        moved = ", ".join(name for name, one in entry.cameras.items() if one.moved)
+        moved = ", ".join(name for name, camera in entry.cameras.items() if camera.moved)
         shown.add_row(entry.when[:16], Path(entry.image_set).name, entry.verdict, f"{entry.effect_mm:.3f}", moved)
     table = {
         "session": str(session),
-        "checks": [drift.entry_table(each) for each in history.entries],
+        "checks": [drift.entry_table(entry) for entry in history.entries],
         "warnings": list(history.warnings),
         "plot": str(drawn),
     }
     return Answer(table, [*warnings, shown, f"Plot: {drawn}"])
 
 
-@app.command(
-    "import-cameras",
-    epilog=examples(
-        "mammometry import-cameras SESSION front_left.yml front_right.yml",
-        "mammometry import-cameras SESSION cameras.txt images.txt",
-    ),
+@command(
+    app,
+    "mammometry import-cameras SESSION front_left.yml front_right.yml",
+    "mammometry import-cameras SESSION cameras.txt images.txt",
+    name="import-cameras",
 )
 def import_cameras(
+    options: OutputOptions,
     session: SessionFolder,
     files: Annotated[
         list[Path],
@@ -138,9 +122,6 @@ def import_cameras(
             show_default=False,
         ),
     ],
-    quiet: Quiet = False,
-    json: Json = False,
-    verbose: Verbose = 0,
 ) -> Answer:
     """Import cameras that were calibrated elsewhere.
 
@@ -188,19 +169,17 @@ class CameraFormatName(StrEnum):
     json = "json"
 
 
-@app.command(
-    "export-cameras",
-    epilog=examples("mammometry export-cameras SESSION OUT", "mammometry export-cameras SESSION OUT --format colmap"),
+@command(
+    app,
+    "mammometry export-cameras SESSION OUT",
+    "mammometry export-cameras SESSION OUT --format colmap",
+    name="export-cameras",
 )
 def export_cameras(
+    options: Options,
     session: SessionFolder,
     out: Annotated[Path, typer.Argument(metavar="OUT", help="Folder for the files.", show_default=False)],
     form: Annotated[CameraFormatName, typer.Option("--format", help="Program to write for.")] = CameraFormatName.opencv,
-    assignments: Assignments = None,
-    settings: SettingsFile = None,
-    quiet: Quiet = False,
-    json: Json = False,
-    verbose: Verbose = 0,
 ) -> Answer:
     """Write the cameras for OpenCV, COLMAP or Kalibr. Calibrates first if needed."""
     from mammometry.cli.stages import opened
@@ -208,9 +187,9 @@ def export_cameras(
     from mammometry.io.outputs import require_apart, require_free, write_outputs
 
     command = f"export-cameras --format {form.value}"
-    with Bars(quiet or json) as bars:
-        job = opened(session, settings, assignments, bars)
-        require_apart(out, [*job.session.brought, settings])
+    with Bars(options.silent) as bars:
+        job = opened(session, options, bars)
+        require_apart(out, [*job.session.brought, options.file])
         require_free(out, camera_file_names(job.session.cameras, form.value), command=command)
         cameras = job.calibrate()
     texts = camera_texts(cameras.rig.cameras, form.value)

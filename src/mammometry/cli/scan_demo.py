@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mammometry.cli.common import Answer, Assignments, Bars, SettingsFile, load_settings
+from mammometry.cli.common import Answer, Bars, Options
 from mammometry.cli.stages import volume_lines
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ _WOMAN, _SITUATION, _QUALITY, _SEED = "torso_2", "posture=standing", "telephone"
 _EDGE_MM = 2.0  # of the woman's triangles, on the breasts
 
 
-def scan_demo(folder: Path, settings: SettingsFile, assignments: Assignments, *, quiet: bool, json: bool) -> Answer:
+def scan_demo(folder: Path, options: Options) -> Answer:
     """Scan and measure a virtual standing woman, and compare with her volumes.
 
     Raises:
@@ -31,16 +31,16 @@ def scan_demo(folder: Path, settings: SettingsFile, assignments: Assignments, *,
     from mammometry.io.meshes.scans import FILES, MESH, is_scan, read_scan
     from mammometry.io.outputs import require_free, write_outputs
 
-    chosen = load_settings(settings, assignments)
-    there = is_scan(folder)
-    if not there or read_scan(folder).scanner != _SCANNER:
+    chosen = options.settings()
+    present = is_scan(folder)
+    if not present or read_scan(folder).scanner != _SCANNER:
         require_free(folder, FILES, command=_COMMAND)
     begun = time.monotonic()
-    with Bars(quiet or json) as bars:
+    with Bars(options.silent) as bars:
         with bars.task("simulate", "depth pictures") as progress:
             woman = _woman()
             progress(0.6)
-            if not there:
+            if not present:
                 write_outputs(folder, _scanned(woman), command=_COMMAND)
         simulated = time.monotonic() - begun
         with bars.task("measure", "mesh"):
@@ -54,9 +54,9 @@ def scan_demo(folder: Path, settings: SettingsFile, assignments: Assignments, *,
     lines: list[Any] = []
     for name, true_cc in truth.items():
         found = results.volumes_cc.get(name)
-        said = "not measured" if found is None else f"measured {found:.0f} cc"
+        result = "not measured" if found is None else f"measured {found:.0f} cc"
         off = "" if found is None else f" ({100 * (found / true_cc - 1):+.0f} %)"
-        lines.append(f"{name}: {said}, true {true_cc:.0f} cc{off}")
+        lines.append(f"{name}: {result}, true {true_cc:.0f} cc{off}")
     return Answer(table, [*lines, *volume_lines(results)])
 
 

@@ -7,17 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mammometry.cli.common import (
-    Answer,
-    Assignments,
-    Json,
-    Quiet,
-    SessionFolder,
-    SettingsFile,
-    Verbose,
-    examples,
-    load_settings,
-)
+from mammometry.cli.common import Answer, Options, OutputOptions, SessionFolder, command
 
 if TYPE_CHECKING:
     from mammometry.api.job import Job
@@ -50,15 +40,13 @@ class SubjectKind(StrEnum):
     surface = "surface"
 
 
-@app.command(epilog=examples("mammometry new SESSION", "mammometry new SESSION --rig single --target chessboard"))
+@command(app, "mammometry new SESSION", "mammometry new SESSION --rig single --target chessboard")
 def new(
+    options: OutputOptions,
     session: SessionFolder,
     rig: Annotated[RigName, typer.Option(help="reference has four pairs, single has one.")] = RigName.reference,
     target: Annotated[TargetKind, typer.Option(help="The calibration target.")] = TargetKind.charuco,
     subject: Annotated[SubjectKind, typer.Option(help="What is photographed.")] = SubjectKind.model,
-    quiet: Quiet = False,
-    json: Json = False,
-    verbose: Verbose = 0,
 ) -> Answer:
     """Make an empty session: folders and a commented manifest."""
     from mammometry.base.errors import SessionError, StorageError
@@ -94,15 +82,8 @@ def new(
     return Answer({"session": str(session), "manifest": str(session / MANIFEST), "folders": folders}, lines)
 
 
-@app.command(epilog=examples("mammometry info SESSION", "mammometry info SESSION --json"))
-def info(
-    session: SessionFolder,
-    assignments: Assignments = None,
-    settings: SettingsFile = None,
-    quiet: Quiet = False,
-    json: Json = False,
-    verbose: Verbose = 0,
-) -> Answer:
+@command(app, "mammometry info SESSION", "mammometry info SESSION --json")
+def info(options: Options, session: SessionFolder) -> Answer:
     """Show what a session holds, which results are current, and what to do next.
 
     A stale result was made from other photographs or settings than the present ones. -v lists every result.
@@ -112,7 +93,7 @@ def info(
     from mammometry.job.inputs import MISSING
     from mammometry.job.products import STAGES
 
-    job = open_session(session, load_settings(settings, assignments))
+    job = open_session(session, options.settings())
     inputs = job.inputs
     poses = sorted({pose for pose, _ in inputs.calibration_photographs})
     stages: dict[str, dict[str, Any]] = {}
@@ -144,7 +125,7 @@ def info(
         "report_shows": _shown_by(job),
         "pages": job.pages(),
     }
-    return Answer(table, _info_lines(table, every_product=verbose > 0))
+    return Answer(table, _info_lines(table, every_product=options.verbose > 0))
 
 
 def _shown_by(job: Job) -> dict[str, Any] | None:
@@ -155,11 +136,12 @@ def _shown_by(job: Job) -> dict[str, Any] | None:
 
 def _drawn_words(job: Job) -> dict[str, str]:
     """Breast → who drew its boundary and who confirmed it, from boundaries.json."""
+    from mammometry.job.stages.measure import boundaries
     from mammometry.measure.volume.attribution import confirmed_words, curve_digest
 
-    product, inputs = job.plan.measured.boundaries, job.inputs
-    found = product() if inputs.attributions and product is not None and job.store.has(product.key) else ()
-    curves = {each.name: each.points_world for each in found} | dict(inputs.boundaries)
+    inputs = job.inputs
+    found = (job.plan.current(boundaries) if inputs.attributions else None) or ()
+    curves = {boundary.name: boundary.points_world for boundary in found} | dict(inputs.boundaries)
     words = {}
     for name, attribution in inputs.attributions.items():
         how = attribution.origin or ("given" if name in inputs.boundaries else "automatic")
@@ -175,7 +157,7 @@ def _overall(states: list[str]) -> str:
     if not states:
         return "not needed"
     for state in ("current", "absent"):
-        if all(each == state for each in states):
+        if all(product_state == state for product_state in states):
             return state
     return next((state for state in ("damaged", "stale") if state in states), "partial")
 
@@ -253,30 +235,25 @@ def _info_lines(table: dict[str, Any], *, every_product: bool) -> list[Any]:
     return [first, f"pairs: {pairs}", *drawn, *missing, *warned, "", shown, "", _next_words(table)]
 
 
-@app.command(
-    epilog=examples(
-        "mammometry settings",
-        "mammometry settings --set matching.window_px=11 > my.toml",
-        "mammometry settings --paper > paper.toml",
-    )
+@command(
+    app,
+    "mammometry settings",
+    "mammometry settings --set matching.window_px=11 > my.toml",
+    "mammometry settings --paper > paper.toml",
 )
 def settings(
+    options: Options,
     paper: Annotated[
         bool, typer.Option("--paper", help="Only those that make the method the paper's, as printed.")
     ] = False,
-    assignments: Assignments = None,
-    settings: SettingsFile = None,
-    quiet: Quiet = False,
-    json: Json = False,
-    verbose: Verbose = 0,
 ) -> Answer:
     """List all settings with their values, as TOML for --settings."""
     from mammometry.settings import Settings, as_table, paper_method
 
     if paper:
-        if settings or assignments:
+        if options.file or options.assignments:
             raise typer.BadParameter("--paper: prints the paper's settings alone; leave out --settings and --set")
         text = paper_method()
         return Answer({"settings": as_table(Settings.from_toml(text))}, [text])
-    loaded = load_settings(settings, assignments)
+    loaded = options.settings()
     return Answer({"settings": as_table(loaded)}, [loaded.to_toml()])

@@ -12,16 +12,7 @@ import typer
 
 from mammometry.base.errors import SettingsError
 from mammometry.cli import scan_demo
-from mammometry.cli.common import (
-    Answer,
-    Assignments,
-    Bars,
-    Json,
-    Quiet,
-    SettingsFile,
-    Verbose,
-    examples,
-)
+from mammometry.cli.common import Answer, Bars, Options, OutputOptions, command
 from mammometry.cli.compile_cache import compiled_ahead
 from mammometry.cli.stages import opened, volume_lines
 from mammometry.simulate.recipe import SessionRecipe
@@ -37,8 +28,9 @@ _RECIPE, _FILM = SessionRecipe(), Film()
 _DEMO_RECIPE = _RECIPE
 
 
-@app.command(epilog=examples("mammometry demo", "mammometry demo /tmp/demo --json", "mammometry demo --scan"))
+@command(app, "mammometry demo", "mammometry demo /tmp/demo --json", "mammometry demo --scan")
 def demo(
+    options: Options,
     folder: Annotated[
         Path | None,
         typer.Argument(
@@ -50,23 +42,17 @@ def demo(
     scan: Annotated[
         bool, typer.Option("--scan", help="Scan a virtual standing woman with a virtual telephone, and measure that.")
     ] = False,
-    assignments: Assignments = None,
-    settings: SettingsFile = None,
-    quiet: Quiet = False,
-    json: Json = False,
-    verbose: Verbose = 0,
 ) -> Answer:
     """Simulate, photograph and measure a plaster breast, and compare with its volume."""
-    from mammometry.cli.common import load_settings
     from mammometry.simulate.session import true_volumes_cc
 
     if scan:
         chosen = folder or scan_demo.FOLDER
-        return scan_demo.scan_demo(chosen, settings, assignments, quiet=quiet, json=json)
-    load_settings(settings, assignments)  # a wrong name shows at once, not after a minute
+        return scan_demo.scan_demo(chosen, options)
+    options.settings()  # a wrong name shows at once, not after a minute
     folder = folder or _DEMO
     begun = time.monotonic()
-    with Bars(quiet or json) as bars, compiled_ahead():
+    with Bars(options.silent) as bars, compiled_ahead():
         if not _is_demo(folder):
             from mammometry.simulate.session import write_session
 
@@ -75,7 +61,7 @@ def demo(
         else:  # made again from its recipe: truth/ is for "mammometry evaluate" alone
             truth = true_volumes_cc(_DEMO_RECIPE)
         simulated = time.monotonic() - begun
-        results = opened(folder, settings, assignments, bars).run()
+        results = opened(folder, options, bars).run()
     table = results.as_table()
     table["seconds"] = round(time.monotonic() - begun, 3)
     table["stage_seconds"] = {"simulate": round(simulated, 3), **table["stage_seconds"]}
@@ -87,17 +73,17 @@ def demo(
     return Answer(table, [*lines, *volume_lines(results)[1:]])
 
 
-@app.command(
-    epilog=examples(
-        "mammometry simulate OUT",
-        "mammometry simulate OUT --subject plaster_3 --rig reference:front,floor --scale 0.5 --seed 1",
-        "mammometry simulate OUT --subject torso_2 --disturb removed=right,rail",
-        "mammometry simulate OUT --clinic 16 --difficulty 2",
-        "mammometry simulate OUT --subject scan.ply --units mm --rig rig.toml",
-        "mammometry run OUT",
-    )
+@command(
+    app,
+    "mammometry simulate OUT",
+    "mammometry simulate OUT --subject plaster_3 --rig reference:front,floor --scale 0.5 --seed 1",
+    "mammometry simulate OUT --subject torso_2 --disturb removed=right,rail",
+    "mammometry simulate OUT --clinic 16 --difficulty 2",
+    "mammometry simulate OUT --subject scan.ply --units mm --rig rig.toml",
+    "mammometry run OUT",
 )
 def simulate(
+    options: OutputOptions,
     out: Annotated[Path, typer.Argument(metavar="OUT", help="New folder for the session.", show_default=False)],
     rig: Annotated[
         str, typer.Option(help="reference, or a TOML file of a rig. Some of its pairs: reference:front,floor.")
@@ -162,9 +148,6 @@ def simulate(
     difficulty: Annotated[
         int, typer.Option(help="With --clinic: 0 draws only the patient, 3 the most disturbances.", min=0, max=3)
     ] = 1,
-    quiet: Quiet = False,
-    json: Json = False,
-    verbose: Verbose = 0,
 ) -> Answer:
     """Render a session of a virtual rig. The truth is written to OUT/truth."""
     from mammometry.simulate.disturbances.draw import draw
@@ -196,7 +179,7 @@ def simulate(
     recipe = SessionRecipe(
         rig=rig, subject=subject, scale=scale, seed=seed, poses=poses, mesh_file=mesh_file, situation=situation
     )
-    with Bars(quiet or json) as bars, bars.task("simulate", "photographs") as progress:
+    with Bars(options.silent) as bars, bars.task("simulate", "photographs") as progress:
         made = write_session(out, recipe, studio, progress=progress)
     true_cc = {name: round(value, 3) for name, value in made.true_volumes_cc.items()}
     table = {"session": str(out), "true_volumes_cc": true_cc, "seconds": round(time.monotonic() - begun, 3)}
@@ -205,14 +188,14 @@ def simulate(
     return Answer(table, [f"{out}: {len(made.rig.cameras)} cameras, {volume}", f"Then: mammometry run {out}"])
 
 
-@app.command(
-    epilog=examples(
-        "mammometry target board.pdf",
-        "mammometry target board.pdf --page A4 --squares 10x7 --square-mm 18 --marker-mm 13",
-        "mammometry target board.pdf --session SESSION",
-    )
+@command(
+    app,
+    "mammometry target board.pdf",
+    "mammometry target board.pdf --page A4 --squares 10x7 --square-mm 18 --marker-mm 13",
+    "mammometry target board.pdf --session SESSION",
 )
 def target(
+    options: OutputOptions,
     out: Annotated[Path, typer.Argument(metavar="OUT.pdf", help="The PDF to write.", show_default=False)],
     session: Annotated[
         Path | None, typer.Option(help="Draw the target of this session instead.", show_default=False)
@@ -222,9 +205,6 @@ def target(
     marker_mm: Annotated[float, typer.Option(help="Side of a marker, mm. 0 draws a plain chessboard.")] = 18.0,
     dictionary: Annotated[str, typer.Option(help="Marker dictionary, as OpenCV names it.")] = "DICT_5X5_250",
     page: Annotated[str, typer.Option(help="A4, A3, A2, A1, A0, letter, tabloid, or fit (as large as needed).")] = "A3",
-    quiet: Quiet = False,
-    json: Json = False,
-    verbose: Verbose = 0,
 ) -> Answer:
     """Draw a calibration board as a PDF to print at true scale. Check the ruler on the print."""
     from mammometry.calibration.targets.pdf import target_pdf

@@ -12,24 +12,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mammometry.cli.common import (
-    Answer,
-    Assignments,
-    Bars,
-    Json,
-    Quiet,
-    SettingsFile,
-    Verbose,
-    examples,
-    load_settings,
-)
+from mammometry.cli.common import Answer, Bars, Options, OutputOptions, command
 from mammometry.cli.evaluation import table_lines
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from mammometry.api.phantoms import PhantomResult
-    from mammometry.base.each import Each
+    from mammometry.base.progress import MapTasks
     from mammometry.study.agreement import Agreement, CheckedFigure, PairedMeasurements
     from mammometry.study.tables import Table
 
@@ -38,13 +28,13 @@ _OUT = Path("agreement")
 _CAMERAS = 8  # of the reference rig
 
 
-@app.command(
-    epilog=examples(
-        "mammometry study agreement",
-        "mammometry study agreement table.csv --reference water_cc --measured imaging_cc --out agreement",
-    )
+@command(
+    app,
+    "mammometry study agreement",
+    "mammometry study agreement table.csv --reference water_cc --measured imaging_cc --out agreement",
 )
 def agreement(
+    options: OutputOptions,
     table: Annotated[
         Path | None,
         typer.Argument(
@@ -60,9 +50,6 @@ def agreement(
         Path | None,
         typer.Option(metavar="FILE.toml", help="Published figures to check.", show_default=False),
     ] = None,
-    quiet: Quiet = False,
-    json: Json = False,
-    verbose: Verbose = 0,
 ) -> Answer:
     """Compare two methods of measurement on the same subjects.
 
@@ -81,29 +68,29 @@ def agreement(
         paper = files("mammometry.study").joinpath("paper")
         with as_file(paper.joinpath("table_1.csv")) as path, as_file(paper.joinpath("published.toml")) as figures:
             data = read_pairs(path, reference="water_cc", measured="imaging_cc")
-            said = read_published(published or figures)
+            stated = read_published(published or figures)
         title = "Table 1: nine plaster models, water displacement and 3D imaging"
     else:
         data = read_pairs(table, reference=reference, measured=measured)
-        said = () if published is None else read_published(published)
+        stated = () if published is None else read_published(published)
         title = shown_name(table.with_suffix(""))
     found = agree(data)
     try:
-        checked = check_published(found, said)
+        checked = check_published(found, stated)
     except ValueError as error:
         raise typer.BadParameter(f"--published: {error}") from None
-    with Bars(quiet or json) as bars, bars.task("agreement", "figures"):
+    with Bars(options.silent) as bars, bars.task("agreement", "figures"):
         write_outputs(out, agreement_files(title, data, found, checked), command="study agreement")
     return _answer(out, data, found, checked)
 
 
-@app.command(
-    epilog=examples(
-        "mammometry study observers curves --mesh front.ply --units mm",
-        "mammometry study observers table.csv --units mm --out observers",
-    )
+@command(
+    app,
+    "mammometry study observers curves --mesh front.ply --units mm",
+    "mammometry study observers table.csv --units mm --out observers",
 )
 def observers(
+    options: Options,
     curves: Annotated[
         Path,
         typer.Argument(
@@ -128,11 +115,6 @@ def observers(
     ahead: Annotated[
         str | None, typer.Option(metavar="AXIS", help="The meshes' axis straight ahead.", show_default=False)
     ] = None,
-    assignments: Assignments = None,
-    settings: SettingsFile = None,
-    quiet: Quiet = False,
-    json: Json = False,
-    verbose: Verbose = 0,
 ) -> Answer:
     """Compare boundaries that several persons drew, or one person several times.
 
@@ -147,12 +129,12 @@ def observers(
     from mammometry.study.observers import observer_study
     from mammometry.study.observers_tables import observers_json, observers_summary, observers_tables
 
-    chosen = load_settings(settings, assignments)
+    chosen = options.settings()
     drawn = read_drawn_by(curves, mesh)
-    meshes = tuple(dict.fromkeys(each.mesh for each in drawn))
-    require_apart(out, [curves, settings, *meshes, *(each.boundary for each in drawn)])
+    meshes = tuple(dict.fromkeys(drawing.mesh for drawing in drawn))
+    require_apart(out, [curves, options.file, *meshes, *(drawing.boundary for drawing in drawn)])
     require_free(out, observers_names(len(meshes)), command="study observers")
-    with Bars(quiet or json) as bars:
+    with Bars(options.silent) as bars:
         with bars.task("observers", "drawings") as progress:
             measured = measure_drawings(
                 drawn, units=units, head=head, ahead=ahead, settings=chosen.measure, progress=progress
@@ -171,10 +153,9 @@ def observers(
     return Answer({"report": str(page), **observers_json(found, measured.drawings)}, [*lines, f"Report: {page}"])
 
 
-@app.command(
-    epilog=examples("mammometry study phantoms OUT", "mammometry study phantoms OUT --scale 0.5 --seed 3 --json")
-)
+@command(app, "mammometry study phantoms OUT", "mammometry study phantoms OUT --scale 0.5 --seed 3 --json")
 def phantoms(
+    options: Options,
     out: Annotated[Path, typer.Argument(metavar="OUT", help="Folder of the study.", show_default=False)],
     scale: Annotated[
         float, typer.Option(help="Image size as a share of 4504 × 3000 pixels.", min=0.02, max=2.0)
@@ -182,11 +163,6 @@ def phantoms(
     seed: Annotated[
         int, typer.Option(help="Seed of the rig, its calibration and the shapes of the models.", min=0)
     ] = 1,
-    assignments: Assignments = None,
-    settings: SettingsFile = None,
-    quiet: Quiet = False,
-    json: Json = False,
-    verbose: Verbose = 0,
 ) -> Answer:
     """Measure nine virtual plaster models and compare with their exact volumes.
 
@@ -197,11 +173,11 @@ def phantoms(
     from mammometry.report.documents.agreement_page import FILES, agreement_files
     from mammometry.study.agreement import agreement as agree
 
-    chosen = load_settings(settings, assignments)
-    require_apart(out, [settings])
+    chosen = options.settings()
+    require_apart(out, [options.file])
     require_free(out / "report", (*FILES, "table.csv"), command="study phantoms")
-    with Bars(quiet or json) as bars, _side_by_side(bars, len(MODELS), scale) as each:
-        results = measure_phantoms(out, scale=scale, seed=seed, settings=chosen, each=each)
+    with Bars(options.silent) as bars, _tasks_side_by_side(bars, len(MODELS), scale) as map_tasks:
+        results = measure_phantoms(out, scale=scale, seed=seed, settings=chosen, map_tasks=map_tasks)
     data = paired(results)
     found = agree(data)
     intervals = interval_table(results)
@@ -217,11 +193,11 @@ def phantoms(
 
 
 @contextmanager
-def _side_by_side(bars: Bars, count: int, scale: float) -> Iterator[Each]:
+def _tasks_side_by_side(bars: Bars, count: int, scale: float) -> Iterator[MapTasks]:
     """Measure on all cores, each model in its own process. The workers start with the first model."""
     from mammometry.batch.cluster import machines
-    from mammometry.batch.each import side_by_side
     from mammometry.batch.engine import Began, Ended
+    from mammometry.batch.map_tasks import map_tasks_on
     from mammometry.simulate.rigs.plan import FULL_SIZE_WH
 
     width, height = FULL_SIZE_WH
@@ -233,8 +209,8 @@ def _side_by_side(bars: Bars, count: int, scale: float) -> Iterator[Each]:
             progress(done["models"] / count)
 
         @cache
-        def loop() -> Each:
-            return side_by_side(stack.enter_context(machines(None)), megapixels=megapixels, watch=watch)
+        def loop() -> MapTasks:
+            return map_tasks_on(stack.enter_context(machines(None)), megapixels=megapixels, watch=watch)
 
         yield lambda function, arguments: loop()(function, arguments)
 

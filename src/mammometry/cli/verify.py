@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mammometry.cli.common import Answer, Assignments, Json, Quiet, SettingsFile, Verbose, examples, load_settings
+from mammometry.cli.common import Answer, Options, command
 
 if TYPE_CHECKING:
     from mammometry.io.results.verify import Findings
@@ -17,8 +17,9 @@ app = typer.Typer()
 _MB = 1e6  # bytes in a MB
 
 
-@app.command(epilog=examples("mammometry verify SESSION", "mammometry verify scan-measured --json"))
+@command(app, "mammometry verify SESSION", "mammometry verify scan-measured --json")
 def verify(
+    options: Options,
     session: Annotated[
         Path,
         typer.Argument(
@@ -27,11 +28,6 @@ def verify(
             show_default=False,
         ),
     ],
-    assignments: Assignments = None,
-    settings: SettingsFile = None,
-    quiet: Quiet = False,
-    json: Json = False,
-    verbose: Verbose = 0,
 ) -> Answer:
     """Check that all result files are as they were written.
 
@@ -44,7 +40,7 @@ def verify(
 
     results = results_in(session)
     findings = verified(results)
-    renewed, left, remark = _renewed(session, results, findings, settings, assignments)
+    renewed, left, remark = _renewed(session, results, findings, options)
     table: dict[str, Any] = {"results": str(results), **asdict(findings), "renewed": renewed, "not_renewed": left}
     lines: list[Any] = [f"{damage.file}: {damage.found}" for damage in findings.damaged]
     lines += [f"A rerun renews {', '.join(renewed)}"] if renewed else []
@@ -56,26 +52,23 @@ def verify(
     return Answer(table, lines, exit_code=StorageError.exit_code if findings.damaged else 0)
 
 
-def _renewed(
-    session: Path, results: Path, findings: Findings, settings: Path | None, assignments: list[str] | None
-) -> tuple[list[str], list[str], str]:
+def _renewed(session: Path, results: Path, findings: Findings, options: Options) -> tuple[list[str], list[str], str]:
     """Damaged products that a rerun makes again, those it cannot, and why."""
     from mammometry.api.job import open_session
     from mammometry.base.errors import MammometryError
     from mammometry.io.results.verify import shown
     from mammometry.job.products import STAGES
 
-    loaded = load_settings(settings, assignments)
-    damaged = {f"{each.stage}/{each.product}": None for each in findings.damaged if each.product is not None}
-    stages = [each.stage for each in findings.damaged if each.product is None]
+    loaded = options.settings()
+    damaged = {f"{damage.stage}/{damage.product}": None for damage in findings.damaged if damage.product is not None}
+    stages = [damage.stage for damage in findings.damaged if damage.product is None]
     if results == session:
         return [*damaged, *stages], [], ""
     if not damaged and not stages:
         return [], [], ""
     try:
         job = open_session(session, loaded)
-        keys = [product.key for stage in STAGES for product in job.products(stage)]
-        keys += [job.previews_key(stage) for stage in STAGES if job.products(stage)]
+        keys = [key for stage in STAGES[:-1] if job.plan.products(stage) for key in job.keys(stage)]
         wanted = {f"{key.stage}/{key.product}" for key in [*keys, job.content_key, job.report_key]}
     except MammometryError as error:
         return [], [*damaged, *stages], shown(str(error))

@@ -140,7 +140,7 @@ def _enter_page(request: HttpRequest, kind: str, parameters: Mapping[str, Any]) 
     }  # fmt: skip
     additional |= {name: str(parameters[name]) for name in named}
     if shown := getattr(request, "shown", None):
-        additional["shown"] = [str(each) for each in shown]
+        additional["shown"] = [str(key) for key in shown]
     what: Model = person
     if named:
         model: type[Model] = apps.get_model("clinic", _ABOUT[named[-1]])

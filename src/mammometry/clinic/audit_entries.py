@@ -242,7 +242,7 @@ def _about_patient(found: QuerySet[LogEntry], pseudonym: str) -> QuerySet[LogEnt
 
     Those of an erased patient are found by the pseudonym alone.
     """
-    from mammometry.clinic.keep.patient import rows_of
+    from mammometry.clinic.maintenance.patient import rows_of
 
     patient = Patient.everything.filter(pseudonym=pseudonym).first()
     wanted = Q(object_repr__startswith=pseudonym)

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from mammometry.base.errors import CaptureError
-from mammometry.capture.loop import Rigged
+from mammometry.capture.loop import OpenRig
+from mammometry.capture.page_service import Stand
 from mammometry.capture.rig_file import read_rig_file
 from mammometry.capture.sessions import definition_of
-from mammometry.capture.stand import Stand
 from mammometry.clinic.models import Calibration, Rig
 from mammometry.clinic.site import the_clinic
 
@@ -76,7 +76,7 @@ def stand_of(rig: Rig, calibration: Calibration | None) -> Stand:
                     remedy="Correct the file, or name the right one in clinic.toml",
                 )  # fmt: skip
             # The clinic's calibration, never the file's: a visit is measured with it.
-            rigged = Rigged(path, calibration=folder, settings=the_clinic().measuring(), own_calibration=False)
+            rigged = OpenRig(path, calibration=folder, settings=the_clinic().measuring(), own_calibration=False)
             entry = _open[str(rig.pk)] = _Open(key=key, stand=Stand(rigged), used_s=time.monotonic())
         entry.used_s = time.monotonic()
         _watch()
@@ -93,7 +93,7 @@ def close_idle(*, idle_s: float = 0.0) -> int:
         How many rigs are still open.
     """
     with _one:
-        for key in [key for key, each in _open.items() if time.monotonic() - each.used_s >= idle_s]:
+        for key in [key for key, opened in _open.items() if time.monotonic() - opened.used_s >= idle_s]:
             _close(key)
         return len(_open)
 

@@ -257,8 +257,8 @@ def new_clinic(folder: Path, *, name: str, database: str = "sqlite", second_fact
         raise ClinicError(str(folder), found="files", expected="a new or empty folder", remedy=remedy)
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     folder.chmod(0o700)
-    for each in FOLDERS:
-        (folder / each).mkdir(mode=0o700)
+    for kept in FOLDERS:
+        (folder / kept).mkdir(mode=0o700)
     write_private(folder / KEY_FILE, secrets.token_urlsafe(_KEY_BYTES) + "\n")
     write_private(folder / FILE, _TEMPLATE.format(*map(quoted, (name, database, second_factor))))
     return read_config(folder)

@@ -48,9 +48,9 @@ def require_libraries(*modules: str) -> None:
 def enqueue(visit: Visit, destination: Destination, person: Person | None) -> Delivery:
     """Have a visit's results sent. One that is on its way already is not sent twice."""
     waiting = (Delivery.State.QUEUED, Delivery.State.SENDING)
-    there = visit.deliveries.filter(destination=destination, state__in=waiting).first()
-    if there is not None:
-        return there
+    pending = visit.deliveries.filter(destination=destination, state__in=waiting).first()
+    if pending is not None:
+        return pending
     return Delivery.objects.create(visit=visit, destination=destination, created_by=person, next_try=timezone.now())
 
 
@@ -110,8 +110,8 @@ def deliver(config: ClinicConfig, delivery: Delivery) -> None:
             ended=timezone.now() if last else None,
         )
         return
-    asked = delivery.destination.commitment and delivery.destination.kind == Destination.Kind.DICOM
-    message = "It gave no promise to keep them." if asked and not kept else ""
+    commitment_wanted = delivery.destination.commitment and delivery.destination.kind == Destination.Kind.DICOM
+    message = "It gave no promise to keep them." if commitment_wanted and not kept else ""
     mine.update(state=Delivery.State.SENT, sent=F("sent") + sent, kept=kept, message=message, ended=timezone.now())
 
 

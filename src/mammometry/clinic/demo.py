@@ -249,8 +249,8 @@ def _calibrated(made: Path) -> Calibration:
     calibration.taken_at = timezone.now() - datetime.timedelta(days=_CALIBRATED_DAYS)
     calibration.save()
     for path in _shots(made)[1:]:
-        for each in sorted(path.glob("*.jpg")):
-            _send(calibration, each, pose=path.name)
+        for photograph in sorted(path.glob("*.jpg")):
+            _send(calibration, photograph, pose=path.name)
     enqueue(calibration, None)
     _write_cameras(made, rig)
     _wait_for_calibration(rig)
@@ -303,20 +303,20 @@ def _enter_visits(calibration: Calibration) -> list[Visit]:
     from mammometry.clinic.models import Consent, Operation, Patient, Visit
 
     made = []
-    for place, each in enumerate(PATIENTS):
+    for place, drawn in enumerate(PATIENTS):
         patient = Patient.objects.create(
-            family_name=each.family_name,
-            given_name=each.given_name,
-            born=each.born,
+            family_name=drawn.family_name,
+            given_name=drawn.given_name,
+            born=drawn.born,
             record_number=_record_number(place),
         )
-        first = timezone.localdate() - datetime.timedelta(days=each.dates[0][0])
+        first = timezone.localdate() - datetime.timedelta(days=drawn.dates[0][0])
         for purpose in Consent.Purpose:
             Consent.objects.create(patient=patient, purpose=purpose, given_on=first)
-        for days, kind, side in each.operations:
+        for days, kind, side in drawn.operations:
             day = timezone.localdate() - datetime.timedelta(days=days)
             Operation.objects.create(patient=patient, kind=kind, side=side, day=day)
-        for number, (days, _) in enumerate(each.dates):
+        for number, (days, _) in enumerate(drawn.dates):
             made.append(
                 Visit.objects.create(
                     patient=patient,
@@ -339,9 +339,9 @@ def _note(number: int) -> str:
 
 def _bring(visit: Visit, made: Path) -> None:
     """Upload a visit's photographs; those that are there already stay."""
-    there = set(visit.uploads.filter(state="placed").values_list("camera", flat=True))
+    placed = set(visit.uploads.filter(state="placed").values_list("camera", flat=True))
     for path in sorted((made / "capture").glob("*.jpg")):
-        if path.stem not in there:
+        if path.stem not in placed:
             _send(visit, path)
     visit.refresh_from_db()
 
@@ -376,7 +376,7 @@ def _wait_for_calibration(rig: Rig) -> None:
 
 def render(folder: Path, subject: str, other: str, poses: int, progress: Progress) -> Path:
     """Photographs of the target or of a subject, by one rig."""
-    from mammometry.calibration.targets.charuco import CharucoTarget
+    from mammometry.calibration.targets.kinds.charuco import CharucoTarget
     from mammometry.simulate.recipe import SessionRecipe
     from mammometry.simulate.session import write_session
     from mammometry.simulate.situation import parse_situation

@@ -58,7 +58,7 @@ def settings_of(config: ClinicConfig, secret_key: str) -> dict[str, Any]:
         "SECRET_KEY": secret_key,
         "ALLOWED_HOSTS": list(config.hosts),
         "CSRF_TRUSTED_ORIGINS": [f"https://{host}" for host in config.hosts] if config.tls.behind_proxy else [],
-        "ROOT_URLCONF": f"{_PACKAGE}.routes",
+        "ROOT_URLCONF": f"{_PACKAGE}.web.routes",
         "INSTALLED_APPS": _APPS,
         "MIDDLEWARE": _MIDDLEWARE,
         "TEMPLATES": [_templates()],
@@ -142,18 +142,18 @@ _APPS = [
     "auditlog",
 ]
 _MIDDLEWARE = [
-    f"{_PACKAGE}.security.Headers",
+    f"{_PACKAGE}.web.security.Headers",
     "django.middleware.security.SecurityMiddleware",
     "whitenoise.middleware.WhiteNoiseMiddleware",
     "django.contrib.sessions.middleware.SessionMiddleware",
     "django.middleware.common.CommonMiddleware",
     "django.middleware.csrf.CsrfViewMiddleware",
     "django.contrib.auth.middleware.AuthenticationMiddleware",
-    f"{_PACKAGE}.security.Expiry",
+    f"{_PACKAGE}.web.security.Expiry",
     "django.contrib.messages.middleware.MessageMiddleware",
     "allauth.account.middleware.AccountMiddleware",
     "auditlog.middleware.AuditlogMiddleware",
-    f"{_PACKAGE}.security.DeniedByDefault",
+    f"{_PACKAGE}.web.security.DeniedByDefault",
     "axes.middleware.AxesMiddleware",
 ]
 
@@ -167,7 +167,7 @@ def _templates() -> dict[str, Any]:
                 "django.template.context_processors.request",
                 "django.contrib.auth.context_processors.auth",
                 "django.contrib.messages.context_processors.messages",
-                f"{_PACKAGE}.security.for_all_pages",
+                f"{_PACKAGE}.web.security.for_all_pages",
             ],
         },
     }
@@ -288,7 +288,7 @@ def _logging(config: ClinicConfig) -> dict[str, Any]:
     return {
         "version": 1,
         "disable_existing_loggers": False,
-        "formatters": {"plain": {"()": f"{_PACKAGE}.logs.Plain"}},
+        "formatters": {"plain": {"()": f"{_PACKAGE}.web.logs.Plain"}},
         "handlers": {
             "file": {
                 "class": "logging.handlers.RotatingFileHandler",

@@ -146,8 +146,8 @@ class DrawingBoard:
         following = dict(zip(held, np.roll(held, -1), strict=True))
         count = len(handles)
         kept = [
-            one.at is not None and following.get(one.at) == other.at
-            for one, other in zip(handles, [*handles[1:], handles[0]], strict=True)
+            handle.at is not None and following.get(handle.at) == other.at
+            for handle, other in zip(handles, [*handles[1:], handles[0]], strict=True)
         ]
         if all(kept):
             return curve_world

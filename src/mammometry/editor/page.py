@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from pydantic import ValidationError
 
 from mammometry.base.errors import MammometryError, StorageError
-from mammometry.editor.desk import Desk, Drawable
 from mammometry.editor.messages import Finish, Measure, Message, Save, sentence
+from mammometry.editor.session import Desk, Drawable
 from mammometry.io.drawn_changes import LateError
 from mammometry.report.figures.drawing.shading import front_frame
 from mammometry.report.models import viewer_scene

@@ -18,9 +18,9 @@ from django.urls import URLPattern, path
 from pydantic import ValidationError
 
 from mammometry.base.errors import MammometryError
-from mammometry.editor.desk import Drawable
-from mammometry.editor.door import HOST, Door, entrance, local_page, sealed
+from mammometry.editor.auth import HOST, Door, entrance, local_page, sealed
 from mammometry.editor.page import EditorPage, refusal, resource
+from mammometry.editor.session import Drawable
 
 Application = Callable[[Any, Any, Any], Awaitable[None]]
 """What an ASGI server calls: scope, receive, send."""

@@ -8,16 +8,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
 
 import numpy as np
 
-from mammometry.geometry.arrays import Array, Float64, read_only
+from mammometry.base.value import value
+from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.lens import distort, undistort
 from mammometry.geometry.transform import Transform
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class Camera:
     """A calibrated camera with its pose and lens.
 
@@ -45,8 +45,6 @@ class Camera:
             raise ValueError(f"{self.name}: focal lengths must be positive, found {np.diag(self.matrix)[:2]}")
         if self.matrix[[0, 1, 2, 2, 2], [1, 0, 0, 1, 2]].tolist() != [0.0, 0.0, 0.0, 0.0, 1.0]:
             raise ValueError(f"{self.name}: K is fx 0 cx, 0 fy cy, 0 0 1, found {self.matrix.tolist()}")
-        object.__setattr__(self, "matrix", read_only(self.matrix))
-        object.__setattr__(self, "distortion", read_only(self.distortion))
 
     @property
     def intrinsics(self) -> Float64[Array, 4]:
@@ -102,7 +100,7 @@ class StereoPair:
     right: Camera
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class Rig:
     """Any number of cameras and of stereo pairs among them."""
 
@@ -117,14 +115,10 @@ class Rig:
     """
 
     def __post_init__(self) -> None:
-        if self.target_middle_world is not None:
-            object.__setattr__(self, "target_middle_world", read_only(self.target_middle_world))
         for pair, (left, right) in self.pair_names.items():
             missing = {left, right} - set(self.cameras)
             if missing or left == right:
                 raise ValueError(f"pair {pair} needs two cameras of the rig, found {left!r} and {right!r}")
-        object.__setattr__(self, "cameras", MappingProxyType(dict(self.cameras)))
-        object.__setattr__(self, "pair_names", MappingProxyType(dict(self.pair_names)))
 
     def pair(self, name: str) -> StereoPair:
         """The calibrated stereo pair with that name."""

@@ -6,12 +6,12 @@ World frame, mm, faces counter-clockwise seen from outside.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
 
-from mammometry.geometry.arrays import Array, Bool, Float64, Int32, Int64, read_only
+from mammometry.base.value import value
+from mammometry.geometry.arrays import Array, Bool, Float64, Int32, Int64
 from mammometry.geometry.transform import Transform
 
 _PER_MM = 1024.0  # a power of two, so that nothing but the rounding is lost
@@ -20,7 +20,7 @@ PointMap: TypeAlias = Callable[[Float64[Array, "n 3"]], Float64[Array, "n 3"]]
 """Carries points, mm, into another frame or place."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class TriangleMesh:
     """Vertices and the triangles between them.
 
@@ -38,8 +38,6 @@ class TriangleMesh:
             raise ValueError(f"faces refer to vertices up to {self.faces.max()}, mesh has {len(self.vertices)}")
         if not np.isfinite(self.vertices).all():
             raise ValueError("mesh has vertices that are not finite")
-        object.__setattr__(self, "vertices", read_only(self.vertices))
-        object.__setattr__(self, "faces", read_only(self.faces))
 
     def corners(self) -> Float64[Array, "m 3 3"]:
         """Corner positions of every face, (face, corner, xyz), mm."""

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.spatial import cKDTree
 
-from mammometry.geometry.arrays import Array, Float64, Int64, read_only
+from mammometry.base.value import value
+from mammometry.geometry.arrays import Array, Float64, Int64
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.nearest_kernels import boxes, faces_in_box, morton, scan, search
 
@@ -19,7 +18,7 @@ _SOME = 5_000  # vertices to which the queries' distances are found for that; fo
 _SLACK, _SLACK_MM = 1.0 + 1e-9, 1e-9  # of those distances, for rounding
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class ClosestPoints:
     """For each query point the nearest point of the surface."""
 
@@ -29,10 +28,6 @@ class ClosestPoints:
     """The face that holds it."""
     distances_mm: Float64[Array, " n"]
     """Unsigned distance to it, mm."""
-
-    def __post_init__(self) -> None:
-        for field in ("points", "faces", "distances_mm"):
-            object.__setattr__(self, field, read_only(getattr(self, field)))
 
 
 def closest_on_mesh(points: Float64[Array, "n 3"], mesh: TriangleMesh) -> ClosestPoints:

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from mammometry.geometry.arrays import Array, Float64, read_only
+from mammometry.base.value import value
+from mammometry.geometry.arrays import Array, Float64
 
 _PROPER_TOLERANCE = 1e-6  # of R Rᵀ: moves a point a metre away by a thousandth of a millimetre
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class Transform:
     """A rotation, then a translation.
 
@@ -33,8 +32,6 @@ class Transform:
                 f"not a proper rotation: R Rᵀ differs from the identity by {error:.2g}, "
                 f"determinant {np.linalg.det(self.rotation):.6f}, expected +1"
             )
-        object.__setattr__(self, "rotation", read_only(self.rotation))
-        object.__setattr__(self, "translation_mm", read_only(self.translation_mm))
 
     @classmethod
     def identity(cls) -> Transform:

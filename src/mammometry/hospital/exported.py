@@ -237,6 +237,9 @@ class Exported:
     @property
     def digest(self) -> str:
         """SHA-256 of the numbers."""
-        rows = [[each.name, each.value, each.interval_95, each.sigma, each.wall] for each in self.quantities]
-        rows += [[each.side, each.kind, each.why] for each in self.absent]
+        rows = [
+            [quantity.name, quantity.value, quantity.interval_95, quantity.sigma, quantity.wall]
+            for quantity in self.quantities
+        ]
+        rows += [[absence.side, absence.kind, absence.why] for absence in self.absent]
         return hashlib.sha256(json.dumps([self.source, rows]).encode()).hexdigest()

@@ -49,8 +49,8 @@ def bundle(exported: Exported, patient: Patient = Patient(), *, release: Release
     subject = {"reference": f"Patient/{who['id']}"}
     about = {"subject": subject} | _moments(exported)
     seed = (exported.source, patient.id)
-    observations = [_observation(each, exported, about, seed) for each in exported.quantities]
-    observations += [_nothing(each, exported, about, seed) for each in exported.absent]
+    observations = [_observation(quantity, exported, about, seed) for quantity in exported.quantities]
+    observations += [_nothing(absence, exported, about, seed) for absence in exported.absent]
     clinical = exported.clinical
     conclusion = clinical.conclusions[0] if clinical.conclusions else None
     report: dict[str, Any] = {
@@ -59,7 +59,7 @@ def bundle(exported: Exported, patient: Patient = Patient(), *, release: Release
         "status": "final" if exported.is_final else "preliminary",
         "code": _concept(_REPORT, codes.PHOTOGRAMMETRY.meaning),
         **about,
-        "result": [{"reference": f"Observation/{each['id']}"} for each in observations],
+        "result": [{"reference": f"Observation/{observation['id']}"} for observation in observations],
         "conclusion": f"{conclusion.text}\n{_RESEARCH}" if conclusion is not None else _RESEARCH,
     }
     signatures = []
@@ -70,12 +70,12 @@ def bundle(exported: Exported, patient: Patient = Patient(), *, release: Release
         if signed is not None:
             report[field] = [{"display": signed.by}]
             signatures.append(_provenance(role, signed, f"DiagnosticReport/{report['id']}", seed))
-    operations = [_operation(each, subject, seed, release) for each in exported.operations]
+    operations = [_operation(operation, subject, seed, release) for operation in exported.operations]
     made = {
         "resourceType": "Bundle",
         "id": identifier("bundle", *seed),
         "type": "transaction",
-        "entry": [_entry(each) for each in (who, *operations, *observations, report, *signatures)],
+        "entry": [_entry(resource) for resource in (who, *operations, *observations, report, *signatures)],
     }
     package = importlib.import_module(f"{_PACKAGES[release]}.bundle")
     package.Bundle.model_validate(made)  # raises on our own defects only

@@ -14,6 +14,7 @@ import numpy as np
 
 from mammometry.hospital.exported import Absent, CoveredModel, CoveredModels, Exported, Model, Quantity, Side
 from mammometry.io.photographs.images import EXTENSIONS
+from mammometry.job.stages import measure, surface
 from mammometry.measure.volume.attribution import Attribution
 from mammometry.report.clinical import Clinical, Signed
 from mammometry.report.words.lengths import quantities_of
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     from mammometry.api.job import Job
     from mammometry.api.mesh import MeshJob
     from mammometry.geometry.mesh import TriangleMesh
-    from mammometry.job.measuring import Measured as MeasuredPlan
+    from mammometry.job.graph import Plan
     from mammometry.measure.boundary.breasts import NoBreast
     from mammometry.measure.shape.anthropometry import Dimensions
     from mammometry.measure.volume.measurement import VolumeMeasurement
@@ -57,7 +58,7 @@ def gather(
     made = job.made_at("report" if plain else "measure")
     measured = tuple(job.measure().values())
     known = clinical or Clinical(confirmed=confirmed(job.inputs.attributions, measured))
-    atlas = job.plan.surfaced.model() if "models" in parts else None
+    atlas = job.plan[surface.model]() if "models" in parts else None
     shown = "photographs" in parts and not deidentify
     return Exported(
         subject="" if deidentify else job.identity.title,
@@ -66,8 +67,8 @@ def gather(
         made=None if deidentify or made is None else datetime.datetime.fromisoformat(made),
         software=mammometry.__version__,
         source=_source(job, deidentify),
-        quantities=quantities(measured, job.plan.measured),
-        absent=tuple(_absent(side) for side in _absent_sides(job.plan.measured)),
+        quantities=quantities(measured, job.plan),
+        absent=tuple(_absent(side) for side in job.plan.value(measure.absent) or ()),
         report_pdf=_report(job, clinical, deidentify) if "pdf" in parts else None,
         models=() if atlas is None else tuple(_models(measured, atlas.mesh)),
         covered=None if atlas is None or deidentify else covered(atlas, measured),
@@ -80,11 +81,13 @@ def gather(
 
 def confirmed(attributions: Mapping[str, Attribution], measured: Sequence[VolumeMeasurement]) -> Signed | None:
     """The newest confirmation, if every measured boundary has one that holds."""
-    found = {each.name: attributions.get(each.name, Attribution()).confirmation for each in measured}
+    found = {
+        measurement.name: attributions.get(measurement.name, Attribution()).confirmation for measurement in measured
+    }
     holding = [
         confirmation
-        for each in measured
-        if (confirmation := found[each.name]) is not None and confirmation.holds(each.boundary_world)
+        for measurement in measured
+        if (confirmation := found[measurement.name]) is not None and confirmation.holds(measurement.boundary_world)
     ]
     if not measured or len(holding) < len(measured):
         return None
@@ -126,7 +129,7 @@ def gather_scan(
         software=mammometry.__version__,
         source=_source_of_scan(job, measured, deidentify),
         quantities=quantities(measured, job.plan),
-        absent=tuple(_absent(side) for side in _absent_sides(job.plan)),
+        absent=tuple(_absent(side) for side in job.plan.value(measure.absent) or ()),
         report_pdf=_report_of_scan(job, clinical) if "pdf" in parts and not deidentify else None,
         models=tuple(_models(measured, job.finished.repaired.mesh)) if "models" in parts else (),
         deidentified=deidentify,
@@ -153,7 +156,7 @@ def _report_of_scan(job: MeshJob, clinical: Clinical | None) -> bytes:
 
 def _shapes(measured: Sequence[VolumeMeasurement], kind: str) -> str:
     """Digest of the measured solids alone."""
-    solids = [stl(each.closed) for each in measured]
+    solids = [stl(measurement.closed) for measurement in measured]
     return hashlib.sha256(b"de-identified" + b"".join(solids) + kind.encode()).hexdigest()
 
 
@@ -173,11 +176,15 @@ def covered(atlas: Atlas, measured: Sequence[VolumeMeasurement]) -> CoveredModel
     from mammometry.surface.texture.transfer import transferred
 
     made = [CoveredModel(name="surface", title=_WHOLE, side="", obj=obj_text(atlas, _MTL).encode())]
-    for each in measured:
-        skin, wall = np.split(each.closed.faces, [each.skin_faces])
-        on_skin = transferred(atlas, TriangleMesh(vertices=each.closed.vertices, faces=skin))
+    for measurement in measured:
+        skin, wall = np.split(measurement.closed.faces, [measurement.skin_faces])
+        on_skin = transferred(atlas, TriangleMesh(vertices=measurement.closed.vertices, faces=skin))
         obj = obj_text(on_skin, _MTL, wall=wall)
-        made.append(CoveredModel(name=each.name, title=_TITLES[each.name], side=each.name, obj=obj.encode()))
+        made.append(
+            CoveredModel(
+                name=measurement.name, title=_TITLES[measurement.name], side=measurement.name, obj=obj.encode()
+            )
+        )
     return CoveredModels(models=tuple(made), mtl=material(_JPEG).encode(), jpeg=jpeg_of(atlas))
 
 
@@ -200,43 +207,39 @@ def _report(job: Job, clinical: Clinical | None, deidentify: bool) -> bytes:
         return (job.share(Path(folder), Privacy(deidentify=True, geometry_only=True)).parent / DOCUMENT).read_bytes()
 
 
-def quantities(measured: Sequence[VolumeMeasurement], plan: MeasuredPlan) -> tuple[Quantity, ...]:
+def quantities(measured: Sequence[VolumeMeasurement], plan: Plan) -> tuple[Quantity, ...]:
     """All measured numbers, under the names that every export uses."""
-    sizes = None if plan.dimensions is None else plan.dimensions()
+    sizes = plan.value(measure.dimensions)
     beside = () if sizes is None else quantities_of(sizes)
     return (*_volumes(measured, sizes), *(Quantity(**quantity) for quantity in beside))
 
 
 def _volumes(measured: Sequence[VolumeMeasurement], sizes: Dimensions | None) -> Iterator[Quantity]:
     projection_sigmas = {} if sizes is None else {shape.name: shape.projection_sigma_mm for shape in sizes.shapes}
-    for each in measured:
-        side: Side = each.name
-        about: dict[str, Any] = {"boundary": each.boundary_method}
-        about |= {"wall": each.wall_kind, "wall_definition": each.wall_definition}
+    for measurement in measured:
+        side: Side = measurement.name
+        about: dict[str, Any] = {"boundary": measurement.boundary_method}
+        about |= {"wall": measurement.wall_kind, "wall_definition": measurement.wall_definition}
         yield Quantity(
-            code="volume", title="Volume", side=side, value=each.volume_cc, unit="cm3",
-            interval_95=each.interval_cc, note=each.interval_note, method="closed-mesh", **about,
+            code="volume", title="Volume", side=side, value=measurement.volume_cc, unit="cm3",
+            interval_95=measurement.interval_cc, note=measurement.interval_note, method="closed-mesh", **about,
         )  # fmt: skip
-        for meaning in each.definitions:
+        for meaning in measurement.definitions:
             yield Quantity(
                 code=f"volume_{meaning.meaning.replace(' ', '_')}", title=f"Volume: {meaning.meaning}", side=side,
                 value=meaning.volume_cc, unit="cm3", interval_95=meaning.interval_cc, note=meaning.sentence,
                 method="closed-mesh", **about,
             )  # fmt: skip
         yield Quantity(
-            code="projection", title="Projection", side=side, value=each.projection_mm, unit="mm",
-            sigma=projection_sigmas.get(each.name), method="plane-distance", boundary=each.boundary_method,
+            code="projection", title="Projection", side=side, value=measurement.projection_mm, unit="mm",
+            sigma=projection_sigmas.get(measurement.name), method="plane-distance",
+            boundary=measurement.boundary_method,
         )  # fmt: skip
         for code, title, value in (
-            ("skin_area", "Skin within the boundary", each.area_cm2),
-            ("base_area", "Base area", each.base_area_cm2),
+            ("skin_area", "Skin within the boundary", measurement.area_cm2),
+            ("base_area", "Base area", measurement.base_area_cm2),
         ):
             yield Quantity(code=code, title=title, side=side, value=value, unit="cm2", method="mesh-area", **about)
-
-
-def _absent_sides(plan: MeasuredPlan) -> tuple[NoBreast, ...]:
-    product = plan.absent
-    return () if product is None else tuple(product())
 
 
 def _absent(side: NoBreast) -> Absent:
@@ -245,8 +248,10 @@ def _absent(side: NoBreast) -> Absent:
 
 
 def _models(measured: Sequence[VolumeMeasurement], surface: TriangleMesh) -> Iterator[Model]:
-    for each in measured:
-        yield Model(name=each.name, title=_TITLES[each.name], side=each.name, stl=stl(each.closed))
+    for measurement in measured:
+        yield Model(
+            name=measurement.name, title=_TITLES[measurement.name], side=measurement.name, stl=stl(measurement.closed)
+        )
     yield Model(name="surface", title=_WHOLE, side="", stl=stl(surface))
 
 

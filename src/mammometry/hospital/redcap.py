@@ -78,20 +78,20 @@ def records(sessions: Sequence[Exported]) -> str:
     """
     numbers = _numbers()
     rows: dict[str, list[object]] = {}
-    for each in sessions:
-        number = visit_number(each)
+    for session in sessions:
+        number = visit_number(session)
         if number in rows:
             raise TableError(
-                each.subject or number,
+                session.subject or number,
                 found="two sessions of the same photographs",
                 expected="each visit once",
                 remedy="Leave one of them out",
             )
-        measured = {name: value for quantity in each.quantities for name, value in _values(quantity)}
-        whys = {f"why_{side.side}": side.kind for side in each.absent}
-        taken = "" if each.taken is None else each.taken.isoformat()
+        measured = {name: value for quantity in session.quantities for name, value in _values(quantity)}
+        whys = {f"why_{side.side}": side.kind for side in session.absent}
+        taken = "" if session.taken is None else session.taken.isoformat()
         rows[number] = [
-            *(number, each.subject, taken, each.kind, *confirmation(each), each.software),
+            *(number, session.subject, taken, session.kind, *confirmation(session), session.software),
             *(rounded(measured.get(name)) for name in numbers),
             *(whys.get(name) for name in _WHYS),
         ]
@@ -104,7 +104,9 @@ def _numbers() -> dict[str, tuple[str, str]]:
     for side in ("left", "right", "model"):
         kinds = [("volume", "volume", "cm3")]
         if side != "model":
-            kinds += [(f"volume_{each.replace(' ', '_')}", f"volume, {each}", "cm3") for each in get_args(Meaning)]
+            kinds += [
+                (f"volume_{meaning.replace(' ', '_')}", f"volume, {meaning}", "cm3") for meaning in get_args(Meaning)
+            ]
         for code, title, unit in kinds:
             fields[f"{code}_{side}"] = (f"{side.capitalize()} {title}", unit)
             fields[f"{code}_{side}_low"] = (f"{side.capitalize()} {title}, lower limit of the 95 % interval", unit)

@@ -42,7 +42,9 @@ _DECIMALS = 4  # of written figures: finer than any uncertainty here
 
 def tables(sessions: Sequence[Exported]) -> dict[str, bytes]:
     """Name of a file → its content. The same sessions give the same bytes, in whatever order."""
-    rows = sorted((row for each in sessions for row in _rows(each)), key=lambda row: [str(cell or "") for cell in row])
+    rows = sorted(
+        (row for session in sessions for row in _rows(session)), key=lambda row: [str(cell or "") for cell in row]
+    )
     files = {TABLE: csv_text(_COLUMNS, rows).encode(), CODEBOOK: codebook(sessions).encode()}
     parquet = _parquet(rows)
     return files if parquet is None else {**files, PARQUET: parquet}
@@ -50,7 +52,7 @@ def tables(sessions: Sequence[Exported]) -> dict[str, bytes]:
 
 def codebook(sessions: Sequence[Exported]) -> str:
     """What columns and codes mean."""
-    titles = {quantity.code: (quantity.title, quantity.unit) for each in sessions for quantity in each.quantities}
+    titles = {quantity.code: (quantity.title, quantity.unit) for session in sessions for quantity in session.quantities}
     rows = [("column", name, kind, unit, meaning) for name, (kind, unit, meaning) in _COLUMNS.items()]
     rows += [("code", code, "number", unit, title) for code, (title, unit) in sorted(titles.items())]
     rows += [("method", code, "text", "", meaning) for code, meaning in METHODS.items()]
@@ -79,11 +81,11 @@ def _rows(exported: Exported) -> list[tuple[Cell, ...]]:
     end = (*confirmation(exported), exported.software)
     begin = (visit_number(exported), exported.subject, taken, exported.kind)
     rows: list[tuple[Cell, ...]] = []
-    for each in exported.quantities:
-        low, high = each.interval_95 or (None, None)
-        error = (rounded(low), rounded(high), rounded(each.sigma))
-        said = (each.side, each.code, each.title, rounded(each.value), each.unit)
-        rows.append((*begin, *said, *error, each.method, each.wall, "", *end))
+    for quantity in exported.quantities:
+        low, high = quantity.interval_95 or (None, None)
+        error = (rounded(low), rounded(high), rounded(quantity.sigma))
+        cells = (quantity.side, quantity.code, quantity.title, rounded(quantity.value), quantity.unit)
+        rows.append((*begin, *cells, *error, quantity.method, quantity.wall, "", *end))
     for side in exported.absent:
         nothing = (side.side, "volume", "Volume", None, "cm3", None, None, None)
         rows.append((*begin, *nothing, "", "", side.kind, *end))

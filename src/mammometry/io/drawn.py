@@ -165,11 +165,11 @@ def _chain(entry: Mapping[str, Any], who: Callable[[Mapping[str, Any]], str]) ->
     if not entry.get("method"):
         return None
     steps = [entry, *reversed(entry.get("earlier", []))]
-    return ", from ".join(f"{one['method']}{who(one)}" for one in steps if one.get("method"))
+    return ", from ".join(f"{step['method']}{who(step)}" for step in steps if step.get("method"))
 
 
-def _who(one: Mapping[str, Any]) -> str:
-    author, moment = one.get("author"), one.get("drawn")
+def _who(step: Mapping[str, Any]) -> str:
+    author, moment = step.get("author"), step.get("drawn")
     return (f" by {author}" if author else "") + (f" on {moment[:10]}" if moment else "")
 
 
@@ -178,7 +178,7 @@ def _attribution(path: Path, name: str, entry: Mapping[str, Any]) -> Attribution
         seen = entry.get("confirmed")
         confirmation = None if seen is None else Confirmation(**{key: seen[key] for key in ("by", "at", "curve")})
         texts = [entry.get(key) for key in ("method", "author", "drawn")]
-        texts += [one.get(key) for one in entry.get("earlier", []) for key in ("method", "author", "drawn")]
+        texts += [step.get(key) for step in entry.get("earlier", []) for key in ("method", "author", "drawn")]
         texts += [] if confirmation is None else [confirmation.by, confirmation.at, confirmation.curve]
         if not all(text is None or isinstance(text, str) for text in texts):
             raise TypeError("something that is not text")
@@ -189,7 +189,7 @@ def _attribution(path: Path, name: str, entry: Mapping[str, Any]) -> Attribution
             'texts as "method", "author" and "drawn", and "confirmed" with "by", "at" and "curve"',
             "Correct it",
         ) from None
-    return Attribution(method=_chain(entry, lambda one: ""), origin=origin_words(entry), confirmation=confirmation)
+    return Attribution(method=_chain(entry, lambda step: ""), origin=origin_words(entry), confirmation=confirmation)
 
 
 def _points(path: Path, name: str, entry: Mapping[str, Any]) -> Float64[Array, "n 3"]:

@@ -80,15 +80,15 @@ def _of_table(path: Path, mesh: Path | None) -> tuple[DrawnBy, ...]:
                 remedy="Fill it in, or leave the row out",
             )
         on, boundary, observer, repeat = cells
-        one = DrawnBy(mesh=path.parent / on, boundary=path.parent / boundary, observer=observer, repeat=repeat)
-        if any((one.mesh, observer, repeat) == (other.mesh, other.observer, other.repeat) for other in drawn):
+        drawing = DrawnBy(mesh=path.parent / on, boundary=path.parent / boundary, observer=observer, repeat=repeat)
+        if any((drawing.mesh, observer, repeat) == (other.mesh, other.observer, other.repeat) for other in drawn):
             raise TableError(
                 f"{path}, row {line}",
                 found=f"a second drawing {repeat} of {on} by {observer}",
                 expected="each drawing once",
                 remedy="Number the drawings of one person in the column repeat",
             )
-        drawn.append(one)
+        drawn.append(drawing)
     return tuple(drawn)
 
 

@@ -147,11 +147,11 @@ def _write(
     subject: str | None,
 ) -> Path:
     path = session / _FILES[group]
-    there = path.is_file()
+    exists = path.is_file()
     fresh: dict[str, Any] = (
         {"units": "mm", "frame": "world"} | ({} if subject is None else {"subject": subject}) | {group: {}}
     )
-    table = read_table(path, group) if there else fresh
+    table = read_table(path, group) if exists else fresh
     entries = dict(table[group])
     was_automatic = group == "boundaries" and not any("points" in entry for entry in entries.values())
     for name, entry in changes.items():
@@ -166,7 +166,7 @@ def _write(
                 entries.setdefault(name, {"automatic": True})
         else:
             entries = {name: entry for name, entry in entries.items() if "confirmed" in entry}
-    if there:
+    if exists:
         with disk_errors(path):
             (session / HISTORY).mkdir(exist_ok=True)
             write_bytes(_free(session, path.stem, moment), path.read_bytes())

@@ -79,17 +79,17 @@ def entry_of(result: RigCheck, *, when: str, image_set: str, calibration: str) -
         verdict=result.verdict,
         effect_mm=result.effect_mm,
         reasons=result.reasons,
-        cameras={name: _drift(one) for name, one in result.cameras.items()},
+        cameras={name: _drift(camera) for name, camera in result.cameras.items()},
     )
 
 
-def _drift(one: CameraCheck) -> CameraDrift:
-    motion = one.motion
+def _drift(check: CameraCheck) -> CameraDrift:
+    motion = check.motion
     return CameraDrift(
-        moved=one.moved,
+        moved=check.moved,
         shift_mm=motion.alone_mm if motion.kind == "either" else float(np.linalg.norm(motion.shift_mm)),
         turn_deg=float(np.degrees(motion.alone_rad if motion.kind == "either" else np.linalg.norm(motion.turn_rad))),
-        shift_px=one.shift_px,
+        shift_px=check.shift_px,
         sigma=motion.sigma,
     )
 
@@ -98,13 +98,13 @@ def entry_table(entry: Entry) -> dict[str, Any]:
     """An entry as a plain table: a line of the history."""
     cameras = {
         name: {
-            "moved": one.moved,
-            "shift_mm": round(one.shift_mm, 5),
-            "turn_deg": round(one.turn_deg, 6),
-            "shift_px": round(one.shift_px, 4),
-            "sigma": round(one.sigma, 2),
+            "moved": camera.moved,
+            "shift_mm": round(camera.shift_mm, 5),
+            "turn_deg": round(camera.turn_deg, 6),
+            "shift_px": round(camera.shift_px, 4),
+            "sigma": round(camera.sigma, 2),
         }
-        for name, one in entry.cameras.items()
+        for name, camera in entry.cameras.items()
     }
     return {
         "format": _FORMAT,
@@ -179,12 +179,12 @@ def _entry(table: dict[str, Any]) -> Entry:
         reasons=tuple(map(str, table["reasons"])),
         cameras={
             str(name): CameraDrift(
-                moved=bool(one["moved"]),
-                shift_mm=float(one["shift_mm"]),
-                turn_deg=float(one["turn_deg"]),
-                shift_px=float(one["shift_px"]),
-                sigma=float(one["sigma"]),
+                moved=bool(drift["moved"]),
+                shift_mm=float(drift["shift_mm"]),
+                turn_deg=float(drift["turn_deg"]),
+                shift_px=float(drift["shift_px"]),
+                sigma=float(drift["sigma"]),
             )
-            for name, one in table["cameras"].items()
+            for name, drift in table["cameras"].items()
         },
     )

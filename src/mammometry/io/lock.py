@@ -100,9 +100,9 @@ class RunLock:
             pid, host, since = holder["pid"], holder["host"], datetime.fromisoformat(holder["since"])
             if not (isinstance(pid, int) and isinstance(host, str) and _HOST.fullmatch(host)):
                 return ""
-            there = host != platform.node() or psutil.pid_exists(pid)
+            alive = host != platform.node() or psutil.pid_exists(pid)
         except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError):
             return ""
-        if not there:
+        if not alive:
             return ""  # left by a run that was killed
         return f" (process {pid} on {host}, since {since.isoformat(sep=' ', timespec='seconds')})"

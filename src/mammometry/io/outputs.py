@@ -52,15 +52,15 @@ def require_apart(out: Path, inputs: Iterable[Path | None]) -> None:
     Raises:
         StorageError: names `out` and the input.
     """
-    for each in inputs:
-        if each is None or not os.path.lexists(each):
+    for path in inputs:
+        if path is None or not os.path.lexists(path):
             continue
-        if _same(out, each):
+        if _same(out, path):
             found = "a file or folder that this command reads"
-        elif any(_same(out, above) for above in _above(each)):
-            found = f"a folder that holds {each}, which this command reads"
-        elif any(_same(each, above) for above in _above(out)):
-            found = f"a place in {each}, which this command reads"
+        elif any(_same(out, above) for above in _above(path)):
+            found = f"a folder that holds {path}, which this command reads"
+        elif any(_same(path, above) for above in _above(out)):
+            found = f"a place in {path}, which this command reads"
         else:
             continue
         raise StorageError(
@@ -125,16 +125,16 @@ def _write(folder: Path, files: Mapping[str, bytes], *, command: str, remove_for
             for name, written in record.files.items()
             if remove_former and name not in files and _in_the_way(folder / name, written, command) is None
         ]
-        there = {name: [file_digest(folder / name)] if os.path.lexists(folder / name) else [] for name in files}
+        present = {name: [file_digest(folder / name)] if os.path.lexists(folder / name) else [] for name in files}
         written = {**record.files} | {
-            name: _Written(command=command, sha256=(*there[name], hashlib.sha256(data).hexdigest()))
+            name: _Written(command=command, sha256=(*present[name], hashlib.sha256(data).hexdigest()))
             for name, data in files.items()
         }
         require_free(folder, files, command=command)  # somebody may have come in between
         # The record comes first: whatever an interruption leaves of the files, the next run knows it as ours.
         _record(folder, _Record(command=record.command, files=written))
         for name, path in fresh.items():
-            if there[name]:
+            if present[name]:
                 path.replace(folder / name)
             else:
                 _put(path, folder / name)
@@ -258,7 +258,7 @@ def _plain(name: str) -> str:
 
 
 def _written(entry: Mapping[str, Any]) -> _Written:
-    return _Written(command=str(entry["command"]), sha256=tuple(str(each) for each in entry["sha256"]))
+    return _Written(command=str(entry["command"]), sha256=tuple(str(digest) for digest in entry["sha256"]))
 
 
 def _record(folder: Path, record: _Record) -> None:

@@ -210,8 +210,8 @@ class Session:
                 expected="one of them",
                 remedy="Describe the calibration target, or import cameras with `mammometry import-cameras`",
             )
-        there = {camera: path for camera, path in capture.items() if path.exists()}
-        self._check_headers(there, calibration if cameras is None else {}, intrinsics, cameras)
+        present = {camera: path for camera, path in capture.items() if path.exists()}
+        self._check_headers(present, calibration if cameras is None else {}, intrinsics, cameras)
         masks = self._mask_files(capture)
         drawn = read_boundaries(self.path, manifest.subject.kind, manifest.subject.id)
         landmarks = read_landmarks(self.path, manifest.subject.kind, manifest.subject.id)
@@ -229,7 +229,7 @@ class Session:
             "landmarks": lambda: landmarks_digest(landmarks),
             "wall": lambda: _file_digest(wall) if wall.is_file() else MISSING,
         }
-        files = {f"capture/{camera}": path for camera, path in there.items()}
+        files = {f"capture/{camera}": path for camera, path in present.items()}
         files |= {f"calibration/{pose}/{camera}": path for (pose, camera), path in calibration.items()}
         files |= {
             f"intrinsics/{camera}/{exposure}": path

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal, TypeAlias
 
+from mammometry.base.errors import CalibrationError
 from mammometry.base.photograph import Photograph
 from mammometry.geometry.arrays import Array, Bool, Float64
 from mammometry.geometry.camera import Camera
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
     from mammometry.measure.volume.attribution import Attribution
 
 SubjectKind: TypeAlias = Literal["model", "torso", "surface"]
+ItemKind: TypeAlias = Literal["pose", "lens", "camera", "pair"]
+"""What a session has several of. A lens is a camera with photographs of its own for the calibration."""
 
 MISSING = "missing"
 """Digest of a photograph that the pairs name but that does not exist yet."""
@@ -86,9 +89,59 @@ class Inputs:
         return len(set(self.removed)) == 2
 
     @property
-    def mounting_digest(self) -> dict[str, str]:
-        """What the cameras' mounting adds to a product's key. Empty where all are upright."""
-        return {"mounting": repr(sorted(self.mounting.items()))} if self.mounting else {}
+    def calibrates(self) -> bool:
+        """Whether the cameras are calibrated from photographs of a target, and not ready-made.
+
+        Raises:
+            CalibrationError: there is neither a target nor a camera.
+        """
+        if self.cameras is None and self.target is None:
+            raise CalibrationError(
+                "session.toml",
+                found="neither a [target] nor ready-made cameras",
+                expected="one of them",
+                remedy="Describe the calibration target, or import cameras with `mammometry import-cameras`",
+            )
+        return self.cameras is None
+
+    def items(self, kind: ItemKind | None) -> tuple[str, ...]:
+        """Names of all poses, cameras or pairs. One empty name for None."""
+        if kind is None:
+            return ("",)
+        if kind == "pose":
+            return tuple(sorted({pose for pose, _ in self.calibration_photographs}))
+        return tuple({"lens": self.intrinsics_photographs, "camera": self.photographs, "pair": self.pair_names}[kind])
+
+    def key_part(self, *names: str) -> dict[str, str]:
+        """Digests of some inputs, for a product's key. What the session lacks is left out.
+
+        Args:
+            names: as in `digests`; or ``capture`` and ``masks`` for all of them, ``mounting``, ``rim``, ``scale``.
+        """
+        part: dict[str, str] = {}
+        for name in names:
+            if name in ("capture", "masks"):
+                members = self.photographs if name == "capture" else self.masks
+                part |= self.key_part(*(f"{name}/{camera}" for camera in members))
+            elif name in self._plain:
+                if (value := self._plain[name]) is not None:
+                    part[name] = repr(value)
+            elif not self._lacks(name):
+                part[name] = self.digests[name]
+        return part
+
+    @property
+    def _plain(self) -> Mapping[str, object]:
+        """Inputs that are short enough to stand in a key as they are."""
+        return {"mounting": sorted(self.mounting.items()) or None, "rim": self.rim_radius_mm, "scale": self.scale_std}
+
+    def _lacks(self, name: str) -> bool:
+        folder, _, item = name.partition("/")
+        return (
+            (name == "wall" and self.wall is None)
+            or (name == "prior" and not self.priors)
+            or (folder == "masks" and item not in self.masks)
+        )
 
     @property
     def upside_down(self) -> tuple[str, ...]:

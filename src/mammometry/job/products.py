@@ -1,68 +1,40 @@
-"""Values with known dependencies, made or recalled when first needed."""
+"""Products: what each is made from, its key, its storage, and its release from memory.
+
+A product is a function (`job.stages`) whose parameters name the products that it is made from::
+
+    @product_of_each("pair", "surface", version=3, settings="surface.triangulate")
+    def range_image(disparity: DisparityMap, *, job: Context) -> RangeImage: ...
+
+`graph.Plan` binds all such functions to one session.
+"""
 
 from __future__ import annotations
 
 import hashlib
+import inspect
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from concurrent.futures import Executor, Future, ThreadPoolExecutor, as_completed
-from dataclasses import dataclass
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from dataclasses import dataclass, replace
+from itertools import count
+from operator import attrgetter
 from threading import Lock
-from types import MappingProxyType
-from typing import Any, ClassVar, Generic, Literal, Protocol, Self, TypeAlias, TypeVar
+from typing import Any, Generic, Literal, Protocol, TypeAlias, TypeVar
 
 from mammometry.base.machine.cores import available_cores
-from mammometry.base.progress import Progress
+from mammometry.base.progress import Progress, no_progress
 from mammometry.base.registry import Registry
-from mammometry.settings import as_table
+from mammometry.job.inputs import Inputs, ItemKind
+from mammometry.settings import Settings, as_table
 
 T = TypeVar("T")
-Parent: TypeAlias = "Product[Any] | Mapping[str, Product[Any]] | None"
-"""Parent of a product: another product, several by name, or None."""
+T_co = TypeVar("T_co", covariant=True)
 Stage: TypeAlias = Literal["calibrate", "match", "surface", "measure", "report"]
 
 _WORKERS_AT_MOST = 4  # each may hold half a gigabyte at full image size
-_PARENTS_AT_ONCE = 2  # the left picture's and the right one's
 
 STAGES: tuple[Stage, ...] = ("calibrate", "match", "surface", "measure", "report")
 """In the order in which data flows."""
-
-VERSIONS: Registry[int] = Registry(
-    "kind of product",
-    entries={
-        "observations": 8,
-        "calibration": 6,
-        "cameras": 6,
-        "names": 1,
-        "subjects": 1,
-        "foreground": 13,
-        "disparity": 16,
-        "rows": 1,
-        "range": 3,
-        "stillness": 4,
-        "stood": 2,
-        "valid": 5,
-        "data": 1,
-        "blocked": 6,
-        "first": 10,
-        "repaired": 5,
-        "mesh": 4,
-        "model": 6,
-        "absent": 3,
-        "sides": 9,
-        "boundaries": 15,
-        "body": 4,
-        "measurement": 17,
-        "lacking": 4,
-        "landmarks": 4,
-        "symmetry": 3,
-        "dimensions": 5,
-        "previews": 10,
-        "content": 3,
-        "report": 15,
-    },
-)
-"""Kind of product → version of its making. Raise it when the result changes for the same inputs and settings."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -100,169 +72,271 @@ class Memo(Protocol):
         ...
 
 
-class Forgetful:
-    """A memo that keeps nothing: every product is made again."""
-
-    def has(self, key: Key) -> bool:
-        """Say no."""
-        return False
-
-    def recall(self, key: Key, prepare: Callable[[], Callable[[Progress], T]]) -> T:
-        """Make the product."""
-        return prepare()(lambda fraction: None)
+# --- Declarations ----------------------------------------------------------------------------------------------------
 
 
-class Remade(Forgetful):
-    """The memo of a product that is never stored. It is made from others in a moment."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Context:
+    """What the function of a product gets beside other products."""
+
+    inputs: Inputs
+    settings: Settings
+    """Of all stages. A function reads only those that its product declares: they alone are in its key."""
+    item: str = ""
+    """The pose, camera or pair that this product is of. Empty: the session has one such product."""
+    progress: Progress = no_progress
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Definition(Generic[T_co]):
+    """A declared product: the function that makes it, and what else is to be known of it."""
+
+    function: Callable[..., T_co]
+    stage: Stage
+    number: int
+    """Place in the order of declaration."""
+    item_kind: ItemKind | None
+    """A session has one such product for each of these. None: it has a single one."""
+    version: int | None = None
+    """Raise it when the result changes for the same inputs and settings. None: an intermediate value, never stored.
+    What is made from it depends on what it is made from.
+    """
+    name: str
+    """In keys and on disk, with ``{item}``: the function's name if not given."""
+    settings: str | Callable[[Context], object] = ""
+    """Its own settings: their place in `Settings`, or a function that gives a dataclass or a tuple of them."""
+    inputs: tuple[str, ...] | Callable[[Context], Mapping[str, str]] = ()
+    """The session's own inputs in its key: names for `Inputs.key_part`, or a function that gives the part."""
+    when: Callable[[Context], bool] = lambda job: True
+    """Whether a session has this product. Where it does not, what is made from it gets None."""
+    without: Callable[[Context], tuple[str, ...]] = lambda job: ()
+    """Parameters that get None, for this pose, camera or pair."""
+    stored: bool = True
+    """Whether it is written. False: made from others in a moment."""
+    large: bool = False
+    """Whether it leaves the memory once the stage at work needs it no more. It is read back where it is wanted."""
+    threads: int | None = None
+    """Threads that its making takes: it is made side by side with others. None: it takes all, and is made alone."""
+    deferrable: bool = False
+    """Whether no later stage needs it, so that it may be made in the background."""
+    check: bool = False
+    """Whether it only checks what a stage begins with. It is made before the others, if any of them is missing."""
+
+    @property
+    def parents(self) -> tuple[str, ...]:
+        """Parameters of the function that name products."""
+        return tuple(name for name in inspect.signature(self.function).parameters if name != "job")
+
+    def key(self, job: Context, inputs: Mapping[str, str]) -> Key:
+        """Key of this product of a session, made also from `inputs`: name → digest."""
+        named, chosen = self.inputs, self.settings
+        own = named(job) if callable(named) else job.inputs.key_part(*(name.format(item=job.item) for name in named))
+        value = chosen(job) if callable(chosen) else attrgetter(chosen)(job.settings) if chosen else None
+        parts = {type(part).__name__: as_table(part) for part in value} if isinstance(value, tuple) else None
+        return Key(
+            stage=self.stage,
+            product=self.name.format(item=job.item),
+            version=self.version or 0,
+            settings=parts or ({} if value is None else as_table(value)),
+            inputs={**own, **inputs},
+        )
+
+
+class Single(Definition[T_co]):
+    """A product of which a session has one."""
+
+    __slots__ = ()
+
+
+class Family(Definition[T_co]):
+    """A product of which a session has one for each pose, camera or pair."""
+
+    __slots__ = ()
+
+
+DEFINITIONS: Registry[Definition[Any]] = Registry(
+    "product",
+    modules=tuple(f"mammometry.job.stages.{stage}" for stage in ("calibrate", "match", "surface", "measure")),
+)
+"""All declared products, by the names of their functions."""
+_NUMBERS = count()
+
+
+def product(stage: Stage, **facts: Any) -> Callable[[Callable[..., T]], Single[T]]:
+    """Declare that a function makes a product.
+
+    Its parameters name the products that it is made from: ``cameras`` gives one product's value, ``range_images`` the
+    values of all ``range_image`` by pair, camera or pose. The last parameter, ``job``, is the `Context`.
+
+    Args:
+        stage: that it belongs to.
+        facts: further fields of `Definition`.
+    """
+
+    def declare(function: Callable[..., T]) -> Single[T]:
+        facts.setdefault("name", function.__name__)
+        single = Single(function=function, stage=stage, number=next(_NUMBERS), item_kind=None, **facts)
+        DEFINITIONS.add(function.__name__)(single)
+        return single
+
+    return declare
+
+
+def product_of_each(item_kind: ItemKind, stage: Stage, **facts: Any) -> Callable[[Callable[..., T]], Family[T]]:
+    """Declare that a function makes a product of each pose, camera or pair, as `product` does.
+
+    There ``disparity`` gives the value of the same pair, and ``photographs`` those of a pair's two cameras by name.
+    """
+
+    def declare(function: Callable[..., T]) -> Family[T]:
+        facts.setdefault("name", f"{function.__name__}/{{item}}")
+        family = Family(function=function, stage=stage, number=next(_NUMBERS), item_kind=item_kind, **facts)
+        DEFINITIONS.add(function.__name__)(family)
+        return family
+
+    return declare
+
+
+def at_hand(value: T, *, stage: Stage, name: str, version: int | None, inputs: Mapping[str, str]) -> Single[T]:
+    """Declare a product whose value is given. It is never written, but part of the keys of its children."""
+    return Single(
+        function=lambda job: value, stage=stage, number=0, item_kind=None, version=version, name=name,
+        inputs=lambda job: inputs, stored=False,
+    )  # fmt: skip
+
+
+def versions() -> dict[str, int]:
+    """Kind of product → version of its making."""
+    return {known.name.split("/")[0]: known.version for known in DEFINITIONS.values() if known.version is not None}
+
+
+# --- Products of one session -----------------------------------------------------------------------------------------
 
 
 class Product(Generic[T]):
-    """A value that is made, or recalled, when it is first wanted."""
+    """A value that is made, or read back, when it is first wanted."""
 
-    __slots__ = ("_function", "_let_go", "_lock", "_memo", "_parents", "_value", "key", "passing", "remade")
+    __slots__ = ("_lock", "_memo", "_value", "children", "definition", "depth", "job", "key", "parents")
 
-    def __init__(
-        self,
-        memo: Memo | None,
-        stage: Stage,
-        name: str,
-        function: Callable[..., T],
-        *,
-        parents: Mapping[str, Parent] = MappingProxyType({}),
-        settings: object = None,
-        inputs: Mapping[str, str] | None = None,
-    ) -> None:
+    def __init__(self, definition: Definition[T], job: Context, parents: Mapping[str, Parents], memo: Memo | None):
         """Describe a value. Nothing is made yet.
 
         Args:
-            memo: remembers the value between runs. None: a passing value, between others, never remembered and let
-                go once something is made of it. Whoever takes it depends on what it is made from. Its parents are
-                made side by side.
-            stage: that it belongs to.
-            name: kind, or kind/item: ``disparity/front``.
-            function: makes it. It is called with the parents' values and ``progress``, all by keyword.
-            parents: keyword → what the function gets under it: a product's value, or a dictionary of values where
-                several products are given by name, or None.
-            settings: its own settings, one dataclass or a tuple of them.
-            inputs: name → digest of what it is made from beside parents and settings.
+            definition: how it is made.
+            job: what it is made from beside other products.
+            parents: parameter → product, or several by name, or None.
+            memo: remembers it. None: nobody does.
         """
-        products = tuple(_products(parents))
-        taken = dict(inputs or {})
-        for parent in products:
-            taken |= parent.key.inputs if parent.passing else {parent.key.product: parent.key.digest}
-        self.key: Key = Key(
-            stage=stage,
-            product=name,
-            version=0 if memo is None else VERSIONS[name.split("/")[0]],
-            settings=_table(settings),
-            inputs=taken,
-        )
-        self.passing: bool = memo is None
-        self.remade: bool = isinstance(memo, Remade)
-        self._memo: Memo = memo or Forgetful()
-        self._function = function
-        self._parents = parents
-        self._let_go = tuple(parent for parent in products if parent.passing)
+        self.definition = definition
+        self.job = job
+        self.parents = parents
+        self.children: list[Product[Any]] = []
+        self.depth: int = 1 + max((parent.depth for parent in self.made_from), default=0)
+        """Products on the longest path to it."""
+        inputs: dict[str, str] = {}
+        for parent in self.made_from:
+            parent.children.append(self)
+            is_key = parent.definition.version is not None
+            inputs |= {parent.key.product: parent.key.digest} if is_key else parent.key.inputs
+        self.key: Key = definition.key(job, inputs)
+        self._memo = memo if self.is_stored else None
         self._value: list[T] = []
         self._lock = Lock()
 
-    def letting_go(self, *parents: Product[Any]) -> Self:
-        """Release parents once this is made from them. They are large and rarely wanted again."""
-        self._let_go = (*parents, *self._let_go)
-        return self
+    @property
+    def is_stored(self) -> bool:
+        """Whether its value is written."""
+        return self.definition.stored and self.definition.version is not None
+
+    @property
+    def made_from(self) -> tuple[Product[Any], ...]:
+        """All its parents."""
+        return tuple(_flat(self.parents.values()))
 
     def __call__(self) -> T:
-        """Return the value. It stays in memory until `release`."""
+        """Return the value, which then stays in memory until it is released."""
         with self._lock:  # two that need it at once wait for one making of it
             if not self._value:
-                self._value.append(self._memo.recall(self.key, self._prepare))
+                made = self._memo.recall(self.key, self._prepare) if self._memo else self._prepare()(no_progress)
+                self._value.append(made)
             return self._value[0]
+
+    def uncached(self) -> T:
+        """Return the value. It does not stay in memory."""
+        value = self()
+        self.release()
+        return value
 
     @property
     def missing(self) -> bool:
-        """Whether the memo lacks the value."""
-        return not self._value and not self._memo.has(self.key)
+        """Whether it is neither in memory nor remembered."""
+        return not self._value and not (self._memo is not None and self._memo.has(self.key))
 
     def ensure(self) -> None:
-        """Make the value if the memo lacks it, without loading it otherwise."""
+        """Make the value if it is missing. Otherwise it is not loaded."""
         if self.missing:
             self()
+            self._release_if_unneeded(self.key.stage)
 
     def release(self) -> None:
-        """Forget the value in memory. The memo still has it."""
+        """Forget the value in memory."""
         with self._lock:
             self._value.clear()
 
     def _prepare(self) -> Callable[[Progress], T]:
-        products = tuple(dict.fromkeys(_products(self._parents)))
-        if self.passing:
-            with ThreadPoolExecutor(_PARENTS_AT_ONCE) as pool:
-                values = dict(zip(products, pool.map(lambda parent: parent(), products), strict=True))
-        else:
-            values = {parent: parent() for parent in products}
-        named = {keyword: _values(parent, values) for keyword, parent in self._parents.items()}
-        values.clear()
+        values = {parameter: _values(parent) for parameter, parent in self.parents.items()}
 
         def make(progress: Progress) -> T:
-            made = self._function(**named, progress=progress)
-            named.clear()
-            for parent in self._let_go:
-                parent.release()
+            made = self.definition.function(**values, job=replace(self.job, progress=progress))
+            values.clear()
+            for parent in self.made_from:
+                parent._release_if_unneeded(self.key.stage, made=self)
             return made
 
         return make
 
+    def _release_if_unneeded(self, stage: Stage, made: Product[Any] | None = None) -> None:
+        """Release a large value unless this stage makes something else from it."""
+        if self.definition.large and not any(
+            child._is_to_be_made(stage) for child in self.children if child is not made
+        ):
+            self.release()
 
-def _products(parents: Mapping[str, Parent]) -> Iterator[Product[Any]]:
-    """All products among the parents, in their given order."""
-    for parent in parents.values():
+    def _is_to_be_made(self, stage: Stage) -> bool:
+        """Whether a stage is still to make it: for itself, or if it is not stored for what is made from it."""
+        if self.key.stage != stage or not self.missing:
+            return False
+        return self.is_stored or any(child._is_to_be_made(stage) for child in self.children)
+
+
+Parents: TypeAlias = "Product[Any] | Mapping[str, Product[Any]] | None"
+"""What a parameter stands for."""
+
+
+def _flat(parents: Iterable[Parents]) -> Iterator[Product[Any]]:
+    for parent in parents:
         if isinstance(parent, Product):
             yield parent
         elif parent is not None:
             yield from parent.values()
 
 
-def _values(parent: Parent, values: Mapping[Product[Any], Any]) -> Any:
-    """What the function gets of one parent."""
-    if parent is None:
+def _values(parents: Parents) -> Any:
+    """What a function gets of one parameter."""
+    if parents is None:
         return None
-    if isinstance(parent, Product):
-        return values[parent]
-    return {name: values[product] for name, product in parent.items()}
+    if isinstance(parents, Product):
+        return parents()
+    side_by_side((parent.__call__ for parent in parents.values()), threads=threads_of(parents.values()))
+    return {name: parent() for name, parent in parents.items()}
 
 
-def fleeting(product: Product[T]) -> T:
-    """A product's value, made or recalled. It is not kept."""
-    value = product()
-    product.release()
-    return value
+def threads_of(products: Iterable[Product[Any]]) -> int:
+    """Threads that the greediest of them takes."""
+    return max((product.definition.threads or available_cores() for product in products), default=1)
 
 
-class Fleeting(Mapping[str, T]):
-    """Values of products by name, made or recalled at each look-up. They are not kept."""
-
-    def __init__(self, products: Mapping[str, Product[T]]) -> None:
-        self._products = products
-
-    def __getitem__(self, name: str) -> T:
-        return fleeting(self._products[name])
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._products)
-
-    def __len__(self) -> int:
-        return len(self._products)
-
-
-def _table(settings: object) -> dict[str, Any]:
-    if settings is None:
-        return {}
-    if isinstance(settings, tuple):
-        return {type(part).__name__: as_table(part) for part in settings}
-    return as_table(settings)
-
-
-def side_by_side(tasks: Iterable[Callable[[], None]], *, threads: int = 1) -> None:
+def side_by_side(tasks: Iterable[Callable[[], object]], *, threads: int = 1) -> None:
     """Run independent tasks on all cores. Each task itself takes `threads` threads."""
     with ThreadPoolExecutor(max(1, min(_WORKERS_AT_MOST, available_cores() // threads))) as pool:
         waiting = [pool.submit(task) for task in tasks]
@@ -274,63 +348,17 @@ def side_by_side(tasks: Iterable[Callable[[], None]], *, threads: int = 1) -> No
             raise
 
 
-class Products:
-    """Base of all stages' plans: their products in the order of making."""
+class Uncached(Mapping[str, T]):
+    """Values of products by name, made or read back at each look-up. They do not stay in memory."""
 
-    __slots__ = ()
+    def __init__(self, products: Mapping[str, Product[T]]) -> None:
+        self._products = products
 
-    side_by_side: ClassVar[tuple[tuple[str, ...], ...]] = ()
-    """Groups of fields whose products are made at once, what takes longest first. Others are made in order."""
-    late: ClassVar[tuple[str, ...]] = ()
-    """Fields that no later stage needs: they may be made beside the next one."""
+    def __getitem__(self, name: str) -> T:
+        return self._products[name].uncached()
 
-    def products(self) -> Iterator[Product[Any]]:
-        """All products of this stage."""
-        for name in self.__dataclass_fields__:  # type: ignore[attr-defined]  # only dataclasses derive from this
-            yield from self._of(name)
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._products)
 
-    def _of(self, name: str) -> Iterator[Product[Any]]:
-        """The products of one field, except those that are remade or passing."""
-        return (product for product in self._made_or_remade(name) if not (product.remade or product.passing))
-
-    def _made_or_remade(self, name: str) -> Iterator[Product[Any]]:
-        """All products of one field."""
-        value = getattr(self, name)
-        if isinstance(value, Product):
-            yield value
-        elif isinstance(value, Mapping):
-            yield from value.values()
-
-    def ensure(self, beside: Executor | None = None) -> list[Future[None]]:
-        """Make all products that the memo lacks.
-
-        Args:
-            beside: makes the late ones, for which nobody waits here. None: they are made as the others.
-
-        Returns:
-            What is being made beside.
-        """
-        groups = {name: group for group in self.side_by_side for name in group}
-        late = self.late if beside is not None else ()
-        begun: list[Future[None]] = []
-        done: set[str] = set()
-        for name in self.__dataclass_fields__:  # type: ignore[attr-defined]  # only dataclasses derive from this
-            if name in done:
-                continue
-            group = groups.get(name, (name,))
-            if beside is not None:
-                begun += [beside.submit(each.ensure) for member in group if member in late for each in self._of(member)]
-            products = [product for member in group if member not in late for product in self._of(member)]
-            if name in groups:
-                side_by_side(product.ensure for product in products)
-            else:
-                for product in products:
-                    product.ensure()
-            done.update(group)
-        return begun
-
-    def release(self) -> None:
-        """Forget all values in memory."""
-        for name in self.__dataclass_fields__:  # type: ignore[attr-defined]  # only dataclasses derive from this
-            for product in self._made_or_remade(name):
-                product.release()
+    def __len__(self) -> int:
+        return len(self._products)

@@ -1,7 +1,6 @@
 """Resample a converging pair so that corresponding points share a row."""
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -10,7 +9,8 @@ from scipy.interpolate import BSpline, make_interp_spline
 
 from mammometry.base.errors import ImageError, MatchingError
 from mammometry.base.photograph import LUMA, Photograph
-from mammometry.geometry.arrays import Array, Bool, Float32, Float64, read_only
+from mammometry.base.value import value
+from mammometry.geometry.arrays import Array, Bool, Float32, Float64
 from mammometry.geometry.camera import Camera, StereoPair
 from mammometry.geometry.lens import fold_radius
 from mammometry.geometry.transform import Transform
@@ -38,7 +38,7 @@ _SAFE_SHARE = 0.99  # of the lens's field: between grid points the radius exceed
 _MAP_STEP_PX = 8  # the resampling map is smooth: exact on this grid, cubic in between
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class RectifiedPair:
     """Two images of one size with corresponding rows.
 
@@ -57,10 +57,6 @@ class RectifiedPair:
     left_mask: Bool[Array, "h w"]
     """Pixels that show the subject, are inside the photograph and not saturated."""
     right_mask: Bool[Array, "h w"]
-
-    def __post_init__(self) -> None:
-        for name in ("left_image", "right_image", "left_mask", "right_mask"):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
 
 
 def rectify(

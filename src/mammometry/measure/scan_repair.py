@@ -7,7 +7,6 @@ marked as invented, so that a volume's interval holds its uncertainty. What is i
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.interpolate import RBFInterpolator
@@ -15,8 +14,9 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from mammometry.base.errors import MeasureError
+from mammometry.base.value import value
 from mammometry.geometry import mesh_kernels
-from mammometry.geometry.arrays import Array, Bool, Float64, Int32, Int64, read_only
+from mammometry.geometry.arrays import Array, Bool, Float64, Int32, Int64
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.nearest import point_tree
 from mammometry.measure.solid.cut import opening_loops
@@ -41,7 +41,7 @@ _NO_AREA_MM2 = 1e-6  # a hole of less is a seam
 _GRID_MM = 2.0  # distance of vertices in a closed hole: finer than `scanned.finer_along` makes edges
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class RepairedScan:
     """A scan's mesh after its repair."""
 
@@ -51,9 +51,6 @@ class RepairedScan:
     """Vertices of closed holes."""
     notes: tuple[str, ...]
     """What was changed, one sentence each."""
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "invented", read_only(self.invented))
 
 
 def repair_scan(mesh: TriangleMesh, *, largest: bool = False) -> RepairedScan:
@@ -210,7 +207,7 @@ def _body(mesh: TriangleMesh, notes: list[str], *, largest: bool) -> TriangleMes
         others = np.sort(areas)[::-1][:3] / areas.sum()
         raise MeasureError(
             "mesh",
-            found=f"{len(areas)} separate pieces, the largest with {', '.join(f'{each:.0%}' for each in others)} "
+            found=f"{len(areas)} separate pieces, the largest with {', '.join(f'{other:.0%}' for other in others)} "
             "of the area",
             expected="one connected surface, beside it at most crumbs",
             remedy="Delete the others in the program that made it, or measure the largest alone with --largest",

@@ -126,7 +126,7 @@ def _confirmed_words(seen: Confirmation, *, named: bool) -> str:
 def _volumes(breasts: Sequence[BreastReport]) -> list[LargeNumber]:
     """Volumes in the colours that `figures.measure` gives to the boundaries."""
     colours = iter(CYCLE)
-    return [each.number if each.unmeasured else replace(each.number, colour=next(colours)) for each in breasts]
+    return [breast.number if breast.unmeasured else replace(breast.number, colour=next(colours)) for breast in breasts]
 
 
 def _cautions(measured: Sequence[BreastReport]) -> tuple[str, ...]:

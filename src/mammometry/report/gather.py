@@ -8,15 +8,17 @@ from datetime import datetime
 from mammometry.base.identity import NAMELESS
 from mammometry.base.progress import Progress, no_progress
 from mammometry.calibration.judge.quality import assess
-from mammometry.job.pipeline import Inputs, Plan
+from mammometry.job.graph import Plan
+from mammometry.job.inputs import Inputs
 from mammometry.job.products import Stage
+from mammometry.job.stages import calibrate, match, measure, surface
+from mammometry.job.stages.report import PageInputs
 from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.report import content
 from mammometry.report.content import ReportContent
 from mammometry.report.figures.drawing.shading import front_of
 from mammometry.report.figures.previews import draw_stage
 from mammometry.report.models import viewer_scene, with_lengths
-from mammometry.report.page_inputs import PageInputs
 from mammometry.report.pictures import all_encoded
 from mammometry.report.privacy import Privacy, guard, without_photographs
 from mammometry.report.scene import ViewerScene, to_json
@@ -61,9 +63,9 @@ def gather(
     """
     settings = page.settings
     page = replace(page, identity=NAMELESS) if privacy.deidentify else page
-    cameras = plan.calibrated.cameras()
+    cameras = plan[calibrate.cameras]()
     rig = cameras.rig
-    calibration = None if plan.calibrated.calibration is None else plan.calibrated.calibration()
+    calibration = plan.value(calibrate.calibration)
     quality = None if calibration is None else assess(calibration, settings.calibration.quality)
     stages = [describe.calibration_report(rig, calibration, quality)]
     progress(0.2)
@@ -75,9 +77,9 @@ def gather(
     stages.append(describe.matching_report(matched.foregrounds, matched.quality, matched.shares))
     progress(0.4)
 
-    finished = plan.surfaced.mesh()
-    measurements = _measurements(plan)
-    body = None if plan.measured.body is None else plan.measured.body()
+    finished = plan[surface.mesh]()
+    measurements = plan.value(measure.measurements) or ()
+    body = plan.value(measure.body)
     frame = front_of(rig, body)
     guarded = guard(
         finished.textured,
@@ -90,18 +92,18 @@ def gather(
     if privacy.guarded:
         redrawn: dict[str, dict[str, bytes]] = {stage: draw_stage(stage, plan, inputs, textured) for stage in _COLOURED}
         pictures = without_photographs({**pictures, **redrawn})
-    stillness = plan.surfaced.stillness()
+    stillness = plan[surface.stillness]()
     surfaced = shown.facts.get("surface")
     stages.append(surfaced if isinstance(surfaced, content.StageReport) else surface_facts(plan))
     progress(0.7)
 
-    sides = None if plan.measured.symmetry is None else plan.measured.symmetry()
-    absent = () if plan.measured.absent is None else plan.measured.absent()
-    less = () if plan.measured.lacking is None else plan.measured.lacking()
-    marks = () if plan.measured.landmarks is None else plan.measured.landmarks()
+    sides = plan.value(measure.symmetry)
+    absent = plan.value(measure.absent) or ()
+    less = plan.value(measure.lacking) or ()
+    marks = plan.value(measure.landmarks) or ()
     sizes = None
     if measurements:
-        sizes = None if plan.measured.dimensions is None else plan.measured.dimensions()
+        sizes = plan.value(measure.dimensions)
         measured_words = describe.measure_report(measurements)
         if page.posture:
             facts = (describe.posture_fact(page.posture), *measured_words.facts)
@@ -119,12 +121,12 @@ def gather(
         foregrounds=matched.foregrounds,
         measurements=measurements,
         repaired=finished.repaired,
-        blocked=plan.surfaced.blocked(),
+        blocked=plan[surface.occlusions](),
         moved=tuple(concerns(stillness)),
         absent=absent,
         body=body,
         doubtful=without_nipple(measurements, marks, settings.measure),
-        unseparated={} if plan.matched.subjects is None else plan.matched.subjects().doubts,
+        unseparated={} if (subjects := plan.value(match.subjects)) is None else subjects.doubts,
     )
     beside = tuple(run_cautions(run))
     breasts = [describe.breast_report(measured, finished.repaired, beside) for measured in measurements]
@@ -135,7 +137,7 @@ def gather(
         key=page.key(plan.products()).digest,
         created="" if privacy.deidentify else describe.created_words(created),
         subject=describe.SUBJECTS[inputs.subject_kind],
-        world=plan.calibrated.cameras().world,
+        world=plan[calibrate.cameras]().world,
         warnings=tuple(warnings(run)),
         concerns=tuple(run_concerns(run)),
         breasts=tuple(sorted(breasts, key=lambda breast: breast.name)),
@@ -160,24 +162,20 @@ def whole_scene(plan: Plan) -> ViewerScene:
 
     Nothing is left out. It needs no previews. Products that are missing are made.
     """
-    return _scene(plan, _measurements(plan), plan.surfaced.mesh().textured)
+    return _scene(plan, plan.value(measure.measurements) or (), plan[surface.mesh]().textured)
 
 
 def _scene(plan: Plan, measurements: tuple[VolumeMeasurement, ...], textured: TexturedMesh) -> ViewerScene:
-    finished = plan.surfaced.mesh()
-    body = None if plan.measured.body is None else plan.measured.body()
+    finished = plan[surface.mesh]()
+    body = plan.value(measure.body)
     scene = viewer_scene(
-        front_of(plan.calibrated.cameras().rig, body),
+        front_of(plan[calibrate.cameras]().rig, body),
         finished.repaired,
         textured,
         measurements,
-        symmetry=None if plan.measured.symmetry is None else plan.measured.symmetry(),
+        symmetry=plan.value(measure.symmetry),
         # Where colours are left out, so are the photographs themselves.
-        atlas=plan.surfaced.model() if textured is finished.textured else None,
+        atlas=plan[surface.model]() if textured is finished.textured else None,
     )
-    sizes = None if plan.measured.dimensions is None or not measurements else plan.measured.dimensions()
+    sizes = plan.value(measure.dimensions) if measurements else None
     return scene if sizes is None else with_lengths(scene, sizes.lengths)
-
-
-def _measurements(plan: Plan) -> tuple[VolumeMeasurement, ...]:
-    return () if plan.measured.measurements is None else plan.measured.measurements()

@@ -7,9 +7,11 @@ from dataclasses import dataclass, replace
 
 from mammometry.base.progress import Progress, no_progress
 from mammometry.geometry.camera import Rig
+from mammometry.job.graph import Plan
 from mammometry.job.inputs import SubjectKind
-from mammometry.job.measuring import Measured
-from mammometry.job.stage_values import FinishedSurface
+from mammometry.job.stages import measure
+from mammometry.job.stages.report import PageInputs
+from mammometry.job.values import FinishedSurface
 from mammometry.measure.trunk.body import Body
 from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.report.content import Fact, ReportContent, StageReport
@@ -18,7 +20,6 @@ from mammometry.report.figures.drawing.shading import front_of
 from mammometry.report.figures.drawing.sides import NAMES
 from mammometry.report.figures.stage_results import MeasureResult
 from mammometry.report.models import viewer_scene, with_lengths
-from mammometry.report.page_inputs import PageInputs
 from mammometry.report.pictures import all_encoded
 from mammometry.report.scene import to_json
 from mammometry.report.words import describe
@@ -55,7 +56,7 @@ class MeshOrigin:
 
 
 def gather_mesh(
-    measured: Measured,
+    plan: Plan,
     finished: FinishedSurface,
     viewer: Rig,
     page: PageInputs,
@@ -66,20 +67,20 @@ def gather_mesh(
     """Collect the report of a measured mesh.
 
     Args:
-        measured: its plan.
+        plan: of its measurement.
         finished: the mesh, with its colours where it has any.
         viewer: who looks at it in the pictures.
         page: what the report shows beside products, all of it part of the report's key.
         origin: what is known of the mesh beside its shape.
         progress: gets the fraction done.
     """
-    measurements = () if measured.measurements is None else measured.measurements()
-    marks = () if measured.landmarks is None else measured.landmarks()
-    sizes = None if measured.dimensions is None else measured.dimensions()
-    sides = None if measured.symmetry is None else measured.symmetry()
-    body = None if measured.body is None else measured.body()
-    less = () if measured.lacking is None else measured.lacking()
-    absent = () if measured.absent is None else measured.absent()
+    measurements = plan.value(measure.measurements) or ()
+    marks = plan.value(measure.landmarks) or ()
+    sizes = plan.value(measure.dimensions)
+    sides = plan.value(measure.symmetry)
+    body = plan.value(measure.body)
+    less = plan.value(measure.lacking) or ()
+    absent = plan.value(measure.absent) or ()
     shown = MeasureResult(
         rig=viewer,
         measurements=measurements,
@@ -112,7 +113,7 @@ def gather_mesh(
         breasts=tuple(
             sorted(
                 [
-                    *(describe.breast_report(each) for each in measurements),
+                    *(describe.breast_report(measurement) for measurement in measurements),
                     *(describe.absent_report(side) for side in absent),
                 ],
                 key=lambda breast: breast.name,
@@ -142,15 +143,19 @@ def _warnings(measurements: Sequence[VolumeMeasurement], body: Body | None) -> I
         "The mesh comes from another scanner, whose accuracy is not known here. The interval uses the uncertainty of "
         "scale and surface that was entered, or 0.1 % and 0.1 mm."
     )
-    sunk = [] if body is None else [each.sunk(body.up) for each in measurements if each.name != "model"]
+    sunk = (
+        []
+        if body is None
+        else [measurement.sunk(body.up) for measurement in measurements if measurement.name != "model"]
+    )
     if len(sunk) == 2 and sum(sunk) / 2 < _HUNG_UPWARDS:
         yield (
             "The breasts are fuller towards the head than towards the feet. Check that left and right are not "
             "exchanged, and that the head is where it was said to be (--head)."
         )
-    for each in measurements:
-        if not each.watertight:
-            yield f"The closed solid of the {NAMES[each.name]} is not watertight. Do not use its volume."
+    for measurement in measurements:
+        if not measurement.watertight:
+            yield f"The closed solid of the {NAMES[measurement.name]} is not watertight. Do not use its volume."
 
 
 def _mesh_facts(finished: FinishedSurface, origin: MeshOrigin) -> StageReport:

@@ -107,19 +107,19 @@ def change_scene(
     world_from_view = Transform(rotation=frame.T, translation_mm=centre)
     view_from_world = world_from_view.inverse()
     models = []
-    for one in dates:
-        layers = () if one.change_mm is None else (_change_layer(one.change_mm, limit_mm),)
+    for date in dates:
+        layers = () if date.change_mm is None else (_change_layer(date.change_mm, limit_mm),)
         models.append(
             _whole(
                 _ShownSurface(
-                    name=one.name,
-                    title=one.title,
-                    repaired=one.repaired,
-                    textured=one.textured,
-                    measurements=one.measurements,
+                    name=date.name,
+                    title=date.title,
+                    repaired=date.repaired,
+                    textured=date.textured,
+                    measurements=date.measurements,
                 ),
                 view_from_world.apply,
-                own=one.world_from_own.apply,
+                own=date.world_from_own.apply,
                 first=layers,
                 triangles=triangles // 2,
             )

@@ -16,7 +16,8 @@ from typing import Literal
 
 import numpy as np
 
-from mammometry.geometry.arrays import Array, Float32, Float64, Int32, UInt8, bounds, read_only
+from mammometry.base.value import value
+from mammometry.geometry.arrays import Array, Float32, Float64, Int32, UInt8, bounds
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
 
@@ -26,7 +27,7 @@ _MISSING = 65535  # code of a missing value: the largest 16 bit number
 _STEPS = 65535  # values are stored in 16 bits
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class Layer:
     """One property of the surface, drawn in colours with a legend."""
 
@@ -46,7 +47,6 @@ class Layer:
     """Title and colour (#rrggbb) of each category."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "values", read_only(self.values))
         if self.kind == "category" and not self.categories:
             raise ValueError(f"layer {self.name}: categories expected")
         if self.kind != "category" and not self.limits[0] < self.limits[1]:

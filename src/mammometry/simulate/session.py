@@ -22,6 +22,7 @@ from mammometry.calibration.targets.target import Target
 from mammometry.geometry.camera import Rig
 from mammometry.geometry.transform import Transform
 from mammometry.simulate.arrangement import Arrangement
+from mammometry.simulate.atomic_folder import made_whole
 from mammometry.simulate.disturbances.about import Surroundings
 from mammometry.simulate.disturbances.exposure import Exposure, plain_exposure
 from mammometry.simulate.disturbances.registry import DISTURBANCES, disturbed
@@ -35,7 +36,6 @@ from mammometry.simulate.studio import Studio, photograph, refusing
 from mammometry.simulate.subjects.registry import make_subject
 from mammometry.simulate.subjects.solid import Solid, rig_from_solid
 from mammometry.simulate.truth import write_truth
-from mammometry.simulate.workplace import made_whole
 
 _POSES_ENOUGH = 5
 """Number of poses from which each camera must see the target in one. Fewer are for quick looks. Chosen by eye."""
@@ -155,7 +155,7 @@ def true_volumes_cc(recipe: SessionRecipe) -> dict[str, float]:
 
 def _subject(recipe: SessionRecipe) -> Solid:
     """The subject, operated as the situation says."""
-    operated = any(DISTURBANCES[one.name].stage == "patient" for one in recipe.situation.disturbances)
+    operated = any(DISTURBANCES[disturbance.name].stage == "patient" for disturbance in recipe.situation.disturbances)
     return make_subject(
         recipe.subject,
         recipe.seed,

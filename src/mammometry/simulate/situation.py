@@ -39,7 +39,9 @@ class Situation:
 
         It serves comparisons of a body with and without them, all else equal.
         """
-        return Situation(disturbances=tuple(one for one in self.disturbances if one.name not in names))
+        return Situation(
+            disturbances=tuple(disturbance for disturbance in self.disturbances if disturbance.name not in names)
+        )
 
 
 def parse_situation(text: str) -> Situation:

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from mammometry.geometry.arrays import Array, Bool, Float64, Int64, read_only
+from mammometry.base.value import value
+from mammometry.geometry.arrays import Array, Bool, Float64, Int64
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.nearest import closest_on_mesh
 from mammometry.geometry.transform import Transform
@@ -45,7 +46,7 @@ class SurfaceAccuracy:
     """Number of true points compared."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class ErrorMap:
     """A measured surface's own distance from the truth, vertex by vertex."""
 
@@ -55,10 +56,6 @@ class ErrorMap:
     """Vertices whose closest true vertex ought to have been measured."""
     stray_percent: float
     """Share of the judged vertices that lie farther than `COMPLETE_MM` from the truth."""
-
-    def __post_init__(self) -> None:
-        for field in ("signed_mm", "judged"):
-            object.__setattr__(self, field, read_only(getattr(self, field)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
 
 import numpy as np
 from scipy.optimize import least_squares
 
+from mammometry.base.value import value
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.camera import Camera, Rig, StereoPair
 from mammometry.geometry.mesh import TriangleMesh
@@ -36,7 +36,7 @@ class CameraAccuracy:
     """Error of the focal length (mean of fx and fy), %."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class RigAccuracy:
     """The whole rig's error after rigid alignment."""
 
@@ -48,10 +48,6 @@ class RigAccuracy:
     """Root mean square over all cameras."""
     rig_from_world: Transform
     """The alignment."""
-
-    def __post_init__(self) -> None:
-        for name in ("cameras", "triangulation_rms_mm"):
-            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
 
     @property
     def centre_rms_mm(self) -> float:
@@ -105,7 +101,7 @@ def compare_rigs(calibrated: Rig, true: Rig, points_rig: Float64[Array, "n 3"]) 
         camera, truth = calibrated.cameras[name], true.cameras[name]
         gaps = np.linalg.norm(camera.project(points_world[seen[name]]) - pixels[name][seen[name]], axis=1)
         squares.append(gaps**2)
-        focal, true_focal = (float(np.diag(each.matrix)[:2].mean()) for each in (camera, truth))
+        focal, true_focal = (float(np.diag(camera_model.matrix)[:2].mean()) for camera_model in (camera, truth))
         cameras[name] = CameraAccuracy(
             projection_rms_px=float(np.sqrt(np.mean(gaps**2))),
             centre_mm=float(np.linalg.norm(rig_from_world.apply(camera.centre_world) - truth.centre_world)),

@@ -15,7 +15,8 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 from skimage.measure import find_contours
 
-from mammometry.geometry.arrays import Array, Bool, Float64, read_only
+from mammometry.base.value import value
+from mammometry.geometry.arrays import Array, Bool, Float64
 from mammometry.geometry.camera import Camera, StereoPair
 from mammometry.matching.dense.match import DisparityMap
 from mammometry.matching.foreground.foreground import Foreground
@@ -31,7 +32,7 @@ _JUMP_MM = 3.0  # neighbouring pixels that differ by more lie on either side of 
 _JUDGED_WIDTH_PX = 1400  # wider pictures are judged at every n-th pixel
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class TrueDisparity:
     """What is true of the pixels of one rectified left picture."""
 
@@ -49,10 +50,6 @@ class TrueDisparity:
     """Pixels whose point both cameras see inside both frames, at any incidence and any distance from an edge."""
     edge_px: Float64[Array, "h w"]
     """Distance to the nearest occluding edge in either picture, pixels of the photographs."""
-
-    def __post_init__(self) -> None:
-        for field in ("d_h_px", "range_mm", "judged", "visible", "edge_px"):
-            object.__setattr__(self, field, read_only(getattr(self, field)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -136,8 +133,8 @@ def true_disparity(
     right_rays, _ = _true_rays(pixel_grid(right, step), right, calibrated.right, true.right)
     right_edge = _from_edge(scene.cast(true.right.centre_world, right_rays).range_mm)
     place = np.nan_to_num(right_uv, nan=-1.0)[..., ::-1] / step
-    there = ndimage.map_coordinates(right_edge, np.moveaxis(place, -1, 0), order=1)
-    edge_px = pair_px * step * np.minimum(_from_edge(hits.range_mm), there)
+    edge = ndimage.map_coordinates(right_edge, np.moveaxis(place, -1, 0), order=1)
+    edge_px = pair_px * step * np.minimum(_from_edge(hits.range_mm), edge)
     return TrueDisparity(
         step=step,
         focal_px=float(left.matrix[0, 0]),

@@ -13,7 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 import scipy  # it imports scipy.stats, which takes half a second, when that is used
 
-from mammometry.geometry.arrays import Array, Float64, read_only
+from mammometry.base.value import value
+from mammometry.geometry.arrays import Array, Float64
 from mammometry.study.icc import IntraclassCorrelation, intraclass_correlations
 
 LEAST_SUBJECTS = 3
@@ -21,7 +22,7 @@ LEAST_SUBJECTS = 3
 _Z95 = float(scipy.special.ndtri(0.975))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class PairedMeasurements:
     """Two methods' measurements of the same subjects.
 
@@ -46,8 +47,6 @@ class PairedMeasurements:
             raise ValueError(f"{LEAST_SUBJECTS} or more pairs are needed, found lengths {sorted(lengths)}")
         if not (np.isfinite(self.reference).all() and np.isfinite(self.measured).all()):
             raise ValueError("measurements must be finite")
-        object.__setattr__(self, "reference", read_only(self.reference))
-        object.__setattr__(self, "measured", read_only(self.measured))
 
     @property
     def differences(self) -> Float64[Array, " n"]:
@@ -208,13 +207,13 @@ def check_published(found: Agreement, published: Sequence[PublishedFigure]) -> t
     """
     figures = found.figures()
     checked = []
-    for each in published:
-        if each.figure not in figures:
-            raise ValueError(f"no figure is called {each.figure!r}; there are {', '.join(figures)}")
-        digits = len(each.published.partition(".")[2])
-        recomputed = figures[each.figure]
-        follows = abs(recomputed - float(each.published)) <= 0.5 * 10.0**-digits * (1 + 1e-9)
-        checked.append(CheckedFigure(published=each, recomputed=recomputed, follows=follows))
+    for study in published:
+        if study.figure not in figures:
+            raise ValueError(f"no figure is called {study.figure!r}; there are {', '.join(figures)}")
+        digits = len(study.published.partition(".")[2])
+        recomputed = figures[study.figure]
+        follows = abs(recomputed - float(study.published)) <= 0.5 * 10.0**-digits * (1 + 1e-9)
+        checked.append(CheckedFigure(published=study, recomputed=recomputed, follows=follows))
     return tuple(checked)
 
 

@@ -15,7 +15,7 @@ def summary(data: PairedMeasurements, found: Agreement) -> list[str]:
     unit = f" {data.unit}" if data.unit else ""
     bias, slope = found.mean_difference, found.trend.slope
     differs = "differs" if found.p < 0.05 else "does not differ significantly"
-    said = [
+    lines = [
         f"{data.measured_name} less {data.reference_name}, {found.subjects} subjects: mean difference "
         f"{number(bias.value, '+.2f')}{unit} ({_interval(bias, '+.2f')}), standard deviation "
         f"{number(found.sd.value, '.2f')}{unit}. "
@@ -24,16 +24,16 @@ def summary(data: PairedMeasurements, found: Agreement) -> list[str]:
         f"{number(found.upper_limit.value, '.1f')}{unit} in 95 % of subjects.",
     ]
     if found.trend.p < 0.05:
-        said.append(
+        lines.append(
             f"The difference depends on the size: slope {number(slope.value, '+.4f')} ({_interval(slope, '+.4f')}), "
             f"p = {number(found.trend.p, '.4f')}. One bias for all sizes is then not the whole story."
         )
     if found.normality_p < 0.05:
-        said.append(
+        lines.append(
             f"The differences do not look normally distributed (Shapiro–Wilk p = {number(found.normality_p, '.4f')}): "
             "take the limits with caution."
         )
-    return said
+    return lines
 
 
 def agreement_tables(data: PairedMeasurements, found: Agreement, checked: Sequence[CheckedFigure] = ()) -> list[Table]:
@@ -96,13 +96,13 @@ def agreement_tables(data: PairedMeasurements, found: Agreement, checked: Sequen
                 columns=("figure", "published", "recomputed", "follows", "remark"),
                 rows=tuple(
                     (
-                        each.published.what,
-                        each.published.published,
-                        number(each.recomputed, f".{max(2, len(each.published.published.partition('.')[2]))}f"),
-                        "yes" if each.follows else "no",
-                        each.published.note,
+                        check.published.what,
+                        check.published.published,
+                        number(check.recomputed, f".{max(2, len(check.published.published.partition('.')[2]))}f"),
+                        "yes" if check.follows else "no",
+                        check.published.note,
                     )
-                    for each in checked
+                    for check in checked
                 ),
             )
         )
@@ -140,7 +140,8 @@ def agreement_json(data: PairedMeasurements, found: Agreement, checked: Sequence
             "unit": data.unit,
             **asdict(found),
             "published": [
-                {**asdict(each.published), "recomputed": each.recomputed, "follows": each.follows} for each in checked
+                {**asdict(check.published), "recomputed": check.recomputed, "follows": check.follows}
+                for check in checked
             ],
             "measurements": [
                 {"subject": name, "reference": float(reference), "measured": float(measured)}

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from mammometry.base.errors import SessionError
 from mammometry.base.progress import Progress, no_progress, part
+from mammometry.base.value import value
 from mammometry.geometry.arrays import Array, Bool
 from mammometry.geometry.camera import Rig
 from mammometry.geometry.mesh import TriangleMesh
@@ -89,7 +89,7 @@ class SurfaceJudgement:
     """Share of the measured vertices where a pair sees the skin that are more than 0.5 mm from the truth."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class Evaluation:
     """Errors of the instrument, stage by stage. A stage without current results is empty."""
 
@@ -110,19 +110,6 @@ class Evaluation:
     """Side for which the result is "no breast" → its true volume, cc. 0 if that is right."""
     error_map: ErrorMap | None
     """Of the last surface there is, vertex by vertex."""
-
-    def __post_init__(self) -> None:
-        for name in (
-            "silhouettes",
-            "matching",
-            "ranges",
-            "surfaces",
-            "boundaries",
-            "volumes",
-            "intervals_cc",
-            "absent_cc",
-        ):
-            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
 
     def as_table(self) -> dict[str, Any]:
         """All figures as plain JSON-ready data. What is not known is null."""

@@ -21,8 +21,13 @@ def evaluation_tables(found: Evaluation) -> list[Table]:
             columns=("camera", "projection px", "centre mm", "focal %"),
             rows=(
                 *(
-                    (name, number(each.projection_rms_px), number(each.centre_mm), number(each.focal_percent, "+.4f"))
-                    for name, each in rig.cameras.items()
+                    (
+                        name,
+                        number(camera.projection_rms_px),
+                        number(camera.centre_mm),
+                        number(camera.focal_percent, "+.4f"),
+                    )
+                    for name, camera in rig.cameras.items()
                 ),
                 (
                     "all, RMS (focal: worst)",
@@ -41,28 +46,28 @@ def evaluation_tables(found: Evaluation) -> list[Table]:
             "Silhouettes: distance from the true outline, positive outside",
             "camera",
             found.silhouettes,
-            ("mean px", lambda each: number(each.mean_px, "+.2f")),
-            ("95 % px", lambda each: number(each.p95_px, ".2f")),
+            ("mean px", lambda silhouette: number(silhouette.mean_px, "+.2f")),
+            ("95 % px", lambda silhouette: number(silhouette.p95_px, ".2f")),
         ),
         _table(
             "Matching: disparity error where both cameras see the surface, 5 px off its edges, below 70°",
             "pair",
             found.matching,
-            ("median px", lambda each: number(each.median_px)),
-            ("95 % px", lambda each: number(each.p95_px)),
-            ("> 1 px %", lambda each: number(each.beyond_1_px_percent, ".2f")),
-            ("complete %", lambda each: number(each.complete_percent, ".1f")),
-            ("bias mm", lambda each: number(each.depth_bias_mm, "+.3f")),
-            ("error / σ", lambda each: number(each.error_over_sigma, ".2f")),
-            ("d_V px", lambda each: number(each.d_v_median_px, "+.3f")),
+            ("median px", lambda matching: number(matching.median_px)),
+            ("95 % px", lambda matching: number(matching.p95_px)),
+            ("> 1 px %", lambda matching: number(matching.beyond_1_px_percent, ".2f")),
+            ("complete %", lambda matching: number(matching.complete_percent, ".1f")),
+            ("bias mm", lambda matching: number(matching.depth_bias_mm, "+.3f")),
+            ("error / σ", lambda matching: number(matching.error_over_sigma, ".2f")),
+            ("d_V px", lambda matching: number(matching.d_v_median_px, "+.3f")),
         ),
         _table(
             "Range images: measured less true distance, cameras' errors included",
             "pair",
             found.ranges,
-            ("bias mm", lambda each: number(each.bias_mm, "+.3f")),
-            ("median mm", lambda each: number(each.median_mm)),
-            ("95 % mm", lambda each: number(each.p95_mm)),
+            ("bias mm", lambda ranges: number(ranges.bias_mm, "+.3f")),
+            ("median mm", lambda ranges: number(ranges.median_mm)),
+            ("95 % mm", lambda ranges: number(ranges.p95_mm)),
         ),
         Table(
             title="Surface: where at least one pair sees the skin; positive outside",
@@ -70,23 +75,26 @@ def evaluation_tables(found: Evaluation) -> list[Table]:
             rows=tuple(
                 (
                     f"{name}, {how}",
-                    *(number(value) for value in (each.mean_mm, each.median_mm, each.rms_mm, each.p95_mm)),
-                    number(each.bias_mm, "+.3f"),
-                    number(each.complete_percent, ".2f"),
+                    *(
+                        number(value)
+                        for value in (accuracy.mean_mm, accuracy.median_mm, accuracy.rms_mm, accuracy.p95_mm)
+                    ),
+                    number(accuracy.bias_mm, "+.3f"),
+                    number(accuracy.complete_percent, ".2f"),
                     number(judged.stray_percent, ".2f") if how == "unaligned" else "",
                 )
                 for name, judged in found.surfaces.items()
-                for how, each in (("unaligned", judged.unaligned), ("ICP-aligned", judged.aligned))
+                for how, accuracy in (("unaligned", judged.unaligned), ("ICP-aligned", judged.aligned))
             ),
         ),
         _table(
             "Boundary: distance from the true curve; height towards the front",
             "breast",
             found.boundaries,
-            ("mean mm", lambda each: number(each.mean_mm, ".2f")),
-            ("95 % mm", lambda each: number(each.p95_mm, ".2f")),
-            ("worst mm", lambda each: number(each.worst_mm, ".2f")),
-            ("height mm", lambda each: number(each.height_bias_mm, "+.3f")),
+            ("mean mm", lambda boundary: number(boundary.mean_mm, ".2f")),
+            ("95 % mm", lambda boundary: number(boundary.p95_mm, ".2f")),
+            ("worst mm", lambda boundary: number(boundary.worst_mm, ".2f")),
+            ("height mm", lambda boundary: number(boundary.height_bias_mm, "+.3f")),
         ),
         Table(
             title="Volume",

@@ -89,7 +89,7 @@ def intraclass_correlations(
     """
     ms = mean_squares(ratings)
     single = (_one_way(ms, confidence), _agreement(ms, confidence), _consistency(ms, confidence))
-    return (*single, *(_of_the_mean(each, ms.methods) for each in single))
+    return (*single, *(_of_the_mean(coefficient, ms.methods) for coefficient in single))
 
 
 def _one_way(ms: MeanSquares, confidence: float) -> IntraclassCorrelation:

@@ -11,13 +11,13 @@ import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from types import MappingProxyType
 
 import numpy as np
 import scipy  # it imports scipy.stats, which takes half a second, when that is used
 from scipy.spatial import cKDTree
 
-from mammometry.geometry.arrays import Array, Float64, Int64, read_only
+from mammometry.base.value import value
+from mammometry.geometry.arrays import Array, Float64, Int64
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.study.agreement import Estimate
 from mammometry.study.icc import IntraclassCorrelation, intraclass_correlations
@@ -29,7 +29,7 @@ _DETECTABLE_95 = 1.96 * math.sqrt(2)  # times the standard error: a change beyon
 _ICC = "ICC(2,1)"  # absolute agreement of single measurements: whoever drew is taken from all who might
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class Drawing:
     """One curve around one breast, and the volume that it gives."""
 
@@ -46,11 +46,8 @@ class Drawing:
     lateral_up_mm: Float64[Array, "n 3"]
     """The closed curve, mm: towards the armpit, towards the head, straight ahead; one origin for all of a breast."""
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "lateral_up_mm", read_only(self.lateral_up_mm))
 
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class DrawnSurface:
     """A surface and all that was drawn on it."""
 
@@ -62,9 +59,6 @@ class DrawnSurface:
     """The body's, rows: the patient's left, the head, straight ahead."""
     curves: tuple[tuple[str, Float64[Array, "n 3"]], ...]
     """Who drew it, and a closed curve, mm."""
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "frame", read_only(self.frame))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -102,7 +96,7 @@ class Apart:
     `measure.observers`."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value
 class ObserverStudy:
     """Everything about the agreement of persons who draw."""
 
@@ -124,10 +118,6 @@ class ObserverStudy:
     apart_between: Mapping[str, Apart]
     """Region → distance between curves of two persons; empty with one person."""
 
-    def __post_init__(self) -> None:
-        for name in ("icc_within", "apart_within", "apart_between"):
-            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
-
 
 def observer_study(drawings: Sequence[Drawing]) -> ObserverStudy:
     """Work out what persons' drawings differ by.
@@ -136,22 +126,23 @@ def observer_study(drawings: Sequence[Drawing]) -> ObserverStudy:
         ValueError: no breast was drawn twice, or one person's drawing is there twice.
     """
     table: dict[str, dict[str, dict[str, Drawing]]] = {}
-    for each in drawings:
-        own = table.setdefault(each.breast, {}).setdefault(each.observer, {})
-        if each.repeat in own:
-            raise ValueError(f"two drawings {each.repeat} of {each.breast} by {each.observer}")
-        own[each.repeat] = each
+    for drawing in drawings:
+        own = table.setdefault(drawing.breast, {}).setdefault(drawing.observer, {})
+        if drawing.repeat in own:
+            raise ValueError(f"two drawings {drawing.repeat} of {drawing.breast} by {drawing.observer}")
+        own[drawing.repeat] = drawing
     if len(drawings) == len(table):
         raise ValueError("no breast was drawn twice")
-    mean_cc = float(np.mean([each.volume_cc for each in drawings]))
+    mean_cc = float(np.mean([drawing.volume_cc for drawing in drawings]))
     groups = [
-        [np.array([one.volume_cc for one in own.values()]) for own in persons.values()] for persons in table.values()
+        [np.array([drawing.volume_cc for drawing in own.values()]) for own in persons.values()]
+        for persons in table.values()
     ]
     within, between = scatter_of(groups)
     pairs = [pair for persons in table.values() for pair in _pairs(persons)]
     return ObserverStudy(
         breasts=tuple(table),
-        observers=tuple(dict.fromkeys(each.observer for each in drawings)),
+        observers=tuple(dict.fromkeys(drawing.observer for drawing in drawings)),
         drawings=len(drawings),
         mean_cc=mean_cc,
         within=within,
@@ -205,7 +196,7 @@ def _scatter(variance: float, df: float, mean_cc: float) -> Scatter:
 
 
 def _volumes(own: Mapping[str, Drawing]) -> list[float]:
-    return [one.volume_cc for one in own.values()]
+    return [drawing.volume_cc for drawing in own.values()]
 
 
 def _icc(rows: Sequence[Mapping[str, float]]) -> IntraclassCorrelation | None:
@@ -229,7 +220,7 @@ def _icc_of_repeats(table: Mapping[str, Mapping[str, Mapping[str, Drawing]]]) ->
 
 
 def _pairs(persons: Mapping[str, Mapping[str, Drawing]]) -> Iterator[tuple[Drawing, Drawing]]:
-    return itertools.combinations([one for own in persons.values() for one in own.values()], 2)
+    return itertools.combinations([drawing for own in persons.values() for drawing in own.values()], 2)
 
 
 def _apart(pairs: Sequence[tuple[Drawing, Drawing]]) -> dict[str, Apart]:
@@ -237,18 +228,18 @@ def _apart(pairs: Sequence[tuple[Drawing, Drawing]]) -> dict[str, Apart]:
         return {}
     found = [distances_by_region_mm(*pair) for pair in pairs]
     distances: dict[str, Float64[Array, " n"]] = {
-        region: np.concatenate([each[region] for each in found]) for region in REGIONS
+        region: np.concatenate([by_region[region] for by_region in found]) for region in REGIONS
     }
     distances[WHOLE] = np.concatenate(list(distances.values()))
     return {
         region: Apart(
             pairs=len(pairs),
-            mean_mm=float(each.mean()),
-            q95_mm=float(np.quantile(each, 0.95)),
-            across_mm=float(np.sqrt(np.mean(each**2) / 2)),
+            mean_mm=float(values.mean()),
+            q95_mm=float(np.quantile(values, 0.95)),
+            across_mm=float(np.sqrt(np.mean(values**2) / 2)),
         )
-        for region, each in distances.items()
-        if len(each)
+        for region, values in distances.items()
+        if len(values)
     }
 
 
@@ -257,7 +248,7 @@ def distances_by_region_mm(first: Drawing, second: Drawing) -> dict[str, Float64
 
     A point's region is the direction in which it lies from the middle of both curves, seen from the front.
     """
-    curves = [evenly(each.lateral_up_mm) for each in (first, second)]
+    curves = [evenly(drawing.lateral_up_mm) for drawing in (first, second)]
     middle = (curves[0].mean(axis=0) + curves[1].mean(axis=0)) / 2
     taken: dict[str, list[Float64[Array, " n"]]] = {region: [] for region in REGIONS}
     for own, other in (curves, curves[::-1]):
@@ -265,7 +256,7 @@ def distances_by_region_mm(first: Drawing, second: Drawing) -> dict[str, Float64
         which = regions_of(own - middle)
         for number, region in enumerate(REGIONS):
             taken[region].append(away[which == number])
-    return {region: np.concatenate(each) for region, each in taken.items()}
+    return {region: np.concatenate(arrays) for region, arrays in taken.items()}
 
 
 def regions_of(from_middle_mm: Float64[Array, "n 3"]) -> Int64[Array, " n"]:

@@ -15,34 +15,35 @@ _KINDS = (("within", "one person again"), ("between", "whoever draws"))
 
 def observers_summary(found: ObserverStudy) -> list[str]:
     """What a reader wants to know first, in sentences."""
-    breasts, persons = (_counted(len(each), word) for each, word in
+    breasts, persons = (_counted(len(count), word) for count, word in
                         ((found.breasts, "breast"), (found.observers, "person")))  # fmt: skip
-    said = [f"{found.drawings} curves around {breasts} by {persons}; mean volume {number(found.mean_cc, '.0f')} cc."]
-    for each, who in ((found.within, "One person who draws again"), (found.between, "Whoever draws")):
-        if each is not None:
-            said.append(
-                f"{who}: one volume scatters by {number(each.sem.value, '.1f')} cc ({number(each.percent, '.1f')} %). "
-                f"A change of less than {number(each.mdc.value, '.0f')} cc may be drawing alone."
+    lines = [f"{found.drawings} curves around {breasts} by {persons}; mean volume {number(found.mean_cc, '.0f')} cc."]
+    for scatter, who in ((found.within, "One person who draws again"), (found.between, "Whoever draws")):
+        if scatter is not None:
+            lines.append(
+                f"{who}: one volume scatters by {number(scatter.sem.value, '.1f')} cc "
+                f"({number(scatter.percent, '.1f')} %). "
+                f"A change of less than {number(scatter.mdc.value, '.0f')} cc may be drawing alone."
             )
     worst = max(
         (
-            (region, each)
-            for region, each in (found.apart_between or found.apart_within).items()
+            (region, distances)
+            for region, distances in (found.apart_between or found.apart_within).items()
             if region != "whole curve"
         ),
         key=lambda pair: pair[1].mean_mm,
     )
-    said.append(
+    lines.append(
         f"The curves lie furthest apart at the {worst[0]} border: {number(worst[1].mean_mm, '.1f')} mm on average."
     )
     if found.icc_between is None and found.between is not None:
-        said.append(
+        lines.append(
             "There is no intraclass correlation between persons: it compares breasts, and takes two that the same two "
             "persons drew."
         )
     if found.between is not None and found.between.df < 5:
-        said.append("So few drawings tell little: see the intervals.")
-    return said
+        lines.append("So few drawings tell little: see the intervals.")
+    return lines
 
 
 def observers_tables(found: ObserverStudy, drawings: Sequence[Drawing]) -> list[Table]:
@@ -53,17 +54,17 @@ def observers_tables(found: ObserverStudy, drawings: Sequence[Drawing]) -> list[
             title="Volume",
             columns=("who draws", "standard error of measurement (SEM), cc", "95 % interval", "%",
                      "minimal detectable change (MDC) 95 %, cc", "95 % interval", "degrees of freedom"),
-            rows=tuple(_scatter_row(words, each) for key, words in _KINDS if (each := scatters[key]) is not None),
+            rows=tuple(_scatter_row(words, scatter) for key, words in _KINDS if (scatter := scatters[key]) is not None),
         )
     ]  # fmt: skip
     correlations = [("between persons", found.icc_between)] if found.icc_between is not None else []
-    correlations += [(f"repeats by {name}", each) for name, each in found.icc_within.items()]
+    correlations += [(f"repeats by {name}", correlation) for name, correlation in found.icc_within.items()]
     if correlations:
         tables.append(
             Table(
                 title="Intraclass correlation of volumes",
                 columns=("of", "form", "value", "95 % interval"),
-                rows=tuple(_icc_row(words, each) for words, each in correlations),
+                rows=tuple(_icc_row(words, correlation) for words, correlation in correlations),
             )
         )
     for title, apart in (
@@ -77,8 +78,14 @@ def observers_tables(found: ObserverStudy, drawings: Sequence[Drawing]) -> list[
             title="Drawings",
             columns=("breast", "person", "drawing", "volume cc", "base cm²"),
             rows=tuple(
-                (each.breast, each.observer, each.repeat, number(each.volume_cc, ".1f"), number(each.base_cm2, ".1f"))
-                for each in drawings
+                (
+                    drawing.breast,
+                    drawing.observer,
+                    drawing.repeat,
+                    number(drawing.volume_cc, ".1f"),
+                    number(drawing.base_cm2, ".1f"),
+                )
+                for drawing in drawings
             ),
         )
     )
@@ -88,8 +95,8 @@ def observers_tables(found: ObserverStudy, drawings: Sequence[Drawing]) -> list[
 def observers_json(found: ObserverStudy, drawings: Sequence[Drawing]) -> dict[str, Any]:
     """Everything as plain JSON-ready data. What is not known is null."""
 
-    def scatter(each: Scatter | None) -> dict[str, Any] | None:
-        return None if each is None else {**asdict(each), "mdc": asdict(each.mdc)}
+    def scatter(spread: Scatter | None) -> dict[str, Any] | None:
+        return None if spread is None else {**asdict(spread), "mdc": asdict(spread.mdc)}
 
     table: dict[str, Any] = plain(
         {
@@ -99,33 +106,36 @@ def observers_json(found: ObserverStudy, drawings: Sequence[Drawing]) -> dict[st
             "within": scatter(found.within),
             "between": scatter(found.between),
             "icc_between": None if found.icc_between is None else asdict(found.icc_between),
-            "icc_within": {name: asdict(each) for name, each in found.icc_within.items()},
-            "apart_within_mm": {region: asdict(each) for region, each in found.apart_within.items()},
-            "apart_between_mm": {region: asdict(each) for region, each in found.apart_between.items()},
+            "icc_within": {name: asdict(correlation) for name, correlation in found.icc_within.items()},
+            "apart_within_mm": {region: asdict(distances) for region, distances in found.apart_within.items()},
+            "apart_between_mm": {region: asdict(distances) for region, distances in found.apart_between.items()},
             "drawings": [
                 {
-                    "breast": each.breast,
-                    "observer": each.observer,
-                    "repeat": each.repeat,
-                    "volume_cc": each.volume_cc,
-                    "base_cm2": each.base_cm2,
+                    "breast": drawing.breast,
+                    "observer": drawing.observer,
+                    "repeat": drawing.repeat,
+                    "volume_cc": drawing.volume_cc,
+                    "base_cm2": drawing.base_cm2,
                 }
-                for each in drawings
+                for drawing in drawings
             ],
         }
     )
     return table
 
 
-def _scatter_row(words: str, each: Scatter) -> tuple[str, ...]:
-    spans = [f"{number(one.interval[0], '.1f')} … {number(one.interval[1], '.1f')}" for one in (each.sem, each.mdc)]
-    return (words, number(each.sem.value, ".2f"), spans[0], number(each.percent, ".2f"), number(each.mdc.value, ".1f"),
-            spans[1], number(each.df, ".1f"))  # fmt: skip
+def _scatter_row(words: str, scatter: Scatter) -> tuple[str, ...]:
+    spans = [
+        f"{number(estimate.interval[0], '.1f')} … {number(estimate.interval[1], '.1f')}"
+        for estimate in (scatter.sem, scatter.mdc)
+    ]
+    return (words, number(scatter.sem.value, ".2f"), spans[0], number(scatter.percent, ".2f"),
+            number(scatter.mdc.value, ".1f"), spans[1], number(scatter.df, ".1f"))  # fmt: skip
 
 
-def _icc_row(words: str, each: IntraclassCorrelation) -> tuple[str, ...]:
-    span = f"{number(each.interval[0], '.4f')} … {number(each.interval[1], '.4f')}"
-    return (words, each.shrout_fleiss, number(each.value, ".5f"), span)
+def _icc_row(words: str, correlation: IntraclassCorrelation) -> tuple[str, ...]:
+    span = f"{number(correlation.interval[0], '.4f')} … {number(correlation.interval[1], '.4f')}"
+    return (words, correlation.shrout_fleiss, number(correlation.value, ".5f"), span)
 
 
 def _apart_table(title: str, apart: Mapping[str, Apart]) -> Table:
@@ -133,9 +143,9 @@ def _apart_table(title: str, apart: Mapping[str, Apart]) -> Table:
         title=f"{title}: distance, mm",
         columns=("region", "mean", "95 % are less", "standard uncertainty of one curve", "pairs of curves"),
         rows=tuple(
-            (region, number(each.mean_mm, ".2f"), number(each.q95_mm, ".1f"), number(each.across_mm, ".2f"),
-             str(each.pairs))
-            for region, each in apart.items()
+            (region, number(distances.mean_mm, ".2f"), number(distances.q95_mm, ".1f"),
+             number(distances.across_mm, ".2f"), str(distances.pairs))
+            for region, distances in apart.items()
         ),
     )  # fmt: skip
 

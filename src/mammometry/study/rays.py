@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from mammometry.geometry.arrays import Array, Bool, Float64, Int64, read_only
+from mammometry.base.value import value
+from mammometry.geometry.arrays import Array, Bool, Float64, Int64
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.mesh import TriangleMesh
 
@@ -18,7 +18,7 @@ SEEN_INCIDENCE_DEG = 75.0
 """Largest angle of incidence at which a camera counts as seeing skin."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class Hits:
     """What rays met first."""
 
@@ -26,10 +26,6 @@ class Hits:
     """Distance from the ray's origin, mm. NaN where nothing is met."""
     cosine: Float64[Array, "*n"]
     """Cosine of incidence: 1 where the surface faces the origin, negative from inside. NaN where nothing is met."""
-
-    def __post_init__(self) -> None:
-        for field in ("range_mm", "cosine"):
-            object.__setattr__(self, field, read_only(getattr(self, field)))
 
     @property
     def hit(self) -> Bool[Array, "*n"]:

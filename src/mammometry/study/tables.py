@@ -43,7 +43,7 @@ def thousands(count: int) -> str:
 def plain(value: Any) -> Any:
     """Return what JSON can hold. null for an unknown or infinite number, lists for tuples."""
     if isinstance(value, Mapping):
-        return {key: plain(each) for key, each in value.items()}
+        return {key: plain(item) for key, item in value.items()}
     if isinstance(value, Iterable) and not isinstance(value, str):
-        return [plain(each) for each in value]
+        return [plain(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from types import MappingProxyType
 
+from mammometry.base.value import value
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.camera import Rig
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class Truth:
     """Everything in the rig's frame, mm."""
 
@@ -26,7 +25,3 @@ class Truth:
     """``model``, or the patient's ``left`` and ``right`` → true volume, cc. Empty where a volume means nothing."""
     boundaries: Mapping[str, Float64[Array, "n 3"]]
     """The same names → true closed boundary curve. Empty where there is none."""
-
-    def __post_init__(self) -> None:
-        for name in ("rig_from_target", "volumes_cc", "boundaries"):
-            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))

@@ -16,7 +16,9 @@ from mammometry.geometry.transform import Transform
 from mammometry.io.cameras.own import cameras_table
 from mammometry.io.drawn_changes import Change, change_drawn, drawn_entry
 from mammometry.io.meshes.own_ply import write_ply
-from mammometry.job.stage_values import FinishedSurface
+from mammometry.job.stages import calibrate, measure
+from mammometry.job.stages.surface import corrected_cameras, mesh
+from mammometry.job.values import FinishedSurface
 from mammometry.measure.boundary.boundary import TO_BE_CONFIRMED, Boundary
 from mammometry.measure.shape.anthropometry import dimensions, find_landmarks
 from mammometry.measure.trunk.body import find_body, rig_frame
@@ -105,18 +107,16 @@ def put_results(folder: Path, true: TrueVisit, boundaries: tuple[Boundary, ...] 
     )
     marks = find_landmarks(surface.mesh, colours, volumes, job.inputs.landmarks, frame, settings)
     sizes = dimensions(surface.mesh, volumes, marks, frame, settings)
-    made = plan.measured
-    for product, value in (
-        (plan.surfaced.mesh, finished),
-        (plan.surfaced.cameras, plan.calibrated.cameras()),
-        (made.boundaries, edges),
-        (made.body, find_body(surface, frame, settings.thorax, boundaries=[edge.points_world for edge in edges])),
-        (made.measurements, volumes),
-        (made.landmarks, marks),
-        (made.dimensions, sizes),
+    for definition, value in (
+        (mesh, finished),
+        (corrected_cameras, plan[calibrate.cameras]()),
+        (measure.boundaries, edges),
+        (measure.body, find_body(surface, frame, settings.thorax, boundaries=[edge.points_world for edge in edges])),
+        (measure.measurements, volumes),
+        (measure.landmarks, marks),
+        (measure.dimensions, sizes),
     ):
-        assert product is not None
-        job.store.recall(product.key, _holding(value))
+        job.store.recall(plan[definition].key, _holding(value))
     return job
 
 

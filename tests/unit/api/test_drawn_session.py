@@ -3,23 +3,21 @@
 import json
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from benchmarks.accuracy.dates import TrueVisit, true_visit
 from dated_session import put_results, rig, write_session
+from tests.unit.measure.solids import given_surface
 
 from mammometry.api.job import open_session
-from mammometry.base.progress import Progress
 from mammometry.cli.main import run
 from mammometry.io.drawn_changes import Change, change_drawn, drawn_entries, drawn_entry, entry_digest
-from mammometry.job.measuring import Upstream, measure
-from mammometry.job.products import Forgetful, Product
-from mammometry.job.stage_values import CameraSet
+from mammometry.job.graph import Plan
+from mammometry.job.stages import measure
 from mammometry.measure.boundary.boundary import TO_BE_CONFIRMED
-from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.volume.attribution import attributed, curve_digest
+from mammometry.settings import Settings
 from mammometry.simulate.subjects.torso import torso_shape
 
 LEFT, RIGHT = ("boundaries", "left"), ("boundaries", "right")
@@ -48,17 +46,8 @@ def session(folder: Path) -> Iterator[Path]:
 
 def keys(session: Path) -> tuple[str, ...]:
     job = open_session(session)
-    made = job.plan.measured
-    assert made.boundaries is not None
-    assert made.measurements is not None
-    return made.boundaries.key.digest, made.measurements.key.digest, job.report_key.digest, job.content_key.digest
-
-
-def at_hand(name: str, value: Any) -> Product[Any]:
-    def give(*, progress: Progress) -> Any:
-        return value
-
-    return Product(Forgetful(), "surface", name, give, inputs={})
+    boundaries, measurements = job.plan[measure.boundaries].key, job.plan[measure.measurements].key
+    return boundaries.digest, measurements.digest, job.report_key.digest, job.content_key.digest
 
 
 def confirm(session: Path, curve: np.ndarray) -> None:
@@ -79,7 +68,7 @@ def test_a_confirmed_automatic_boundary_is_told_and_nothing_is_measured_anew(
     session: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     before = keys(session)
-    made = {each.name: each for each in open_session(session).plan.measured.measurements()}  # type: ignore[misc]
+    made = {each.name: each for each in open_session(session).plan[measure.measurements]()}
     confirm(session, made["left"].boundary_world)
     after = keys(session)
     assert after[:2] == before[:2]
@@ -108,17 +97,9 @@ def test_one_drawn_breast_leaves_the_other_automatic(session: Path, true: TrueVi
     entry = drawn_entry(drawn.points_world, method="edited by hand", author="A. Nurse")
     change_drawn(session, "torso", {LEFT: Change(entry=entry, base=None)})
     assert json.loads((session / "boundaries.json").read_text())["boundaries"]["right"] == {"automatic": True}
-    upstream = Upstream(
-        cameras=at_hand("cameras", CameraSet(rig=rig(), std={}, world="", rms_px=None)),
-        calibration=None,
-        foregrounds={},
-        valid=at_hand("valid", None),
-        mesh=at_hand("mesh", None),
-        repaired=at_hand("repaired", true.torso.surface),
-    )
-    plan = measure(open_session(session).inputs, upstream, MeasureSettings(), Forgetful())
-    assert plan.boundaries is not None
-    left, right = plan.boundaries()
+    given = given_surface(true.torso.surface, rig())
+    plan = Plan(open_session(session).inputs, Settings(), None, stages=("measure",), given=given)
+    left, right = plan[measure.boundaries]()
     assert np.array_equal(left.points_world, drawn.points_world)
     assert left.method == f"given: {len(drawn.points_world)} points, edited by hand"
     assert right.name == "right"

@@ -14,6 +14,7 @@ from mammometry.api.mesh import MeshFiles, MeshJob
 from mammometry.base.errors import MeasureError
 from mammometry.cli import main
 from mammometry.geometry.mesh import TriangleMesh
+from mammometry.job.stages import measure
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.chest_wall import ChestWall
 from mammometry.measure.wall.open_breast import OpenBreast
@@ -120,7 +121,7 @@ def test_a_side_whose_volume_is_refused_hinders_the_other_one_nowhere(
     assert set(results.measurements) == {"right"}
     assert results.measurements["right"].volume_cc == pytest.approx(volume_cc(RIGHT), rel=0.08)
     assert "a knot" in results.no_breast["left"]
-    (absent,) = job.plan.absent()
+    (absent,) = job.plan[measure.absent]()
     assert (absent.unclear, absent.refused) == (True, True)
 
 

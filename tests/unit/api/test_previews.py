@@ -10,6 +10,7 @@ from mammometry.api.job import open_session
 from mammometry.base.errors import StorageError
 from mammometry.base.progress import Progress
 from mammometry.cli import main
+from mammometry.job.stages.report import previews_key
 from mammometry.report.figures.drawing.canvas import Caption, encode
 
 
@@ -25,8 +26,8 @@ def test_a_picture_that_is_none_is_one_sentence_although_its_record_agrees(tmp_p
 
         return lambda: write
 
-    job.store.write_folder(job.previews_key("calibrate"), holding(whole))
+    job.store.write_folder(previews_key("calibrate", job.plan), holding(whole))
     assert job.previews("calibrate") == {"rig": whole}
-    job.store.write_folder(job.previews_key("match"), holding(noise))
+    job.store.write_folder(previews_key("match", job.plan), holding(noise))
     with pytest.raises(StorageError, match=r"match/rig.png: found a picture that cannot be read back"):
         job.previews("match")

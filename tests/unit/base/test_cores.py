@@ -51,7 +51,7 @@ LOADED_INSIDE = """
 import sys
 import numpy
 from threadpoolctl import threadpool_info
-from mammometry.base.cores import one_blas_thread
+from mammometry.base.machine.cores import one_blas_thread
 
 assert "scipy.linalg" not in sys.modules
 with one_blas_thread():

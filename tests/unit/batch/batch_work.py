@@ -8,34 +8,34 @@ from pathlib import Path
 from mammometry.base.errors import MeasureError
 
 
-def square(tell, number):
-    tell("count", 0.5)
+def square(progress, number):
+    progress("count", 0.5)
     return number**2
 
 
-def fail(tell, number):
+def fail(progress, number):
     raise MeasureError("left", found=f"{number}", expected="another number", remedy="Choose one")
 
 
-def stumble(tell):
+def stumble(progress):
     raise RuntimeError("first line\nsecond line")
 
 
-def die(tell, notes):
+def die(progress, notes):
     """End as by the system's want of memory, and note that it was tried."""
     with Path(notes).open("a") as file:
         file.write("tried\n")
     os.kill(os.getpid(), signal.SIGKILL)
 
 
-def die_once(tell, notes):
+def die_once(progress, notes):
     if not Path(notes).exists():
         Path(notes).write_text("died")
         os.kill(os.getpid(), signal.SIGKILL)
     return "lived"
 
 
-def swell(tell, megabytes, notes):
+def swell(progress, megabytes, notes):
     with Path(notes).open("a") as file:
         file.write("tried\n")
     held = bytearray(megabytes << 20)
@@ -44,16 +44,16 @@ def swell(tell, megabytes, notes):
     return len(held)
 
 
-def wait(tell, seconds, notes):
+def wait(progress, seconds, notes):
     """Take its time; note beginning and end."""
     with Path(notes).open("a") as file:
         file.write("began\n")
-    tell("wait", 0.1)
+    progress("wait", 0.1)
     time.sleep(seconds)
     with Path(notes).open("a") as file:
         file.write("ended\n")
     return seconds
 
 
-def environment(tell, names):
+def environment(progress, names):
     return {name: os.environ.get(name) for name in names}

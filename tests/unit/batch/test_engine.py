@@ -10,14 +10,14 @@ import batch_work
 import psutil
 import pytest
 
+from mammometry.base.child_process import Call
 from mammometry.base.errors import BatchError
 from mammometry.base.machine.cores import CORES, available_cores
 from mammometry.batch import cluster
 from mammometry.batch import engine as engine_module
-from mammometry.batch.child import Order
 from mammometry.batch.cluster import machines
-from mammometry.batch.each import side_by_side
-from mammometry.batch.engine import Began, Ended, Engine, Task, Wish
+from mammometry.batch.engine import Began, Ended, Engine, StopRequest, Task
+from mammometry.batch.map_tasks import map_tasks_on
 
 KNOWN = [(1.0, 100.0)]  # memory of such tasks is known: none goes first alone
 
@@ -33,11 +33,11 @@ def there():
 
 
 def task(name, function, *arguments, megapixels=1.0):
-    return Task(name=name, order=Order(function=function, arguments=arguments), megapixels=megapixels)
+    return Task(name=name, call=Call(function=function, arguments=arguments), megapixels=megapixels)
 
 
-def ended(there, *tasks, known=KNOWN, wish=lambda: Wish.GO_ON):
-    events = list(Engine(there, known=known, wish=wish).run(tasks))
+def ended(there, *tasks, known=KNOWN, stop=lambda: StopRequest.NONE):
+    events = list(Engine(there, known=known, stop=stop).run(tasks))
     return {event.name: event for event in events if isinstance(event, Ended)}
 
 
@@ -125,21 +125,21 @@ def test_a_worker_that_is_killed_loses_nothing(there, tmp_path):
 def test_the_first_of_unknown_memory_goes_alone_and_the_others_learn_from_it(there, tmp_path):
     paths = [tmp_path / name for name in "abc"]
     events = Engine(there).run([task(path.name, batch_work.wait, 0.4, str(path)) for path in paths])
-    order = [
+    call = [
         (event.name, type(event).__name__) for event in events if not isinstance(event, Began) or event.stage == "wait"
     ]
-    assert order.index(("a", "Ended")) < min(order.index(("b", "Began")), order.index(("c", "Began")))
-    assert order.index(("c", "Began")) < max(order.index(("b", "Ended")), order.index(("c", "Ended")))
+    assert call.index(("a", "Ended")) < min(call.index(("b", "Began")), call.index(("c", "Began")))
+    assert call.index(("c", "Began")) < max(call.index(("b", "Ended")), call.index(("c", "Ended")))
 
 
 @pytest.mark.slow
 def test_finishing_begins_nothing_new_and_ends_what_runs(there, tmp_path):
     paths = [tmp_path / name for name in "abcdef"]
 
-    def wish():
-        return Wish.FINISH if any(path.exists() for path in paths) else Wish.GO_ON
+    def stop():
+        return StopRequest.FINISH if any(path.exists() for path in paths) else StopRequest.NONE
 
-    found = ended(there, *(task(path.name, batch_work.wait, 1.0, str(path)) for path in paths), wish=wish)
+    found = ended(there, *(task(path.name, batch_work.wait, 1.0, str(path)) for path in paths), stop=stop)
     begun = [path for path in paths if path.exists()]
     assert 1 <= len(begun) <= 3
     assert all(path.read_text().split() == ["began", "ended"] for path in begun)
@@ -150,7 +150,9 @@ def test_stopping_ends_what_runs(there, tmp_path):
     path = tmp_path / "a"
     begun = time.monotonic()
     found = ended(
-        there, task("a", batch_work.wait, 20.0, str(path)), wish=lambda: Wish.STOP if path.exists() else Wish.GO_ON
+        there,
+        task("a", batch_work.wait, 20.0, str(path)),
+        stop=lambda: StopRequest.STOP if path.exists() else StopRequest.NONE,
     )
     assert time.monotonic() - begun < 15
     assert found == {}
@@ -173,7 +175,9 @@ def test_tasks_are_served_as_they_come_and_one_is_stopped_without_the_others(the
         given, waiting[:] = waiting[:room], waiting[room:]
         return given
 
-    engine = Engine(there, known=KNOWN, wish=lambda: Wish.FINISH if len(found) == 3 and not waiting else Wish.GO_ON)
+    engine = Engine(
+        there, known=KNOWN, stop=lambda: StopRequest.FINISH if len(found) == 3 and not waiting else StopRequest.NONE
+    )
     for event in engine.serve(claim, lambda: ["long"] if long.exists() and "a" in found else []):
         if isinstance(event, Ended):
             found[event.name] = event
@@ -193,7 +197,7 @@ def _children_of_worker(there):
 
 def _is_child(process):
     try:
-        return "mammometry.batch.child" in process.cmdline()
+        return "mammometry.base.child_process" in process.cmdline()
     except psutil.NoSuchProcess:  # it ended meanwhile, waited for or not yet
         return False
 
@@ -211,10 +215,10 @@ def test_more_cores_than_a_worker_has_are_refused(there):
 
 
 def test_a_loop_gives_each_its_result_and_stops_at_what_fails(there):
-    each = side_by_side(there, megapixels=1.0)
-    assert each(batch_work.square, {"two": (2,), "three": (3,)}) == {"two": 4, "three": 9}
+    map_tasks = map_tasks_on(there, megapixels=1.0)
+    assert map_tasks(batch_work.square, {"two": (2,), "three": (3,)}) == {"two": 4, "three": 9}
     with pytest.raises(BatchError, match="bad: found a task that failed"):
-        each(batch_work.fail, {"bad": (1,)})
+        map_tasks(batch_work.fail, {"bad": (1,)})
 
 
 @pytest.mark.slow

@@ -12,11 +12,11 @@ from scipy.ndimage import gaussian_filter
 from scipy.spatial import cKDTree
 
 from mammometry.base.photograph import Photograph
-from mammometry.calibration.targets.charuco import CharucoTarget
 from mammometry.calibration.targets.charuco_board import charuco_board
-from mammometry.calibration.targets.chessboard import ChessboardTarget
-from mammometry.calibration.targets.circles import CirclesTarget
-from mammometry.calibration.targets.cylinder import DottedCylinderTarget
+from mammometry.calibration.targets.kinds.charuco import CharucoTarget
+from mammometry.calibration.targets.kinds.chessboard import ChessboardTarget
+from mammometry.calibration.targets.kinds.circles import CirclesTarget
+from mammometry.calibration.targets.kinds.cylinder import DottedCylinderTarget
 from mammometry.geometry.camera import Camera
 from mammometry.geometry.transform import Transform
 

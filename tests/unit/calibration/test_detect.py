@@ -13,8 +13,8 @@ from mammometry.base.photograph import Photograph
 from mammometry.calibration.detection.detect import Detection, Observations, detect, detect_in, merged
 from mammometry.calibration.detection.measured_points import MeasuredPoints, points_from_table
 from mammometry.calibration.settings import DetectSettings
-from mammometry.calibration.targets.chessboard import ChessboardTarget
-from mammometry.calibration.targets.points import PointsTarget
+from mammometry.calibration.targets.kinds.chessboard import ChessboardTarget
+from mammometry.calibration.targets.kinds.points import PointsTarget
 from mammometry.io.results.tree import to_tree
 
 BOARD = ChessboardTarget(squares=(6, 5), square_mm=30.0)

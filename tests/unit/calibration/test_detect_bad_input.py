@@ -11,8 +11,8 @@ from mammometry.base.photograph import Photograph
 from mammometry.calibration.detection.detect import Detection, Observations, detect
 from mammometry.calibration.detection.duplicates import set_duplicates_aside
 from mammometry.calibration.settings import DetectSettings
-from mammometry.calibration.targets.charuco import CharucoTarget
-from mammometry.calibration.targets.chessboard import ChessboardTarget
+from mammometry.calibration.targets.kinds.charuco import CharucoTarget
+from mammometry.calibration.targets.kinds.chessboard import ChessboardTarget
 from mammometry.geometry.transform import Transform
 from mammometry.simulate.rendering.develop import develop
 from mammometry.simulate.rendering.film import Film

@@ -10,7 +10,7 @@ from mammometry.base.errors import SessionError
 from mammometry.base.photograph import Photograph
 from mammometry.calibration.detection.detect import detect_in
 from mammometry.calibration.settings import DetectSettings
-from mammometry.calibration.targets.charuco import CharucoTarget
+from mammometry.calibration.targets.kinds.charuco import CharucoTarget
 
 BOARD = CharucoTarget(squares=(8, 6), square_mm=25.0, marker_mm=18.0, dictionary="DICT_5X5_250")
 MIDDLE = centred(BOARD.points_target)

@@ -8,7 +8,7 @@ from printed import camera, centred, chessboard, photograph_of_board, read, turn
 from mammometry.base.photograph import Photograph
 from mammometry.calibration.detection.detect import detect_in
 from mammometry.calibration.settings import DetectSettings
-from mammometry.calibration.targets.chessboard import ChessboardTarget
+from mammometry.calibration.targets.kinds.chessboard import ChessboardTarget
 
 BOARD = ChessboardTarget(squares=(10, 7), square_mm=20.0)
 MIDDLE = centred(BOARD.points_target)

@@ -8,7 +8,7 @@ from printed import camera, centred, circles, photograph_of_board
 from mammometry.base.photograph import Photograph
 from mammometry.calibration.detection.detect import detect_in
 from mammometry.calibration.settings import DetectSettings
-from mammometry.calibration.targets.circles import CirclesTarget
+from mammometry.calibration.targets.kinds.circles import CirclesTarget
 
 
 @pytest.mark.parametrize(

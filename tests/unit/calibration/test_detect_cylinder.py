@@ -9,8 +9,8 @@ from mammometry.base.errors import CalibrationError
 from mammometry.base.photograph import Photograph
 from mammometry.calibration.adjust.bundle import calibrate
 from mammometry.calibration.detection.detect import detect, detect_in
-from mammometry.calibration.targets.chessboard import ChessboardTarget
-from mammometry.calibration.targets.cylinder import DottedCylinderTarget
+from mammometry.calibration.targets.kinds.chessboard import ChessboardTarget
+from mammometry.calibration.targets.kinds.cylinder import DottedCylinderTarget
 from mammometry.geometry.transform import Transform
 
 pytestmark = pytest.mark.slow

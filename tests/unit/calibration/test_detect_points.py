@@ -11,7 +11,7 @@ from mammometry.calibration.detection.detect import detect, detect_in
 from mammometry.calibration.features.constellation import read_constellation
 from mammometry.calibration.judge.no_target import no_target
 from mammometry.calibration.settings import DetectSettings
-from mammometry.calibration.targets.points import PointsTarget
+from mammometry.calibration.targets.kinds.points import PointsTarget
 
 DIAMETER_MM = 8.0
 SLOPE = np.tan(np.radians(25.0))

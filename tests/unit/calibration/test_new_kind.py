@@ -20,6 +20,7 @@ from mammometry.calibration.targets.pdf import target_pdf
 from mammometry.calibration.targets.registry import TARGETS
 from mammometry.calibration.targets.sheet import Sheet
 from mammometry.calibration.targets.table import target_from_table
+from mammometry.io.results.tree import from_tree, to_tree
 from mammometry.simulate.rendering.develop import develop
 from mammometry.simulate.rendering.film import Film
 from mammometry.simulate.rendering.objects.solid_target import render_target
@@ -86,6 +87,13 @@ def kind(monkeypatch):
 def test_before_it_is_registered_its_name_is_unknown():
     with pytest.raises(SessionError, match="expected one of 'charuco', 'chessboard'"):
         target_from_table({"kind": "scattered", "grid": [7, 5], "step_mm": 24.0})
+
+
+def test_it_is_stored_under_its_name(kind):
+    target = ScatteredTarget(grid=(7, 5), step_mm=24.0)
+    tree = to_tree(target, {})
+    assert tree["$value"] == "target:scattered"
+    assert from_tree(json.loads(json.dumps(tree)), {}) == target
 
 
 @pytest.mark.slow

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from mammometry.base.errors import SettingsError
-from mammometry.calibration.targets.charuco import CharucoTarget
 from mammometry.calibration.targets.charuco_board import charuco_board
-from mammometry.calibration.targets.chessboard import ChessboardTarget
-from mammometry.calibration.targets.circles import CirclesTarget
-from mammometry.calibration.targets.cylinder import DottedCylinderTarget
-from mammometry.calibration.targets.cylinder_sheet import column_labels
+from mammometry.calibration.targets.dotted_cylinder.strips import column_labels
+from mammometry.calibration.targets.kinds.charuco import CharucoTarget
+from mammometry.calibration.targets.kinds.chessboard import ChessboardTarget
+from mammometry.calibration.targets.kinds.circles import CirclesTarget
+from mammometry.calibration.targets.kinds.cylinder import DottedCylinderTarget
+from mammometry.calibration.targets.kinds.points import PointsTarget
 from mammometry.calibration.targets.pdf import target_pdf
-from mammometry.calibration.targets.points import PointsTarget
 
 MM_PER_POINT = 25.4 / 72
 CHARUCO = CharucoTarget(squares=(8, 6), square_mm=25.0, marker_mm=18.0, dictionary="DICT_5X5_250")

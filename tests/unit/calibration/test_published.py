@@ -14,7 +14,7 @@ from mammometry.calibration.adjust.network import residuals, tie_of
 from mammometry.calibration.adjust.projection import INTRINSIC_NAMES
 from mammometry.calibration.detection.detect import Detection, Observations
 from mammometry.calibration.settings import BundleSettings
-from mammometry.calibration.targets.points import PointsTarget
+from mammometry.calibration.targets.kinds.points import PointsTarget
 
 ZHANG = "imagingbook-calibrate-lib/src/main/resources/imagingbook/calibration/zhang/data/TextDataResource-data"
 

@@ -5,14 +5,12 @@ import numpy as np
 import pytest
 
 from mammometry.base.errors import SessionError
-from mammometry.calibration.targets.charuco import CharucoTarget
-from mammometry.calibration.targets.chessboard import ChessboardTarget
-from mammometry.calibration.targets.circles import CirclesTarget
-from mammometry.calibration.targets.cylinder import DottedCylinderTarget
-from mammometry.calibration.targets.points import PointsTarget
-from mammometry.calibration.targets.registry import TARGETS
+from mammometry.calibration.targets.kinds.charuco import CharucoTarget
+from mammometry.calibration.targets.kinds.chessboard import ChessboardTarget
+from mammometry.calibration.targets.kinds.circles import CirclesTarget
+from mammometry.calibration.targets.kinds.cylinder import DottedCylinderTarget
+from mammometry.calibration.targets.kinds.points import PointsTarget
 from mammometry.calibration.targets.table import target_from_table
-from mammometry.io.results.tree import STORED_TYPES
 
 CHARUCO = {"kind": "charuco", "squares": [14, 10], "square_mm": 25.0, "marker_mm": 18.0, "dictionary": "DICT_5X5_250"}
 CYLINDER = {
@@ -124,12 +122,6 @@ def test_a_survey_brings_its_own_uncertainty():
     assert target_from_table(CYLINDER).scale_std is None
     assert target_from_table({**CYLINDER, "scale_std": 1e-4}).scale_std == 1e-4
     assert target_from_table({"kind": "points", "points_mm": POINTS, "scale_std": 2e-4}).scale_std == 2e-4
-
-
-def test_every_kind_has_a_label_on_disk():
-    places = {f"{kind.__module__}:{kind.__qualname__}" for kind in TARGETS.values()}
-    assert len(places) >= 5
-    assert places <= set(STORED_TYPES.values())
 
 
 def test_values_cannot_be_written_through():

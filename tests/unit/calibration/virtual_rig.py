@@ -7,8 +7,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from mammometry.calibration.detection.detect import Detection, Observations
-from mammometry.calibration.targets.chessboard import ChessboardTarget
-from mammometry.calibration.targets.points import PointsTarget
+from mammometry.calibration.targets.kinds.chessboard import ChessboardTarget
+from mammometry.calibration.targets.kinds.points import PointsTarget
 from mammometry.calibration.targets.target import Target
 from mammometry.geometry.camera import Camera
 from mammometry.geometry.transform import Transform

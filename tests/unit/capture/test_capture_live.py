@@ -6,9 +6,9 @@ from scipy import ndimage
 from tests.unit.capture.virtual_capture import ball, rig_file
 
 from mammometry.base.photograph import Photograph
-from mammometry.calibration.targets.charuco import CharucoTarget
+from mammometry.calibration.targets.kinds.charuco import CharucoTarget
 from mammometry.capture.live import REGIONS, LiveView, aids
-from mammometry.capture.loop import Rigged
+from mammometry.capture.loop import OpenRig
 from mammometry.simulate.rendering.develop import develop
 from mammometry.simulate.rendering.film import Film
 from mammometry.simulate.rendering.objects.solid_target import render_target
@@ -80,7 +80,7 @@ def test_where_the_target_was_seen_is_remembered_and_the_rest_still_wanted(rig):
 
 @pytest.mark.slow
 def test_all_cameras_are_looked_at_and_a_broken_one_has_a_sentence(place):
-    with Rigged(rig_file(place, faults='left_left = "unplugged"')) as rigged:
+    with OpenRig(rig_file(place, faults='left_left = "unplugged"')) as rigged:
         view = LiveView(rigged.backend, rigged.cameras, "model", BOARD)
         found = view.look()
         assert view.wanted() == dict.fromkeys(rigged.cameras, REGIONS[0] * REGIONS[1])

@@ -12,7 +12,7 @@ from tests.unit.capture.virtual_capture import rig_file
 from mammometry.base.errors import CaptureError, SessionError, StorageError
 from mammometry.capture import shots
 from mammometry.capture.camera import Frame
-from mammometry.capture.loop import Rigged
+from mammometry.capture.loop import OpenRig
 from mammometry.capture.skew.measured import Skew, write_skew
 from mammometry.cli.main import run
 from mammometry.io.session import Session
@@ -21,7 +21,7 @@ CAMERAS = 8
 
 
 def fire(place, session="s", **how):
-    with Rigged(rig_file(place, **how)) as rigged:
+    with OpenRig(rig_file(place, **how)) as rigged:
         return rigged.fire_into(place / session)
 
 
@@ -71,12 +71,12 @@ def test_each_fault_is_named_and_the_other_cameras_frames_are_kept(place, faults
     assert len(list(fired.shot.glob("*.jpg"))) == delivered
     assert list((place / "s/capture").iterdir()) == [] if refused else True
     camera = faults.split(" =")[0]
-    assert any(camera in sentence for sentence in fired.verdict.said) or "moved" in faults
+    assert any(camera in sentence for sentence in fired.verdict.sentences) or "moved" in faults
 
 
 @pytest.mark.slow
 def test_exchanged_cables_are_both_named(place):
-    said = fire(place, faults='front_left = "swapped=left_right"').verdict.said[0]
+    said = fire(place, faults='front_left = "swapped=left_right"').verdict.sentences[0]
     assert "front_left" in said
     assert "left_right" in said
     assert "Swap" in said
@@ -84,7 +84,7 @@ def test_exchanged_cables_are_both_named(place):
 
 @pytest.mark.slow
 def test_a_second_firing_replaces_the_first_and_keeps_its_pictures(place):
-    with Rigged(rig_file(place)) as rigged:
+    with OpenRig(rig_file(place)) as rigged:
         first, second = rigged.fire_into(place / "s"), rigged.fire_into(place / "s")
     assert (first.shot.name, second.shot.name) == ("001", "002")
     assert second.accepted
@@ -112,7 +112,7 @@ def test_photographs_from_elsewhere_are_never_replaced(place):
 
 @pytest.mark.slow
 def test_the_last_picture_once_more_is_found_by_its_bytes(place, monkeypatch):
-    with Rigged(rig_file(place)) as rigged:
+    with OpenRig(rig_file(place)) as rigged:
         rigged.fire_into(place / "s")
         kept = rigged.backend.fetch
 
@@ -213,13 +213,13 @@ def test_two_rigs_on_one_bus_are_told_who_has_the_camera(place):
     shutil.copytree(place / "calibrated", place / "other/calibrated")
     mine = rig_file(place, lines=f'cameras = {{ front_left = "{serial}", front_right = "{serial}-2" }}')
     other = rig_file(place / "other", lines=f'cameras = {{ left_left = "{serial}-3", floor_left = "{serial}" }}')
-    with Rigged(mine) as rigged:
+    with OpenRig(mine) as rigged:
         with pytest.raises(CaptureError, match=rf"floor_left.*{serial}.*rig reference as camera front_left.*two rigs"):
-            Rigged(other)
+            OpenRig(other)
         with pytest.raises(CaptureError, match="two rigs"):  # nothing of the refused rig stays held
-            Rigged(other)
+            OpenRig(other)
         assert rigged.backend.health("front_left").fault == ""
-    Rigged(other).close()  # the first let go
+    OpenRig(other).close()  # the first let go
 
 
 def test_a_camera_s_own_file_is_kept_byte_for_byte(tmp_path):

@@ -10,17 +10,17 @@ import pytest
 from tests.unit.capture.virtual_capture import rig_file
 
 from mammometry.base.errors import SessionError
-from mammometry.capture.loop import Rigged
+from mammometry.capture.loop import OpenRig
 from mammometry.capture.page import Goal, capture_app, serve
-from mammometry.capture.stand import Stand, told
-from mammometry.editor.door import Door
+from mammometry.capture.page_service import Stand, firing_table
+from mammometry.editor.auth import Door
 
 CHROMIUM = shutil.which("chromium")
 
 
 @pytest.fixture
 def page(place):
-    with Rigged(rig_file(place, faults='left_left = "unplugged"')) as rigged:
+    with OpenRig(rig_file(place, faults='left_left = "unplugged"')) as rigged:
         stand = Stand(rigged)
         yield stand
         stand.close()
@@ -34,7 +34,7 @@ def test_the_page_shows_states_and_live_pictures_and_fires(page, place):
     assert seen["cameras"]["front_left"]["whole"] == "The subject is in the picture."
     assert seen["cameras"]["front_left"]["is_whole"]
     json.dumps(seen)  # all of it may be sent
-    fired = told(page.fire(place / "s", subject_id="P-1"), "next")
+    fired = firing_table(page.fire(place / "s", subject_id="P-1"), "next")
     assert fired["accepted"] is False
     assert any("left_left" in sentence for sentence in fired["said"])
     assert 'id = "P-1"' in (place / "s/session.toml").read_text()
@@ -84,7 +84,7 @@ def test_a_technician_aims_and_fires_in_the_browser(place, monkeypatch):
     addresses = []
 
     def run():
-        with Rigged(rig_file(place)) as rigged:
+        with OpenRig(rig_file(place)) as rigged:
             serve(rigged, Goal(session=place / "s"), ready=lambda address, local: addresses.append(address))
 
     thread = threading.Thread(target=run)

@@ -8,7 +8,7 @@ import pytest
 from tests.unit.capture.virtual_capture import rig_file
 
 from mammometry.base.errors import CaptureError, SessionError
-from mammometry.calibration.targets.charuco import CharucoTarget
+from mammometry.calibration.targets.kinds.charuco import CharucoTarget
 from mammometry.calibration.targets.lamps import LAMPS
 from mammometry.capture.skew.measured import read_skew, write_skew
 from mammometry.capture.skew.read import Moment, moment_of, read_moment, skew_of

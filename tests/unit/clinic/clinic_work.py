@@ -8,12 +8,12 @@ from mammometry.base.errors import MeasureError
 ANSWER = {"digest": "d" * 64, "made_at": None, "software": "0", "volumes": [], "megapixels": 1.0}
 
 
-def measure(tell, session, calibration, settings):
+def measure(progress, session, calibration, settings):
     """Note in the session's folder that it was begun and ended."""
     notes = Path(session) / "notes"
     with notes.open("a") as file:
         file.write("began\n")
-    tell("match", 0.5)
+    progress("match", 0.5)
     if (Path(session) / "long").exists():
         time.sleep(60)
     if (Path(session) / "bad").exists():

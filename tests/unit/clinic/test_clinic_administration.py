@@ -16,8 +16,8 @@ from tests.clinic_seed import DEFINITION
 
 from mammometry.clinic.config import ClinicConfig
 from mammometry.clinic.first_day import first_day_of, steps
-from mammometry.clinic.keep import backups
-from mammometry.clinic.keep.disk import measure_usage
+from mammometry.clinic.maintenance import backups
+from mammometry.clinic.maintenance.disk import measure_usage
 from mammometry.clinic.models import Job, Patient, Person, Rig, Upload, Visit
 from mammometry.clinic.rigs.history import new_calibration
 from mammometry.clinic.roles import Role

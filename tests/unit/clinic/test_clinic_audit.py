@@ -17,7 +17,7 @@ from django.utils import timezone
 from mammometry.clinic import audit
 from mammometry.clinic.audit_entries import COLUMNS, SHOWN, AuditFilter, Entry, entries, title_of, write_audit
 from mammometry.clinic.config import ClinicConfig
-from mammometry.clinic.keep.patient import erase_patient
+from mammometry.clinic.maintenance.patient import erase_patient
 from mammometry.clinic.models import Person, Visit
 from mammometry.clinic.roles import Role
 

@@ -15,7 +15,7 @@ from tests.clinic_seed import DEFINITION
 from mammometry.base.errors import SessionError
 from mammometry.clinic.config import ClinicConfig
 from mammometry.clinic.intake.uploads import ready_folder
-from mammometry.clinic.keep.patient import erase_bin, erase_patient, find_patient, rows_of
+from mammometry.clinic.maintenance.patient import erase_bin, erase_patient, find_patient, rows_of
 from mammometry.clinic.models import (
     Calibration,
     Comparison,
@@ -400,7 +400,7 @@ def test_researchers_and_administrators_correct_nothing(
 def test_a_backup_holds_the_bin_and_merged_records(tmp_path: Path, anna: Patient, berta: Patient, rig: Rig) -> None:
     from io import BytesIO
 
-    from mammometry.clinic.keep.backup import write_database
+    from mammometry.clinic.maintenance.backup import write_database
 
     visit = measured(anna, rig)
     corrections.put_into_bin(visit, "x", None)

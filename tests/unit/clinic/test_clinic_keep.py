@@ -22,10 +22,10 @@ from tests.postgresql import VARIABLE, new_database
 
 from mammometry.cli.main import run
 from mammometry.clinic.config import ClinicConfig, ClinicError
-from mammometry.clinic.keep.backup import make_backup
-from mammometry.clinic.keep.backups import make_kept_backup
-from mammometry.clinic.keep.patient import find_patient
-from mammometry.clinic.keep.restore_test import _digests, _require_same
+from mammometry.clinic.maintenance.backup import make_backup
+from mammometry.clinic.maintenance.backups import make_kept_backup
+from mammometry.clinic.maintenance.patient import find_patient
+from mammometry.clinic.maintenance.restore_test import _digests, _require_same
 from mammometry.clinic.models import Drawing, Job, Measurement, Patient, Upload, Visit, Volume
 from mammometry.clinic.roles import Role
 
@@ -122,7 +122,7 @@ def test_rows_that_differ_are_named() -> None:
 
 
 def test_a_damaged_backup_is_refused(clinic: ClinicConfig, full: Visit, tmp_path: Path) -> None:
-    from mammometry.clinic.keep.restore import unpack
+    from mammometry.clinic.maintenance.restore import unpack
 
     archive = tmp_path / "clinic.tar"
     run(["clinic", "backup", str(clinic.folder), "--to", str(archive)])
@@ -137,7 +137,7 @@ def test_a_damaged_backup_is_refused(clinic: ClinicConfig, full: Visit, tmp_path
 
 
 def test_a_backup_cannot_leave_its_folder(tmp_path: Path) -> None:
-    from mammometry.clinic.keep.restore import unpack
+    from mammometry.clinic.maintenance.restore import unpack
 
     archive = tmp_path / "evil.tar"
     (tmp_path / "payload").write_text("x")
@@ -149,7 +149,7 @@ def test_a_backup_cannot_leave_its_folder(tmp_path: Path) -> None:
 
 
 def test_restore_replaces_nothing(clinic: ClinicConfig, tmp_path: Path) -> None:
-    from mammometry.clinic.keep.restore import unpack
+    from mammometry.clinic.maintenance.restore import unpack
 
     (tmp_path / "used").mkdir()
     (tmp_path / "used" / "file").write_text("mine")
@@ -227,11 +227,11 @@ from mammometry.clinic.config import read_config
 from mammometry.clinic.site import configure
 config = read_config(Path(sys.argv[1]))
 configure(config)
-from mammometry.clinic.server import migrate
+from mammometry.clinic.web.server import migrate
 migrate(config)
 from django.db import connections
 from django.utils import timezone
-from mammometry.clinic.keep.patient import erase_patient
+from mammometry.clinic.maintenance.patient import erase_patient
 from mammometry.clinic.models import Patient, Rig, Visit
 if sys.argv[2] == "erase":
     erase_patient(config, Patient.objects.get(record_number="KIS-4711"))

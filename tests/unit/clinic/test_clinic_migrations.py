@@ -22,7 +22,7 @@ from mammometry.clinic.site import configure
 config = read_config(Path(sys.argv[1]))
 configure(config)
 from django.db import connection
-from mammometry.clinic.server import migrate
+from mammometry.clinic.web.server import migrate
 for number in map(int, sys.argv[2].split(",")):
     child = os.fork()
     if child == 0:

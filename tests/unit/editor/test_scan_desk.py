@@ -10,9 +10,9 @@ from tests.unit.io.scan_files import scanned
 from mammometry.api.mesh import MeshJob, scan_files, scan_job
 from mammometry.base.errors import CrossingError
 from mammometry.cli.main import run
-from mammometry.editor.desk import Desk
 from mammometry.editor.messages import PlaceChange, Save, SentHandle, Sketch, SketchChange
 from mammometry.editor.page import EditorPage
+from mammometry.editor.session import Desk
 from mammometry.io.meshes.scans import Scan, import_scan
 from mammometry.io.outputs import write_outputs
 from mammometry.measure.volume.attribution import curve_digest

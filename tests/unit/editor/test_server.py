@@ -26,10 +26,11 @@ from playwright.sync_api import Browser, BrowserContext, Page, expect, sync_play
 from mammometry.base.errors import MeasureError, SessionError
 from mammometry.base.identity import Identity
 from mammometry.editor import server as served
-from mammometry.editor.desk import Desk
-from mammometry.editor.door import HOST, LARGEST_BYTES, Door, local_page
+from mammometry.editor.auth import HOST, LARGEST_BYTES, Door, local_page
 from mammometry.editor.messages import PlaceChange, Save, SentHandle, Sketch, SketchChange
 from mammometry.editor.server import Application, editor_app
+from mammometry.editor.session import Desk
+from mammometry.job.stages import measure
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.settings import MeasureSettings
 from mammometry.surface.texture.texture import TexturedMesh
@@ -42,6 +43,15 @@ FLAGS = [
 JSON = {"Content-Type": "application/json"}
 HANDLES = [{"point": [60.0, 0.0, 0.0]}, {"point": [0.0, 60.0, 0.0]}, {"point": [-60.0, 0.0, 0.0]}]
 HALF_BALL_CC = 2 / 3 * np.pi * test_drawing.RADIUS_MM**3 / 1000
+
+
+class Planned(dict[Any, Callable[[], Any]]):
+    """Products by definition, all of them current."""
+
+    def value(self, definition: Any) -> Any:
+        return self[definition]() if definition in self else None
+
+    current = value
 
 
 def job(folder: Path, kind: str = "model") -> SimpleNamespace:
@@ -58,7 +68,7 @@ def job(folder: Path, kind: str = "model") -> SimpleNamespace:
         settings=SimpleNamespace(measure=MeasureSettings()),
         rig=rig,
         surface=lambda: finished,
-        measured=SimpleNamespace(boundaries=lambda: (found,), sides=None, measurements=None, landmarks=None),
+        plan=Planned({measure.boundaries: lambda: (found,)}),
         mesh=SimpleNamespace(key=None),
         content_key=None,
         render_report=lambda: None,
@@ -75,8 +85,7 @@ def measured(job: SimpleNamespace, volume_cc: float) -> SimpleNamespace:
     measurement = SimpleNamespace(
         name="model", volume_cc=volume_cc, interval_cc=(volume_cc - 1, volume_cc + 1), boundary_world=points
     )
-    job.measured.measurements = type("Product", (), {"key": "current", "__call__": lambda self: (measurement,)})()
-    job.store.has = lambda key: key == "current"
+    job.plan[measure.measurements] = lambda: (measurement,)
     return job
 
 
@@ -474,7 +483,7 @@ def test_without_an_automatic_boundary_the_page_says_why(tmp_path: Path, door: D
         raise MeasureError("base", found="none", expected="one", remedy="Look")
 
     broken = job(tmp_path)
-    broken.measured.boundaries = fails
+    broken.plan[measure.boundaries] = fails
     with running(editor_app(lambda: broken, door)) as address:  # type: ignore[arg-type,return-value]
         client = Client(address)
         client.enter(door.new_key())

@@ -58,7 +58,7 @@ def test_stored_found_and_fetched_unchanged(made: list[Dataset], tmp_path: Path)
         peer = Peer.parse(archive.peer)
         echo(peer)
         first, again = send(made, peer), send(made, peer)
-        assert (first.sent, first.there, again.sent, again.there) == (len(made), 0, 0, len(made))
+        assert (first.sent, first.stored, again.sent, again.stored) == (len(made), 0, 0, len(made))
         there = archive.instances()
         assert {name: content(each) for name, each in there.items()} == {
             each.SOPInstanceUID: content(encoded(each)) for each in made
@@ -95,8 +95,8 @@ def test_an_archive_that_dies_half_way_gets_the_rest_later(made: list[Dataset], 
             deliver()
         archive.start()
         came = deliver()
-        assert came.there >= 3  # what it had not yet written when it was killed is sent again
-        assert came.sent + came.there == len(made)
+        assert came.stored >= 3  # what it had not yet written when it was killed is sent again
+        assert came.sent + came.stored == len(made)
         assert set(archive.instances()) == {each.SOPInstanceUID for each in made}
 
 
@@ -119,7 +119,7 @@ def test_an_archive_whose_disk_is_full_gets_the_rest_later(made: list[Dataset], 
         archive.fill(None)
         came = deliver()
         assert came.sent > 0
-        assert came.sent + came.there == len(made)
+        assert came.sent + came.stored == len(made)
         assert set(archive.instances()) == {each.SOPInstanceUID for each in made}
 
 

@@ -5,6 +5,7 @@ import importlib
 import json
 import zipfile
 import zlib
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from PIL import Image
 
 from mammometry.base.errors import StorageError
 from mammometry.calibration.detection.detect import Detection, MissedView, Observations
-from mammometry.calibration.targets.charuco import CharucoTarget
+from mammometry.calibration.targets.kinds.charuco import CharucoTarget
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
@@ -24,11 +25,11 @@ from mammometry.io.results.codecs import decode, encode
 from mammometry.io.results.formats.arrays import write_arrays
 from mammometry.io.results.formats.deflate import deflated, inflated
 from mammometry.io.results.formats.rasters import read_raster, write_raster
-from mammometry.io.results.tree import STORED_TYPES, from_tree, to_tree
-from mammometry.job.pipeline import CameraSet, FinishedSurface
+from mammometry.io.results.tree import STORED_FIELDS, STORED_TYPES, from_tree, to_tree
+from mammometry.job.values import CameraSet, FinishedSurface
 from mammometry.matching.dense.match import DisparityMap
 from mammometry.measure.boundary.boundary import Boundary
-from mammometry.surface.ranges.dents import Kept
+from mammometry.surface.ranges.dents import KeepMasks
 from mammometry.surface.repair.repair import Provenance, RepairedSurface
 from mammometry.surface.texture.atlas_jpeg import as_jpeg, jpeg_of
 from mammometry.surface.texture.texture import TexturedMesh
@@ -252,6 +253,16 @@ def test_each_label_names_a_type_of_ours(label: str) -> None:
     assert kind.__module__ == module, "a type is named where it is defined"
 
 
+@pytest.mark.parametrize(("label", "first_names"), STORED_FIELDS.items())
+def test_a_renamed_field_keeps_its_first_name_on_disk(label: str, first_names: Mapping[str, str]) -> None:
+    module, _, name = STORED_TYPES[label].partition(":")
+    names = {field.name for field in dataclasses.fields(getattr(importlib.import_module(module), name))}
+    assert set(first_names) <= names
+    assert names.isdisjoint(first_names.values())
+    tree = {"$value": label, **dict.fromkeys((*(names - set(first_names)), *first_names.values()), 1.0)}
+    assert to_tree(from_tree(tree, {}), {}) == tree
+
+
 def test_what_is_deflated_is_read_by_everybody(tmp_path: Path) -> None:
     """By zlib, by Python's archives and by another reader of TIFF."""
     data = np.random.default_rng(3).integers(0, 5, 100_000).astype(np.uint8).tobytes()
@@ -327,7 +338,7 @@ def test_rasters_of_earlier_versions_are_read(tmp_path: Path) -> None:
 def test_kept_data_are_a_mask_over_the_range_images(tmp_path: Path) -> None:
     keep = tuple(RNG.random((70, 50)) > 0.4 for _ in range(2))
     angles_rad = tuple(np.full((70, 50), angle, np.float32) for angle in (0.5, np.nan))
-    encode(Kept(keep=keep, angles_rad=angles_rad), tmp_path, "valid")
+    encode(KeepMasks(keep=keep, angles_rad=angles_rad), tmp_path, "valid")
     with tifffile.TiffFile(tmp_path / "valid.tif") as tiff:
         assert [page.tags[285].value for page in tiff.pages] == ["keep.0", "keep.1", "angles_rad.0", "angles_rad.1"]
     read = decode(tmp_path, "valid")

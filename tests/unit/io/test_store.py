@@ -21,7 +21,7 @@ from mammometry.io.results.formats.arrays import ARRAYS
 from mammometry.io.results.store import Store
 from mammometry.io.write import write_text
 from mammometry.job.products import Key
-from mammometry.surface.ranges.dents import Kept
+from mammometry.surface.ranges.dents import KeepMasks
 
 
 def key(product: str = "mesh", **changes: object) -> Key:
@@ -256,7 +256,7 @@ def test_a_result_of_an_earlier_format_is_renewed_and_its_file_removed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As kept range data, once copies in an .npz, now a mask in a .tif: neither is taken for the other."""
-    kept = Kept(keep=(np.eye(70, dtype=bool),), angles_rad=(np.eye(70, dtype=np.float32),))
+    kept = KeepMasks(keep=(np.eye(70, dtype=bool),), angles_rad=(np.eye(70, dtype=np.float32),))
     with monkeypatch.context() as before:
         before.setattr(codecs, "_format", lambda product: ARRAYS)
         Store(tmp_path).recall(key("valid", version=3), lambda: lambda progress: (1, 2))

@@ -1,11 +1,16 @@
 """Solids of known volume, and cameras around them, for the tests of the measurement."""
 
+from typing import Any
+
 import numpy as np
 import trimesh
 
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
+from mammometry.job.products import Single, at_hand
+from mammometry.job.stages import surface
+from mammometry.job.values import CameraSet
 from mammometry.matching.foreground.foreground import Foreground
 from mammometry.surface.repair.repair import Provenance, RepairedSurface
 
@@ -100,3 +105,17 @@ def silhouettes(mesh: TriangleMesh, rig: Rig, samples: int = 5) -> dict[str, For
         share = hit.reshape(height, samples, width, samples).mean(axis=(1, 3))
         found[name] = Foreground(camera=name, coverage=share.astype(np.float32), contour_level=0.5, everything=False)
     return found
+
+
+def given_surface(repaired: RepairedSurface, rig: Rig) -> dict[Single[Any], Single[Any]]:
+    """Products at hand, from which a plan measures a surface."""
+    values = {
+        surface.corrected_cameras: CameraSet(rig=rig, std={}, world="", rms_px=None),
+        surface.valid_patches: None,
+        surface.mesh: None,
+        surface.repaired: repaired,
+    }
+    return {
+        product: at_hand(value, stage="surface", name=product.name, version=1, inputs={})
+        for product, value in values.items()
+    }

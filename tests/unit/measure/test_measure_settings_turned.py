@@ -1,22 +1,19 @@
 """Turning a setting of the measurement does what its docstring says; other tests turn the ones not named here."""
 
-from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
-from solids import as_surface, ball, dome, rig_around
+from solids import as_surface, ball, dome, given_surface, rig_around
 from test_anthropometry import _breast_with_nipple
 from trunks import RADIUS_MM
 
 from mammometry.api.dates import _warnings
 from mammometry.base.errors import MeasureError
 from mammometry.geometry.transform import Transform
+from mammometry.job.graph import Plan
 from mammometry.job.inputs import Inputs
-from mammometry.job.measuring import Upstream, measure
-from mammometry.job.products import Forgetful, Product
-from mammometry.job.stage_values import CameraSet
+from mammometry.job.stages.measure import boundaries
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.boundary.breasts import creased_share
 from mammometry.measure.boundary.cast_base import Base, fit_base
@@ -261,23 +258,9 @@ def test_a_drawn_rim_is_known_as_well_as_the_settings_say() -> None:
         digests=dict.fromkeys(("subject", "boundaries", "landmarks"), "1"),
     )
 
-    def at_hand(name: str, value: object) -> Product[Any]:
-        def give(*, progress: Callable[[float], None]) -> object:
-            return value
-
-        return Product(Forgetful(), "surface", name, give)
-
-    upstream = Upstream(
-        cameras=at_hand("cameras", CameraSet(rig=rig, std={}, world="", rms_px=None)),
-        calibration=None,
-        foregrounds={},
-        valid=at_hand("valid", None),
-        mesh=at_hand("mesh", None),
-        repaired=at_hand("repaired", as_surface(mesh)),
-    )
-    plan = measure(inputs, upstream, MeasureSettings(drawn_rim_sigma_mm=0.75), Forgetful())
-    assert plan.boundaries is not None
-    assert [boundary.sigma_mm for boundary in plan.boundaries()] == [0.75]
+    settings = Settings().overridden(["measure.drawn_rim_sigma_mm=0.75"])
+    plan = Plan(inputs, settings, None, stages=("measure",), given=given_surface(as_surface(mesh), rig))
+    assert [boundary.sigma_mm for boundary in plan[boundaries]()] == [0.75]
 
 
 def test_a_measured_wall_is_known_as_well_as_the_settings_say() -> None:

@@ -12,7 +12,7 @@ from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.volume.movement import Movement, movement_of, movement_std_cc
 from mammometry.measure.volume.uncertainty import Evidence, interval
 from mammometry.surface.motion.motion_test import Displaced, Stillness
-from mammometry.surface.motion.rigid_motion import Unknowns, unknowns
+from mammometry.surface.motion.rigid_motion import MotionParameters, motion_parameters
 from mammometry.surface.repair.repair import Provenance, RepairedSurface
 
 MIDDLE = np.array([50.0, 50.0, 0.0])
@@ -37,7 +37,7 @@ RIG = Rig(
     cameras={name: _camera(name, x) for name, x in (("al", -300.0), ("ar", -100.0), ("bl", 100.0), ("br", 300.0))},
     pair_names={"a": ("al", "ar"), "b": ("bl", "br")},
 )
-ASKED: Unknowns = unknowns(RIG, ["a", "b"], MIDDLE)
+ASKED: MotionParameters = motion_parameters(RIG, ["a", "b"], MIDDLE)
 
 
 def _surface() -> RepairedSurface:
@@ -54,8 +54,8 @@ def _surface() -> RepairedSurface:
 
 def _found(covariance: np.ndarray, *, rest_mm: float = 0.0, moved: bool = True) -> Stillness:
     return Stillness(
-        compared=True, moved=moved, corrected=True, asked=ASKED, motions=np.zeros(ASKED.count), covariance=covariance,
-        rest_mm=rest_mm, evidence=20.0, apart_mm=(0.4, 0.1),
+        compared=True, moved=moved, corrected=True, parameters=ASKED, motions=np.zeros(ASKED.count),
+        covariance=covariance, rest_mm=rest_mm, evidence=20.0, distance_mm=(0.4, 0.1),
         displaced=(Displaced(pair="b", effect_mm=0.3, std_mm=0.1, body_mm=0.3),),
     )  # fmt: skip
 

@@ -19,7 +19,7 @@ from mammometry.measure.settings import BreastSettings
 from mammometry.measure.trunk.body import Body, Mounting, find_body, lies_across, rig_frame
 from mammometry.measure.trunk.skin_map import PIXEL_MM, Relief
 from mammometry.measure.trunk.thorax import Trunk, seen_skin
-from mammometry.measure.volume.lacking import lacking
+from mammometry.measure.volume.deficit import volume_deficit
 from mammometry.measure.volume.volumes import measure_volumes
 from mammometry.measure.wall.open_breast import open_breasts
 from mammometry.surface.repair.repair import RepairedSurface
@@ -190,7 +190,7 @@ def test_the_volume_lacking_is_that_of_the_breast_that_was_removed() -> None:
     surface = torso_with(LEFT, step_mm=3.5)
     edge = Boundary(name="left", points_world=edge_of(LEFT, "left", wider=1.03).points_world, method="drawn")
     measured = measure_volumes(open_breasts((edge,), surface, frame=np.eye(3)))
-    found = lacking(surface, measured, MIDDLE)
+    found = volume_deficit(surface, measured, MIDDLE)
     assert found is not None
     assert (found.name, found.curves) == ("right", 1)
     assert found.volume_cc == pytest.approx(volume_cc(LEFT), rel=0.02)  # edges of 3.5 mm
@@ -211,13 +211,13 @@ def test_the_volume_lacking_to_a_smaller_side_is_the_difference() -> None:
         for name, flip in (("left", (1, 1, 1)), ("right", (-1, 1, 1)))
     )
     measured = measure_volumes(open_breasts(edges, surface, frame=np.eye(3)))
-    found = lacking(surface, measured, MIDDLE)
+    found = volume_deficit(surface, measured, MIDDLE)
     assert found is not None
     assert found.curves == 2
     assert found.volume_cc == pytest.approx(volume_cc(LEFT) - volume_cc(smaller), rel=0.04)
 
 
 def test_nothing_is_lacking_where_nothing_is_known() -> None:
-    assert lacking(one_sided(), (), MIDDLE) is None
+    assert volume_deficit(one_sided(), (), MIDDLE) is None
     nowhere = replace(MIDDLE, plane_sigma_mm=None, scatter_mm=None)
     assert nowhere.plane is None

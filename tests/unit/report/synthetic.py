@@ -9,7 +9,7 @@ from mammometry.base.photograph import Photograph
 from mammometry.calibration.adjust.bundle import Calibration, ParameterCovariance
 from mammometry.calibration.adjust.left_out import LeftOut
 from mammometry.calibration.detection.detect import Detection, Observations
-from mammometry.calibration.targets.charuco import CharucoTarget
+from mammometry.calibration.targets.kinds.charuco import CharucoTarget
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform

@@ -18,7 +18,7 @@ from mammometry.report.words.cautions import skin_shares
 from mammometry.report.words.volume_words import MEANINGS, interval_words, meaning_sentences, volume_words
 from mammometry.report.words.warnings import RunResults, run_cautions, run_concerns, warnings
 from mammometry.settings import Settings
-from mammometry.surface.occlusion.occlusion import Blocked
+from mammometry.surface.occlusion.occlusion import Occlusion
 from mammometry.surface.repair.repair import Provenance
 
 
@@ -169,7 +169,7 @@ def test_each_fault_has_its_warning(rig) -> None:
     assert "No outline of the subject is used in the photographs of one_left, one_right: it does not fit the" in said
     assert "not separated from the background in two_left, two_right." in said  # as the settings asked
     assert "matched only" not in said
-    rail = Blocked(camera="one_left", blocks=np.ones((2, 2), dtype=bool), step=2, share=0.123)
+    rail = Occlusion(camera="one_left", blocks=np.ones((2, 2), dtype=bool), step=2, share=0.123)
     strap = replace(rail, camera="two_left", share=0.004)
     hidden = warned(rig, blocked={"one_left": rail, "two_left": strap})
     assert "Something hides part of the subject in the photographs of one_left (12 %)." in hidden

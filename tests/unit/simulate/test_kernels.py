@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 from scipy.ndimage import convolve1d
 
-from mammometry.calibration.targets.charuco import CharucoTarget
-from mammometry.calibration.targets.chessboard import ChessboardTarget
 from mammometry.calibration.targets.flat_body import BORDER_MM
+from mammometry.calibration.targets.kinds.charuco import CharucoTarget
+from mammometry.calibration.targets.kinds.chessboard import ChessboardTarget
 from mammometry.geometry.camera import Camera
 from mammometry.geometry.transform import Transform
 from mammometry.simulate.rendering import kernels, shading

@@ -8,9 +8,9 @@ from scipy.stats import poisson
 
 from mammometry.calibration.detection.detect import detect_in
 from mammometry.calibration.features.dots import measure_dots
-from mammometry.calibration.targets.charuco import CharucoTarget
-from mammometry.calibration.targets.circles import CirclesTarget
-from mammometry.calibration.targets.cylinder import DottedCylinderTarget
+from mammometry.calibration.targets.kinds.charuco import CharucoTarget
+from mammometry.calibration.targets.kinds.circles import CirclesTarget
+from mammometry.calibration.targets.kinds.cylinder import DottedCylinderTarget
 from mammometry.geometry.camera import Camera
 from mammometry.geometry.transform import Transform
 from mammometry.simulate.rendering.develop import develop

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from mammometry.calibration.targets.charuco import CharucoTarget
+from mammometry.calibration.targets.kinds.charuco import CharucoTarget
 from mammometry.simulate.rigs.build import flashes
 from mammometry.simulate.rigs.plan import DISTANCE_MM
 from mammometry.simulate.rigs.poses import draw_poses

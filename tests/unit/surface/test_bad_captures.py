@@ -10,7 +10,7 @@ from mammometry.matching.foreground.foreground import Foreground
 from mammometry.surface.fusion.fuse import extract
 from mammometry.surface.ranges.decompose import decompose
 from mammometry.surface.ranges.dents import remove_dents
-from mammometry.surface.repair import Provenance, repair
+from mammometry.surface.repair.repair import Provenance, repair
 from mammometry.surface.settings import DentSettings, ExtractSettings, RepairSettings
 
 RADII = (30.0, 30.0, 30.0)

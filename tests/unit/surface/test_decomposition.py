@@ -8,7 +8,7 @@ from spheres import camera_towards, ellipsoid_range, range_image
 
 from mammometry.base.errors import SurfaceError
 from mammometry.surface.ranges.decompose import decompose
-from mammometry.surface.ranges.dents import Kept, patch_angle_rad, remove_dents
+from mammometry.surface.ranges.dents import KeepMasks, patch_angle_rad, remove_dents
 from mammometry.surface.ranges.visibility import Label, check_agreement, compare, disagreement_mm, gap_mm
 from mammometry.surface.settings import DecomposeSettings, DentSettings
 
@@ -165,7 +165,7 @@ def test_errors_that_the_views_expect_of_themselves_are_no_moved_camera(sigma_mm
 def test_a_mask_over_the_views_gives_the_kept_data_again_to_the_bit():
     views = [view((0, 0, 1)), view((1, 0, 0.2))]
     valid = remove_dents(views, decompose(views), DentSettings(angle_deg=40.0))
-    kept = Kept(keep=tuple(image.valid for image in valid.range_images), angles_rad=valid.angles_rad)
+    kept = KeepMasks(keep=tuple(image.valid for image in valid.range_images), angles_rad=valid.angles_rad)
     again = kept.of(views)
     assert 0 < sum(keep.sum() for keep in kept.keep) < sum(image.valid.sum() for image in views)
     for ours, theirs in zip(valid.range_images, again.range_images, strict=True):

@@ -7,7 +7,7 @@ import pytest
 from spheres import camera_towards, ellipsoid_range, range_image, rig_of, silhouette
 
 from mammometry.surface.fusion.fuse import extract
-from mammometry.surface.occlusion.occlusion import find_blocked, unblocked
+from mammometry.surface.occlusion.occlusion import find_occlusions, without_occluded
 from mammometry.surface.settings import ExtractSettings
 
 RADIUS_MM = 30.0
@@ -37,12 +37,12 @@ def test_a_bar_in_one_photograph_takes_nothing_of_a_sphere():
     whole_mm3 = extract(images, foregrounds, rig, settings).volume_mm3()
     barred = foregrounds | {"c0": behind_a_bar(foregrounds["c0"])}
     assert extract(images, barred, rig, settings).volume_mm3() < 0.7 * whole_mm3  # as it would be carved
-    blocked = find_blocked(images, barred, rig)
+    blocked = find_occlusions(images, barred, rig)
     assert set(blocked) == {"c0"}
     # Of the disc, a strip of 7 of 60 px: 2 · 7 / (π · 30) = 14.9 %, less a guard of 3 px at both of its sides where
     # other cameras' data do not reach over, and up to what the bar's own width closes.
     assert blocked["c0"].share == pytest.approx(0.149, abs=0.03)
-    opened = unblocked(barred, blocked)
+    opened = without_occluded(barred, blocked)
     assert extract(images, opened, rig, settings).volume_mm3() == pytest.approx(whole_mm3, rel=0.01)
     assert all(opened[name] is barred[name] for name in ("c1", "c2", "c3"))
 
@@ -55,7 +55,7 @@ def test_where_two_of_three_cameras_are_blocked_the_third_one_decides():
     coverage["c2"][:64] = 0.0
     coverage["c3"][CORNER_PX] = 0.0
     barred = foregrounds | {name: replace(foregrounds[name], coverage=each) for name, each in coverage.items()}
-    blocked = find_blocked([images[0]], barred, rig)
+    blocked = find_occlusions([images[0]], barred, rig)
     assert set(blocked) == set(coverage)
     hidden = coverage["c3"] < foregrounds["c3"].coverage
     assert (blocked["c3"].pixels(hidden.shape) & hidden).sum() > 0.8 * hidden.sum()
@@ -63,7 +63,7 @@ def test_where_two_of_three_cameras_are_blocked_the_third_one_decides():
 
 def test_clean_silhouettes_are_left_as_they_are():
     images, foregrounds, rig = sphere_seen()
-    assert find_blocked(images, foregrounds, rig) == {}
+    assert find_occlusions(images, foregrounds, rig) == {}
 
 
 def test_what_most_cameras_see_beside_the_subject_is_none_of_it():
@@ -72,20 +72,20 @@ def test_what_most_cameras_see_beside_the_subject_is_none_of_it():
     beside = np.array(images[0].range_mm)
     beside[10:30, 10:30] = 400.0
     wrong = range_image(images[0].camera, np.where(beside > 0, beside, np.nan))
-    assert find_blocked([wrong, *images[1:]], foregrounds, rig) == {}
+    assert find_occlusions([wrong, *images[1:]], foregrounds, rig) == {}
 
 
 def test_unknown_silhouettes_have_no_say():
     images, foregrounds, rig = sphere_seen()
     unknown = {name: replace(each, everything=True) for name, each in foregrounds.items()}
-    assert find_blocked(images, unknown | {"c0": behind_a_bar(foregrounds["c0"], EDGE_PX)}, rig) == {}
+    assert find_occlusions(images, unknown | {"c0": behind_a_bar(foregrounds["c0"], EDGE_PX)}, rig) == {}
 
 
 def test_a_single_other_camera_is_outvoted_by_none():
     """One camera sees the skin, one sees none of it: nobody else tells which is right, and the silhouette holds."""
     images, foregrounds, rig = sphere_seen()
     few = {"c0": behind_a_bar(foregrounds["c0"], EDGE_PX), "c1": foregrounds["c1"]}
-    assert find_blocked([images[0]], few, rig) == {}
+    assert find_occlusions([images[0]], few, rig) == {}
 
 
 def test_a_band_that_no_camera_matches_takes_nothing():
@@ -103,8 +103,8 @@ def test_a_band_that_no_camera_matches_takes_nothing():
     settings = ExtractSettings(cube_mm=1.0)
     whole_mm3 = extract(images, foregrounds, rig, settings).volume_mm3()
     assert extract(unmeasured, banded, rig, settings).volume_mm3() < 0.7 * whole_mm3  # half of it is carved away
-    blocked = find_blocked(unmeasured, banded, rig)
+    blocked = find_occlusions(unmeasured, banded, rig)
     assert set(blocked) == set(banded)
     # 8 mm of a sphere of 30 mm, less what the band itself could bulge: a cap between two chords, 8² / (8 · 30) = .3 mm.
-    opened = unblocked(banded, blocked)
+    opened = without_occluded(banded, blocked)
     assert extract(unmeasured, opened, rig, settings).volume_mm3() == pytest.approx(whole_mm3, rel=0.03)

@@ -13,8 +13,8 @@ from mammometry.surface.motion import rigid_motion as motions
 from mammometry.surface.motion.agreement import differences
 from mammometry.surface.motion.motion_messages import concerns, summary
 from mammometry.surface.motion.motion_test import find
-from mammometry.surface.motion.retriangulate import carried
-from mammometry.surface.motion.rigid_motion import Observed, most_probable, rigid_motions, unknowns
+from mammometry.surface.motion.retriangulate import retriangulated
+from mammometry.surface.motion.rigid_motion import Observed, most_probable, motion_parameters, rigid_motions
 from mammometry.surface.settings import StillnessSettings
 
 RIG = calibrated_rig()
@@ -90,7 +90,7 @@ def test_carried_data_are_those_that_the_cameras_would_have_measured():
     stood = standing(RIG, {"front_l": np.array([2e-4, -3e-4, 1e-4]), "front_r": np.array([0.0, 4e-4, 0.0])})
     wrong, _ = measured(RIG, stood, "front")
     right, _ = measured(stood, stood, "front")
-    found = carried(wrong, RIG.pair("front"), stood.pair("front"))
+    found = retriangulated(wrong, RIG.pair("front"), stood.pair("front"))
     assert np.abs(wrong.range_mm - right.range_mm)[right.valid].max() > 0.1
     # rays that miss each other by a thousandth of a radian at most: second order, and float32
     assert np.abs(found.range_mm - right.range_mm)[right.valid].max() < 2e-3
@@ -98,7 +98,7 @@ def test_carried_data_are_those_that_the_cameras_would_have_measured():
 
 def test_carrying_nowhere_changes_nothing(still):
     _, images = still
-    same = carried(images[0], RIG.pair("front"), RIG.pair("front"))
+    same = retriangulated(images[0], RIG.pair("front"), RIG.pair("front"))
     np.testing.assert_allclose(same.range_mm, images[0].range_mm, rtol=1e-6)
     np.testing.assert_array_equal(same.valid, images[0].valid)
 
@@ -109,7 +109,7 @@ def test_differences_have_the_sign_and_size_of_a_shift():
     for each in differences(images):
         sign = {"front": 1.0}
         apart = (sign.get(each.first, 0.0) - sign.get(each.second, 0.0)) * -0.5 * each.normals[:, 2]
-        np.testing.assert_allclose(each.apart_mm, apart, atol=0.03)  # ranges between pixels of 1 mm, on curved skin
+        np.testing.assert_allclose(each.distance_mm, apart, atol=0.03)  # ranges between pixels of 1 mm, on curved skin
 
 
 def test_a_still_capture_is_left_alone(still):
@@ -156,7 +156,7 @@ def test_rows_that_common_skin_contradicts_move_nothing(still):
 def test_turned_cameras_are_put_right(turned):
     found, images, _ = turned
     assert found.corrected
-    assert found.apart_mm[1] < 0.5 * found.apart_mm[0]
+    assert found.distance_mm[1] < 0.5 * found.distance_mm[0]
     before, after = off_mm(replace(found, corrected=False), images), off_mm(found, images)
     assert before > 2 * NOISE_MM
     assert after < max(0.4 * before, 1.5 * NOISE_MM)
@@ -176,7 +176,8 @@ def test_what_is_left_is_as_large_as_claimed():
         claimed = np.sqrt(np.mean([each.std_mm**2 for each in found.displaced]))
         points = [image.valid_points_world()[::50] for image in images]
         true = [
-            carried(image, RIG.pair(image.name), stood.pair(image.name)).valid_points_world()[::50] for image in images
+            retriangulated(image, RIG.pair(image.name), stood.pair(image.name)).valid_points_world()[::50]
+            for image in images
         ]
         ours = [found.carry(image, RIG).valid_points_world()[::50] for image in images]
         away = np.concatenate(ours) - np.concatenate(true)
@@ -265,7 +266,7 @@ def test_a_pair_that_no_other_sees_moves_by_as_much_as_the_others_for_all_we_kno
 
 def test_pairs_that_share_a_camera_move_together():
     shared = replace(RIG, pair_names={**RIG.pair_names, "across": ("front_r", "right_l")})
-    asked = unknowns(shared, list(shared.pair_names), np.zeros(3))
+    asked = motion_parameters(shared, list(shared.pair_names), np.zeros(3))
     assert sorted(sorted(group) for group in asked.groups) == [["across", "front", "right"], ["left"]]
     assert asked.count == 3 * 6 + 6 * 2
     assert asked.of_group("front") == asked.of_group("across") != asked.of_group("left")
@@ -273,7 +274,7 @@ def test_pairs_that_share_a_camera_move_together():
 
 def test_the_unexplained_rest_is_said():
     found = replace(
-        stillness._nothing(unknowns(RIG, list(RIG.pair_names), np.zeros(3))),
+        stillness._nothing(motion_parameters(RIG, list(RIG.pair_names), np.zeros(3))),
         moved=True,
         rest_mm=0.3,
         unexplained=True,
@@ -298,7 +299,7 @@ def dense_log_evidence(seen, asked, turn_rad, shift_mm, rest_mm):
 
 def test_evidence_block_by_block_is_that_of_the_whole_covariance():
     rng = np.random.default_rng(5)
-    asked = unknowns(RIG, list(RIG.pair_names), np.zeros(3))
+    asked = motion_parameters(RIG, list(RIG.pair_names), np.zeros(3))
     roots = [rng.normal(size=(count, count)) for count in (7, 9, 5, 4)]
     distances = np.arange(25) < 16
     seen = Observed(

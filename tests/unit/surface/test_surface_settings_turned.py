@@ -14,8 +14,8 @@ from mammometry.matching.foreground.foreground import Foreground
 from mammometry.surface.fusion.field import build_field, nearest_of_others_mm, view_elements
 from mammometry.surface.fusion.fuse import closing_box_of, extract
 from mammometry.surface.ranges.dents import remove_dents
-from mammometry.surface.repair import Provenance, repair
 from mammometry.surface.repair.correspond import view_data
+from mammometry.surface.repair.repair import Provenance, repair
 from mammometry.surface.settings import DentSettings, ExtractSettings, FieldSettings, RepairSettings, TextureSettings
 from mammometry.surface.texture.texture import paint, view_samples
 

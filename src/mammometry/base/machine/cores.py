@@ -24,9 +24,9 @@ def available_cores() -> int:
 
     All that the system allows, or fewer if ``MAMMOMETRY_CORES`` says so.
     """
-    there = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    count = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     wanted = os.environ.get(CORES, "")
-    return min(there, max(1, int(wanted))) if wanted.isdecimal() else there
+    return min(count, max(1, int(wanted))) if wanted.isdecimal() else count
 
 
 @contextmanager

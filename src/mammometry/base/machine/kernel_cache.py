@@ -79,7 +79,7 @@ class _ByContent:
 
 class _Places(CompileResultCacheImpl):
     _locator_classes = tuple(
-        type(one.__name__, (_ByContent, one), {}) for one in CompileResultCacheImpl._locator_classes
+        type(locator.__name__, (_ByContent, locator), {}) for locator in CompileResultCacheImpl._locator_classes
     )
 
 

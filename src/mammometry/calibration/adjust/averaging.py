@@ -93,17 +93,17 @@ def _spanning_tree(
     By what most poses agree on first (Prim).
     """
     edges: dict[tuple[str, str], tuple[int, Transform]] = {}
-    for one, other in combinations(cameras, 2):
+    for camera_pair, other in combinations(cameras, 2):
         relative = [
-            placed @ camera_from_target[one, pose].inverse()
+            placed @ camera_from_target[camera_pair, pose].inverse()
             for (camera, pose), placed in camera_from_target.items()
-            if camera == other and (one, pose) in camera_from_target
+            if camera == other and (camera_pair, pose) in camera_from_target
         ]
         if relative:
             other_from_one = median_transform(relative)
-            agreeing = sum(_agree(each, other_from_one) for each in relative)
-            edges[one, other] = agreeing, other_from_one
-            edges[other, one] = agreeing, other_from_one.inverse()
+            agreeing = sum(_agree(motion, other_from_one) for motion in relative)
+            edges[camera_pair, other] = agreeing, other_from_one
+            edges[other, camera_pair] = agreeing, other_from_one.inverse()
     root = max(edges, key=lambda edge: edges[edge][0])[0] if edges else cameras[0]
     found = {root: Transform.identity()}
     while len(found) < len(cameras):

@@ -144,24 +144,22 @@ def _with_needed_k3(solved: Solved, priors: Mapping[str, CameraPrior], settings:
     network = solved.problem.network
     columns = network.columns_of_intrinsic("k3")
     fixed = [camera in priors and "k3" in priors[camera].fixed for camera in network.cameras]
-    asked = ~np.array(fixed)[: len(columns)]
-    if settings.k3 == "zero" or not asked.any():
+    free = ~np.array(fixed)[: len(columns)]
+    if settings.k3 == "zero" or not free.any():
         return solved
     held = solved.problem.held.copy()
-    held[columns[asked]] = False
+    held[columns[free]] = False
     freed = adjusted(network, held, solved.state, settings)
     if settings.k3 == "free":
         return freed
     std = np.sqrt(np.diag(clustered_covariance(freed, _independent(freed)))[columns])
     known = np.isfinite(network.prior_intrinsics_std[:, INTRINSIC_NAMES.index("k3")])
-    needed = asked & (
-        known | (np.abs(freed.state.intrinsics[:, INTRINSIC_NAMES.index("k3")]) > settings.k3_sigma * std)
-    )
+    needed = free & (known | (np.abs(freed.state.intrinsics[:, INTRINSIC_NAMES.index("k3")]) > settings.k3_sigma * std))
     if needed.all():
         return freed
     if not needed.any():
         return solved
-    held[columns[asked & ~needed]] = True
+    held[columns[free & ~needed]] = True
     return adjusted(network, held, solved.state, settings)
 
 

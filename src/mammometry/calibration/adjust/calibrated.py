@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
 
+from mammometry.base.value import value
 from mammometry.calibration.adjust.left_out import LeftOut
 from mammometry.calibration.detection.detect import Observations
-from mammometry.geometry.arrays import Array, Float64, read_only
+from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.camera import Rig
 from mammometry.geometry.transform import Transform
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class ParameterCovariance:
     """Joint covariance of all cameras and placements, whatever else was adjusted."""
 
@@ -27,10 +27,6 @@ class ParameterCovariance:
     independent: Float64[Array, "p p"]
     """Covariance for independent residuals: smaller, and usually wrong."""
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "matrix", read_only(self.matrix))
-        object.__setattr__(self, "independent", read_only(self.independent))
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SetAside:
@@ -42,7 +38,7 @@ class SetAside:
     """Median reprojection error of its points with the other views' estimate, px."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class Calibration:
     """The calibrated rig, its residuals and uncertainty."""
 
@@ -84,12 +80,3 @@ class Calibration:
     """Steps of the last adjustment."""
     converged: bool
     """Whether the last adjustment reached its minimum."""
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "target_points", read_only(self.target_points))
-        object.__setattr__(self, "residuals_px", tuple(read_only(part) for part in self.residuals_px))
-        for name in ("world_from_target", "intrinsics_observations", "intrinsics_residuals_px"):
-            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
-        for name in ("parameter_std", "independent_std"):
-            std = {camera: MappingProxyType(dict(values)) for camera, values in getattr(self, name).items()}
-            object.__setattr__(self, name, MappingProxyType(std))

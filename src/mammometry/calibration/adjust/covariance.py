@@ -34,10 +34,10 @@ def independent_covariance(solved: Solved) -> Float64[Array, "p p"]:
     covariance[problem.held] = 0.0
     covariance[:, problem.held] = 0.0
     priors = int(np.isfinite(problem.network.prior_intrinsics_std).sum()) + 3 * len(problem.network.free_points)
-    unknowns = int((~problem.held).sum()) + 3 * len(problem.network.free_points)
-    redundancy = 2 * int(problem.active.sum()) + priors - unknowns
+    motion_parameters = int((~problem.held).sum()) + 3 * len(problem.network.free_points)
+    redundancy = 2 * int(problem.active.sum()) + priors - motion_parameters
     if redundancy <= 0:
-        raise ValueError(f"{int(problem.active.sum())} points for {unknowns} parameters")
+        raise ValueError(f"{int(problem.active.sum())} points for {motion_parameters} parameters")
     return covariance * (2 * problem.cost(solved.state) / redundancy)
 
 

@@ -7,14 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from threading import Lock
-from types import MappingProxyType
 
 import cv2
 import numpy as np
 
 from mammometry.base.errors import CalibrationError
+from mammometry.base.value import value
 from mammometry.calibration.adjust.averaging import average_network, components
 from mammometry.calibration.adjust.prior import CameraPrior
 from mammometry.calibration.detection.detect import Detection, Observations
@@ -54,7 +53,7 @@ class TooFewViewsError(CalibrationError):
         self.cameras = tuple(cameras)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class InitialRig:
     """Where the adjustment starts. Good to a pixel or so."""
 
@@ -65,10 +64,6 @@ class InitialRig:
     """Pose → placement of the rig's target. The first pose's, in name order, is the world."""
     own_camera_from_target: Mapping[tuple[str, str], Transform]
     """(Camera, pose) → placement of the target in that camera's own intrinsics photographs."""
-
-    def __post_init__(self) -> None:
-        for name in ("intrinsics", "camera_from_world", "world_from_target", "own_camera_from_target"):
-            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
 
 
 def initialise(
@@ -333,10 +328,10 @@ def resect(
             continue
         turn, shift = cv2.solvePnPRefineLM(points, ideal, np.eye(3), None, turn.reshape(3, 1), shift.reshape(3, 1))
         pose = Transform.from_rotation_vector(turn.ravel(), shift.ravel())
-        there = pose.apply(points)
-        if (there[:, 2] <= 0).any():
+        placed = pose.apply(points)
+        if (placed[:, 2] <= 0).any():
             continue
-        error = float(np.sum((there[:, :2] / there[:, 2:] - ideal) ** 2))
+        error = float(np.sum((placed[:, :2] / placed[:, 2:] - ideal) ** 2))
         if error < least:
             best, least = pose, error
     return best

@@ -6,11 +6,10 @@ It comes from a rig's last calibration, or from values to be kept.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from types import MappingProxyType
 
 import numpy as np
 
+from mammometry.base.value import value
 from mammometry.calibration.adjust.projection import INTRINSIC_NAMES, intrinsics_of
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.camera import Camera
@@ -19,7 +18,7 @@ LENS_NAMES = INTRINSIC_NAMES[:9]
 """Parameters of which something may be known beforehand."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class CameraPrior:
     """A camera's earlier lens, each parameter free, fixed or softly held.
 
@@ -37,7 +36,6 @@ class CameraPrior:
         for name, std in self.std.items():
             if name not in LENS_NAMES or not (np.isfinite(std) and std >= 0):
                 raise ValueError(f"{self.camera.name}: no prior can have a standard deviation of {std} in {name}")
-        object.__setattr__(self, "std", MappingProxyType(dict(self.std)))
 
     @property
     def intrinsics(self) -> Float64[Array, 10]:

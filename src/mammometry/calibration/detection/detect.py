@@ -17,15 +17,16 @@ import numpy as np
 from mammometry.base.errors import ImageError
 from mammometry.base.photograph import Photograph
 from mammometry.base.progress import Progress, no_progress
+from mammometry.base.value import value
 from mammometry.calibration.detection.diagnose import diagnose
 from mammometry.calibration.detection.measured_points import MeasuredPoints, points_from_table
 from mammometry.calibration.features.found_points import Cause, FoundPoints
 from mammometry.calibration.settings import DetectSettings
 from mammometry.calibration.targets.target import Target
-from mammometry.geometry.arrays import Array, Float64, Int64, read_only
+from mammometry.geometry.arrays import Array, Float64, Int64
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class Detection:
     """The points of the target that one camera saw in one pose."""
 
@@ -45,8 +46,6 @@ class Detection:
             raise ValueError(f"{self.pose}/{self.camera}: ids must ascend without repetition")
         if not (np.isfinite(self.uv).all() and np.isfinite(self.covariance_px2).all()):
             raise ValueError(f"{self.pose}/{self.camera}: a point or covariance is not finite")
-        for name in ("ids", "uv", "covariance_px2"):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,7 +64,7 @@ class MissedView:
         return f"pose {self.pose}, {self.camera}: {self.found}" + (f". {self.remedy}" if self.remedy else "")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class Observations:
     """All detections of one target: the input of the bundle adjustment."""
 
@@ -78,7 +77,6 @@ class Observations:
     """Photographs that are not used, and why."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "sizes_wh", MappingProxyType(dict(self.sizes_wh)))
         count = len(self.target.points_target)
         for detection in self.detections:
             if detection.camera not in self.sizes_wh:

@@ -6,17 +6,17 @@ They serve targets that cannot be identified here.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from mammometry.base.errors import CalibrationError
+from mammometry.base.value import value
 from mammometry.calibration.features.found_points import FoundPoints
 from mammometry.calibration.targets.target import Target
-from mammometry.geometry.arrays import Array, Float64, Int64, read_only
+from mammometry.geometry.arrays import Array, Float64, Int64
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class MeasuredPoints:
     """Image points of one photograph from a table, not yet checked. The check is against a target."""
 
@@ -26,10 +26,6 @@ class MeasuredPoints:
     """Id of each point: its position in the target's list, from 0."""
     uv: Float64[Array, "n 2"]
     """Distorted pixels, integers at pixel centres."""
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "ids", read_only(self.ids))
-        object.__setattr__(self, "uv", read_only(self.uv))
 
 
 def points_from_table(

@@ -5,13 +5,12 @@ SIFT (Lowe 2004) of OpenCV, on a reduced picture: enough to tell which pictures 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import cv2
 import numpy as np
 
 from mammometry.base.photograph import Photograph
-from mammometry.geometry.arrays import Array, Float32, Float64, read_only
+from mammometry.base.value import value
+from mammometry.geometry.arrays import Array, Float32, Float64
 
 WIDTH_PX = 450
 """Columns, about, of the reduced picture: hundreds still match, as many as of 600, in three quarters of the time."""
@@ -21,17 +20,13 @@ _COARSE_STEP = 4  # pixels to one of the reduced picture, from which on half of 
 _RATIO = 0.8  # of the nearest to the second nearest descriptor; Lowe 2004, section 7.1
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class Keypoints:
     """Features of one picture."""
 
     uv: Float64[Array, "n 2"]
     """Places in the whole picture, px, integers at pixel centres."""
     descriptors: Float32[Array, "n 128"]
-
-    def __post_init__(self) -> None:
-        for name in ("uv", "descriptors"):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
 
 
 def keypoints(photograph: Photograph, *, width_px: int = WIDTH_PX) -> Keypoints:

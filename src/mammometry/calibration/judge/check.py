@@ -10,12 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from types import MappingProxyType
 from typing import Literal, TypeAlias
 
 import numpy as np
 
 from mammometry.base.errors import CalibrationError, ImageError
+from mammometry.base.value import value
 from mammometry.calibration.adjust.bundle import Calibration, ParameterCovariance
 from mammometry.calibration.adjust.initialise import resect
 from mammometry.calibration.adjust.projection import intrinsics_of
@@ -33,7 +33,7 @@ from mammometry.calibration.judge.sighting import (
 )
 from mammometry.calibration.settings import CheckSettings
 from mammometry.calibration.targets.target import Target
-from mammometry.geometry.arrays import Array, Float64, read_only
+from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.transform import Transform
 
@@ -45,7 +45,7 @@ _LEAST_POINTS = 6
 _UNKNOWN_ERRORS = 5.0  # what ready-made cameras may disagree by more than one exposure's noise says
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class Reference:
     """Calibrated rig to compare an exposure with, and its known errors."""
 
@@ -63,16 +63,12 @@ class Reference:
     rms_px: Mapping[str, float] = field(default_factory=dict)
     """Camera → what was left of its views in the calibration, px."""
 
-    def __post_init__(self) -> None:
-        for name in ("target_points", "volume_world"):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
-
     @classmethod
     def of(cls, calibration: Calibration) -> Reference:
         """Return all that a calibration knows of its rig."""
         seen = sightings(calibration)
         places = [placed.apply(calibration.target_points) for placed in calibration.world_from_target.values()]
-        cameras = dict.fromkeys(one.camera for one in seen)
+        cameras = dict.fromkeys(sighting.camera for sighting in seen)
         return cls(
             rig=calibration.rig,
             target_points=calibration.target_points,
@@ -102,7 +98,7 @@ class CameraCheck:
     """Residual when this camera alone places the target, px: large if its lens or the target changed."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class RigCheck:
     """What a later exposure of the target says of a calibration."""
 
@@ -121,10 +117,6 @@ class RigCheck:
     world_from_target: Mapping[str, Transform]
     """Exposure → where the cameras that stood still see the target. Read-only."""
 
-    def __post_init__(self) -> None:
-        for name in ("cameras", "pairs", "world_from_target"):
-            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
-
     @property
     def effect_mm(self) -> float:
         """RMS displacement of the points that the worst pair measures, mm."""
@@ -139,11 +131,11 @@ def scatter(calibration: Calibration, seen: Sequence[Sighting]) -> float:
     """
     ratios = []
     for pose, placed in calibration.world_from_target.items():
-        views = [one for one in seen if one.pose == pose]
+        views = [sighting for sighting in seen if sighting.pose == pose]
         if len(views) < 2:
             continue
-        twists = [one.twist_from(placed) for one in views]
-        weights = [one.information for one in views]
+        twists = [view.twist_from(placed) for view in views]
+        weights = [view.information for view in views]
         pulled = np.sum([weight @ twist for weight, twist in zip(weights, twists, strict=True)], axis=0)
         mean = np.linalg.lstsq(np.sum(weights, axis=0), pulled, rcond=None)[0]
         misfit = sum((twist - mean) @ weight @ (twist - mean) for weight, twist in zip(weights, twists, strict=True))
@@ -165,7 +157,7 @@ def check(reference: Reference, observations: Observations, settings: CheckSetti
     """
     _check_sizes(reference.rig, observations)
     seen = _sightings(reference, observations)
-    cameras = tuple(name for name in reference.rig.cameras if any(one.camera == name for one in seen))
+    cameras = tuple(name for name in reference.rig.cameras if any(sighting.camera == name for sighting in seen))
     inflation = max(reference.inflation, settings.least_inflation)
     agreement = Agreement(
         seen=seen,
@@ -224,7 +216,7 @@ def _sightings(reference: Reference, observations: Observations) -> tuple[Sighti
         camera = reference.rig.cameras.get(detection.camera)
         start = None if camera is None else _start(camera, detection, reference.target_points)
         if camera is not None and start is not None:
-            one = sight(
+            sighting = sight(
                 camera,
                 detection,
                 reference.target_points,
@@ -232,13 +224,13 @@ def _sightings(reference: Reference, observations: Observations) -> tuple[Sighti
                 noise_factor=reference.noise_factor,
                 parameters=camera_parameters(names, camera.name),
             )
-            found += [] if one is None else [one]
-    together = tuple(one for one in found if sum(other.pose == one.pose for other in found) > 1)
+            found += [] if sighting is None else [sighting]
+    together = tuple(sighting for sighting in found if sum(other.pose == sighting.pose for other in found) > 1)
     if not together:
         raise CalibrationError(
             "the exposure of the target",
             found="no two cameras of the rig that see it together"
-            + (f" (only {', '.join(sorted({one.camera for one in found}))})" if found else ""),
+            + (f" (only {', '.join(sorted({sighting.camera for sighting in found}))})" if found else ""),
             expected="at least two, better all",
             remedy="Hold the target of the calibration where most cameras see it, and expose them together",
         )
@@ -255,25 +247,25 @@ def _start(camera: Camera, detection: Detection, points: Float64[Array, "p 3"]) 
 def _nearest_to_all(seen: Sequence[Sighting]) -> dict[str, Transform]:
     """Sighting of each exposure that is nearest to the others. A moved camera does not pull it."""
     placed = {}
-    for pose in sorted({one.pose for one in seen}):
-        views = [one for one in seen if one.pose == pose]
+    for pose in sorted({sighting.pose for sighting in seen}):
+        views = [sighting for sighting in seen if sighting.pose == pose]
         apart = [
-            np.median([one.shift_px(one.twist_from(o.world_from_target)) for o in views if o is not one])
-            for one in views
+            np.median([view.shift_px(view.twist_from(o.world_from_target)) for o in views if o is not view])
+            for view in views
         ]
         placed[pose] = views[int(np.argmin(apart))].world_from_target
     return placed
 
 
 def _camera_check(agreement: Agreement, camera: Camera, chosen: Sequence[str], chance: float) -> CameraCheck:
-    mine = [one for one in agreement.seen if one.camera == camera.name]
+    mine = [sighting for sighting in agreement.seen if sighting.camera == camera.name]
     motion = agreement.motion(camera, chosen, chance)
     return CameraCheck(
         camera=camera.name,
         moved=camera.name in chosen,
         motion=motion,
-        shift_px=float(np.sqrt(np.mean([one.shift_px(as_twist(motion.motion)) ** 2 for one in mine]))),
-        rms_px=float(np.sqrt(np.mean([one.rms_px**2 for one in mine]))),
+        shift_px=float(np.sqrt(np.mean([sighting.shift_px(as_twist(motion.motion)) ** 2 for sighting in mine]))),
+        rms_px=float(np.sqrt(np.mean([sighting.rms_px**2 for sighting in mine]))),
     )
 
 
@@ -300,17 +292,17 @@ def _about_moves(
     settings: CheckSettings,
 ) -> Iterator[str]:
     if not candidates[0]:
-        most = max(checks.values(), key=lambda one: one.shift_px)
+        most = max(checks.values(), key=lambda camera_check: camera_check.shift_px)
         yield (
             f"no camera moved: {len(checks)} cameras agree where the target stands to within their noise, at most "
             f"{most.shift_px:.3f} px ({most.camera})"
         )
         return
-    for one in sorted(checks.values(), key=lambda one: -one.shift_px):
-        if one.moved:
+    for camera_check in sorted(checks.values(), key=lambda camera_check: -camera_check.shift_px):
+        if camera_check.moved:
             yield (
-                f"{one.camera} moved: {motion_words(one.motion)}, {one.shift_px:.2f} px on the target, "
-                f"{one.motion.sigma:.0f} standard errors"
+                f"{camera_check.camera} moved: {motion_words(camera_check.motion)}, "
+                f"{camera_check.shift_px:.2f} px on the target, {camera_check.motion.sigma:.0f} standard errors"
             )
     if len(candidates) > 1:
         others = " or ".join(" with ".join(names) for names in candidates[1:4])
@@ -333,12 +325,13 @@ def motion_words(motion: Motion) -> str:
 
 
 def _about_lenses(checks: Mapping[str, CameraCheck], reference: Reference, settings: CheckSettings) -> Iterator[str]:
-    typical = float(np.median([one.rms_px for one in checks.values()]))
-    for one in checks.values():
-        before = reference.rms_px.get(one.camera, typical)
-        if one.rms_px > settings.lens_ratio * before:
+    typical = float(np.median([camera_check.rms_px for camera_check in checks.values()]))
+    for camera_check in checks.values():
+        before = reference.rms_px.get(camera_check.camera, typical)
+        if camera_check.rms_px > settings.lens_ratio * before:
             yield (
-                f"what {one.camera} sees fits no place of the target ({one.rms_px:.3f} px left, {before:.3f} before): "
+                f"what {camera_check.camera} sees fits no place of the target "
+                f"({camera_check.rms_px:.3f} px left, {before:.3f} before): "
                 "its focus or zoom, or the target, has changed"
             )
 

@@ -7,19 +7,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
 
 import numpy as np
 
+from mammometry.base.value import value
 from mammometry.calibration.adjust.calibrated import Calibration
 from mammometry.calibration.adjust.network import POSE_NAMES_CAMERA, tie_of
 from mammometry.calibration.adjust.projection import intrinsics_of, project_with_derivatives
 from mammometry.calibration.judge.working_volume import WorkingVolume, sees, working_volume
-from mammometry.geometry.arrays import Array, Float64, Int64, read_only
+from mammometry.geometry.arrays import Array, Float64, Int64
 from mammometry.geometry.camera import Camera
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class ExpectedError:
     """Standard deviations of reconstructed points from the calibration alone.
 
@@ -32,10 +32,6 @@ class ExpectedError:
     """Pair → standard deviation of a reconstructed point's distance from the true one (root of the covariance's trace)
     on the volume's grid. NaN where one camera does not see it.
     """
-
-    def __post_init__(self) -> None:
-        std = {pair: read_only(values) for pair, values in self.std_mm.items()}
-        object.__setattr__(self, "std_mm", MappingProxyType(std))
 
     @property
     def rms_mm(self) -> Mapping[str, float]:

@@ -67,21 +67,21 @@ def about_missed(calibration: Calibration) -> Iterator[Finding]:
 
 def about_movements(movements: Sequence[Movement], settings: QualitySettings) -> Iterator[Finding]:
     """Report cameras that moved during the calibration."""
-    for one in movements:
-        size = f"{np.linalg.norm(one.shift_mm):.3f} mm and {np.degrees(np.linalg.norm(one.turn_rad)):.4f}°"
-        seen = f"{one.shift_px:.2f} px on the target, {one.sigma:.0f} standard errors"
-        if len(one.cameras) > 1:
-            said = f"pose {one.first}: {' and '.join(one.cameras)} were not exposed together with the others, or the "
-            said += f"target moved between ({size}; {seen})"
-        elif one.only:
-            said = (
-                f"pose {one.first}: {one.cameras[0]} was not exposed together with the others, or moved in this pose "
-            )
-            said += f"alone ({size}; {seen}). Take this picture out"
+    for movement in movements:
+        size = f"{np.linalg.norm(movement.shift_mm):.3f} mm and {np.degrees(np.linalg.norm(movement.turn_rad)):.4f}°"
+        seen = f"{movement.shift_px:.2f} px on the target, {movement.sigma:.0f} standard errors"
+        if len(movement.cameras) > 1:
+            sentence = f"pose {movement.first}: {' and '.join(movement.cameras)} were not exposed together with the "
+            sentence += f"others, or the target moved between ({size}; {seen})"
+        elif movement.only:
+            sentence = f"pose {movement.first}: {movement.cameras[0]} was not exposed together with the "
+            sentence += f"others, or moved in this pose alone ({size}; {seen}). Take this picture out"
         else:
-            said = f"{one.cameras[0]} moved before pose {one.first}, by {size} ({seen}). Poses before and after do not "
-            said += f"belong together. Points would be {one.effect_mm:.2f} mm off"
-        yield "refuse" if one.effect_mm > settings.moved_refuse_mm else "warn", said
+            sentence = f"{movement.cameras[0]} moved before pose {movement.first}, by {size} ({seen}). "
+            sentence += (
+                f"Poses before and after do not belong together. Points would be {movement.effect_mm:.2f} mm off"
+            )
+        yield "refuse" if movement.effect_mm > settings.moved_refuse_mm else "warn", sentence
 
 
 def about_fit(calibration: Calibration, views: Sequence[ViewQuality], settings: QualitySettings) -> Iterator[Finding]:

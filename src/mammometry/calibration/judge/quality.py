@@ -8,11 +8,10 @@ reconstructed from each pair as the skin will be. Each view alone is tested for 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from types import MappingProxyType
 
 import numpy as np
 
+from mammometry.base.value import value
 from mammometry.calibration.adjust.bundle import Calibration
 from mammometry.calibration.judge.cameras.pose_motion import Movement, movements
 from mammometry.calibration.judge.expected_error import expected_error
@@ -45,7 +44,7 @@ _GRID_WH = (8, 6)
 _GRAVITY: Mapping[Verdict, int] = {"refuse": 0, "warn": 1, "pass": 2}
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class CalibrationQuality:
     """The verdict, its reasons, and the figures behind them."""
 
@@ -74,10 +73,6 @@ class CalibrationQuality:
     pairs: tuple[PairQuality, ...]
     movements: tuple[Movement, ...]
     """What moved while the rig was calibrated, the most certain first."""
-
-    def __post_init__(self) -> None:
-        for name in ("rms_px_per_camera", "rms_px_per_pose", "coverage", "focal_std", "expected_mm"):
-            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
 
 
 def assess(calibration: Calibration, settings: QualitySettings = QualitySettings()) -> CalibrationQuality:

@@ -29,14 +29,14 @@ def require_sides(rig: Rig, upside_down: Collection[str]) -> None:
             x_mm = -x_mm
         if x_mm < 0 and abs(x_mm) > abs(y_mm):
             opposed = pair.left.camera_from_world.rotation[0] @ pair.right.camera_from_world.rotation[0] < 0
-            told = pair.left.name in upside_down or pair.right.name in upside_down
+            reversed_ = pair.left.name in upside_down or pair.right.name in upside_down
             raise CalibrationError(
                 f"pair {pair.name}",
                 found=f"{pair.right.name} standing {-x_mm:.0f} mm to the left of {pair.left.name}",
                 expected="the right camera to the right of the left one, as their pictures show it",
                 remedy="Say in session.toml which of the two is mounted upside down, such as "
                 f'rig.mounting = {{ {pair.left.name} = "upside-down" }}'
-                if opposed and not told
+                if opposed and not reversed_
                 else "Exchange left and right in the pair, or the two cameras' files if those are swapped. If all "
                 "photographs were mirrored, export them as the cameras took them",
             )

@@ -9,15 +9,16 @@ twists.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from mammometry.base.value import value
 from mammometry.calibration.adjust.bundle import Calibration, ParameterCovariance
 from mammometry.calibration.adjust.projection import INTRINSIC_NAMES, intrinsics_of, project_with_derivatives
 from mammometry.calibration.detection.detect import Detection
-from mammometry.geometry.arrays import Array, Bool, Float64, read_only
+from mammometry.geometry.arrays import Array, Bool, Float64
 from mammometry.geometry.camera import Camera
 from mammometry.geometry.transform import Transform
 
@@ -33,7 +34,7 @@ _LEAST_POINTS = 6
 """Fewest points that place a target."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class Sighting:
     """Placement of the target as one calibrated camera alone sees it."""
 
@@ -48,10 +49,6 @@ class Sighting:
     """Derivative of the points' image by a twist of the target, px."""
     residual_px: Float64[Array, "n 2"]
     """Projected − measured at this placement, px, without the points left out."""
-
-    def __post_init__(self) -> None:
-        for name in ("information", "by_camera", "uv_by_twist", "residual_px"):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
 
     @property
     def rms_px(self) -> float:
@@ -172,15 +169,15 @@ def covariance_of(
     """
     size = 6 * len(seen)
     covariance = np.zeros((size, size))
-    for i, one in enumerate(seen):
+    for i, sighting in enumerate(seen):
         covariance[6 * i : 6 * i + 6, 6 * i : 6 * i + 6] = inflation**2 * np.linalg.pinv(
-            one.information, hermitian=True
+            sighting.information, hermitian=True
         )
     if cameras is not None:
         effect = np.zeros((size, len(cameras.names)))
-        for i, one in enumerate(seen):
-            columns = [k for k, name in enumerate(cameras.names) if name.startswith(f"{one.camera}.")]
-            effect[6 * i : 6 * i + 6, columns] = one.by_camera
+        for i, sighting in enumerate(seen):
+            columns = [k for k, name in enumerate(cameras.names) if name.startswith(f"{sighting.camera}.")]
+            effect[6 * i : 6 * i + 6, columns] = sighting.by_camera
         covariance += effect @ cameras.matrix @ effect.T
     return covariance
 

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.spatial import cKDTree
 
+from mammometry.base.value import value
 from mammometry.calibration.adjust.calibrated import Calibration
-from mammometry.geometry.arrays import Array, Bool, Float64, read_only
+from mammometry.geometry.arrays import Array, Bool, Float64
 from mammometry.geometry.camera import Camera, Rig
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class WorkingVolume:
     """Cube in which skin is expected, as a grid along world axes."""
 
@@ -22,10 +21,6 @@ class WorkingVolume:
     """Points that both cameras of a pair see: the working volume."""
     shown: Bool[Array, "n n n"]
     """Points nearer to a target point than to their neighbours: calibrated, and not only extrapolated."""
-
-    def __post_init__(self) -> None:
-        for name in ("grid_world", "seen", "shown"):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
 
     @property
     def spacing_mm(self) -> float:

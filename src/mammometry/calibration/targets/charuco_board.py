@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from mammometry.base.errors import SessionError
-from mammometry.calibration.targets.charuco import CharucoTarget
+from mammometry.calibration.targets.kinds.charuco import CharucoTarget
 from mammometry.calibration.targets.sheet import DARK, MARKER
 from mammometry.geometry.arrays import Array, UInt8, read_only
 

@@ -1,7 +1,6 @@
 """Kinds of calibration target.
 
-A new kind is one file in this folder and one line here. To be stored with a calibration, it also needs a label in
-`io.results.tree.STORED_TYPES`, since a label is permanent.
+A new kind is one file in the folder `kinds`.
 """
 
 from __future__ import annotations
@@ -13,14 +12,5 @@ from mammometry.base.registry import Registry
 if TYPE_CHECKING:
     from mammometry.calibration.targets.target import Target
 
-TARGETS: Registry[type[Target]] = Registry(
-    "calibration target",
-    modules=(
-        "mammometry.calibration.targets.charuco",
-        "mammometry.calibration.targets.chessboard",
-        "mammometry.calibration.targets.circles",
-        "mammometry.calibration.targets.cylinder",
-        "mammometry.calibration.targets.points",
-    ),
-)
+TARGETS: Registry[type[Target]] = Registry("calibration target", package="mammometry.calibration.targets.kinds")
 """Kind, as ``[target] kind`` names it, → class of the target."""

@@ -96,7 +96,7 @@ class WatchedFolder:
         mine = [file for file in self._all() if file.camera == camera]
         if not mine:
             raise failed(camera, "no photograph yet", "Take one with the tethering program")
-        return read_photograph(max(mine, key=lambda one: one.path.stat().st_mtime_ns).path, camera)
+        return read_photograph(max(mine, key=lambda arrival: arrival.path.stat().st_mtime_ns).path, camera)
 
     def health(self, camera: str) -> Health:
         """Whether the folder is there."""
@@ -130,7 +130,7 @@ class WatchedFolder:
                 found.append(self._read[key])
             except OSError:
                 continue  # it was removed meanwhile
-        return [each for each in found if each is not None]
+        return [name for name in found if name is not None]
 
     def _about(self, path: Path) -> _File | None:
         exposure = read_exposure(path)
@@ -165,7 +165,7 @@ class WatchedFolder:
         best: dict[str, _File] = {}
         for anchor in sorted(files, key=_when):
             chosen: dict[str, _File] = {}
-            for file in sorted(files, key=lambda one: abs(_when(one) - _when(anchor))):
+            for file in sorted(files, key=lambda arrival: abs(_when(arrival) - _when(anchor))):
                 if abs(_when(file) - _when(anchor)) <= self._together_s:
                     chosen.setdefault(file.camera, file)
             if len(chosen) > len(best):

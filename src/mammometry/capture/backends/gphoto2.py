@@ -231,7 +231,9 @@ def _set(gphoto2: Any, camera: Any, exposure_ms: float | None) -> None:
         known.pop(None, None)
         if known:
             assert exposure_ms is not None
-            nearest = min((each for each in known if each), key=lambda each: abs(each - 1e-3 * exposure_ms))
+            nearest = min(
+                (seconds for seconds in known if seconds), key=lambda seconds: abs(seconds - 1e-3 * exposure_ms)
+            )
             widget.set_value(known[nearest])
             camera.set_single_config(name, widget)
             break

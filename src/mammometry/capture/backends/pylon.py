@@ -37,8 +37,8 @@ class PylonRig:
         self._absent: dict[str, str] = {}
         self._settings = CameraSettings()
         factory = pylon.TlFactory.GetInstance()
-        there = {info.GetSerialNumber(): info for info in factory.EnumerateDevices()}
-        if not there:
+        attached = {info.GetSerialNumber(): info for info in factory.EnumerateDevices()}
+        if not attached:
             raise SettingsError(
                 "back-end pylon",
                 found="no camera on any bus",
@@ -47,14 +47,14 @@ class PylonRig:
             )
         for name in devices.cameras:
             serial = devices.ids.get(name, "")
-            if serial not in there:
-                others = sorted(set(there) - set(devices.ids.values()))
+            if serial not in attached:
+                others = sorted(set(attached) - set(devices.ids.values()))
                 self._absent[name] = f"no camera with serial number {serial or '(none in the rig’s file)'}" + (
                     f"; not used: {', '.join(others)}" if others else ""
                 )
                 continue
             try:
-                camera = pylon.InstantCamera(factory.CreateDevice(there[serial]))
+                camera = pylon.InstantCamera(factory.CreateDevice(attached[serial]))
                 camera.MaxNumBuffer.Value = _QUEUE
                 camera.Open()
             except pylon.GenericException as error:  # another program, or another rig's computer, holds it

@@ -199,8 +199,8 @@ class VirtualRig:
                 rig = open_session(self._folder).calibrate().rig
                 shift = Transform(rotation=np.eye(3), translation_mm=middle_world(rig))
                 moved = {
-                    name: replace(one, camera_from_world=one.camera_from_world @ shift)
-                    for name, one in rig.cameras.items()
+                    name: replace(camera, camera_from_world=camera.camera_from_world @ shift)
+                    for name, camera in rig.cameras.items()
                 }
                 self._lamps = replace(rig, cameras=moved)
                 self._lamps_pose = hold_lamps(self._lamps, BOARD)

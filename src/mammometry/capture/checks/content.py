@@ -66,4 +66,4 @@ def _behind(head: bytes, tail: bytes) -> bytes:
         return tail[tail.rfind(b"PK\x05\x06") :] if b"PK\x05\x06" in tail else b""
     place = tail.rfind(end)
     closing = tail.rfind(b"PK\x05\x06")
-    return tail[min(each for each in (place, closing) if each >= 0) :] if max(place, closing) >= 0 else tail
+    return tail[min(position for position in (place, closing) if position >= 0) :] if max(place, closing) >= 0 else tail

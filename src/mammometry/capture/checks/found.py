@@ -31,4 +31,4 @@ class Found:
 
 def refuses(found: Iterable[Found]) -> bool:
     """Whether one of them says that the photograph cannot be used."""
-    return any(each.level == "refuse" for each in found)
+    return any(finding.level == "refuse" for finding in found)

@@ -118,30 +118,30 @@ def _sharpness(seen: Seen) -> Found:
 
 
 def _exposure(seen: Seen) -> Found:
-    said = None
+    problem = None
     if seen.clipped > _CLIPPED_SHARE:
-        said = f"{seen.clipped:.0%} of the skin is too bright to show anything. Use less light or a smaller opening."
+        problem = f"{seen.clipped:.0%} of the skin is too bright to show anything. Use less light or a smaller opening."
     elif seen.cover and seen.median < _DARK:
-        said = "The subject is dark. Check the flashes, or use more light."
+        problem = "The subject is dark. Check the flashes, or use more light."
     elif seen.median > _PALE:
-        said = "The subject is too bright. Use less light or a smaller opening."
-    return Found(check="exposure", level="warn" if said else "ok", sentence=said or "Well exposed.")
+        problem = "The subject is too bright. Use less light or a smaller opening."
+    return Found(check="exposure", level="warn" if problem else "ok", sentence=problem or "Well exposed.")
 
 
 def _whole(seen: Seen, subject_kind: str) -> Found:
     names = ("above", "below", "on the left", "on the right")
-    said = None
+    problem = None
     if not seen.cover:
-        said = "No subject stands out from the background. Check that the patient was in the picture."
+        problem = "No subject stands out from the background. Check that the patient was in the picture."
     elif seen.cover < _SMALL:
-        said = f"The subject covers only {seen.cover:.0%} of the picture. Check where it stands."
+        problem = f"The subject covers only {seen.cover:.0%} of the picture. Check where it stands."
     elif subject_kind == "model" and (
         cut := [name for name, share in zip(names, seen.borders, strict=True) if share > _AT_BORDER]
     ):
-        said = f"The cast is cut off {' and '.join(cut)}. Move it to the middle."
+        problem = f"The cast is cut off {' and '.join(cut)}. Move it to the middle."
     elif seen.cover > _LARGE or min(seen.borders) > 0.5:
-        said = "The subject fills the picture. Step back to the mark on the floor."
+        problem = "The subject fills the picture. Step back to the mark on the floor."
     elif abs(seen.centre - 0.5) > _OFF_CENTRE:
         side = "left" if seen.centre < 0.5 else "right"
-        said = f"The subject is far to the {side} of the picture. Move to the mark on the floor."
-    return Found(check="whole", level="warn" if said else "ok", sentence=said or "The subject is in the picture.")
+        problem = f"The subject is far to the {side} of the picture. Move to the mark on the floor."
+    return Found(check="whole", level="warn" if problem else "ok", sentence=problem or "The subject is in the picture.")

@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from types import MappingProxyType
 
 from mammometry.base.errors import SessionError
 from mammometry.base.parse import read_text
+from mammometry.base.value import value
 from mammometry.io.write import write_text
 
 SKEW = "skew.json"
 _FORMAT = 1  # version of skew.json
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value
 class Skew:
     """When each camera exposed."""
 
@@ -28,9 +27,6 @@ class Skew:
     """When, UTC, ISO 8601."""
     exposure_ms: float
     """Length of the exposures by which it was measured."""
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "offset_ms", MappingProxyType(dict(self.offset_ms)))
 
     @property
     def spread_ms(self) -> float:

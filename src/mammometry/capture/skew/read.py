@@ -132,7 +132,7 @@ def skew_of(
         )  # fmt: skip
     offsets: dict[str, list[float]] = {name: [] for name in cameras}
     for moments in firings:
-        phases = np.exp(2j * np.pi * np.array([one.begin_ms for one in moments.values()]) / strip.period_ms)
+        phases = np.exp(2j * np.pi * np.array([moment.begin_ms for moment in moments.values()]) / strip.period_ms)
         around = np.angle(phases * np.conj(phases[0])) * strip.period_ms / (2 * np.pi)
         if np.ptp(around) > _LONGEST_SHARE * strip.period_ms:
             raise CaptureError(
@@ -143,7 +143,7 @@ def skew_of(
             offsets[name].append(float(value))
     return Skew(
         offset_ms={name: float(np.median(values)) for name, values in offsets.items()},
-        std_ms=max(one.std_ms for moments in firings for one in moments.values()),
+        std_ms=max(moment.std_ms for moments in firings for moment in moments.values()),
         measured=when or datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
         exposure_ms=exposure_ms,
     )

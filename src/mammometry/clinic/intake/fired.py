@@ -8,7 +8,7 @@ from django.db import transaction
 from PIL import Image
 
 from mammometry.capture.checks.found import Found
-from mammometry.capture.loop import Fired
+from mammometry.capture.loop import CaptureResult
 from mammometry.capture.shots import last_record
 from mammometry.clinic.intake import uploads
 from mammometry.clinic.intake.set_aside import fired_files
@@ -17,7 +17,7 @@ from mammometry.clinic.models import Person, Upload, Visit
 from mammometry.io.photographs.images import FORMATS
 
 
-def take_in(visit: Visit, fired: Fired, by: Person | None) -> None:
+def take_in(visit: Visit, fired: CaptureResult, by: Person | None) -> None:
     """Enter an accepted firing as the visit's photographs.
 
     They take the place of an earlier firing's, which are set aside.
@@ -55,9 +55,9 @@ def take_in(visit: Visit, fired: Fired, by: Person | None) -> None:
         uploads.note_ready(visit, changed=True)
 
 
-def _checks(fired: Fired, camera: str, about: dict[str, Any]) -> list[dict[str, Any]]:
-    own = [one for who, one in fired.verdict.found if who == camera]
+def _checks(fired: CaptureResult, camera: str, about: dict[str, Any]) -> list[dict[str, Any]]:
+    own = [finding for who, finding in fired.verdict.found if who == camera]
     fact = Found(check="camera", level="ok", sentence="Taken by the rig, from this page.")
     # Times are the verdict's matter, whose clocks are better than EXIF's.
-    told = {"serial": about["serial"], "taken_s": None, "named": None}
-    return [{**one.as_table(), **told} for one in (fact, *own)]
+    shared = {"serial": about["serial"], "taken_s": None, "named": None}
+    return [{**finding.as_table(), **shared} for finding in (fact, *own)]

@@ -37,7 +37,7 @@ def look(upload: Upload, target: Target) -> tuple[list[Found], dict[str, Any]]:
         return [Found(check="format", level="refuse", sentence="The photograph is too large for this machine.")], {}
     exposure = read_exposure(upload.path)
     known = known_cameras(target)
-    named = next((each.get("named") for each in upload.checks if each.get("named")), None)
+    named = next((check.get("named") for check in upload.checks if check.get("named")), None)
     if not upload.camera:
         upload.camera = cameras.camera_of_serial(exposure.serial, known) or ""
     megapixels = header.stored_wh[0] * header.stored_wh[1] / 1e6

@@ -15,6 +15,7 @@ from mammometry.clinic.models import Visit
 from mammometry.clinic.site import the_clinic
 from mammometry.geometry.camera import Rig
 from mammometry.io.photographs.images import read_photograph
+from mammometry.job.stages import calibrate
 
 _KEPT = 64  # photographs whose features are kept, half a megabyte each: those of the visits that are being entered
 _features: dict[str, Keypoints] = {}
@@ -50,7 +51,8 @@ def _checked(calibration: str, photographs: tuple[tuple[str, str, Path], ...]) -
     names = check_names(rig, seen)
     wrong = wrong_photographs(names, rig.pair_names)
     found = [
-        Found(check="names", level="refuse", sentence=f"{one.listed}: {one.found}. {one.remedy}.") for one in wrong
+        Found(check="names", level="refuse", sentence=f"{mismatch.listed}: {mismatch.found}. {mismatch.remedy}.")
+        for mismatch in wrong
     ]
     if names.unknown and not found:
         pairs = ", ".join(names.unknown)
@@ -62,7 +64,7 @@ def _checked(calibration: str, photographs: tuple[tuple[str, str, Path], ...]) -
 @lru_cache(maxsize=8)
 def _rig(calibration: str) -> Rig:
     job = open_session(calibration, the_clinic().measuring())
-    if not job.store.has(job.plan.calibrated.cameras.key):  # to be made again, by a job and not while a page waits
+    if not job.store.has(job.plan[calibrate.cameras].key):  # to be made again, by a job and not while a page waits
         raise CalibrationError(
             calibration, found="no result that is current", expected="one", remedy="Calibrate the rig again"
         )

@@ -21,8 +21,8 @@ def poses_needed(definition: Mapping[str, Any], cameras: Sequence[str], photogra
     table = definition.get("target")
     least = least_views(target_from_table(table)) if table else 1
     of_camera = Counter(camera for _, camera in photographs)
-    lacking = max((least - of_camera[camera] for camera in cameras), default=least)
-    if lacking <= 0:
+    missing = max((least - of_camera[camera] for camera in cameras), default=least)
+    if missing <= 0:
         return ""
-    poses = "one more pose" if lacking == 1 else f"{lacking} more poses"
+    poses = "one more pose" if missing == 1 else f"{missing} more poses"
     return f"Add {poses} of the board: each camera must see it {least} times at least; ten poses are better."

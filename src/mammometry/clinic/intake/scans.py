@@ -54,14 +54,14 @@ def taken_in(files: Sequence[UploadedFile[Any]], about: Scan, *, units: str | No
         disk_errors(place),
     ):
         folder = Path(scratch)
-        if sum(each.size or 0 for each in files) > most:
+        if sum(sent.size or 0 for sent in files) > most:
             raise _too_large(most)
         if len(files) == 1 and _suffix(files[0].name) == ".zip":
             _unpack(files[0], folder, most)
         else:
-            for each in files:
-                with _new(folder, each.name or "").open("xb") as file:
-                    for chunk in each.chunks():
+            for sent in files:
+                with _new(folder, sent.name or "").open("xb") as file:
+                    for chunk in sent.chunks():
                         file.write(chunk)
         (mesh,) = _meshes(folder)
         _check_pictures(folder)
@@ -70,11 +70,11 @@ def taken_in(files: Sequence[UploadedFile[Any]], about: Scan, *, units: str | No
 
 
 def _unpack(packed: UploadedFile[Any], folder: Path, most: int) -> None:
-    """Unpack the files of known kinds. What a ZIP says of sizes is not believed."""
+    """Unpack the files of known kinds. Sizes that a ZIP states are not trusted."""
     left = most
     try:
         with zipfile.ZipFile(packed) as archive:
-            members = [each for each in archive.infolist() if _is_wanted(each)]
+            members = [member for member in archive.infolist() if _is_wanted(member)]
             if len(archive.infolist()) > 50 * _MOST_FILES or len(members) > _MOST_FILES:
                 raise UploadError(f"The ZIP holds too many files. A scan has at most {_MOST_FILES}.", 400)
             for member in members:

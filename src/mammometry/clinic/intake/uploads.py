@@ -123,7 +123,7 @@ def begin(target: Target, by: Person | None, file: Announced, *, replace: bool =
             name=place,
             size_bytes=size_bytes,
             sha256=sha256,
-            checks=[{**each, "named": named} for each in checks],
+            checks=[{**check, "named": named} for check in checks],
             created_by=by,
         )
         if isinstance(target, Visit) and target.state == Visit.State.NEW:
@@ -134,9 +134,9 @@ def begin(target: Target, by: Person | None, file: Announced, *, replace: bool =
 
 def _has_photograph(target: Target, pose: str, camera: str) -> bool:
     """Whether a camera's place is taken, or a photograph is on its way there."""
-    there = _of(target).filter(camera=camera, state__in=(Upload.State.PLACED, Upload.State.RECEIVING))
+    uploads = _of(target).filter(camera=camera, state__in=(Upload.State.PLACED, Upload.State.RECEIVING))
     of_pose = pose if isinstance(target, Calibration) else ""
-    return any(_pose(each) == of_pose for each in there)
+    return any(_pose(upload) == of_pose for upload in uploads)
 
 
 def append(upload: Upload, offset: int, data: bytes) -> Upload:
@@ -150,16 +150,16 @@ def append(upload: Upload, offset: int, data: bytes) -> Upload:
         raise UploadError("This photograph has arrived already.")
     try:
         with FileLock(f"{upload.path}.lock", timeout=_LOCK_S), disk_errors(upload.path):
-            there = arrived(upload)
-            if offset != there:
-                raise UploadError(f"The next byte is {there}, not {offset}. Go on from there.")
-            if there + len(data) > upload.size_bytes:
+            arrived_bytes = arrived(upload)
+            if offset != arrived_bytes:
+                raise UploadError(f"The next byte is {arrived_bytes}, not {offset}. Go on from there.")
+            if arrived_bytes + len(data) > upload.size_bytes:
                 raise UploadError(f"That is more than the {upload.size_bytes} bytes that were announced.", 413)
             with upload.path.open("ab") as file:
                 file.write(data)
-            there += len(data)
-            Upload.objects.filter(pk=upload.pk).update(received_bytes=there)
-            if there == upload.size_bytes:
+            arrived_bytes += len(data)
+            Upload.objects.filter(pk=upload.pk).update(received_bytes=arrived_bytes)
+            if arrived_bytes == upload.size_bytes:
                 _finish(upload)
     except Timeout:
         raise UploadError("Another piece of this photograph is just arriving. Ask again where to go on.") from None
@@ -288,7 +288,7 @@ def table_of(upload: Upload) -> dict[str, Any]:
         "offset": arrived(upload),
         "chunk_bytes": CHUNK_BYTES,
         "state": upload.state,
-        "checks": [{name: each[name] for name in ("check", "ok", "level", "sentence")} for each in upload.checks],
+        "checks": [{name: check[name] for name in ("check", "ok", "level", "sentence")} for check in upload.checks],
         "has_thumbnail": thumbnail_path(upload).is_file(),
     }
 
@@ -296,12 +296,14 @@ def table_of(upload: Upload) -> dict[str, Any]:
 def state_of(target: Target) -> dict[str, Any]:
     """Every camera's photograph, what is missing, and what the photographs say together."""
     uploads = list(_of(target).exclude(state=Upload.State.SET_ASIDE))
-    newest = {(_pose(each), each.camera): each for each in uploads if each.camera}
-    placed = {shot: each for shot, each in newest.items() if each.state == Upload.State.PLACED}
+    newest = {(_pose(upload), upload.camera): upload for upload in uploads if upload.camera}
+    placed = {shot: upload for shot, upload in newest.items() if upload.state == Upload.State.PLACED}
     known = cameras_of(rig_of(target).definition)
     common: dict[str, Any] = {
-        "unplaced": [table_of(each) for each in uploads if not each.camera],
-        "set_aside": [table_of(each) for each in _of(target).filter(state=Upload.State.SET_ASIDE).order_by("camera")],
+        "unplaced": [table_of(upload) for upload in uploads if not upload.camera],
+        "set_aside": [
+            table_of(upload) for upload in _of(target).filter(state=Upload.State.SET_ASIDE).order_by("camera")
+        ],
         "busy": Job.objects.filter(**{_field(target): target}, state__in=queue.OPEN).exists(),
     }
     if isinstance(target, Calibration):
@@ -321,13 +323,13 @@ def state_of(target: Target) -> dict[str, Any]:
         {"camera": camera, "upload": table_of(newest["", camera]) if ("", camera) in newest else None}
         for camera in known
     ]
-    together = _together(target, [each for each in placed.values()])
+    together = _together(target, [upload for upload in placed.values()])
     most = 0 if isinstance(target, Visit) else len(known) - 2  # a check needs two cameras that see the board
     ready = bool(known) and len(missing) <= most and not refuses(together)
     return {
         "cameras": rows,
         "missing": missing,
-        "together": [each.as_table() for each in together],
+        "together": [finding.as_table() for finding in together],
         "ready": ready,
         **common,
     }
@@ -359,7 +361,7 @@ def _judge_and_place(upload: Upload) -> None:
         sentence = f"By its serial number {upload.camera} took it, which has another photograph. Choose the camera."
         found.append(Found(check="camera", level="warn", sentence=sentence))
         upload.camera = ""
-    upload.checks = [{**each.as_table(), **seen} for each in found]
+    upload.checks = [{**finding.as_table(), **seen} for finding in found]
     upload.state = Upload.State.PLACED if upload.camera else Upload.State.CHECKED
     if not upload.camera:
         upload.save()
@@ -408,19 +410,19 @@ def ready_folder(visit: Visit) -> None:
 def _together(target: Target, placed: Sequence[Upload]) -> list[Found]:
     if len(placed) < 2:
         return []
-    facts = {each.camera: each.checks[0] if each.checks else {} for each in placed}
+    facts = {upload.camera: upload.checks[0] if upload.checks else {} for upload in placed}
     taken = {camera: table["taken_s"] for camera, table in facts.items() if table.get("taken_s") is not None}
     known = known_cameras(target)
     clock_s = {camera: about.clock_s for camera, about in known.items() if about.clock_s is not None}
-    found = [cameras.together(taken, clock_s), *cameras.twice({each.camera: each.sha256 for each in placed})]
+    found = [cameras.together(taken, clock_s), *cameras.twice({upload.camera: upload.sha256 for upload in placed})]
     if isinstance(target, Visit) and not refuses(found):
         folder = folder_of(target)
-        found += names.check(target, tuple((each.camera, each.sha256, folder / each.name) for each in placed))
+        found += names.check(target, tuple((upload.camera, upload.sha256, folder / upload.name) for upload in placed))
     return found
 
 
 def _refuse(upload: Upload, found: Sequence[Found]) -> None:
-    upload.checks = [each.as_table() for each in found]
+    upload.checks = [finding.as_table() for finding in found]
     upload.state = Upload.State.REFUSED
     upload.path.unlink(missing_ok=True)
     upload.save()

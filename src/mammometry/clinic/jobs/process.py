@@ -30,7 +30,7 @@ def run_here(config: ClinicConfig) -> None:
     configure(config)
     from mammometry.clinic.deliveries import Deliverer
     from mammometry.clinic.jobs.runner import Runner
-    from mammometry.clinic.keep.backups import DailyBackup
+    from mammometry.clinic.maintenance.backups import DailyBackup
 
     Deliverer(config).start()
     DailyBackup(config).start()
@@ -50,7 +50,7 @@ def beside(config: ClinicConfig, module: str = __spec__.name, *, again: bool = T
         again: start it again when it has ended.
     """
     ended = threading.Event()
-    there: list[subprocess.Popen[bytes]] = []
+    processes: list[subprocess.Popen[bytes]] = []
 
     def keep() -> None:
         while not ended.is_set():
@@ -59,7 +59,7 @@ def beside(config: ClinicConfig, module: str = __spec__.name, *, again: bool = T
                 stdin=subprocess.PIPE,
                 start_new_session=True,  # Ctrl-C at the terminal is the server's to answer
             )
-            there[:] = [process]
+            processes[:] = [process]
             process.wait()
             if not again:
                 return
@@ -73,7 +73,7 @@ def beside(config: ClinicConfig, module: str = __spec__.name, *, again: bool = T
         yield
     finally:
         ended.set()
-        for process in there:
+        for process in processes:
             process.terminate()
             try:
                 process.wait(_END_S)

@@ -133,7 +133,7 @@ def _checked(check: DailyCheck, figures: Mapping[str, Any]) -> None:
     check.figures = dict(figures)
     verdict = str(figures.get("verdict"))
     # That nothing moved is said by the verdict; how well it is known comes after the colon.
-    reasons = [str(each).removeprefix("no camera moved: ") for each in figures.get("reasons") or [""]]
+    reasons = [str(reason).removeprefix("no camera moved: ") for reason in figures.get("reasons") or [""]]
     unseen = [str(name) for name in figures.get("unseen") or ()]
     words = f"{_VERDICTS.get(verdict, verdict)} {_sentence(reasons[0])}".strip()
     if unseen:

@@ -14,10 +14,10 @@ from uuid import UUID
 
 from django.db import DatabaseError, close_old_connections
 
+from mammometry.base.child_process import Call
 from mammometry.base.errors import MammometryError
-from mammometry.batch.child import Order
 from mammometry.batch.cluster import Machines, machines
-from mammometry.batch.engine import Began, Ended, Engine, Task, Wish
+from mammometry.batch.engine import Began, Ended, Engine, StopRequest, Task
 from mammometry.batch.record import RECORD, read_record
 from mammometry.clinic.config import ClinicConfig
 from mammometry.clinic.jobs import queue, work
@@ -63,8 +63,8 @@ class Runner:
                 if not queue.anything():  # no worker is started before there is work
                     self._stopped.wait(_LOOK_S)
                     continue
-                with self._workers() as there:
-                    self._serve(there)
+                with self._workers() as workers:
+                    self._serve(workers)
             except (MammometryError, DatabaseError, OSError) as error:
                 _LOG.warning("The queue waits: %s", type(error).__name__ if isinstance(error, DatabaseError) else error)
                 close_old_connections()
@@ -89,8 +89,8 @@ class Runner:
                 close_old_connections()
         close_old_connections()
 
-    def _serve(self, there: Machines) -> None:
-        engine = Engine(there, known=self._known(), wish=self._wish)
+    def _serve(self, workers: Machines) -> None:
+        engine = Engine(workers, known=self._known(), stop=self._stop_request)
         for event in engine.serve(self._claim, lambda: queue.unwanted(self.owner)):
             key = UUID(event.name)
             if isinstance(event, Began):
@@ -98,8 +98,8 @@ class Runner:
             else:
                 self._end(key, event)
 
-    def _wish(self) -> Wish:
-        return Wish.STOP if self._stopped.is_set() else Wish.GO_ON
+    def _stop_request(self) -> StopRequest:
+        return StopRequest.STOP if self._stopped.is_set() else StopRequest.NONE
 
     def _claim(self, room: int) -> Sequence[Task]:
         return [self._task(job) for job in queue.claim(self.owner, room)]
@@ -136,7 +136,7 @@ class Runner:
             assert check.calibration is not None
             function, arguments = work.check, (str(folder / check.calibration.folder), str(folder / check.folder))
         size = _megapixels(job.visit) if job.visit is not None and not job.visit.is_scan else None
-        return Task(name=str(job.pk), order=Order(function=function, arguments=(*arguments, settings)), megapixels=size)
+        return Task(name=str(job.pk), call=Call(function=function, arguments=(*arguments, settings)), megapixels=size)
 
     def _settings(self) -> str:
         return self._config.measuring().to_toml()

@@ -18,9 +18,8 @@ from typing import TYPE_CHECKING, Any
 
 import mammometry
 from mammometry.api.job import open_session
-from mammometry.base.each import Tell
 from mammometry.base.errors import SessionError
-from mammometry.base.progress import Progress
+from mammometry.base.progress import Progress, StageProgress
 from mammometry.batch.entry import Entry
 from mammometry.batch.session import measure_entry
 from mammometry.calibration.judge.quality import assess
@@ -31,12 +30,14 @@ from mammometry.io import drift
 from mammometry.io.photographs.exposure import read_exposure
 from mammometry.io.photographs.images import EXTENSIONS, read_header
 from mammometry.job.products import Key
+from mammometry.job.stages.calibrate import cameras as cameras_product
+from mammometry.job.stages.measure import boundaries
 from mammometry.measure.volume.attribution import curve_digest
 from mammometry.measure.volume.difference import difference
 from mammometry.settings import Settings
 
 if TYPE_CHECKING:
-    from mammometry.job.measuring import Measured
+    from mammometry.job.graph import Plan
     from mammometry.measure.volume.measurement import VolumeMeasurement
 
 RESULTS = "results"
@@ -47,11 +48,11 @@ _REFUSED = "any"
 """The meaning of a side that has no volume at all."""
 
 
-def measure(tell: Tell, session: str, calibration: str, settings: str) -> dict[str, Any]:
+def measure(progress: StageProgress, session: str, calibration: str, settings: str) -> dict[str, Any]:
     """Measure a visit with its rig's calibration.
 
     Args:
-        tell: called with stage and fraction.
+        progress: called with stage and fraction.
         session: the visit's folder.
         calibration: the folder of the rig's calibration.
         settings: TOML.
@@ -64,11 +65,11 @@ def measure(tell: Tell, session: str, calibration: str, settings: str) -> dict[s
         MammometryError: whatever stands in the way, in one sentence.
     """
     chosen = Settings.from_toml(settings)
-    tell("prepare", 0.0)
+    progress("prepare", 0.0)
     share_calibration(Path(calibration), Path(session))
     job = open_session(session, chosen)
     take_over(job, open_session(calibration, chosen))
-    measured = measure_entry(tell, Entry(address=session), settings)
+    measured = measure_entry(progress, Entry(address=session), settings)
     job = open_session(session, chosen)
     measurements = job.measure()
     rows = volume_rows(measurements, job.no_breast(), job.settings)
@@ -77,16 +78,16 @@ def measure(tell: Tell, session: str, calibration: str, settings: str) -> dict[s
         "made_at": job.made_at("measure"),
         "software": mammometry.__version__,
         "volumes": rows,
-        **_numbers(measurements, job.plan.measured),
+        **_numbers(measurements, job.plan),
         "megapixels": measured["megapixels"],
     }
 
 
-def measure_scan(tell: Tell, folder: str, settings: str) -> dict[str, Any]:
+def measure_scan(progress: StageProgress, folder: str, settings: str) -> dict[str, Any]:
     """Measure a scan of another device.
 
     Args:
-        tell: called with stage and fraction.
+        progress: called with stage and fraction.
         folder: the visit's, made by `mammometry.io.meshes.scans`.
         settings: TOML.
 
@@ -98,10 +99,10 @@ def measure_scan(tell: Tell, folder: str, settings: str) -> dict[str, Any]:
     """
     from mammometry.api.mesh import MeshJob, scan_files
 
-    tell("prepare", 0.0)
+    progress("prepare", 0.0)
     job = MeshJob(
         scan_files(Path(folder)), Path(folder) / RESULTS, Settings.from_toml(settings),
-        watch=lambda key: _watched(key, tell),
+        watch=lambda key: _watched(key, progress),
     )  # fmt: skip
     results = job.run()
     return {
@@ -115,14 +116,14 @@ def measure_scan(tell: Tell, folder: str, settings: str) -> dict[str, Any]:
 
 
 @contextmanager
-def _watched(key: Key, tell: Tell) -> Iterator[Progress]:
-    tell(key.stage, 0.0)
-    yield lambda fraction: tell(key.stage, fraction)
+def _watched(key: Key, progress: StageProgress) -> Iterator[Progress]:
+    progress(key.stage, 0.0)
+    yield lambda fraction: progress(key.stage, fraction)
 
 
-def _numbers(measured: Mapping[str, VolumeMeasurement], plan: Measured) -> dict[str, Any]:
+def _numbers(measured: Mapping[str, VolumeMeasurement], plan: Plan) -> dict[str, Any]:
     """Digests of the measured boundaries, and every number under the name that exports use."""
-    curves = () if plan.boundaries is None else plan.boundaries()
+    curves = plan.value(boundaries) or ()
     return {
         "curves": {curve.name: curve_digest(curve.points_world) for curve in curves},
         "quantities": [_finite(asdict(quantity)) for quantity in quantities(tuple(measured.values()), plan)],
@@ -140,8 +141,8 @@ def volume_rows(
     for side, found in measured.items():
         if not found.definitions:
             rows.append(_row(side, _WHOLE, found.volume_cc, found.interval_cc))
-        for each in found.definitions:
-            rows.append(_row(side, each.meaning, each.volume_cc, each.interval_cc))
+        for definition in found.definitions:
+            rows.append(_row(side, definition.meaning, definition.volume_cc, definition.interval_cc))
     for side, why in no_breast.items():
         rows.append({**_row(side, _REFUSED, None, None), "refused": why})
     if {"left", "right"} <= set(measured):
@@ -159,7 +160,7 @@ def _row(
     }  # fmt: skip
 
 
-def calibrate(tell: Tell, session: str, settings: str) -> dict[str, Any]:
+def calibrate(progress: StageProgress, session: str, settings: str) -> dict[str, Any]:
     """Calibrate a rig and judge the calibration.
 
     Returns:
@@ -169,9 +170,9 @@ def calibrate(tell: Tell, session: str, settings: str) -> dict[str, Any]:
         MammometryError: whatever stands in the way, in one sentence.
     """
     job = open_session(session, Settings.from_toml(settings))
-    tell("calibrate", 0.0)
+    progress("calibrate", 0.0)
     cameras = job.calibrate()
-    tell("calibrate", 0.9)
+    progress("calibrate", 0.9)
     found = job.calibration()
     figures: dict[str, Any] = {"verdict": cameras.verdict, "reasons": list(cameras.reasons), "rms_px": cameras.rms_px}
     if found is not None:
@@ -187,7 +188,7 @@ def calibrate(tell: Tell, session: str, settings: str) -> dict[str, Any]:
             "worst_pair_mm": max(quality.expected_mm.values(), default=None),
         }
     figures["cameras"] = {name: about.as_table() for name, about in known_cameras(Path(session)).items()}
-    return {"digest": job.plan.calibrated.cameras.key.digest, "figures": _finite(figures)}
+    return {"digest": job.plan[cameras_product].key.digest, "figures": _finite(figures)}
 
 
 def known_cameras(session: Path) -> dict[str, KnownCamera]:
@@ -213,7 +214,7 @@ def known_cameras(session: Path) -> dict[str, KnownCamera]:
     return known
 
 
-def check(tell: Tell, calibration: str, folder: str, settings: str) -> dict[str, Any]:
+def check(progress: StageProgress, calibration: str, folder: str, settings: str) -> dict[str, Any]:
     """Check by a later photograph whether a rig has moved.
 
     An exposure that was checked against this calibration before has its entry in the rig's history, and is not
@@ -226,15 +227,15 @@ def check(tell: Tell, calibration: str, folder: str, settings: str) -> dict[str,
         MammometryError: whatever stands in the way, in one sentence.
     """
     job = open_session(calibration, Settings.from_toml(settings))
-    tell("check", 0.0)
-    now = job.plan.calibrated.cameras.key.digest[:12]
+    progress("check", 0.0)
+    now = job.plan[cameras_product].key.digest[:12]
     entries = drift.read_history(Path(calibration)).entries
-    entry = next((each for each in entries if each.image_set == folder and each.calibration == now), None)
+    entry = next((entry for entry in entries if entry.image_set == folder and entry.calibration == now), None)
     unseen: list[str] = []
     if entry is None:
-        result = job.check(folder, progress=lambda fraction: tell("check", fraction))
+        result = job.check(folder, progress=lambda fraction: progress("check", fraction))
         unseen = list(result.unseen)
-        entry = next(each for each in drift.read_history(Path(calibration)).entries if each.image_set == folder)
+        entry = next(entry for entry in drift.read_history(Path(calibration)).entries if entry.image_set == folder)
     else:
         unseen = sorted(set(job.session.cameras) - set(entry.cameras))
     figures = {**drift.entry_table(entry), "image_set": Path(folder).name, "unseen": unseen}
@@ -242,11 +243,13 @@ def check(tell: Tell, calibration: str, folder: str, settings: str) -> dict[str,
     return {"digest": _digest(figures), "figures": _finite(figures)}
 
 
-def compare(tell: Tell, before: str, after: str, folder: str, digests: str, settings: str) -> dict[str, Any]:
+def compare(
+    progress: StageProgress, before: str, after: str, folder: str, digests: str, settings: str
+) -> dict[str, Any]:
     """Compare two measured visits of one patient.
 
     Args:
-        tell: called with stage and fraction.
+        progress: called with stage and fraction.
         before: folder of the earlier visit.
         after: folder of the later visit.
         folder: for the comparison's page and pictures.
@@ -263,7 +266,7 @@ def compare(tell: Tell, before: str, after: str, folder: str, digests: str, sett
     from mammometry.api.dates import compare_visits
 
     chosen = Settings.from_toml(settings)
-    tell("compare", 0.0)
+    progress("compare", 0.0)
     for which, session, digest in zip(("earlier", "later"), (before, after), digests.split(":"), strict=True):
         if _digest(measured_keys(session, chosen)) != digest:
             raise SessionError(
@@ -273,7 +276,7 @@ def compare(tell: Tell, before: str, after: str, folder: str, digests: str, sett
                 remedy="Measure that visit again. Both are then compared by themselves",
             )
     compared = compare_visits(
-        Path(before), Path(after), chosen, out=Path(folder), progress=lambda share: tell("compare", share)
+        Path(before), Path(after), chosen, out=Path(folder), progress=lambda share: progress("compare", share)
     )
     return {"digest": _digest(compared.table), "of": digests, "table": _finite(compared.table)}
 
@@ -285,9 +288,9 @@ def _digest(value: object) -> str:
 def _finite(value: Any) -> Any:
     """The same without what JSON in a database cannot hold. Numbers that are none."""
     if isinstance(value, Mapping):
-        return {str(name): _finite(each) for name, each in value.items()}
+        return {str(name): _finite(item) for name, item in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_finite(each) for each in value]
+        return [_finite(item) for item in value]
     if isinstance(value, float) and not (value == value and abs(value) != float("inf")):
         return None
     return value

@@ -218,8 +218,8 @@ def _undo_merge(row: Correction, by: Person | None) -> None:
         _require_idle(visit)
         _give(visit, other, by)
     for model in (Operation, Consent):
-        for each in model.objects.filter(pk__in=row.before[f"{model.__name__.lower()}s"], patient=kept):
-            _set(each, patient=other)
+        for record in model.objects.filter(pk__in=row.before[f"{model.__name__.lower()}s"], patient=kept):
+            _set(record, patient=other)
     for merged in Patient.everything.filter(pk__in=row.before["merged"], merged_into=kept):
         _set(merged, merged_into=other)
     if kept.note == row.after["note"]:

@@ -33,11 +33,13 @@ def duplicates(patient: Patient) -> Duplicates:
     """Records that may be of the same patient, the bin's and merged ones too."""
     others = Patient.everything.exclude(pk=patient.pk)
     return Duplicates(
-        same_number=next((each for each in of_number(patient.record_number) if each.pk != patient.pk), None),
+        same_number=next(
+            (candidate for candidate in of_number(patient.record_number) if candidate.pk != patient.pk), None
+        ),
         same_person=tuple(
-            each
-            for each in others.filter(_born(patient.born), merged_into=None)
-            if _names(each) == _names(patient) and plain(each.record_number) != plain(patient.record_number)
+            candidate
+            for candidate in others.filter(_born(patient.born), merged_into=None)
+            if _names(candidate) == _names(patient) and plain(candidate.record_number) != plain(patient.record_number)
         ),
     )
 

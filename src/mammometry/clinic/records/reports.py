@@ -43,7 +43,7 @@ def facts(visit: Visit) -> Facts:
         warnings = [] if path is None else json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         warnings = []
-    sentences = [str(each) for each in warnings] if isinstance(warnings, list) else []
+    sentences = [str(warning) for warning in warnings] if isinstance(warnings, list) else []
     sentences = [sentence for sentence in sentences if not sentence.startswith(_OF_THE_STATE)]
     return Facts(
         tuple(sentence for sentence in sentences if not sentence.startswith(_OF_PHOTOGRAPHS)),

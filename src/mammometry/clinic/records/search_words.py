@@ -85,10 +85,10 @@ def _meanings(day: str, month: str, year: str) -> frozenset[datetime.date]:
     number = int(month) if month.isdecimal() else _MONTHS.get(plain(month), 0)
     years = [int(year)] if len(year) == 4 else [1900 + int(year), 2000 + int(year)]
     found = set()
-    for each in years:
-        for one, other in ((number, int(day)), (int(day), number)):  # 05/14/1979 has its month first
+    for full_year in years:
+        for month_number, other in ((number, int(day)), (int(day), number)):  # 05/14/1979 has its month first
             try:
-                found.add(datetime.date(each, one, other))
+                found.add(datetime.date(full_year, month_number, other))
                 break
             except ValueError:
                 continue

@@ -42,9 +42,9 @@ def today(rig: Rig) -> Today:
         others = rig.checks.filter(calibration=calibration).exclude(figures={}).exclude(pk=newest.pk)[:_OF_A_DAY]
         seen = {
             name
-            for each in others
-            if timezone.localdate(each.taken_at) == on and each.figures.get("verdict") != "refuse"
-            for name in each.figures.get("cameras", {})
+            for other in others
+            if timezone.localdate(other.taken_at) == on and other.figures.get("verdict") != "refuse"
+            for name in other.figures.get("cameras", {})
         }
         unseen = [name for name in newest.figures.get("unseen", ()) if name not in seen]
         checked = Checked.of(on, {**newest.figures, "unseen": unseen})
@@ -65,8 +65,8 @@ def drift_rows(rig: Rig) -> Iterator[dict[str, Any]]:
             "verdict": entry.verdict,
             "effect_mm": entry.effect_mm,
             "reasons": entry.reasons,
-            "moved": [name for name, one in entry.cameras.items() if one.moved],
-            "cameras": {name: {"px": one.shift_px, "mm": one.shift_mm} for name, one in entry.cameras.items()},
+            "moved": [name for name, camera in entry.cameras.items() if camera.moved],
+            "cameras": {name: {"px": camera.shift_px, "mm": camera.shift_mm} for name, camera in entry.cameras.items()},
         }
 
 
@@ -121,9 +121,9 @@ def may_queue(target: Visit | Calibration | DailyCheck | Comparison, *, anyway: 
             return f"{answer.sentence} {answer.remedy}"
     state = state_of(target)
     if not state["ready"]:
-        said = [each["sentence"] for each in state["together"] if each["level"] == "refuse"]
+        sentences = [finding["sentence"] for finding in state["together"] if finding["level"] == "refuse"]
         missing = f"Photographs are missing: {', '.join(state['missing'])}." if state["missing"] else ""
-        why = " ".join(filter(None, [missing, state.get("needed"), *said]))
+        why = " ".join(filter(None, [missing, state.get("needed"), *sentences]))
         return why or "This rig has no cameras. Describe it first."
     if isinstance(target, Visit) and not anyway:
         return " ".join(elsewhere(other, cameras) for other, cameras in same_photographs(target)) or None
@@ -149,7 +149,7 @@ def _entry(check: DailyCheck) -> Entry:
         effect_mm=float(figures.get("effect_mm") or 0.0),
         reasons=tuple(figures.get("reasons", ())),
         cameras={
-            name: CameraDrift(moved=bool(one.get("moved")), **{each: float(one.get(each) or 0.0) for each in names})
-            for name, one in figures.get("cameras", {}).items()
+            name: CameraDrift(moved=bool(drift.get("moved")), **{name: float(drift.get(name) or 0.0) for name in names})
+            for name, drift in figures.get("cameras", {}).items()
         },
     )

@@ -120,16 +120,16 @@ def time_line(
     """
     if not readings:
         return None
-    low, high = min(each.low for each in readings), max(each.high for each in readings)
+    low, high = min(reading.low for reading in readings), max(reading.high for reading in readings)
     missing = _LEAST_SPAN * max(abs(low), abs(high)) - (high - low)
     if missing > 0:
         low, high = low - missing / 2, high + missing / 2
     levels = round_levels(low, high)
     low, high = min(low, levels[0]), max(high, levels[-1])
     right, bottom = width - _RIGHT, height - _BOTTOM
-    first, last = min(each.at for each in readings), max(each.at for each in readings)
+    first, last = min(reading.at for reading in readings), max(reading.at for reading in readings)
     span_s = (last - first).total_seconds()
-    names = sorted({each.series for each in readings})
+    names = sorted({reading.series for reading in readings})
     inner = _DATE_PX / 2  # half a date's words stay inside at either end
 
     def x_of(at: datetime.datetime) -> float:
@@ -141,10 +141,17 @@ def time_line(
 
     shown = [event for event in events if first <= event.at <= last]
     spots = []
-    for each in sorted(readings, key=lambda each: (each.series, each.at)):
-        aside = _APART_PX * (names.index(each.series) - (len(names) - 1) / 2)
+    for reading in sorted(readings, key=lambda reading: (reading.series, reading.at)):
+        aside = _APART_PX * (names.index(reading.series) - (len(names) - 1) / 2)
         spots.append(
-            Spot(each.series, x_of(each.at) + aside, y_of(each.value), y_of(each.low), y_of(each.high), each.words)
+            Spot(
+                reading.series,
+                x_of(reading.at) + aside,
+                y_of(reading.value),
+                y_of(reading.low),
+                y_of(reading.high),
+                reading.words,
+            )
         )
     ways = [
         Way(name, " ".join(f"{spot.x:g},{spot.y:g}" for spot in group))
@@ -159,7 +166,7 @@ def time_line(
         spots=tuple(spots),
         ways=tuple(ways),
         levels=tuple(Tick(y_of(level), f"{level:g}") for level in levels),
-        dates=tuple(_date_ticks(sorted({each.at for each in readings}), x_of)),
+        dates=tuple(_date_ticks(sorted({reading.at for reading in readings}), x_of)),
         top=_TOP,
         marks=tuple(
             Mark(number, x_of(event.at), event.words)

@@ -98,10 +98,10 @@ class Pooled:
 
         One pair a breast, since pairs of one breast are not independent.
         """
-        there = np.flatnonzero(~np.isnan(self.volume_cc))
-        breast = self.patient[there] * len(self.breasts) + self.breast[there]
+        measured_rows = np.flatnonzero(~np.isnan(self.volume_cc))
+        breast = self.patient[measured_rows] * len(self.breasts) + self.breast[measured_rows]
         order = np.argsort(breast, kind="stable")
-        breast, ordered = breast[order], there[order]
+        breast, ordered = breast[order], measured_rows[order]
         days = np.diff(self.day[ordered])
         close = np.flatnonzero((np.diff(breast) == 0) & (days <= within_days))
         pairs = close[np.unique(breast[close], return_index=True)[1]]

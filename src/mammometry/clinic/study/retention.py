@@ -37,7 +37,10 @@ def retentions(operations: Sequence[Operation], results: Sequence[VisitResult]) 
         results: newest measurements of the patient's visits.
     """
     rows = sorted(results, key=lambda result: result.visit.taken_at)
-    grafts = sorted((one for one in operations if one.kind == Operation.Kind.GRAFT), key=lambda one: one.day)
+    grafts = sorted(
+        (operation for operation in operations if operation.kind == Operation.Kind.GRAFT),
+        key=lambda operation: operation.day,
+    )
     return [
         retention
         for graft in reversed(grafts)
@@ -52,7 +55,11 @@ def _of_side(
     """One side of one graft: at each visit until the side is operated on again."""
     if not graft.volume_cc:
         return [Retention(operation=graft, side=side, why="The injected volume is not entered.")]
-    others = [one for one in operations if one.pk != graft.pk and one.side in (side, Operation.Side.BOTH)]
+    others = [
+        operation
+        for operation in operations
+        if operation.pk != graft.pk and operation.side in (side, Operation.Side.BOTH)
+    ]
     measured = [(result.visit, volume) for result in results if (volume := _volume(result, side)) is not None]
     before = [(visit, volume) for visit, volume in measured if is_before(visit, graft)]
     if not before:

@@ -27,7 +27,7 @@ class Refused(Exception):
         self.status = status
 
 
-def answered(*methods: str) -> Callable[[Callable[..., HttpResponseBase]], Callable[..., HttpResponseBase]]:
+def json_view(*methods: str) -> Callable[[Callable[..., HttpResponseBase]], Callable[..., HttpResponseBase]]:
     """A view of these methods only, whose errors are JSON."""
 
     def wrapped(view: Callable[..., HttpResponseBase]) -> Callable[..., HttpResponseBase]:
@@ -49,7 +49,7 @@ def answered(*methods: str) -> Callable[[Callable[..., HttpResponseBase]], Calla
     return wrapped
 
 
-def asked(request: HttpRequest) -> dict[str, Any]:
+def json_body(request: HttpRequest) -> dict[str, Any]:
     """What the request's JSON says. Nothing where it has none.
 
     Raises:
@@ -93,7 +93,7 @@ def require_care(request: HttpRequest, target: object) -> None:
         raise Http404
 
 
-def found(row: Row | None) -> Row:
+def get_or_404(row: Row | None) -> Row:
     """A row, or the page that says that there is none."""
     if row is None:
         raise Http404

@@ -12,31 +12,33 @@ from mammometry.clinic.jobs.results import Target
 from mammometry.clinic.models import Calibration, DailyCheck, Job, Person, Visit
 from mammometry.clinic.rigs.history import may_queue
 from mammometry.clinic.roles import CARE
-from mammometry.clinic.views.answers import Refused, answered, asked, found, require_care
+from mammometry.clinic.views.answers import Refused, get_or_404, json_body, json_view, require_care
 
 _MOST = 200  # jobs on one page
 
 
-@answered("POST")
+@json_view("POST")
 def measure(request: HttpRequest, visit: UUID) -> HttpResponseBase:
     """Measure a visit."""
     row = Visit.objects.select_related("rig", "calibration", "patient").filter(pk=visit).first()
-    return _queued(request, found(row), anyway=asked(request).get("anyway") is True)
+    return _queued(request, get_or_404(row), anyway=json_body(request).get("anyway") is True)
 
 
-@answered("POST")
+@json_view("POST")
 def calibrate(request: HttpRequest, calibration: UUID) -> HttpResponseBase:
     """Calibrate a rig."""
-    return _queued(request, found(Calibration.objects.select_related("rig").filter(pk=calibration).first()))
+    return _queued(request, get_or_404(Calibration.objects.select_related("rig").filter(pk=calibration).first()))
 
 
-@answered("POST")
+@json_view("POST")
 def check(request: HttpRequest, check: UUID) -> HttpResponseBase:
     """Judge a daily check."""
-    return _queued(request, found(DailyCheck.objects.select_related("rig", "calibration").filter(pk=check).first()))
+    return _queued(
+        request, get_or_404(DailyCheck.objects.select_related("rig", "calibration").filter(pk=check).first())
+    )
 
 
-@answered("GET")
+@json_view("GET")
 def many(request: HttpRequest) -> HttpResponseBase:
     """The newest jobs, or all that are open."""
     rows = (
@@ -51,22 +53,22 @@ def many(request: HttpRequest) -> HttpResponseBase:
     return JsonResponse({"jobs": events.tables(list(rows[:_MOST])), "queued": waiting, "running": running})
 
 
-@answered("GET")
+@json_view("GET")
 def one(request: HttpRequest, job: UUID) -> HttpResponseBase:
     """One job."""
-    return _told(_find(request, job))
+    return _job_response(_find(request, job))
 
 
-@answered("POST")
+@json_view("POST")
 def cancel(request: HttpRequest, job: UUID) -> HttpResponseBase:
     """Take a job out of the queue, or stop it."""
     row = _find(request, job)
     if not queue.cancel(row):
         raise Refused("This has ended already.")
-    return _told(row)
+    return _job_response(row)
 
 
-@answered("POST")
+@json_view("POST")
 def retry(request: HttpRequest, job: UUID) -> HttpResponseBase:
     """Queue what a job was about once more."""
     row = _find(request, job)
@@ -93,7 +95,7 @@ async def stream(request: HttpRequest) -> HttpResponseBase:
 
 def _find(request: HttpRequest, key: UUID) -> Job:
     rows = Job.objects.select_related("visit__patient", "visit__rig", "visit__calibration", "calibration__rig")
-    row = found(rows.filter(pk=key).first())
+    row = get_or_404(rows.filter(pk=key).first())
     require_care(request, queue.target_of(row))
     return row
 
@@ -103,8 +105,8 @@ def _queued(request: HttpRequest, target: Target, *, anyway: bool = False) -> Js
     if why is not None:
         raise Refused(why)
     job = queue.enqueue(target, request.user)  # type: ignore[arg-type]  # logged in
-    return _told(job, 202)
+    return _job_response(job, 202)
 
 
-def _told(job: Job, status: int = 200) -> JsonResponse:
+def _job_response(job: Job, status: int = 200) -> JsonResponse:
     return JsonResponse(events.table_of(job, queue.place(job)), status=status)

@@ -10,16 +10,16 @@ from django.urls import reverse
 from mammometry.clinic.models import Rig
 from mammometry.clinic.rigs import history
 from mammometry.clinic.site import the_clinic
-from mammometry.clinic.views.answers import Refused, answered, found
+from mammometry.clinic.views.answers import Refused, get_or_404, json_view
 
 
-@answered("GET")
+@json_view("GET")
 def today(request: HttpRequest, rig: UUID) -> HttpResponseBase:
     """May we measure today?"""
     return JsonResponse(history.today(_find(rig)).as_table())
 
 
-@answered("GET")
+@json_view("GET")
 def drift(request: HttpRequest, rig: UUID) -> HttpResponseBase:
     """The chart of the rig's checks, PNG."""
     from mammometry.report.figures.drift import drift as drawn
@@ -31,7 +31,7 @@ def drift(request: HttpRequest, rig: UUID) -> HttpResponseBase:
     return HttpResponse(picture, content_type="image/png", headers={"Cache-Control": "private, no-store"})
 
 
-@answered("POST")
+@json_view("POST")
 def new_calibration(request: HttpRequest, rig: UUID) -> HttpResponseBase:
     """A calibration to upload to."""
     made = history.new_calibration(_find(rig), request.user)
@@ -40,7 +40,7 @@ def new_calibration(request: HttpRequest, rig: UUID) -> HttpResponseBase:
     )
 
 
-@answered("POST")
+@json_view("POST")
 def new_check(request: HttpRequest, rig: UUID) -> HttpResponseBase:
     """A daily check to upload to."""
     made = history.new_check(_find(rig), request.user)
@@ -50,4 +50,4 @@ def new_check(request: HttpRequest, rig: UUID) -> HttpResponseBase:
 
 
 def _find(key: UUID) -> Rig:
-    return found(Rig.objects.filter(pk=key).first())
+    return get_or_404(Rig.objects.filter(pk=key).first())

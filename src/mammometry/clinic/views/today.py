@@ -38,7 +38,7 @@ def today(request: HttpRequest) -> HttpResponse:
     judges = person.has_role(Role.CLINICIAN)
     unconfirmed = (all_visits if judges else earlier).filter(state="measured")
     to_confirm = list(unconfirmed.order_by("taken_at")[:_MANY])
-    request.shown = [each.id for each in (*visits, *unfinished, *to_confirm)]  # type: ignore[attr-defined]
+    request.shown = [visit.id for visit in (*visits, *unfinished, *to_confirm)]  # type: ignore[attr-defined]
     rigs = [(rig, verdict_of(rig)) for rig in Rig.objects.filter(active=True)]
     jobs = Job.objects.filter(state__in=("queued", "running")).count()
     context = {

@@ -97,7 +97,7 @@ class Limited:
         """Whether an address may ask now, by a token bucket. It fills with time. Each request takes one."""
         now = self._clock()
         if len(self._spent) > _ADDRESSES:
-            self._spent = {key: each for key, each in self._spent.items() if now - each[1] < _BURST_S}
+            self._spent = {key: spent for key, spent in self._spent.items() if now - spent[1] < _BURST_S}
         spent, then = self._spent.get(address, (0.0, now))
         spent = max(spent - (now - then) * self._rate, 0.0)
         allowed = spent + 1.0 <= self._rate * _BURST_S

@@ -18,12 +18,12 @@ class Plain(logging.Formatter):
 
     def format(self, record: logging.LogRecord) -> str:
         """One record as text."""
-        said = record.getMessage() if record.name.startswith("mammometry.") else str(record.msg)
+        message = record.getMessage() if record.name.startswith("mammometry.") else str(record.msg)
         request = getattr(record, "request", None)
         if request is not None:
             path = _INVITATION.sub(r"\1…", request.path)
-            said = f"{getattr(record, 'status_code', '')} {request.method} {path}"
-        line = f"{self.formatTime(record)} {record.levelname} {record.name}: {_one_line(said)}"
+            message = f"{getattr(record, 'status_code', '')} {request.method} {path}"
+        line = f"{self.formatTime(record)} {record.levelname} {record.name}: {_one_line(message)}"
         if record.exc_info and record.exc_info[1] is not None:
             error = record.exc_info[1]
             frames = traceback.extract_tb(error.__traceback__)

@@ -45,7 +45,7 @@ def report_policy(page: bytes) -> str:
 
     It is sandboxed: whatever a report holds, it has no cookies and cannot call the clinic.
     """
-    digests = [base64.b64encode(hashlib.sha256(each).digest()).decode() for each in _SCRIPT.findall(page)]
+    digests = [base64.b64encode(hashlib.sha256(script).digest()).decode() for script in _SCRIPT.findall(page)]
     scripts = " ".join(f"'sha256-{digest}'" for digest in digests) or "'none'"
     return (
         f"default-src 'none'; script-src {scripts} blob:; style-src 'unsafe-inline'; img-src data: blob:; "

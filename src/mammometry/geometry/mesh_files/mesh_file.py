@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from mammometry.base.errors import MammometryError, SessionError
-from mammometry.base.parse import LARGEST, json_value, read_bytes, said
+from mammometry.base.parse import LARGEST, error_text, json_value, read_bytes
 from mammometry.geometry.arrays import Array, Float64, Int32, Int64, UInt8
 from mammometry.geometry.mesh_files.obj import decimal_commas, parse_obj
 from mammometry.geometry.mesh_files.ply import parse_ply
@@ -113,7 +113,7 @@ def _cause(path: Path, content: bytes, error: Exception) -> SessionError:
     commas = _DECIMAL_COMMA.search(head.partition(b"end_header")[2] or head) if _is_text(head) else None
     if commas is not None:
         return decimal_commas(str(path), commas[0].decode())
-    return _refused(path, f"a file that cannot be read ({said(error)})", _KINDS, "Export it again")
+    return _refused(path, f"a file that cannot be read ({error_text(error)})", _KINDS, "Export it again")
 
 
 def _is_text(head: bytes) -> bool:

@@ -106,17 +106,17 @@ class _Text:
         self._at = 0
 
     def read(self, element: _Element) -> dict[str, Any]:
-        if not any(each.length for each in element.properties):
+        if not any(property_.length for property_ in element.properties):
             width = len(element.properties)
             words = self._take(element.count * width)
             table = np.array(words, dtype=np.float64).reshape(element.count, width)
-            return {each.name: table[:, place] for place, each in enumerate(element.properties)}
-        values: dict[str, list[Any]] = {each.name: [] for each in element.properties}
+            return {property_.name: table[:, place] for place, property_ in enumerate(element.properties)}
+        values: dict[str, list[Any]] = {property_.name: [] for property_ in element.properties}
         for _ in range(element.count):
-            for each in element.properties:
-                count = int(self._take(1)[0]) if each.length else 1
+            for property_ in element.properties:
+                count = int(self._take(1)[0]) if property_.length else 1
                 row = np.array(self._take(count), dtype=np.float64)
-                values[each.name].append(row if each.length else row[0])
+                values[property_.name].append(row if property_.length else row[0])
         return dict(values)
 
     def _take(self, count: int) -> list[bytes]:
@@ -139,47 +139,47 @@ class _Binary:
     def _first_length(self, element: _Element, number: int) -> int:
         """Length of the list `number` in the first row, as if the others of the row were as they are there."""
         at = self._at
-        for place, each in enumerate(element.properties):
+        for place, property_ in enumerate(element.properties):
             count = 1
-            if each.length:
-                size = np.dtype(each.length).itemsize
+            if property_.length:
+                size = np.dtype(property_.length).itemsize
                 if at + size > len(self._body):
                     return 0
-                count = int(np.frombuffer(self._body, self._order + each.length, 1, at)[0])
+                count = int(np.frombuffer(self._body, self._order + property_.length, 1, at)[0])
                 at += size
             if place == number:
                 return count
-            at += count * np.dtype(each.kind).itemsize
+            at += count * np.dtype(property_.kind).itemsize
         return 1
 
     def _rows(self, element: _Element, lengths: list[int]) -> dict[str, Any] | None:
         """All rows at once, where their lists are as long as the first row's. None: they are not."""
         fields: list[Any] = []
-        for place, (each, length) in enumerate(zip(element.properties, lengths, strict=True)):
+        for place, (property_, length) in enumerate(zip(element.properties, lengths, strict=True)):
             if not 0 <= length <= _LONGEST:
                 raise ValueError("a list that it cannot hold")
-            if each.length:
-                fields.append((f"n{place}", self._order + each.length))
-            fields.append((f"v{place}", self._order + each.kind, (length,) if each.length else ()))
+            if property_.length:
+                fields.append((f"n{place}", self._order + property_.length))
+            fields.append((f"v{place}", self._order + property_.kind, (length,) if property_.length else ()))
         row = np.dtype(fields)
         if self._at + element.count * row.itemsize > len(self._body):
-            if any(each.length for each in element.properties):
+            if any(property_.length for property_ in element.properties):
                 return None
             raise ValueError("it ends before all that its header counts")
         table = np.frombuffer(self._body, row, element.count, self._at)
-        for place, (each, length) in enumerate(zip(element.properties, lengths, strict=True)):
-            if each.length and not (table[f"n{place}"] == length).all():
+        for place, (property_, length) in enumerate(zip(element.properties, lengths, strict=True)):
+            if property_.length and not (table[f"n{place}"] == length).all():
                 return None
         self._at += table.nbytes
-        return {each.name: table[f"v{place}"] for place, each in enumerate(element.properties)}
+        return {property_.name: table[f"v{place}"] for place, property_ in enumerate(element.properties)}
 
     def _one_by_one(self, element: _Element) -> dict[str, Any]:
-        values: dict[str, list[Any]] = {each.name: [] for each in element.properties}
+        values: dict[str, list[Any]] = {property_.name: [] for property_ in element.properties}
         for _ in range(element.count):
-            for each in element.properties:
-                count = int(self._take(each.length, 1)[0]) if each.length else 1
-                row = self._take(each.kind, count)
-                values[each.name].append(row if each.length else row[0])
+            for property_ in element.properties:
+                count = int(self._take(property_.length, 1)[0]) if property_.length else 1
+                row = self._take(property_.kind, count)
+                values[property_.name].append(row if property_.length else row[0])
         return dict(values)
 
     def _take(self, kind: str, count: int) -> Array:
@@ -208,7 +208,7 @@ def _triangles(corners: Any) -> Int64[Array, "m 3"]:
 
 
 def _colours(values: dict[str, Any], count: int) -> UInt8[Array, "n 3"]:
-    names = next((each for each in _COLOURS if all(name in values for name in each)), None)
+    names = next((names for names in _COLOURS if all(name in values for name in names)), None)
     if names is None:
         return np.full((count, 3), _GREY, dtype=np.uint8)
     colours = np.stack([np.asarray(values[name], dtype=np.float64) for name in names], axis=1)

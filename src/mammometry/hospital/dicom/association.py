@@ -117,8 +117,8 @@ def echo(peer: Peer, *, own_title: str = OWN_TITLE, tls: Tls | None = None) -> N
 
 def comment(status: Dataset) -> str:
     """What the other side said beside a status, for a sentence."""
-    said = status.get("ErrorComment", "")
-    return f": {said}" if said else ""
+    error_comment = status.get("ErrorComment", "")
+    return f": {error_comment}" if error_comment else ""
 
 
 def _refused(peer: Peer, association: Any, own_title: str, *, encrypted: bool) -> ArchiveError:

@@ -47,14 +47,14 @@ def committed(
     Raises:
         ArchiveError: it refused the question, or does not keep all objects.
     """
-    answered, failed = Event(), list[str]()
-    transaction = uid("commitment", *sorted(each.SOPInstanceUID for each in made))
+    replied, failed = Event(), list[str]()
+    transaction = uid("commitment", *sorted(dataset.SOPInstanceUID for dataset in made))
 
     def on_report(event: Any) -> tuple[int, None]:
         report = event.event_information
         if str(report.get("TransactionUID", "")) == transaction:
             failed.extend(str(item.ReferencedSOPInstanceUID) for item in report.get("FailedSOPSequence", ()))
-            answered.set()
+            replied.set()
         return 0x0000, None
 
     handlers = [(evt.EVT_N_EVENT_REPORT, on_report)]
@@ -80,7 +80,7 @@ def committed(
                 expected="the promise to keep what was sent",
                 remedy="Ask its administrator to allow us storage commitment, or leave --commitment out",
             )
-        if not answered.wait(answer_s):
+        if not replied.wait(answer_s):
             return None
     if failed:
         raise ArchiveError(
@@ -96,9 +96,9 @@ def _question(made: Sequence[Dataset], transaction: str) -> Dataset:
     question = Dataset()
     question.TransactionUID = transaction
     items = []
-    for each in made:
+    for dataset in made:
         item = Dataset()
-        item.ReferencedSOPClassUID, item.ReferencedSOPInstanceUID = each.SOPClassUID, each.SOPInstanceUID
+        item.ReferencedSOPClassUID, item.ReferencedSOPInstanceUID = dataset.SOPClassUID, dataset.SOPInstanceUID
         items.append(item)
     question.ReferencedSOPSequence = Items(items)
     return question

@@ -52,12 +52,12 @@ def report(study: Study, *, series: int) -> list[Dataset]:
 def models(study: Study, *, series: int) -> list[Dataset]:
     """Closed breasts and surface as Encapsulated STL."""
     made = []
-    for number, each in enumerate(study.exported.models, 1):
+    for number, solid in enumerate(study.exported.models, 1):
         model = _document(
-            study, _STL, each.stl, series=("models", series, "Models, STL"), instance=number, title=each.title
+            study, _STL, solid.stl, series=("models", series, "Models, STL"), instance=number, title=solid.title
         )
-        _of_side(model, each.side)
-        _manufacturing(model, study, each.title)
+        _of_side(model, solid.side)
+        _manufacturing(model, study, solid.title)
         made.append(finished(model))
     return made
 
@@ -74,11 +74,11 @@ def covered(study: Study, texture: Dataset, *, series: int) -> list[Dataset]:
     mtl.ReferencedInstanceSequence = Sequence([_named(texture, "model.jpg")])
     mtl = finished(mtl)
     made = []
-    for number, each in enumerate(files.models, 1):
-        title = f"{each.title}, with photographs"
-        obj = _document(study, _OBJ, each.obj, series=place, instance=number, title=title)
+    for number, coloured in enumerate(files.models, 1):
+        title = f"{coloured.title}, with photographs"
+        obj = _document(study, _OBJ, coloured.obj, series=place, instance=number, title=title)
         obj.ReferencedInstanceSequence = Sequence([_named(mtl, "model.mtl")])
-        _of_side(obj, each.side)
+        _of_side(obj, coloured.side)
         _manufacturing(obj, study, title)
         made.append(finished(obj))
     return [*made, mtl]
@@ -127,10 +127,10 @@ def _manufacturing(made: Dataset, study: Study, title: str) -> None:
     made.ModelGroupUID = uid("models", study.uid)
 
 
-def _named(there: Dataset, name: str) -> Dataset:
+def _named(target: Dataset, name: str) -> Dataset:
     """A reference from a document to another object, by the name that the document uses."""
     item = Dataset()
-    item.ReferencedSOPClassUID = there.SOPClassUID
-    item.ReferencedSOPInstanceUID = there.SOPInstanceUID
+    item.ReferencedSOPClassUID = target.SOPClassUID
+    item.ReferencedSOPInstanceUID = target.SOPInstanceUID
     item.RelativeURIReferenceWithinEncapsulatedDocument = name
     return item

@@ -46,4 +46,7 @@ def possible_names(photographs: int) -> list[str]:
 
 def files(made: list[Dataset]) -> dict[str, bytes]:
     """Name of a file → its content. Names say series and instance."""
-    return {f"{each.SeriesNumber:02d}-{each.Modality}-{each.InstanceNumber:03d}.dcm": encoded(each) for each in made}
+    return {
+        f"{dataset.SeriesNumber:02d}-{dataset.Modality}-{dataset.InstanceNumber:03d}.dcm": encoded(dataset)
+        for dataset in made
+    }

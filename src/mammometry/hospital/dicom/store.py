@@ -27,7 +27,7 @@ class Sent:
 
     sent: int
     """Objects that were sent now."""
-    there: int
+    stored: int
     """Objects that the archive had before."""
     committed: bool | None = None
     """Whether the archive promised to keep all of them. None: it was not asked, or offers no such promise."""
@@ -55,18 +55,18 @@ def send(
     """
     wanted = [(StudyRootQueryRetrieveInformationModelFind, None)]
     syntaxes: dict[str, set[str]] = defaultdict(set)
-    for each in made:
-        syntaxes[each.SOPClassUID].add(each.file_meta.TransferSyntaxUID)
+    for dataset in made:
+        syntaxes[dataset.SOPClassUID].add(dataset.file_meta.TransferSyntaxUID)
     # A context each, so that the archive cannot choose one transfer syntax of several.
-    contexts = [*wanted, *((sop_class, [one]) for sop_class, all_ in syntaxes.items() for one in sorted(all_))]
+    contexts = [*wanted, *((sop_class, [syntax]) for sop_class, all_ in syntaxes.items() for syntax in sorted(all_))]
     with associated(peer, contexts, own_title=own_title, tls=tls) as association:
         _require_all(association, made, peer)
-        there = _there(association, made, peer)
-        missing = [each for each in made if each.SOPInstanceUID not in there]
-        for number, each in enumerate(missing):
-            _store(association, each, peer, f"after {number} of {len(missing)} objects")
+        stored = _there(association, made, peer)
+        missing = [dataset for dataset in made if dataset.SOPInstanceUID not in stored]
+        for number, dataset in enumerate(missing):
+            _store(association, dataset, peer, f"after {number} of {len(missing)} objects")
             progress((number + 1) / len(missing))
-    return Sent(sent=len(missing), there=len(made) - len(missing))
+    return Sent(sent=len(missing), stored=len(made) - len(missing))
 
 
 def _require_all(association: Any, made: Sequence[Dataset], peer: Peer) -> None:
@@ -74,9 +74,9 @@ def _require_all(association: Any, made: Sequence[Dataset], peer: Peer) -> None:
     taken = {(context.abstract_syntax, context.transfer_syntax[0]) for context in association.accepted_contexts}
     refused = sorted(
         {
-            f"{each.SOPClassUID.name} ({each.file_meta.TransferSyntaxUID.name})"
-            for each in made
-            if (each.SOPClassUID, each.file_meta.TransferSyntaxUID) not in taken
+            f"{dataset.SOPClassUID.name} ({dataset.file_meta.TransferSyntaxUID.name})"
+            for dataset in made
+            if (dataset.SOPClassUID, dataset.file_meta.TransferSyntaxUID) not in taken
         }
     )
     if refused:
@@ -92,16 +92,16 @@ def _there(association: Any, made: Sequence[Dataset], peer: Peer) -> set[str]:
     """Which objects the archive has. None are known where it does not answer searches."""
     if not accepts(association, StudyRootQueryRetrieveInformationModelFind):
         return set()
-    there: set[str] = set()
-    for series in sorted({each.SeriesInstanceUID for each in made}):
+    stored: set[str] = set()
+    for series in sorted({dataset.SeriesInstanceUID for dataset in made}):
         query = Dataset()
         query.QueryRetrieveLevel = "IMAGE"
         query.StudyInstanceUID = made[0].StudyInstanceUID
         query.SeriesInstanceUID = series
         query.SOPInstanceUID = ""
         answers = found_by(association, query, StudyRootQueryRetrieveInformationModelFind, peer)
-        there |= {str(answer.SOPInstanceUID) for answer in answers if answer and "SOPInstanceUID" in answer}
-    return there
+        stored |= {str(answer.SOPInstanceUID) for answer in answers if answer and "SOPInstanceUID" in answer}
+    return stored
 
 
 def _store(association: Any, made: Dataset, peer: Peer, when: str) -> None:

@@ -39,12 +39,12 @@ def stow(made: Sequence[Dataset], url: str, *, tls: Tls | None = None, progress:
     """
     base = web_address(url)
     context = tls.context() if tls is not None else None
-    there = _there(base, made[0].StudyInstanceUID, context)
-    missing = [each for each in made if each.SOPInstanceUID not in there]
-    for number, each in enumerate(missing):
-        _store(base, each, context, f"after {number} of {len(missing)} objects")
+    stored = _there(base, made[0].StudyInstanceUID, context)
+    missing = [dataset for dataset in made if dataset.SOPInstanceUID not in stored]
+    for number, dataset in enumerate(missing):
+        _store(base, dataset, context, f"after {number} of {len(missing)} objects")
         progress((number + 1) / len(missing))
-    return Sent(sent=len(missing), there=len(made) - len(missing))
+    return Sent(sent=len(missing), stored=len(made) - len(missing))
 
 
 def answers(url: str, *, tls: Tls | None = None) -> None:
@@ -72,7 +72,7 @@ def _there(base: str, study: str, context: ssl.SSLContext | None) -> set[str]:
         return set()
     try:
         found = json.loads(answer)
-        return {str(each["00080018"]["Value"][0]) for each in found}
+        return {str(instance["00080018"]["Value"][0]) for instance in found}
     except (ValueError, KeyError, TypeError, IndexError):
         raise ArchiveError(
             base,
@@ -116,7 +116,7 @@ def _failed(answer: bytes) -> str:
 
 def _listed(answer: bytes, made: Dataset) -> bool:
     """Whether the answer's Referenced SOP Sequence (0008,1199) names the object: it is stored."""
-    stored = [each.get("00081155", {}).get("Value") for each in _items(answer, "00081199")]
+    stored = [item.get("00081155", {}).get("Value") for item in _items(answer, "00081199")]
     return [str(made.SOPInstanceUID)] in stored
 
 
@@ -124,7 +124,7 @@ def _items(answer: bytes, sequence: str) -> list[dict[str, Any]]:
     """Items of a sequence of an answer. Empty for an answer that is no DICOM JSON."""
     try:
         found = json.loads(answer)[sequence].get("Value") or []
-        return [each for each in found if isinstance(each, dict)]
+        return [instance for instance in found if isinstance(instance, dict)]
     except (ValueError, AttributeError, TypeError, KeyError):
         return []
 

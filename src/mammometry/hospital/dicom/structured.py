@@ -129,9 +129,9 @@ def _groups(study: Study) -> Iterator[Any]:
     )
 
     exported = study.exported
-    absent = {each.side: each for each in exported.absent}
+    absent = {absence.side: absence for absence in exported.absent}
     for side, title in _TITLES.items():
-        mine = [each for each in exported.quantities if each.side == side]
+        mine = [quantity for quantity in exported.quantities if quantity.side == side]
         if not mine and side not in absent:
             continue
         sites = None
@@ -145,7 +145,7 @@ def _groups(study: Study) -> Iterator[Any]:
             tracking_identifier=TrackingIdentifier(uid=uid("side", study.uid, side), identifier=title),
             algorithm_id=AlgorithmIdentification(name="mammometry", version=exported.software),
             finding_sites=sites,
-            measurements=[measurement for each in mine for measurement in _measurements(each)],
+            measurements=[measurement for quantity in mine for measurement in _measurements(quantity)],
             qualitative_evaluations=why,
         )
 

@@ -98,7 +98,7 @@ def read_answers(answers: Sequence[Dataset], peer: Peer) -> Worklist:
     return Worklist(entries=tuple(usable), refused=tuple(refused))
 
 
-def only_entry(worklist: Worklist, peer: Peer, asked: str) -> Entry:
+def only_entry(worklist: Worklist, peer: Peer, query: str) -> Entry:
     """Return the one entry.
 
     Raises:
@@ -109,7 +109,7 @@ def only_entry(worklist: Worklist, peer: Peer, asked: str) -> Entry:
     if len(worklist.entries) != 1:
         raise ArchiveError(
             str(peer),
-            found=f"{len(worklist.entries)} entries of the worklist for {asked}",
+            found=f"{len(worklist.entries)} entries of the worklist for {query}",
             expected="exactly one",
             remedy="Name it by --accession, and --patient-id where that is not enough",
         )
@@ -141,8 +141,8 @@ def entry(answer: Dataset) -> Entry:
     return Entry(patient=patient, order=order, planned=_day(_text(steps[0], "ScheduledProcedureStepStartDate")))
 
 
-def _text(there: Dataset, name: str) -> str:
-    value = there.get(name, "") or ""
+def _text(dataset: Dataset, name: str) -> str:
+    value = dataset.get(name, "") or ""
     return ("\\".join(map(str, value)) if isinstance(value, MultiValue) else str(value)).strip()
 
 

@@ -68,7 +68,9 @@ def read_agisoft(path: Path, known: Collection[str]) -> dict[str, Camera]:
 
 def _lens(subject: str, sensor: ElementTree.Element) -> dict[str, Any]:
     found = sensor.findall("calibration")
-    calibration = next((one for one in found if one.get("class") == "adjusted"), found[0] if found else None)
+    calibration = next(
+        (element for element in found if element.get("class") == "adjusted"), found[0] if found else None
+    )
     if calibration is None:
         raise unfit(subject, "no calibration of its sensor", "<calibration> with f, cx and cy")
     kinds = {kind for kind in (sensor.get("type"), calibration.get("type")) if kind is not None}

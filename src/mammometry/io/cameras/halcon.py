@@ -75,8 +75,8 @@ def _lens(file: str, text: str) -> Lens:
         if key in values:
             raise unfit(file, f"two values of {name}", "one")
         values[key] = number(value.strip())
-    if lacking := [name for name in _NEEDED if name not in values]:
-        raise unfit(file, f"no {', '.join(lacking)}", "Focus, Sx, Sy, Cx, Cy, ImageWidth and ImageHeight")
+    if missing := [name for name in _NEEDED if name not in values]:
+        raise unfit(file, f"no {', '.join(missing)}", "Focus, Sx, Sy, Cx, Cy, ImageWidth and ImageHeight")
     if values["focus"] <= 0 or values["sx"] <= 0 or values["sy"] <= 0:
         raise unfit(file, "Focus, Sx or Sy not above zero", "a lens that is not telecentric, in metres")
     return values
@@ -109,12 +109,12 @@ def _placed(
     if len(poses) == 1 and pair is not None and set(pair) == set(lenses):
         (pose,) = poses.values()
         return {pair[0]: (np.eye(3), np.zeros(3)), pair[1]: pose}
-    if lacking := [name for name in lenses if name not in named]:
+    if missing := [name for name in lenses if name not in named]:
         raise unfit(
-            f"the pose of {', '.join(lacking)}",
+            f"the pose of {', '.join(missing)}",
             f"poses {', '.join(path.name for path in poses) or 'of no camera'}",
             "a pose of each camera, written by write_pose into a file with the camera's name, such as "
-            f"{lacking[0]}_pose.dat",
+            f"{missing[0]}_pose.dat",
         )
     return named
 

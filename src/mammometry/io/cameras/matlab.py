@@ -64,11 +64,11 @@ def read_matlab(path: Path, pair_names: Mapping[str, tuple[str, str]]) -> dict[s
     else:
         raise unfit(path.name, f"variables {', '.join(variables) or 'none'}", _EXPECTED)
     cameras = {}
-    for name, one, (rotation, translation) in zip(names, lenses, poses, strict=True):
+    for name, lens, (rotation, translation) in zip(names, lenses, poses, strict=True):
         with parsing("an unfit value", f"{path.name}, camera {name}", _EXPECTED):
-            entry = _lens(path, one) | {
+            entry = _lens(path, lens) | {
                 "R": numbers(rotation, 3, 3).T,
-                "t": numbers(translation, 3) * _mm(path, one),
+                "t": numbers(translation, 3) * _mm(path, lens),
             }
         cameras[name] = camera_from_entry(path.name, name, entry)
     return cameras

@@ -54,8 +54,8 @@ def read_opencv(path: Path, pair_names: Mapping[str, tuple[str, str]]) -> dict[s
             lens = _array(storage, "distortion_coefficients", "D", "dist")
             found = [(_array(storage, "camera_matrix", "K", "M"), lens)]
     if (rotation is None) != (translation is None) or (stereo and rotation is None):
-        lacking = " and ".join(name for name, value in (("R", rotation), ("T", translation)) if value is None)
-        raise unfit(path.name, f"no {lacking}", "R and T, the camera's pose in the rig's frame, T in millimetres")
+        missing = " and ".join(name for name, value in (("R", rotation), ("T", translation)) if value is None)
+        raise unfit(path.name, f"no {missing}", "R and T, the camera's pose in the rig's frame, T in millimetres")
     if width is None or height is None:
         raise unfit(path.name, "no image_width and image_height", "the size that the calibration holds for")
     names: tuple[str, ...] = (path.stem,)

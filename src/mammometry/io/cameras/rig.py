@@ -38,12 +38,12 @@ def require_rig(
         SessionError: names the files, what was found, and the unit that would fit.
         CalibrationError: names the pair whose right camera stands left of the left one.
     """
-    for one, other in combinations(dict.fromkeys(name for pair in pair_names.values() for name in pair), 2):
-        apart_mm = np.linalg.norm(cameras[one].centre_world - cameras[other].centre_world)
-        if apart_mm < _ONE_PLACE_MM:
+    for camera_pair, other in combinations(dict.fromkeys(name for pair in pair_names.values() for name in pair), 2):
+        distance_mm = np.linalg.norm(cameras[camera_pair].centre_world - cameras[other].centre_world)
+        if distance_mm < _ONE_PLACE_MM:
             raise SessionError(
                 files,
-                found=f"no R and T by which cameras {one} and {other} stand in different places",
+                found=f"no R and T by which cameras {camera_pair} and {other} stand in different places",
                 expected="each camera's own R and T, all in one frame, T in millimetres",
                 remedy="Export the cameras with their poses, from a calibration of the whole rig",
             )

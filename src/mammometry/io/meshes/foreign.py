@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import codecs
 import re
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +11,8 @@ import numpy as np
 from mammometry.base.errors import SessionError
 from mammometry.base.parse import require_file
 from mammometry.base.sizes import subject_extent
-from mammometry.geometry.arrays import Array, Float64, UInt8, read_only
+from mammometry.base.value import value
+from mammometry.geometry.arrays import Array, Float64, UInt8
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.mesh_files.mesh_file import SUFFIXES, read_triangles
 
@@ -29,7 +29,7 @@ _STATED = re.compile(
 )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class ForeignMesh:
     """A mesh as its file has it, in mm."""
 
@@ -41,9 +41,6 @@ class ForeignMesh:
     """Its unit, and who says so, in words."""
     mm_per_unit: float = 1.0
     """Its unit, mm."""
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "colours", read_only(self.colours))
 
     @property
     def notes(self) -> tuple[str, ...]:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from mammometry.base.errors import SessionError, StorageError
-from mammometry.base.parse import LARGEST, number, read_bytes, said, whole
+from mammometry.base.parse import LARGEST, error_text, number, read_bytes, whole
 from mammometry.base.sizes import fitting, subject_extent
 from mammometry.geometry.arrays import Array
 from mammometry.geometry.mesh import TriangleMesh
@@ -91,7 +91,7 @@ def read_ply(path: Path) -> tuple[TriangleMesh, dict[str, Array], tuple[str, ...
     except (ValueError, KeyError) as error:
         raise StorageError(
             path.name,
-            found=f"a mesh that cannot be read ({said(error)})",
+            found=f"a mesh that cannot be read ({error_text(error)})",
             expected=expected,
             remedy="Export the mesh again",
         ) from None

@@ -12,7 +12,7 @@ import numpy as np
 
 from mammometry.base.errors import SessionError
 from mammometry.base.limits import LimitSettings
-from mammometry.base.parse import read_bytes, said
+from mammometry.base.parse import error_text, read_bytes
 from mammometry.geometry.arrays import Array, Float64, Int64
 from mammometry.geometry.mesh_files.mesh_file import check_glb
 
@@ -63,7 +63,10 @@ def covered_parts(path: Path, folder: Path, limits: LimitSettings) -> Path | Non
         raise
     except Exception as error:  # the reader raises anything that a damaged file makes it stumble over
         raise SessionError(
-            path.name, found=f"a file that cannot be read ({said(error)})", expected="a GLB", remedy="Export it again"
+            path.name,
+            found=f"a file that cannot be read ({error_text(error)})",
+            expected="a GLB",
+            remedy="Export it again",
         ) from None
     names = range(len(pictures))
     (folder / "a.mtl").write_text("".join(f"newmtl m{number}\nmap_Kd {number}.png\n" for number in names))

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from mammometry.base.errors import MammometryError, SessionError
-from mammometry.base.parse import read_text, said, shown
+from mammometry.base.parse import error_text, read_text, shown
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.io.parsing.decimal_marks import DecimalMark, both_readings, decimal_mark
 
@@ -48,10 +48,10 @@ class Table:
             MammometryError: there is no such column, or it is there twice.
         """
         if (count := self.columns.count(column)) != 1:
-            there = ", ".join(name for name in self.columns if name) or "no names"
+            names = ", ".join(name for name in self.columns if name) or "no names"
             raise self.refusal(
                 self.name,
-                found=f"two columns {column}" if count else f"columns {there}",
+                found=f"two columns {column}" if count else f"columns {names}",
                 expected=f"one column {column}",
                 remedy="Correct the first line, which names the columns",
             )
@@ -142,7 +142,7 @@ def read_table(path: Path, name: str, expected: str, *, refusal: type[Mammometry
             rows.append((*row, *[""] * (len(columns) - len(row)))[: len(columns)])
     except csv.Error as error:
         where = f"{name}, row {reader.line_num}"
-        raise refusal(where, found=said(error), expected=expected, remedy="Correct the table") from None
+        raise refusal(where, found=error_text(error), expected=expected, remedy="Correct the table") from None
     if not columns:
         raise refusal(name, found="an empty file", expected=expected, remedy="Fill in the table")
     return Table(

@@ -53,15 +53,15 @@ def decimal_mark(columns: Iterable[Sequence[str]]) -> DecimalMark:
     for place, cells in enumerate(columns):
         before = len(doubtful)
         for cell in cells:
-            there = [letter for letter in cell if letter in _OTHER]
-            if not there:
+            letters = [letter for letter in cell if letter in _OTHER]
+            if not letters:
                 long = long or bool(_LONG.fullmatch(cell))
-            elif len(there) == 1:
-                (doubtful if _GROUPED[there[0]].fullmatch(cell) else marks).append(there[0])
+            elif len(letters) == 1:
+                (doubtful if _GROUPED[letters[0]].fullmatch(cell) else marks).append(letters[0])
             else:
                 groups = True
-                several = cell.count(there[-1]) > 1  # 1.860.000, else 1.860,5
-                marks.append(_OTHER[there[-1]] if several else there[-1])
+                several = cell.count(letters[-1]) > 1  # 1.860.000, else 1.860,5
+                marks.append(_OTHER[letters[-1]] if several else letters[-1])
         # 1.860 has decimals to most, unless whole numbers stand beside it.
         if "," in doubtful[before:] or (doubtful[before:] and any(map(_SHORT.fullmatch, cells))):
             ambiguous.add(place)

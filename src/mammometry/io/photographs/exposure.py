@@ -58,7 +58,7 @@ def _text(value: object) -> str:
     if isinstance(value, bytes):
         value = value.decode("ascii", "replace")
     text = value.replace("\x00", " ") if isinstance(value, str) else ""
-    return "".join(each for each in text if each.isprintable()).strip()[:_LONGEST]
+    return "".join(character for character in text if character.isprintable()).strip()[:_LONGEST]
 
 
 def _moment(taken: str, fraction: str, offset: str) -> float | None:

@@ -138,8 +138,8 @@ class Store:
         ready = read_ready(left) if is_own_folder(left) else None
         if ready is None:
             return None
-        there = self._stage_records(ready.stage).get(ready.product)
-        if there is not None and there.made > ready.record.made:
+        stored = self._stage_records(ready.stage).get(ready.product)
+        if stored is not None and stored.made > ready.record.made:
             return None
         whole = all(
             self._is_as_written(left, ready.stage, name, written)
@@ -203,12 +203,12 @@ class Store:
         for name, written in {} if record is None else record.files.items():
             path = self.folder / key.stage / name
             with disk_errors(path):
-                there = file_of(self.folder, key.stage, name) is not None
-                data = path.read_bytes() if there else b""
+                stored = file_of(self.folder, key.stage, name) is not None
+                data = path.read_bytes() if stored else b""
             if sha256(data).hexdigest() != written.sha256:
                 raise StorageError(
                     f"{key.stage}/{name}",
-                    found="a file that was changed since it was written" if there else "no file",
+                    found="a file that was changed since it was written" if stored else "no file",
                     expected="the file as it was written",
                     remedy="Run the session again: it will be made again",
                 )

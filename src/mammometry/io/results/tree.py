@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from mammometry.base.errors import StorageError
+from mammometry.calibration.targets.registry import TARGETS
 
 STORED_TYPES: Mapping[str, str] = MappingProxyType(
     {
@@ -28,11 +29,11 @@ STORED_TYPES: Mapping[str, str] = MappingProxyType(
         "calibration.detect:MissedView": "mammometry.calibration.detection.detect:MissedView",
         "calibration.detect:Observations": "mammometry.calibration.detection.detect:Observations",
         "calibration.left_out:LeftOut": "mammometry.calibration.adjust.left_out:LeftOut",
-        "calibration.target:CharucoTarget": "mammometry.calibration.targets.charuco:CharucoTarget",
-        "calibration.target:ChessboardTarget": "mammometry.calibration.targets.chessboard:ChessboardTarget",
-        "calibration.target:CirclesTarget": "mammometry.calibration.targets.circles:CirclesTarget",
-        "calibration.target:DottedCylinderTarget": "mammometry.calibration.targets.cylinder:DottedCylinderTarget",
-        "calibration.target:PointsTarget": "mammometry.calibration.targets.points:PointsTarget",
+        "calibration.target:CharucoTarget": "mammometry.calibration.targets.kinds.charuco:CharucoTarget",
+        "calibration.target:ChessboardTarget": "mammometry.calibration.targets.kinds.chessboard:ChessboardTarget",
+        "calibration.target:CirclesTarget": "mammometry.calibration.targets.kinds.circles:CirclesTarget",
+        "calibration.target:DottedCylinderTarget": "mammometry.calibration.targets.kinds.cylinder:DottedCylinderTarget",
+        "calibration.target:PointsTarget": "mammometry.calibration.targets.kinds.points:PointsTarget",
         "geometry.camera:Camera": "mammometry.geometry.camera:Camera",
         "geometry.camera:Rig": "mammometry.geometry.camera:Rig",
         "geometry.mesh:TriangleMesh": "mammometry.geometry.mesh:TriangleMesh",
@@ -46,7 +47,7 @@ STORED_TYPES: Mapping[str, str] = MappingProxyType(
         "measure.boundary:NoBreast": "mammometry.measure.boundary.breasts:NoBreast",
         "measure.boundary:Standing": "mammometry.measure.boundary.standing:Standing",
         "measure.boundary:TorsoSides": "mammometry.measure.boundary.boundary:TorsoSides",
-        "measure.lacking:Lacking": "mammometry.measure.volume.measurement:Lacking",
+        "measure.lacking:Lacking": "mammometry.measure.volume.measurement:VolumeDeficit",
         "measure.landmarks:Landmark": "mammometry.measure.landmarks.landmarks:Landmark",
         "measure.linear:LinearMeasure": "mammometry.measure.shape.lengths:LinearMeasure",
         "measure.linear:Ptosis": "mammometry.measure.shape.lengths:Ptosis",
@@ -56,10 +57,10 @@ STORED_TYPES: Mapping[str, str] = MappingProxyType(
         "measure.volume:VolumeMeasurement": "mammometry.measure.volume.measurement:VolumeMeasurement",
         "surface.agreement:RowErrors": "mammometry.surface.motion.agreement:RowErrors",
         "surface.atlas:Atlas": "mammometry.surface.texture.texture_atlas:Atlas",
-        "surface.occluders:Blocked": "mammometry.surface.occlusion.occlusion:Blocked",
-        "surface.dents:Kept": "mammometry.surface.ranges.dents:Kept",
+        "surface.occluders:Blocked": "mammometry.surface.occlusion.occlusion:Occlusion",
+        "surface.dents:Kept": "mammometry.surface.ranges.dents:KeepMasks",
         "surface.dents:ValidPatches": "mammometry.surface.ranges.dents:ValidPatches",
-        "surface.motions:Unknowns": "mammometry.surface.motion.rigid_motion:Unknowns",
+        "surface.motions:Unknowns": "mammometry.surface.motion.rigid_motion:MotionParameters",
         "surface.range_image:RangeImage": "mammometry.surface.ranges.range_image:RangeImage",
         "surface.repair:RepairedSurface": "mammometry.surface.repair.repair:RepairedSurface",
         "surface.stillness:Displaced": "mammometry.surface.motion.motion_test:Displaced",
@@ -68,8 +69,13 @@ STORED_TYPES: Mapping[str, str] = MappingProxyType(
     }
 )
 """Label on disk → current place of the type. A label never changes: a type that moves keeps its first label, so that
-moving code makes no result stale.
+moving code makes no result stale. Other kinds of target are labelled by their name.
 """
+STORED_FIELDS: Mapping[str, Mapping[str, str]] = MappingProxyType(
+    {"surface.stillness:Stillness": {"parameters": "asked", "distance_mm": "apart_mm"}}
+)
+"""Label → field → its first name, under which it stays on disk where it has another name now."""
+_TARGET = "target:"  # before the name of a kind of target
 
 
 def to_tree(value: object, arrays: dict[str, np.ndarray[Any, Any]]) -> Any:
@@ -91,8 +97,10 @@ def to_tree(value: object, arrays: dict[str, np.ndarray[Any, Any]]) -> Any:
     if isinstance(value, np.generic):
         return to_tree(value.item(), arrays)
     if is_dataclass(value) and not isinstance(value, type):
-        members = {item.name: to_tree(getattr(value, item.name), arrays) for item in fields(value) if item.init}
-        return {"$value": _label(type(value)), **members}
+        label = _label(type(value))
+        first = STORED_FIELDS.get(label, {})
+        members = {first.get(item.name, item.name): getattr(value, item.name) for item in fields(value) if item.init}
+        return {"$value": label, **{name: to_tree(member, arrays) for name, member in members.items()}}
     if isinstance(value, Mapping):
         return {"$map": [[to_tree(key, arrays), to_tree(item, arrays)] for key, item in value.items()]}
     if isinstance(value, tuple):
@@ -123,7 +131,8 @@ def from_tree(tree: Any, arrays: Mapping[str, np.ndarray[Any, Any]]) -> Any:
             return {from_tree(key, arrays): from_tree(item, arrays) for key, item in tree["$map"]}
         if "$enum" in tree:
             return _type(tree["$enum"])(tree["value"])
-        members = {name: from_tree(item, arrays) for name, item in tree.items() if name != "$value"}
+        now = {first: name for name, first in STORED_FIELDS.get(str(tree["$value"]), {}).items()}
+        members = {now.get(name, str(name)): from_tree(item, arrays) for name, item in tree.items() if name != "$value"}
         return _type(tree["$value"])(**members)
     except (KeyError, TypeError, ValueError, AttributeError, ImportError) as error:
         raise StorageError(
@@ -135,13 +144,17 @@ def from_tree(tree: Any, arrays: Mapping[str, np.ndarray[Any, Any]]) -> Any:
 
 
 def _label(kind: type) -> str:
-    try:
-        return _labels()[f"{kind.__module__}:{kind.__qualname__}"]
-    except KeyError:
-        raise TypeError(f"a result holds a {kind.__module__}.{kind.__qualname__}, which has no label on disk") from None
+    label = _labels().get(f"{kind.__module__}:{kind.__qualname__}")
+    if label is None and (name := next((name for name, target in TARGETS.items() if target is kind), None)) is not None:
+        label = f"{_TARGET}{name}"
+    if label is None:
+        raise TypeError(f"a result holds a {kind.__module__}.{kind.__qualname__}, which has no label on disk")
+    return label
 
 
 def _type(label: str) -> Any:
+    if label.startswith(_TARGET):
+        return TARGETS[label.removeprefix(_TARGET)]
     module, _, name = STORED_TYPES[label].partition(":")
     return getattr(importlib.import_module(module), name)
 

@@ -74,12 +74,12 @@ def verify(results: Path) -> Findings:
     moving = _half_in_place(results, hidden)
     damaged, unrecorded, whole = list[Damage](), list[str](), 0
     for stage, (records, invalid) in read.items():
-        there = sorted(_files(results / stage))
+        present = sorted(_files(results / stage))
         recorded = {name for record in records.values() for name in record.files} | {RECORDS}
-        unrecorded += [shown(f"{stage}/{name}") for name in there if name not in recorded]
+        unrecorded += [shown(f"{stage}/{name}") for name in present if name not in recorded]
         damaged += [
             _no_record(stage, name)
-            for name in invalid or ([RECORDS] if set(there) - moving[stage] and not records else [])
+            for name in invalid or ([RECORDS] if set(present) - moving[stage] and not records else [])
         ]
     for stage, product, name, written in files:
         found = _damage(results, stage, name, written)

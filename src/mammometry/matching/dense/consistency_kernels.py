@@ -1,4 +1,4 @@
-"""Compiled kernels: how far each match is believed.
+"""Compiled kernels: left–right consistency and weights of matches.
 
 Both directions must agree, a fine match competes with the coarse one, and the smoothing weighs by certainty. As those
 of `correlate` they work on C-contiguous arrays, release the interpreter's lock and have NumPy twins in the tests.

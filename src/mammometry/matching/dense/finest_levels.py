@@ -14,11 +14,11 @@ from mammometry.matching.dense.consistency_kernels import agreeing, smoothing_we
 from mammometry.matching.dense.least_squares import (
     AGREEMENT_PX,
     LAST_SMOOTHING_PX,
-    Known,
+    LevelStart,
     both,
-    carried,
     finally_smoothed,
     judged,
+    upsampled_start,
 )
 from mammometry.matching.dense.least_squares_step import Both, Estimate, Side, prepare, step
 from mammometry.matching.dense.plane_smoothing import smooth
@@ -53,7 +53,7 @@ def refined(
     shape = images[0].mask.shape
     sigma = settings.window_sigma_px
     limit = settings.agreement_px * 2**coarse.halvings
-    known = carried(coarse.matches, coarse.shift, agreeing(coarse.shift, coarse.other, limit), shape)
+    known = upsampled_start(coarse.matches, coarse.shift, agreeing(coarse.shift, coarse.other, limit), shape)
     here, there = both(pool, prepare, (images[0], aligned(vertical, images[1], level)), (sigma, sigma))
     fine = Refined(
         matches=Estimate(
@@ -95,10 +95,10 @@ def _side(side: Side, rows: slice) -> Side:
     return Side(image=side.image[rows], coefficients=side.coefficients[rows], mask=side.mask[rows])
 
 
-def _rows(known: Known, rows: slice) -> Known:
+def _rows(known: LevelStart, rows: slice) -> LevelStart:
     """Some rows of what a level of half as many knows. The first row is even."""
     half = slice(rows.start // 2, (rows.stop + 1) // 2)
-    return Known(
+    return LevelStart(
         shift=known.shift[rows],
         correlation=known.correlation[half],
         variance=known.variance[half],

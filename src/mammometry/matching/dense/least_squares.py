@@ -37,7 +37,7 @@ _T = TypeVar("_T")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Known:
+class LevelStart:
     """What a level starts from in one direction. The semi-global start, or the coarser level's matches."""
 
     shift: Float32[Array, "h w"]
@@ -72,7 +72,7 @@ def both(pool: Executor, function: Callable[..., _T], *pairs: Both[Any]) -> Both
 def solve_level(
     images: Both[Level],
     work: LevelWork,
-    known: Both[Known],
+    known: Both[LevelStart],
     vertical: Vertical,
     settings: MatchSettings,
     pool: Executor,
@@ -107,12 +107,12 @@ def solve_level(
     return Solved(matches=matches, shifts=shifts, vertical=vertical)
 
 
-def initial(shifts: Both[Float32[Array, "h w"]], masks: Both[Bool[Array, "h w"]]) -> Both[Known]:
+def initial(shifts: Both[Float32[Array, "h w"]], masks: Both[Bool[Array, "h w"]]) -> Both[LevelStart]:
     """The semi-global start, for least squares to compete with."""
 
-    def one(here: int) -> Known:
+    def one(here: int) -> LevelStart:
         shift = shifts[here]
-        return Known(
+        return LevelStart(
             shift=shift,
             correlation=np.zeros_like(shift),
             variance=np.full_like(shift, _START_DEVIATION_PX**2),
@@ -123,23 +123,23 @@ def initial(shifts: Both[Float32[Array, "h w"]], masks: Both[Bool[Array, "h w"]]
     return one(0), one(1)
 
 
-def handed_down(solved: Solved, agreement_px: float, shape_hw: tuple[int, int]) -> Both[Known]:
+def upsampled(solved: Solved, agreement_px: float, shape_hw: tuple[int, int]) -> Both[LevelStart]:
     """A level's result for the next finer level. Its smoothed fields, their uncertainty, what it accepted."""
     (left, right), (ours, theirs) = solved.matches, solved.shifts
     return (
-        carried(left, ours, agreeing(ours, theirs, agreement_px), shape_hw),
-        carried(right, theirs, agreeing(theirs, ours, agreement_px), shape_hw),
+        upsampled_start(left, ours, agreeing(ours, theirs, agreement_px), shape_hw),
+        upsampled_start(right, theirs, agreeing(theirs, ours, agreement_px), shape_hw),
     )
 
 
-def carried(
+def upsampled_start(
     matches: Estimate, shift: Float32[Array, "h w"], agrees: Bool[Array, "h w"], shape_hw: tuple[int, int]
-) -> Known:
+) -> LevelStart:
     """One direction's result for the next finer level.
 
     `agrees` says where the other direction confirms `shift`.
     """
-    return Known(
+    return LevelStart(
         shift=finer_shift(shift, shape_hw),
         correlation=matches.correlation,
         variance=4 * matches.variance,
@@ -151,7 +151,7 @@ def carried(
 def _stepped(
     sides: Both[Side],
     shifts: Both[Float32[Array, "h w"]],
-    known: Both[Known],
+    known: Both[LevelStart],
     settings: MatchSettings,
     pool: Executor,
     *,
@@ -173,7 +173,7 @@ def _stepped(
     return both(pool, judged, found, agree, known)
 
 
-def judged(ours: Estimate, agrees: Bool[Array, "h w"], known: Known) -> Estimate:
+def judged(ours: Estimate, agrees: Bool[Array, "h w"], known: LevelStart) -> Estimate:
     """Replace what fails, or disagrees, by what is known. The arrays are changed in place."""
     plausible = np.logical_and(ours.plausible, agrees, out=agrees)
     fine = (ours.shift, ours.step, ours.correlation, ours.variance, plausible)

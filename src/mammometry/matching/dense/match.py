@@ -7,7 +7,8 @@ import numpy as np
 
 from mammometry.base.errors import MatchingError
 from mammometry.base.progress import Progress, no_progress
-from mammometry.geometry.arrays import Array, Bool, Float32, read_only
+from mammometry.base.value import value
+from mammometry.geometry.arrays import Array, Bool, Float32
 from mammometry.geometry.camera import Camera
 from mammometry.geometry.rounding import SIGMA_BITS, to_bits, to_step
 from mammometry.matching.dense.consistency_kernels import agreeing
@@ -22,7 +23,7 @@ from mammometry.matching.dense.crop import (
 )
 from mammometry.matching.dense.depth_layers import without_specks
 from mammometry.matching.dense.finest_levels import Refined, refined
-from mammometry.matching.dense.least_squares import Known, both, finally_smoothed, handed_down, initial, solve_level
+from mammometry.matching.dense.least_squares import LevelStart, both, finally_smoothed, initial, solve_level, upsampled
 from mammometry.matching.dense.least_squares_step import Both
 from mammometry.matching.dense.levels import Levels, choose_levels
 from mammometry.matching.dense.texture_strength import unexplained, weak_texture
@@ -46,7 +47,7 @@ _CONFIDENCE_STEP = 2.0**-7  # shown with two decimals
 _ISLAND_WINDOWS = 4  # of a Gaussian window's area, 4πσ²: smaller islands are not believed (docs/decisions/0015)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class DisparityMap:
     """Where each left pixel is seen in the right image. (u, v) → (u − d_h, v − d_v)."""
 
@@ -77,10 +78,6 @@ class DisparityMap:
         """Pixels of the rectified pair in one of the map."""
         return 2.0**self.halvings
 
-    def __post_init__(self) -> None:
-        for name in ("d_h_px", "d_v_px", "confidence", "sigma_px", "valid", "weak"):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Start:
@@ -89,7 +86,7 @@ class Start:
     levels: Levels
     images: tuple[Both[Level], ...]
     """Both pictures on each level, fine to coarse."""
-    known: Both[Known]
+    known: Both[LevelStart]
     """The semi-global start of the coarsest level."""
     vertical: Vertical
     """None of it known yet."""
@@ -121,7 +118,7 @@ class Finest:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Trusted:
+class AcceptedMatches:
     """The finest level and what to trust of it. Not yet 0 where not valid."""
 
     shift: Float32[Array, "h w"]
@@ -238,7 +235,7 @@ def _solve_both(begun: Start, settings: MatchSettings, pool: Executor, progress:
         solved = cut_solved(solved, window, first.level)
     for work in further:
         images = images[:-1]
-        known = handed_down(solved, settings.agreement_px, images[-1][0].mask.shape)
+        known = upsampled(solved, settings.agreement_px, images[-1][0].mask.shape)
         solved = solve_level(images[-1], work, known, solved.vertical, settings, pool)
         progress(begun.levels.share_done(work.level))
     subject = (images[-1][0].mask, images[-1][1].mask)
@@ -257,7 +254,7 @@ def _solve_both(begun: Start, settings: MatchSettings, pool: Executor, progress:
 def finish(pair: RectifiedPair, found: Finest, settings: MatchSettings, pool: Executor) -> DisparityMap:
     """Decide which matches to accept, and return the map. The map has the requested resolution."""
     levels, window = found.levels, found.window
-    trusted = _believed(pair.name, found, settings, pool)
+    trusted = _accept(pair.name, found, settings, pool)
     del found  # of a full-size pair 50 MB, while as much again is made
     finest_hw = _level_shape(pair, levels.finest)
     part = at_level(window, levels.coarsest - levels.finest, finest_hw)
@@ -302,7 +299,7 @@ def finish(pair: RectifiedPair, found: Finest, settings: MatchSettings, pool: Ex
     )
 
 
-def _believed(name: str, found: Finest, settings: MatchSettings, pool: Executor) -> Trusted:
+def _accept(name: str, found: Finest, settings: MatchSettings, pool: Executor) -> AcceptedMatches:
     """Accept matches that correlate, have settled, agree, and are certain.
 
     They must agree in both directions.
@@ -338,7 +335,7 @@ def _believed(name: str, found: Finest, settings: MatchSettings, pool: Executor)
     confidence = np.clip(matches.correlation, -1, 1, out=matches.correlation)
     columns = np.arange(shift.shape[1], dtype=np.float32) + shift
     d_v = found.vertical.at(columns, found.levels.finest)
-    return Trusted(shift=shift, d_v=d_v, sigma=sigma, confidence=confidence, valid=valid, weak=weak)
+    return AcceptedMatches(shift=shift, d_v=d_v, sigma=sigma, confidence=confidence, valid=valid, weak=weak)
 
 
 def _level_shape(pair: RectifiedPair, level: int) -> tuple[int, int]:

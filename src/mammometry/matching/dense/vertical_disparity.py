@@ -16,7 +16,8 @@ import numpy as np
 from scipy import ndimage
 
 from mammometry.base.machine.cores import in_bands
-from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Shaped, read_only
+from mammometry.base.value import value
+from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Shaped
 from mammometry.matching.correlation_kernels import calm_at, warp_rows
 from mammometry.matching.dense.least_squares_step import Both, Estimate, Side
 from mammometry.matching.filters import gaussian_taps
@@ -82,7 +83,7 @@ def aligned(vertical: Vertical, right: Level, level: int) -> Level:
     return Level(image=np.ascontiguousarray(image.T), mask=right.mask)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class VerticalField:
     """The vertical disparity as one quadratic polynomial.
 
@@ -101,9 +102,6 @@ class VerticalField:
     """Smallest and largest value supported by matches. The polynomial is held within them."""
     typical_px: float = 0.0
     """Median size where matches support it. Its extremes, in the corners, are the least certain."""
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "coefficients_px", read_only(self.coefficients_px))
 
     def matters(self, level: int) -> bool:
         """Whether resampling a level's right image helps.

@@ -8,13 +8,13 @@ depth apart here. On levels that only the left image refines, the field of the l
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 from scipy import ndimage
 
-from mammometry.geometry.arrays import Array, Bool, Float32, read_only
+from mammometry.base.value import value
+from mammometry.geometry.arrays import Array, Bool, Float32
 from mammometry.matching.correlation_kernels import warp_rows
 from mammometry.matching.dense.consistency_kernels import smoothing_weights
 from mammometry.matching.dense.least_squares_step import FLAT_DEVIATION, LEAST_MASS, Side
@@ -29,7 +29,7 @@ _GAINS = (0.1, 10.0)  # least and largest between the pictures: as there
 _UNKNOWN_VARIANCE_PX2 = np.float32(1e4)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class FreeVertical:
     """The vertical disparity at each pixel, on the level last solved.
 
@@ -44,9 +44,6 @@ class FreeVertical:
     """Halvings of the rectified pictures."""
     window_sigma_px: float
     """Of the Gaussian window, pixels of each level."""
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "d_v_px", read_only(self.d_v_px))
 
     def matters(self, level: int) -> bool:
         """Whether anything was found yet."""

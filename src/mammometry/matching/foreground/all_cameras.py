@@ -9,12 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from types import MappingProxyType
 
 from mammometry.base.machine.cores import available_cores
 from mammometry.base.photograph import Photograph
-from mammometry.geometry.arrays import Array, Bool, Float64, read_only
+from mammometry.base.value import value
+from mammometry.geometry.arrays import Array, Bool, Float64
 from mammometry.geometry.camera import Rig
 from mammometry.matching.coarse_stereo import CoarseDepths, coarse_depths, depth_seeds, near_points, subject_middle
 from mammometry.matching.foreground.foreground import Blocks, blocks_of, subject_blocks
@@ -24,7 +24,7 @@ from mammometry.matching.settings import ForegroundSettings
 _AT_ONCE = 4  # photographs in memory; at full size each has 40 MB
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class Subjects:
     """Where the subject stands, and its blocks in each photograph."""
 
@@ -36,12 +36,6 @@ class Subjects:
     """Cameras whose silhouette is not known: all that they see may be the subject."""
     doubts: Mapping[str, str]
     """Camera → why its silhouette was sought and is not known."""
-
-    def __post_init__(self) -> None:
-        object.__setattr__(
-            self, "blocks", MappingProxyType({name: read_only(mask) for name, mask in self.blocks.items()})
-        )
-        object.__setattr__(self, "doubts", MappingProxyType(dict(self.doubts)))
 
 
 def find_subjects(

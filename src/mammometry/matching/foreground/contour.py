@@ -20,8 +20,9 @@ from scipy.ndimage import gaussian_filter1d, map_coordinates
 from scipy.special import log_ndtr, ndtr
 from skimage.measure import find_contours
 
+from mammometry.base.value import value
 from mammometry.geometry import raster_kernels
-from mammometry.geometry.arrays import Array, Bool, Float64, read_only
+from mammometry.geometry.arrays import Array, Bool, Float64
 from mammometry.geometry.nearest import point_tree
 from mammometry.matching.foreground.foreground import Foreground
 
@@ -57,7 +58,7 @@ class Contour:
         return Contour(uv=self.uv[keep], tangent=self.tangent[keep], inward=self.inward[keep])
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class Trace:
     """A silhouette's contour, and where it is not the subject's edge."""
 
@@ -67,10 +68,6 @@ class Trace:
     """0 where the subject's edge is visible. Where the contour is the border of a shadow on the subject, the edge is
     farther out and unseen: then the distance to the nearest point with a visible edge, pixels.
     """
-
-    def __post_init__(self) -> None:
-        for name in ("uv", "lost_px"):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
 
 
 def outline(foreground: Foreground) -> Contour:

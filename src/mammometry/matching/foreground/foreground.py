@@ -13,7 +13,8 @@ from scipy import ndimage
 
 from mammometry.base.errors import ImageError, MatchingError
 from mammometry.base.photograph import Photograph, linear_of
-from mammometry.geometry.arrays import Array, Bool, Float32, read_only
+from mammometry.base.value import value
+from mammometry.geometry.arrays import Array, Bool, Float32
 from mammometry.matching.foreground.block_segmentation import segment
 from mammometry.matching.foreground.seeded_segmentation import DepthSeeds, agreed
 from mammometry.matching.foreground.silhouette import block_means, sub_pixel_coverage
@@ -26,7 +27,7 @@ _BLACK = 0.1  # encoded value (sRGB) that no block of a black photograph reaches
 _BLUR_OF_A_DRAWN_MASK_PX = 1.0  # Gaussian σ that gives a drawn mask an edge to interpolate; chosen by eye
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class Foreground:
     """Share of each pixel that the subject covers, in the distorted photograph."""
 
@@ -37,9 +38,6 @@ class Foreground:
     """Coverage on the silhouette."""
     everything: bool
     """True: no silhouette is known, every pixel may be surface. It must not be used for carving."""
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "coverage", read_only(self.coverage))
 
     @property
     def mask(self) -> Bool[Array, "h w"]:

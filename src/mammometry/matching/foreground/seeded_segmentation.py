@@ -14,7 +14,8 @@ import numpy as np
 from scipy import ndimage
 from skimage.segmentation import watershed
 
-from mammometry.geometry.arrays import Array, Bool, Float32, Int32, read_only
+from mammometry.base.value import value
+from mammometry.geometry.arrays import Array, Bool, Float32, Int32
 
 # Where no other source is named: chosen on the simulated captures of docs/decisions/0028.
 _FATTENED = 4.0  # small pixels by which the coarse stereo may carry a depth over a border
@@ -37,7 +38,7 @@ _CUT_OFF = 0.9  # of a part that something parts from the rest: its blocks of th
 _AROUND, _WITHIN = 1.5, 0.95  # times the bright subject, of which so much is within: it lies on something
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class DepthSeeds:
     """Certainly near and certainly far pixels of one photograph."""
 
@@ -48,10 +49,6 @@ class DepthSeeds:
     """Blocks in the working volume."""
     far: Bool[Array, "h w"]
     """Blocks behind it."""
-
-    def __post_init__(self) -> None:
-        for name in ("near", "far"):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
 
 
 def laid_out(seeds: DepthSeeds, shape: tuple[int, int], step: int) -> tuple[Bool[Array, "H W"], Bool[Array, "H W"]]:
@@ -132,7 +129,7 @@ def _by_a_neck(bright: Bool[Array, "h w"], kept: Bool[Array, "h w"], far: Bool[A
     joined = lost & ndimage.binary_dilation(bright & kept)
     numbers = np.arange(1, count + 1)
     taken = ndimage.sum_labels(far, labels, numbers) > 0
-    rims, joints = (ndimage.sum_labels(each, labels, numbers) for each in (rim, joined))
+    rims, joints = (ndimage.sum_labels(mask, labels, numbers) for mask in (rim, joined))
     return bool(np.all(joints[taken] <= _NECK * rims[taken]))
 
 

@@ -10,7 +10,8 @@ import numpy as np
 
 from mammometry.base.errors import MeasureError
 from mammometry.base.progress import Progress, no_progress
-from mammometry.geometry.arrays import Array, Float64, read_only
+from mammometry.base.value import value
+from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.camera import Rig
 from mammometry.matching.foreground.foreground import Foreground
 from mammometry.measure.boundary.breasts import NoBreast, Outline, find_breasts
@@ -57,7 +58,7 @@ of what lies between them is uncertain. Chosen by eye."""
 _CUT_SHARE = 0.01  # a base that cuts off this much more of the measured surface than another is none (decision 17)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class Boundary:
     """A closed curve on the surface around one breast.
 
@@ -82,8 +83,6 @@ class Boundary:
     def __post_init__(self) -> None:
         if len(self.points_world) < 3 or not np.isfinite(self.points_world).all():
             raise ValueError(f"boundary {self.name} needs three or more finite points, found {len(self.points_world)}")
-        object.__setattr__(self, "points_world", read_only(self.points_world))
-        object.__setattr__(self, "evidence_world", read_only(self.evidence_world))
 
 
 def find_boundaries(

@@ -8,7 +8,8 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from mammometry.base.errors import MeasureError
-from mammometry.geometry.arrays import Array, Bool, Float64, read_only
+from mammometry.base.value import value
+from mammometry.geometry.arrays import Array, Bool, Float64
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.nearest import closest_on_mesh
 from mammometry.measure.boundary.crease import CREASE_PER_MM, Crease, follow_crease
@@ -46,7 +47,7 @@ _LEAST_ROUND = 0.5  # area of a base over that of a circle of its length, laid f
 _LOWER_QUARTER = (0.625, 0.875)  # of a turn from the patient's left by the head: where the fold is
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class Outline:
     """The outline of one breast."""
 
@@ -61,12 +62,8 @@ class Outline:
     sigma_mm: Float64[Array, " n"]
     """Standard uncertainty of each point across the curve, mm: small along a fold, large where nothing shows it."""
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "points_world", read_only(self.points_world))
-        object.__setattr__(self, "sigma_mm", read_only(self.sigma_mm))
 
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class NoBreast:
     """A side without an outlined breast, with the evidence for that."""
 
@@ -82,9 +79,6 @@ class NoBreast:
     """Whether something stands out that may be a breast but has no clear end or base: then it is not measured."""
     refused: bool = False
     """Whether a breast was outlined there, and its volume refused."""
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "place_world", read_only(self.place_world))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -14,7 +14,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from mammometry.base.errors import MeasureError
-from mammometry.geometry.arrays import Array, Float64, Int64, read_only
+from mammometry.base.value import value
+from mammometry.geometry.arrays import Array, Float64, Int64
 from mammometry.measure.settings import BaseRimSettings
 
 BaseKind: TypeAlias = Literal["plane", "convex-cylinder"]
@@ -36,7 +37,7 @@ _STEP_MM = 1e-3  # step of the numerical derivatives, mm
 _CONVERGED_MM = 1e-4  # a base that moves by less is at rest, mm
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class Base:
     """A plane (curvature 0) or a circular cylinder.
 
@@ -49,10 +50,6 @@ class Base:
     """Rows: the direction of bending, the straight lines' direction, the normal at `origin` towards the viewer."""
     curvature_per_mm: float
     """1 / radius. 0 for a plane, positive if the base bends away from the viewer on both sides."""
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "origin", read_only(self.origin))
-        object.__setattr__(self, "frame", read_only(self.frame))
 
     @property
     def is_plane(self) -> bool:

@@ -8,12 +8,11 @@ curve on one surface. Only silhouettes enter, so errors of the matched surface n
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.sparse import csr_array, hstack
 
-from mammometry.geometry.arrays import Array, Float64, read_only
+from mammometry.base.value import value
+from mammometry.geometry.arrays import Array, Float64
 from mammometry.measure.boundary.cast_base import SECTORS, Base, moved
 from mammometry.measure.boundary.cast_rim import RimCandidates
 from mammometry.measure.settings import BaseRimSettings
@@ -31,7 +30,7 @@ _CONVERGED_MM = 2e-3  # a base that moves by less is at rest, mm; .02 cc of a ca
 _STRETCHES = 8  # parts of an outline that may be off by themselves (`local_sigma_px`)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class AdjustedBase:
     """A base on which the cameras agree about the rim."""
 
@@ -50,10 +49,6 @@ class AdjustedBase:
     """Their values with one camera's outline one pixel further out, mm."""
     per_stretch: Float64[Array, "k m"]
     """The same for one eighth of one camera's outline."""
-
-    def __post_init__(self) -> None:
-        for name in ("weights", "residuals_px", "covariance", "per_camera", "per_stretch"):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
 
     def sigma_mm(self, rim: Float64[Array, "n 3"], settings: BaseRimSettings = BaseRimSettings()) -> float:
         """Standard uncertainty of the base's mean height within the rim, mm.

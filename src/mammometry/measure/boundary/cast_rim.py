@@ -11,11 +11,12 @@ sharp for any breast count.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import fields
 
 import numpy as np
 
-from mammometry.geometry.arrays import Array, Bool, Float64, Int64, read_only
+from mammometry.base.value import value
+from mammometry.geometry.arrays import Array, Bool, Float64, Int64
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.nearest import point_tree
 from mammometry.matching.foreground.contour import Contour, outline
@@ -34,7 +35,7 @@ _NEIGHBOURS = 160  # vertices of a patch at most; 1.6 per mm² make 246 within 7
 _FEWEST = 40  # vertices of a patch at least; its quadratic has 6 coefficients
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class RimCandidates:
     """Silhouette points that may lie on the rim, and their rays. World frame."""
 
@@ -50,10 +51,6 @@ class RimCandidates:
     """What a pixel of the photograph spans at each point, mm."""
     camera: Int64[Array, " n"]
     """Number, in the rig's order, of the camera that saw each point."""
-
-    def __post_init__(self) -> None:
-        for name in ("points_world", "centres_world", "rays", "outward", "mm_per_px", "camera"):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
 
     def chosen(self, which: slice | Bool[Array, " n"]) -> RimCandidates:
         """Some of them."""

@@ -7,11 +7,10 @@ all paths, unlike the best of them, changes little where the evidence changes li
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.ndimage import correlate1d
 
+from mammometry.base.value import value
 from mammometry.geometry.arrays import Array, Float64
 
 _TURNS = 2  # around the middle: in the first the start is forgotten
@@ -19,7 +18,7 @@ _FURTHEST_STEPS = 3  # that a path may move in or out from one direction to the 
 _SHIFTS = np.arange(-_FURTHEST_STEPS, _FURTHEST_STEPS + 1)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class WeighedPaths:
     """All closed paths through each of several tables."""
 

@@ -7,14 +7,14 @@ breasts), the neighbours, the skin's height and the shape of real women's bounda
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 from scipy.special import softmax
 
-from mammometry.geometry.arrays import Array, Bool, Float64, read_only
+from mammometry.base.value import value
+from mammometry.geometry.arrays import Array, Bool, Float64
 from mammometry.measure.boundary.closed_path import weigh_paths
 from mammometry.measure.settings import BreastSettings
 from mammometry.measure.trunk.skin_map import PIXEL_MM, Relief
@@ -53,9 +53,8 @@ _CENTRINGS = 3  # times that the border is looked for about its own middle; chos
 _NATS, _SIZE_NATS = 2.0, 0.2
 """Log of how much more probable a curve is that gathers 1 more, and a size whose curves gather 1 more: neighbouring
 directions err alike, so that a size has less evidence than their sum. Calibrated on virtual women (decision 43)."""
-_ERR_ALIKE = (
-    2.0  # error of a border over its paths' spread, for the same reason; 1.2 on scans, 2.3 on the hanging women
-)
+_ERR_ALIKE = 2.4
+"""Error of a border over its paths' spread, for the same reason: 1 on virtual scans, 2.6 on the hanging families."""
 _FALLEN = 0.9  # share of the height to which a breast has fallen before it may end; chosen by eye
 _RISE_MM = 6.0  # skin that rises again by this much belongs to something else (arm, belly, other breast)
 _SUNK_MM = 12.0
@@ -67,7 +66,7 @@ _SHIFT_MM = 15.0  # farthest that the outer flank is looked for outside the crea
 _FORBIDDEN = -50.0  # worth of a place where a breast cannot end
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class Crease:
     """A closed curve around a breast, laid flat."""
 
@@ -80,10 +79,6 @@ class Crease:
     sigma_mm: Float64[Array, " n"]
     """Standard uncertainty of each distance from the middle, mm: small along a fold, large where nothing shows the
     border."""
-
-    def __post_init__(self) -> None:
-        for name in ("flat", "concavity_per_mm", "seen", "sigma_mm"):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
 
 
 def follow_crease(

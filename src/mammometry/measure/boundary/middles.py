@@ -6,13 +6,13 @@ and the collar bone are round in one direction alone, and belly and shoulders en
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
 import numpy as np
 from scipy.ndimage import gaussian_filter, maximum_filter
 
-from mammometry.geometry.arrays import Array, Float64, read_only
+from mammometry.base.value import value
+from mammometry.geometry.arrays import Array, Float64
 from mammometry.measure.trunk.skin_map import PIXEL_MM, Relief
 from mammometry.measure.trunk.thorax import Trunk
 
@@ -36,7 +36,7 @@ _LIKE_MM = 60.0  # a pair whose places differ by this from mirrored ones counts 
 _MIDLINE_MM = 4.0  # a peak nearer to the midline is on neither side; chosen by eye
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class Middle:
     """The middle of what may be a breast, laid flat."""
 
@@ -46,9 +46,6 @@ class Middle:
     """Least curvature of the dome, gathered over its middle, 1/mm."""
     base_mm: float
     """Root of the area of the base that breasts with such a dome have, mm."""
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "flat", read_only(self.flat))
 
 
 def breast_middles(relief: Relief, trunk: Trunk) -> dict[SideName, Middle | None]:

@@ -14,7 +14,8 @@ import numpy as np
 
 from mammometry.base.errors import MeasureError
 from mammometry.base.progress import Progress, no_progress
-from mammometry.geometry.arrays import Array, Float64, read_only
+from mammometry.base.value import value
+from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.nearest import point_tree
 from mammometry.measure.dates.trunk_fit import TrunkFit, fit_trunks, trunk_of
@@ -30,7 +31,7 @@ EARLIER, LATER = "before", "after"
 """What the two dates are called."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class Visit:
     """The measurements of one date, in its own world frame, mm."""
 
@@ -41,9 +42,6 @@ class Visit:
     """Rows: the patient's left, the head, straight ahead, roughly, as in the photographs."""
     lengths: tuple[LinearMeasure, ...] = ()
     """Lengths between the landmarks of that date."""
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "frame", read_only(self.frame))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -86,7 +84,7 @@ class BreastChange:
     """Root mean square distance between both dates' skin within the later boundary, mm."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class Change:
     """What has changed between two dates."""
 
@@ -103,9 +101,6 @@ class Change:
     """For each vertex of the later surface, distance by which it stands out of the earlier skin, mm. NaN if a date did
     not see it.
     """
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "after_mm", read_only(self.after_mm))
 
 
 def compare(
@@ -143,13 +138,13 @@ def compare(
         pairing=pairing,
         breasts=tuple(
             BreastChange(
-                name=one.name,
-                before=one,
+                name=pair.name,
+                before=pair,
                 after=other,
-                volume=difference(other, one, pairing, measure, names=(LATER, EARLIER), common_scale=common_scale),
+                volume=difference(other, pair, pairing, measure, names=(LATER, EARLIER), common_scale=common_scale),
                 rms_mm=_rms_mm(other, after.surface, after_mm),
             )
-            for one, other in pairs
+            for pair, other in pairs
         ),
         lengths=tuple(length_changes(before.lengths, after.lengths)),
         after_mm=after_mm,
@@ -177,30 +172,32 @@ def judged(fit: TrunkFit, settings: CompareSettings = CompareSettings()) -> tupl
 
 def length_changes(before: Sequence[LinearMeasure], after: Sequence[LinearMeasure]) -> list[LengthChange]:
     """Lengths that both dates have, straight and along the skin."""
-    earlier = {each.name: each for each in before}
+    earlier = {measurement.name: measurement for measurement in before}
     found = []
     for later in after:
-        one = earlier.get(later.name)
-        if one is None or one.title != later.title:  # a midline that was picked is not one that was computed
+        earlier_one = earlier.get(later.name)
+        if (
+            earlier_one is None or earlier_one.title != later.title
+        ):  # a midline that was picked is not one that was computed
             continue
         found.append(
             LengthChange(
                 name=later.name,
                 title=later.title,
                 along=False,
-                before_mm=one.straight_mm,
+                before_mm=earlier_one.straight_mm,
                 after_mm=later.straight_mm,
-                sigma_mm=float(np.hypot(one.straight_sigma_mm, later.straight_sigma_mm)),
+                sigma_mm=float(np.hypot(earlier_one.straight_sigma_mm, later.straight_sigma_mm)),
             )
         )
-        sigmas = one.geodesic_sigma_mm, later.geodesic_sigma_mm
-        if one.geodesic_mm is not None and later.geodesic_mm is not None and None not in sigmas:
+        sigmas = earlier_one.geodesic_sigma_mm, later.geodesic_sigma_mm
+        if earlier_one.geodesic_mm is not None and later.geodesic_mm is not None and None not in sigmas:
             found.append(
                 LengthChange(
                     name=later.name,
                     title=later.title,
                     along=True,
-                    before_mm=one.geodesic_mm,
+                    before_mm=earlier_one.geodesic_mm,
                     after_mm=later.geodesic_mm,
                     sigma_mm=float(np.hypot(*sigmas)),  # type: ignore[arg-type]  # neither is None
                 )
@@ -214,7 +211,9 @@ def _paired(before: Visit, after: Visit) -> list[tuple[VolumeMeasurement, Volume
     Raises:
         MeasureError: there is none, or one date has a wall of another kind.
     """
-    earlier, later = ({each.name: each for each in visit.measurements} for visit in (before, after))
+    earlier, later = (
+        {measurement.name: measurement for measurement in visit.measurements} for visit in (before, after)
+    )
     if not earlier.keys() & later.keys() or "model" in earlier:
         raise MeasureError(
             "the breasts of both dates",
@@ -222,12 +221,12 @@ def _paired(before: Visit, after: Visit) -> list[tuple[VolumeMeasurement, Volume
             expected="a breast of a torso at both dates",
             remedy="Draw the missing boundary with `mammometry edit`, or remove the one too many at the other date",
         )
-    earlier = {name: one for name, one in earlier.items() if name in later}
-    for name, one in earlier.items():
-        if one.wall_kind != later[name].wall_kind:
+    earlier = {name: earlier_measurement for name, earlier_measurement in earlier.items() if name in later}
+    for name, earlier_measurement in earlier.items():
+        if earlier_measurement.wall_kind != later[name].wall_kind:
             raise MeasureError(
                 f"the chest wall of the {name} breast",
-                found=f"{one.wall_kind} before, {later[name].wall_kind} after",
+                found=f"{earlier_measurement.wall_kind} before, {later[name].wall_kind} after",
                 expected="one kind at both dates",
                 remedy="Measure both with the same --set measure.wall",
             )
@@ -240,7 +239,10 @@ def _listed(names: Iterable[str]) -> str:
 
 def _fit(before: Visit, after: Visit, settings: ThoraxSettings) -> TrunkFit:
     """Lay the later trunk onto the earlier one, without what is a breast at either date."""
-    curves = [{each.name: each.boundary_world for each in visit.measurements} for visit in (before, after)]
+    curves = [
+        {measurement.name: measurement.boundary_world for measurement in visit.measurements}
+        for visit in (before, after)
+    ]
     fit = fit_trunks(
         trunk_of(before.surface, list(curves[0].values()), before.frame, settings),
         trunk_of(after.surface, list(curves[1].values()), after.frame, settings),
@@ -263,7 +265,7 @@ def _seen(surface: RepairedSurface, mesh: TriangleMesh) -> TriangleMesh:
 
 def _standing_out(mesh: TriangleMesh, surface: RepairedSurface, other: TriangleMesh) -> Float64[Array, " n"]:
     """Distance of each visible vertex out of the other date's skin, mm. NaN for the others."""
-    return signed_mm(mesh, other, asked=surface.provenance != Provenance.INVENTED)
+    return signed_mm(mesh, other, selected=surface.provenance != Provenance.INVENTED)
 
 
 def _rms_mm(measured: VolumeMeasurement, surface: RepairedSurface, out_mm: Float64[Array, " m"]) -> float:

@@ -13,7 +13,8 @@ from itertools import product
 import numpy as np
 
 from mammometry.base.errors import MeasureError
-from mammometry.geometry.arrays import Array, Float64, read_only
+from mammometry.base.value import value
+from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.nearest import point_tree
 from mammometry.geometry.transform import Transform
 from mammometry.measure.settings import ThoraxSettings
@@ -28,7 +29,7 @@ _STARTS_MM = (0.0, -25.0, 25.0)  # along the axis, along which a trunk slides; s
 _SHARE = 0.8  # four fifths: the robust scatter does not tell bodies apart (decision 22)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class TrunkSkin:
     """The part of a torso that a registration may trust."""
 
@@ -40,10 +41,6 @@ class TrunkSkin:
     """Its axis and frame."""
     frame: Float64[Array, "3 3"]
     """Rows: the patient's left, the head, straight ahead, roughly, as in the photographs. World frame."""
-
-    def __post_init__(self) -> None:
-        for name in ("points_world", "normals_world", "frame"):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -121,7 +118,7 @@ def fit_trunks(before: TrunkSkin, after: TrunkSkin) -> TrunkFit:
             found.append((_within_mm(laid.fixed_from_moving, after, fixed), laid))
     if not found:
         raise refused[0]
-    within_mm, best = min(found, key=lambda each: each[0])
+    within_mm, best = min(found, key=lambda scored: scored[0])
     upright = best.fixed_from_moving.rotate(after.frame[1:2])[0]
     return TrunkFit(
         before_from_after=best.fixed_from_moving,
@@ -137,9 +134,9 @@ def _within_mm(
 ) -> float:
     """Distance along the normal that holds four fifths of the trunk. The trunk is moved first."""
     moved = motion.apply(_every(after, _JUDGED)[0])
-    there, outward = fixed
-    nearest = np.asarray(point_tree(there).query(moved)[1])
-    away = ((moved - there[nearest]) * outward[nearest]).sum(axis=1)
+    fixed_points, outward = fixed
+    nearest = np.asarray(point_tree(fixed_points).query(moved)[1])
+    away = ((moved - fixed_points[nearest]) * outward[nearest]).sum(axis=1)
     return float(np.quantile(np.abs(away), _SHARE))
 
 

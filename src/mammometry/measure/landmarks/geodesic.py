@@ -7,14 +7,13 @@ belt that can still hold the shortest path. The length found is never below the 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 
 from mammometry.base.errors import MeasureError
-from mammometry.geometry.arrays import Array, Bool, Float64, Int64, read_only
+from mammometry.base.value import value
+from mammometry.geometry.arrays import Array, Bool, Float64, Int64
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.nearest import closest_on_mesh
 from mammometry.geometry.refine import edge_table
@@ -30,16 +29,13 @@ _ROOMS = ((1.12, 10.0), (1.6, 40.0), (np.inf, 0.0))
 """
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class SurfacePath:
     """A shortest path over a mesh."""
 
     points_world: Float64[Array, "k 3"]
     """From start to stop, neighbours in one triangle, mm, world frame."""
     length_mm: float
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "points_world", read_only(self.points_world))
 
 
 def geodesic(mesh: TriangleMesh, start_world: Float64[Array, 3], stop_world: Float64[Array, 3]) -> SurfacePath:

@@ -7,12 +7,12 @@ only the person who picked it knows what was meant.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
 from mammometry.base.errors import MeasureError
-from mammometry.geometry.arrays import Array, Float64, read_only
+from mammometry.base.value import value
+from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.nearest import closest_on_mesh
 
@@ -24,7 +24,7 @@ PROPOSED = "proposed"
 """Word with which the method of a landmark begins that nobody picked."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class Landmark:
     """Where a landmark lies.
 
@@ -48,7 +48,6 @@ class Landmark:
     def __post_init__(self) -> None:
         if not len(self.points_world) or not np.isfinite(self.points_world).all():
             raise ValueError(f"landmark {self.name} needs finite points, found {len(self.points_world)}")
-        object.__setattr__(self, "points_world", read_only(self.points_world))
 
     @property
     def proposed(self) -> bool:

@@ -156,7 +156,9 @@ def _mean(
     kept = (pairs.distance_mm >= beyond_mm) & (pairs.distance_mm < within_mm)
     row, column = pairs.row[kept], pairs.column[kept]
     count = np.bincount(row, minlength=len(values))
-    sums = np.stack([np.bincount(row, each[column], minlength=len(values)) for each in values.T], axis=1)
+    sums = np.stack(
+        [np.bincount(row, column_values[column], minlength=len(values)) for column_values in values.T], axis=1
+    )
     return np.where(count[:, None] > 0, sums / np.maximum(count, 1)[:, None], values)
 
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from mammometry.geometry.arrays import Array, Float64, UInt8, read_only
+from mammometry.base.value import value
+from mammometry.geometry.arrays import Array, Float64, UInt8
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.nearest import closest_on_mesh, point_tree
 from mammometry.measure.landmarks.ends import EndSigmas, propose_ends
@@ -21,7 +22,7 @@ from mammometry.measure.trunk.mirror_plane import MirrorPlane
 from mammometry.measure.volume.measurement import VolumeMeasurement
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class Dimensions:
     """Shape, lengths and ptosis of all breasts of one subject."""
 
@@ -30,9 +31,6 @@ class Dimensions:
     shapes: tuple[BreastShape, ...]
     lengths: tuple[LinearMeasure, ...]
     ptosis: tuple[Ptosis, ...]
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "frame", read_only(self.frame))
 
 
 def find_landmarks(
@@ -90,7 +88,9 @@ def _of_torso(
     """Yield the ends of the breasts, and what lies on the midline."""
     scatter = settings.observers
     sigmas = EndSigmas(lower_mm=scatter.lower_mm, medial_mm=scatter.medial_mm, lateral_mm=scatter.lateral_mm)
-    curves = {each.name: each.boundary_world for each in measurements if each.name != "model"}
+    curves = {
+        measurement.name: measurement.boundary_world for measurement in measurements if measurement.name != "model"
+    }
     for side, curve in curves.items():
         yield from propose_ends(side, curve, frame, sigmas)
     if plane is not None and curves:

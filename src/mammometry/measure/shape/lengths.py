@@ -107,8 +107,10 @@ def linear_measures(
         line = landmarks.get("midline")
         if line is not None and (midline is None or not line.proposed):
             foot = _foot(nipple.points_world[0], line.points_world)
-            there = Landmark(name="midline", points_world=foot[None], method=line.method, sigma_mm=line.sigma_mm)
-            found.append(_between(name, title, nipple, there, mesh, skin))
+            foot_landmark = Landmark(
+                name="midline", points_world=foot[None], method=line.method, sigma_mm=line.sigma_mm
+            )
+            found.append(_between(name, title, nipple, foot_landmark, mesh, skin))
         elif midline is not None:
             point, normal, sigma = midline
             from_plane = float((nipple.points_world[0] - point) @ normal)
@@ -175,7 +177,7 @@ def _between(
     a, b = first.points_world[0], second.points_world[0]
     straight = float(np.linalg.norm(b - a))
     direction = (b - a) / max(straight, 1e-9)
-    moved = [each.sigma_mm * _tangential(each, direction, skin) for each in (first, second)]
+    moved = [landmark.sigma_mm * _tangential(landmark, direction, skin) for landmark in (first, second)]
     return LinearMeasure(
         name=name,
         title=title,

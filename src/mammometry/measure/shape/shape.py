@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from types import MappingProxyType
 
 import numpy as np
 
+from mammometry.base.value import value
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.nearest import point_tree
 from mammometry.measure.boundary.boundary import BreastName
@@ -16,7 +15,7 @@ from mammometry.measure.solid.clip import volume_within_mm3
 from mammometry.measure.volume.measurement import VolumeMeasurement
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value
 class BreastShape:
     """Extent of one breast and the distribution of its volume.
 
@@ -47,9 +46,6 @@ class BreastShape:
     """Volume below the level of the nipple, cc: the lower pole."""
     pole_sigma_cc: float | None
     """Standard uncertainty of either pole from that of the nipple's height, cc."""
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "quadrants_cc", MappingProxyType(dict(self.quadrants_cc)))
 
 
 def shape_of(

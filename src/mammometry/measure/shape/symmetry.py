@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from mammometry.base.machine.cores import available_cores
-from mammometry.geometry.arrays import Array, Bool, Float64, read_only
+from mammometry.base.value import value
+from mammometry.geometry.arrays import Array, Bool, Float64
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.nearest import point_tree
 from mammometry.geometry.transform import Transform
@@ -23,7 +23,7 @@ _OBLIQUE, _FLUSH_MM = 0.8, 3.0
 _FARTHEST_MM = 80.0  # a counterpart is looked for within this distance; chosen by eye
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class Symmetry:
     """How both breasts of a torso differ."""
 
@@ -56,10 +56,6 @@ class Symmetry:
     """
     right_mm: Float64[Array, " m"]
     """For each vertex of the right closed solid, distance by which the right skin stands out of the left one, mm."""
-
-    def __post_init__(self) -> None:
-        for name in ("plane_point_world", "plane_normal_world", "shift_mm", "left_mm", "right_mm"):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
 
     def mirrored(self, points_world: Float64[Array, "n 3"]) -> Float64[Array, "n 3"]:
         """Mirrored points of the right side, laid onto the left, mm. The mirror is the plane. World frame."""
@@ -129,7 +125,7 @@ def trunk_skin(
 
 
 def signed_mm(
-    skin: TriangleMesh, other: TriangleMesh, *, asked: Bool[Array, " n"] | None = None
+    skin: TriangleMesh, other: TriangleMesh, *, selected: Bool[Array, " n"] | None = None
 ) -> Float64[Array, " n"]:
     """How far each vertex stands out of another, finely triangulated surface, mm.
 
@@ -137,13 +133,13 @@ def signed_mm(
     beyond the other's edge, where the way to the nearest place runs along the surface, or further away than 80 mm.
 
     Args:
-        skin: the surface whose vertices are asked for.
+        skin: the surface whose vertices are compared.
         other: the surface that they stand out of.
-        asked: which of the vertices are asked for; the others are NaN. None: all.
+        selected: which of its vertices are compared; the others are NaN. None: all.
     """
-    asked = np.ones(len(skin.vertices), dtype=bool) if asked is None else asked
+    selected = np.ones(len(skin.vertices), dtype=bool) if selected is None else selected
     found = np.full(len(skin.vertices), np.nan)
-    points = skin.vertices[asked]
+    points = skin.vertices[selected]
     tree = point_tree(other.vertices)
     distance, place = tree.query(points, distance_upper_bound=_FARTHEST_MM, workers=available_cores())
     near = np.isfinite(distance)
@@ -154,7 +150,7 @@ def signed_mm(
     along = np.linalg.norm(away - normals * signed[:, None], axis=1)
     values = np.full(len(points), np.nan)
     values[near] = np.where(along <= np.maximum(_FLUSH_MM, _OBLIQUE * np.abs(signed)), signed, np.nan)
-    found[asked] = values
+    found[selected] = values
     return found
 
 

@@ -8,11 +8,11 @@ without a gap.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
 from mammometry.base.errors import MeasureError
+from mammometry.base.value import value
 from mammometry.geometry import mesh_kernels
 from mammometry.geometry.arrays import Array, Bool, Float64, Int64, read_only
 from mammometry.geometry.mesh import TriangleMesh
@@ -30,7 +30,7 @@ middle. Chosen by eye. A part that reaches the sphere's edge is not the breast.
 """
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class OpenPart:
     """The part of a closed mesh that was kept, and its openings."""
 
@@ -38,9 +38,6 @@ class OpenPart:
     """The part that was kept. mm, world frame."""
     loops: tuple[Int64[Array, " _"], ...]
     """Vertices of every opening, in the direction of the part's own faces, longest first."""
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "loops", tuple(read_only(loop) for loop in self.loops))
 
 
 def above(mesh: TriangleMesh, height: Height) -> OpenPart:

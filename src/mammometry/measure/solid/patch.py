@@ -7,7 +7,6 @@ which the loop came from.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 
 import manifold3d
@@ -17,11 +16,12 @@ from scipy.sparse import coo_matrix, csr_matrix
 from scipy.sparse.linalg import splu
 
 from mammometry.base.errors import CrossingError
-from mammometry.geometry.arrays import Array, Bool, Float64, Int64, read_only
+from mammometry.base.value import value
+from mammometry.geometry.arrays import Array, Bool, Float64, Int64
 from mammometry.measure.solid.cut import opening_loops
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class Patch:
     """A triangulated region of a plane."""
 
@@ -31,10 +31,6 @@ class Patch:
     """Counter-clockwise."""
     n_loop: int
     """Number of leading points that lie on the loops."""
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "points", read_only(self.points))
-        object.__setattr__(self, "faces", read_only(self.faces))
 
     def area_mm2(self) -> float:
         """Area of the region, mm²."""

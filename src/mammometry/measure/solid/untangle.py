@@ -58,8 +58,8 @@ def self_crossings(loop: Float64[Array, "n 2"]) -> Int64[Array, "k 2"]:
         others = others[(apart > 1) & (apart < len(loop) - 1)]
         if len(others):
             here = _side(a[edge], b[edge], a[others]) * _side(a[edge], b[edge], b[others]) < 0
-            there = _side(a[others], b[others], a[edge]) * _side(a[others], b[others], b[edge]) < 0
-            found += [(min(edge, other), max(edge, other)) for other in others[here & there]]
+            crossing = _side(a[others], b[others], a[edge]) * _side(a[others], b[others], b[edge]) < 0
+            found += [(min(edge, other), max(edge, other)) for other in others[here & crossing]]
     return np.array(sorted(found), dtype=np.int64).reshape(-1, 2)
 
 

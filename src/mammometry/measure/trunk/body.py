@@ -8,13 +8,13 @@ for agreement.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
 import numpy as np
 
 from mammometry.base.errors import MeasureError
-from mammometry.geometry.arrays import Array, Bool, Float64, read_only
+from mammometry.base.value import value
+from mammometry.geometry.arrays import Array, Bool, Float64
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.measure.settings import ThoraxSettings
 from mammometry.measure.trunk.mirror_plane import MirrorPlane, mirror_plane
@@ -41,7 +41,7 @@ _STARTS_DEG = (0.0, -10.0, 10.0, -20.0, 20.0)  # turns about the axis that are t
 _FACING_ROUNDS = 3  # of finding the axis and straight ahead, each from the other; chosen by eye
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class Body:
     """The patient's own directions, and where the middle is."""
 
@@ -57,10 +57,6 @@ class Body:
     """Robust standard deviation of the trunk from its mirror image, without the breasts, mm. None without a plane."""
     how: str
     """What the frame rests on, one sentence."""
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "frame", read_only(self.frame))
-        object.__setattr__(self, "point_world", read_only(self.point_world))
 
     @property
     def left(self) -> Float64[Array, 3]:
@@ -182,7 +178,7 @@ def _facing_ahead(skin: Skin, first: Trunk, settings: ThoraxSettings, middle: Fl
             tried.append(turned(first, np.deg2rad(angle_deg)))
         except MeasureError:
             continue  # no skin of the sides is seen in that direction
-    best = min(tried, key=lambda each: each[0]) if tried else turned(first, 0.0)
+    best = min(tried, key=lambda scored: scored[0]) if tried else turned(first, 0.0)
     for _ in range(_FACING_ROUNDS):
         again = turned(best[2], best[1])
         if again[0] > best[0]:
@@ -214,8 +210,8 @@ def _ahead_rad(skin: Skin, trunk: Trunk, settings: ThoraxSettings) -> tuple[floa
     place = np.arange(columns)
     for number, twice in enumerate(shifts):
         partner = twice - place
-        there = (partner > place) & (partner < columns)
-        apart = np.abs(radius[:, place[there]] - radius[:, partner[there]])
+        inside = (partner > place) & (partner < columns)
+        apart = np.abs(radius[:, place[inside]] - radius[:, partner[inside]])
         apart = apart[np.isfinite(apart)]
         if len(apart) >= _FEWEST_CELLS:  # a breast that the other side lacks counts no more than a limited misfit
             turned_deg = abs(twice / 2 - middle) * _CELL_DEG

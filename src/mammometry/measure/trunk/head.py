@@ -61,17 +61,17 @@ class HeadSigns:
 
     def words(self) -> str:
         """The signs that say something, a clause."""
-        said = []
+        reasons = []
         if self.arms:
             share = 50 * (1 + abs(self.arms))
-            said.append(f"{share:.0f} % of the skin where arms leave the trunk is {_end(self.arms)}")
+            reasons.append(f"{share:.0f} % of the skin where arms leave the trunk is {_end(self.arms)}")
         if self.breasts:
-            said.append(f"the breasts are fuller {_end(-self.breasts)}")
+            reasons.append(f"the breasts are fuller {_end(-self.breasts)}")
         if self.flanks:
-            said.append(f"the trunk's sides are seen more {_end(-self.flanks)}")
+            reasons.append(f"the trunk's sides are seen more {_end(-self.flanks)}")
         if self.front:
-            said.append(f"the chest slopes back {_end(self.front)}")
-        return " and ".join(said)
+            reasons.append(f"the chest slopes back {_end(self.front)}")
+        return " and ".join(reasons)
 
 
 def head_signs(skin: Skin, trunk: Trunk, fuller_below: Sequence[float]) -> HeadSigns:
@@ -139,8 +139,8 @@ def _arms(local: Float64[Array, "n 3"], trunk: Trunk) -> float:
     """
     near, far = _SHOULDERS
     aside = np.abs(local[:, 0]) / trunk.half_width_mm
-    there = local[(aside > near) & (aside < far), 1]
-    balance = float(np.sign(there).mean()) if len(there) >= _FEWEST else 0.0
+    heights = local[(aside > near) & (aside < far), 1]
+    balance = float(np.sign(heights).mean()) if len(heights) >= _FEWEST else 0.0
     return balance if abs(balance) >= _CLEAR_SHOULDERS else 0.0
 
 
@@ -156,9 +156,9 @@ def _flanks(local: Float64[Array, "n 3"], normals: Float64[Array, "n 3"], trunk:
     reach = min(_FLANK_MM, -float(low), float(high))
     aside = np.abs(local[:, 0]) / trunk.half_width_mm
     turned_deg = np.abs(np.rad2deg(np.arctan2(normals[:, 0], normals[:, 2])))
-    there = (turned_deg > _FLANK_DEG[0]) & (turned_deg < _FLANK_DEG[1]) & (aside > _FLANK[0]) & (aside < _FLANK[1])
-    there &= (normals[:, 0] * local[:, 0] > 0) & (np.abs(local[:, 1]) < reach)
-    sides = [local[there & (sign * local[:, 0] > 0), 1] for sign in (1, -1)]
+    flank = (turned_deg > _FLANK_DEG[0]) & (turned_deg < _FLANK_DEG[1]) & (aside > _FLANK[0]) & (aside < _FLANK[1])
+    flank &= (normals[:, 0] * local[:, 0] > 0) & (np.abs(local[:, 1]) < reach)
+    sides = [local[flank & (sign * local[:, 0] > 0), 1] for sign in (1, -1)]
     balances = [-float(np.sign(side).mean()) for side in sides if len(side) >= _FEWEST]
     return float(np.mean(balances)) if balances else 0.0
 
@@ -168,12 +168,14 @@ def _front(local: Float64[Array, "n 3"], normals: Float64[Array, "n 3"]) -> floa
 
     Parts of the strip are compared with those as far below, so that it does not matter how much was pictured.
     """
-    there = (np.abs(local[:, 0]) < _MIDLINE_MM) & (local[:, 2] > 0) & (normals[:, 2] > 0)
-    part = np.round(local[there, 1] / _BIN_MM).astype(int)
+    midline = (np.abs(local[:, 0]) < _MIDLINE_MM) & (local[:, 2] > 0) & (normals[:, 2] > 0)
+    part = np.round(local[midline, 1] / _BIN_MM).astype(int)
     first, last = (round(height / _BIN_MM) for height in _FRONT_MM)
     within = np.abs(part) <= last
     count = np.bincount(part[within] + last, minlength=2 * last + 1)
-    upwards = np.bincount(part[within] + last, normals[there, 1][within], minlength=2 * last + 1) / np.maximum(count, 1)
+    upwards = np.bincount(part[within] + last, normals[midline, 1][within], minlength=2 * last + 1) / np.maximum(
+        count, 1
+    )
     steps = np.arange(first, last + 1)
     both = np.minimum(count[last + steps], count[last - steps]) >= _FEWEST_IN_BIN
     if both.sum() < _FEWEST_BINS:

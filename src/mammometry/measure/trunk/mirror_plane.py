@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from mammometry.geometry.arrays import Array, Float64, read_only
+from mammometry.base.value import value
+from mammometry.geometry.arrays import Array, Float64
 from mammometry.measure.trunk.register import register
 
 _PLANE_ROUNDS = 6  # of mirroring and registering; it ends when the plane is at rest
 _AT_REST_RAD = 1e-4  # a plane that turns by less is at rest
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class MirrorPlane:
     """A plane of symmetry and how well it holds."""
 
@@ -27,10 +26,6 @@ class MirrorPlane:
     """Robust standard deviation of the skin from its own mirror image, mm."""
     used: float
     """Share of the skin with a partner on the other side that is no outlier."""
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "point_world", read_only(self.point_world))
-        object.__setattr__(self, "normal_world", read_only(self.normal_world))
 
     def mirrored(self, points_world: Float64[Array, "n 3"]) -> Float64[Array, "n 3"]:
         """Points mirrored at the plane, mm."""

@@ -68,9 +68,9 @@ def register(
     Raises:
         MeasureError: too few partners are found.
     """
-    points, normals = (each[:: max(1, len(moving[0]) // _SAMPLES)] for each in moving)
-    there, outward = fixed
-    tree = point_tree(there)
+    points, normals = (array[:: max(1, len(moving[0]) // _SAMPLES)] for array in moving)
+    fixed_points, outward = fixed
+    tree = point_tree(fixed_points)
     motion = start or Transform.identity()
     reach, scale = reach_mm, reach_mm
     weights = np.zeros(len(points))
@@ -89,7 +89,7 @@ def register(
                 expected=f"at least {_FEWEST}",
                 remedy="Check that both show the same part of the same patient, in about the same attitude",
             )
-        away = ((there[partner] - moved) * plane).sum(axis=1)
+        away = ((fixed_points[partner] - moved) * plane).sum(axis=1)
         scale = max(_MAD * float(np.median(np.abs(away[found]))), _FINEST_MM)
         weights = np.where(found, np.clip(1 - (away / (_TUKEY * scale)) ** 2, 0, None) ** 2, 0.0)
         middle = moved[found].mean(axis=0)

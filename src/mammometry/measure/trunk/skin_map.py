@@ -7,8 +7,6 @@ the fold is a crease of the picture, whether the breast hangs over it or not.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.ndimage import (
     distance_transform_edt,
@@ -21,7 +19,8 @@ from scipy.ndimage import (
 
 from mammometry.base.errors import MeasureError
 from mammometry.base.machine.cores import in_bands
-from mammometry.geometry.arrays import Array, Bool, Float64, read_only
+from mammometry.base.value import value
+from mammometry.geometry.arrays import Array, Bool, Float64
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.measure.settings import ThoraxSettings
 from mammometry.measure.trunk import skin_kernels
@@ -36,7 +35,7 @@ _EDGE_MM = 13.0  # from the end of the seen skin: three scales of 4 mm at which 
 _STEEP_MM = 60.0  # bulges above this count as this; chosen by eye
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class Relief:
     """Bulge of the innermost skin over a grid, mm. The grid is (half width × θ, y), both in mm."""
 
@@ -48,10 +47,6 @@ class Relief:
     """
     known: Bool[Array, "h w"]
     """Whether skin was seen there, or next to it."""
-
-    def __post_init__(self) -> None:
-        for name in ("low", "bulge_mm", "known"):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
 
     def smooth_mm(self, sigma_mm: float) -> Float64[Array, "h w"]:
         """The bulge, Gaussian-smoothed, mm."""

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from mammometry.base.errors import MeasureError
-from mammometry.geometry.arrays import Array, Bool, Float64, Int64, read_only
+from mammometry.base.value import value
+from mammometry.geometry.arrays import Array, Bool, Float64, Int64
 from mammometry.measure.settings import ThoraxSettings
 from mammometry.surface.repair.repair import Provenance, RepairedSurface
 
@@ -56,7 +57,7 @@ _CUT_OFF = 3.0  # scatters at which skin that stands out counts no more
 _MAD = 1.4826  # standard deviation of a normal distribution over its median absolute deviation
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class Trunk:
     """Cylindrical coordinates of a trunk.
 
@@ -71,10 +72,6 @@ class Trunk:
     """Half the distance between the trunk's sides, mm. Scale of θ when laid flat."""
     assumed: bool = False
     """Whether the sides were not seen, so that the axis has its usual depth behind the breastbone."""
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "frame", read_only(self.frame))
-        object.__setattr__(self, "origin", read_only(self.origin))
 
     def cylindrical(self, points_world: Float64[Array, "n 3"]) -> Float64[Array, "n 3"]:
         """(half width × θ, y, r) of world points, laid flat, mm. As seen from in front of the patient."""
@@ -97,7 +94,7 @@ class Trunk:
         return np.stack([cosine * left - sine * ahead, up, sine * left + cosine * ahead])
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class Thorax:
     """A trunk and its smooth radius without breasts."""
 
@@ -107,9 +104,6 @@ class Thorax:
     settings: ThoraxSettings
     rms_mm: float
     """Scatter of the skin that was fitted, mm."""
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "coefficients", read_only(self.coefficients))
 
     def radius_mm(self, arc_y: Float64[Array, "n 2"]) -> Float64[Array, " n"]:
         """Radius of the trunk without breasts at (half width × θ, y). All in mm."""
@@ -121,7 +115,7 @@ class Thorax:
         return cylindrical[:, 2] - self.radius_mm(cylindrical[:, :2])
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class Skin:
     """Samples of the visible skin."""
 
@@ -129,10 +123,6 @@ class Skin:
     """Middles of faces, mm, world frame."""
     normals_world: Float64[Array, "n 3"]
     """Their unit outward normals."""
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "points_world", read_only(self.points_world))
-        object.__setattr__(self, "normals_world", read_only(self.normals_world))
 
     def chosen(self, which: Bool[Array, " n"] | slice) -> Skin:
         """Part of the samples."""
@@ -222,7 +212,7 @@ def find_trunk(
 
 
 def _axis(normals: Float64[Array, "n 3"], frame: Float64[Array, "3 3"], settings: ThoraxSettings) -> Float64[Array, 3]:
-    """The direction that the skin's normals avoid. The head's where none near to it is."""
+    """Trunk axis: least-variance direction of the normals. The head's where none near to it is."""
     axis = frame[1]
     for _ in range(_AXIS_ROUNDS):
         weights = 1 / (1 + ((normals @ axis) / _LEAN) ** 2)
@@ -260,15 +250,15 @@ def _front(
     """
     local, turned = skin.points_world @ frame.T, skin.normals_world @ frame.T
     height = float(np.median(local[:, 1]) if height_of is None else height_of @ frame[1])
-    there = np.abs(local[:, 1] - height) < _SIDE_BAND_MM
-    if there.sum() < _FEWEST_SIDE:
+    band = np.abs(local[:, 1] - height) < _SIDE_BAND_MM
+    if band.sum() < _FEWEST_SIDE:
         raise MeasureError(
             "torso",
             found="no skin at the height of the breasts",
             expected="the trunk beside the breasts",
             remedy="Check that the boundaries are of this surface, and in millimetres",
         )
-    local, turned = local[there], turned[there]
+    local, turned = local[band], turned[band]
     middle = _middle(local[:, 0], turned[:, 2]) if middle_of is None else float(middle_of @ frame[0])
     between = np.abs(local[:, 0] - middle) < _MIDDLE_MM
     ahead = float(np.median(local[between, 2] if between.any() else local[:, 2]))

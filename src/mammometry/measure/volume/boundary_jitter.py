@@ -55,7 +55,7 @@ def boundary_std_cc(breast: OpenBreast, wall: ChestWall, *, progress: Progress =
     volume_cc = wall.closed.volume_mm3() / 1000
     wider, *others_mm = displacements_mm(_sigma_mm(breast))
     modes = (wider, -wider, *others_mm)
-    reach_mm = 2 * float(max(np.abs(each).max() for each in modes)) + REACH_MM
+    reach_mm = 2 * float(max(np.abs(mode).max() for mode in modes)) + REACH_MM
     changes_cc = []
     try:
         band = Band(surface.mesh, edge_loop(boundary.name, boundary.points_world, surface.mesh), reach_mm)

@@ -8,12 +8,11 @@ Errors that they share cancel in the difference. The others stay.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Literal, TypeAlias
 
 import numpy as np
 
+from mammometry.base.value import value
 from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.measure.volume.uncertainty import AXIS, SCALE, WALL
@@ -22,7 +21,7 @@ Pairing: TypeAlias = Literal["sides", "same pose", "across poses"]
 """What is compared: both sides of one capture, or one breast in two captures, standing alike or differently."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value
 class VolumeDifference:
     """Difference and ratio of two volumes, with 95 % intervals."""
 
@@ -44,9 +43,6 @@ class VolumeDifference:
     """Half-width at 95 % that each named source contributes to the difference, cc. Empty without an interval."""
     note: str
     """What the interval covers and which shared errors it leaves out, one sentence."""
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "terms_cc", MappingProxyType(dict(self.terms_cc)))
 
     @property
     def beyond_error(self) -> bool | None:
@@ -94,14 +90,14 @@ def difference(
         )  # fmt: skip
     alike = first.wall_kind == second.wall_kind
     volumes = np.array([first.volume_cc, second.volume_cc])
-    own = [dict(one.interval_terms_cc) for one in (first, second)]
+    own = [dict(measurement.interval_terms_cc) for measurement in (first, second)]
     terms: dict[str, float] = {}
     relative: dict[str, float] = {}
     for name in {**own[0], **own[1]}:
-        each = np.array([part.get(name, 0.0) for part in own])
+        contributions = np.array([part.get(name, 0.0) for part in own])
         # An axis that is assumed for both is off alike, since both have one trunk.
-        if (name == SCALE and common_scale) or (name == AXIS and alike and each.min() > 0):
-            terms[name], relative[name] = float((each / volumes).max() * abs(gap)), 0.0
+        if (name == SCALE and common_scale) or (name == AXIS and alike and contributions.min() > 0):
+            terms[name], relative[name] = float((contributions / volumes).max() * abs(gap)), 0.0
         elif name == WALL and alike:
             areas = np.array([first.base_area_cm2, second.base_area_cm2]) / 10
             unshared = {
@@ -110,10 +106,10 @@ def difference(
                 "across poses": settings.wall_across_poses_u95_mm / np.sqrt(2),
             }[pairing]
             # Walls that are known better by themselves (measured ones) are no worse together.
-            terms[name] = float(min(unshared * np.hypot(*areas), np.hypot(*each)))
-            relative[name] = float(min(unshared * np.hypot(*(areas / volumes)), np.hypot(*(each / volumes))))
+            terms[name] = float(min(unshared * np.hypot(*areas), np.hypot(*contributions)))
+            relative[name] = float(min(unshared * np.hypot(*(areas / volumes)), np.hypot(*(contributions / volumes))))
         else:
-            terms[name], relative[name] = float(np.hypot(*each)), float(np.hypot(*(each / volumes)))
+            terms[name], relative[name] = float(np.hypot(*contributions)), float(np.hypot(*(contributions / volumes)))
     half = float(np.sqrt(sum(term**2 for term in terms.values())))
     log_half = float(np.sqrt(sum(term**2 for term in relative.values())))
     common = f"The chest walls are of two kinds ({first.wall_kind}, {second.wall_kind}), so their errors do not cancel."

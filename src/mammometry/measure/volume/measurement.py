@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from mammometry.geometry.arrays import Array, Float64, read_only
+from mammometry.base.value import value
+from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.measure.volume.definitions import DefinedVolume
 
@@ -17,7 +16,7 @@ if TYPE_CHECKING:
     from mammometry.measure.boundary.boundary import BreastName
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class VolumeMeasurement:
     """One breast, measured."""
 
@@ -61,11 +60,6 @@ class VolumeMeasurement:
     definitions: tuple[DefinedVolume, ...] = ()
     """The volume in every meaning of "the breast", each with an interval of its own. Empty for a cast."""
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "boundary_world", read_only(self.boundary_world))
-        object.__setattr__(self, "alternatives_cc", MappingProxyType(dict(self.alternatives_cc)))
-        object.__setattr__(self, "interval_terms_cc", MappingProxyType(dict(self.interval_terms_cc)))
-
     @property
     def skin(self) -> TriangleMesh:
         """The breast's skin alone, open, mm, world frame."""
@@ -89,8 +83,8 @@ class VolumeMeasurement:
         return float((rim.max() + rim.min()) / 2 - mass) / (float(np.ptp(rim)) / 2)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Lacking:
+@value(eq=False)
+class VolumeDeficit:
     """What one side lacks to the mirrored other one."""
 
     name: Literal["left", "right"]
@@ -107,7 +101,3 @@ class Lacking:
     """The other side's boundary, mirrored and laid onto the skin of this side, mm, world frame."""
     note: str
     """What the volume is and what its interval covers."""
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "boundary_world", read_only(self.boundary_world))
-        object.__setattr__(self, "terms_cc", MappingProxyType(dict(self.terms_cc)))

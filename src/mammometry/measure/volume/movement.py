@@ -57,11 +57,11 @@ def movement_std_cc(
     some = slice(None, None, max(1, len(skin.vertices) // _SAMPLES))
     points, normals, weights = skin.vertices[some], skin.vertex_normals()[some], area_mm2[some]
     weights = weights * (area_mm2.sum() / weights.sum())
-    own, around = (_displacements(movement, each, surface) for each in (points, boundary_world))
+    own, around = (_displacements(movement, array, surface) for array in (points, boundary_world))
     centre = boundary_world.mean(axis=0)
-    unknowns = around.shape[2]
+    motion_parameters = around.shape[2]
     rigid = np.linalg.lstsq(
-        rigid_motions(boundary_world - centre).reshape(-1, 6), around.reshape(-1, unknowns), rcond=None
+        rigid_motions(boundary_world - centre).reshape(-1, 6), around.reshape(-1, motion_parameters), rcond=None
     )[0]
     own = own - rigid_motions(points - centre) @ rigid
     gradient = np.einsum("n,ni,nip->p", weights, normals, own)
@@ -76,12 +76,12 @@ def _displacements(
 ) -> Float64[Array, "n 3 p"]:
     """Displacement of surface points by a unit of each unknown. Mean of the pairs that measured there."""
     bits = _measured_by(points, surface)
-    total = np.zeros((len(points), 3, movement.found.asked.count))
+    total = np.zeros((len(points), 3, movement.found.parameters.count))
     count = np.zeros(len(points))
     for number, pair in enumerate(surface.pair_names):
         seen = (bits >> number & 1).astype(bool)
-        if seen.any() and any(pair in group for group in movement.found.asked.groups):
-            total[seen] += effects(movement.rig, pair, points[seen], movement.found.asked).points_mm
+        if seen.any() and any(pair in group for group in movement.found.parameters.groups):
+            total[seen] += effects(movement.rig, pair, points[seen], movement.found.parameters).points_mm
             count[seen] += 1
     shared: Float64[Array, "n 3 p"] = total / np.maximum(count, 1)[:, None, None]
     return shared

@@ -71,5 +71,5 @@ def removed_side(name: Literal["left", "right"], body: Body, surface: RepairedSu
     aside = body.left if name == "left" else -body.left
     vertices = surface.mesh.vertices
     from_middle = (vertices - body.point_world) @ np.stack([aside, body.up, body.frame[2]], axis=1)
-    there = np.hypot(from_middle[:, 0] - _ASIDE_MM, from_middle[:, 1]) - from_middle[:, 2]
-    return NoBreast(name=name, place_world=vertices[np.argmin(there)], standing=None, why="It is said to be removed")
+    distance = np.hypot(from_middle[:, 0] - _ASIDE_MM, from_middle[:, 1]) - from_middle[:, 2]
+    return NoBreast(name=name, place_world=vertices[np.argmin(distance)], standing=None, why="It is said to be removed")

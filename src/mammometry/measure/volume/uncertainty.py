@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from types import MappingProxyType
 
 import numpy as np
 
+from mammometry.base.value import value
 from mammometry.geometry.arrays import Array, Bool, Float64
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.nearest import point_tree
@@ -62,7 +62,7 @@ class Evidence:
     """Whether the trunk's sides were not seen, and the depth of its axis is assumed."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value
 class Uncertainty:
     """A 95 % interval and what it is made of."""
 
@@ -75,9 +75,6 @@ class Uncertainty:
     """Half-width at 95 % of each source, cc."""
     note: str
     """What the interval covers and what not, one sentence."""
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "terms_cc", MappingProxyType(dict(self.terms_cc)))
 
 
 def interval(
@@ -170,8 +167,8 @@ def interval(
             " Too little of the trunk's sides was seen: its axis is taken to lie as far behind the breastbone as it "
             f"usually does, which makes ± {terms[AXIS]:.1f} cc of it."
         )
-    for each in missing:
-        note += f" It does not cover {each}."
+    for omission in missing:
+        note += f" It does not cover {omission}."
     return Uncertainty(interval_cc=_around(volume_cc, terms), as_defined_cc=as_defined, terms_cc=terms, note=note)
 
 
@@ -193,7 +190,7 @@ def _of_skin(
     nearest = np.asarray(point_tree(surface.mesh.vertices).query(skin.vertices, workers=1)[1])
     origin = surface.provenance[nearest]
     seen, repaired, invented = (
-        origin == each for each in (Provenance.MEASURED, Provenance.REPAIRED, Provenance.INVENTED)
+        origin == provenance for provenance in (Provenance.MEASURED, Provenance.REPAIRED, Provenance.INVENTED)
     )
     sigma_mm = np.nan_to_num(surface.sigma_mm[nearest[seen]].astype(np.float64))
     # Windows overlap: errors of measured vertices are alike within a patch, and but for a share independent beyond it.

@@ -8,13 +8,13 @@ lost. It may lie further out, the more so the farther along the outline from whe
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from mammometry.base.machine.cores import each_at_once
+from mammometry.base.value import value
 from mammometry.geometry import raster_kernels
-from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int64, read_only
+from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int64
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.nearest import point_tree
 from mammometry.matching.foreground.contour import follow
@@ -26,7 +26,7 @@ _STEPS = 24  # into which the farthest distance is divided; chosen for speed
 _SIGMAS = 3  # standard deviations of a datum within which nothing is excluded
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class Silhouette:
     """One camera's silhouette. No part of the subject shows outside it."""
 
@@ -38,10 +38,6 @@ class Silhouette:
     doubt_px: Float64[Array, " n"]
     """How far outside each point the subject may end, pixels."""
 
-    def __post_init__(self) -> None:
-        for name in ("background", "outline_uv", "doubt_px"):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
-
     def excludes(self, points_world: Float64[Array, "n 3"]) -> Bool[Array, " n"]:
         """Which points lie outside the silhouette by more than its doubt. Points are in mm, world frame."""
         seen, column, row = _pixels(self.camera, points_world)
@@ -51,7 +47,7 @@ class Silhouette:
         return _chosen(outside[away_px > self.doubt_px[nearest]], len(points_world))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class SeenThrough:
     """What one pair measured. Nothing stands in front of it."""
 
@@ -65,10 +61,6 @@ class SeenThrough:
     """Inside the window."""
     margin_mm: float
     """Possible error of a datum, mm, besides three of its standard deviations."""
-
-    def __post_init__(self) -> None:
-        for name in ("range_mm", "sigma_mm", "valid"):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
 
     @classmethod
     def of(cls, image: RangeImage, margin_mm: float) -> SeenThrough:

@@ -112,7 +112,7 @@ def _definitions(
     if boundary.name == "model" or uncertainty.interval_cc is None:
         return ()
     chest_cc = uncertainty.terms_cc[WALL]
-    cylinder = next((each for each in (wall, *alternatives) if each.kind == MUSCLE_WALL), None)
+    cylinder = next((candidate for candidate in (wall, *alternatives) if candidate.kind == MUSCLE_WALL), None)
     return define(
         boundary.name,
         wall=wall.kind,

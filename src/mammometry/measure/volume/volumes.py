@@ -31,10 +31,10 @@ def measure_volumes(
         MeasureError: the wanted wall does not fit, or skin and wall do not make a closed solid.
     """
     measured = measured_or_refused(breasts, evidence, progress=progress)
-    for each in measured:
-        if isinstance(each, MeasureError):
-            raise each
-    return tuple(each for each in measured if not isinstance(each, MeasureError))
+    for outcome in measured:
+        if isinstance(outcome, MeasureError):
+            raise outcome
+    return tuple(outcome for outcome in measured if not isinstance(outcome, MeasureError))
 
 
 def measured_or_refused(
@@ -55,7 +55,7 @@ def measured_or_refused(
         waiting = [pool.submit(measured, breast) for breast in breasts]
         for number, _ in enumerate(as_completed(waiting), 1):
             progress(number / len(breasts))
-    return [each.result() for each in waiting]
+    return [future.result() for future in waiting]
 
 
 def measure_volume(breast: OpenBreast, evidence: Evidence = Evidence()) -> VolumeMeasurement:

@@ -14,7 +14,8 @@ import numpy as np
 from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator, RBFInterpolator
 
 from mammometry.base.errors import MeasureError
-from mammometry.geometry.arrays import Array, Float64, read_only
+from mammometry.base.value import value
+from mammometry.geometry.arrays import Array, Float64
 from mammometry.measure.boundary.cast_base import frame_towards
 from mammometry.measure.solid.cut import OpenPart
 from mammometry.measure.solid.patch import Patch, harmonic, signed_area_mm2
@@ -46,7 +47,7 @@ class Chart(Protocol):
         ...
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class PlaneChart:
     """Heights over a plane."""
 
@@ -54,10 +55,6 @@ class PlaneChart:
     """A point on it, mm, world frame."""
     frame: Float64[Array, "3 3"]
     """Rows: two directions in the plane and its normal, towards the breast. World frame."""
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "origin", read_only(self.origin))
-        object.__setattr__(self, "frame", read_only(self.frame))
 
     def flatten(self, points_world: Float64[Array, "n 3"]) -> Float64[Array, "n 3"]:
         """Place in the plane and height over it, mm."""

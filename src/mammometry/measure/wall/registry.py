@@ -47,24 +47,10 @@ class WallModel:
         return self.flat_u95_mm * (base_cm2 / _USUAL_BASE_CM2) ** 0.5
 
 
-_KINDS = tuple(
-    f"mammometry.measure.wall.kinds.{module}"
-    for module in (
-        "cast_base",
-        "coons",
-        "cylinder_membrane",
-        "measured",
-        "membrane",
-        "mirrored",
-        "plane",
-        "tangent_continuous",
-        "thin_plate",
-        "thorax_fit",
-    )
-)
-TORSO_WALLS: Registry[WallModel] = Registry("chest wall", modules=_KINDS)
+_KINDS = "mammometry.measure.wall.kinds"  # a file there is a wall
+TORSO_WALLS: Registry[WallModel] = Registry("chest wall", package=_KINDS)
 """Walls of a torso's breast."""
-CAST_WALLS: Registry[WallModel] = Registry("wall of a cast", modules=_KINDS)
+CAST_WALLS: Registry[WallModel] = Registry("wall of a cast", package=_KINDS)
 """Walls of a cast: its own base (plane or convex cylinder, as the rim shows) and others."""
 
 

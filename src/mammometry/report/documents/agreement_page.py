@@ -42,7 +42,7 @@ def agreement_files(
         summary=summary(data, found),
         pictures=[embed(png) for png in pictures.values()],
         tables=[*agreement_tables(data, found, checked), *more],
-        remarks=[*remarks, *(each.published.note for each in checked if not each.follows and each.published.note)],
+        remarks=[*remarks, *(check.published.note for check in checked if not check.follows and check.published.note)],
     )
     numbers = json.dumps({"title": title, **agreement_json(data, found, checked)}, indent=1, ensure_ascii=False)
     return {"report.html": page.encode(), "agreement.json": (numbers + "\n").encode(), **pictures}

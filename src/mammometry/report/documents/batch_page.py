@@ -82,10 +82,10 @@ def _page(title: str, lines: Sequence[BatchLine]) -> str:
     found = None if paired is None else agreement(paired)
     pictures: list[object] = []
     tables: list[Table] = []
-    said: list[str] = []
+    paragraphs: list[str] = []
     if paired is not None and found is not None:
         pictures = [embed(bland_altman(paired, found)), embed(scatter(paired))]
-        tables, said = [*agreement_tables(paired, found)], [*summary(paired, found)]
+        tables, paragraphs = [*agreement_tables(paired, found)], [*summary(paired, found)]
     return render(
         "batch.html.j2",
         title=title,
@@ -93,7 +93,7 @@ def _page(title: str, lines: Sequence[BatchLine]) -> str:
         lines=[_shown(line) for line in lines],
         pictures=pictures,
         tables=tables,
-        summary=said,
+        summary=paragraphs,
     )
 
 
@@ -120,16 +120,16 @@ def _shown(line: BatchLine) -> dict[str, object]:
         "picture": None if line.thumbnail is None else f"data:image/webp;base64,{line.thumbnail}",
         "volumes": [
             {
-                "name": _NAMES[each.name],
-                "value": number(each.volume_cc, ".0f"),
+                "name": _NAMES[volume.name],
+                "value": number(volume.volume_cc, ".0f"),
                 "interval": ""
-                if each.interval_cc is None
-                else " … ".join(number(end, ".0f") for end in each.interval_cc),
-                "reference": "" if each.reference_cc is None else number(each.reference_cc, ".0f"),
+                if volume.interval_cc is None
+                else " … ".join(number(end, ".0f") for end in volume.interval_cc),
+                "reference": "" if volume.reference_cc is None else number(volume.reference_cc, ".0f"),
             }
-            for each in line.volumes
+            for volume in line.volumes
         ],
-        "largest": max((each.volume_cc for each in line.volumes), default=-1.0),
+        "largest": max((volume.volume_cc for volume in line.volumes), default=-1.0),
         "remarks": remarks,
         "seconds": "" if line.seconds is None else number(line.seconds, ".0f"),
         "memory": "" if line.peak_memory_mb is None else number(line.peak_memory_mb, ".0f"),
@@ -139,14 +139,17 @@ def _shown(line: BatchLine) -> dict[str, object]:
 def _paired(lines: Sequence[BatchLine]) -> PairedMeasurements | None:
     """Volumes that have a reference. None where they are too few for a study."""
     pairs = [
-        (line.subject or line.session, each) for line in lines for each in line.volumes if each.reference_cc is not None
+        (line.subject or line.session, volume)
+        for line in lines
+        for volume in line.volumes
+        if volume.reference_cc is not None
     ]
     if len(pairs) < _FEWEST:
         return None
     return PairedMeasurements(
-        names=tuple(name if each.name == "model" else f"{name} {each.name}" for name, each in pairs),
-        reference=np.array([each.reference_cc for _, each in pairs], dtype=np.float64),
-        measured=np.array([each.volume_cc for _, each in pairs]),
+        names=tuple(name if pair.name == "model" else f"{name} {pair.name}" for name, pair in pairs),
+        reference=np.array([pair.reference_cc for _, pair in pairs], dtype=np.float64),
+        measured=np.array([pair.volume_cc for _, pair in pairs]),
         reference_name="reference",
         measured_name="photographs",
         unit="cc",
@@ -157,19 +160,19 @@ def _columns(lines: Sequence[BatchLine]) -> dict[str, list[str | float | None]]:
     """A row a volume. A session without any has one row."""
     columns: dict[str, list[str | float | None]] = {}
     for line in lines:
-        for each in line.volumes or (None,):
-            interval = None if each is None else each.interval_cc
+        for volume in line.volumes or (None,):
+            interval = None if volume is None else volume.interval_cc
             cells: dict[str, str | float | None] = {
                 "session": line.session,
                 "address": line.address,
                 "subject": line.subject or None,
                 "date": line.date or None,
                 "state": line.state,
-                "volume": None if each is None else each.name,
-                "volume_cc": None if each is None else round(each.volume_cc, 3),
+                "volume": None if volume is None else volume.name,
+                "volume_cc": None if volume is None else round(volume.volume_cc, 3),
                 "low_cc": None if interval is None else round(interval[0], 3),
                 "high_cc": None if interval is None else round(interval[1], 3),
-                "reference_cc": None if each is None else each.reference_cc,
+                "reference_cc": None if volume is None else volume.reference_cc,
                 "no_breast": "; ".join(f"{side}: {why}" for side, why in line.no_breast.items()) or None,
                 "warnings": " ".join(line.warnings) or None,
                 "failed": line.failed or None,

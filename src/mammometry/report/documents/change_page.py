@@ -148,16 +148,16 @@ def as_table(report: ChangeReport) -> dict[str, Any]:
         },
         "lengths": [
             {
-                "name": each.name,
-                "title": each.title,
-                "along_the_skin": each.along,
-                "before_mm": round(each.before_mm, 2),
-                "after_mm": round(each.after_mm, 2),
-                "change_mm": round(each.change_mm, 2),
-                "sigma_mm": round(each.sigma_mm, 2),
-                "beyond_error": each.beyond_error,
+                "name": length.name,
+                "title": length.title,
+                "along_the_skin": length.along,
+                "before_mm": round(length.before_mm, 2),
+                "after_mm": round(length.after_mm, 2),
+                "change_mm": round(length.change_mm, 2),
+                "sigma_mm": round(length.sigma_mm, 2),
+                "beyond_error": length.beyond_error,
             }
-            for each in change.lengths
+            for length in change.lengths
         ],
     }
 
@@ -192,15 +192,15 @@ def breast_card(breast: BreastChange, before: datetime.date | None) -> BreastCar
         Fact(label=f"Uncertainty from {name}", value=f"± {term_words(term)} cc (95 %)")
         for name, term in volume.terms_cc.items()
     ]
-    said = "no interval, because one of the volumes has none"
+    interval_words = "no interval, because one of the volumes has none"
     if interval is not None:
         low, high = (signed(bound, digits) for bound in interval)
         half = (interval[1] - interval[0]) / 2
-        said = f"± {half:.{digits}f} cc (95 %: {low} to {high} cc)"
+        interval_words = f"± {half:.{digits}f} cc (95 %: {low} to {high} cc)"
     return BreastCard(
         title=f"{title[:1].upper()}{title[1:]}",
         change=f"{signed(volume.difference_cc, digits)} cc",
-        interval=said,
+        interval=interval_words,
         verdict=verdict_of(breast, before),
         facts=tuple(facts),
     )
@@ -228,14 +228,14 @@ def length_tables(lengths: Sequence[LengthChange]) -> tuple[Table, ...]:
         return ()
     rows = tuple(
         (
-            each.title,
-            "along the skin" if each.along else "straight",
-            f"{each.before_mm:.1f}",
-            f"{each.after_mm:.1f}",
-            f"{signed(each.change_mm, 1)} ± {each.sigma_mm:.1f}",
-            "yes" if each.beyond_error else "no",
+            length.title,
+            "along the skin" if length.along else "straight",
+            f"{length.before_mm:.1f}",
+            f"{length.after_mm:.1f}",
+            f"{signed(length.change_mm, 1)} ± {length.sigma_mm:.1f}",
+            "yes" if length.beyond_error else "no",
         )
-        for each in lengths
+        for length in lengths
     )
     columns = ("from, to", "path", "before, mm", "after, mm", "change ± σ, mm", "larger than the error")
     return (Table(title="Lengths between landmarks", columns=columns, rows=rows),)

@@ -193,7 +193,9 @@ def signature_line(width: float, room: float) -> Iterator[Any]:
 
 def height_of(flowables: Sequence[Any], width: float) -> float:
     """Height that these take in a column, with the room around them, points."""
-    heights = [each.wrap(width, 1e6)[1] + each.getSpaceBefore() + each.getSpaceAfter() for each in flowables]
+    heights = [
+        flowable.wrap(width, 1e6)[1] + flowable.getSpaceBefore() + flowable.getSpaceAfter() for flowable in flowables
+    ]
     return float(sum(heights))
 
 
@@ -243,7 +245,7 @@ def pictures(shown: Sequence[Picture], width: float, height: float) -> Iterator[
     )
     for start in range(0, len(shown), 2):
         row = [
-            [text(one.title, size=8, bold=True), picture(one.jpeg, half, height)] for one in shown[start : start + 2]
+            [text(item.title, size=8, bold=True), picture(item.jpeg, half, height)] for item in shown[start : start + 2]
         ]
         yield Grid([row], colWidths=[0.5 * width] * len(row), style=bare, hAlign="LEFT", spaceBefore=4)
 

@@ -110,8 +110,8 @@ def _views(first: FirstPage, width: float, height: float) -> Any:
     small = (height - 2 * label - _GAP) / 2
     cells: list[list[Any]] = [[], []]
     cells[0] = [_view_name(front), paper.picture(front.jpeg, width, height - label)]
-    for one in oblique:
-        cells[1] += [_view_name(one), paper.picture(one.jpeg, width, small)]
+    for view in oblique:
+        cells[1] += [_view_name(view), paper.picture(view.jpeg, width, small)]
     wide = ratio * (height - label) + _GAP
     return paper.columns(cells, [wide, ratio * small], gap=_GAP)
 

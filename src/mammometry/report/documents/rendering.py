@@ -66,7 +66,7 @@ def attributed_content(
             breast = replace(breast, boundary=words)
         breasts.append(breast)
     warnings = (*content.warnings, *_boundary_warnings(breasts, in_clinic=clinical is not None), *content.concerns)
-    return replace(content, breasts=tuple(_with_sentence(each) for each in breasts), warnings=warnings)
+    return replace(content, breasts=tuple(_with_sentence(breast) for breast in breasts), warnings=warnings)
 
 
 def _with_sentence(breast: BreastReport) -> BreastReport:
@@ -81,7 +81,7 @@ def _boundary_warnings(breasts: Sequence[BreastReport], *, in_clinic: bool) -> I
                 f"{seen} on the patient's {breast.name} side. {sentence(breast.boundary)} If there is a breast, draw "
                 "its boundary."
             )
-    unconfirmed = [NAMES[each.name] for each in breasts if TO_BE_CONFIRMED in each.boundary]
+    unconfirmed = [NAMES[breast.name] for breast in breasts if TO_BE_CONFIRMED in breast.boundary]
     if unconfirmed:
         yield (
             f"Nobody has confirmed the automatic boundary of the {' and of the '.join(unconfirmed)}. Look at it, and "

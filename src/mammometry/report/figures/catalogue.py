@@ -95,26 +95,29 @@ def find_paper_figure(number: int) -> DrawPaper:
 
 def previews_of(stage: Stage) -> list[Preview]:
     """Previews of a stage, in reading order."""
-    return sorted((each for each in PREVIEWS.values() if each.stage == stage), key=lambda each: (each.place, each.name))
+    return sorted(
+        (preview for preview in PREVIEWS.values() if preview.stage == stage),
+        key=lambda preview: (preview.place, preview.name),
+    )
 
 
 def in_order(stage: str, names: Iterable[str]) -> list[str]:
     """Names of a stage's pictures in their order. Unknown ones come last."""
-    known = [each for each in PREVIEWS.values() if each.stage == stage]
+    known = [preview for preview in PREVIEWS.values() if preview.stage == stage]
 
     def place(name: str) -> tuple[int, str]:
-        places = [each.place for each in known if each.is_called(name)]
-        return (min(places) if places else max((each.place for each in known), default=0) + 1), name
+        places = [preview.place for preview in known if preview.is_called(name)]
+        return (min(places) if places else max((preview.place for preview in known), default=0) + 1), name
 
     return sorted(names, key=place)
 
 
 def shows_photographs(name: str) -> bool:
     """Whether a picture shows photographs. One that nobody knows is taken to show them."""
-    known = [each for each in PREVIEWS.values() if each.is_called(name)]
-    return not known or any(each.photographs for each in known)
+    known = [preview for preview in PREVIEWS.values() if preview.is_called(name)]
+    return not known or any(preview.photographs for preview in known)
 
 
 def is_on_paper(name: str) -> bool:
     """Whether the PDF's pages for the technician show a picture."""
-    return any(each.on_paper for each in PREVIEWS.values() if each.is_called(name))
+    return any(preview.on_paper for preview in PREVIEWS.values() if preview.is_called(name))

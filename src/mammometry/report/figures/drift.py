@@ -31,9 +31,9 @@ def drift(entries: Sequence[Entry], limit_mm: float) -> bytes:
     axes = sheet.panel(0, "Target displaced in each camera's picture", plain=False)
     for colour, name in zip(colours, cameras, strict=False):
         seen = [(i, entry.cameras[name]) for i, entry in enumerate(entries) if name in entry.cameras]
-        axes.plot([i for i, _ in seen], [one.shift_px for _, one in seen], "-", color=colour, linewidth=1.1)
+        axes.plot([i for i, _ in seen], [check.shift_px for _, check in seen], "-", color=colour, linewidth=1.1)
         for moved, marker in ((False, "o"), (True, "s")):
-            chosen = [(i, one.shift_px) for i, one in seen if one.moved == moved]
+            chosen = [(i, check.shift_px) for i, check in seen if check.moved == moved]
             axes.plot(
                 [i for i, _ in chosen],
                 [px for _, px in chosen],

@@ -37,12 +37,14 @@ def overview(result: MeasureResult) -> bytes | None:
     measurements, painted = result.measurements, result.textured
     if not (measurements or result.absent):
         return None
-    evidence = {each.name: each.evidence_world for each in result.boundaries if len(each.evidence_world)}
+    evidence = {
+        boundary.name: boundary.evidence_world for boundary in result.boundaries if len(boundary.evidence_world)
+    }
     views = result.views
     sheet = Sheet(2, 2, picture_wh(views[0], _OVERVIEW_PX), header=26)
     entries = [(canvas.CYCLE[k], f"boundary, {NAMES[measured.name]}") for k, measured in enumerate(measurements)]
-    mirrored = [each for each in result.lacking if each.curves == 1]
-    entries += [(_MIRRORED, f"the same, mirrored to the {each.name}") for each in mirrored]
+    mirrored = [deficit for deficit in result.lacking if deficit.curves == 1]
+    entries += [(_MIRRORED, f"the same, mirrored to the {deficit.name}") for deficit in mirrored]
     entries += [(_NONE, f"{side.name} side: {_not(side)}") for side in result.absent]
     sheet.legend([*entries, *([(canvas.SKY, "rim seen in the photographs")] if evidence else [])])
     scene = result.scene
@@ -56,8 +58,8 @@ def overview(result: MeasureResult) -> bytes | None:
                 near = seen[visible(seen, view, scene.cast(view, 2 * _OVERVIEW_PX), slack_mm=4.0)]
                 axes.plot(*view.project(near)[:, :2].T, ".", color=canvas.SKY, markersize=1.5)
             curve(axes, scene, view, measured.boundary_world, canvas.CYCLE[k], size_px=_OVERVIEW_PX)
-        for each in mirrored:
-            curve(axes, scene, view, each.boundary_world, _MIRRORED, size_px=_OVERVIEW_PX)
+        for deficit in mirrored:
+            curve(axes, scene, view, deficit.boundary_world, _MIRRORED, size_px=_OVERVIEW_PX)
         for side in result.absent:
             place = side.place_world[None]
             if visible(place, view, scene.cast(view, 2 * _OVERVIEW_PX), slack_mm=4.0)[0]:
@@ -118,7 +120,10 @@ def _close_views(result: MeasureResult) -> tuple[View, ...]:
     """Front and both oblique views, close to the breasts, all at one scale."""
     whole = result.views[:3]
     points = np.concatenate(
-        [*(each.boundary_world for each in result.measurements), *(side.place_world[None] for side in result.absent)]
+        [
+            *(measurement.boundary_world for measurement in result.measurements),
+            *(side.place_world[None] for side in result.absent),
+        ]
     )
     low, high = bounds(points @ result.frame.T)
     around = max(_AROUND * float(high[0] - low[0]), _ABOVE * float(high[1] - low[1]), _LEAST_MM)

@@ -11,7 +11,8 @@ import numpy as np
 
 from mammometry.base.errors import SessionError
 from mammometry.geometry.mesh import TriangleMesh
-from mammometry.job.pipeline import Plan
+from mammometry.job.graph import Plan
+from mammometry.job.stages import calibrate, match, surface
 from mammometry.report.figures.catalogue import find_paper_figure, paper_figure
 from mammometry.report.figures.drawing import canvas
 from mammometry.report.figures.drawing.canvas import Sheet
@@ -60,18 +61,18 @@ def write_figure(number: int, source: Source, path: Path, subject: str | None = 
 def stereo_and_matching(source: Source) -> Sheet:
     """Fig. 1: stereo pair, disparities, confidence and range image. One row a pair."""
     plan, inputs, _ = source
-    rig = plan.calibrated.cameras().rig
-    found = {pair: product() for pair, product in plan.matched.disparities.items()}
-    sheet = Sheet(6, len(found), canvas.fitting([each.valid.shape for each in found.values()], _PANEL_PX))
-    for row, (pair, each) in enumerate(found.items()):
-        ranged = plan.surfaced.ranges[pair]()
-        for side, (name, ideal) in enumerate(zip(rig.pair_names[pair], (each.left, each.right), strict=True)):
+    rig = plan[calibrate.cameras]().rig
+    found = {pair: product() for pair, product in plan[match.disparity].items()}
+    sheet = Sheet(6, len(found), canvas.fitting([disparity.valid.shape for disparity in found.values()], _PANEL_PX))
+    for row, (pair, disparity) in enumerate(found.items()):
+        ranged = plan[surface.range_image][pair]()
+        for side, (name, ideal) in enumerate(zip(rig.pair_names[pair], (disparity.left, disparity.right), strict=True)):
             axes = sheet.panel(6 * row + side, f"{pair}: {('left', 'right')[side]} picture")
             axes.imshow(resampled(inputs.photographs[name], rig.cameras[name], ideal, _PRINT_PX))
         maps = (
-            ("d_H", each.pair_px * each.d_h_px, each.valid),
-            ("d_V", each.pair_px * each.d_v_px, each.valid),
-            ("confidence c", each.confidence, each.valid),
+            ("d_H", disparity.pair_px * disparity.d_h_px, disparity.valid),
+            ("d_V", disparity.pair_px * disparity.d_v_px, disparity.valid),
+            ("confidence c", disparity.confidence, disparity.valid),
             ("range image", ranged.range_mm, ranged.valid),
         )
         for column, (title, values, valid) in enumerate(maps, start=2):
@@ -89,7 +90,7 @@ def meshes_of_each_pair(source: Source) -> Sheet:
     from mammometry.surface.fusion.fuse import extract_open
 
     plan, _, settings = source
-    images = [product() for product in plan.surfaced.ranges.values()]
+    images = [product() for product in plan[surface.range_image].values()]
     meshes = [extract_open([image], settings.surface.extract) for image in images]
     views = [_side(mesh, image) for mesh, image in zip(meshes, images, strict=True)]
     columns, rows = canvas.grid(len(meshes))
@@ -107,10 +108,10 @@ def depth_discontinuity(source: Source) -> Sheet:
     It shows the directions to both perspective centres.
     """
     plan, _, _ = source
-    rig = plan.calibrated.cameras().rig
+    rig = plan[calibrate.cameras]().rig
     images = _at_least_two(plan, 3)
-    valid = {image.name: image for image in plan.surfaced.valid().range_images}
-    repaired = plan.surfaced.repaired().mesh
+    valid = {image.name: image for image in plan[surface.valid_patches]().range_images}
+    repaired = plan[surface.repaired]().mesh
     frame = front_frame(rig)
     dropped = {image.name: image.valid & ~valid[image.name].valid for image in images}
     a, b, *_ = sorted(images, key=lambda image: -int(dropped[image.name].sum()))
@@ -155,7 +156,7 @@ def depth_discontinuity(source: Source) -> Sheet:
 def range_images(source: Source) -> Sheet:
     """Fig. 4: all range images at one scale, darker where nearer."""
     plan, _, _ = source
-    images = [product() for product in plan.surfaced.ranges.values()]
+    images = [product() for product in plan[surface.range_image].values()]
     low, high = canvas.robust_range(np.concatenate([image.range_mm[image.valid] for image in images]), 0.002)
     columns, rows = canvas.grid(len(images))
     sheet = Sheet(columns, rows, canvas.fitting([image.valid.shape for image in images], _PANEL_PX), bars=True)
@@ -186,18 +187,18 @@ def decompositions(source: Source) -> Sheet:
 def first_surface(source: Source) -> Sheet:
     """Fig. 6: the surface that the cubes give, before the elastic repair."""
     plan, _, _ = source
-    return _surface(plan, plan.surfaced.first())
+    return _surface(plan, plan[surface.initial_surface]())
 
 
 @paper_figure(7)
 def repaired_surface(source: Source) -> Sheet:
     """Fig. 7: the surface after the elastic repair."""
     plan, _, _ = source
-    return _surface(plan, plan.surfaced.repaired().mesh)
+    return _surface(plan, plan[surface.repaired]().mesh)
 
 
 def _at_least_two(plan: Plan, number: int) -> list[RangeImage]:
-    images = [product() for product in plan.surfaced.ranges.values()]
+    images = [product() for product in plan[surface.range_image].values()]
     if len(images) < 2:
         raise SessionError(
             f"figure {number}",
@@ -209,7 +210,7 @@ def _at_least_two(plan: Plan, number: int) -> list[RangeImage]:
 
 
 def _surface(plan: Plan, mesh: TriangleMesh) -> Sheet:
-    frame = front_frame(plan.calibrated.cameras().rig)
+    frame = front_frame(plan[calibrate.cameras]().rig)
     half = np.sqrt(0.5)
     turns = {
         "front": np.eye(3),

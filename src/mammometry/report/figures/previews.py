@@ -6,7 +6,8 @@ shows the same pictures.
 
 from __future__ import annotations
 
-from mammometry.job.pipeline import Inputs, Plan
+from mammometry.job.graph import Plan
+from mammometry.job.inputs import Inputs
 from mammometry.job.products import Stage
 from mammometry.report.figures.catalogue import previews_of
 from mammometry.report.figures.stage_results import MeasureResult, StageResult, stage_result
@@ -17,12 +18,12 @@ def draw(result: StageResult) -> dict[str, bytes]:
     """Draw every preview of a stage's result: name → PNG. An open surface has nothing measured to show."""
     measurements = result.measurements if isinstance(result, MeasureResult) else ()
     pictures: dict[str, bytes | None] = {}
-    for each in previews_of(result.stage):
-        if each.per_breast:
+    for preview in previews_of(result.stage):
+        if preview.per_breast:
             for measured in measurements:
-                pictures[f"{each.name}-{measured.name}"] = each.draw(result, measured)
+                pictures[f"{preview.name}-{measured.name}"] = preview.draw(result, measured)
         else:
-            pictures[each.name] = each.draw(result)
+            pictures[preview.name] = preview.draw(result)
     return {name: png for name, png in pictures.items() if png is not None}
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from mammometry.base.photograph import Photograph
 from mammometry.calibration.detection.detect import Observations
 from mammometry.geometry.arrays import Array, Bool, Float64
-from mammometry.job.stage_values import FinishedSurface
+from mammometry.job.values import FinishedSurface
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.report.figures.drawing import canvas
 from mammometry.report.figures.drawing.canvas import Caption, Sheet
@@ -35,7 +35,7 @@ def photographs_seen(
     """
     small = {camera: canvas.reduced(photographs[camera], _PHOTOGRAPH_PX) for camera in photographs}
     columns, rows = canvas.grid(len(small))
-    sheet = Sheet(columns, rows, canvas.fitting([each.shape for each in small.values()], _PHOTOGRAPH_PX))
+    sheet = Sheet(columns, rows, canvas.fitting([picture.shape for picture in small.values()], _PHOTOGRAPH_PX))
     for index, (camera, pixels) in enumerate(small.items()):
         axes = sheet.panel(index, camera)
         axes.imshow(pixels, interpolation="antialiased")
@@ -65,15 +65,17 @@ def targets_seen(
         looked: pose → what was found there.
         suspects: (pose, camera) of the photographs that the others contradict.
     """
-    found = {(each.pose, each.camera): each.uv for part in looked.values() for each in part.detections}
-    there = [key for key in photographs if key in suspects or (not suspects and key[0] in looked)]
-    shown = sorted(there, key=lambda key: (len(found.get(key, ())), key))[:_TARGETS]
+    found = {
+        (detection.pose, detection.camera): detection.uv for part in looked.values() for detection in part.detections
+    }
+    keys = [key for key in photographs if key in suspects or (not suspects and key[0] in looked)]
+    shown = sorted(keys, key=lambda key: (len(found.get(key, ())), key))[:_TARGETS]
     small = []
     for key in shown:
         photograph = photographs[key]
         small.append((photograph.size_wh, canvas.reduced(photograph, _PHOTOGRAPH_PX)))
     columns, rows = canvas.grid(len(small))
-    sheet = Sheet(columns, rows, canvas.fitting([each.shape for _, each in small], _PHOTOGRAPH_PX))
+    sheet = Sheet(columns, rows, canvas.fitting([picture.shape for _, picture in small], _PHOTOGRAPH_PX))
     for index, (key, (size_wh, pixels)) in enumerate(zip(shown, small, strict=True)):
         uv = found.get(key)
         seen = "no target found" if uv is None else f"{len(uv)} points"
@@ -82,7 +84,7 @@ def targets_seen(
         if uv is not None:
             axes.plot(*uv.T, ".", color=canvas.SKY, markersize=2.2)
     title = "The photographs that the others contradict" if suspects else "The target"
-    part = "" if len(shown) == len(there) else f" The {len(shown)} of {len(there)} photographs with the fewest."
+    part = "" if len(shown) == len(keys) else f" The {len(shown)} of {len(keys)} photographs with the fewest."
     return sheet.png(Caption(title=title, text=f"The points that were found on the target.{part}"))
 
 
@@ -101,12 +103,12 @@ def surface_seen(
     views = standard_views(repaired.mesh, frame, of_patient=of_patient)
     sheet = Sheet(2, 2, picture_wh(views[0], _VIEW_PX), header=26 if boundaries else 0)
     if boundaries:
-        sheet.legend([(canvas.CYCLE[k], f"boundary, {NAMES[each.name]}") for k, each in enumerate(boundaries)])
+        sheet.legend([(canvas.CYCLE[k], f"boundary, {NAMES[boundary.name]}") for k, boundary in enumerate(boundaries)])
     scene, colours = Scene(repaired.mesh), shown_colours(finished.textured.colours, repaired)
     for index, view in enumerate(views):
         axes = sheet.panel(index, view.name)
         show(axes, scene.render(view, size_px=_VIEW_PX, colours=colours, lit=False), view)
-        for k, each in enumerate(boundaries):
-            curve(axes, scene, view, each.points_world, canvas.CYCLE[k], size_px=_VIEW_PX)
+        for k, boundary in enumerate(boundaries):
+            curve(axes, scene, view, boundary.points_world, canvas.CYCLE[k], size_px=_VIEW_PX)
     found = "A curve is dashed where it is hidden" if boundaries else "No boundary was found on it"
     return sheet.png(Caption(title="The surface", text=f"Standard views, all at one scale. {found}. {WORDS}."))

@@ -13,9 +13,10 @@ from mammometry.calibration.adjust.bundle import Calibration
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.camera import Rig
 from mammometry.geometry.mesh import TriangleMesh
+from mammometry.job.graph import Plan
 from mammometry.job.inputs import Inputs
-from mammometry.job.pipeline import Plan
-from mammometry.job.products import Fleeting, Stage, fleeting
+from mammometry.job.products import Stage, Uncached
+from mammometry.job.stages import calibrate, match, measure, surface
 from mammometry.matching.dense.match import DisparityMap
 from mammometry.matching.foreground.foreground import Foreground
 from mammometry.matching.quality import MatchQuality
@@ -23,7 +24,7 @@ from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.boundary.breasts import NoBreast
 from mammometry.measure.shape.symmetry import Symmetry
 from mammometry.measure.trunk.body import Body, Mounting
-from mammometry.measure.volume.measurement import Lacking, VolumeMeasurement
+from mammometry.measure.volume.measurement import VolumeDeficit, VolumeMeasurement
 from mammometry.report.figures.drawing import canvas
 from mammometry.report.figures.drawing.shading import Scene, View, front_frame, front_of, standard_views
 from mammometry.report.figures.drawing.thinning import (
@@ -137,7 +138,7 @@ class MeasureResult:
     """The patient's own directions. None for a cast."""
     absent: Sequence[NoBreast] = ()
     """Sides without a breast."""
-    lacking: Sequence[Lacking] = ()
+    lacking: Sequence[VolumeDeficit] = ()
     """What a side lacks to the other one."""
 
     @cached_property
@@ -168,35 +169,34 @@ def stage_result(stage: Stage, plan: Plan, inputs: Inputs, textured: TexturedMes
         inputs: what the session brought; photographs are read one at a time.
         textured: the surface in the colours that may be shown; None for all of them.
     """
-    rig = plan.calibrated.cameras().rig
+    rig = plan[calibrate.cameras]().rig
     if stage == "calibrate":
-        calibration = None if plan.calibrated.calibration is None else plan.calibrated.calibration()
+        calibration = plan.value(calibrate.calibration)
         return CalibrationResult(rig=rig, calibration=calibration, photographs=inputs.calibration_photographs)
     if stage == "match":
-        foregrounds, disparities = Fleeting(plan.matched.foregrounds), Fleeting(plan.matched.disparities)
+        foregrounds, disparities = Uncached(plan[match.foreground]), Uncached(plan[match.disparity])
         return MatchingResult.thinned(rig, inputs.photographs, foregrounds, disparities)
-    finished = plan.surfaced.mesh()
+    finished = plan[surface.mesh]()
     textured = finished.textured if textured is None else textured
     if stage == "surface":
         return SurfaceResult(
             rig=rig,
-            ranges=thinned_ranges(Fleeting(plan.surfaced.ranges), fleeting(plan.surfaced.valid)),
-            first=fleeting(plan.surfaced.first),
+            ranges=thinned_ranges(Uncached(plan[surface.range_image]), plan[surface.valid_patches].uncached()),
+            first=plan[surface.initial_surface].uncached(),
             repaired=finished.repaired,
             textured=textured,
             mounting=inputs.mounting,
         )
-    measured = plan.measured
     return MeasureResult(
         rig=rig,
-        measurements=() if measured.measurements is None else measured.measurements(),
+        measurements=plan.value(measure.measurements) or (),
         textured=textured,
         repaired=finished.repaired,
-        boundaries=() if measured.boundaries is None else measured.boundaries(),
-        symmetry=None if measured.symmetry is None else measured.symmetry(),
-        body=None if measured.body is None else measured.body(),
-        absent=() if measured.absent is None else measured.absent(),
-        lacking=() if measured.lacking is None else measured.lacking(),
+        boundaries=plan.value(measure.boundaries) or (),
+        symmetry=plan.value(measure.symmetry),
+        body=plan.value(measure.body),
+        absent=plan.value(measure.absent) or (),
+        lacking=plan.value(measure.lacking) or (),
     )
 
 

@@ -30,20 +30,20 @@ PROVENANCE_COLOURS: Mapping[Provenance, tuple[str, str]] = {
 def range_images(result: SurfaceResult) -> bytes:
     """Each pair's range image in the paper's grey, darker where nearer. As in Fig. 1."""
     ranges = result.ranges
-    low, high = canvas.robust_range(np.concatenate([each.ranges_mm for each in ranges]), 0.002)
-    sheet = _map_sheet([each.size_wh[::-1] for each in ranges], bars=True)
+    low, high = canvas.robust_range(np.concatenate([range_image.ranges_mm for range_image in ranges]), 0.002)
+    sheet = _map_sheet([range_image.size_wh[::-1] for range_image in ranges], bars=True)
     drawn: Any = None
-    for index, each in enumerate(ranges):
-        axes = sheet.panel(index, f"{each.name}: {thousands(len(each.ranges_mm))} points")
+    for index, range_image in enumerate(ranges):
+        axes = sheet.panel(index, f"{range_image.name}: {thousands(len(range_image.ranges_mm))} points")
         drawn = axes.imshow(
-            canvas.with_gaps(each.range_mm, each.valid),
-            extent=canvas.pixel_extent(each.size_wh),
+            canvas.with_gaps(range_image.range_mm, range_image.valid),
+            extent=canvas.pixel_extent(range_image.size_wh),
             cmap=canvas.colour_map("gray"),
             vmin=low,
             vmax=high,
             interpolation="nearest",
         )
-        canvas.note(axes, f"median σ {each.sigma_median_mm or 0.0:.2f} mm")
+        canvas.note(axes, f"median σ {range_image.sigma_median_mm or 0.0:.2f} mm")
     for row in range(sheet.rows):
         sheet.bar(row, drawn, "distance to the camera, mm")
     return sheet.png(
@@ -57,21 +57,21 @@ def range_images(result: SurfaceResult) -> bytes:
 @preview("dents", stage="surface", place=2, photographs=False, on_paper=True)
 def dents(result: SurfaceResult) -> bytes:
     """Which range data were kept and which were dropped as dented."""
-    sheet = _map_sheet([each.size_wh[::-1] for each in result.ranges], header=26)
+    sheet = _map_sheet([range_image.size_wh[::-1] for range_image in result.ranges], header=26)
     kept_colour, dropped_colour = canvas.rgb(canvas.BLUE), canvas.rgb(canvas.ORANGE)
     sheet.legend([(canvas.BLUE, "kept"), (canvas.ORANGE, "dropped"), (canvas.hexadecimal(canvas.MISSING), "no data")])
-    for index, each in enumerate(result.ranges):
-        share = 1 - each.kept_count / max(len(each.ranges_mm), 1)
-        axes = sheet.panel(index, f"{each.name}: {100 * share:.1f} % dropped")
-        picture = np.full((*each.valid.shape, 3), 1.0)
+    for index, range_image in enumerate(result.ranges):
+        share = 1 - range_image.kept_count / max(len(range_image.ranges_mm), 1)
+        axes = sheet.panel(index, f"{range_image.name}: {100 * share:.1f} % dropped")
+        picture = np.full((*range_image.valid.shape, 3), 1.0)
         picture[:] = canvas.MISSING
-        picture[each.valid] = dropped_colour
+        picture[range_image.valid] = dropped_colour
         # The nearer to grazing, the paler: what the rule judges by shows in the picture.
-        angle = np.nan_to_num(each.angles_rad, nan=0.0)[..., None]
+        angle = np.nan_to_num(range_image.angles_rad, nan=0.0)[..., None]
         picture = np.where(
-            each.kept[..., None], kept_colour + (1 - kept_colour) * np.clip(angle / np.pi, 0, 0.6), picture
+            range_image.kept[..., None], kept_colour + (1 - kept_colour) * np.clip(angle / np.pi, 0, 0.6), picture
         )
-        axes.imshow(picture, extent=canvas.pixel_extent(each.size_wh), interpolation="nearest")
+        axes.imshow(picture, extent=canvas.pixel_extent(range_image.size_wh), interpolation="nearest")
     return sheet.png(
         Caption(
             title="Decomposition and dents",

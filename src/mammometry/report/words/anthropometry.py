@@ -11,7 +11,7 @@ from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.shape.anthropometry import Dimensions
 from mammometry.measure.shape.symmetry import Symmetry
 from mammometry.measure.volume.difference import difference
-from mammometry.measure.volume.measurement import Lacking, VolumeMeasurement
+from mammometry.measure.volume.measurement import VolumeDeficit, VolumeMeasurement
 from mammometry.report.content import Fact, LargeNumber, sentence
 from mammometry.report.figures.drawing.sides import NAMES
 from mammometry.report.words.change_words import verdict_words
@@ -25,7 +25,7 @@ def comparison(
     settings: MeasureSettings = MeasureSettings(),
     *,
     absent: Sequence[NoBreast] = (),
-    lacking: Sequence[Lacking] = (),
+    lacking: Sequence[VolumeDeficit] = (),
 ) -> tuple[Fact, ...]:
     """Compare left and right: difference, ratio and deficit, each with its interval."""
     sides = {measured.name: measured for measured in measurements}
@@ -42,7 +42,7 @@ def comparison(
                 f"{absent[0].name} side. Its interval is that of the {only.name} breast",
             ),
         )
-    return facts + tuple(_lacks(each) for each in lacking)
+    return facts + tuple(_lacks(deficit) for deficit in lacking)
 
 
 def difference_number(
@@ -79,7 +79,7 @@ def planning_lengths(dimensions: Dimensions | None, landmarks: Sequence[Landmark
         return None, ""
     shown = [row for row in laid_out.rows if row.sides != (None, None)]
     rows = [(row.title, *map(length_words, row.sides), length_words(row.difference, "+")) for row in shown]
-    grades = {each.name: " or ".join(each.likely) for each in dimensions.ptosis}
+    grades = {ptosis.name: " or ".join(ptosis.likely) for ptosis in dimensions.ptosis}
     if grades:
         rows.append(("Ptosis, grade after Regnault", grades.get("left", "–"), grades.get("right", "–"), ""))
     table = Table(
@@ -94,7 +94,7 @@ def planning_lengths(dimensions: Dimensions | None, landmarks: Sequence[Landmark
     return table, " ".join(note)
 
 
-def _lacks(found: Lacking) -> Fact:
+def _lacks(found: VolumeDeficit) -> Fact:
     """What a side lacks, in words."""
     volume = "nothing" if found.volume_cc < 0 else volume_words(found.volume_cc, found.interval_cc)
     interval = "" if found.interval_cc is None else f", {interval_words(found.interval_cc)}"
@@ -160,11 +160,11 @@ def dimension_tables(dimensions: Dimensions | None, landmarks: Sequence[Landmark
         columns=("from, to", "straight, mm", "along the skin, mm"),
         rows=tuple(
             (
-                each.title,
-                f"{each.straight_mm:.1f} ± {each.straight_sigma_mm:.1f}",
-                "–" if each.geodesic_mm is None else f"{each.geodesic_mm:.1f} ± {each.geodesic_sigma_mm:.1f}",
+                length.title,
+                f"{length.straight_mm:.1f} ± {length.straight_sigma_mm:.1f}",
+                "–" if length.geodesic_mm is None else f"{length.geodesic_mm:.1f} ± {length.geodesic_sigma_mm:.1f}",
             )
-            for each in dimensions.lengths
+            for length in dimensions.lengths
         ),
     )
     shapes = Table(
@@ -172,13 +172,13 @@ def dimension_tables(dimensions: Dimensions | None, landmarks: Sequence[Landmark
         columns=("breast", "base, width × height, mm", "projection, mm", "upper pole, cc", "lower pole, cc"),
         rows=tuple(
             (
-                NAMES[each.name],
-                f"{each.base_width_mm:.0f} × {each.base_height_mm:.0f}",
-                f"{each.projection_mm:.1f}",
-                "–" if each.above_nipple_cc is None else f"{each.above_nipple_cc:.0f} ± {each.pole_sigma_cc:.0f}",
-                "–" if each.below_nipple_cc is None else f"{each.below_nipple_cc:.0f} ± {each.pole_sigma_cc:.0f}",
+                NAMES[shape.name],
+                f"{shape.base_width_mm:.0f} × {shape.base_height_mm:.0f}",
+                f"{shape.projection_mm:.1f}",
+                "–" if shape.above_nipple_cc is None else f"{shape.above_nipple_cc:.0f} ± {shape.pole_sigma_cc:.0f}",
+                "–" if shape.below_nipple_cc is None else f"{shape.below_nipple_cc:.0f} ± {shape.pole_sigma_cc:.0f}",
             )
-            for each in dimensions.shapes
+            for shape in dimensions.shapes
         ),
     )
     names = tuple(dict.fromkeys(name for shape in dimensions.shapes for name in shape.quadrants_cc))
@@ -199,20 +199,25 @@ def dimension_tables(dimensions: Dimensions | None, landmarks: Sequence[Landmark
         columns=("breast", "grade", "grades within 95 %", "nipple below the fold, mm"),
         rows=tuple(
             (
-                NAMES[each.name],
-                each.grade,
-                ", ".join(each.likely),
-                f"{signed(each.nipple_below_fold_mm)} ± {each.sigma_mm:.1f}",
+                NAMES[ptosis.name],
+                ptosis.grade,
+                ", ".join(ptosis.likely),
+                f"{signed(ptosis.nipple_below_fold_mm)} ± {ptosis.sigma_mm:.1f}",
             )
-            for each in dimensions.ptosis
+            for ptosis in dimensions.ptosis
         ),
     )
     marks = Table(
         title="Landmarks",
         columns=("landmark", "how it was found", "σ, mm", "probability"),
         rows=tuple(
-            (each.name.replace("_", " "), sentence(each.method), f"{each.sigma_mm:.1f}", f"{each.probability:.2f}")
-            for each in landmarks
+            (
+                landmark.name.replace("_", " "),
+                sentence(landmark.method),
+                f"{landmark.sigma_mm:.1f}",
+                f"{landmark.probability:.2f}",
+            )
+            for landmark in landmarks
         ),
     )
     return tuple(table for table in (lengths, shapes, quadrants, sunk, marks) if table.rows)

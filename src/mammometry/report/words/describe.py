@@ -283,13 +283,13 @@ def surface_report(
     )
     rows = [
         (
-            each.name,
-            thousands(len(each.ranges_mm)),
-            f"{100 * (1 - each.kept_count / max(len(each.ranges_mm), 1)):.1f}",
-            _range_words(each.ranges_mm),
-            "–" if each.sigma_median_mm is None else f"{each.sigma_median_mm:.3f}",
+            image.name,
+            thousands(len(image.ranges_mm)),
+            f"{100 * (1 - image.kept_count / max(len(image.ranges_mm), 1)):.1f}",
+            _range_words(image.ranges_mm),
+            "–" if image.sigma_median_mm is None else f"{image.sigma_median_mm:.3f}",
         )
-        for each in ranges
+        for image in ranges
     ]
     table = Table(
         title="Range images",

@@ -102,16 +102,16 @@ def length_table(quantities: Sequence[Mapping[str, Any]]) -> LengthTable | None:
 
 def quantities_of(dimensions: Dimensions) -> Iterator[dict[str, Any]]:
     """Sizes beside the volumes, with the names and values of `hospital.exported.Quantity`."""
-    for each in dimensions.lengths:
-        name, side = _sided(each.name)
+    for length in dimensions.lengths:
+        name, side = _sided(length.name)
         ways = (
-            ("straight", "straight", each.straight_mm, each.straight_sigma_mm),
-            ("along_skin", "along the skin", each.geodesic_mm, each.geodesic_sigma_mm),
+            ("straight", "straight", length.straight_mm, length.straight_sigma_mm),
+            ("along_skin", "along the skin", length.geodesic_mm, length.geodesic_sigma_mm),
         )
         for way, words, value, sigma in ways:
             if value is not None:
                 code = f"{name.lower().replace('-', '_').replace(' ', '_')}_{way}"
-                title = f"{_without_side(each.title, side)}, {words}"
+                title = f"{_without_side(length.title, side)}, {words}"
                 yield _quantity(code, title, side, value, sigma, method=way.replace("_", "-"))
     for shape in dimensions.shapes:
         for code, title, value in (

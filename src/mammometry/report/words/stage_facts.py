@@ -10,9 +10,10 @@ from dataclasses import dataclass, field
 from typing import TypeAlias
 
 from mammometry.geometry.camera import Rig
+from mammometry.job.graph import Plan
 from mammometry.job.inputs import Inputs
-from mammometry.job.pipeline import Plan
-from mammometry.job.products import Fleeting, Stage, fleeting
+from mammometry.job.products import Stage, Uncached
+from mammometry.job.stages import match, surface
 from mammometry.matching.foreground.foreground import Foreground
 from mammometry.matching.quality import MatchQuality
 from mammometry.report.content import StageReport
@@ -59,18 +60,18 @@ def drawn(stage: Stage, plan: Plan, inputs: Inputs) -> tuple[dict[str, bytes], F
     if isinstance(result, MatchingResult):
         return pictures, MatchingFacts(foregrounds=result.foregrounds, quality=result.quality, shares=result.shares)
     if isinstance(result, SurfaceResult):
-        return pictures, surface_report(result.ranges, result.repaired, summary(plan.surfaced.stillness()))
+        return pictures, surface_report(result.ranges, result.repaired, summary(plan[surface.stillness]()))
     return pictures, None
 
 
 def matching_facts(plan: Plan, rig: Rig) -> MatchingFacts:
     """Find what the report says of the matching, without pictures."""
-    foregrounds = {camera: thinned_foreground(seen) for camera, seen in Fleeting(plan.matched.foregrounds).items()}
-    maps, quality = thinned_maps(Fleeting(plan.matched.disparities))
+    foregrounds = {camera: thinned_foreground(seen) for camera, seen in Uncached(plan[match.foreground]).items()}
+    maps, quality = thinned_maps(Uncached(plan[match.disparity]))
     return MatchingFacts(foregrounds=foregrounds, quality=quality, shares=matched_shares(rig, foregrounds, maps))
 
 
 def surface_facts(plan: Plan) -> StageReport:
     """Find what the report says of the surface, without pictures."""
-    ranges = thinned_ranges(Fleeting(plan.surfaced.ranges), fleeting(plan.surfaced.valid))
-    return surface_report(ranges, plan.surfaced.mesh().repaired, summary(plan.surfaced.stillness()))
+    ranges = thinned_ranges(Uncached(plan[surface.range_image]), plan[surface.valid_patches].uncached())
+    return surface_report(ranges, plan[surface.mesh]().repaired, summary(plan[surface.stillness]()))

@@ -20,7 +20,7 @@ from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.report.content import sentence
 from mammometry.report.figures.drawing.sides import NAMES
 from mammometry.report.words.cautions import SKIN_MEASURED, skin_shares
-from mammometry.surface.occlusion.occlusion import Blocked
+from mammometry.surface.occlusion.occlusion import Occlusion
 from mammometry.surface.repair.repair import Provenance, RepairedSurface
 
 _MATCHED = 0.6  # of a silhouette that a pair should match; flanks seen obliquely cost up to a third
@@ -47,7 +47,7 @@ class RunResults:
     """One a breast."""
     repaired: RepairedSurface
     """The surface, world frame."""
-    blocked: Mapping[str, Blocked] = field(default_factory=dict)
+    blocked: Mapping[str, Occlusion] = field(default_factory=dict)
     """Camera → where something stands before the subject."""
     moved: Sequence[str] = ()
     """Sentences on what moved."""
@@ -108,7 +108,11 @@ def run_concerns(run: RunResults) -> Iterator[str]:
     for name, share in run.shares.items():
         if share < _MATCHED:
             yield f"Pair {name} matched only {100 * share:.0f} % of the subject's silhouette."
-    hidden = [f"{name} ({100 * each.share:.0f} %)" for name, each in run.blocked.items() if each.share > _BLOCKED]
+    hidden = [
+        f"{name} ({100 * occlusion.share:.0f} %)"
+        for name, occlusion in run.blocked.items()
+        if occlusion.share > _BLOCKED
+    ]
     if hidden:
         yield (
             f"Something hides part of the subject in the photographs of {', '.join(hidden)}. The skin there was kept "

@@ -221,7 +221,7 @@ def _posture(shape: TorsoShape, posture: str, rng: np.random.Generator) -> Torso
 
 def operated(shape: TorsoShape) -> list[str]:
     """Sides that are removed, mounds without fold, or without nipple."""
-    return [side for side, one in shape.breasts.items() if one.removed or one.bare or one.fullness == 0.0]
+    return [side for side, breast in shape.breasts.items() if breast.removed or breast.bare or breast.fullness == 0.0]
 
 
 def _one_side(shape: TorsoShape, rng: np.random.Generator) -> str:

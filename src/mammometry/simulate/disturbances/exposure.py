@@ -75,5 +75,5 @@ def shifted(camera: Camera, shift_mm: Float64[Array, 3]) -> Camera:
 
 def with_cameras(rig: Rig, change: Callable[[Camera], Camera], names: tuple[str, ...] = ()) -> Rig:
     """Change some cameras of a rig, or all."""
-    cameras = {name: change(one) if name in names or not names else one for name, one in rig.cameras.items()}
+    cameras = {name: change(camera) if name in names or not names else camera for name, camera in rig.cameras.items()}
     return Rig(name=rig.name, cameras=cameras, pair_names=rig.pair_names)

@@ -56,7 +56,9 @@ def _drift_one(exposure: Exposure, angle_deg: float, rng: np.random.Generator) -
 def _pair_shift(exposure: Exposure, shift_mm: float, rng: np.random.Generator) -> Exposure:
     names = exposure.rig.pair_names[str(rng.choice(list(exposure.rig.pair_names)))]
     shift = shift_mm * _direction(rng)
-    return replace(exposure, capture_rig=with_cameras(exposure.capture_rig, lambda one: shifted(one, shift), names))
+    return replace(
+        exposure, capture_rig=with_cameras(exposure.capture_rig, lambda camera: shifted(camera, shift), names)
+    )
 
 
 @disturbance(
@@ -101,11 +103,11 @@ def _asynchronous_cameras(exposure: Exposure, span_ms: float, rng: np.random.Gen
 def _mounted(exposure: Exposure, how: str, rng: np.random.Generator) -> Exposure:
     roll = np.array([0.0, 0.0, math.radians(_ROLLS_DEG[how])])
     rig, capture = (
-        with_cameras(one, lambda camera: turned(camera, roll)) for one in (exposure.rig, exposure.capture_rig)
+        with_cameras(rig, lambda camera: turned(camera, roll)) for rig in (exposure.rig, exposure.capture_rig)
     )
     if how == "upside-down":  # what was to the left in the pictures now is to the right: the pairs are named rightly
         names = {pair: (right, left) for pair, (left, right) in rig.pair_names.items()}
-        rig, capture = (Rig(name=one.name, cameras=one.cameras, pair_names=names) for one in (rig, capture))
+        rig, capture = (Rig(name=chosen.name, cameras=chosen.cameras, pair_names=names) for chosen in (rig, capture))
     return replace(exposure, rig=rig, capture_rig=capture)
 
 
@@ -207,7 +209,8 @@ def _turned(exposure: Exposure, angle_deg: float, names: tuple[str, ...], rng: n
     """Each camera about an axis of its own."""
     turns = {name: math.radians(angle_deg) * _direction(rng) for name in names}
     return replace(
-        exposure, capture_rig=with_cameras(exposure.capture_rig, lambda one: turned(one, turns[one.name]), names)
+        exposure,
+        capture_rig=with_cameras(exposure.capture_rig, lambda camera: turned(camera, turns[camera.name]), names),
     )
 
 

@@ -99,13 +99,13 @@ class DisturbanceKind:
     apply: Callable[..., Any]
     """Takes the value to change, the size, and a random generator. Returns the changed value."""
 
-    def sized(self, one: Disturbance) -> Size:
+    def sized(self, item: Disturbance) -> Size:
         """Read the size of a disturbance of this kind.
 
         Raises:
             ValueError: it is no such word, or no number in the range.
         """
-        return self.size.read(self.name, one.size) if one.size else self.size.usual
+        return self.size.read(self.name, item.size) if item.size else self.size.usual
 
 
 DISTURBANCES: Registry[DisturbanceKind] = Registry(
@@ -135,7 +135,7 @@ def disturbed(value: Any, stage: Stage, situation: Situation, seed: int) -> Any:
     Raises:
         ValueError: there is no such disturbance, or its size is none.
     """
-    wanted = {one.name: one for one in situation.disturbances}
+    wanted = {item.name: item for item in situation.disturbances}
     check(situation)
     for kind in sorted(DISTURBANCES.values(), key=lambda kind: (kind.turn, kind.name)):
         if kind.name in wanted and kind.stage == stage:
@@ -149,10 +149,10 @@ def check(situation: Situation) -> None:
     Raises:
         ValueError: there is no such disturbance, or its size is none.
     """
-    for one in situation.disturbances:
-        if one.name not in DISTURBANCES:
-            raise ValueError(f"disturbances are {', '.join(DISTURBANCES)}, found {one.name!r}")
-        DISTURBANCES[one.name].sized(one)
+    for item in situation.disturbances:
+        if item.name not in DISTURBANCES:
+            raise ValueError(f"disturbances are {', '.join(DISTURBANCES)}, found {item.name!r}")
+        DISTURBANCES[item.name].sized(item)
 
 
 def own_rng(seed: int, name: str) -> np.random.Generator:
@@ -166,10 +166,10 @@ def as_truth(situation: Situation) -> list[dict[str, object]]:
         {
             "name": kind.name,
             "what": kind.what,
-            "size": kind.sized(one),
+            "size": kind.sized(item),
             **({"unit": kind.size.unit} if kind.size.unit else {}),
             "changes": kind.stage,
         }
-        for one in situation.disturbances
-        for kind in (DISTURBANCES[one.name],)
+        for item in situation.disturbances
+        for kind in (DISTURBANCES[item.name],)
     ]

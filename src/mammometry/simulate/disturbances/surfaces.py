@@ -114,7 +114,7 @@ class Outside:
 
     def radius_mm(self, height_mm: Array, angle_rad: Array, axis_z_mm: float = 0.0) -> Float64[Array, " n"]:
         """Distance of the skin from the point (0, height, axis_z). At angles from straight ahead to the left."""
-        height, angle = (np.ravel(each) for each in np.broadcast_arrays(height_mm, angle_rad))
+        height, angle = (np.ravel(array) for array in np.broadcast_arrays(height_mm, angle_rad))
         origins = np.stack([np.zeros(len(height)), height, np.full(len(height), axis_z_mm)], axis=1)
         ahead = np.stack([np.sin(angle), np.zeros(len(height)), np.cos(angle)], axis=1)
         hit = self._rays.run(origins.astype(np.float32), ahead.astype(np.float32), output=True)

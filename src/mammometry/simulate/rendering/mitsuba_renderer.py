@@ -86,10 +86,10 @@ def render_by_mitsuba(
         emitters = [f"flash_{number}.emitter" for number in range(len(scene.lights))] + ["surroundings"]
         radiances = {name: np.array(parameters[f"{name}.radiance.value"]) for name in emitters}
         # One light at a time: the choice of a light at random would be most of the noise.
-        for one in emitters:
+        for emitter in emitters:
             for name, radiance in radiances.items():
-                parameters[f"{name}.sampling_weight"] = float(name == one)
-                parameters[f"{name}.radiance.value"] = mi.Color3f(*(radiance * (name == one)).tolist())
+                parameters[f"{name}.sampling_weight"] = float(name == emitter)
+                parameters[f"{name}.radiance.value"] = mi.Color3f(*(radiance * (name == emitter)).tolist())
             parameters.update()
             for block in blocks(scene, camera, aperture):
                 row, column = block.row, block.column

@@ -15,7 +15,8 @@ from embreex.mesh_construction import TriangleMesh as EmbreeMesh
 from embreex.rtcore_scene import EmbreeScene
 from scipy.sparse import csr_matrix
 
-from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32, UInt8, read_only
+from mammometry.base.value import value
+from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32, UInt8
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
 from mammometry.simulate.rendering.motion import Motion
@@ -39,7 +40,7 @@ _ROOM_LIGHT = 2.2
 """Brightness of a cluttered room's objects relative to the subject's ambient light: only the room lights them."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class Scene:
     """A subject, perhaps on a backdrop, in a room, with hair, lit. Rig frame, mm."""
 
@@ -71,20 +72,6 @@ class Scene:
     """Position, mm, and irradiance × mm² at distance 1."""
     rays: EmbreeScene
     """Finds the first face along a ray."""
-
-    def __post_init__(self) -> None:
-        for name in (
-            "vertices",
-            "painted",
-            "moves",
-            "attributes",
-            "material",
-            "piece",
-            "plain_colours",
-            "strands",
-            "lights",
-        ):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
 
     @property
     def subject(self) -> TriangleMesh:

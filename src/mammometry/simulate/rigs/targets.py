@@ -9,11 +9,11 @@ from types import MappingProxyType
 
 import numpy as np
 
-from mammometry.calibration.targets.charuco import CharucoTarget
-from mammometry.calibration.targets.chessboard import ChessboardTarget
-from mammometry.calibration.targets.circles import CirclesTarget
-from mammometry.calibration.targets.cylinder import DottedCylinderTarget
-from mammometry.calibration.targets.points import PointsTarget
+from mammometry.calibration.targets.kinds.charuco import CharucoTarget
+from mammometry.calibration.targets.kinds.chessboard import ChessboardTarget
+from mammometry.calibration.targets.kinds.circles import CirclesTarget
+from mammometry.calibration.targets.kinds.cylinder import DottedCylinderTarget
+from mammometry.calibration.targets.kinds.points import PointsTarget
 from mammometry.calibration.targets.target import Target
 from mammometry.geometry.arrays import Array, Bool, Float64
 from mammometry.geometry.camera import Camera

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 from scipy import ndimage
 
-from mammometry.geometry.arrays import Array, Float32, Float64, read_only
+from mammometry.base.value import value
+from mammometry.geometry.arrays import Array, Float32, Float64
 from mammometry.geometry.transform import Transform
 from mammometry.study.rays import RayScene
 
@@ -33,7 +33,7 @@ _EDGE_LOST = 0.7  # share of the pixels at an edge of the body that are lost
 _POSE_MM, _POSE_RAD = 0.5, 0.0008  # error of a picture's place and direction, for 1 mm of noise
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class DepthPicture:
     """One depth picture."""
 
@@ -45,10 +45,6 @@ class DepthPicture:
     """Where the telephone believes that it took the picture."""
     focal_px: float
     """Focal length. The axis meets the picture's middle."""
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "depth_mm", read_only(self.depth_mm))
-        object.__setattr__(self, "trust", read_only(self.trust))
 
 
 def depth_pictures(

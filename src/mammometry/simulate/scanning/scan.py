@@ -9,7 +9,8 @@ from types import MappingProxyType
 import numpy as np
 from scipy.spatial import cKDTree
 
-from mammometry.geometry.arrays import Array, Bool, Float64, UInt8, read_only
+from mammometry.base.value import value
+from mammometry.geometry.arrays import Array, Bool, Float64, UInt8
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.simulate.rendering.in_camera import srgb_encoded
 from mammometry.simulate.rendering.objects.skin import SKINS
@@ -44,16 +45,13 @@ QUALITIES: Mapping[str, ScanQuality] = MappingProxyType(
 """Kinds of scans: a good scanner's or a new telephone's at its best, and a telephone's as is usual."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class VirtualScan:
     """An open mesh and its colours, mm, in the solid's frame: y to the head, z ahead."""
 
     mesh: TriangleMesh
     colours: UInt8[Array, "n 3"]
     """sRGB of each vertex."""
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "colours", read_only(self.colours))
 
     @property
     def ply_colours(self) -> dict[str, UInt8[Array, " n"]]:

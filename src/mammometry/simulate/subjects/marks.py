@@ -61,14 +61,14 @@ def mark(marks: Sequence[Mark], places_mm: Mapping[str, Float64[Array, "n 2"]]) 
     count = len(next(iter(places_mm.values())))
     height = {side: np.zeros(count) for side in places_mm}
     tint = np.ones((count, 3))
-    for one in marks:
-        place = places_mm[one.side]
-        away = distance_mm(place, one.line_mm)
-        if one.filled:
-            away = np.where(_within(place, one.line_mm), 0.0, away)
-        share = smoothstep(one.half_width_mm + _SOFT_MM, one.half_width_mm - _SOFT_MM, away)
-        tint *= 1.0 + share[:, None] * (np.array(one.colour) - 1.0)
-        height[one.side] += one.height_mm * np.exp(-0.5 * (away / one.slope_mm) ** 2)
+    for painted in marks:
+        place = places_mm[painted.side]
+        away = distance_mm(place, painted.line_mm)
+        if painted.filled:
+            away = np.where(_within(place, painted.line_mm), 0.0, away)
+        share = smoothstep(painted.half_width_mm + _SOFT_MM, painted.half_width_mm - _SOFT_MM, away)
+        tint *= 1.0 + share[:, None] * (np.array(painted.colour) - 1.0)
+        height[painted.side] += painted.height_mm * np.exp(-0.5 * (away / painted.slope_mm) ** 2)
     return Marked(height_mm=height, tint=tint.astype(np.float32))
 
 

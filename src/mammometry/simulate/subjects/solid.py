@@ -9,16 +9,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 
 import numpy as np
 
-from mammometry.geometry.arrays import Array, Float32, Float64, Int32, read_only
+from mammometry.base.value import value
+from mammometry.geometry.arrays import Array, Float32, Float64, Int32
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class Breast:
     """A torso's breast: the skin that the body without it lacks."""
 
@@ -27,12 +28,8 @@ class Breast:
     boundary: Int32[Array, " b"]
     """Vertices of the solid's mesh in order around the breast, where skin and chest wall part."""
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "skin_faces", read_only(self.skin_faces))
-        object.__setattr__(self, "boundary", read_only(self.boundary))
 
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class Solid:
     """A body, closed unless its facts say otherwise."""
 
@@ -61,11 +58,6 @@ class Solid:
     """How far the subject leans forward."""
     middle: Float64[Array, 3] | None = None
     """Point to bring to the rig's middle. None: the middle of the bounding box."""
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "areola", read_only(self.areola))
-        if self.wall_vertices is not None:
-            object.__setattr__(self, "wall_vertices", read_only(self.wall_vertices))
 
     @property
     def volume_cc(self) -> float:

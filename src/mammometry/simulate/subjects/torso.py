@@ -173,8 +173,8 @@ class _Mound:
     def rho(self, wall: Float64[Array, "n 3"]) -> Float64[Array, " n"]:
         """Distance from the middle in base radii, 9 off the wall."""
         u, v, _ = self._local(wall)
-        there = self._there(wall)
-        return np.where(there, np.hypot(u, v), 9.0)
+        wall_mask = self._there(wall)
+        return np.where(wall_mask, np.hypot(u, v), 9.0)
 
     def skin(self, wall: Float64[Array, "n 3"]) -> Float64[Array, "n 3"]:
         """Skin over points of the chest wall: themselves outside the boundary."""

@@ -309,8 +309,8 @@ def _straight_behind(wall: Array, muscle: Array, faces: Array) -> Float64[Array,
     """Muscle points straight behind the flat chest, else below."""
     front = muscle[:, 2] > muscle[:, 2].max() - 90.0
     found = LinearNDInterpolator(muscle[front, :2], muscle[front, 2])(wall[:, :2])
-    there = front & np.isfinite(found)
-    behind = np.where(there[:, None], np.stack([wall[:, 0], wall[:, 1], found], axis=1), muscle)
+    seen = front & np.isfinite(found)
+    behind = np.where(seen[:, None], np.stack([wall[:, 0], wall[:, 1], found], axis=1), muscle)
     return np.asarray(rounded_mesh(behind, faces).vertices)
 
 
@@ -358,7 +358,7 @@ def _places(
     spacing = _SHOW_MM * edge_mm
     columns = np.linspace(chest.low, chest.high, math.ceil((chest.high - chest.low) / spacing) + 1)
     rows = np.linspace(-_TALL_MM, _TALL_MM, math.ceil(2 * _TALL_MM / spacing) + 1)
-    grid = np.stack([each.ravel() for each in np.meshgrid(columns, rows)], axis=1)
+    grid = np.stack([axis.ravel() for axis in np.meshgrid(columns, rows)], axis=1)
     grid_kept = ~_near_any(grid, within, 4.0 * edge_mm)
     rest = np.concatenate(beside)
     rest = rest[~_near_any(rest, within, 0.55 * edge_mm)]
@@ -405,7 +405,7 @@ def _closed(
     """Join the trunk at the back, and cap both ends with fans."""
     first = np.flatnonzero(flat[:, 0] == chest.low)
     last = np.flatnonzero(flat[:, 0] == chest.high)
-    first, last = (each[np.argsort(flat[each, 1])] for each in (first, last))
+    first, last = (corners[np.argsort(flat[corners, 1])] for corners in (first, last))
     same = np.arange(len(flat))
     same[last] = first
     faces = same[faces]
@@ -427,7 +427,7 @@ def _closed(
     flat = np.concatenate([flat, np.zeros((2, 2))])[used]
     share = np.concatenate([share, [9.0, 9.0]])[used]
     owner = np.concatenate([owner, [-1, -1]])[used]
-    return flat, compact.reshape(-1, 3).astype(np.int32), tuple(each[used] for each in surfaces), share, owner
+    return flat, compact.reshape(-1, 3).astype(np.int32), tuple(surface[used] for surface in surfaces), share, owner
 
 
 def _in_order(faces: Array, rim: Array) -> Int32[Array, " n"]:

@@ -39,7 +39,7 @@ def continued_world(image: RangeImage) -> Float64[Array, "n 3"]:
     row, column = rows[own_row, own_column], columns[own_row, own_column]
     near = np.hypot(row - own_row, column - own_column) <= (_EDGE_PX + _PAST_PX) * unit
     near &= cosines[row, column] >= _LEAST_COSINE  # never where there is no normal
-    own_row, own_column, row, column = (each[near] for each in (own_row, own_column, row, column))
+    own_row, own_column, row, column = (indices[near] for indices in (own_row, own_column, row, column))
     # Not `image.ray_directions`: of a whole picture they take 90 MB.
     datum, ray = (
         image.camera.rays_world(np.stack(at, axis=-1).astype(np.float64))

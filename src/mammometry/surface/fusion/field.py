@@ -14,8 +14,9 @@ import numpy as np
 from scipy import ndimage
 
 from mammometry.base.machine.cores import each_at_once, in_bands
+from mammometry.base.value import value
 from mammometry.geometry import raster_kernels
-from mammometry.geometry.arrays import Array, Bool, Float32, Float64, read_only
+from mammometry.geometry.arrays import Array, Bool, Float32, Float64
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.matching.foreground.contour import follow
 from mammometry.matching.foreground.foreground import Foreground
@@ -49,7 +50,7 @@ _BEFORE_MM = 5.0  # a datum of another view further before a span contradicts it
 _CLOSING_MM = 4.0  # gaps in a view's data narrower than twice this belong to the subject without a silhouette; by eye
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class ClosingBox:
     """Box behind and around the measured data, which closes the solid."""
 
@@ -57,10 +58,6 @@ class ClosingBox:
     """Outward unit normal and offset of each side: ``n · x − d``, positive outside, mm. The back comes first."""
     corners: Float64[Array, "8 3"]
     """World frame, mm."""
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "planes", read_only(self.planes))
-        object.__setattr__(self, "corners", read_only(self.corners))
 
     def distance_mm(self, points_world: Float64[Array, "n 3"]) -> Float64[Array, " n"]:
         """Signed distance to the nearest side, mm, negative inside."""
@@ -161,16 +158,18 @@ def build_field(
     distances = each_at_once(
         lambda name: silhouette_distance_px(outlined[name], steps[name], settings.lost_slope), list(outlined)
     )
-    starts_of_lines = np.cumsum([0, *(each.size for each in distances)])
+    starts_of_lines = np.cumsum([0, *(distance_map.size for distance_map in distances)])
     contour_rows = [
-        view_row(thinned_camera(rig.cameras[name], steps[name]), each.shape, start)
-        for name, each, start in zip(outlined, distances, starts_of_lines[:-1], strict=True)
+        view_row(thinned_camera(rig.cameras[name], steps[name]), distance_map.shape, start)
+        for name, distance_map, start in zip(outlined, distances, starts_of_lines[:-1], strict=True)
     ]
     return Field(
         views=np.array(view_rows).reshape(-1, COLUMNS),
         elements=elements,
         contours=np.array(contour_rows).reshape(-1, COLUMNS),
-        distances=np.concatenate([np.zeros(0, dtype=np.float32), *(each.ravel() for each in distances)]),
+        distances=np.concatenate(
+            [np.zeros(0, dtype=np.float32), *(distance_map.ravel() for distance_map in distances)]
+        ),
         box=box,
         truncation_mm=settings.truncation_mm,
         rule=rule,

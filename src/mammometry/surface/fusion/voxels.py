@@ -10,14 +10,14 @@ centre says. Far from all data, where the surface is only closed, the large cube
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy import ndimage
 
 from mammometry.base.progress import Progress, no_progress, part
-from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32, Int64, read_only
+from mammometry.base.value import value
+from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32, Int64
 from mammometry.surface.fusion import field_kernels as kernels
 
 BLOCK = 8  # cubes along a block's edge; for speed alone
@@ -28,7 +28,7 @@ Sampler = Callable[[Float64[Array, "n 3"], int, float], Float32[Array, "n s s s"
 """(origins, side, spacing) → field at side³ points from each origin, mm, positive outside."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class BlockGrid:
     """The evaluated blocks of a grid, and the sign of all others."""
 
@@ -48,10 +48,6 @@ class BlockGrid:
     """Blocks far from all data. None of them is evaluated here: `coarse` holds them."""
     coarse: Float32[Array, "p q r"]
     """Field at every `FAR_CUBES`-th corner of the whole grid, mm."""
-
-    def __post_init__(self) -> None:
-        for field in ("origin", "index", "outside", "values", "far", "coarse"):
-            object.__setattr__(self, field, read_only(getattr(self, field)))
 
     def dense(self, low: Int64[Array, 3], high: Int64[Array, 3]) -> Float32[Array, "x y z"]:
         """Values of the blocks low ≤ block < high as one array. Blocks beyond the grid are outside."""

@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from mammometry.base.machine.cores import each_at_once
-from mammometry.geometry.arrays import Array, Float64, Int64, read_only
+from mammometry.base.value import value
+from mammometry.geometry.arrays import Array, Float64, Int64
 from mammometry.geometry.camera import Camera
 from mammometry.matching.dense.match import DisparityMap
 from mammometry.surface.ranges.range_image import RangeImage, thinned_camera
@@ -33,7 +34,7 @@ _ROW_CELLS = 6  # along each side of a pair's picture: the vertical disparity ha
 _FEWEST_ROWS = 50  # pixels of such a cell; chosen by eye
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class Differences:
     """Distances between two pairs' surfaces, a median a cell of common skin."""
 
@@ -44,19 +45,15 @@ class Differences:
     """World frame, mm."""
     normals: Float64[Array, "n 3"]
     """Outward, world frame."""
-    apart_mm: Float64[Array, " n"]
+    distance_mm: Float64[Array, " n"]
     """Distance of the first surface in front of the second, along the normal."""
     scatter_mm: Float64[Array, " n"]
     """Standard deviation of that median from the scatter within the cell, data taken as independent."""
     expected_mm: Float64[Array, " n"]
     """Median standard deviation that both pairs' data expect of themselves."""
 
-    def __post_init__(self) -> None:
-        for field in ("points", "normals", "apart_mm", "scatter_mm", "expected_mm"):
-            object.__setattr__(self, field, read_only(getattr(self, field)))
 
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class RowErrors:
     """A pair's vertical disparity, a median a cell of its picture."""
 
@@ -66,10 +63,6 @@ class RowErrors:
     """By which the right ray leaves the epipolar plane (`shifts.Shifts.vertical_rad`)."""
     pixel_rad: float
     """Angle of a pixel at full resolution of the rectified picture."""
-
-    def __post_init__(self) -> None:
-        for field in ("points", "angle_rad"):
-            object.__setattr__(self, field, read_only(getattr(self, field)))
 
 
 def differences(range_images: Sequence[RangeImage], other_skin_mm: float = OTHER_SKIN_MM) -> tuple[Differences, ...]:
@@ -115,8 +108,8 @@ def _thinned(image: RangeImage) -> RangeImage:
 def _well_seen(
     common: CommonSkin, sign: float, other_skin_mm: float
 ) -> tuple[Float64[Array, "n 3"], Float64[Array, "n 3"], Float64[Array, " n"], Float64[Array, " n"]]:
-    well = (common.own_cosine > _LEAST_COSINE) & (np.abs(common.apart_mm) < other_skin_mm)
-    return common.points[well], common.normals[well], sign * common.apart_mm[well], common.sigma_mm[well]
+    well = (common.own_cosine > _LEAST_COSINE) & (np.abs(common.distance_mm) < other_skin_mm)
+    return common.points[well], common.normals[well], sign * common.distance_mm[well], common.sigma_mm[well]
 
 
 def _cells(points: Float64[Array, "n 3"]) -> list[Int64[Array, " k"]]:
@@ -142,7 +135,7 @@ def _in_cells(
         second=second,
         points=np.array([points[cell].mean(axis=0) for cell in cells]),
         normals=mean / np.linalg.norm(mean, axis=1, keepdims=True),
-        apart_mm=np.array([np.median(apart[cell]) for cell in cells]),
+        distance_mm=np.array([np.median(apart[cell]) for cell in cells]),
         scatter_mm=np.array([_MEDIAN_FACTOR * apart[cell].std() / np.sqrt(len(cell)) for cell in cells]),
         expected_mm=np.array([np.median(sigma[cell]) for cell in cells]),
     )

@@ -15,7 +15,7 @@ def concerns(found: Stillness) -> Iterator[str]:
     """Sentences that a user must read beside the volume. None where nothing moved."""
     if not found.moved:
         return
-    before_mm, after_mm = found.apart_mm
+    before_mm, after_mm = found.distance_mm
     worst = found.displaced[0]
     done = (
         f"That was corrected: the pairs now agree to {after_mm:.2f} mm ({before_mm:.2f} mm before)"
@@ -37,8 +37,8 @@ def cause(found: Stillness) -> str:
     """What moved, and what to do, in two sentences."""
     worst = found.displaced[0]
     share = worst.body_mm / worst.effect_mm if worst.effect_mm > 0 else 0.0
-    named = ", ".join(f"{each.camera} by {each.turn_deg:.3f} ± {each.std_deg:.3f}°" for each in found.turns[:_NAMED])
-    if found.alone in found.asked.cameras:
+    named = ", ".join(f"{turn.camera} by {turn.turn_deg:.3f} ± {turn.std_deg:.3f}°" for turn in found.turns[:_NAMED])
+    if found.alone in found.parameters.cameras:
         turned = f"after the calibration: {named}" if named else f"after the calibration, probably {found.alone}"
         return f"A camera turned {turned}. Calibrate again before the next capture."
     if share >= _MOST_PART or found.alone is not None:
@@ -59,6 +59,11 @@ def summary(found: Stillness) -> str:
     if not found.compared:
         return "not compared: no two pairs see the same skin"
     if not found.moved:
-        return f"nothing moved; pairs agree to {found.apart_mm[0]:.3f} mm (RMS)"
-    pairs = ", ".join(f"{each.pair} {each.effect_mm:.2f} ± {each.std_mm:.2f} mm" for each in found.displaced)
-    return f"{'put right' if found.corrected else 'not put right'}: {pairs}; pairs agree to {found.apart_mm[1]:.3f} mm"
+        return f"nothing moved; pairs agree to {found.distance_mm[0]:.3f} mm (RMS)"
+    pairs = ", ".join(
+        f"{displacement.pair} {displacement.effect_mm:.2f} ± {displacement.std_mm:.2f} mm"
+        for displacement in found.displaced
+    )
+    return (
+        f"{'put right' if found.corrected else 'not put right'}: {pairs}; pairs agree to {found.distance_mm[1]:.3f} mm"
+    )

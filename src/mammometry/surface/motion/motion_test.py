@@ -1,4 +1,4 @@
-"""Test whether cameras and body stood still up to the last exposure.
+"""Detect and correct motion between calibration and capture.
 
 A camera that turned after the calibration, or a body that moved between the pairs' exposures, makes pairs disagree
 about common skin, and rows of a pair miss one another. `motions` finds what most probably moved. If nothing did,
@@ -13,21 +13,22 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mammometry.base.errors import SurfaceError
+from mammometry.base.value import value
 from mammometry.calibration.adjust.calibrated import ParameterCovariance
-from mammometry.geometry.arrays import Array, Float64, read_only
+from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.transform import Transform
 from mammometry.surface.motion.agreement import RowErrors, differences
-from mammometry.surface.motion.retriangulate import carried
+from mammometry.surface.motion.retriangulate import retriangulated
 from mammometry.surface.motion.rigid_motion import (
     Fit,
     Found,
-    Unknowns,
+    MotionParameters,
     effects,
     most_probable,
+    motion_parameters,
     observed,
     rigid_motions,
-    unknowns,
     without_contradicted_rows,
     without_outliers,
 )
@@ -68,7 +69,7 @@ class Displaced:
     """Part of it caused by the body, or by both cameras together, and not by a turn of one camera."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class Stillness:
     """Motion between calibration and exposures, as the pairs show it."""
 
@@ -78,7 +79,7 @@ class Stillness:
     """Whether anything moved."""
     corrected: bool
     """Whether `motions` are to be applied."""
-    asked: Unknowns
+    parameters: MotionParameters
     motions: Float64[Array, " p"]
     """Most probable motions. Zeros where nothing moved."""
     covariance: Float64[Array, "p p"]
@@ -87,7 +88,7 @@ class Stillness:
     """Disagreement that no motion explains, standard deviation, mm. 0 where nothing moved."""
     evidence: float
     """Rise of the log probability of the observations by the motions."""
-    apart_mm: tuple[float, float]
+    distance_mm: tuple[float, float]
     """RMS distance between pairs' surfaces, measured and after correction, mm."""
     unexplained: bool = False
     """Whether the rest exceeds matching's own errors: something moved that is not rigid."""
@@ -98,19 +99,15 @@ class Stillness:
     displaced: tuple[Displaced, ...] = ()
     """Each pair, the most displaced first."""
 
-    def __post_init__(self) -> None:
-        for field in ("motions", "covariance"):
-            object.__setattr__(self, field, read_only(getattr(self, field)))
-
     def rig(self, calibrated: Rig) -> Rig:
         """The cameras where they most probably stood."""
-        return _moved_rig(calibrated, self.asked, self.motions) if self.corrected else calibrated
+        return _moved_rig(calibrated, self.parameters, self.motions) if self.corrected else calibrated
 
     def carry(self, image: RangeImage, calibrated: Rig) -> RangeImage:
         """A range image with the cameras at their most probable poses."""
         if not self.corrected:
             return image
-        return carried(image, calibrated.pair(image.name), self.rig(calibrated).pair(image.name))
+        return retriangulated(image, calibrated.pair(image.name), self.rig(calibrated).pair(image.name))
 
 
 def find(
@@ -133,90 +130,99 @@ def find(
         SurfaceError: pairs disagree by more than motions of cameras explain, or than is put right.
     """
     apart = differences(range_images, _FIRST_OTHER_SKIN_MM)
-    compared = {name for each in apart for name in (each.first, each.second)}
+    compared = {name for comparison in apart for name in (comparison.first, comparison.second)}
     pairs = [name for name in rig.pair_names if name in compared or (name in rows and len(rows[name].points))]
-    centre = np.concatenate([each.points for each in apart]).mean(axis=0) if apart else np.zeros(3)
-    asked = unknowns(rig, pairs, centre)
+    centre = np.concatenate([comparison.points for comparison in apart]).mean(axis=0) if apart else np.zeros(3)
+    parameters = motion_parameters(rig, pairs, centre)
     rows = {name: rows[name] for name in pairs if name in rows and len(rows[name].points)}
     if not apart:
-        return _nothing(asked, compared=False)
-    seen = without_contradicted_rows(without_outliers(observed(rig, apart, rows, covariance, asked), asked), asked)
+        return _nothing(parameters, compared=False)
+    seen = without_contradicted_rows(
+        without_outliers(observed(rig, apart, rows, covariance, parameters), parameters), parameters
+    )
     before_mm = seen.rms_mm()
-    honest_mm = float(np.median(np.concatenate([each.expected_mm for each in apart])))
+    honest_mm = float(np.median(np.concatenate([comparison.expected_mm for comparison in apart])))
     limit_mm = max(_UNEXPLAINED_MM, honest_mm)
-    moved = most_probable(seen, asked)
+    moved = most_probable(seen, parameters)
     evidence = moved.expected.log_evidence - moved.still.log_evidence
     if evidence < settings.least_evidence and moved.expected.rest_mm < limit_mm:
-        return _nothing(asked, apart_mm=before_mm, evidence=evidence)
+        return _nothing(parameters, distance_mm=before_mm, evidence=evidence)
     for _ in range(1, _ROUNDS):
         so_far = moved.expected.motions
-        there = _moved_rig(rig, asked, so_far)
-        images = [carried(image, rig.pair(image.name), there.pair(image.name)) for image in range_images]
-        again = observed(there, differences(images), rows, covariance, asked)
+        there = _moved_rig(rig, parameters, so_far)
+        images = [retriangulated(image, rig.pair(image.name), there.pair(image.name)) for image in range_images]
+        again = observed(there, differences(images), rows, covariance, parameters)
         values = again.values + np.where(again.distances, again.by_unknown @ so_far, 0.0)
-        seen = without_contradicted_rows(without_outliers(replace(again, values=values), asked), asked)
-        moved = most_probable(seen, asked)
+        seen = without_contradicted_rows(without_outliers(replace(again, values=values), parameters), parameters)
+        moved = most_probable(seen, parameters)
     best = moved.expected
-    found = replace(_judged(rig, rows, moved, asked), unexplained=best.rest_mm >= limit_mm)
-    found = replace(found, evidence=evidence, apart_mm=(before_mm, seen.rms_mm(best.motions)))
+    found = replace(_judged(rig, rows, moved, parameters), unexplained=best.rest_mm >= limit_mm)
+    found = replace(found, evidence=evidence, distance_mm=(before_mm, seen.rms_mm(best.motions)))
     sigmas = 0.0 if evidence >= _SURE * settings.least_evidence else _LEAST_SIGMAS
-    matters = any(each.effect_mm >= max(settings.least_mm, sigmas * each.std_mm) for each in found.displaced)
+    matters = any(
+        displacement.effect_mm >= max(settings.least_mm, sigmas * displacement.std_mm)
+        for displacement in found.displaced
+    )
     if not (matters or found.unexplained):
-        return _nothing(asked, apart_mm=before_mm, evidence=evidence)
+        return _nothing(parameters, distance_mm=before_mm, evidence=evidence)
     _refuse(found, settings, honest_mm)
     if settings.correct and evidence >= settings.least_evidence:
         return replace(found, corrected=True)
     return replace(found, covariance=found.covariance + np.outer(found.motions, found.motions))
 
 
-def _nothing(asked: Unknowns, *, compared: bool = True, apart_mm: float = 0.0, evidence: float = 0.0) -> Stillness:
+def _nothing(
+    parameters: MotionParameters, *, compared: bool = True, distance_mm: float = 0.0, evidence: float = 0.0
+) -> Stillness:
     return Stillness(
         compared=compared,
         moved=False,
         corrected=False,
-        asked=asked,
-        motions=np.zeros(asked.count),
-        covariance=np.zeros((asked.count, asked.count)),
+        parameters=parameters,
+        motions=np.zeros(parameters.count),
+        covariance=np.zeros((parameters.count, parameters.count)),
         rest_mm=0.0,
         evidence=evidence,
-        apart_mm=(apart_mm, apart_mm),
+        distance_mm=(distance_mm, distance_mm),
     )
 
 
-def _moved_rig(rig: Rig, asked: Unknowns, motions: Float64[Array, " p"]) -> Rig:
+def _moved_rig(rig: Rig, parameters: MotionParameters, motions: Float64[Array, " p"]) -> Rig:
     cameras = dict(rig.cameras)
-    for name in asked.cameras:
-        pair = next(pair for pair in rig.pair_names if name in rig.pair_names[pair] and _within(asked, pair))
-        cameras[name] = _moved(rig.cameras[name], motions[asked.of_camera(name)], motions[asked.of_group(pair)], asked)
+    for name in parameters.cameras:
+        pair = next(pair for pair in rig.pair_names if name in rig.pair_names[pair] and _within(parameters, pair))
+        cameras[name] = _moved(
+            rig.cameras[name], motions[parameters.of_camera(name)], motions[parameters.of_group(pair)], parameters
+        )
     return replace(rig, cameras=cameras)
 
 
-def _within(asked: Unknowns, pair: str) -> bool:
-    return any(pair in group for group in asked.groups)
+def _within(parameters: MotionParameters, pair: str) -> bool:
+    return any(pair in group for group in parameters.groups)
 
 
-def _moved(camera: Camera, turn: Float64[Array, 3], motion: Float64[Array, 6], asked: Unknowns) -> Camera:
+def _moved(camera: Camera, turn: Float64[Array, 3], motion: Float64[Array, 6], parameters: MotionParameters) -> Camera:
     """Turn a camera about its centre, then move it with its group."""
     turned = Transform.from_rotation_vector(turn.copy(), np.zeros(3)).rotation @ camera.camera_from_world.rotation
     about = Transform.from_rotation_vector(motion[:3].copy(), np.zeros(3)).rotation
-    centre = about @ (camera.centre_world - asked.centre_world) + asked.centre_world + motion[3:]
+    centre = about @ (camera.centre_world - parameters.centre_world) + parameters.centre_world + motion[3:]
     rotation = turned @ about.T
     return replace(camera, camera_from_world=Transform(rotation=rotation, translation_mm=-rotation @ centre))
 
 
-def _judged(rig: Rig, rows: Mapping[str, RowErrors], moved: Found, asked: Unknowns) -> Stillness:
+def _judged(rig: Rig, rows: Mapping[str, RowErrors], moved: Found, parameters: MotionParameters) -> Stillness:
     """Name what moved, by how much, and the effect on each pair."""
     best, alone = moved.expected, moved.alone
     named = best if alone is None else alone[1]
-    turns = [turn for turn in (_turn(name, named, asked) for name in asked.cameras) if turn is not None]
-    effect = np.concatenate([effects(rig, name, seen.points, asked).points_mm for name, seen in rows.items()])
+    turns = [turn for turn in (_turn(name, named, parameters) for name in parameters.cameras) if turn is not None]
+    effect = np.concatenate([effects(rig, name, seen.points, parameters).points_mm for name, seen in rows.items()])
     points = np.concatenate([seen.points for seen in rows.values()])
     together = rigid_motions(points - points.mean(axis=0)).reshape(-1, 6)
     basis, _ = np.linalg.qr(together)
     flat = effect.reshape(len(basis), -1)
     free = (flat - basis @ (basis.T @ flat)).reshape(effect.shape)
     shift_alone = best.motions.copy()
-    shift_alone[: 3 * len(asked.cameras)] = 0.0
+    shift_alone[: 3 * len(parameters.cameras)] = 0.0
     displaced, start = [], 0
     for name, seen in rows.items():
         own = free[start : start + len(seen.points)]
@@ -234,21 +240,21 @@ def _judged(rig: Rig, rows: Mapping[str, RowErrors], moved: Found, asked: Unknow
         compared=True,
         moved=True,
         corrected=False,
-        asked=asked,
+        parameters=parameters,
         motions=best.motions,
         covariance=best.covariance,
         rest_mm=best.rest_mm,
         evidence=0.0,
-        apart_mm=(0.0, 0.0),
+        distance_mm=(0.0, 0.0),
         alone=None if alone is None else alone[0],
-        turns=tuple(sorted(turns, key=lambda each: -each.turn_deg)),
-        displaced=tuple(sorted(displaced, key=lambda each: -each.effect_mm)),
+        turns=tuple(sorted(turns, key=lambda turn: -turn.turn_deg)),
+        displaced=tuple(sorted(displaced, key=lambda displacement: -displacement.effect_mm)),
     )
 
 
-def _turn(name: str, best: Fit, asked: Unknowns) -> Turn | None:
+def _turn(name: str, best: Fit, parameters: MotionParameters) -> Turn | None:
     """A camera's turn. None where it is not certain."""
-    where = asked.of_camera(name)
+    where = parameters.of_camera(name)
     turn, spread = best.motions[where], best.covariance[where, where]
     size = float(np.linalg.norm(turn))
     std = float(np.sqrt(turn @ spread @ turn) / size) if size > 0 else 0.0
@@ -264,14 +270,14 @@ def _refuse(found: Stillness, settings: StillnessSettings, honest_mm: float) -> 
     if found.rest_mm > max(settings.most_unexplained_mm, _HONEST_SIGMAS * honest_mm):
         raise SurfaceError(
             "pairs of the capture",
-            found=f"surfaces {found.apart_mm[0]:.2f} mm apart (RMS), {found.apart_mm[1]:.2f} mm with the best motion "
-            "of every camera and pair",
+            found=f"surfaces {found.distance_mm[0]:.2f} mm apart (RMS), {found.distance_mm[1]:.2f} mm with the best "
+            "motion of every camera and pair",
             expected=f"at most {settings.most_unexplained_mm:g} mm that no such motion explains",
             remedy="The body probably moved or breathed between the exposures: expose all cameras together, and repeat",
         )
     worst = found.displaced[0] if found.displaced else None
     if worst is not None and worst.effect_mm > settings.most_mm:
-        names = ", ".join(f"{each.camera} by {each.turn_deg:.2f}°" for each in found.turns[:2])
+        names = ", ".join(f"{turn.camera} by {turn.turn_deg:.2f}°" for turn in found.turns[:2])
         raise SurfaceError(
             f"pair {worst.pair}",
             found=f"points {worst.effect_mm:.1f} mm off the other pairs'" + (f" ({names})" if names else ""),

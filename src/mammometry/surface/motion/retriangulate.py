@@ -12,7 +12,7 @@ from mammometry.geometry.transform import Transform
 from mammometry.surface.ranges.range_image import RangeImage
 
 
-def carried(image: RangeImage, before: StereoPair, after: StereoPair) -> RangeImage:
+def retriangulated(image: RangeImage, before: StereoPair, after: StereoPair) -> RangeImage:
     """Triangulate a range image again with cameras in other poses.
 
     Each datum keeps its ray in the left camera and its ray in the right one; it is the point of the left ray nearest

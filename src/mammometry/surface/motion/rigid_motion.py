@@ -16,10 +16,11 @@ import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 from scipy.spatial.distance import cdist
 
+from mammometry.base.value import value
 from mammometry.calibration.adjust.calibrated import ParameterCovariance
 from mammometry.calibration.adjust.network import POSE_NAMES_CAMERA
 from mammometry.calibration.judge.cameras.shifts import shifts
-from mammometry.geometry.arrays import Array, Bool, Float64, Int64, read_only
+from mammometry.geometry.arrays import Array, Bool, Float64, Int64
 from mammometry.geometry.camera import Rig
 from mammometry.surface.motion.agreement import Differences, RowErrors
 
@@ -51,8 +52,8 @@ _UNLIKELY = 10.0  # natural logarithm of a share of the probability that is left
 _MAD = 1.4826  # standard deviation over median of the absolute deviations, of a normal distribution
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Unknowns:
+@value(eq=False)
+class MotionParameters:
     """Unknowns: three turns of each camera, then a motion of each group.
 
     A camera turns about its centre. Groups are groups of pairs.
@@ -63,9 +64,6 @@ class Unknowns:
     """Pairs that share cameras, and so are exposed together."""
     centre_world: Float64[Array, 3]
     """The point about which groups turn, mm."""
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "centre_world", read_only(self.centre_world))
 
     @property
     def count(self) -> int:
@@ -89,16 +87,16 @@ class Unknowns:
         return np.concatenate([np.full(3 * len(self.cameras), turn_rad), np.tile(group, len(self.groups))])
 
 
-def unknowns(rig: Rig, pairs: Sequence[str], centre_world: Float64[Array, 3]) -> Unknowns:
+def motion_parameters(rig: Rig, pairs: Sequence[str], centre_world: Float64[Array, 3]) -> MotionParameters:
     """What may have moved of these pairs of a rig."""
     groups: list[tuple[set[str], list[str]]] = []
     for pair in pairs:
         cameras, names = set(rig.pair_names[pair]), [pair]
-        for each in [each for each in groups if each[0] & cameras]:
-            groups.remove(each)
-            cameras, names = cameras | each[0], each[1] + names
+        for joined in [group for group in groups if group[0] & cameras]:
+            groups.remove(joined)
+            cameras, names = cameras | joined[0], joined[1] + names
         groups.append((cameras, names))
-    return Unknowns(
+    return MotionParameters(
         cameras=tuple(dict.fromkeys(camera for pair in pairs for camera in rig.pair_names[pair])),
         groups=tuple(tuple(names) for _, names in groups),
         centre_world=centre_world,
@@ -115,15 +113,15 @@ class Effects:
     """Vertical disparity that it leaves (`shifts.Shifts.vertical_rad`)."""
 
 
-def effects(rig: Rig, pair: str, points: Float64[Array, "n 3"], asked: Unknowns) -> Effects:
+def effects(rig: Rig, pair: str, points: Float64[Array, "n 3"], parameters: MotionParameters) -> Effects:
     """Effects of all unknowns on one pair's points, world frame, mm."""
-    names = tuple(f"{camera}.{name}" for camera in asked.cameras for name in POSE_NAMES_CAMERA[:3])
+    names = tuple(f"{camera}.{name}" for camera in parameters.cameras for name in POSE_NAMES_CAMERA[:3])
     of_turns = shifts(rig.pair(pair), points, names)
-    moved = np.zeros((len(points), 3, asked.count))
-    vertical = np.zeros((len(points), asked.count))
+    moved = np.zeros((len(points), 3, parameters.count))
+    vertical = np.zeros((len(points), parameters.count))
     moved[:, :, : len(names)], vertical[:, : len(names)] = of_turns.points_mm, of_turns.vertical_rad
-    whole = moved[:, :, asked.of_group(pair)]
-    whole[:] = rigid_motions(points - asked.centre_world)
+    whole = moved[:, :, parameters.of_group(pair)]
+    whole[:] = rigid_motions(points - parameters.centre_world)
     return Effects(points_mm=moved, vertical_rad=vertical)
 
 
@@ -184,7 +182,7 @@ def observed(
     apart: Sequence[Differences],
     rows: Mapping[str, RowErrors],
     covariance: ParameterCovariance | None,
-    asked: Unknowns,
+    parameters: MotionParameters,
 ) -> Observed:
     """Put all observations in one system.
 
@@ -193,22 +191,27 @@ def observed(
         apart: distances between the pairs' surfaces.
         rows: pair → its vertical disparity.
         covariance: of the calibration; None where it is not known, and passes for motion.
-        asked: what is estimated.
+        parameters: what is estimated.
     """
     names = () if covariance is None else tuple(n for n in covariance.names if n.rpartition(".")[0] in rig.cameras)
     values, design, noises, of_calibration = [], [], [], []
-    for each in apart:
-        first, second = (effects(rig, name, each.points, asked).points_mm for name in (each.first, each.second))
-        design.append(np.einsum("ni,nip->np", each.normals, second - first))
-        one, other = (shifts(rig.pair(name), each.points, names).points_mm for name in (each.first, each.second))
-        of_calibration.append(np.einsum("ni,nip->np", each.normals, other - one))
-        values.append(each.apart_mm)
-        near = np.exp(-cdist(each.points, each.points, "sqeuclidean") / (2 * _REACH_MM**2))
-        own, shared = (np.hypot(floor, _EXPECTED_SHARE * each.expected_mm) for floor in (_CELL_MM, _COMMON_MM))
-        noises.append(np.diag(each.scatter_mm**2 + own**2) + np.outer(shared, shared) * near)
+    for comparison in apart:
+        first, second = (
+            effects(rig, name, comparison.points, parameters).points_mm
+            for name in (comparison.first, comparison.second)
+        )
+        design.append(np.einsum("ni,nip->np", comparison.normals, second - first))
+        one, other = (
+            shifts(rig.pair(name), comparison.points, names).points_mm for name in (comparison.first, comparison.second)
+        )
+        of_calibration.append(np.einsum("ni,nip->np", comparison.normals, other - one))
+        values.append(comparison.distance_mm)
+        near = np.exp(-cdist(comparison.points, comparison.points, "sqeuclidean") / (2 * _REACH_MM**2))
+        own, shared = (np.hypot(floor, _EXPECTED_SHARE * comparison.expected_mm) for floor in (_CELL_MM, _COMMON_MM))
+        noises.append(np.diag(comparison.scatter_mm**2 + own**2) + np.outer(shared, shared) * near)
     count = sum(map(len, values))
     for name, seen in rows.items():
-        design.append(effects(rig, name, seen.points, asked).vertical_rad)
+        design.append(effects(rig, name, seen.points, parameters).vertical_rad)
         of_calibration.append(shifts(rig.pair(name), seen.points, names).vertical_rad)
         values.append(seen.angle_rad)
         noises.append(np.eye(len(seen.points)) * (_ROW_PX * seen.pixel_rad) ** 2)
@@ -314,7 +317,7 @@ def _fit(sized: _Sized) -> Fit:
     return Fit(rest_mm=sized.known.rest_mm, log_evidence=sized.log_evidence, motions=motions, covariance=covariance)
 
 
-def without_outliers(seen: Observed, asked: Unknowns) -> Observed:
+def without_outliers(seen: Observed, parameters: MotionParameters) -> Observed:
     """Leave out cells that no plausible motion explains.
 
     Hair, edges and arms in front of the trunk are examples. Rows of a pair are left out together: they miss one another
@@ -322,7 +325,7 @@ def without_outliers(seen: Observed, asked: Unknowns) -> Observed:
     """
     keep = np.ones(len(seen.values), dtype=bool)
     std = np.sqrt(seen.variance)
-    large_std = asked.prior_std(np.radians(_FIRST_TURN_DEG), _FIRST_SHIFT_MM)
+    large_std = parameters.prior_std(np.radians(_FIRST_TURN_DEG), _FIRST_SHIFT_MM)
     for _ in range(_OUTLIER_ROUNDS):
         large = _fit(_sized(_reduced(seen.only(keep), _FIRST_REST_MM), large_std))
         left = np.abs(seen.values - seen.by_unknown @ large.motions)
@@ -337,21 +340,21 @@ def without_outliers(seen: Observed, asked: Unknowns) -> Observed:
     return seen.only(keep)
 
 
-def without_contradicted_rows(seen: Observed, asked: Unknowns) -> Observed:
+def without_contradicted_rows(seen: Observed, parameters: MotionParameters) -> Observed:
     """Leave out rows of a pair that common skin contradicts.
 
     What most probably moved by them alone would put pairs much further apart than they are, and not nearer together:
     the pair was matched by chance somewhere.
     """
-    apart_mm, by_unknown = seen.values[seen.distances], seen.by_unknown[seen.distances]
+    distance_mm, by_unknown = seen.values[seen.distances], seen.by_unknown[seen.distances]
     keep = np.ones(len(seen.values), dtype=bool)
-    for pair in range(seen.rows_of.max(initial=-1) + 1) if len(apart_mm) else ():
+    for pair in range(seen.rows_of.max(initial=-1) + 1) if len(distance_mm) else ():
         its = seen.rows_of == pair
         if not its.any():
             continue
-        moved_mm = by_unknown @ most_probable(seen.only(its), asked).expected.motions
-        far = float(moved_mm @ moved_mm) > _CONTRADICTION**2 * float(apart_mm @ apart_mm)
-        keep[its] = not far or float(np.sum((apart_mm - moved_mm) ** 2)) < float(apart_mm @ apart_mm)
+        moved_mm = by_unknown @ most_probable(seen.only(its), parameters).expected.motions
+        far = float(moved_mm @ moved_mm) > _CONTRADICTION**2 * float(distance_mm @ distance_mm)
+        keep[its] = not far or float(np.sum((distance_mm - moved_mm) ** 2)) < float(distance_mm @ distance_mm)
     return seen.only(keep)
 
 
@@ -367,7 +370,7 @@ class Found:
     """Camera, or first pair of a group, whose motion alone explains everything equally well, and that fit."""
 
 
-def most_probable(seen: Observed, asked: Unknowns) -> Found:
+def most_probable(seen: Observed, parameters: MotionParameters) -> Found:
     """Find what most probably moved.
 
     All cameras and groups are drawn from common sizes. That one camera or one group alone moved is asked only to name
@@ -375,14 +378,14 @@ def most_probable(seen: Observed, asked: Unknowns) -> Found:
     """
     rests_mm = _RESTS_MM if seen.distances.any() else _RESTS_MM[:1]  # rows alone say nothing of a rest
     reduced = [_reduced(seen, rest_mm) for rest_mm in rests_mm]
-    none = np.zeros(asked.count)
-    still = max((_sized(known, none) for known in reduced), key=lambda each: each.log_evidence)
-    sizes = [asked.prior_std(*size) for size in product(np.radians(_TURNS_DEG).tolist(), _SHIFTS_MM)]
+    none = np.zeros(parameters.count)
+    still = max((_sized(known, none) for known in reduced), key=lambda size: size.log_evidence)
+    sizes = [parameters.prior_std(*size) for size in product(np.radians(_TURNS_DEG).tolist(), _SHIFTS_MM)]
     tried = [_sized(known, std) for known, std in product(reduced, sizes)]
-    top = max(tried, key=lambda each: each.log_evidence)
-    likely = [_fit(each) for each in tried if each.log_evidence > top.log_evidence - _UNLIKELY]
-    parts = ((name, _sized(top.known, std)) for name, std in _alone(asked))
-    name, alone = max(parts, key=lambda each: each[1].log_evidence)
+    top = max(tried, key=lambda size: size.log_evidence)
+    likely = [_fit(size) for size in tried if size.log_evidence > top.log_evidence - _UNLIKELY]
+    parts = ((name, _sized(top.known, std)) for name, std in _alone(parameters))
+    name, alone = max(parts, key=lambda named: named[1].log_evidence)
     return Found(
         still=_fit(still),
         expected=_expected(likely, _fit(top)),
@@ -392,21 +395,25 @@ def most_probable(seen: Observed, asked: Unknowns) -> Found:
 
 def _expected(likely: Sequence[Fit], top: Fit) -> Fit:
     """Mean and covariance over the likely sizes, by their evidence."""
-    weights = np.exp([each.log_evidence - top.log_evidence for each in likely])
+    weights = np.exp([fit.log_evidence - top.log_evidence for fit in likely])
     weights /= weights.sum()
-    motions = np.sum([w * each.motions for w, each in zip(weights, likely, strict=True)], axis=0)
+    motions = np.sum([w * fit.motions for w, fit in zip(weights, likely, strict=True)], axis=0)
     spread = [
-        w * (each.covariance + np.outer(each.motions - motions, each.motions - motions))
-        for w, each in zip(weights, likely, strict=True)
+        w * (fit.covariance + np.outer(fit.motions - motions, fit.motions - motions))
+        for w, fit in zip(weights, likely, strict=True)
     ]
     return replace(top, motions=np.asarray(motions), covariance=np.asarray(np.sum(spread, axis=0)))
 
 
-def _alone(asked: Unknowns) -> Iterator[tuple[str, Float64[Array, " p"]]]:
+def _alone(parameters: MotionParameters) -> Iterator[tuple[str, Float64[Array, " p"]]]:
     """Sizes for one camera that turned, or one group that moved."""
-    parts = [(n, asked.of_camera(n), (turn, 0.0)) for n in asked.cameras for turn in np.radians(_TURNS_DEG[1:])]
-    parts += [(group[0], asked.of_group(group[0]), (0.0, mm)) for group in asked.groups for mm in _SHIFTS_MM[1:]]
+    parts = [
+        (n, parameters.of_camera(n), (turn, 0.0)) for n in parameters.cameras for turn in np.radians(_TURNS_DEG[1:])
+    ]
+    parts += [
+        (group[0], parameters.of_group(group[0]), (0.0, mm)) for group in parameters.groups for mm in _SHIFTS_MM[1:]
+    ]
     for name, where, size in parts:
-        std = np.zeros(asked.count)
-        std[where] = asked.prior_std(*size)[where]
+        std = np.zeros(parameters.count)
+        std[where] = parameters.prior_std(*size)[where]
         yield name, std

@@ -23,7 +23,8 @@ import numpy as np
 from scipy import ndimage
 
 from mammometry.base.machine.cores import each_at_once
-from mammometry.geometry.arrays import Array, Bool, Float64, Int32, read_only
+from mammometry.base.value import value
+from mammometry.geometry.arrays import Array, Bool, Float64, Int32
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.projection import projected
 from mammometry.matching.foreground.foreground import Foreground
@@ -41,8 +42,8 @@ _ROUNDS = 4  # of votes, at most; two are usual
 _WIDENING = 1.25  # of the widest blocked place: gaps as wide as what blocks the view belong to it; chosen by eye
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Blocked:
+@value(eq=False)
+class Occlusion:
     """Where one camera's view of the subject is blocked."""
 
     camera: str
@@ -52,18 +53,15 @@ class Blocked:
     share: float
     """Of the subject in that photograph, the blocked places included."""
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "blocks", read_only(self.blocks))
-
     def pixels(self, shape_hw: tuple[int, int]) -> Bool[Array, "h w"]:
         """The blocked pixels of the photograph."""
         whole = self.blocks.repeat(self.step, axis=0).repeat(self.step, axis=1)
         return whole[: shape_hw[0], : shape_hw[1]]
 
 
-def find_blocked(
+def find_occlusions(
     range_images: Sequence[RangeImage], foregrounds: Mapping[str, Foreground], rig: Rig
-) -> dict[str, Blocked]:
+) -> dict[str, Occlusion]:
     """Find the places where cameras see something before the subject.
 
     A datum counts if, of the cameras of other pairs that have it in their picture, at least one sees it on the subject,
@@ -116,11 +114,11 @@ def find_blocked(
         if blocks[name].any():
             count = np.count_nonzero(blocks[name])
             share = count / (count + np.count_nonzero(view.subject))
-            found[name] = Blocked(camera=name, blocks=blocks[name], step=view.step, share=float(share))
+            found[name] = Occlusion(camera=name, blocks=blocks[name], step=view.step, share=float(share))
     return found
 
 
-def unblocked(foregrounds: Mapping[str, Foreground], blocked: Mapping[str, Blocked]) -> dict[str, Foreground]:
+def without_occluded(foregrounds: Mapping[str, Foreground], blocked: Mapping[str, Occlusion]) -> dict[str, Foreground]:
     """Silhouettes that carve nothing where the view is blocked. The others as they are."""
     opened = {}
     for name, foreground in foregrounds.items():

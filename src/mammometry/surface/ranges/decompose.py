@@ -6,19 +6,18 @@ Done for each ordered pair of views.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from types import MappingProxyType
 
 import numpy as np
 from scipy import ndimage
 
-from mammometry.geometry.arrays import Array, Bool, Int32, UInt8, read_only
+from mammometry.base.value import value
+from mammometry.geometry.arrays import Array, Bool, Int32, UInt8
 from mammometry.surface.ranges.range_image import RangeImage
 from mammometry.surface.ranges.visibility import Label, compare
 from mammometry.surface.settings import DecomposeSettings
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class Patches:
     """Every range image labelled against every other one."""
 
@@ -28,11 +27,6 @@ class Patches:
     """(A, B) → patch of each element of A, from 1: connected elements of one label. 0 without datum."""
     epsilon_mm: float
     """Half-width of the overlapping zone used, mm."""
-
-    def __post_init__(self) -> None:
-        for field in ("labels", "patches"):
-            frozen = {key: read_only(array) for key, array in getattr(self, field).items()}
-            object.__setattr__(self, field, MappingProxyType(frozen))
 
 
 def decompose(range_images: Sequence[RangeImage], settings: DecomposeSettings = DecomposeSettings()) -> Patches:
@@ -59,8 +53,8 @@ def _components(labels: UInt8[Array, "h w"], valid: Bool[Array, "h w"]) -> Int32
     """Number the 4-connected regions of equal label from 1. Only valid elements count."""
     numbers = np.zeros(labels.shape, dtype=np.int32)
     count = 0
-    for value in Label:
-        found, n = ndimage.label(valid & (labels == value))
-        numbers[found > 0] = found[found > 0] + count
+    for label in Label:
+        regions, n = ndimage.label(valid & (labels == label))
+        numbers[regions > 0] = regions[regions > 0] + count
         count += n
     return numbers

@@ -6,14 +6,14 @@ Dents are smeared depth discontinuities, seen at grazing angles.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy import ndimage
 
 from mammometry.base.errors import SurfaceError
 from mammometry.base.machine.cores import each_at_once
-from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32, UInt8, read_only
+from mammometry.base.value import value
+from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32, UInt8
 from mammometry.geometry.projection import projected
 from mammometry.geometry.rounding import to_step
 from mammometry.surface.ranges.decompose import Patches, decompose
@@ -28,7 +28,7 @@ _ANGLE_STEP_RAD = 2.0**-6  # of the angles handed on, a degree: they shade a pic
 _SIGMAS = 3.0  # of both data, that a gap must exceed before a datum counts as seen through
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class ValidPatches:
     """The range data that survived, per view."""
 
@@ -40,22 +40,15 @@ class ValidPatches:
     In steps of 2^-6.
     """
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "angles_rad", tuple(read_only(angle) for angle in self.angles_rad))
 
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Kept:
+@value(eq=False)
+class KeepMasks:
     """Which range data survived. With the range images it gives `ValidPatches`."""
 
     keep: tuple[Bool[Array, "h w"], ...]
     """Per view and element, whether its datum survived."""
     angles_rad: tuple[Float32[Array, "h w"], ...]
     """As of `ValidPatches`."""
-
-    def __post_init__(self) -> None:
-        for field in ("keep", "angles_rad"):
-            object.__setattr__(self, field, tuple(read_only(each) for each in getattr(self, field)))
 
     def of(self, range_images: Sequence[RangeImage]) -> ValidPatches:
         """The data that survived, of the views they were chosen from."""
@@ -106,7 +99,7 @@ def remove_dents(
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class DentGrid:
     """One view decomposed and thresholded in many ways (Fig. 5)."""
 
@@ -124,10 +117,6 @@ class DentGrid:
     """Where there is a datum."""
     kept: Bool[Array, "a e h w"]
     """Per threshold and ε: data that stay."""
-
-    def __post_init__(self) -> None:
-        for field in ("labels", "valid", "kept"):
-            object.__setattr__(self, field, read_only(getattr(self, field)))
 
 
 def dent_grid(

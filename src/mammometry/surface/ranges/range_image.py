@@ -5,13 +5,14 @@ The pixels are those of a pair's left camera.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from mammometry.base.machine.cores import in_bands
+from mammometry.base.value import value
 from mammometry.geometry import raster_kernels
-from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int64, read_only
+from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int64
 from mammometry.geometry.camera import Camera
 from mammometry.geometry.rounding import SIGMA_BITS, to_bits, to_step
 from mammometry.matching.dense.match import DisparityMap
@@ -28,7 +29,7 @@ SIGMA_FLOOR_MM = 0.05
 """Added in quadrature to each datum's σ, mm: no datum is better than the calibration."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class RangeImage:
     """Range image of one stereo pair.
 
@@ -57,10 +58,8 @@ class RangeImage:
         if np.any(self.camera.distortion):
             raise ValueError(f"{self.name}: a range image belongs to an ideal camera, found lens distortion")
         for field in ("range_mm", "sigma_mm", "confidence", "valid"):
-            array = getattr(self, field)
-            if array.shape != self.camera.shape_hw:
-                raise ValueError(f"{self.name}: {field} is {array.shape}, its camera {self.camera.shape_hw}")
-            object.__setattr__(self, field, read_only(array))
+            if (shape := getattr(self, field).shape) != self.camera.shape_hw:
+                raise ValueError(f"{self.name}: {field} is {shape}, its camera {self.camera.shape_hw}")
         ranges = self.range_mm[self.valid]
         if not (np.isfinite(ranges).all() and (ranges > 0).all()):
             raise ValueError(f"{self.name}: valid ranges must be positive and finite")

@@ -100,7 +100,7 @@ def check_agreement(range_images: Sequence[RangeImage], *, limit_mm: float = 1.0
         SurfaceError: names the pairs that disagree, and the one that disagrees most where it stands out.
     """
     found = disagreement_mm(range_images, smallest=smallest)
-    differences = {names: apart_mm for names, (apart_mm, _) in found.items()}
+    differences = {names: distance_mm for names, (distance_mm, _) in found.items()}
     limits = {names: max(limit_mm, _HONEST_SIGMAS * sigma_mm) for names, (_, sigma_mm) in found.items()}
     bad = {names: value for names, value in differences.items() if value > limits[names]}
     if not bad:
@@ -139,8 +139,8 @@ def disagreement_mm(
             ]
             common = np.concatenate(samples)
             if len(common) >= smallest:
-                apart_mm, sigma_mm = np.median(common, axis=0).tolist()
-                result[image.name, other.name] = apart_mm, sigma_mm
+                distance_mm, sigma_mm = np.median(common, axis=0).tolist()
+                result[image.name, other.name] = distance_mm, sigma_mm
     return result
 
 
@@ -153,7 +153,7 @@ def _distances_across(
     errors make.
     """
     common = common_skin(image, normals, other, other_normals)
-    return np.stack([np.abs(common.apart_mm), common.sigma_mm], axis=1)
+    return np.stack([np.abs(common.distance_mm), common.sigma_mm], axis=1)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -171,7 +171,7 @@ class CommonSkin:
     """The other surface's, towards its camera, world frame."""
     own_cosine: Float64[Array, " n"]
     """Cosine between the view's own normal and its line of sight."""
-    apart_mm: Float64[Array, " n"]
+    distance_mm: Float64[Array, " n"]
     """Distance from the other surface along its normal. Positive in front of it."""
     sigma_mm: Float64[Array, " n"]
     """Standard deviation of that, from both data's expected errors."""
@@ -206,7 +206,7 @@ def common_skin(
     cosine = _cosine(theirs, other.camera.centre_world - points)
     with np.errstate(invalid="ignore"):
         alike = (np.einsum("ij,ij->i", own, theirs) > np.cos(np.radians(_ALIKE_DEG))) & (cosine > _LEAST_COSINE)
-    rows, columns, uv, points, gap, cosine = (each[alike] for each in (rows, columns, uv, points, gap, cosine))
+    rows, columns, uv, points, gap, cosine = (array[alike] for array in (rows, columns, uv, points, gap, cosine))
     sigma = np.hypot(image.sigma_mm[rows, columns], other.sigma_mm[uv[:, 1], uv[:, 0]])
     return CommonSkin(
         rows=rows,
@@ -215,7 +215,7 @@ def common_skin(
         points=points,
         normals=theirs[alike],
         own_cosine=_cosine(own[alike], image.camera.centre_world - points),
-        apart_mm=gap * cosine,
+        distance_mm=gap * cosine,
         sigma_mm=sigma * cosine,
     )
 

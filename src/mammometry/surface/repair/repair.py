@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
@@ -11,7 +10,8 @@ from scipy import ndimage
 from mammometry.base.errors import SurfaceError
 from mammometry.base.machine.cores import each_at_once
 from mammometry.base.progress import Progress, no_progress
-from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32, UInt8, bounds, read_only
+from mammometry.base.value import value
+from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32, UInt8, bounds
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.nearest import point_tree
 from mammometry.surface.ranges.dents import ValidPatches
@@ -38,7 +38,7 @@ class Provenance(IntEnum):
     """Drawn to range data of at least one pair."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class RepairedSurface:
     """The repaired mesh and where each of its vertices comes from."""
 
@@ -58,8 +58,6 @@ class RepairedSurface:
     """Pairs of crossing faces found after the repair. None if nothing was repaired."""
 
     def __post_init__(self) -> None:
-        for field in ("provenance", "sigma_mm", "pair_bits", "convergence"):
-            object.__setattr__(self, field, read_only(getattr(self, field)))
         n = len(self.mesh.vertices)
         if not len(self.provenance) == len(self.sigma_mm) == len(self.pair_bits) == n:
             raise ValueError(f"one provenance, sigma and pair set per vertex expected, mesh has {n}")

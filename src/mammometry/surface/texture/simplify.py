@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mammometry.base.second_process import SecondProcess
+from mammometry.base.child_process import ChildProcess
 from mammometry.geometry.arrays import Array, Float32, Int32
 from mammometry.geometry.mesh import TriangleMesh
 
@@ -39,5 +39,5 @@ def _collapsed_apart(
     vertices: Float32[Array, "n 3"], faces: Int32[Array, "m 3"], triangles: int
 ) -> tuple[Float32[Array, "k 3"], Int32[Array, "l 3"]]:
     """The same in a process of its own."""
-    with SecondProcess() as second:
-        return second.call(_collapsed, vertices, faces, triangles)
+    with ChildProcess() as child:
+        return child.call(_collapsed, vertices, faces, triangles)

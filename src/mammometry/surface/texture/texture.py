@@ -11,6 +11,7 @@ import numpy as np
 from mammometry.base.machine.cores import in_bands
 from mammometry.base.photograph import Photograph
 from mammometry.base.progress import Progress, no_progress
+from mammometry.base.value import value
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int64, Integer, UInt8, read_only
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.mesh import TriangleMesh
@@ -27,7 +28,7 @@ _SHADOW_MM = 0.5  # on the skin: side of the pixels in which one part is found t
 _LEVELLED = 20_000  # vertices of which two photographs' ratio is taken: its median is known to a thousandth
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class TexturedMesh:
     """A mesh with a colour per vertex."""
 
@@ -39,7 +40,6 @@ class TexturedMesh:
     def __post_init__(self) -> None:
         if len(self.colours) != len(self.mesh.vertices):
             raise ValueError(f"{len(self.mesh.vertices)} vertices but {len(self.colours)} colours")
-        object.__setattr__(self, "colours", read_only(self.colours))
 
 
 def paint(

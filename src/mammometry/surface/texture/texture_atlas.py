@@ -21,7 +21,8 @@ from scipy.sparse.csgraph import connected_components
 from mammometry.base.machine.cores import in_bands
 from mammometry.base.photograph import Photograph
 from mammometry.base.progress import Progress, no_progress, part
-from mammometry.geometry.arrays import Array, Float32, Float64, Int32, Int64, UInt8, read_only
+from mammometry.base.value import value
+from mammometry.geometry.arrays import Array, Float32, Float64, Int32, Int64, UInt8
 from mammometry.geometry.camera import Rig
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.projection import projected
@@ -40,7 +41,7 @@ _PLACES = 1 << 24  # places along a picture's side that count as different: fine
 _MOST_REDUCED = 16  # pixels a side that one pixel of the covering picture may stand for
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class Atlas:
     """A mesh for looking, and the picture that covers it."""
 
@@ -60,10 +61,6 @@ class Atlas:
     def __post_init__(self) -> None:
         if self.uv_px.shape != (len(self.mesh.faces), 3, 2) or len(self.view) != len(self.mesh.faces):
             raise ValueError(f"{len(self.mesh.faces)} faces but {self.uv_px.shape} positions, {len(self.view)} views")
-        for field in ("uv_px", "picture", "view"):
-            object.__setattr__(self, field, read_only(getattr(self, field)))
-        if self.jpeg is not None:
-            object.__setattr__(self, "jpeg", read_only(self.jpeg))
 
     def unwelded(self) -> tuple[Int64[Array, " n"], Int32[Array, "m 3"], Float64[Array, "n 2"]]:
         """One vertex for each place in the picture, for drawing programs.

@@ -122,11 +122,11 @@ class Agreement:
         """
         poses = list(self.placed)
         rows = np.zeros((len(self.seen), len(poses) + len(moved)))
-        for i, one in enumerate(self.seen):
-            rows[i, poses.index(one.pose)] = 1.0
-            if one.camera in moved:
-                rows[i, len(poses) + list(moved).index(one.camera)] = -1.0
-        twists = np.concatenate([one.twist_from(self.placed[one.pose]) for one in self.seen])
+        for i, sighting in enumerate(self.seen):
+            rows[i, poses.index(sighting.pose)] = 1.0
+            if sighting.camera in moved:
+                rows[i, len(poses) + list(moved).index(sighting.camera)] = -1.0
+        twists = np.concatenate([sighting.twist_from(self.placed[sighting.pose]) for sighting in self.seen])
         scale = np.sqrt(np.diag(self.covariance))  # radians beside millimetres
         root = np.linalg.cholesky(self.covariance / np.outer(scale, scale) + 1e-12 * np.eye(len(scale)))
         design = np.linalg.solve(root, np.kron(rows, np.eye(6)) / scale[:, None])

@@ -278,7 +278,7 @@ def _best_exchange(
         yield from assignments(left[1:], taken, score)
 
     at_least = sum(own[pair].sure for pair in pairs) + 1, 0.0
-    ordered = sorted(assignments(list(pairs), {}, (0, 0.0)), key=lambda one: one[0], reverse=True)
+    ordered = sorted(assignments(list(pairs), {}, (0, 0.0)), key=lambda ranked: ranked[0], reverse=True)
     for score, right in ordered:
         moves = {camera: name for camera, name in right.items() if camera != name}
         if score < at_least:
@@ -333,7 +333,7 @@ def check_board_names(rig: Rig, seen: Mapping[str, Detection]) -> tuple[str, str
     def judged(source: Mapping[str, str]) -> dict[tuple[str, str], bool]:
         """Two cameras → whether their pictures agree, where they show it."""
         found = {both: agreement(*both, source[both[0]], source[both[1]]) for both in combinations(rig.cameras, 2)}
-        return {both: each.fits for both, each in found.items() if each is not None}
+        return {both: agreement.fits for both, agreement in found.items() if agreement is not None}
 
     own = {name: name for name in rig.cameras}
     wrong = [set(both) for both, fits in judged(own).items() if not fits]

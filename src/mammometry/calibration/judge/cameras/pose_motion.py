@@ -13,10 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chdtri
 
+from mammometry.base.value import value
 from mammometry.calibration.adjust.bundle import Calibration
 from mammometry.calibration.judge.reconstruction import moved_pair
 from mammometry.calibration.judge.sighting import Sighting, as_motion, moved
-from mammometry.geometry.arrays import Array, Float64, read_only
+from mammometry.geometry.arrays import Array, Float64
 
 _MOST_MOVEMENTS = 6
 """Movements that are named, at most: with more, nothing stood still."""
@@ -26,7 +27,7 @@ _UNDETERMINED = 1e-9
 """Relative singular value below which a direction is not determined: rounding."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class Movement:
     """One or two cameras that moved relative to the others. From one pose on, or in one pose only."""
 
@@ -47,10 +48,6 @@ class Movement:
     effect_mm: float
     """RMS displacement of the pair's points between before and after. For one pose, that pose's share."""
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "shift_mm", read_only(self.shift_mm))
-        object.__setattr__(self, "turn_rad", read_only(self.turn_rad))
-
 
 @dataclass(frozen=True, slots=True)
 class _Suspicion:
@@ -68,18 +65,19 @@ def movements(calibration: Calibration, seen: Sequence[Sighting], least_sigma: f
         seen: its views, each by itself (`sighting.sightings`).
         least_sigma: length in standard errors from which on a movement is reported.
     """
-    poses = [pose for pose in calibration.world_from_target if any(one.pose == pose for one in seen)]
-    cameras = [name for name in calibration.rig.cameras if any(one.camera == name for one in seen)]
+    poses = [pose for pose in calibration.world_from_target if any(sighting.pose == pose for sighting in seen)]
+    cameras = [name for name in calibration.rig.cameras if any(sighting.camera == name for sighting in seen)]
     if len(poses) < 2 or len(cameras) < 2:
         return ()
-    roots = [_root(one.information) for one in seen]
+    roots = [_root(sighting.information) for sighting in seen]
     twists = [
-        root @ one.twist_from(calibration.world_from_target[one.pose]) for root, one in zip(roots, seen, strict=True)
+        root @ sighting.twist_from(calibration.world_from_target[sighting.pose])
+        for root, sighting in zip(roots, seen, strict=True)
     ]
     right = np.concatenate(twists)
     columns = np.zeros((len(right), 6 * (len(poses) + len(cameras))))
-    for i, one in enumerate(seen):
-        for at, sign in ((poses.index(one.pose), 1.0), (len(poses) + cameras.index(one.camera), -1.0)):
+    for i, sighting in enumerate(seen):
+        for at, sign in ((poses.index(sighting.pose), 1.0), (len(poses) + cameras.index(sighting.camera), -1.0)):
             columns[6 * i : 6 * i + 6, 6 * at : 6 * at + 6] = sign * roots[i]
     suspicions = list(_suspicions(calibration.rig.pair_names, seen, poses))
     found: list[Movement] = []
@@ -87,7 +85,9 @@ def movements(calibration: Calibration, seen: Sequence[Sighting], least_sigma: f
     while len(found) < _MOST_MOVEMENTS:
         rest = right - explained @ (explained.T @ right)
         noise = max(1.0, float(np.median(np.sum(rest.reshape(-1, 6) ** 2, axis=1))) / (_MEDIAN * _freedom(explained)))
-        best = max(((_gain(one, roots, explained, rest), i) for i, one in enumerate(suspicions)), default=(0.0, 0))
+        best = max(
+            ((_gain(suspicion, roots, explained, rest), i) for i, suspicion in enumerate(suspicions)), default=(0.0, 0)
+        )
         sigma = float(np.sqrt(best[0] / noise))
         if sigma < least_sigma:
             break
@@ -102,18 +102,20 @@ def _suspicions(
     pair_names: Mapping[str, tuple[str, str]], seen: Sequence[Sighting], poses: Sequence[str]
 ) -> Iterator[_Suspicion]:
     """A camera from one pose on. A camera, or a pair, in one pose only."""
-    for camera in dict.fromkeys(one.camera for one in seen):
-        mine = [pose for pose in poses if any((one.camera, one.pose) == (camera, pose) for one in seen)]
+    for camera in dict.fromkeys(sighting.camera for sighting in seen):
+        mine = [pose for pose in poses if any((sighting.camera, sighting.pose) == (camera, pose) for sighting in seen)]
         for k, pose in enumerate(mine):
-            here = tuple(i for i, one in enumerate(seen) if (one.camera, one.pose) == (camera, pose))
+            here = tuple(i for i, sighting in enumerate(seen) if (sighting.camera, sighting.pose) == (camera, pose))
             yield _Suspicion((camera,), pose, True, here)
             if 2 <= k <= len(mine) - 2:  # nearer to the ends it is the same as one or two single poses
-                later = tuple(i for i, one in enumerate(seen) if one.camera == camera and one.pose in mine[k:])
+                later = tuple(
+                    i for i, sighting in enumerate(seen) if sighting.camera == camera and sighting.pose in mine[k:]
+                )
                 yield _Suspicion((camera,), pose, False, later)
     for pair in pair_names.values():
         for pose in poses:
-            both = tuple(i for i, one in enumerate(seen) if one.camera in pair and one.pose == pose)
-            others = [one for one in seen if one.pose == pose and one.camera not in pair]
+            both = tuple(i for i, sighting in enumerate(seen) if sighting.camera in pair and sighting.pose == pose)
+            others = [sighting for sighting in seen if sighting.pose == pose and sighting.camera not in pair]
             if len(both) == 2 and len(others) > 1:
                 yield _Suspicion(pair, pose, True, both)
 
@@ -188,11 +190,12 @@ def _movement(
     for pair in calibration.rig.pairs:
         if {pair.left.name, pair.right.name} & set(suspicion.cameras):
             left, right = (
-                moved(one, motion) if one.name in suspicion.cameras else one for one in (pair.left, pair.right)
+                moved(camera_model, motion) if camera_model.name in suspicion.cameras else camera_model
+                for camera_model in (pair.left, pair.right)
             )
             effect = moved_pair(pair, left, right, volume)
             effects += [] if effect is None else [effect.displacement_mm]
-    poses = sum(one.camera == camera.name for one in seen)
+    poses = sum(sighting.camera == camera.name for sighting in seen)
     return Movement(
         cameras=suspicion.cameras,
         first=suspicion.first,

@@ -6,16 +6,15 @@ right ray out of the epipolar plane shows as vertical disparity and moves no poi
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from mammometry.base.value import value
 from mammometry.calibration.judge.expected_error import derivatives
-from mammometry.geometry.arrays import Array, Float64, read_only
+from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.camera import StereoPair
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class Shifts:
     """First-order effects of parameters on what a pair measures at some points."""
 
@@ -23,10 +22,6 @@ class Shifts:
     """Displacement of the true point from the measured one per unit error of a parameter, world axes, mm."""
     vertical_rad: Float64[Array, "n p"]
     """Vertical disparity d_v per unit error, as an angle at the right camera: d_v over focal length."""
-
-    def __post_init__(self) -> None:
-        for field in ("points_mm", "vertical_rad"):
-            object.__setattr__(self, field, read_only(getattr(self, field)))
 
 
 def shifts(pair: StereoPair, points: Float64[Array, "n 3"], names: tuple[str, ...]) -> Shifts:

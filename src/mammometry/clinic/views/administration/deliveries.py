@@ -67,7 +67,7 @@ class DestinationForm(_DestinationForm):
                 Peer.parse(address)
         except MammometryError as error:
             self.add_error("address", str(error))
-        named = Destination(**{each: values.get(each) or "" for each in ("authorities", "certificate", "key")})
+        named = Destination(**{field: values.get(field) or "" for field in ("authorities", "certificate", "key")})
         named.encrypted = bool(values.get("encrypted"))
         try:
             if (tls := deliveries.tls_of(named)) is not None:
@@ -111,9 +111,9 @@ def destination_test(request: HttpRequest, destination: uuid.UUID) -> HttpRespon
 def visit_send(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
     """Have a visit's results sent, and say what became of earlier ones."""
     shown = get_object_or_404(Visit.objects.select_related("patient"), pk=visit)
-    there = Destination.objects.filter(active=True).exclude(kind=Destination.Kind.WORKLIST)
+    active = Destination.objects.filter(active=True).exclude(kind=Destination.Kind.WORKLIST)
     if request.method == "POST":
-        chosen = get_object_or_404(there, pk=_key(request.POST.get("destination", "")))
+        chosen = get_object_or_404(active, pk=_key(request.POST.get("destination", "")))
         if report_file(shown, "report.pdf") is None:
             messages.error(request, "This visit is not measured yet.")
         elif is_changed(shown):
@@ -125,7 +125,7 @@ def visit_send(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
     context = {
         "visit": shown,
         "patient": shown.patient,
-        "destinations": there,
+        "destinations": active,
         "deliveries": shown.deliveries.select_related("destination", "created_by")[:_SHOWN],
         "measured": report_file(shown, "report.pdf") is not None,
         "changed": CHANGED_SENTENCE if is_changed(shown) else "",

@@ -8,9 +8,9 @@ from django.http import HttpRequest, HttpResponse
 from django.shortcuts import render
 
 from mammometry.base.errors import MammometryError
-from mammometry.clinic.keep.backups import backup_files
-from mammometry.clinic.keep.disk import folder_bytes
-from mammometry.clinic.keep.patient import erase_patient, rows_of
+from mammometry.clinic.maintenance.backups import backup_files
+from mammometry.clinic.maintenance.disk import folder_bytes
+from mammometry.clinic.maintenance.patient import erase_patient, rows_of
 from mammometry.clinic.models import Patient, Upload, Visit
 from mammometry.clinic.site import the_clinic
 from mammometry.clinic.views.who import person_of

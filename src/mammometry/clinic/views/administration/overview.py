@@ -11,8 +11,8 @@ from django.utils import timezone
 from mammometry.clinic.audit import FAILED_LOGIN, REFUSED
 from mammometry.clinic.audit_entries import AuditFilter, entries
 from mammometry.clinic.first_day import first_day_of
-from mammometry.clinic.keep import backups
-from mammometry.clinic.keep.disk import cached_usage
+from mammometry.clinic.maintenance import backups
+from mammometry.clinic.maintenance.disk import cached_usage
 from mammometry.clinic.models import Person
 from mammometry.clinic.site import the_clinic
 from mammometry.clinic.views.who import person_of

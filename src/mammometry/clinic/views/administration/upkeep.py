@@ -11,8 +11,8 @@ from django.http import HttpRequest, HttpResponse
 from django.shortcuts import redirect, render
 from django.views.decorators.http import require_POST
 
-from mammometry.clinic.keep.backups import state_of
-from mammometry.clinic.keep.disk import cached_usage
+from mammometry.clinic.maintenance.backups import state_of
+from mammometry.clinic.maintenance.disk import cached_usage
 from mammometry.clinic.site import the_clinic
 
 

@@ -9,14 +9,14 @@ from django.shortcuts import get_object_or_404, render
 from django.urls import reverse
 
 from mammometry.base.errors import SessionError
+from mammometry.capture.page_service import firing_table
 from mammometry.capture.shots import require_replaceable
-from mammometry.capture.stand import told
 from mammometry.clinic import cameras
 from mammometry.clinic.intake import uploads
 from mammometry.clinic.intake.fired import take_in
 from mammometry.clinic.models import Visit
 from mammometry.clinic.rigs.history import today
-from mammometry.clinic.views.answers import Refused, answered, found
+from mammometry.clinic.views.answers import Refused, get_or_404, json_view
 from mammometry.clinic.views.who import person_of
 
 
@@ -29,7 +29,7 @@ def visit_capture(request: HttpRequest, visit: UUID) -> HttpResponse:
     })  # fmt: skip
 
 
-@answered("GET")
+@json_view("GET")
 def visit_state(request: HttpRequest, visit: UUID) -> HttpResponseBase:
     """The rig before anything is fired."""
     row = _visit(visit)
@@ -37,7 +37,7 @@ def visit_state(request: HttpRequest, visit: UUID) -> HttpResponseBase:
     return JsonResponse(cameras.stand_of(rig, row.calibration).state(rig.name, row.folder))
 
 
-@answered("POST")
+@json_view("POST")
 def visit_look(request: HttpRequest, visit: UUID) -> HttpResponseBase:
     """A live picture of every camera, with its aids."""
     row = _visit(visit)
@@ -45,7 +45,7 @@ def visit_look(request: HttpRequest, visit: UUID) -> HttpResponseBase:
     return JsonResponse(stand.look(request.body, subject_kind=row.subject_kind))
 
 
-@answered("POST")
+@json_view("POST")
 def visit_fire(request: HttpRequest, visit: UUID) -> HttpResponseBase:
     """Fire. Pictures that may be measured are the visit's from then on."""
     row = _visit(visit)
@@ -60,8 +60,8 @@ def visit_fire(request: HttpRequest, visit: UUID) -> HttpResponseBase:
     if fired.accepted:
         take_in(row, fired, person_of(request))
     where = reverse("visit", kwargs={"visit": row.pk})
-    return JsonResponse({**told(fired, "Press “Measure”, or fire again."), "visit": where})
+    return JsonResponse({**firing_table(fired, "Press “Measure”, or fire again."), "visit": where})
 
 
 def _visit(key: UUID) -> Visit:
-    return found(Visit.objects.select_related("patient", "rig", "calibration").filter(pk=key).first())
+    return get_or_404(Visit.objects.select_related("patient", "rig", "calibration").filter(pk=key).first())

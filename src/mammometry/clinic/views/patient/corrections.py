@@ -69,7 +69,7 @@ class MergeForm(ReasonForm):
         super().__init__(*args, **kwargs)
         number = self.fields["number"]
         assert isinstance(number, forms.ChoiceField)
-        number.choices = [(str(each.pk), each.record_number) for each in records]
+        number.choices = [(str(record.pk), record.record_number) for record in records]
         number.initial = str(records[0].pk)
 
 
@@ -227,7 +227,7 @@ def _words(row: Correction, names: dict[str, str]) -> str:
     if row.kind == Correction.Kind.MERGED:
         return f"{name} into {names.get(row.after['into'], 'an erased patient')}"
     if row.kind == Correction.Kind.DATED:
-        before, after = (moment(parse_datetime(each["taken_at"])) for each in (row.before, row.after))
+        before, after = (moment(parse_datetime(values["taken_at"])) for values in (row.before, row.after))
         return f"{name}: {before if before == after else f'{before} is now {after}'}"
     return f"{name}, {visit}" if visit else f"{name}, record {row.patient.record_number}"
 

@@ -29,9 +29,9 @@ from mammometry.clinic.site import the_clinic
 from mammometry.clinic.views.refusals import not_now
 from mammometry.clinic.views.who import person_of
 from mammometry.clinic.web.security import report_policy
-from mammometry.editor.desk import Drawable
 from mammometry.editor.messages import Base, Breast, Message
 from mammometry.editor.page import EditorPage, read, refusal
+from mammometry.editor.session import Drawable
 from mammometry.io.drawn_changes import Group, drawn_entries, entry_digest
 from mammometry.job.inputs import SubjectKind
 
@@ -143,17 +143,17 @@ def draw(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
 
 def drawing(request: HttpRequest, visit: uuid.UUID) -> HttpResponseBase:
     """Everything the page needs."""
-    return _told(visit, lambda shown, page, job: _with_visit(shown, page.drawing(str(request.user)), job))
+    return _session_response(visit, lambda shown, page, job: _with_visit(shown, page.drawing(str(request.user)), job))
 
 
 def items(request: HttpRequest, visit: uuid.UUID) -> HttpResponseBase:
     """State of all boundaries and landmarks."""
-    return _told(visit, lambda shown, page, job: _with_visit(shown, page.items(), job))
+    return _session_response(visit, lambda shown, page, job: _with_visit(shown, page.items(), job))
 
 
 def measure(request: HttpRequest, visit: uuid.UUID) -> HttpResponseBase:
     """Volumes of what is drawn, not kept."""
-    return _told(visit, lambda shown, page, job: page.measure(request.body))
+    return _session_response(visit, lambda shown, page, job: page.measure(request.body))
 
 
 def save(request: HttpRequest, visit: uuid.UUID) -> HttpResponseBase:
@@ -177,7 +177,7 @@ def save(request: HttpRequest, visit: uuid.UUID) -> HttpResponseBase:
                     _LOG.error("%s", error)
         return {"saved": len(changed), **_with_visit(locked, page.items(), _newest_job(locked))}
 
-    return _told(visit, saved)
+    return _session_response(visit, saved)
 
 
 def finish(request: HttpRequest, visit: uuid.UUID) -> HttpResponseBase:
@@ -244,7 +244,9 @@ def _digest(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else ""
 
 
-def _told(visit: uuid.UUID, answer: Callable[[Visit, EditorPage, Job | None], dict[str, Any]]) -> HttpResponseBase:
+def _session_response(
+    visit: uuid.UUID, answer: Callable[[Visit, EditorPage, Job | None], dict[str, Any]]
+) -> HttpResponseBase:
     """Answer as JSON. The sentence of a refusal is passed on."""
     shown = _visit(visit)
     job = _newest_job(shown)  # first: a page that hears of a job's end hears its numbers too, and asks no more

@@ -49,7 +49,7 @@ class _FilesField(forms.FileField):
     def clean(self, data: Any, initial: Any = None) -> Any:
         """Check each of them."""
         every = (data if isinstance(data, list | tuple) else [data]) or [None]
-        return [super(_FilesField, self).clean(each, initial) for each in every]
+        return [super(_FilesField, self).clean(file, initial) for file in every]
 
 
 class ScanForm(_ScanForm):

@@ -13,7 +13,7 @@ from mammometry.clinic.intake import uploads
 from mammometry.clinic.intake.thumbnail import screen_picture, thumbnail_path
 from mammometry.clinic.models import Calibration, DailyCheck, Upload, Visit
 from mammometry.clinic.records.duplicates import elsewhere, same_photographs
-from mammometry.clinic.views.answers import Refused, answered, asked, found, require_care, text_of
+from mammometry.clinic.views.answers import Refused, get_or_404, json_body, json_view, require_care, text_of
 from mammometry.io.photographs.images import read_photograph
 
 BODY_BYTES = uploads.CHUNK_BYTES + 4096
@@ -28,10 +28,10 @@ def as_json(table: dict[str, Any]) -> dict[str, Any]:
     return {**shown, "url": reverse("upload", kwargs={"upload": key}), "thumbnail": picture}
 
 
-@answered("POST")
+@json_view("POST")
 def new(request: HttpRequest) -> HttpResponseBase:
     """Begin an upload."""
-    table = asked(request)
+    table = json_body(request)
     model = _TARGETS.get(text_of(table, "for"))
     try:
         key = UUID(text_of(table, "id"))
@@ -39,7 +39,7 @@ def new(request: HttpRequest) -> HttpResponseBase:
         model = None
     if model is None:
         raise Refused("Say what it is for: visit, calibration or check, and its id.", 400)
-    target = found(model.objects.filter(pk=key).first())
+    target = get_or_404(model.objects.filter(pk=key).first())
     require_care(request, target)
     size = table.get("size_bytes")
     if not isinstance(size, int) or isinstance(size, bool):
@@ -63,7 +63,7 @@ def new(request: HttpRequest) -> HttpResponseBase:
     return JsonResponse(as_json(uploads.table_of(upload)), status=201 if Upload.objects.count() > before else 200)
 
 
-@answered("GET", "PATCH", "DELETE")
+@json_view("GET", "PATCH", "DELETE")
 def one(request: HttpRequest, upload: UUID) -> HttpResponseBase:
     """Ask where to go on. Send the next piece. Set it aside."""
     row = _find(request, upload)
@@ -84,14 +84,14 @@ def one(request: HttpRequest, upload: UUID) -> HttpResponseBase:
     return JsonResponse(as_json(uploads.table_of(row)))
 
 
-@answered("POST")
+@json_view("POST")
 def place(request: HttpRequest, upload: UUID) -> HttpResponseBase:
     """Say whose photograph it is."""
-    row = uploads.place(_find(request, upload), text_of(asked(request), "camera"))
+    row = uploads.place(_find(request, upload), text_of(json_body(request), "camera"))
     return JsonResponse(as_json(uploads.table_of(row)))
 
 
-@answered("POST")
+@json_view("POST")
 def back(request: HttpRequest, upload: UUID) -> HttpResponseBase:
     """Bring a photograph back that was set aside."""
     row = _find(request, upload)
@@ -99,7 +99,7 @@ def back(request: HttpRequest, upload: UUID) -> HttpResponseBase:
     return JsonResponse(as_json(uploads.table_of(row)))
 
 
-@answered("GET")
+@json_view("GET")
 def thumbnail(request: HttpRequest, upload: UUID) -> HttpResponseBase:
     """A small picture of it."""
     path = thumbnail_path(_find(request, upload))
@@ -108,7 +108,7 @@ def thumbnail(request: HttpRequest, upload: UUID) -> HttpResponseBase:
     return HttpResponse(path.read_bytes(), content_type="image/webp", headers={"Cache-Control": "private, no-store"})
 
 
-@answered("GET")
+@json_view("GET")
 def screen(request: HttpRequest, upload: UUID) -> HttpResponseBase:
     """A picture of a visit's photograph that fills a screen."""
     row = _find(request, upload)
@@ -122,26 +122,26 @@ def screen(request: HttpRequest, upload: UUID) -> HttpResponseBase:
     return HttpResponse(screen_picture(photograph), content_type="image/webp", headers=headers)
 
 
-@answered("GET")
+@json_view("GET")
 def of_visit(request: HttpRequest, visit: UUID) -> HttpResponseBase:
     """All photographs of a visit."""
-    return _state(found(Visit.objects.select_related("rig", "calibration", "patient").filter(pk=visit).first()))
+    return _state(get_or_404(Visit.objects.select_related("rig", "calibration", "patient").filter(pk=visit).first()))
 
 
-@answered("GET")
+@json_view("GET")
 def of_calibration(request: HttpRequest, calibration: UUID) -> HttpResponseBase:
     """All photographs of a calibration."""
-    return _state(found(Calibration.objects.select_related("rig").filter(pk=calibration).first()))
+    return _state(get_or_404(Calibration.objects.select_related("rig").filter(pk=calibration).first()))
 
 
-@answered("GET")
+@json_view("GET")
 def of_check(request: HttpRequest, check: UUID) -> HttpResponseBase:
     """All photographs of a daily check."""
-    return _state(found(DailyCheck.objects.select_related("rig", "calibration").filter(pk=check).first()))
+    return _state(get_or_404(DailyCheck.objects.select_related("rig", "calibration").filter(pk=check).first()))
 
 
 def _find(request: HttpRequest, key: UUID) -> Upload:
-    row = found(uploads.find(key))
+    row = get_or_404(uploads.find(key))
     require_care(request, uploads.target_of(row))
     return row
 
@@ -149,7 +149,7 @@ def _find(request: HttpRequest, key: UUID) -> Upload:
 def _state(target: Visit | Calibration | DailyCheck) -> JsonResponse:
     table = uploads.state_of(target)
     for name in ("unplaced", "set_aside"):
-        table[name] = [as_json(each) for each in table[name]]
+        table[name] = [as_json(row) for row in table[name]]
     if isinstance(target, Visit):
         table["together"] += [
             {"check": "elsewhere", "level": "warn", "sentence": elsewhere(other, cameras),
@@ -160,6 +160,6 @@ def _state(target: Visit | Calibration | DailyCheck) -> JsonResponse:
         row["upload"] = None if row["upload"] is None else as_json(row["upload"])
     if "poses" in table:
         table["poses"] = {
-            pose: {camera: as_json(each) for camera, each in shots.items()} for pose, shots in table["poses"].items()
+            pose: {camera: as_json(shot) for camera, shot in shots.items()} for pose, shots in table["poses"].items()
         }
     return JsonResponse(table)

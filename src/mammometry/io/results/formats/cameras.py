@@ -11,7 +11,7 @@ from mammometry.geometry.camera import Rig
 from mammometry.io.cameras.own import cameras_from_table, cameras_table
 from mammometry.io.results.formats.arrays import write_json
 from mammometry.io.results.formats.registry import FORMATS, Format
-from mammometry.job.stage_values import CameraSet
+from mammometry.job.values import CameraSet
 
 
 def _write(path: Path, value: CameraSet) -> None:

@@ -36,7 +36,7 @@ def _table(measured: VolumeMeasurement) -> dict[str, Any]:
             continue
         table[name] = dict(value) if isinstance(value, Mapping) else value
         if name == "definitions":
-            table[name] = [asdict(each) for each in value]
+            table[name] = [asdict(item) for item in value]
         to_tree(value, arrays)  # refuses what JSON could not hold
     return table
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from mammometry.base.errors import MammometryError
 from mammometry.base.machine.cores import each_at_once
-from mammometry.base.parse import said
+from mammometry.base.parse import error_text
 from mammometry.io.results.formats.deflate import deflated, inflated
 from mammometry.io.results.formats.registry import FORMATS, Format
 from mammometry.io.results.tree import from_tree, to_tree
@@ -72,10 +72,10 @@ def write_raster(path: Path, value: object) -> None:
                 contiguous=False,
             )
     with tifffile.TiffFile(path, mode="r+") as written:
-        each: Any
-        for each in written.pages:
-            if each.dtype == np.int32:
-                each.tags[_SAMPLE_FORMAT].overwrite(_IEEE_FLOAT)
+        image: Any
+        for image in written.pages:
+            if image.dtype == np.int32:
+                image.tags[_SAMPLE_FORMAT].overwrite(_IEEE_FLOAT)
 
 
 def _places(tree: Any, place: str) -> Iterator[tuple[str, str]]:
@@ -128,7 +128,7 @@ def read_raster(path: Path) -> Any:
     except (MammometryError, OSError, MemoryError):
         raise
     except Exception as error:  # of a damaged file tifffile raises anything
-        raise ValueError(said(error)) from None
+        raise ValueError(error_text(error)) from None
 
 
 def _page(tiff: Any, index: int) -> np.ndarray[Any, Any]:

@@ -14,7 +14,7 @@ import numpy as np
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.io.meshes.own_ply import read_ply, write_ply
 from mammometry.io.results.formats.registry import FORMATS, Format
-from mammometry.job.stage_values import FinishedSurface
+from mammometry.job.values import FinishedSurface
 
 
 def _write(path: Path, value: Any) -> None:

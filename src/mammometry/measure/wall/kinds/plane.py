@@ -30,11 +30,11 @@ def plane(breast: OpenBreast) -> Closed:
     sunk = chart.world(np.concatenate([patch.points, np.zeros((n, 1))], axis=1))
     upper, follower = [], []
     start = 0
-    for one in part.loops:
-        index = np.arange(start, start + len(one))
+    for ring in part.loops:
+        index = np.arange(start, start + len(ring))
         upper.append(index)
         follower.append(np.roll(index, -1))
-        start += len(one)
+        start += len(ring)
     a, b = np.concatenate(upper), np.concatenate(follower)
     skirt = np.concatenate([np.stack([b, a, a + n], axis=1), np.stack([b, a + n, b + n], axis=1)])
     faces = np.concatenate([skirt, patch.faces[:, ::-1] + n])

@@ -45,7 +45,7 @@ def tangent_continuous(breast: OpenBreast) -> Closed:
     part, trunk = breast.part, breast.trunk
     rim = trunk.cylindrical(part.mesh.vertices[np.concatenate(part.loops)])
     flat = trunk.cylindrical(breast.beside)
-    away, nearest = (np.asarray(each) for each in point_tree(rim[:, :2]).query(flat[:, :2]))
+    away, nearest = (np.asarray(array) for array in point_tree(rim[:, :2]).query(flat[:, :2]))
     near = (away > _RING_MM[0]) & (away < _RING_MM[1]) & on_trunk(flat, trunk)
     near &= np.abs(flat[:, 2] - rim[nearest, 2]) < _STEEPEST * away
     ring, away = flat[near], away[near]
@@ -72,5 +72,5 @@ def _one_each(ring: Float64[Array, "n 3"], rim: Float64[Array, "m 3"]) -> Float6
     """
     offset = ring[:, :2] - rim[:, :2].mean(axis=0)
     sector = ((np.arctan2(offset[:, 1], offset[:, 0]) / (2 * np.pi) + 0.5) * _SECTORS).astype(int) % _SECTORS
-    found = [np.median(ring[sector == each], axis=0) for each in range(_SECTORS) if (sector == each).any()]
+    found = [np.median(ring[sector == number], axis=0) for number in range(_SECTORS) if (sector == number).any()]
     return np.array(found).reshape(-1, 3)

@@ -12,7 +12,8 @@ from functools import cached_property
 
 import numpy as np
 
-from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32, Int64, UInt8, bounds, read_only
+from mammometry.base.value import value
+from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32, Int64, UInt8, bounds
 from mammometry.geometry.camera import Rig
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.raster_kernels import nearest_faces
@@ -26,7 +27,7 @@ _FOOT = 0.09
 _PLASTER = (0.86, 0.84, 0.80)  # colour, red green blue, 0 to 1; chosen by eye
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value(eq=False)
 class View:
     """A direction to look from, without perspective."""
 
@@ -38,10 +39,6 @@ class View:
     """The world point in the middle of the picture, mm."""
     span_mm: tuple[float, float]
     """Width and height of what is shown, mm."""
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "view_from_world", read_only(self.view_from_world))
-        object.__setattr__(self, "centre_world", read_only(self.centre_world))
 
     def project(self, points_world: Float64[Array, "n 3"]) -> Float64[Array, "n 3"]:
         """Right, up and towards the viewer, mm from the picture's middle."""
@@ -294,9 +291,9 @@ def _walk(start: int, neighbours: dict[int, list[int]]) -> Sequence[int]:
     path = [start]
     while neighbours[path[-1]]:
         here = path[-1]
-        there = neighbours[here].pop()
-        neighbours[there].remove(here)
-        path.append(there)
+        following = neighbours[here].pop()
+        neighbours[following].remove(here)
+        path.append(following)
     return path
 
 

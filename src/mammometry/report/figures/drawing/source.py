@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import TypeAlias
 
-from mammometry.job.pipeline import Inputs, Plan
+from mammometry.job.graph import Plan
+from mammometry.job.inputs import Inputs
 from mammometry.settings import Settings
 
 Source: TypeAlias = tuple[Plan, Inputs, Settings]

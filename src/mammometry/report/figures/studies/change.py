@@ -78,17 +78,17 @@ def change_map(frame: Float64[Array, "3 3"], dates: tuple[Dated, Dated], change:
             (canvas.DIVERGING_MISSING, "not seen at both dates"),
         ]
     )
-    for row, one in enumerate((*dates, dates[1])):
-        scene = Scene(one.repaired.mesh)
+    for row, date in enumerate((*dates, dates[1])):
+        scene = Scene(date.repaired.mesh)
         mapped = row == 2
-        photographed = shown_colours(one.textured.colours, one.repaired)
+        photographed = shown_colours(date.textured.colours, date.repaired)
         colours = canvas.coloured(change.after_mm, scale) if mapped else photographed
         for column, view in enumerate(views):
-            axes = sheet.panel(3 * row + column, f"{'Change' if mapped else one.title}, {view.name}")
+            axes = sheet.panel(3 * row + column, f"{'Change' if mapped else date.title}, {view.name}")
             show(axes, scene.render(view, size_px=_VIEW_PX, colours=colours, lit=0.5 if mapped else 0.0), view)
             axes.set(xlim=view.extent_mm[:2], ylim=view.extent_mm[2:])
-            for measured in one.measurements:
-                boundary = one.world_from_own.apply(measured.boundary_world)
+            for measured in date.measurements:
+                boundary = date.world_from_own.apply(measured.boundary_world)
                 curve(axes, scene, view, boundary, canvas.INK, size_px=_VIEW_PX)
     sheet.bar(2, scale, "later skin in front of the earlier, mm", extend="both")
     return sheet.png(
@@ -123,8 +123,8 @@ def change_sections(frame: Float64[Array, "3 3"], dates: tuple[Dated, Dated], ch
     sheet.legend([(BEFORE_LINE, dates[0].title), (AFTER_LINE, dates[1].title)])
     for index, (title, normal, (across, upwards), place) in enumerate(cuts):
         axes = sheet.panel(index, title, plain=False)
-        for one, colour in zip(dates, (BEFORE_LINE, AFTER_LINE), strict=True):
-            segments, _ = section(one.repaired.mesh, place, frame[normal])
+        for date, colour in zip(dates, (BEFORE_LINE, AFTER_LINE), strict=True):
+            segments, _ = section(date.repaired.mesh, place, frame[normal])
             drawn = ((segments - place) @ frame.T)[..., [across, upwards]]
             for line in join_segments(drawn):
                 axes.plot(*line.T, color=colour, linewidth=1.5, solid_capstyle="round")
@@ -140,7 +140,7 @@ def change_sections(frame: Float64[Array, "3 3"], dates: tuple[Dated, Dated], ch
 def _around_breasts(dates: Sequence[Dated]) -> TriangleMesh:
     """Both dates' skin in and near the boundaries, to frame pictures."""
     edges = np.concatenate(
-        [one.world_from_own.apply(each.closed.vertices) for one in dates for each in one.measurements]
+        [date.world_from_own.apply(measurement.closed.vertices) for date in dates for measurement in date.measurements]
     )
     low, high = edges.min(axis=0) - _ROOM_MM, edges.max(axis=0) + _ROOM_MM
     corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)]) * (high - low) + low

@@ -25,8 +25,8 @@ def curves_on(surface: DrawnSurface, observers: Sequence[str]) -> bytes:
     views = [view for view in standard_views(surface.mesh, surface.frame, of_patient=True) if "below" not in view.name]
     sheet = Sheet(len(views), 1, picture_wh(views[0], _VIEW_PX), header=26)
     colours = _colours(observers)
-    there = {name for name, _ in surface.curves}
-    sheet.legend([(colours[name], name) for name in observers if name in there])
+    names = {name for name, _ in surface.curves}
+    sheet.legend([(colours[name], name) for name in observers if name in names])
     scene = Scene(surface.mesh)
     for index, view in enumerate(views):
         axes = sheet.panel(index, view.name)
@@ -48,11 +48,13 @@ def volumes(drawings: Sequence[Drawing], found: ObserverStudy) -> bytes:
     sheet.legend([(colours[name], name) for name in found.observers])
     axes = sheet.panel(0, plain=False)
     for place, breast in enumerate(found.breasts):
-        own = [each for each in drawings if each.breast == breast]
-        mean = float(np.mean([each.volume_cc for each in own]))
-        for each in own:
-            beside = (found.observers.index(each.observer) + 1) / (len(found.observers) + 1) - 0.5
-            axes.plot(place + 0.6 * beside, each.volume_cc - mean, "o", color=colours[each.observer], markersize=5)
+        own = [drawing for drawing in drawings if drawing.breast == breast]
+        mean = float(np.mean([drawing.volume_cc for drawing in own]))
+        for drawing in own:
+            beside = (found.observers.index(drawing.observer) + 1) / (len(found.observers) + 1) - 0.5
+            axes.plot(
+                place + 0.6 * beside, drawing.volume_cc - mean, "o", color=colours[drawing.observer], markersize=5
+            )
     for scatter, style in ((found.within, ":"), (found.between, "--")):
         if scatter is not None:
             for sign in (-1, 1):

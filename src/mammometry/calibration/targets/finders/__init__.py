@@ -1,0 +1,1 @@
+"""How flat targets are found in photographs."""

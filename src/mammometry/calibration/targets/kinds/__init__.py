@@ -1,0 +1,1 @@
+"""The kinds of target: a file here is a kind."""

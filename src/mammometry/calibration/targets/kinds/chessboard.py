@@ -1,0 +1,66 @@
+"""Plain chessboards."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mammometry.base.photograph import Photograph
+from mammometry.calibration.features.found_points import Cause, FoundPoints
+from mammometry.calibration.targets.board import LEAST_SQUARES, SquaresBoard
+from mammometry.calibration.targets.registry import TARGETS
+from mammometry.calibration.targets.sheet import DARK, WHITE, Pattern
+from mammometry.geometry.arrays import Array, UInt8
+
+
+@TARGETS.add("chessboard")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ChessboardTarget(SquaresBoard):
+    """A plain chessboard whose first square is dark.
+
+    A board with an even sum of columns and rows looks the same after half a turn. Its first corner is then the one
+    nearer to the picture's left.
+
+    Raises:
+        ValueError: fewer than 3 × 3 squares, or a size that is not positive.
+    """
+
+    def find(
+        self, photograph: Photograph, *, search_width_px: int, window_squares: float
+    ) -> FoundPoints | Cause | None:
+        """Find the corners. See `find_chessboard`."""
+        from mammometry.calibration.targets.finders.find_chessboard import find_chessboard
+
+        return find_chessboard(photograph, self, search_width_px=search_width_px, window_squares=window_squares)
+
+    def explain_miss(self, small: UInt8[Array, "h w"]) -> Cause | None:
+        """Explain a missed board: another chessboard, or a part of this."""
+        from mammometry.calibration.targets.finders.find_chessboard import explain_missed_chessboard
+
+        return explain_missed_chessboard(small, self)
+
+    def mistaken(self) -> Iterator[tuple[str, ChessboardTarget]]:
+        """Yield boards whose squares were counted wrongly, first those counted between the squares."""
+        for more in ((1, 1), (1, 0), (0, 1), (-1, -1), (-1, 0), (0, -1)):
+            columns, rows = self.squares[0] + more[0], self.squares[1] + more[1]
+            if min(columns, rows) >= LEAST_SQUARES:
+                yield f"squares = [{columns}, {rows}]", replace(self, squares=(columns, rows))
+
+    @property
+    def looks_alike_turned(self) -> bool:
+        """True where columns and rows have an even sum."""
+        return sum(self.squares) % 2 == 0
+
+    @property
+    def pattern(self) -> Pattern:
+        """Dark and white squares."""
+        columns, rows = self.squares
+        dark = (np.arange(rows)[:, None] + np.arange(columns)) % 2 == 0
+        cells = np.where(dark, DARK, WHITE).astype(np.uint8)[:, :, None, None]
+        return Pattern(grid="squares", count=self.squares, pitch_mm=self.square_mm, mark_mm=self.square_mm, cells=cells)
+
+    def caption(self) -> str:
+        """Describe the print in one line."""
+        return f"chessboard, {self.squares[0]} × {self.squares[1]} squares of {self.square_mm:g} mm"

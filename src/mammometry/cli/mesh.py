@@ -1,0 +1,135 @@
+"""`measure MESH`: its options, and a measurement of another scanner's mesh."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from mammometry.base.posture import POSTURES
+from mammometry.base.value import value
+from mammometry.cli.common import Bars, Options
+
+if TYPE_CHECKING:
+    from mammometry.api.results import Results
+
+MESHES = (".ply", ".obj", ".stl", ".glb")
+"""Names of meshes end so."""
+
+
+def _mesh_option(*names: str, help: str, show_default: bool | str = False) -> Any:
+    return typer.Option(*names, help=help, show_default=show_default, rich_help_panel="For a scanner's mesh")
+
+
+@value
+class MeshOptions:
+    """Options of `measure` that are for meshes only."""
+
+    units: Annotated[
+        str | None,
+        _mesh_option(help="Unit of the mesh: mm, cm or m.", show_default="as the file states, or a torso's size shows"),
+    ] = None
+    boundary: Annotated[Path | None, _mesh_option(help="A boundaries.json: closed curves on the mesh.")] = None
+    landmarks: Annotated[
+        Path | None, _mesh_option(help="A landmarks.json. Without --boundary they give the boundary.")
+    ] = None
+    out: Annotated[Path | None, _mesh_option(help="Folder for the results.", show_default="MESH-measured")] = None
+    scale_sd: Annotated[
+        float | None, _mesh_option(help="Relative standard uncertainty of the scale.", show_default="0.001")
+    ] = None
+    surface_sd: Annotated[
+        float | None, _mesh_option(help="Standard uncertainty of the surface, mm.", show_default="0.1")
+    ] = None
+    subject: Annotated[str | None, _mesh_option(help="Identifier of the subject, a pseudonym.")] = None
+    largest: Annotated[bool, _mesh_option("--largest", help="Measure only the largest piece.")] = False
+    automatic: Annotated[
+        bool, _mesh_option("--automatic", help="Find the boundaries of a torso along its creases.")
+    ] = False
+    head: Annotated[
+        str | None, _mesh_option(help="The file's axis towards the head: y, -z and so on.", show_default="y")
+    ] = None
+    ahead: Annotated[
+        str | None,
+        _mesh_option(help="The axis straight ahead.", show_default="where an open mesh faces"),
+    ] = None
+    posture: Annotated[str | None, _mesh_option(help="How the patient held herself: standing, leaning or lying.")] = (
+        None
+    )
+
+    def given(self) -> str | None:
+        """Name of the first option that was given. None if none was."""
+        names = (name for name in self.__dataclass_fields__ if getattr(self, name) not in (None, False))
+        return next((f"--{name.replace('_', '-')}" for name in names), None)
+
+
+def measure_mesh(
+    mesh: Path, given: MeshOptions, back: Path | None, options: Options, assignments: Sequence[str]
+) -> tuple[Results, list[str]]:
+    """Measure another scanner's mesh. Gives its results and remarks on them.
+
+    Args:
+        mesh: the file.
+        given: what was said about it.
+        back: file with the chest wall.
+        options: of the command.
+        assignments: of settings, beside the options'.
+
+    Raises:
+        typer.BadParameter: an option is not what it says.
+        MammometryError: the mesh cannot be measured.
+    """
+    from mammometry.api.mesh import SCALE_STD, SURFACE_STD_MM, MeshFiles, MeshJob, folder_for, scan_files
+    from mammometry.io.meshes.scans import MESH, is_scan, read_scan
+    from mammometry.io.outputs import require_apart
+
+    if given.posture not in (None, *POSTURES):
+        raise typer.BadParameter(f"--posture is {', '.join(POSTURES)}, found {given.posture!r}")
+    for option, number in (("--scale-sd", given.scale_sd), ("--surface-sd", given.surface_sd)):
+        if number is not None and not 0 <= number < float("inf"):
+            raise typer.BadParameter(f"{option} is a standard uncertainty, 0 or more")
+    boundary, landmarks, automatic = given.boundary, given.landmarks, given.automatic
+    head, ahead, subject = given.head, given.ahead, given.subject
+    scan = read_scan(mesh.parent) if mesh.name == MESH and is_scan(mesh.parent) else None
+    if scan is not None:
+        own = scan_files(mesh.parent, subject=subject)
+        head, ahead, subject = head or own.head, ahead or own.ahead, own.subject
+        if boundary is None and own.boundary is not None:
+            boundary, automatic = own.boundary, True
+        landmarks = landmarks or own.landmarks
+    files = MeshFiles(
+        mesh=mesh,
+        units=given.units,
+        boundary=boundary,
+        landmarks=landmarks,
+        back=back,
+        automatic=automatic,
+        head=head,
+        ahead=ahead,
+        largest=given.largest,
+        scale_std=SCALE_STD if given.scale_sd is None else given.scale_sd,
+        surface_std_mm=SURFACE_STD_MM if given.surface_sd is None else given.surface_sd,
+        subject=named_subject(subject),
+        posture=given.posture or "",
+        scan=scan,
+    )
+    folder = given.out or folder_for(mesh)
+    if given.out is not None and given.out.is_symlink():
+        folder = given.out.resolve()  # a link that the user names is meant; one that came with the files is refused
+    require_apart(folder, [options.file])
+    with Bars(options.silent) as bars:
+        with bars.task("measure", "mesh"):
+            job = MeshJob(files, folder, options.settings(*assignments), watch=bars.watch)
+        results = job.run()
+    return results, [f"Standard uncertainty: scale {100 * files.scale_std:g} %, surface {files.surface_std_mm:g} mm"]
+
+
+def named_subject(text: str | None) -> str | None:
+    """A pseudonym as `--subject` gives it."""
+    from mammometry.base.identity import subject_id
+
+    try:
+        return None if text is None else subject_id(text)
+    except ValueError as error:
+        raise typer.BadParameter(f"--subject: expected {error}") from None

@@ -1,0 +1,219 @@
+"""Calibration stage: from photographs of the target to cameras to rely on. Paper 2.2."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from mammometry.base.errors import CalibrationError
+from mammometry.base.photograph import Photograph
+from mammometry.base.progress import Progress, no_progress
+from mammometry.geometry.camera import Rig
+from mammometry.job.inputs import Inputs
+from mammometry.job.products import Context, product, product_of_each
+from mammometry.job.values import CameraSet
+
+if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a plan alone need not wait for.
+    from mammometry.calibration.adjust.bundle import Calibration
+    from mammometry.calibration.detection.detect import Observations
+    from mammometry.calibration.settings import CalibrateSettings
+    from mammometry.calibration.targets.target import Target
+
+
+def _calibrates(job: Context) -> bool:
+    return job.inputs.calibrates
+
+
+def _pose_inputs(job: Context) -> dict[str, str]:
+    """Digests of a pose's photographs, of points measured in them elsewhere, and of the target."""
+    shots = [shot for shot in job.inputs.calibration_photographs if shot[0] == job.item]
+    names = {f"{pose}/{camera}": f"calibration/{pose}/{camera}" for pose, camera in shots}
+    points = [f"points/{pose}/{camera}" for pose, camera in shots if (pose, camera) in job.inputs.measured_points]
+    return job.inputs.key_part("target", *points) | {name: job.inputs.digests[full] for name, full in names.items()}
+
+
+@product_of_each(
+    "pose",
+    "calibrate",
+    version=8,
+    name="observations/{item}",
+    settings="calibration.detect",
+    inputs=_pose_inputs,
+    when=_calibrates,
+)
+def observation(*, job: Context) -> Observations:
+    """What all cameras saw of the target in one pose."""
+    shots = _OnePose(job.inputs.calibration_photographs, job.item)
+    assert job.inputs.target is not None
+    return _detect(shots, job.inputs.target, job)
+
+
+def _lens_inputs(job: Context) -> dict[str, str]:
+    exposures = [exposure for exposure, _ in job.inputs.intrinsics_photographs[job.item]]
+    digests = {exposure: job.inputs.digests[f"intrinsics/{job.item}/{exposure}"] for exposure in exposures}
+    return digests | {"target": job.inputs.digests["intrinsics-target"]}
+
+
+@product_of_each(
+    "lens",
+    "calibrate",
+    version=8,
+    name="observations/intrinsics-{item}",
+    settings="calibration.detect",
+    inputs=_lens_inputs,
+    when=_calibrates,
+)
+def lens_observation(*, job: Context) -> Observations:
+    """What one camera saw of the intrinsics target, in photographs that give its lens."""
+    assert job.inputs.intrinsics_target is not None
+    return _detect(job.inputs.intrinsics_photographs[job.item], job.inputs.intrinsics_target, job)
+
+
+def _detect(shots: Mapping[tuple[str, str], Photograph], target: Target, job: Context) -> Observations:
+    from mammometry.calibration.detection import detect
+
+    measured = {shot: job.inputs.measured_points[shot] for shot in shots if shot in job.inputs.measured_points}
+    return detect.detect(shots, target, job.settings.calibration.detect, measured=measured, progress=job.progress)
+
+
+@product(
+    "calibrate",
+    version=6,
+    settings="calibration.bundle",
+    inputs=("rig", "subject", "prior", "mounting"),
+    when=_calibrates,
+)
+def calibration(
+    observations: Mapping[str, Observations], lens_observations: Mapping[str, Observations], *, job: Context
+) -> Calibration:
+    """The rig adjusted to what was seen of the target.
+
+    Raises:
+        CalibrationError: no photograph shows the target, cameras cannot be adjusted, or the result contradicts what
+            the session says of its rig.
+    """
+    from mammometry.calibration.detection.detect import merged
+    from mammometry.calibration.detection.duplicates import set_duplicates_aside
+    from mammometry.calibration.judge import no_target
+    from mammometry.calibration.judge.scale import require_scale
+    from mammometry.calibration.judge.sides import require_sides
+
+    inputs, settings = job.inputs, job.settings.calibration
+    assert inputs.target is not None
+    poses, photographs = tuple(observations.values()), inputs.calibration_photographs
+    if not any(pose.detections for pose in poses):
+        raise no_target.no_target(inputs.target, poses, photographs, settings.detect)
+    usable = set_duplicates_aside(merged(poses))
+    try:
+        adjusted = _adjusted(inputs, usable, lens_observations, settings, job.progress)
+    except CalibrationError as error:
+        seen = (usable, *lens_observations.values())
+        raise no_target.with_causes(error, seen, photographs, settings.detect) from None
+    require_sides(adjusted.rig, inputs.upside_down)
+    require_scale(adjusted, inputs.subject_kind)
+    return adjusted
+
+
+def _adjusted(
+    inputs: Inputs,
+    observations: Observations,
+    lenses: Mapping[str, Observations],
+    settings: CalibrateSettings,
+    progress: Progress,
+) -> Calibration:
+    from mammometry.calibration.adjust import bundle
+
+    return bundle.calibrate(
+        observations,
+        inputs.pair_names,
+        inputs.rig_name,
+        settings,
+        intrinsics_observations=lenses or None,
+        priors=inputs.priors,
+        progress=progress,
+    )
+
+
+def _quality_settings(job: Context) -> object:
+    return job.settings.calibration.quality if job.inputs.calibrates else None
+
+
+def _camera_inputs(job: Context) -> dict[str, str]:
+    return {} if job.inputs.calibrates else job.inputs.key_part("cameras", "rig", "subject")
+
+
+@product("calibrate", version=6, settings=_quality_settings, inputs=_camera_inputs)
+def cameras(calibration: Calibration | None, *, job: Context) -> CameraSet:
+    """The cameras of a calibration that is fit to measure with, or those that came with the session.
+
+    Raises:
+        CalibrationError: the quality does not suffice (names the board or the photographs that spoil it), a camera of
+            the rig is missing, or a pair's sides are wrong.
+        SessionError: lengths of cameras that came with the session are in another unit.
+    """
+    if calibration is None:
+        return _imported(job.inputs)
+    from mammometry.calibration.judge import quality, suspects
+
+    settings = job.settings.calibration
+
+    def recalibrate(observations: Observations, target_prior_mm: tuple[float, float, float] | None) -> Calibration:
+        bundle = settings.bundle
+        if target_prior_mm is not None:
+            bundle = replace(bundle, free_target="always", target_prior_mm=target_prior_mm)
+        lenses = calibration.intrinsics_observations
+        return _adjusted(job.inputs, observations, lenses, replace(settings, bundle=bundle), no_progress)
+
+    assessed = quality.assess(calibration, settings.quality)
+    if assessed.verdict == "refuse":
+        raise suspects.refusal(calibration, assessed, recalibrate, settings.quality)
+    return CameraSet(
+        rig=calibration.rig,
+        std={name: dict(values) for name, values in calibration.parameter_std.items()},
+        world=calibration.world,
+        rms_px=float(calibration.rms_px),
+        verdict=assessed.verdict,
+        reasons=assessed.reasons,
+    )
+
+
+def _imported(inputs: Inputs) -> CameraSet:
+    """The cameras that came with the session."""
+    from mammometry.calibration.judge.scale import require_camera_scale
+    from mammometry.calibration.judge.sides import require_sides
+
+    assert inputs.cameras is not None
+    wanted = sorted({name for pair in inputs.pair_names.values() for name in pair} | set(inputs.photographs))
+    missing = [name for name in wanted if name not in inputs.cameras]
+    if missing:
+        raise CalibrationError(
+            "cameras.json",
+            found=f"cameras {', '.join(inputs.cameras)}",
+            expected=f"also {', '.join(missing)}",
+            remedy="Import every camera of the rig, under the names that session.toml uses",
+        )
+    rig = Rig(
+        name=inputs.rig_name, cameras={name: inputs.cameras[name] for name in wanted}, pair_names=inputs.pair_names
+    )
+    require_sides(rig, inputs.upside_down)
+    doubts = require_camera_scale("cameras.json: t", rig, inputs.subject_kind)
+    world = "The world frame of the cameras that were imported."
+    return CameraSet(rig=rig, std={}, world=world, rms_px=None, reasons=doubts)
+
+
+class _OnePose(Mapping[tuple[str, str], Photograph]):
+    """The part of the lazily read calibration photographs that shows one pose."""
+
+    def __init__(self, photographs: Mapping[tuple[str, str], Photograph], pose: str) -> None:
+        self._photographs = photographs
+        self._keys = tuple(key for key in photographs if key[0] == pose)
+
+    def __getitem__(self, key: tuple[str, str]) -> Photograph:
+        return self._photographs[key]
+
+    def __iter__(self) -> Iterator[tuple[str, str]]:
+        return iter(self._keys)
+
+    def __len__(self) -> int:
+        return len(self._keys)

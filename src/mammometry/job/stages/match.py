@@ -1,0 +1,136 @@
+"""Matching stage: from photographs and cameras to foregrounds and disparities. Paper 2.3."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from typing import TYPE_CHECKING
+
+from mammometry.base.errors import MatchingError
+from mammometry.base.machine.cores import available_cores
+from mammometry.base.photograph import Photograph
+from mammometry.job.products import Context, product, product_of_each
+from mammometry.job.values import CameraSet
+
+if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a plan alone need not wait for.
+    from mammometry.calibration.features.keypoints import Keypoints
+    from mammometry.calibration.judge.cameras.names import Names
+    from mammometry.matching.dense.match import DisparityMap
+    from mammometry.matching.foreground.all_cameras import Subjects
+    from mammometry.matching.foreground.foreground import Foreground
+    from mammometry.matching.rectify import RectifiedPair
+    from mammometry.surface.motion.agreement import RowErrors
+
+_AT_ONCE = 4  # photographs in memory; at full size each has 40 MB
+
+
+@product("match", version=1, stored=False, check=True)
+def names(cameras: CameraSet, *, job: Context) -> Names:
+    """Whether each photograph has its camera's name, before anything is matched.
+
+    Nothing of it is stored: a run that is refused leaves the results as they were.
+
+    Raises:
+        MatchingError: names the photographs that have another camera's name, or show another exposure.
+    """
+    from mammometry.calibration.features.keypoints import keypoints
+    from mammometry.calibration.judge.cameras.names import check_names, wrong_photographs
+
+    def features(camera: str) -> tuple[tuple[int, int], Keypoints]:
+        photograph = job.inputs.photographs[camera]
+        height, width = photograph.pixels.shape[:2]
+        return (width, height), keypoints(photograph)
+
+    in_pairs = sorted({camera for pair in job.inputs.pair_names.values() for camera in pair})
+    with ThreadPoolExecutor(min(_AT_ONCE, available_cores())) as pool:
+        seen = dict(zip(in_pairs, pool.map(features, in_pairs), strict=True))
+    # Where sizes differ, rectification says so.
+    fitting = {name: points for name, (size_wh, points) in seen.items() if size_wh == cameras.rig.cameras[name].size_wh}
+    compared = check_names(cameras.rig, fitting)
+    for wrong in wrong_photographs(compared, job.inputs.pair_names):
+        raise MatchingError(
+            f"capture, {wrong.listed}", found=wrong.found,
+            expected="each camera's own photograph, all of one exposure", remedy=wrong.remedy,
+        )  # fmt: skip
+    return compared
+
+
+@product_of_each("camera", "match", inputs=("capture/{item}",), large=True, threads=1)
+def photograph(*, job: Context) -> Photograph:
+    """The photograph of one camera, decoded once for its foreground and its rectification."""
+    return job.inputs.photographs[job.item]
+
+
+def _masks_missing(job: Context) -> bool:
+    return bool(set(job.inputs.photographs) - set(job.inputs.masks))
+
+
+@product("match", version=1, settings="matching.foreground", inputs=("capture", "masks"), when=_masks_missing)
+def subjects(cameras: CameraSet, *, job: Context) -> Subjects:
+    """Where the subject stands, and its blocks in each photograph. Not sought where all masks are given."""
+    from mammometry.matching.foreground.all_cameras import find_subjects
+
+    return find_subjects(cameras.rig, job.inputs.photographs, job.settings.matching.foreground, given=job.inputs.masks)
+
+
+def _given_mask(job: Context) -> tuple[str, ...]:
+    return ("subjects",) if job.item in job.inputs.masks else ()
+
+
+@product_of_each(
+    "camera",
+    "match",
+    version=13,
+    settings="matching.foreground",
+    inputs=("masks/{item}",),
+    without=_given_mask,
+    large=True,
+    threads=1,
+)
+def foreground(photograph: Photograph, subjects: Subjects | None, *, job: Context) -> Foreground:
+    """Which pixels of one camera show the subject."""
+    from mammometry.matching.foreground.foreground import estimate_foreground
+
+    given = job.inputs.masks.get(job.item)
+    subject = None if subjects is None else subjects.blocks.get(job.item)
+    return estimate_foreground(photograph, job.item, job.settings.matching.foreground, given=given, subject=subject)
+
+
+@product_of_each("pair", "match", large=True)
+def rectified(
+    cameras: CameraSet,
+    photographs: Mapping[str, Photograph],  # before the foregrounds, which are then made of the same ones
+    foregrounds: Mapping[str, Foreground],
+    subjects: Subjects | None,
+    *,
+    job: Context,
+) -> RectifiedPair:
+    """A pair's photographs, resampled so that equal rows show the same points."""
+    from mammometry.matching.rectify import rectify
+
+    left, right = job.inputs.pair_names[job.item]
+    return rectify(
+        cameras.rig.pair(job.item),
+        photographs[left],
+        photographs[right],
+        foregrounds[left],
+        foregrounds[right],
+        job.settings.matching.rectify,
+        middle_world=None if subjects is None else subjects.middle_world,
+    )
+
+
+@product_of_each("pair", "match", version=16, settings="matching", large=True, threads=2)
+def disparity(rectified: RectifiedPair, *, job: Context) -> DisparityMap:
+    """Where each left pixel is seen on the right."""
+    from mammometry.matching.dense.match import match
+
+    return match(rectified, job.settings.matching, progress=job.progress)
+
+
+@product_of_each("pair", "match", version=1, name="rows/{item}", threads=2)
+def vertical_residual(disparity: DisparityMap, *, job: Context) -> RowErrors:
+    """The vertical disparity of a pair, summed up while the whole of it is in memory."""
+    from mammometry.surface.motion.agreement import row_errors
+
+    return row_errors(disparity)

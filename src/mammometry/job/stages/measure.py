@@ -1,0 +1,273 @@
+"""Measurement stage: from the repaired surface to boundaries, volumes and lengths."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+from mammometry.base.errors import MeasureError
+from mammometry.geometry.arrays import Array, Float64
+from mammometry.job.products import Context, product
+from mammometry.job.values import CameraSet, FinishedSurface, earlier_errors
+
+if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a plan alone need not wait for.
+    from mammometry.calibration.adjust.calibrated import Calibration
+    from mammometry.matching.foreground.foreground import Foreground
+    from mammometry.measure.boundary.boundary import Boundary, TorsoSides
+    from mammometry.measure.boundary.breasts import NoBreast
+    from mammometry.measure.landmarks.landmarks import Landmark
+    from mammometry.measure.shape.anthropometry import Dimensions
+    from mammometry.measure.shape.symmetry import Symmetry
+    from mammometry.measure.trunk.body import Body
+    from mammometry.measure.volume.measurement import VolumeDeficit, VolumeMeasurement
+    from mammometry.measure.volume.uncertainty import Evidence
+    from mammometry.surface.motion.motion_test import Stillness
+    from mammometry.surface.ranges.dents import ValidPatches
+    from mammometry.surface.repair.repair import RepairedSurface
+
+
+def _torso(job: Context) -> bool:
+    return job.inputs.subject_kind == "torso"
+
+
+def _has_volume(job: Context) -> bool:
+    return job.inputs.subject_kind != "surface"
+
+
+def _outlined(job: Context) -> bool:
+    """Whether the breasts of a torso are looked for: they are not if all are drawn, removed, or given by landmarks."""
+    inputs = job.inputs
+    wanted = inputs.automatic or not (inputs.boundaries or inputs.all_removed)
+    return _torso(job) and job.settings.measure.boundary != "landmarks" and bool(wanted)
+
+
+def _frame(cameras: CameraSet, job: Context, body: Body | None = None) -> Float64[Array, "3 3"]:
+    """Rows: left, up, ahead. The body's own, or the cameras'."""
+    from mammometry.measure.trunk.body import rig_frame
+
+    return rig_frame(cameras.rig, job.inputs.mounting) if body is None else body.frame
+
+
+@product("measure", version=9, settings="measure", inputs=("subject", "mounting"), when=_outlined)
+def sides(corrected_cameras: CameraSet, repaired: RepairedSurface, *, job: Context) -> TorsoSides:
+    """Breasts found on a torso, and sides without one."""
+    from mammometry.measure.boundary.boundary import outline_torso
+
+    frame = _frame(corrected_cameras, job)
+    return outline_torso(repaired, frame, job.settings.measure, head_stated=job.inputs.head_stated)
+
+
+def _boundary_inputs(job: Context) -> dict[str, str]:
+    picked = ("landmarks",) if job.settings.measure.boundary == "landmarks" else ()
+    return job.inputs.key_part("subject", "boundaries", "mounting", "rim", *picked)
+
+
+@product("measure", version=15, settings="measure", inputs=_boundary_inputs, when=_has_volume)
+def boundaries(
+    corrected_cameras: CameraSet,
+    repaired: RepairedSurface,
+    sides: TorsoSides | None,  # before the foregrounds, which are large, are read back
+    foregrounds: Mapping[str, Foreground],
+    *,
+    job: Context,
+) -> tuple[Boundary, ...]:
+    """One closed curve for each breast: drawn, by picked landmarks, or found."""
+    from mammometry.measure.boundary import boundary
+    from mammometry.measure.volume.refused import wanted_boundaries
+
+    inputs, settings = job.inputs, job.settings.measure
+    given = tuple(
+        boundary.given_boundary(
+            name,  # type: ignore[arg-type]  # names checked by the session
+            points,
+            repaired,
+            rim_sigma_mm=settings.drawn_rim_sigma_mm,
+            how=inputs.attributions[name].method if name in inputs.attributions else None,
+        )
+        for name, points in inputs.boundaries.items()
+    )
+    if given and not inputs.automatic:
+        return given
+    if inputs.all_removed:
+        found: tuple[Boundary, ...] = ()
+    elif sides is not None:
+        found = wanted_boundaries(sides, inputs.removed, required=not inputs.boundaries)
+    elif _torso(job):
+        frame = _frame(corrected_cameras, job)
+        found = boundary.landmark_boundaries(inputs.landmarks, repaired, frame, settings)
+    else:
+        found = boundary.find_boundaries(
+            repaired,
+            foregrounds,
+            corrected_cameras.rig,
+            inputs.subject_kind,
+            settings,
+            rim_radius_mm=inputs.rim_radius_mm,
+            progress=job.progress,
+        )
+    if not given:
+        return found
+    wanted = (curve for curve in found if curve.name in inputs.automatic)
+    return tuple(sorted((*given, *wanted), key=lambda curve: curve.name))
+
+
+@product("measure", version=4, settings="measure.thorax", inputs=("mounting",), when=_torso)
+def body(
+    corrected_cameras: CameraSet, repaired: RepairedSurface, boundaries: tuple[Boundary, ...], *, job: Context
+) -> Body:
+    """A torso's own axes (left, up, ahead) and mid-sagittal plane, the breasts left out."""
+    from mammometry.measure.trunk.body import find_body
+
+    curves, frame = [curve.points_world for curve in boundaries], _frame(corrected_cameras, job)
+    settings = job.settings.measure.thorax
+    return find_body(repaired, frame, settings, boundaries=curves, stated=job.inputs.head_stated)
+
+
+@product("measure", when=_has_volume, large=True)
+def evidence(
+    corrected_cameras: CameraSet,
+    valid_patches: ValidPatches,
+    foregrounds: Mapping[str, Foreground],
+    calibration: Calibration | None,
+    stillness: Stillness | None,
+    *,
+    job: Context,
+) -> Evidence:
+    """What the earlier stages know of the errors of a volume."""
+    from mammometry.measure.volume.movement import movement_of
+    from mammometry.measure.volume.uncertainty import EarlierErrors, Evidence
+    from mammometry.measure.volume.unseen_space import bounds
+
+    rig, scale_std = corrected_cameras.rig, job.inputs.scale_std
+    return Evidence(
+        views=bounds(foregrounds, valid_patches.range_images, rig, job.settings.measure),
+        earlier=earlier_errors(calibration) if scale_std is None else EarlierErrors(scale_std=scale_std),
+        movement=None if stillness is None else movement_of(stillness, rig),
+    )
+
+
+@product("measure", version=17, name="measurement", settings="measure", inputs=("wall", "scale"), when=_has_volume)
+def measurements(
+    repaired: RepairedSurface,
+    boundaries: tuple[Boundary, ...],
+    body: Body | None,
+    evidence: Evidence,
+    *,
+    job: Context,
+) -> tuple[VolumeMeasurement, ...]:
+    """The volume of each breast with its interval: ``model``, or the patient's ``left`` and ``right``.
+
+    Raises:
+        MeasureError: no breast can be measured, or one that somebody drew.
+    """
+    from mammometry.measure.volume.volumes import measured_or_refused
+    from mammometry.measure.wall.open_breast import open_breasts
+
+    frame = None if body is None else body.frame
+    breasts = open_breasts(boundaries, repaired, job.settings.measure, frame=frame, back=job.inputs.wall)
+    measured, refusals = [], []
+    results = measured_or_refused(breasts, evidence, progress=job.progress)
+    for breast, result in zip(breasts, results, strict=True):
+        if not isinstance(result, MeasureError):
+            measured.append(result)
+        elif breast.boundary.name in job.inputs.boundaries:
+            raise result  # who drew it waits to hear
+        else:
+            refusals.append(result)  # of this side alone
+    if refusals and not measured:
+        raise refusals[0]
+    return tuple(measured)
+
+
+@product("measure", version=3, settings="measure", inputs=("wall",), when=_torso, threads=1)
+def absent(
+    repaired: RepairedSurface,
+    sides: TorsoSides | None,
+    boundaries: tuple[Boundary, ...],
+    body: Body,
+    measurements: tuple[VolumeMeasurement, ...],
+    *,
+    job: Context,
+) -> tuple[NoBreast, ...]:
+    """Sides that were not measured, with reasons: without a breast, removed, unclear or refused."""
+    from mammometry.measure.volume.refused import refused_side, removed_side
+    from mammometry.measure.wall.open_breast import open_breasts
+
+    inputs = job.inputs
+    found = () if sides is None else sides.absent
+    absent = [side for side in found if side.name not in (*inputs.boundaries, *inputs.removed)]
+    absent += [removed_side(name, body, repaired) for name in inputs.removed]
+    measured = {measurement.name for measurement in measurements}
+    if any(curve.name not in measured for curve in boundaries):
+        breasts = open_breasts(boundaries, repaired, job.settings.measure, frame=body.frame, back=inputs.wall)
+        absent += [refused_side(breast) for breast in breasts if breast.boundary.name not in measured]
+    return tuple(absent)
+
+
+@product("measure", version=4, settings="measure", when=_torso, threads=1)
+def lacking(
+    repaired: RepairedSurface, measurements: tuple[VolumeMeasurement, ...], body: Body, *, job: Context
+) -> tuple[VolumeDeficit, ...]:
+    """What the smaller side of a torso lacks to the mirrored larger one. No volume depends on it."""
+    from mammometry.measure.volume.lacking import lacking
+
+    try:
+        found = lacking(repaired, measurements, body, job.settings.measure)
+    except MeasureError:
+        return ()
+    return () if found is None else (found,)
+
+
+@product("measure", version=4, settings="measure", inputs=("landmarks", "mounting"), when=_has_volume, threads=1)
+def landmarks(
+    corrected_cameras: CameraSet,
+    mesh: FinishedSurface,
+    measurements: tuple[VolumeMeasurement, ...],
+    body: Body | None,
+    *,
+    job: Context,
+) -> tuple[Landmark, ...]:
+    """Picked landmarks and proposed nipples."""
+    from mammometry.measure.shape.anthropometry import find_landmarks
+
+    textured, picked, settings = mesh.textured, job.inputs.landmarks, job.settings.measure
+    frame, plane = _frame(corrected_cameras, job, body), None if body is None else body.plane
+    return find_landmarks(textured.mesh, textured.colours, measurements, picked, frame, settings, plane=plane)
+
+
+@product("measure", version=3, when=_has_volume, threads=1)
+def symmetry(
+    corrected_cameras: CameraSet,
+    mesh: FinishedSurface,
+    measurements: tuple[VolumeMeasurement, ...],
+    body: Body | None,
+    *,
+    job: Context,
+) -> Symmetry | None:
+    """Left against mirrored right. None if the trunk shows no mid-sagittal plane. No volume depends on it."""
+    from mammometry.measure.shape.symmetry import symmetry
+
+    if body is None or body.plane is None:
+        return None
+    try:
+        return symmetry(measurements, body.frame, body.plane)
+    except MeasureError:
+        return None
+
+
+@product("measure", version=5, settings="measure", inputs=("mounting",), when=_has_volume, threads=1)
+def dimensions(
+    corrected_cameras: CameraSet,
+    mesh: FinishedSurface,
+    measurements: tuple[VolumeMeasurement, ...],
+    body: Body | None,
+    landmarks: tuple[Landmark, ...],
+    *,
+    job: Context,
+) -> Dimensions:
+    """Shape, lengths and ptosis."""
+    from mammometry.measure.shape.anthropometry import dimensions
+
+    frame, plane = _frame(corrected_cameras, job, body), None if body is None else body.plane
+    surface, settings = mesh.repaired.mesh, job.settings.measure
+    return dimensions(surface, measurements, landmarks, frame, settings, plane=plane)

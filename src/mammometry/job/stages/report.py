@@ -1,0 +1,64 @@
+"""Report stage: what its pages depend on. They are folders of files, written by `api`, not values.
+
+The key of a page holds all that it shows, so that nothing can be shown and forgotten.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any
+
+from mammometry.base.identity import Identity
+from mammometry.job.graph import Plan
+from mammometry.job.products import Key, Product, Stage
+from mammometry.job.stages import calibrate
+from mammometry.measure.volume.attribution import Attribution
+from mammometry.settings import Settings, as_table
+
+VERSIONS: Mapping[str, int] = MappingProxyType({"previews": 10, "content": 3, "report": 15})
+"""Kind of page → version of its making. Raise it when a page changes for the same products."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PageInputs:
+    """All that a page shows and no product tells."""
+
+    identity: Identity
+    """Whose results: names and dates of the page come from here only."""
+    settings: Settings
+    """Of all stages. The page lists them."""
+    stage_seconds: Mapping[str, float] = field(default_factory=dict)
+    """Stage → what it took when it was made, s."""
+    posture: str = ""
+    """How the patient held herself. Empty: nobody said."""
+
+    def key(self, products: Iterable[Product[Any]], inputs: Mapping[str, str] | None = None) -> Key:
+        """Key of a report's content that shows this and these products.
+
+        Args:
+            products: all that the page shows.
+            inputs: name → digest of what else it shows.
+        """
+        made = {f"{product.key.stage}/{product.key.product}": product.key.digest for product in products}
+        return Key(
+            stage="report",
+            product="content",
+            version=VERSIONS["content"],
+            settings={**as_table(self), "stage_seconds": dict(self.stage_seconds)},
+            inputs={**(inputs or {}), **made},
+        )
+
+
+def report_key(content: Key, attributions: Mapping[str, Attribution]) -> Key:
+    """Key of a rendered report: its content, and who drew and confirmed the boundaries."""
+    inputs = {"report/content": content.digest, "attributions": repr(dict(attributions))}
+    return Key(stage="report", product="report", version=VERSIONS["report"], settings={}, inputs=inputs)
+
+
+def previews_key(stage: Stage, plan: Plan) -> Key:
+    """Key of a stage's pictures: its products, the cameras, the photographs."""
+    shown = [*plan.products(stage), plan[calibrate.cameras]]
+    inputs = {product.key.product: product.key.digest for product in shown}
+    return Key(stage=stage, product="previews", version=VERSIONS["previews"], settings={}, inputs=inputs)

@@ -1,0 +1,180 @@
+"""Surface stage: from disparities to the repaired surface and its colours. Paper 2.4 to 2.6."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from mammometry.job.products import Context, product, product_of_each
+from mammometry.job.values import CameraSet, FinishedSurface
+
+if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a plan alone need not wait for.
+    from mammometry.calibration.adjust.calibrated import Calibration
+    from mammometry.geometry.mesh import TriangleMesh
+    from mammometry.matching.dense.match import DisparityMap
+    from mammometry.matching.foreground.all_cameras import Subjects
+    from mammometry.matching.foreground.foreground import Foreground
+    from mammometry.surface.fusion.fuse import Solid
+    from mammometry.surface.motion.agreement import RowErrors
+    from mammometry.surface.motion.motion_test import Stillness
+    from mammometry.surface.occlusion.occlusion import Occlusion
+    from mammometry.surface.ranges.dents import KeepMasks, ValidPatches
+    from mammometry.surface.ranges.range_image import RangeImage
+    from mammometry.surface.repair.repair import RepairedSurface
+    from mammometry.surface.texture.texture_atlas import Atlas
+
+
+@product_of_each(
+    "pair", "surface", version=3, name="range/{item}", settings="surface.triangulate", large=True, threads=1
+)
+def range_image(disparity: DisparityMap, *, job: Context) -> RangeImage:
+    """The range image of a pair, with the cameras as calibrated. Paper 2.4."""
+    from mammometry.surface.ranges.range_image import triangulate
+
+    return triangulate(disparity, job.settings.surface.triangulate)
+
+
+@product("surface", version=4, settings="surface.stillness")
+def stillness(
+    cameras: CameraSet,
+    calibration: Calibration | None,
+    range_images: Mapping[str, RangeImage],
+    vertical_residuals: Mapping[str, RowErrors],
+    *,
+    job: Context,
+) -> Stillness:
+    """What moved between calibration and exposures, by pairs that see the same skin."""
+    from mammometry.surface.motion import motion_test as stillness
+
+    covariance = None if calibration is None else calibration.covariance
+    images = tuple(range_images.values())
+    return stillness.find(cameras.rig, images, vertical_residuals, covariance, job.settings.surface.stillness)
+
+
+@product("surface", version=2, name="stood")
+def corrected_cameras(cameras: CameraSet, stillness: Stillness, *, job: Context) -> CameraSet:
+    """The cameras where they most probably stood at the exposures: as calibrated, if nothing moved."""
+    return replace(cameras, rig=stillness.rig(cameras.rig))
+
+
+def _dent_settings(job: Context) -> object:
+    return job.settings.surface.decompose, job.settings.surface.dents
+
+
+@product("surface", version=5, name="valid", settings=_dent_settings, inputs=("subject",), large=True)
+def keep_masks(
+    cameras: CameraSet,
+    stillness: Stillness,
+    range_images: Mapping[str, RangeImage],
+    subjects: Subjects | None,
+    *,
+    job: Context,
+) -> KeepMasks:
+    """Which range data survive the removal of dents. Paper 2.6.1 and 2.6.2."""
+    from mammometry.surface.ranges import decompose, dents
+    from mammometry.surface.ranges import foreign_pieces as scraps
+
+    settings, rig = job.settings.surface, cameras.rig
+    images = tuple(stillness.carry(image, rig) for image in range_images.values())
+    patches = decompose.decompose(images, settings.decompose) if settings.dents.rule == "patch" else None
+    valid = dents.remove_dents(images, patches, settings.dents)
+    keep = [image.valid for image in valid.range_images]
+    unseen = set() if subjects is None else set(subjects.blind)
+    blind = [name for name, pair in rig.pair_names.items() if unseen & set(pair)]
+    if blind or job.inputs.subject_kind == "surface":  # a solid's smaller pieces are left out when it is meshed
+        middle_world = None if subjects is None else subjects.middle_world
+        keep = scraps.subject_data(valid.range_images, blind, middle_world)
+    return dents.KeepMasks(keep=tuple(keep), angles_rad=valid.angles_rad)
+
+
+@product("surface", version=1, name="data", stored=False, large=True)
+def valid_patches(
+    cameras: CameraSet,
+    stillness: Stillness,
+    range_images: Mapping[str, RangeImage],
+    keep_masks: KeepMasks,
+    *,
+    job: Context,
+) -> ValidPatches:
+    """Those data: taken from the range images when they are wanted."""
+    return keep_masks.of([stillness.carry(image, cameras.rig) for image in range_images.values()])
+
+
+@product("surface", version=6, name="blocked")
+def occlusions(
+    corrected_cameras: CameraSet,
+    valid_patches: ValidPatches,
+    foregrounds: Mapping[str, Foreground],
+    *,
+    job: Context,
+) -> Mapping[str, Occlusion]:
+    """Camera → places with something in front of the subject, for cameras that have such places."""
+    from mammometry.surface.occlusion.occlusion import find_occlusions
+
+    return find_occlusions(valid_patches.range_images, foregrounds, corrected_cameras.rig)
+
+
+@product("surface", large=True)
+def solid(
+    corrected_cameras: CameraSet,
+    valid_patches: ValidPatches,
+    foregrounds: Mapping[str, Foreground],
+    occlusions: Mapping[str, Occlusion],
+    *,
+    job: Context,
+) -> Solid | None:
+    """Where a cast or torso may lie, by range data and silhouettes. None for an open surface. Paper 2.5."""
+    from mammometry.surface.fusion import fuse as extract
+    from mammometry.surface.occlusion import occlusion as occluders
+
+    if job.inputs.subject_kind == "surface":
+        return None
+    opened = occluders.without_occluded(foregrounds, occlusions)
+    extraction = job.settings.surface.extract.of(job.inputs.subject_kind)
+    return extract.solid_of(valid_patches.range_images, opened, corrected_cameras.rig, extraction)
+
+
+def _extraction(job: Context) -> object:
+    return job.settings.surface.extract.of(job.inputs.subject_kind)
+
+
+@product("surface", version=10, name="first", settings=_extraction, inputs=("subject",), large=True)
+def initial_surface(valid_patches: ValidPatches, solid: Solid | None, *, job: Context) -> TriangleMesh:
+    """The first surface, from the average of the views' signed distances. Paper 2.5."""
+    from mammometry.surface.fusion import fuse as extract
+
+    extraction = job.settings.surface.extract.of(job.inputs.subject_kind)
+    if solid is None:
+        return extract.extract_open(valid_patches.range_images, extraction, progress=job.progress)
+    return extract.meshed(solid, extraction, progress=job.progress)
+
+
+@product("surface", version=5, name="repaired", settings="surface.repair")
+def repaired(initial_surface: TriangleMesh, valid_patches: ValidPatches, *, job: Context) -> RepairedSurface:
+    """The surface, drawn elastically to the range data. An open one stays as measured. Paper 2.6.3."""
+    from mammometry.surface.repair import repair
+
+    if job.inputs.subject_kind == "surface":
+        return repair.as_measured(initial_surface, valid_patches)
+    return repair.repair(initial_surface, valid_patches, job.settings.surface.repair, progress=job.progress)
+
+
+@product("surface", version=6, settings="surface.texture", inputs=("capture",), threads=1, deferrable=True)
+def model(corrected_cameras: CameraSet, repaired: RepairedSurface, *, job: Context) -> Atlas:
+    """For looking: fewer triangles, the photographs at full resolution."""
+    from mammometry.surface.texture import atlas_jpeg, unmeasured
+    from mammometry.surface.texture import texture_atlas as atlas
+
+    settings, rig = job.settings.surface.texture, corrected_cameras.rig
+    covered = atlas.cover(repaired.mesh, job.inputs.photographs, rig, settings, progress=job.progress)
+    return atlas_jpeg.as_jpeg(unmeasured.faded_atlas(covered, repaired))
+
+
+@product("surface", version=4, settings="surface.texture", inputs=("capture",), threads=1)
+def mesh(corrected_cameras: CameraSet, repaired: RepairedSurface, *, job: Context) -> FinishedSurface:
+    """The repaired surface with a colour at each vertex."""
+    from mammometry.surface.texture.texture import paint
+
+    textured = paint(repaired.mesh, job.inputs.photographs, corrected_cameras.rig, job.settings.surface.texture)
+    return FinishedSurface(repaired=repaired, textured=textured)

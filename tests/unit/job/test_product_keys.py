@@ -1,0 +1,52 @@
+"""Keys of stored results stay as they are: a session that an earlier version measured is not measured again.
+
+`product_keys.json` was written before products became functions. Of each product it holds the version, the places of
+its settings, and its inputs: ``<name>`` is a session's own, ``@stage/product`` another product, and others are as they
+stand in the key.
+"""
+
+import hashlib
+import json
+from operator import attrgetter
+from pathlib import Path
+from typing import Any
+
+import pytest
+from planned_sessions import Planned, sessions
+
+from mammometry.job.graph import Plan
+from mammometry.job.stages import surface
+from mammometry.settings import as_table
+
+STORED: dict[str, dict[str, Any]] = json.loads(Path(__file__).with_name("product_keys.json").read_text())
+
+
+def settings_table(places: list[str], planned: Planned) -> dict[str, Any]:
+    values = [attrgetter(place)(planned.settings) for place in places]
+    if places == ["surface.extract"]:
+        values = [values[0].of(planned.inputs.subject_kind)]
+    if len(values) == 1:
+        return as_table(values[0])
+    return {type(value).__name__: as_table(value) for value in values}
+
+
+@pytest.mark.parametrize(("name", "planned"), sessions().items())
+def test_no_stored_result_becomes_stale(name: str, planned: Planned) -> None:
+    """Digests are computed here anew, by what the file says. A raised version is meant to make a result stale."""
+    stored = STORED[name]
+    plan = Plan(planned.inputs, planned.settings, None)
+    products = {f"{product.key.stage}/{product.key.product}": product.key for product in plan.products()}
+    products["surface/data"] = plan[surface.valid_patches].key
+    assert products.keys() == stored.keys()
+
+    def digest(product: str) -> str:
+        was = stored[product]
+        assert products[product].version >= was["version"]
+        inputs = {key: digest(value[1:]) if value[0] == "@" else value for key, value in was["inputs"].items()}
+        stage, _, kind = product.partition("/")
+        members = [stage, kind, products[product].version, settings_table(was["settings"], planned), inputs]
+        return hashlib.sha256(json.dumps(members, sort_keys=True).encode()).hexdigest()
+
+    assert {product: key.digest for product, key in products.items()} == {
+        product: digest(product) for product in stored
+    }
