@@ -24,6 +24,7 @@ from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.open_breast import open_breasts
+from mammometry.measure.wall.registry import TORSO_WALLS
 from mammometry.simulate.subjects.registry import make_subject
 from mammometry.simulate.subjects.solid import Solid, rig_from_solid
 from mammometry.surface.repair.repair import Provenance, RepairedSurface
@@ -126,7 +127,7 @@ def table(rows: list[dict[str, object]]) -> Iterator[str]:
         f"{common:.2f}; 95 % of what they do not share {np.quantile(unshared[:, 1], 0.95):.2f} mm"
     )
     holds = [
-        abs(volume - truth) <= MeasureSettings().wall_u95_mm * base / 10
+        abs(volume - truth) <= TORSO_WALLS[default].off_u95_mm(base) * base / 10
         for truth, volume, base in found[default].values()
     ]
     yield f"the interval's wall term alone holds the truth in {100 * np.mean(holds):.1f} % of {len(holds)} breasts"

@@ -24,9 +24,10 @@ from mammometry.measure.solid.patch import fill, harmonic
 
 TOUCHING_MM = 0.05
 """Open edges this near to one another are one seam: half of the coarsest step that coordinates may have."""
-WIDEST_HOLE_MM = 30.0
-"""A hole up to this wide is closed: the diameter of a circle of its area."""
-_LONGEST_HOLE_MM = 120.0  # a slit that is longer is no hole in a breast; chosen by eye
+WIDEST_HOLE_MM = 70.0
+"""A hole up to this wide is closed: the diameter of a circle of its area. What a hanging breast hides from a telephone
+has 40 to 60; necks and arms that were cut off have 90 and more."""
+_LONGEST_HOLE_MM = 150.0  # a slit that is longer is no hole in a breast; chosen by eye
 _CRUMB = 0.01  # share of the area below which a piece is a crumb
 _BESIDE = 0.2  # share of the area that all pieces beside the body may have together; chosen by eye
 _FLAT_MM, _WIDE_MM = 12.0, 80.0  # standard deviations across and along a wall; a trunk's front has 40 across
@@ -38,7 +39,7 @@ _SMOOTHING = 30.0  # of the thin plate, mm²; follows a tip, and not a millimetr
 _FEWEST = 10  # points that show how skin curves
 _SAID_MM2 = 5.0  # invented skin below this is not worth a note
 _NO_AREA_MM2 = 1e-6  # a hole of less is a seam
-_GRID_MM = 2.0  # distance of vertices in a closed hole, as `scanned.finer_along` makes edges
+_GRID_MM = 2.0  # distance of vertices in a closed hole: finer than `scanned.finer_along` makes edges
 
 
 @value(eq=False)
@@ -316,7 +317,7 @@ def _filled(mesh: TriangleMesh, notes: list[str]) -> tuple[TriangleMesh, Bool[Ar
     if invented_mm2 > _SAID_MM2:
         holes_words = "1 hole was" if len(patches) == 1 else f"{len(patches)} holes were"
         notes.append(
-            f"{holes_words} closed, up to {widest_mm:.0f} mm wide: {invented_mm2 / 100:.2g} cm² of skin are invented. "
+            f"{holes_words} closed, up to {widest_mm:.0f} mm wide: {invented_mm2 / 100:.1f} cm² of skin are invented. "
             "The interval holds their uncertainty."
         )
     return filled, invented
@@ -366,8 +367,8 @@ def _patch(
     flat = (rim - middle) @ frame.T
     reach = float(np.linalg.norm(flat[:, :2], axis=1).max()) + _RING_MM
     near = np.setdiff1d(mesh.vertices_between(middle - reach, middle + reach), np.concatenate(holes))
+    near = near[np.asarray(point_tree(rim).query(mesh.vertices[near])[0]) < _RING_MM]
     local = (mesh.vertices[near] - middle) @ frame.T
-    local = local[np.linalg.norm(local[:, :2], axis=1) < reach]
     local = np.concatenate([flat, local[:: max(1, len(local) // _RING_POINTS)]])
     local = local[np.unique(np.round(local[:, :2], 3), axis=0, return_index=True)[1]]
     if len(local) < _FEWEST:

@@ -76,6 +76,21 @@ def test_a_wide_hole_stays_and_the_volume_is_refused_on_every_road() -> None:
         chest_wall.fit(replace(left, cut=part))
 
 
+def test_a_boundary_over_a_hole_is_refused_and_not_led_around_it() -> None:
+    """It would cut off what the hole hides: a telephone does not see the fold below a hanging breast."""
+    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(-90, 91, 3.0), np.arange(-90, 91, 3.0)))
+    corner = np.arange(61 * 61).reshape(61, 61)
+    a, b, c, d = (part.ravel() for part in (corner[:-1, :-1], corner[:-1, 1:], corner[1:, :-1], corner[1:, 1:]))
+    faces = np.concatenate([np.stack([a, b, d], axis=1), np.stack([a, d, c], axis=1)]).astype(np.int32)
+    sheet = TriangleMesh(vertices=np.stack([x, y, 0 * x], axis=1), faces=faces)
+    turn = np.linspace(0, 2 * np.pi, 120, endpoint=False)
+    curve = 60 * np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=1)
+    away = np.linalg.norm(sheet.corners().mean(axis=1) - [60, 0, 0], axis=1)
+    assert len(edge_loop("left", curve, sheet.submesh(away > 8)))
+    with pytest.raises(MeasureError, match="a hole of the mesh under it"):
+        edge_loop("left", curve, sheet.submesh(away > 20))
+
+
 def test_a_casts_hole_is_refused_too() -> None:
     mesh = dome(sink_mm=10.0)
     open_dome = mesh.submesh(np.linalg.norm(mesh.corners().mean(axis=1) - [0, 0, 50], axis=1) > 25)

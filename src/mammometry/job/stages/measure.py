@@ -48,7 +48,7 @@ def _frame(cameras: CameraSet, job: Context, body: Body | None = None) -> Float6
     return rig_frame(cameras.rig, job.inputs.mounting) if body is None else body.frame
 
 
-@product("measure", version=9, settings="measure", inputs=("subject", "mounting"), when=_outlined)
+@product("measure", version=10, settings="measure", inputs=("subject", "mounting"), when=_outlined)
 def sides(corrected_cameras: CameraSet, repaired: RepairedSurface, *, job: Context) -> TorsoSides:
     """Breasts found on a torso, and sides without one."""
     from mammometry.measure.boundary.boundary import outline_torso
@@ -145,7 +145,7 @@ def evidence(
     )
 
 
-@product("measure", version=17, name="measurement", settings="measure", inputs=("wall", "scale"), when=_has_volume)
+@product("measure", version=18, name="measurement", settings="measure", inputs=("wall", "scale"), when=_has_volume)
 def measurements(
     repaired: RepairedSurface,
     boundaries: tuple[Boundary, ...],
@@ -254,7 +254,7 @@ def symmetry(
         return None
 
 
-@product("measure", version=5, settings="measure", inputs=("mounting",), when=_has_volume, threads=1)
+@product("measure", version=6, settings="measure", inputs=("mounting",), when=_has_volume, threads=1)
 def dimensions(
     corrected_cameras: CameraSet,
     mesh: FinishedSurface,

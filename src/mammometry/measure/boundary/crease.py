@@ -11,10 +11,11 @@ from typing import Literal
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
+from scipy.special import softmax
 
 from mammometry.base.value import value
 from mammometry.geometry.arrays import Array, Bool, Float64
-from mammometry.measure.boundary.closed_path import best_paths, gathered, spread_steps
+from mammometry.measure.boundary.closed_path import weigh_paths
 from mammometry.measure.trunk.skin_map import PIXEL_MM, Relief
 
 FARTHEST_BORDER_MM = 140.0
@@ -50,7 +51,11 @@ _SIZES_MM = np.geomspace(80.0, 180.0, 11)
 _SIZE_SCATTER, _SIZE_COST = 0.12, 5.0
 """Relative scatter of that root about what the breast's dome tells, and what one scatter costs in all."""
 _CENTRINGS = 3  # times that the border is looked for about its own middle; chosen by eye
-_NATS = 0.2  # log of how much more probable a curve is that gathers 1 more; calibrated on virtual women (decision 43)
+_NATS, _SIZE_NATS = 2.0, 0.2
+"""Log of how much more probable a curve is that gathers 1 more, and a size whose curves gather 1 more: neighbouring
+directions err alike, so that a size has less evidence than their sum. Calibrated on virtual women (decision 43)."""
+_ERR_ALIKE = 2.4
+"""Error of a border over its paths' spread, for the same reason: 1 on virtual scans, 2.6 on the hanging families."""
 _FALLEN = 0.9  # share of the height to which a breast has fallen before it may end; chosen by eye
 _RISE_MM = 6.0  # skin that rises again by this much belongs to something else (arm, belly, other breast)
 _SUNK_MM = 12.0
@@ -114,16 +119,13 @@ def follow_crease(
         allowed &= (places[..., 0] > between_mm[0]) & (places[..., 0] < between_mm[1])
         worth = _CREASE * np.log1p(np.clip(concavity, 0.0, None) / CREASE_PER_MM) * _own(bulge)
         worth = worth - np.minimum(np.clip(bulge / _VANISH_MM - 1, 0.0, None) * _HEIGHT_COST, _MOST_HEIGHT_COST)
-        tables = np.maximum(np.where(allowed, worth, _FORBIDDEN) - unlike, 4 * _FORBIDDEN)
-        ways = best_paths(tables, _STIFFNESS)
-        score = gathered(tables, ways, _STIFFNESS) - size_cost
-        share = np.exp(_NATS * (score - score.max()))
-        share /= share.sum()
-        way = share @ ways  # where evidence is sharp all sizes agree; elsewhere none of them alone is right
+        tables = _NATS * np.maximum(np.where(allowed, worth, _FORBIDDEN) - unlike, 4 * _FORBIDDEN)
+        paths = weigh_paths(tables, _NATS * _STIFFNESS)
+        share = softmax(_SIZE_NATS * (paths.evidence / _NATS - size_cost))
+        way = share @ paths.mean_steps
         if last < _CENTRINGS - 1:
             middle = _centroid(middle + rays * (_STEP_MM * (1 + way))[:, None])
-    likeliest = int(np.argmax(score))
-    spread = np.hypot(spread_steps(tables[likeliest], _STIFFNESS, _NATS), np.sqrt(share @ (ways - way) ** 2))
+    spread = np.sqrt(share @ (paths.spread_steps**2 + (paths.mean_steps - way) ** 2))
     reach, way = _STEP_MM * (1 + way), np.round(way).astype(np.int64)
     row = np.arange(DIRECTIONS)
     flank_mm = _outer_flank_mm(concavity, allowed, way)
@@ -138,7 +140,7 @@ def follow_crease(
         flat=flat,
         concavity_per_mm=concavity[row, way],
         seen=relief.at(flat, relief.known.astype(np.float64)) > 0.5,
-        sigma_mm=_STEP_MM * spread,
+        sigma_mm=_ERR_ALIKE * _STEP_MM * spread,
     )
 
 
@@ -200,13 +202,15 @@ def _outer_flank_mm(concavity: Float64[Array, "d s"], allowed: Bool[Array, "d s"
     count, length = concavity.shape
     ahead = way[:, None] + np.arange(int(_SHIFT_MM / _STEP_MM) + 1)
     along = np.where(allowed, concavity, 0.0)[np.arange(count)[:, None], np.minimum(ahead, length - 1)]
+    along = gaussian_filter1d(along, _EVEN_DIRECTIONS, axis=0, mode="wrap")
     half = along[:, :1] / 2
     fallen = along < half
     first = np.where(fallen.any(axis=1), np.argmax(fallen, axis=1), 0)
     row = np.arange(count)
     above, below = along[row, np.maximum(first - 1, 0)], along[row, first]
     share = np.divide(above - half[:, 0], above - below, out=np.zeros(count), where=above > below)
-    return np.where(first > 0, (first - 1 + share) * _STEP_MM, 0.0)
+    flank_mm = np.where(first > 0, (first - 1 + share) * _STEP_MM, 0.0)
+    return flank_mm * np.clip(along[:, 0] / CREASE_PER_MM, 0.0, 1.0)
 
 
 def _smeared_mm(concavity: Float64[Array, "d s"], fine: Float64[Array, "d s"], way: Array) -> Float64[Array, " d"]:

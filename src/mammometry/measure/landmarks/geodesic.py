@@ -24,7 +24,7 @@ alone a path is up to 2/√3 = 1.155 times too long.
 """
 _BELT = 0.4  # edge lengths by which the belt is wider: on a coarse mesh more than one row of faces; chosen by eye
 _PAIRS = 2_000_000  # of points that see one another, at most in a round; a fine mesh needs fewer points on each edge
-_ROOMS = ((1.25, 30.0), (2.5, 60.0), (np.inf, 0.0))
+_ROOMS = ((1.12, 10.0), (1.6, 40.0), (np.inf, 0.0))
 """Lengths up to which a path is looked for, in turn: a factor of the straight distance, plus mm. For speed alone.
 """
 

@@ -38,11 +38,6 @@ casts were off by .08 mm on average and .8 mm at worst (99 %), in both direction
 """
 INVENTED_SIGMA_MM = 0.4
 """Standard uncertainty of skin that no camera measured and no neighbour supports, mm. Common to all of it."""
-WALL_U95_MM = 5.0
-"""Half-width of the 95 % interval by which a torso's wall may lie off a flat chest, mm of wall height: .5 cc for
-each cm² of base. On 145 breasts of real women the cylinder membrane was off by +1.5 ± 1.9 mm, 95 % by less than 4.1
-(3.7 to 4.5). Walls that are worse have their own (`wall.registry`). docs/decisions/0029.
-"""
 AXIS_U95_SHARE = 0.025
 """Share of the volume that a trunk's axis of assumed depth adds: ± 2.5 % from 80 to 170 mm, on the same breasts."""
 WALL_MEASURED_U95_MM = 1.0
@@ -132,7 +127,7 @@ def interval(
       the skin could stand out without being seen.
     - *base*, of a cast: scatter of the rim, silhouettes off by a fraction of a pixel, and how the rim is rounded.
     - *boundary*, of a torso: drawn again (`boundary_jitter`).
-    - *chest wall*, of a torso: a height over the base.
+    - *chest wall*, of a torso: a height over the base, in proportion to the base's width.
     - *trunk's axis*, where it is assumed: a share of the volume.
 
     A torso's interval is about what stands out of a flat chest, which no photograph shows behind the breast. What
@@ -180,8 +175,7 @@ def interval(
             if boundary_std_cc is None:
                 boundary_std_cc = settings.observers.mean_mm * _BOUNDARY_CC_PER_MM_CM2 * area_cm2
             terms["boundary"] = _COVERAGE_95 * boundary_std_cc
-        off_mm = max(WALL_U95_MM, model.flat_u95_mm)
-        height_mm = WALL_MEASURED_U95_MM if model.measured else off_mm
+        height_mm = WALL_MEASURED_U95_MM if model.measured else model.off_u95_mm(area_cm2)
         terms[WALL] = height_mm * area_cm2 / 10
         if evidence.axis_assumed:
             terms[AXIS] = AXIS_U95_SHARE * volume_cc

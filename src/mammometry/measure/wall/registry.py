@@ -18,6 +18,7 @@ Close: TypeAlias = "Callable[[OpenBreast], Closed]"
 DEFAULT = "default"
 """The setting that leaves the choice of the wall to the subject."""
 _LAST = 100  # place of a wall that names none: after all that do
+_USUAL_BASE_CM2 = 170.0  # of the real women on whom walls were tried
 _UNTRIED_MM = 9.5  # of a wall that was not tried on real women: the worst of those that were (docs/decisions/0029)
 
 
@@ -35,9 +36,15 @@ class WallModel:
     measured: bool = False
     """Whether it was measured separately (wall.ply): then it is the default, and better known."""
     flat_u95_mm: float = _UNTRIED_MM
-    """Half-width of the 95 % interval of its distance from a flat chest, mm, on 145 breasts of real women. The
-    `uncertainty.WALL_U95_MM` counts if larger.
-    """
+    """Half-width of the 95 % interval of its distance from a flat chest, mm, on 145 breasts of real women, whose bases
+    have 170 cm²."""
+
+    def off_u95_mm(self, base_cm2: float) -> float:
+        """That half-width over a base of this area, mm.
+
+        A wall errs by what the chest bends where it is not seen: the more, the wider it spans.
+        """
+        return self.flat_u95_mm * (base_cm2 / _USUAL_BASE_CM2) ** 0.5
 
 
 _KINDS = "mammometry.measure.wall.kinds"  # a file there is a wall
