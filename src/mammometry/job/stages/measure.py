@@ -209,13 +209,13 @@ def lacking(
     repaired: RepairedSurface, measurements: tuple[VolumeMeasurement, ...], body: Body, *, job: Context
 ) -> tuple[VolumeDeficit, ...]:
     """What the smaller side of a torso lacks to the mirrored larger one. No volume depends on it."""
-    from mammometry.measure.volume.lacking import lacking
+    from mammometry.measure.volume.deficit import volume_deficit
 
     try:
-        found = lacking(repaired, measurements, body, job.settings.measure)
+        deficit = volume_deficit(repaired, measurements, body, job.settings.measure)
     except MeasureError:
         return ()
-    return () if found is None else (found,)
+    return () if deficit is None else (deficit,)
 
 
 @product("measure", version=4, settings="measure", inputs=("landmarks", "mounting"), when=_has_volume, threads=1)
