@@ -211,10 +211,14 @@ def lacking(
     from mammometry.measure.volume.deficit import volume_deficit
 
     try:
+<<<<<<< HEAD
         found = volume_deficit(repaired, measurements, body, job.settings.measure)
+=======
+        deficit = volume_deficit(repaired, measurements, body, job.settings.measure)
+>>>>>>> graph
     except MeasureError:
         return ()
-    return () if found is None else (found,)
+    return () if deficit is None else (deficit,)
 
 
 @product("measure", version=4, settings="measure", inputs=("landmarks", "mounting"), when=_has_volume, threads=1)
