@@ -195,8 +195,8 @@ def _whole(
         texture=None if atlas is None else _texture(atlas),
         layers=(*(replace(layer, values=layer.values[origin]) for layer in first), *_layers(repaired, origin)),
         curves=tuple(
-            (f"Boundary, {NAMES[each.name]}", seen(even_curve(own(each.boundary_world), repaired.mesh)), True)
-            for each in measurements
+            (f"Boundary, {NAMES[measured.name]}", seen(even_curve(own(measured.boundary_world), repaired.mesh)), True)
+            for measured in measurements
         ),
         wall=joined(walls).mapped(seen) if walls else None,
     )
