@@ -211,7 +211,7 @@ def lacking(
     from mammometry.measure.volume.deficit import volume_deficit
 
     try:
-        found = volume_deficit(repaired, measurements, body, job.settings.measure)
+        deficit = volume_deficit(repaired, measurements, body, job.settings.measure)
     except MeasureError:
         return ()
     return () if deficit is None else (deficit,)
