@@ -32,7 +32,10 @@ def _collapsed(
 ) -> tuple[Float32[Array, "k 3"], Int32[Array, "l 3"]]:
     from fast_simplification import simplify
 
-    found: tuple[Float32[Array, "k 3"], Int32[Array, "l 3"]] = simplify(vertices, faces, target_count=triangles)
+    # Copies: a call to a child process freezes its arrays, and the library wants some that it could write to.
+    found: tuple[Float32[Array, "k 3"], Int32[Array, "l 3"]] = simplify(
+        vertices.copy(), faces.copy(), target_count=triangles
+    )
     return found
 
 
