@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import trimesh
 
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.surface.texture import simplify as thinning
@@ -55,3 +56,11 @@ def test_a_large_mesh_leaves_no_memory_behind() -> None:
     thinned(mesh, 20_000)
     grown_mb = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024
     assert grown_mb < 150  # the arrays that are handed over, twice: 2 × (6 + 12) MB, and their float64 originals
+
+
+@pytest.mark.parametrize("large", [10**6, 100])
+def test_the_order_of_a_meshs_arrays_in_memory_does_not_matter(large: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(thinning, "_LARGE", large)  # from which a process of its own does it
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=50)
+    mesh = TriangleMesh(vertices=np.asfortranarray(ball.vertices), faces=np.asfortranarray(ball.faces.astype(np.int32)))
+    assert len(thinned(mesh, 500).faces) == 500

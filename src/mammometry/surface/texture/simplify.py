@@ -20,7 +20,8 @@ def thinned(mesh: TriangleMesh, triangles: int) -> TriangleMesh:
     if len(mesh.faces) <= triangles:
         return mesh
     middle = mesh.vertices.mean(axis=0)  # the collapse computes in float32, and wants arrays it could write to
-    vertices, faces = (mesh.vertices - middle).astype(np.float32), np.array(mesh.faces, dtype=np.int32)
+    vertices = np.ascontiguousarray(mesh.vertices - middle, dtype=np.float32)
+    faces = np.array(mesh.faces, dtype=np.int32, order="C")
     collapse = _collapsed if len(faces) < _LARGE else _collapsed_apart
     vertices, faces = collapse(vertices, faces, triangles)
     return TriangleMesh(vertices=vertices.astype(np.float64) + middle, faces=faces.astype(np.int32))
@@ -31,7 +32,10 @@ def _collapsed(
 ) -> tuple[Float32[Array, "k 3"], Int32[Array, "l 3"]]:
     from fast_simplification import simplify
 
-    found: tuple[Float32[Array, "k 3"], Int32[Array, "l 3"]] = simplify(vertices, faces, target_count=triangles)
+    # Copies: a call to a child process freezes its arrays, and the library wants some that it could write to.
+    found: tuple[Float32[Array, "k 3"], Int32[Array, "l 3"]] = simplify(
+        vertices.copy(), faces.copy(), target_count=triangles
+    )
     return found
 
 
