@@ -12,7 +12,6 @@ from mammometry.base.parse import read_bytes
 from mammometry.geometry.arrays import Array, Float64, UInt8
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.mesh_files.obj import ObjFile, parse_obj
-from mammometry.geometry.nearest import barycentric, closest_on_mesh
 
 _MOST_MIB = 1024  # ten million triangles as text; scanners write a hundredth
 _GREY = 128  # sRGB; of what no picture covers
@@ -95,6 +94,8 @@ def texture_at(
         otherwise: colours of points that no picture covers.
         within: distance from the surface up to which a point is on it, in that unit.
     """
+    from mammometry.geometry.nearest import barycentric, closest_on_mesh
+
     closest = closest_on_mesh(points, TriangleMesh(vertices=obj.points, faces=obj.faces.astype(np.int32)))
     places = obj.face_uv[closest.faces]
     weights = barycentric(closest.points, obj.points[obj.faces[closest.faces]])
