@@ -15,7 +15,7 @@ from skimage.measure import marching_cubes
 
 from mammometry.geometry.arrays import Array
 from mammometry.geometry.mesh import TriangleMesh
-from mammometry.surface.fusion.topology import largest_part
+from mammometry.surface.fusion.fuse import largest_part
 from mammometry.surface.ranges.range_image import RangeImage
 from mammometry.surface.ranges.visibility import gap_mm
 

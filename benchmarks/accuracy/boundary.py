@@ -35,7 +35,7 @@ from mammometry.measure.trunk.skin_map import dense_samples, lay_flat
 from mammometry.measure.trunk.thorax import seen_faces
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.open_breast import OpenBreast
-from mammometry.study.accuracy_boundary import compare_boundaries
+from mammometry.study.evaluation import compare_boundaries
 from mammometry.surface.repair.repair import RepairedSurface
 
 _VANISH_MM, _MARGIN_MM, _RISE_MM, _REACH_MM, _DIRECTIONS = 2.0, 8.0, 1.5, 120.0, 72

@@ -10,7 +10,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from mammometry.geometry.arrays import Array, Float64
-from mammometry.study.accuracy_boundary import compare_boundaries
+from mammometry.study.evaluation import compare_boundaries
 from mammometry.study.icc import intraclass_correlations
 from mammometry.study.observers import scatter_of
 

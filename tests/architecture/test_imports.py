@@ -139,13 +139,13 @@ def test_only_what_serves_pages_exports_and_batches_speaks_to_the_network(reposi
         "batch/storage.py imports fsspec.core",
         # Pages are served at the address that the command names:
         "clinic/web/server.py imports uvicorn",
-        "clinic/web/slow.py imports uvicorn.protocols.http.h11_impl",
+        "clinic/web/server.py imports uvicorn.protocols.http.h11_impl",
         "editor/server.py imports uvicorn",
         "clinic/web/server.py imports socket",  # whether the port is free
         "editor/server.py imports socket",
         "clinic/jobs/events.py imports asyncio",  # to wait between two looks at the database
         "clinic/web/limits.py imports asyncio",  # to stop waiting for a body that does not come
-        "clinic/web/slow.py imports asyncio",  # to close connections on which no request comes
+        "clinic/web/server.py imports asyncio",  # to close connections on which no request comes
         "clinic/web/threads.py imports asyncio",  # to hand a request to a thread
         # To the archive that a command or the clinic's administrator names:
         "hospital/dicom/association.py imports pynetdicom",
@@ -233,7 +233,7 @@ def test_truth_is_read_by_evaluation_alone(repository: Path) -> None:
         "io/truth.py",
         "api/truth.py",
         "api/phantoms.py",
-        "cli/evaluation.py",
+        "cli/comparison.py",
         "study/*.py",
     )
     readers = {"mammometry.io.truth"}

@@ -19,17 +19,13 @@ from mammometry.cli import (
     capturing,
     clinic,
     comparison,
-    editing,
-    evaluation,
     export,
-    figures,
     importing,
     rig,
     sessions,
     simulation,
     stages,
     study,
-    verify,
 )
 from mammometry.cli.common import Answer, silently, start_logging
 
@@ -55,7 +51,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
     pretty_exceptions_enable=False,
 )
-for group in (stages, batch, comparison, sessions, verify, rig, capturing, simulation, editing, evaluation, figures):
+for group in (stages, batch, comparison, sessions, rig, capturing, simulation):
     app.registered_commands += group.app.registered_commands
 app.add_typer(study.app, no_args_is_help=True)
 app.add_typer(clinic.app, no_args_is_help=True)

@@ -1,4 +1,4 @@
-"""Commands on the session folder itself: new, info, settings."""
+"""Commands on the session folder itself: new, info, settings, verify, edit."""
 
 from __future__ import annotations
 
@@ -18,6 +18,26 @@ if TYPE_CHECKING:
     from mammometry.job.inputs import Inputs
     from mammometry.job.products import Key
     from mammometry.settings import Settings
+
+
+from dataclasses import asdict
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from mammometry.io.results.verify import Findings
+
+
+import sys
+import webbrowser
+from contextlib import suppress
+from typing import TYPE_CHECKING
+
+from mammometry.cli.common import Bars
+from mammometry.cli.stages import opened
+
+if TYPE_CHECKING:
+    from mammometry.editor.session import Drawable
+
 
 app = typer.Typer()
 
@@ -296,3 +316,107 @@ def settings(
         return Answer({"settings": as_table(Settings.from_toml(text))}, [text])
     loaded = options.settings()
     return Answer({"settings": as_table(loaded)}, [loaded.to_toml()])
+
+
+_MB = 1e6  # bytes in a MB
+
+
+@command(app, "mammometry verify SESSION", "mammometry verify scan-measured --json")
+def verify(
+    options: Options,
+    session: Annotated[
+        Path,
+        typer.Argument(
+            metavar="SESSION",
+            help="A session, or the results of a measured mesh. Nothing is written to it.",
+            show_default=False,
+        ),
+    ],
+) -> Answer:
+    """Check that all result files are as they were written.
+
+    Names the damaged ones and says which of them a rerun renews. The exit code is 9 if a file is damaged. Changed
+    photographs and settings are not damage: `mammometry info` shows those.
+    """
+    from mammometry.base.errors import StorageError
+    from mammometry.io.results.verify import results_in
+    from mammometry.io.results.verify import verify as verified
+
+    results = results_in(session)
+    findings = verified(results)
+    renewed, left, remark = _renewed(session, results, findings, options)
+    table: dict[str, Any] = {"results": str(results), **asdict(findings), "renewed": renewed, "not_renewed": left}
+    lines: list[Any] = [f"{damage.file}: {damage.found}" for damage in findings.damaged]
+    lines += [f"A rerun renews {', '.join(renewed)}"] if renewed else []
+    lines += [f"A rerun does not renew {', '.join(left)}: {remark}"] if left else []
+    lines += [f"{results.name}/{name}: left by an interrupted run or set aside" for name in findings.leftovers]
+    lines += [f"{name}: not written by mammometry, not checked" for name in findings.unrecorded]
+    sums = f"{findings.products} products, {findings.files} files, {findings.bytes / _MB:.0f} MB"
+    lines.append(f"{sums}: {'DAMAGED' if findings.damaged else 'all as they were written'}")
+    return Answer(table, lines, exit_code=StorageError.exit_code if findings.damaged else 0)
+
+
+def _renewed(session: Path, results: Path, findings: Findings, options: Options) -> tuple[list[str], list[str], str]:
+    """Damaged products that a rerun makes again, those it cannot, and why."""
+    from mammometry.api.job import open_session
+    from mammometry.base.errors import MammometryError
+    from mammometry.io.results.verify import shown
+    from mammometry.job.products import STAGES
+
+    loaded = options.settings()
+    damaged = {f"{damage.stage}/{damage.product}": None for damage in findings.damaged if damage.product is not None}
+    stages = [damage.stage for damage in findings.damaged if damage.product is None]
+    if results == session:
+        return [*damaged, *stages], [], ""
+    if not damaged and not stages:
+        return [], [], ""
+    try:
+        job = open_session(session, loaded)
+        keys = [key for stage in STAGES[:-1] if job.plan.products(stage) for key in job.keys(stage)]
+        wanted = {f"{key.stage}/{key.product}" for key in [*keys, job.content_key, job.report_key]}
+    except MammometryError as error:
+        return [], [*damaged, *stages], shown(str(error))
+    left = [name for name in damaged if name not in wanted]
+    return [name for name in damaged if name in wanted] + stages, left, "no longer part of this session"
+
+
+@command(app, "mammometry edit SESSION", "mammometry edit SESSION --no-browser --author 'A. Nurse'")
+def edit(
+    options: Options,
+    session: SessionOrScan,
+    browser: Annotated[bool, typer.Option(help="Open the page in the browser.")] = True,
+    author: Annotated[str | None, typer.Option(help="Your name. Without it, the page asks.")] = None,
+) -> Answer:
+    """Draw or confirm boundaries and landmarks of a session or an imported scan in the browser.
+
+    Ctrl-C stops it.
+    """
+    from mammometry.base.extras import WEB, require
+
+    require("edit", *WEB)
+    from mammometry.editor.server import serve
+    from mammometry.io.drawn import BOUNDARIES, LANDMARK_FILE
+    from mammometry.io.meshes.scans import is_scan
+
+    def ready(address: str, local_page: str) -> None:
+        # Standard output belongs to the answer, which comes after the page was closed.
+        print(f"{address} (works once; Ctrl-C stops)", file=sys.stderr, flush=True)  # noqa: T201
+        if browser:
+            webbrowser.open(local_page)
+
+    def drawable() -> Drawable:
+        from mammometry.api.job import open_session
+        from mammometry.api.scans import drawable_scan
+
+        chosen = options.settings()
+        return drawable_scan(session, chosen) if scan else open_session(session, chosen)
+
+    scan = is_scan(session)
+    if not scan:
+        with Bars(options.silent) as bars:
+            opened(session, options, bars).ensure("surface")
+    with suppress(KeyboardInterrupt):  # the way to stop it
+        serve(drawable, ready=ready, author=author)
+    present = [name for name in (BOUNDARIES, LANDMARK_FILE) if (session / name).is_file()]
+    then = f"mammometry measure {session}" if scan else f"mammometry run {session}"
+    return Answer({"session": str(session), "drawn": present}, [f"Then: {then}"] if present else [])

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from mammometry.cli.common import Answer, Bars, Options, OutputOptions, command
-from mammometry.cli.evaluation import table_lines
+from mammometry.cli.comparison import table_lines
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

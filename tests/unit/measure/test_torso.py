@@ -215,7 +215,9 @@ def test_the_default_wall_of_a_torso_is_named_in_the_result() -> None:
     )
     assert found.wall_kind == "cylinder-membrane"
     assert set(found.alternatives_cc) == set(TORSO_WALLS) - {"cylinder-membrane", "mirrored", "measured"}
-    assert found.interval_terms_cc["chest wall"] == pytest.approx(0.45 * np.sqrt(found.base_area_cm2 / 170) * found.base_area_cm2)
+    assert found.interval_terms_cc["chest wall"] == pytest.approx(
+        0.45 * np.sqrt(found.base_area_cm2 / 170) * found.base_area_cm2
+    )
     assert found.projection_mm == pytest.approx(LEFT[3], abs=12)
 
 

@@ -10,8 +10,7 @@ import trimesh
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.nearest import point_tree
 from mammometry.simulate.disturbances.registry import disturbed
-from mammometry.simulate.scanning.fusion_kernels import add_picture
-from mammometry.simulate.scanning.scan import QUALITIES, ScanQuality, clean_front, scan
+from mammometry.simulate.scanning.scan import QUALITIES, ScanQuality, add_picture, clean_front, scan
 from mammometry.simulate.situation import parse_situation
 from mammometry.simulate.subjects.registry import make_subject
 from mammometry.simulate.subjects.solid import Solid

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mammometry.study.accuracy_boundary import compare_boundaries, resampled
+from mammometry.study.evaluation import compare_boundaries, resampled
 
 ANGLES = np.linspace(0, 2 * np.pi, 400, endpoint=False)
 CIRCLE = 60.0 * np.stack([np.cos(ANGLES), np.sin(ANGLES), np.zeros_like(ANGLES)], axis=1)

@@ -17,9 +17,8 @@ from mammometry.surface.fusion.field import (
     silhouette_distance_px,
     view_elements,
 )
-from mammometry.surface.fusion.fuse import extract, extract_open
+from mammometry.surface.fusion.fuse import extract, extract_open, largest_part, tunnel_places
 from mammometry.surface.fusion.isosurface import Isosurface
-from mammometry.surface.fusion.topology import largest_part, tunnel_places
 from mammometry.surface.fusion.voxels import sample_blocks
 from mammometry.surface.ranges import image_kernels
 from mammometry.surface.ranges.range_image import NORMAL_MM, SIGMA_FLOOR_MM

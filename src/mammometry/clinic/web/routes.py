@@ -10,13 +10,141 @@ from allauth.socialaccount import views as social
 from allauth.socialaccount.providers.openid_connect import views as openid
 from django.urls import URLPattern, URLResolver
 
-from mammometry.clinic.roles import ANYONE, CARE, EVERYBODY, RIGS
-from mammometry.clinic.views import home, jobs, refusals, rigwork, who
-from mammometry.clinic.views.administration import people
-from mammometry.clinic.views.patient import capture, uploads
+from mammometry.clinic.roles import ADMINISTRATOR, ANYONE, CARE, CLINICIAN, EVERYBODY, RIGS, STUDY
+from mammometry.clinic.views import guide, home, jobs, refusals, rigs, rigwork, study, today, who
+from mammometry.clinic.views.administration import audit, deliveries, erasing, first_day, people, settings, upkeep
+from mammometry.clinic.views.administration import overview as administration
+from mammometry.clinic.views.patient import (
+    capture,
+    clinical,
+    compare,
+    corrections,
+    exports,
+    patients,
+    results,
+    scans,
+    uploads,
+    visits,
+    worklist,
+)
+from mammometry.clinic.views.patient.choose import leads_on
 from mammometry.clinic.web.access import route, set_up_route
-from mammometry.clinic.web.administration_routes import ADMINISTRATION
-from mammometry.clinic.web.page_routes import PAGES
+
+_EDITOR_BYTES = 1 << 20  # of a drawing with all its points
+_SEES_RIGS = RIGS | CLINICIAN
+
+PAGES = [
+    route("", today.today, name="home", roles=EVERYBODY),
+    route("help/", guide.guide, name="help", roles=EVERYBODY, audited=False),
+    route("patients/", patients.patients, name="patients", roles=CARE),
+    route("patients/new/", patients.patient_new, name="patient-new", roles=CARE),
+    route("patients/<uuid:patient>/", leads_on(patients.patient), name="patient", roles=CARE),
+    route("patients/<uuid:patient>/edit/", leads_on(patients.patient_edit), name="patient-edit", roles=CARE),
+    route("patients/<uuid:patient>/merge/", corrections.patient_merge, name="patient-merge", roles=CARE),
+    route("patients/<uuid:patient>/bin/", corrections.patient_bin, name="patient-bin", roles=CARE),
+    route("patients/<uuid:patient>/compare/", leads_on(compare.compare), name="compare", roles=CLINICIAN),
+    route(
+        "patients/<uuid:patient>/compare/<uuid:before>/<uuid:after>/",
+        compare.compare_page,
+        name="compare-page",
+        roles=CLINICIAN,
+    ),
+    route(
+        "patients/<uuid:patient>/compare/<uuid:before>/<uuid:after>/scene/",
+        compare.compare_scene,
+        name="compare-scene",
+        roles=CLINICIAN,
+        audited=False,
+    ),
+    route(
+        "patients/<uuid:patient>/changes/",
+        compare.patient_changes,
+        name="patient-changes",
+        roles=CARE,
+        audited=False,
+    ),
+    route("patients/<uuid:patient>/operations/new/", clinical.operation_new, name="operation-new", roles=CARE),
+    route("operations/<uuid:operation>/edit/", clinical.operation_edit, name="operation-edit", roles=CARE),
+    route("operations/<uuid:operation>/remove/", clinical.operation_remove, name="operation-remove", roles=CARE),
+    route("patients/<uuid:patient>/consents/new/", clinical.consent_new, name="consent-new", roles=CARE),
+    route("consents/<uuid:consent>/edit/", clinical.consent_edit, name="consent-edit", roles=CARE),
+    route("visits/new/", visits.visit_new, name="visit-new", roles=CARE),
+    route("visits/scan/", scans.scan_new, name="scan-new", roles=CARE, body_bytes=scans.BODY_BYTES, atomic=False),
+    route("worklist/", worklist.worklist, name="worklist", roles=CARE),
+    route("visits/<uuid:visit>/", visits.visit, name="visit", roles=CARE),
+    route("visits/<uuid:visit>/move/", corrections.visit_move, name="visit-move", roles=CARE),
+    route("visits/<uuid:visit>/date/", corrections.visit_date, name="visit-date", roles=CARE),
+    route("visits/<uuid:visit>/bin/", corrections.visit_bin, name="visit-bin", roles=CARE),
+    route("corrections/", corrections.corrections, name="corrections", roles=CARE | ADMINISTRATOR),
+    route("corrections/<uuid:correction>/undo/", corrections.correction_undo, name="correction-undo", roles=CARE),
+    route("visits/<uuid:visit>/verdict/", compare.visit_verdict, name="visit-verdict", roles=CARE, audited=False),
+    route("visits/<uuid:visit>/circumstances/", clinical.circumstances, name="circumstances", roles=CARE),
+    route("visits/<uuid:visit>/conclusion/", clinical.conclude, name="conclude", roles=CLINICIAN),
+    route("visits/<uuid:visit>/report/", results.report, name="report", roles=CARE),
+    route("visits/<uuid:visit>/report.pdf", results.report_pdf, name="report-pdf", roles=CARE),
+    route("visits/<uuid:visit>/send/", deliveries.visit_send, name="visit-send", roles=CLINICIAN),
+    route("visits/<uuid:visit>/dicom.zip", exports.visit_dicom, name="visit-dicom", roles=CLINICIAN),
+    route("visits/<uuid:visit>/fhir-<slug:release>.json", exports.visit_fhir, name="visit-fhir", roles=CLINICIAN),
+    route("deliveries/<uuid:delivery>/retry/", deliveries.delivery_retry, name="delivery-retry", roles=CLINICIAN),
+    route("visits/<uuid:visit>/scene/", results.scene, name="scene", roles=CARE, audited=False),
+    route("visits/<uuid:visit>/draw/", results.draw, name="draw", roles=CLINICIAN),
+    route("visits/<uuid:visit>/draw/drawing", results.drawing, name="draw-drawing", roles=CLINICIAN, audited=False),
+    route("visits/<uuid:visit>/draw/items", results.items, name="draw-items", roles=CLINICIAN, audited=False),
+    route(
+        "visits/<uuid:visit>/draw/measure",
+        results.measure,
+        name="draw-measure",
+        roles=CLINICIAN,
+        body_bytes=_EDITOR_BYTES,
+        atomic=False,
+        audited=False,
+    ),
+    route("visits/<uuid:visit>/draw/save", results.save, name="draw-save", roles=CLINICIAN, body_bytes=_EDITOR_BYTES),
+    route("visits/<uuid:visit>/draw/finish", results.finish, name="draw-finish", roles=CLINICIAN),
+    route("jobs/page/", visits.jobs, name="jobs-page", roles=CARE),
+    route("rigs/", rigs.rigs, name="rigs", roles=_SEES_RIGS),
+    route("rigs/new/", rigs.rig_new, name="rig-new", roles=RIGS),
+    route("rigs/<uuid:rig>/", rigs.rig, name="rig", roles=_SEES_RIGS),
+    route("rigs/<uuid:rig>/edit/", rigs.rig_edit, name="rig-edit", roles=RIGS),
+    route("calibrations/<uuid:calibration>/", rigs.calibration, name="calibration", roles=_SEES_RIGS),
+    route("checks/<uuid:check>/", rigs.check, name="check", roles=_SEES_RIGS),
+    route("study/", study.study, name="study", roles=STUDY),
+    route("study/cohort.csv", study.study_csv, name="study-csv", roles=STUDY),
+    route("study/redcap.zip", exports.study_redcap, name="study-redcap", roles=STUDY),
+    route("study/table.zip", exports.study_table, name="study-table", roles=STUDY),
+]
+
+
+ADMINISTRATION = [
+    route("administration/", administration.overview, name="administration", roles=ADMINISTRATOR),
+    route("people/", people.people, name="people", roles=ADMINISTRATOR),
+    route("people/new/", people.person_new, name="person-new", roles=ADMINISTRATOR),
+    route("people/<uuid:person>/", people.person_edit, name="person", roles=ADMINISTRATOR),
+    route("people/<uuid:person>/invite/", people.invite, name="person-invite", roles=ADMINISTRATOR),
+    route("people/<uuid:person>/second-factor/", people.reset_second_factor, name="person-factor", roles=ADMINISTRATOR),
+    route("people/<uuid:person>/let-in/", people.let_in, name="person-let-in", roles=ADMINISTRATOR),
+    route("audit/", audit.audit, name="audit", roles=ADMINISTRATOR),
+    route("audit/audit.csv", audit.audit_csv, name="audit-csv", roles=ADMINISTRATOR),
+    route("audit/<int:entry>/", audit.audit_entry, name="audit-entry", roles=ADMINISTRATOR),
+    route("backups/", upkeep.backups, name="backups", roles=ADMINISTRATOR),
+    route("backups/make/", upkeep.backup_now, name="backup-make", roles=ADMINISTRATOR, atomic=False),
+    route("backups/test/", upkeep.test_now, name="backup-test", roles=ADMINISTRATOR, atomic=False),
+    route("disk/", upkeep.disk, name="disk", roles=ADMINISTRATOR),
+    route("erase/", erasing.erase, name="erase", roles=ADMINISTRATOR, atomic=False),
+    route("archives/", deliveries.destinations, name="destinations", roles=ADMINISTRATOR),
+    route("archives/new/", deliveries.destination_new, name="destination-new", roles=ADMINISTRATOR),
+    route("archives/<uuid:destination>/", deliveries.destination_edit, name="destination-edit", roles=ADMINISTRATOR),
+    route(
+        "archives/<uuid:destination>/test/",
+        deliveries.destination_test,
+        name="destination-test",
+        roles=ADMINISTRATOR,
+        atomic=False,  # it waits for the archive
+    ),
+    route("settings/", settings.settings, name="settings", roles=ADMINISTRATOR),
+    route("rigs/<uuid:rig>/target.pdf", first_day.target, name="rig-target", roles=RIGS),
+]
+
 
 ACCOUNTS = [
     route("account/login/", account.login, name="account_login", roles=ANYONE, atomic=False),

@@ -2,16 +2,62 @@
 
 from __future__ import annotations
 
+import asyncio
 import errno
 import ipaddress
 import socket
 from contextlib import nullcontext
 from pathlib import Path
 
+from uvicorn.protocols.http.h11_impl import H11Protocol
+
 import mammometry
 from mammometry.clinic.config import ClinicConfig, ClinicError, host_and_port
 from mammometry.clinic.jobs.process import beside
 from mammometry.clinic.site import application
+
+
+def closing_silent(seconds: float) -> type[asyncio.Protocol]:
+    """Limit how long the head of a request may take.
+
+    HTTP is as uvicorn speaks it. uvicorn closes a connection that rests after an answer, and waits without end for the
+    first request and for the rest of a begun one. How long bodies take is counted by `mammometry.clinic.web.limits`.
+
+    Args:
+        seconds: from the connection, or the first byte of a later request, to the end of a request's head.
+    """
+
+    class ClosingSilent(H11Protocol):
+        _silent: asyncio.TimerHandle | None = None
+
+        def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+            super().connection_made(transport)
+            self._wait()
+
+        def data_received(self, data: bytes) -> None:
+            super().data_received(data)
+            if self.cycle is None or self.cycle.response_complete:
+                self._wait()
+            else:
+                self._stop()
+
+        def connection_lost(self, exc: Exception | None) -> None:
+            self._stop()
+            super().connection_lost(exc)
+
+        def _wait(self) -> None:
+            if self._silent is None:
+                self._silent = self.loop.call_later(seconds, self._close)
+
+        def _stop(self) -> None:
+            if self._silent is not None:
+                self._silent.cancel()
+                self._silent = None
+
+        def _close(self) -> None:
+            self.transport.close()
+
+    return ClosingSilent
 
 
 def migrate(config: ClinicConfig) -> list[str]:
@@ -89,8 +135,6 @@ def serve(config: ClinicConfig, *, jobs: bool = True) -> None:
     """
     import uvicorn
     from django.core.management import call_command
-
-    from mammometry.clinic.web.slow import closing_silent
 
     host, port = host_and_port(config.address)
     tls = config.tls

@@ -12,6 +12,8 @@ import numpy as np
 
 from mammometry.base.errors import SurfaceError
 from mammometry.base.progress import Progress, no_progress, part
+from mammometry.geometry import mesh_kernels
+from mammometry.geometry.arrays import Array, Float64, bounds
 from mammometry.geometry.camera import Rig
 from mammometry.geometry.mesh import TriangleMesh, on_microns
 from mammometry.matching.foreground.foreground import Foreground
@@ -25,11 +27,39 @@ from mammometry.surface.fusion.field import (
     closing_box,
 )
 from mammometry.surface.fusion.isosurface import Isosurface
-from mammometry.surface.fusion.topology import largest_part, tunnel_places
 from mammometry.surface.fusion.voxels import sample_blocks
 from mammometry.surface.ranges.range_image import RangeImage
 from mammometry.surface.ranges.visibility import check_agreement
 from mammometry.surface.settings import CUBE_MM, ExtractSettings
+
+
+def largest_part(mesh: TriangleMesh) -> TriangleMesh:
+    """Return the connected part that encloses the largest volume.
+
+    This drops crumbs, and also cavities, whose volume is negative.
+    """
+    count, label = mesh.components()
+    if count <= 1:
+        return mesh
+    volumes = mesh_kernels.part_volumes(mesh.vertices, mesh.faces, label, count)
+    return mesh.submesh(label[mesh.faces[:, 0]] == np.argmax(volumes))
+
+
+def tunnel_places(mesh: TriangleMesh, cell_mm: float) -> Float64[Array, "n 3"]:
+    """Places of the tunnels and handles of a closed mesh, mm.
+
+    They are cells whose total curvature is that of a handle. By Gauss and Bonnet the angles missing from 2π at the
+    vertices sum to 2π·(V − E + F); a handle takes 4π, which no saddle of a body does within a cell a few millimetres
+    wide.
+    """
+    defect = mesh_kernels.angle_defects(mesh.vertices, mesh.faces)
+    low, _ = bounds(mesh.vertices)
+    cell = tuple(((mesh.vertices - low) / cell_mm).astype(np.int64).T)
+    shape = tuple(int(axis.max()) + 1 for axis in cell)
+    total = np.bincount(np.ravel_multi_index(cell, shape), defect)
+    found = np.stack(np.unravel_index(np.flatnonzero(total < -np.pi), shape), axis=1)
+    return low + (found + 0.5) * cell_mm
+
 
 SMOOTHING_CUBES = 1.0
 """Standard deviation of the Gaussian on the signed distance, cubes. Without it the surface has tunnels."""
