@@ -1,4 +1,4 @@
-"""Comparisons: `compare` for two dates of one patient, `evaluate` with the truth of a virtual session."""
+"""Comparisons: two dates of one patient, and results with the truth of a virtual session."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The command `run`, its stages (calibrate, match, surface, measure, report), and pictures of them: figure, graph."""
+"""The command `run`, its stages, and pictures of them: `figure`, `graph`."""
 
 from __future__ import annotations
 
