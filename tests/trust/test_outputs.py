@@ -44,7 +44,7 @@ from mammometry.io.cameras.own import cameras_table
 from mammometry.io.meshes import scans as scan_files
 from mammometry.io.outputs import RECORD
 from mammometry.measure.dates import change
-from mammometry.report.documents import change_page, html, pdf
+from mammometry.report.documents import change_page, html, pdf, rendering
 from mammometry.report.figures import catalogue
 from mammometry.simulate import session as simulated
 from mammometry.simulate.recipe import SessionRecipe
@@ -180,6 +180,7 @@ def compare(place: Path, patch: pytest.MonkeyPatch) -> Case:
     patch.setattr(dates, "_common_scale", lambda jobs: False)
     patch.setattr(dates, "_warnings", lambda *_: [])
     patch.setattr(dates, "_report", lambda *_: None)
+    patch.setattr(dates, "replace", lambda report, **_: report)
     patch.setattr(change, "compare", lambda *_, **__: nothing)
     patch.setattr(change_page, "change_files", lambda report: dict.fromkeys(change_page.FILES, b"page"))
     patch.setattr(change_page, "as_table", lambda report: {})
@@ -192,8 +193,8 @@ def compare(place: Path, patch: pytest.MonkeyPatch) -> Case:
 def report(place: Path, patch: pytest.MonkeyPatch) -> Case:
     session = _session(place / "session")
     patch.setattr(Job, "_report_content", lambda *_: None)
-    patch.setattr(html, "render", lambda said: "page")
-    patch.setattr(pdf, "render", lambda said: b"document")
+    rendered = SimpleNamespace(html=b"page", pdf=b"document")
+    patch.setattr(rendering, "render", lambda *_, **__: rendered)
     command: list[object] = ["report", session, "--deidentify", "--out"]
     inside = [session, place, session / "capture", session / "capture" / "new"]
     return Case(
@@ -462,7 +463,7 @@ def computing_is_a_mistake(patch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(autouse=True)
 def _no_stage_is_made(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Job, "ensure", lambda self, stage: None)
+    monkeypatch.setattr(Job, "ensure", lambda self, stage, **_: None)
 
 
 @pytest.mark.slow

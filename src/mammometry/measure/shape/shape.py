@@ -96,7 +96,8 @@ def _projection_sigma_mm(measured: VolumeMeasurement, boundary_sigma_mm: float) 
     skin_normals = skin.vertex_normals()[point_tree(skin.vertices).query(points)[1]]
     along = np.roll(points, -1, axis=0) - np.roll(points, 1, axis=0)
     outward = np.cross(along, skin_normals)
-    rise = (outward @ plane_normal) / np.linalg.norm(outward, axis=1)
+    length = np.linalg.norm(outward, axis=1)
+    rise = np.divide(outward @ plane_normal, length, out=np.zeros_like(length), where=length > 0)  # 0: no way outwards
     return float(abs(np.average(rise, weights=np.linalg.norm(along, axis=1))) * boundary_sigma_mm)
 
 
