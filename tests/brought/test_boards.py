@@ -21,7 +21,8 @@ from mammometry.calibration.judge.no_target import no_target, with_causes
 from mammometry.calibration.judge.quality import assess
 from mammometry.calibration.judge.suspects import SuspectPhotographsError, refusal
 from mammometry.calibration.settings import CalibrateSettings, QualitySettings
-from mammometry.calibration.targets.kinds.charuco import CharucoTarget, charuco_board
+from mammometry.calibration.targets.charuco_board import charuco_board
+from mammometry.calibration.targets.kinds.charuco import CharucoTarget
 from mammometry.calibration.targets.kinds.chessboard import ChessboardTarget
 from mammometry.calibration.targets.kinds.circles import CirclesTarget
 from mammometry.calibration.targets.target import Target
