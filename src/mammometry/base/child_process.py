@@ -22,8 +22,7 @@ from types import TracebackType
 from typing import IO, Any, Self, TypeVar
 
 from mammometry.base.errors import MammometryError
-from mammometry.base.machine.cores import CORES
-from mammometry.base.machine.memory import peak_memory_mb, return_freed_arrays
+from mammometry.base.machine.cores import CORES, peak_memory_mb, return_freed_arrays
 from mammometry.base.progress import StageProgress
 
 _R = TypeVar("_R")

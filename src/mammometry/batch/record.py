@@ -17,7 +17,7 @@ from typing import Annotated, Literal, TypeAlias
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 import mammometry
-from mammometry.base.limits import LimitSettings
+from mammometry.base.parse import LimitSettings
 from mammometry.io.write import write_text
 from mammometry.job.products import versions
 from mammometry.job.stages.report import VERSIONS

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mammometry.base.posture import POSTURES
 from mammometry.base.value import value
 from mammometry.cli.common import Bars, Options
+from mammometry.measure.settings import POSTURES
 
 if TYPE_CHECKING:
     from mammometry.api.results import Results

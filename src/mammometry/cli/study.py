@@ -126,8 +126,7 @@ def observers(
     from mammometry.io.drawn_by import read_drawn_by
     from mammometry.io.outputs import require_apart, require_free, write_outputs
     from mammometry.report.documents.observers_page import observers_files, observers_names
-    from mammometry.study.observers import observer_study
-    from mammometry.study.observers_tables import observers_json, observers_summary, observers_tables
+    from mammometry.study.observers import observer_study, observers_json, observers_summary, observers_tables
 
     chosen = options.settings()
     drawn = read_drawn_by(curves, mesh)
@@ -198,7 +197,7 @@ def _tasks_side_by_side(bars: Bars, count: int, scale: float) -> Iterator[MapTas
     from mammometry.batch.cluster import machines
     from mammometry.batch.engine import Began, Ended
     from mammometry.batch.map_tasks import map_tasks_on
-    from mammometry.simulate.rigs.plan import FULL_SIZE_WH
+    from mammometry.simulate.rigs.build import FULL_SIZE_WH
 
     width, height = FULL_SIZE_WH
     megapixels, done = _CAMERAS * width * height * scale**2 / 1e6, Counter[str]()
@@ -241,7 +240,7 @@ def _answer(
     checked: Sequence[CheckedFigure],
     *more: Table,
 ) -> Answer:
-    from mammometry.study.agreement_tables import agreement_json, agreement_tables, summary
+    from mammometry.study.agreement import agreement_json, agreement_tables, summary
 
     tables = (*agreement_tables(data, found, checked), *more)
     lines: list[Any] = [*summary(data, found), ""]

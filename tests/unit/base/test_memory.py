@@ -7,11 +7,11 @@ import sys
 import psutil
 import pytest
 
-from mammometry.base.machine.memory import peak_memory_mb
+from mammometry.base.machine.cores import peak_memory_mb
 
 PROGRAM = """
 import numpy as np, psutil
-from mammometry.base.machine.memory import return_freed_arrays
+from mammometry.base.machine.cores import return_freed_arrays
 return_freed_arrays()
 first = np.ones(31 << 20, np.uint8)  # its release would raise glibc's own threshold to as much
 del first
@@ -38,12 +38,12 @@ def test_the_peak_is_at_least_what_is_held_now() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("module", ["mammometry.base.machine.memory", "mammometry.api.job", "mammometry.api.mesh"])
+@pytest.mark.parametrize("module", ["mammometry.base.machine.cores", "mammometry.api.job", "mammometry.api.mesh"])
 def test_the_package_imports_where_the_system_counts_no_memory(module: str) -> None:
     """As on Windows, which has no module `resource`."""
     program = (
         f"import sys; sys.modules['resource'] = None; import {module}\n"
-        "from mammometry.base.machine.memory import peak_memory_mb; print(peak_memory_mb())"
+        "from mammometry.base.machine.cores import peak_memory_mb; print(peak_memory_mb())"
     )
     printed = subprocess.run([sys.executable, "-c", program], capture_output=True, check=True, text=True).stdout
     assert printed.strip() == "None"

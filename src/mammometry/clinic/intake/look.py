@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from mammometry.base.errors import ImageError
-from mammometry.base.limits import LimitSettings
+from mammometry.base.parse import LimitSettings
 from mammometry.capture.checks import cameras, pixels
 from mammometry.capture.checks.cameras import KnownCamera
 from mammometry.capture.checks.content import not_only_a_photograph

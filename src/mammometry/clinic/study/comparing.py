@@ -13,9 +13,9 @@ from pathlib import Path
 from django.utils import timezone
 
 import mammometry
-from mammometry.base.posture import NOT_TO_BE_COMPARED
 from mammometry.clinic.models import Comparison, Measurement, Visit
 from mammometry.clinic.records.confirmations import is_changed
+from mammometry.measure.settings import NOT_TO_BE_COMPARED
 from mammometry.report.words.change_words import change_sentence, date_words
 
 _MEASURED = (Visit.State.MEASURED, Visit.State.CONFIRMED)

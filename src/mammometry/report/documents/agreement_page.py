@@ -7,8 +7,14 @@ from collections.abc import Sequence
 
 from mammometry.report.documents.pages import embed, render
 from mammometry.report.figures.studies.agreement import bland_altman, scatter
-from mammometry.study.agreement import Agreement, CheckedFigure, PairedMeasurements
-from mammometry.study.agreement_tables import agreement_json, agreement_tables, summary
+from mammometry.study.agreement import (
+    Agreement,
+    CheckedFigure,
+    PairedMeasurements,
+    agreement_json,
+    agreement_tables,
+    summary,
+)
 from mammometry.study.tables import Table
 
 FILES = ("report.html", "agreement.json", "bland-altman.png", "scatter.png")

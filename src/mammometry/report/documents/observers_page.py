@@ -7,8 +7,14 @@ from collections.abc import Sequence
 
 from mammometry.report.documents.pages import embed, render
 from mammometry.report.figures.studies.observers import curves_on, regions, volumes
-from mammometry.study.observers import Drawing, DrawnSurface, ObserverStudy
-from mammometry.study.observers_tables import observers_json, observers_summary, observers_tables
+from mammometry.study.observers import (
+    Drawing,
+    DrawnSurface,
+    ObserverStudy,
+    observers_json,
+    observers_summary,
+    observers_tables,
+)
 
 _SURFACES_SHOWN = 12  # pictures of surfaces on a page; chosen by eye
 _REMARKS = (
