@@ -199,13 +199,13 @@ def lay_flat(thorax: Thorax, points_world: Float64[Array, "n 3"]) -> Relief:
     limits = np.array([trunk.half_width_mm, width, height, ARM * trunk.half_width_mm])
     radius = thorax.coefficients.reshape(-1, AROUND)
 
-    def innermost(band: slice) -> Float64[Array, "h w"]:
+    def of_band(band: slice) -> Float64[Array, "h w"]:
         found: Float64[Array, "h w"] = innermost(
             points_world[band], trunk.frame, trunk.origin, radius, limits, PIXEL_MM, size
         )
         return found
 
-    inner = np.min(in_bands(innermost, len(points_world)), axis=0)
+    inner = np.min(in_bands(of_band, len(points_world)), axis=0)
     known = np.isfinite(inner)
     if not known.any():
         raise MeasureError(
