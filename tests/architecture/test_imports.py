@@ -144,9 +144,8 @@ def test_only_what_serves_pages_exports_and_batches_speaks_to_the_network(reposi
         "clinic/web/server.py imports socket",  # whether the port is free
         "editor/server.py imports socket",
         "clinic/jobs/events.py imports asyncio",  # to wait between two looks at the database
-        "clinic/web/limits.py imports asyncio",  # to stop waiting for a body that does not come
+        "clinic/web/requests.py imports asyncio",  # to stop waiting for a body, to hand requests to threads
         "clinic/web/server.py imports asyncio",  # to close connections on which no request comes
-        "clinic/web/threads.py imports asyncio",  # to hand a request to a thread
         # To the archive that a command or the clinic's administrator names:
         "hospital/dicom/association.py imports pynetdicom",
         "hospital/dicom/association.py imports pynetdicom.sop_class",

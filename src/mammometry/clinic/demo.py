@@ -196,7 +196,7 @@ def main() -> None:
     """Finish a demo beside its server, until standard input ends."""
     from mammometry.base.progress import no_progress
     from mammometry.clinic.config import read_config
-    from mammometry.clinic.jobs.process import end_with_input
+    from mammometry.clinic.jobs.runner import end_with_input
     from mammometry.clinic.site import configure
 
     end_with_input()
@@ -241,7 +241,7 @@ def _calibrated(made: Path) -> Calibration:
     from mammometry.capture.sessions import definition_of
     from mammometry.clinic.jobs.queue import enqueue
     from mammometry.clinic.models import Rig
-    from mammometry.clinic.rigs.history import new_calibration
+    from mammometry.clinic.rig_history import new_calibration
     from mammometry.io.manifest import read_manifest
 
     rig = Rig.objects.create(name=_RIG_NAME, definition=definition_of(read_manifest(made / "session.toml")))
@@ -287,7 +287,7 @@ def _shots(made: Path) -> list[Path]:
 def _check(rig: Rig, made: Path) -> None:
     """Today's check, by a new photograph of the board."""
     from mammometry.clinic.jobs.queue import enqueue
-    from mammometry.clinic.rigs.history import new_check
+    from mammometry.clinic.rig_history import new_check
 
     check = new_check(rig, None)
     assert check is not None

@@ -20,7 +20,7 @@ from django.utils import timezone
 from mammometry.clinic.jobs import results
 from mammometry.clinic.jobs.results import Target
 from mammometry.clinic.models import Calibration, Comparison, DailyCheck, Job, Person, Visit
-from mammometry.clinic.study import comparing
+from mammometry.clinic.records import comparing
 from mammometry.io.subject import rename_subject
 
 LEASE_S = 45.0
