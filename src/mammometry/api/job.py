@@ -47,7 +47,7 @@ from mammometry.job.values import CameraSet, FinishedSurface
 from mammometry.settings import Settings
 
 if TYPE_CHECKING:
-    from mammometry.calibration.adjust.bundle import Calibration
+    from mammometry.calibration.adjust.calibrated import Calibration
     from mammometry.calibration.judge.check import RigCheck
     from mammometry.matching.dense.match import DisparityMap
     from mammometry.measure.volume.measurement import VolumeDeficit, VolumeMeasurement
