@@ -16,6 +16,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from mammometry.base.machine.system import own_group
 from mammometry.clinic.config import ClinicConfig, read_config
 
 _END_S = 15.0  # for a runner to give its jobs back
@@ -57,7 +58,7 @@ def beside(config: ClinicConfig, module: str = __spec__.name, *, again: bool = T
             process = subprocess.Popen(
                 [sys.executable, "-m", module, str(config.folder)],
                 stdin=subprocess.PIPE,
-                start_new_session=True,  # Ctrl-C at the terminal is the server's to answer
+                **own_group(),  # Ctrl-C at the terminal is the server's to answer
             )
             processes[:] = [process]
             process.wait()

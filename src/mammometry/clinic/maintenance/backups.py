@@ -7,10 +7,8 @@ administrator's page starts.
 from __future__ import annotations
 
 import datetime
-import fcntl
 import json
 import logging
-import os
 import shutil
 import threading
 from collections.abc import Iterator
@@ -18,6 +16,8 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from zoneinfo import ZoneInfo
+
+from filelock import FileLock, Timeout
 
 from mammometry.base.errors import MammometryError
 from mammometry.clinic.config import KEY_FILE, ClinicConfig, ClinicError, write_private
@@ -145,18 +145,18 @@ def exclusive(config: ClinicConfig) -> Iterator[None]:
         ClinicError: another process holds it.
     """
     config.backups.mkdir(mode=0o700, parents=True, exist_ok=True)
-    descriptor = os.open(config.backups / _LOCK, os.O_RDWR | os.O_CREAT, 0o600)
+    lock = FileLock(config.backups / _LOCK, mode=0o600, blocking=False)
     try:
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise ClinicError(
-                "backups", found="one that is being made or tested", expected="none",
-                remedy="Wait until it ends",
-            ) from None  # fmt: skip
+        lock.acquire()
+    except Timeout:
+        raise ClinicError(
+            "backups", found="one that is being made or tested", expected="none",
+            remedy="Wait until it ends",
+        ) from None  # fmt: skip
+    try:
         yield
     finally:
-        os.close(descriptor)  # which gives the lock back
+        lock.release()
 
 
 class DailyBackup(threading.Thread):
