@@ -17,6 +17,7 @@ from django.db import DatabaseError, close_old_connections
 
 from mammometry.base.child_process import Call
 from mammometry.base.errors import MammometryError
+from mammometry.base.machine.system import own_group
 from mammometry.batch.cluster import Machines, machines
 from mammometry.batch.engine import Began, Ended, Engine, StopRequest, Task
 from mammometry.batch.record import RECORD, read_record
@@ -214,7 +215,7 @@ def beside(config: ClinicConfig, module: str = __spec__.name, *, again: bool = T
             process = subprocess.Popen(
                 [sys.executable, "-m", module, str(config.folder)],
                 stdin=subprocess.PIPE,
-                start_new_session=True,  # Ctrl-C at the terminal is the server's to answer
+                **own_group(),  # Ctrl-C at the terminal is the server's to answer
             )
             processes[:] = [process]
             process.wait()
