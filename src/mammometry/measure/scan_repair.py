@@ -25,9 +25,10 @@ from mammometry.measure.solid.patch import fill, harmonic
 
 TOUCHING_MM = 0.05
 """Open edges this near to one another are one seam: half of the coarsest step that coordinates may have."""
-WIDEST_HOLE_MM = 70.0
+WIDEST_HOLE_MM = 90.0
 """A hole up to this wide is closed: the diameter of a circle of its area. What a hanging breast hides from a telephone
-has 40 to 60; necks and arms that were cut off have 90 and more."""
+has 40 to 80; necks and arms that were cut off have 90 and more."""
+_OWN_EDGE_MM = 70.0  # the longest opening is a hole up to this width, else the surface's own edge: a small cast's
 _LONGEST_HOLE_MM = 150.0  # a slit that is longer is no hole in a breast; chosen by eye
 _CRUMB = 0.01  # share of the area below which a piece is a crumb
 _BESIDE = 0.2  # share of the area that all pieces beside the body may have together; chosen by eye
@@ -290,7 +291,11 @@ def _stands_out_mm3(mesh: TriangleMesh) -> float:
 def _filled(mesh: TriangleMesh, notes: list[str]) -> tuple[TriangleMesh, Bool[Array, " n"]]:
     """Close holes up to `WIDEST_HOLE_MM` wide."""
     loops = opening_loops(mesh.faces.astype(np.int64), len(mesh.vertices))
-    holes = [loop for loop in loops if _width_mm(mesh.vertices[loop]) <= WIDEST_HOLE_MM]
+    holes = [
+        loop
+        for number, loop in enumerate(loops)  # the longest first
+        if _width_mm(mesh.vertices[loop]) <= (WIDEST_HOLE_MM if number else _OWN_EDGE_MM)
+    ]
     if not holes:
         return mesh, np.zeros(len(mesh.vertices), dtype=bool)
     edges = mesh.edges()
