@@ -73,6 +73,10 @@ dossier: $(VENV)/.installed-dev
 measured: $(VENV)/.installed-dev
 	$(BIN)/python -m benchmarks.measured $(WHAT)
 
+# Every figure and table of the paper beside the printed ones: docs/paper.md.
+paper: $(VENV)/.installed-dev
+	$(BIN)/python -m benchmarks.measured plate casts dents-casts dents-torsos paper-figures
+
 format: $(VENV)/.installed-dev
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .

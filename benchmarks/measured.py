@@ -38,9 +38,11 @@ class Entry:
     """One table of the documentation and the commands that make it."""
 
     name: str
-    commands: tuple[str, ...]
-    minutes: float
+    commands: tuple[str, ...] = ()
+    minutes: float = 0.0
     """What the commands take on two quiet cores."""
+    of: str = ""
+    """Table whose output this one shows in another form; it has no commands of its own."""
     page: str = "docs/measured.md"
     form: str = "markdown"
     """How the output becomes a table: a key of `FORMS`."""
@@ -65,7 +67,11 @@ class Result:
 def registry(path: Path = REGISTRY) -> dict[str, Entry]:
     """Name → entry, in the order of the file."""
     tables: Mapping[str, Mapping[str, Any]] = tomllib.loads(path.read_text(encoding="utf-8"))
-    return {name: Entry(name=name, **{**table, "commands": tuple(table["commands"])}) for name, table in tables.items()}
+    own = {
+        name: tuple(table.get("commands", tables.get(table.get("of", ""), {}).get("commands", ())))
+        for name, table in tables.items()
+    }
+    return {name: Entry(name=name, **{**table, "commands": own[name]}) for name, table in tables.items()}
 
 
 def commit() -> str:
@@ -102,9 +108,14 @@ def make(entry: Entry, by: str, folder: Path) -> Result:
     return Result(commit=by, day=day, seconds=time.monotonic() - started, outputs=tuple(outputs))
 
 
+def with_minus(text: str) -> str:
+    """Negative numbers with a minus sign, as the pages have it."""
+    return re.sub(r"(?<=[ |])-(?=[\d.])", "−", text)
+
+
 def markdown(outputs: Sequence[str]) -> str:
     """Tables and sentences as the benchmarks print them."""
-    return "\n\n".join(output.strip() for output in outputs if output.strip())
+    return with_minus("\n\n".join(output.strip() for output in outputs if output.strip()))
 
 
 def demo(outputs: Sequence[str]) -> str:
@@ -131,10 +142,34 @@ def casts(outputs: Sequence[str]) -> str:
             f"{100 * (measured / true - 1):+.2f} | {low:.1f} … {high:.1f} | {'yes' if low <= true <= high else 'no'} |"
         )
     lines += ["", f"Mean error {mean(errors_cc):+.2f} cc, standard deviation {stdev(errors_cc):.2f} cc."]
-    return "\n".join(lines)
+    return with_minus("\n".join(lines))
 
 
-FORMS: Mapping[str, Callable[[Sequence[str]], str]] = {"markdown": markdown, "demo": demo, "casts": casts}
+def paper_depth(outputs: Sequence[str]) -> str:
+    """Depth on a tilted plate beside the printed figure."""
+    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in outputs[0].splitlines() if "|" in line]
+    worst = max(float(row[5]) for row in rows[2:])
+    rms = max(float(row[3]) for row in rows[2:])
+    return (
+        "| depth on a tilted flat plate | printed | here |\n| --- | --- | --- |\n"
+        f"| greatest error, mm | < 0.5 | {worst:.2f} |\n| RMS from the plane, worst pair, mm | | {rms:.3f} |"
+    )
+
+
+def paper_table(outputs: Sequence[str]) -> str:
+    """Table 1: nine models, and how the methods agree, as printed and here."""
+    from benchmarks.paper import table_1
+
+    return with_minus(table_1(outputs[-1]))
+
+
+FORMS: Mapping[str, Callable[[Sequence[str]], str]] = {
+    "markdown": markdown,
+    "demo": demo,
+    "casts": casts,
+    "paper-depth": paper_depth,
+    "paper-table": paper_table,
+}
 
 
 def block(entry: Entry, result: Result) -> str:
@@ -145,19 +180,24 @@ def block(entry: Entry, result: Result) -> str:
 
 
 def write(entries: Mapping[str, Entry], results: Mapping[str, Result]) -> None:
-    """Put the tables of all results into their pages."""
+    """Put the tables of all results into their pages; what was made is not marked as kept any more."""
     for page in {entry.page for entry in entries.values()}:
         path = ROOT / page
         before = path.read_text(encoding="utf-8")
 
         def table(match: re.Match[str]) -> str:
             name = match[1]
-            inside = block(entries[name], results[name]) if name in results else match[2]
+            result = results.get(entries[name].of or name)
+            inside = block(entries[name], result) if result else match[2]
             return f"<!-- measured: {name} -->\n{inside}<!-- end -->"
 
         after = _BLOCK.sub(table, before)
         if after != before:
             path.write_text(after, encoding="utf-8")
+    registered = REGISTRY.read_text(encoding="utf-8")
+    for name in (entry.name for entry in entries.values() if (entry.of or entry.name) in results):
+        registered = re.sub(rf"(^\[{name}\]\n(?:[^\[\n].*\n)*?)kept = .*\n", r"\1", registered, flags=re.MULTILINE)
+    REGISTRY.write_text(registered, encoding="utf-8")
 
 
 def blocks(text: str) -> dict[str, str]:
@@ -179,6 +219,8 @@ def main() -> None:
     folder = ROOT / "build" / "measured" / by
     results, failed = {}, []
     for name, entry in entries.items():
+        if entry.of:
+            continue
         path = folder / f"{name}.json"
         if path.is_file():
             results[name] = Result(**json.loads(path.read_text(encoding="utf-8")))
