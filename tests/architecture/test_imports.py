@@ -153,6 +153,7 @@ def test_pyplot_with_its_global_state_is_not_used(repository: Path) -> None:
     assert using == []
 
 
+@pytest.mark.requirement("R-SENT-1")
 def test_only_what_serves_pages_exports_and_batches_speaks_to_the_network(repository: Path) -> None:
     """Nothing of a patient is sent anywhere but where somebody says: no other module has anything to send it with."""
     network = {"socket", "ssl", "http", "ftplib", "smtplib", "requests", "httpx", "aiohttp", "urllib3", "asyncio"}
@@ -288,6 +289,7 @@ def test_truth_is_read_by_evaluation_alone(repository: Path) -> None:
     assert [name for name in found if not any(fnmatch(name, allowed) for allowed in names)] == []
 
 
+@pytest.mark.requirement("R-SENT-1")
 def test_only_what_serves_pages_imports_django(repository: Path) -> None:
     using = {
         path.relative_to(repository / PACKAGE).parts[0]
