@@ -49,7 +49,7 @@ from mammometry.report.figures import catalogue
 from mammometry.simulate import session as simulated
 from mammometry.simulate.recipe import SessionRecipe
 from mammometry.study import agreement as agreeing
-from mammometry.study import evaluation_tables
+from mammometry.study import evaluation
 
 MANIFEST = """\
 format = 1
@@ -162,7 +162,7 @@ def evaluate(place: Path, patch: pytest.MonkeyPatch) -> Case:
     patch.setattr(proof, "read_truth", lambda *_: None)
     patch.setattr(proof, "current_results", lambda job: None)
     patch.setattr(proof, "evaluate", lambda *_, **__: found)
-    for module in (proof, evaluation_tables):
+    for module in (proof, evaluation):
         patch.setattr(module, "evaluation_tables", lambda found: [])
     return Case(
         ["evaluate", session],

@@ -13,8 +13,7 @@ from mammometry.io.outputs import require_apart, require_free, write_outputs
 from mammometry.io.results.stamp import stamped
 from mammometry.io.truth import read_truth
 from mammometry.job.stages import calibrate, match, measure, surface
-from mammometry.study.evaluation import Evaluation, SessionResults, evaluate
-from mammometry.study.evaluation_tables import evaluation_tables
+from mammometry.study.evaluation import Evaluation, SessionResults, evaluate, evaluation_tables
 
 if TYPE_CHECKING:
     from mammometry.api.job import Job

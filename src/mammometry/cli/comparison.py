@@ -94,7 +94,7 @@ def evaluate(
     """
     from mammometry.api.job import open_session
     from mammometry.api.truth import evaluate_session
-    from mammometry.study.evaluation_tables import evaluation_tables
+    from mammometry.study.evaluation import evaluation_tables
 
     job = open_session(session, options.settings())
     with Bars(options.silent) as bars, bars.task("evaluate", "results against truth") as progress:
