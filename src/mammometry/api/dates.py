@@ -435,7 +435,7 @@ def _report(
     privacy: Privacy,
 ) -> ChangeReport:
     from mammometry.report.documents.change_page import ChangeReport
-    from mammometry.report.figures.studies.change import Dated
+    from mammometry.report.figures.change import Dated
     from mammometry.report.privacy import guard
     from mammometry.report.words.describe import settings_facts
 

@@ -21,8 +21,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from mammometry.api.previews import Drawing, Previews
-from mammometry.api.refused import seen, show_refusal, withdraw_refusal
-from mammometry.api.results import Results
+from mammometry.api.results import Results, seen, show_refusal, withdraw_refusal
 from mammometry.api.stored_report import Reported
 from mammometry.base.errors import (
     CalibrationError,
@@ -40,10 +39,10 @@ from mammometry.io.outputs import require_apart, require_free, write_output
 from mammometry.io.results.store import State, Store, Watch, unwatched
 from mammometry.io.session import Session
 from mammometry.job.graph import Background, Plan
+from mammometry.job.inputs import CameraSet, FinishedSurface
 from mammometry.job.products import STAGES, Key, Stage
 from mammometry.job.stages import calibrate, match, measure, surface
 from mammometry.job.stages.report import PageInputs, previews_key
-from mammometry.job.values import CameraSet, FinishedSurface
 from mammometry.settings import Settings
 
 if TYPE_CHECKING:
@@ -152,7 +151,7 @@ class Job(Reported):
         from mammometry.calibration.detection.detect import detect
         from mammometry.calibration.judge import check
         from mammometry.io import drift
-        from mammometry.report.figures.drift import drift as drawn
+        from mammometry.report.figures.calibration import drift as drawn
 
         folder = self.session.path / drift.FOLDER
         require_apart(folder, [Path(image_set)])

@@ -22,8 +22,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
-from mammometry.api.refused import show_refusal, withdraw_refusal
-from mammometry.api.results import Results
+from mammometry.api.results import Results, show_refusal, withdraw_refusal
 from mammometry.api.stored_report import Reported
 from mammometry.base.errors import MeasureError, SessionError
 from mammometry.base.identity import Identity
@@ -34,6 +33,8 @@ from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.nearest import barycentric, closest_on_mesh
 from mammometry.io.drawn import (
+    BOUNDARIES,
+    LANDMARK_FILE,
     DrawnBoundaries,
     boundaries_digest,
     boundaries_in,
@@ -41,16 +42,15 @@ from mammometry.io.drawn import (
     landmarks_in,
 )
 from mammometry.io.meshes.foreign import ForeignMesh, read_foreign
-from mammometry.io.meshes.scans import Scan, skin_colours
+from mammometry.io.meshes.scans import MESH, RESULTS, Scan, is_scan, read_scan, skin_colours
 from mammometry.io.outputs import require_apart, require_own_folder, take_folder
 from mammometry.io.results.store import Store, Watch, unwatched
 from mammometry.io.subject import check_mesh
 from mammometry.job.graph import Plan
-from mammometry.job.inputs import Inputs, SubjectKind
+from mammometry.job.inputs import CameraSet, FinishedSurface, Inputs, SubjectKind
 from mammometry.job.products import Key, at_hand
 from mammometry.job.stages import calibrate, measure, surface
 from mammometry.job.stages.report import PageInputs
-from mammometry.job.values import CameraSet, FinishedSurface
 from mammometry.measure.landmarks.landmarks import PICKED_SIGMA_MM
 from mammometry.settings import Settings
 
@@ -58,6 +58,7 @@ if TYPE_CHECKING:
     from mammometry.report.content import ReportContent
     from mammometry.report.privacy import Privacy
     from mammometry.surface.repair.repair import RepairedSurface
+
 
 T = TypeVar("T")
 SCALE_STD = 0.001
@@ -394,3 +395,59 @@ class _StoreOfMesh(Store):
             return super().recall(key, prepare)
         except MeasureError as error:
             raise error.of_mesh() from None
+
+
+def scan_files(folder: Path, *, subject: str | None = None, drawn: bool = True) -> MeshFiles:
+    """An imported scan's mesh, with what was drawn on it. Other boundaries are found automatically.
+
+    Args:
+        folder: made by ``mammometry import mesh``. What was drawn lies in it, as in a session.
+        subject: a pseudonym. None: the one that the folder names.
+        drawn: whether drawn boundaries and landmarks count.
+
+    Raises:
+        SessionError: the folder's description is not as documented.
+    """
+    scan = read_scan(folder)
+    boundary, landmarks = (
+        path if drawn and path.is_file() else None for path in (folder / BOUNDARIES, folder / LANDMARK_FILE)
+    )
+    return MeshFiles(
+        mesh=folder / MESH, units="mm", boundary=boundary, landmarks=landmarks, automatic=True,
+        head=scan.head or None, ahead=scan.ahead or None, subject=subject or scan.subject, scan=scan,
+    )  # fmt: skip
+
+
+def open_scan(folder: Path, settings: Settings | None = None, *, watch: Watch = unwatched) -> MeshJob:
+    """Open an imported scan.
+
+    Args:
+        folder: made by ``mammometry import mesh``.
+        settings: of the measurement; None for the recommended ones.
+        watch: called for every product that is made.
+
+    Raises:
+        MammometryError: the scan cannot be opened.
+    """
+    return MeshJob(scan_files(folder), folder / RESULTS, settings, watch=watch)
+
+
+def drawable_scan(folder: Path, settings: Settings | None = None) -> MeshJob:
+    """Open an imported scan for drawing on it.
+
+    A drawing that the measurement refuses does not count. It can so be corrected.
+
+    Raises:
+        MammometryError: the scan cannot be opened.
+    """
+    try:
+        return open_scan(folder, settings)
+    except MeasureError:
+        return MeshJob(scan_files(folder, drawn=False), folder / RESULTS, settings)
+
+
+def folder_for(mesh: Path) -> Path:
+    """Default folder for a mesh's results: an imported scan's own, else beside the mesh with its name."""
+    if mesh.name == MESH and is_scan(mesh.parent):
+        return mesh.parent / RESULTS
+    return mesh.with_name(f"{mesh.stem}-measured")

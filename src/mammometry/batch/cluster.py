@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from mammometry.base.errors import BatchError
 from mammometry.base.extras import require
 from mammometry.base.machine.cores import available_cores
-from mammometry.batch.entry import CORES, MEMORY
+from mammometry.batch.record import CORES, MEMORY
 
 if TYPE_CHECKING:
     from distributed import Client

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from mammometry.base.errors import SessionError, TableError
-from mammometry.batch.entry import Entry, is_address
+from mammometry.batch.record import Entry, is_address
 from mammometry.batch.storage import sessions_at
 from mammometry.io.manifest import MANIFEST
 from mammometry.io.parsing.csv_tables import Table, read_table

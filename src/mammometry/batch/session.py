@@ -23,8 +23,7 @@ from mammometry.base.errors import StorageError
 from mammometry.base.machine.memory import peak_memory_mb
 from mammometry.base.progress import Progress, StageProgress
 from mammometry.batch import storage
-from mammometry.batch.entry import Entry
-from mammometry.batch.record import RECORD, Measured, Record, Row, key_of, read_record, stats_of, write_record
+from mammometry.batch.record import RECORD, Entry, Measured, Record, Row, key_of, read_record, stats_of, write_record
 from mammometry.io.photographs.images import megapixels_of
 from mammometry.io.write import disk_errors
 from mammometry.job.products import STAGES, Key

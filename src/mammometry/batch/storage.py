@@ -13,8 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mammometry.base.errors import SessionError, StorageError
-from mammometry.batch.entry import Entry, is_address
-from mammometry.batch.record import RECORD, Record, Row, Stat, read_record
+from mammometry.batch.record import RECORD, Entry, Record, Row, Stat, is_address, read_record
 from mammometry.io.manifest import MANIFEST
 
 if TYPE_CHECKING:

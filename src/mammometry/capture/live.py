@@ -16,8 +16,7 @@ from mammometry.base.photograph import LUMA, Photograph
 from mammometry.calibration.detection.detect import detect_in
 from mammometry.calibration.targets.target import Target
 from mammometry.capture.camera import Backend
-from mammometry.capture.checks.found import Found
-from mammometry.capture.checks.pixels import Seen, judge
+from mammometry.capture.checks import Found, Seen, judge
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int64, UInt8
 from mammometry.matching.foreground.block_segmentation import segment
 

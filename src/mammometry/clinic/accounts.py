@@ -26,8 +26,8 @@ from mammometry.clinic.audit import record_wrong_code
 from mammometry.clinic.config import ClinicError
 from mammometry.clinic.models import Person
 from mammometry.clinic.roles import Role
+from mammometry.hospital.codes import require_text
 from mammometry.hospital.exported import person_name
-from mammometry.hospital.representations import require_text
 
 
 def add_person(username: str, roles: Sequence[Role], *, full_name: str = "", email: str = "") -> Person:

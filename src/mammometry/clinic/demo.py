@@ -14,7 +14,6 @@ import datetime
 import os
 import secrets
 import shutil
-import sys
 import tempfile
 import threading
 import time
@@ -192,16 +191,13 @@ def finish(say: Callable[[str], Progress]) -> None:
                 shutil.rmtree(made)
 
 
-def main() -> None:
-    """Finish a demo beside its server, until standard input ends."""
+def finish_beside(folder: Path) -> None:
+    """Finish a demo beside its server."""
     from mammometry.base.progress import no_progress
-    from mammometry.clinic.config import read_config
-    from mammometry.clinic.jobs.runner import end_with_input
     from mammometry.clinic.site import configure
 
-    end_with_input()
     os.nice(_NICE)
-    configure(read_config(Path(sys.argv[1])))
+    configure(read_config(folder))
     finish(lambda _: no_progress)
 
 
@@ -403,7 +399,3 @@ def _send(target: object, path: Path, pose: str = "") -> None:
     )
     upload = uploads.begin(target, None, file)
     uploads.append(upload, 0, data)
-
-
-if __name__ == "__main__":
-    main()

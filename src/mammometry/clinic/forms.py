@@ -16,8 +16,8 @@ from mammometry.capture.sessions import manifest_text
 from mammometry.clinic.models import Conclusion, Consent, Operation, Patient, Person, Rig, Visit
 from mammometry.clinic.records.search import Duplicates, date_questions, duplicates
 from mammometry.clinic.roles import Role
+from mammometry.hospital.codes import Representation, text_fault
 from mammometry.hospital.exported import person_name
-from mammometry.hospital.representations import Representation, text_fault
 
 _RIG_BYTES = 100_000  # a session.toml has a few kB
 _RIG_TABLES = ("rig", "target", "intrinsics")

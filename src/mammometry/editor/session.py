@@ -23,10 +23,9 @@ from mammometry.io.drawn import BREASTS, DrawnBoundaries, origin_words, read_bou
 from mammometry.io.drawn_changes import Change, Entry, Item, change_drawn, drawn_entries, drawn_entry, entry_digest
 from mammometry.io.results.store import Store
 from mammometry.job.graph import Plan
-from mammometry.job.inputs import Inputs
+from mammometry.job.inputs import FinishedSurface, Inputs
 from mammometry.job.products import Key, Product
 from mammometry.job.stages import measure
-from mammometry.job.values import FinishedSurface
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.landmarks.names import LANDMARKS
 from mammometry.measure.trunk.body import rig_frame

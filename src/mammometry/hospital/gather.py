@@ -16,7 +16,7 @@ from mammometry.hospital.exported import Absent, CoveredModel, CoveredModels, Ex
 from mammometry.io.photographs.images import EXTENSIONS
 from mammometry.job.stages import measure, surface
 from mammometry.measure.volume.attribution import Attribution
-from mammometry.report.clinical import Clinical, Signed
+from mammometry.report.content import Clinical, Signed
 from mammometry.report.words.lengths import quantities_of
 
 if TYPE_CHECKING:

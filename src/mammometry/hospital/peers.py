@@ -9,7 +9,7 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 from mammometry.base.errors import SettingsError
-from mammometry.hospital.representations import text_fault
+from mammometry.hospital.codes import text_fault
 
 AUTHORIZATION = "MAMMOMETRY_STOW_AUTHORIZATION"
 """Variable of the environment with the header Authorization. An address would show it to everybody."""

@@ -13,9 +13,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mammometry.base.errors import StorageError
-from mammometry.io.durable import write_new
 from mammometry.io.results.records import is_plain
-from mammometry.io.write import disk_errors
+from mammometry.io.write import disk_errors, write_new
 
 if TYPE_CHECKING:
     from filelock import BaseFileLock

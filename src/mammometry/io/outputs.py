@@ -17,8 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from mammometry.base.errors import StorageError
-from mammometry.io.durable import sync_folder
-from mammometry.io.write import disk_errors, file_digest, staged, write_text
+from mammometry.io.write import disk_errors, file_digest, staged, sync_folder, write_text
 
 RECORD = ".mammometry.json"
 _FORMAT = 1  # version of the record of outputs; another one is not read

@@ -7,10 +7,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from mammometry.measure.volume.attribution import Attribution, Confirmation
-from mammometry.report.clinical import Clinical, Signed
-from mammometry.report.content import BreastReport, LargeNumber, Picture, ReportContent
+from mammometry.report.content import BreastReport, Clinical, LargeNumber, Picture, ReportContent, Signed
 from mammometry.report.figures.drawing.canvas import CYCLE
-from mammometry.report.words.change_words import date_words
+from mammometry.report.words.volumes import date_words
 
 NOT_CONFIRMED = "not confirmed"
 FIRST_PICTURES = ("front", "from_right", "from_left")

@@ -13,7 +13,7 @@ from mammometry.base.errors import CaptureError, SessionError, StorageError
 from mammometry.capture import shots
 from mammometry.capture.camera import Frame
 from mammometry.capture.loop import OpenRig
-from mammometry.capture.skew.measured import Skew, write_skew
+from mammometry.capture.skew import Skew, write_skew
 from mammometry.cli.main import run
 from mammometry.io.session import Session
 

@@ -13,14 +13,13 @@ from pathlib import Path
 
 from mammometry.base.errors import MammometryError, SettingsError
 from mammometry.base.photograph import Photograph
-from mammometry.capture.camera import CameraSettings, Clock, Devices, Frame, Health, failed
-from mammometry.capture.checks.cameras import camera_of_name
-from mammometry.capture.registry import BACKENDS
-from mammometry.io.photographs.exposure import read_exposure
+from mammometry.capture.camera import BACKENDS, CameraSettings, Clock, Devices, Frame, Health, failed
+from mammometry.capture.checks import camera_of_name
 from mammometry.io.photographs.images import EXTENSIONS, read_header, read_photograph
+from mammometry.io.photographs.tags import read_exposure
 
 _TOGETHER_S = 20.0
-"""Clocks that nobody set to one another differ by seconds: `capture.checks.cameras` has the same limit."""
+"""Clocks that nobody set to one another differ by seconds: `capture.checks` has the same limit."""
 _LOOK_S = 0.05  # between two looks at the folder
 _STILL_S = 0.2  # a file that did not grow for so long is whole
 

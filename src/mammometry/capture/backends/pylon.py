@@ -13,8 +13,7 @@ import numpy as np
 
 from mammometry.base.errors import SettingsError
 from mammometry.base.photograph import Photograph
-from mammometry.capture.camera import CameraSettings, Devices, Frame, Health, failed
-from mammometry.capture.registry import BACKENDS, library, missing
+from mammometry.capture.camera import BACKENDS, CameraSettings, Devices, Frame, Health, failed, library, missing
 
 _READY_MS = 1000  # for a camera to wait for its pulse; it takes some ms
 _LIVE_MS = 1000  # for a live picture; slower is of no use for aiming

@@ -23,8 +23,7 @@ from mammometry.base.errors import SettingsError
 from mammometry.base.photograph import Photograph
 from mammometry.calibration.judge.working_volume import middle_world
 from mammometry.calibration.targets.lamps import LAMPS
-from mammometry.capture.camera import CameraSettings, Devices, Frame, Health, failed
-from mammometry.capture.registry import BACKENDS
+from mammometry.capture.camera import BACKENDS, CameraSettings, Devices, Frame, Health, failed
 from mammometry.geometry.camera import Rig
 from mammometry.geometry.transform import Transform
 from mammometry.io.photographs.images import EXTENSIONS, read_photograph

@@ -21,8 +21,8 @@ from django.utils import timezone
 from filelock import FileLock, Timeout
 
 from mammometry.base.errors import MammometryError
-from mammometry.capture.checks import cameras
-from mammometry.capture.checks.found import Found, refuses
+from mammometry.capture import checks
+from mammometry.capture.checks import Found, refuses
 from mammometry.capture.sessions import cameras_of, make_session, manifest_text
 from mammometry.clinic.intake import photographs
 from mammometry.clinic.intake.photographs import (
@@ -38,8 +38,7 @@ from mammometry.clinic.intake.photographs import (
 from mammometry.clinic.jobs import queue
 from mammometry.clinic.models import Calibration, DailyCheck, Job, Person, Rig, Upload, Visit
 from mammometry.clinic.site import the_clinic
-from mammometry.io.durable import sync_folder
-from mammometry.io.write import disk_errors, file_digest
+from mammometry.io.write import disk_errors, file_digest, sync_folder
 
 CHUNK_BYTES = 4 << 20
 """Largest piece: a second on a slow line, and little enough to hold in memory."""
@@ -109,7 +108,7 @@ def begin(target: Target, by: Person | None, file: Announced, *, replace: bool =
         raise UploadError(
             f"The file has {size_bytes / 1e6:.0f} MB. A photograph has 1 byte to {most / 1e6:.0f} MB.", 413
         )
-    named = cameras.camera_of_name(file.name, known)
+    named = checks.camera_of_name(file.name, known)
     place = _place(target, pose, camera or named or "")
     of_pose = pose if isinstance(target, Calibration) else ""
     if sha256:
@@ -121,7 +120,7 @@ def begin(target: Target, by: Person | None, file: Announced, *, replace: bool =
         raise OccupiedError(
             f"{f'Pose {pose}' if of_pose else 'This'} has another photograph of {camera or named} already."
         )
-    checks = [Found(check="name", level="ok", sentence=f"The file is called {named}.").as_table()] if named else []
+    named_by = [Found(check="name", level="ok", sentence=f"The file is called {named}.").as_table()] if named else []
     with transaction.atomic():
         upload = Upload.objects.create(
             **{_field(target): target},
@@ -129,7 +128,7 @@ def begin(target: Target, by: Person | None, file: Announced, *, replace: bool =
             name=place,
             size_bytes=size_bytes,
             sha256=sha256,
-            checks=[{**check, "named": named} for check in checks],
+            checks=[{**check, "named": named} for check in named_by],
             created_by=by,
         )
         if isinstance(target, Visit) and target.state == Visit.State.NEW:
@@ -420,7 +419,7 @@ def _together(target: Target, placed: Sequence[Upload]) -> list[Found]:
     taken = {camera: table["taken_s"] for camera, table in facts.items() if table.get("taken_s") is not None}
     known = known_cameras(target)
     clock_s = {camera: about.clock_s for camera, about in known.items() if about.clock_s is not None}
-    found = [cameras.together(taken, clock_s), *cameras.twice({upload.camera: upload.sha256 for upload in placed})]
+    found = [checks.together(taken, clock_s), *checks.twice({upload.camera: upload.sha256 for upload in placed})]
     if isinstance(target, Visit) and not refuses(found):
         folder = folder_of(target)
         found += photographs.check(

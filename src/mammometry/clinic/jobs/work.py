@@ -20,15 +20,15 @@ import mammometry
 from mammometry.api.job import open_session
 from mammometry.base.errors import SessionError
 from mammometry.base.progress import Progress, StageProgress
-from mammometry.batch.entry import Entry
+from mammometry.batch.record import Entry
 from mammometry.batch.session import measure_entry
 from mammometry.calibration.judge.quality import assess
-from mammometry.capture.checks.cameras import KnownCamera, clocks
+from mammometry.capture.checks import KnownCamera, clocks
 from mammometry.capture.sessions import share_calibration, take_over
 from mammometry.hospital.gather import quantities
 from mammometry.io import drift
-from mammometry.io.photographs.exposure import read_exposure
 from mammometry.io.photographs.images import EXTENSIONS, read_header
+from mammometry.io.photographs.tags import read_exposure
 from mammometry.job.products import Key
 from mammometry.job.stages.calibrate import cameras as cameras_product
 from mammometry.job.stages.measure import boundaries
@@ -97,7 +97,7 @@ def measure_scan(progress: StageProgress, folder: str, settings: str) -> dict[st
     Raises:
         MammometryError: whatever stands in the way, in one sentence.
     """
-    from mammometry.api.scans import open_scan
+    from mammometry.api.mesh import open_scan
 
     progress("prepare", 0.0)
     job = open_scan(Path(folder), Settings.from_toml(settings), watch=lambda key: _watched(key, progress))

@@ -16,7 +16,7 @@ from mammometry.clinic.records.clinical import clinical_of
 from mammometry.clinic.records.confirmations import CHANGED
 from mammometry.clinic.site import the_clinic
 from mammometry.report.scene import json_in_page
-from mammometry.report.words.volume_words import MEANINGS
+from mammometry.report.words.volumes import MEANINGS
 
 if TYPE_CHECKING:
     from mammometry.api.job import Job
@@ -194,7 +194,7 @@ def measured_job(visit: Visit) -> Job | MeshJob:
         MammometryError: its folder cannot be opened.
     """
     from mammometry.api.job import open_session
-    from mammometry.api.scans import open_scan
+    from mammometry.api.mesh import open_scan
 
     if visit.is_changed:
         raise SessionError(

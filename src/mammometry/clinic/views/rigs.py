@@ -129,7 +129,7 @@ def today(request: HttpRequest, rig: UUID) -> HttpResponseBase:
 @json_view("GET")
 def drift(request: HttpRequest, rig: UUID) -> HttpResponseBase:
     """The chart of the rig's checks, PNG."""
-    from mammometry.report.figures.drift import drift as drawn
+    from mammometry.report.figures.calibration import drift as drawn
 
     entries = rig_history.entries(_find(rig))
     if not entries:

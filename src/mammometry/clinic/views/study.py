@@ -137,10 +137,7 @@ _ZIP_EPOCH = (1980, 1, 1, 0, 0, 0)  # the earliest a zip can hold: the same resu
 
 
 def visit_dicom(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
-    """The visit's DICOM objects as a zip.
-
-    ``?deidentify`` makes them for others.
-    """
+    """The visit's DICOM objects as a zip. ``?deidentify`` makes them for others."""
     deidentify = "deidentify" in request.GET
     shown = _measured(visit)
     try:
@@ -175,9 +172,9 @@ def visit_fhir(request: HttpRequest, visit: uuid.UUID, release: str) -> HttpResp
 
 def study_redcap(request: HttpRequest) -> HttpResponse:
     """The study for REDCap: data dictionary and records, by pseudonym."""
-    from mammometry.hospital import redcap
+    from mammometry.hospital import tables
 
-    return _study(request, redcap.tables, "redcap")
+    return _study(request, tables.redcap_tables, "redcap")
 
 
 def study_table(request: HttpRequest) -> HttpResponse:

@@ -15,9 +15,9 @@ from django.utils import timezone
 from PIL import Image
 
 from mammometry.base.errors import SessionError
-from mammometry.capture.checks.found import Found
+from mammometry.capture.checks import Found
 from mammometry.capture.loop import CaptureResult
-from mammometry.capture.page_service import firing_table
+from mammometry.capture.page import firing_table
 from mammometry.capture.shots import last_record, require_replaceable
 from mammometry.clinic import cameras
 from mammometry.clinic.forms import CircumstancesForm, ConclusionForm, VisitForm

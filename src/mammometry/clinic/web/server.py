@@ -1,20 +1,30 @@
-"""The server process: uvicorn in front of the clinic's application."""
+"""The server process, uvicorn in front of the clinic's application, and the runner's process beside it."""
 
 from __future__ import annotations
 
 import asyncio
 import errno
 import ipaddress
+import logging
+import signal
 import socket
-from contextlib import nullcontext
+import subprocess
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 import mammometry
-from mammometry.clinic.config import ClinicConfig, ClinicError, host_and_port
-from mammometry.clinic.jobs.runner import beside
+from mammometry.base.child_process import ChildProcess, NotDone
+from mammometry.base.machine.cores import available_cores
+from mammometry.clinic.config import ClinicConfig, ClinicError, host_and_port, read_config
 from mammometry.clinic.site import application
+
+_AGAIN_S = 5.0  # until a process beside the server that has ended is started again
+_END_S = 15.0  # for a runner to give its jobs back
+_LOG = logging.getLogger(__name__)
 
 
 def closing_silent(seconds: float) -> type[asyncio.Protocol]:
@@ -148,7 +158,7 @@ def serve(config: ClinicConfig, *, jobs: bool = True) -> None:
             raise ClinicError(name, found="no file", expected="a PEM file", remedy="Correct [tls] in clinic.toml")
     require_current(config)
     call_command("clearsessions")  # those that have ended
-    with beside(config) if jobs else nullcontext():
+    with beside(work, config.folder) if jobs else nullcontext():
         uvicorn.run(
             application(config),
             host=host,
@@ -169,6 +179,60 @@ def serve(config: ClinicConfig, *, jobs: bool = True) -> None:
             limit_concurrency=1000,
             ws="none",
         )
+
+
+def work(folder: Path) -> None:
+    """Serve a clinic's queue in this process until a signal ends it."""
+    from mammometry.clinic.site import configure
+
+    config = read_config(folder)
+    configure(config)
+    from mammometry.clinic.deliveries import Deliverer
+    from mammometry.clinic.jobs.runner import Runner
+    from mammometry.clinic.maintenance.backups import DailyBackup
+
+    Deliverer(config).start()
+    DailyBackup(config).start()
+    runner = Runner(config)
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: runner.stop())
+    runner.run()
+
+
+@contextmanager
+def beside(task: Callable[[Path], None], folder: Path, *, again: bool = True) -> Iterator[None]:
+    """Keep a process at work beside the server.
+
+    Args:
+        task: what it runs.
+        folder: the clinic's, its argument.
+        again: start it again when it has ended.
+    """
+    ended = threading.Event()
+    processes: list[subprocess.Popen[bytes]] = []
+
+    def keep() -> None:
+        while not ended.is_set():
+            with ChildProcess(cores=available_cores()) as child, suppress(NotDone):
+                processes[:] = [child.process]
+                child.call(task, folder)
+            if not again:
+                return
+            if not ended.is_set():
+                _LOG.warning("The runner ended and is started again.")
+                ended.wait(_AGAIN_S)
+
+    keeper = threading.Thread(target=keep, daemon=True)
+    keeper.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        for process in processes:
+            process.terminate()  # a runner gives its jobs back
+        keeper.join(_END_S)
+        for process in processes:
+            process.kill()
 
 
 def require_free(address: str) -> None:

@@ -14,9 +14,9 @@ from pydicom import Dataset
 
 from mammometry.base.errors import ArchiveError
 from mammometry.base.progress import Progress, no_progress
+from mammometry.hospital.codes import uid
 from mammometry.hospital.dicom.frame import encoded
 from mammometry.hospital.dicom.store import Sent
-from mammometry.hospital.identifiers import uid
 from mammometry.hospital.peers import AUTHORIZATION, Tls, web_address
 
 _ANSWER_S = 120.0  # wait for an answer, s; chosen for archives that index before they answer

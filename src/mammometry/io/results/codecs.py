@@ -27,8 +27,7 @@ from pathlib import Path
 from typing import Any
 
 from mammometry.base.errors import MammometryError, StorageError
-from mammometry.io.results.formats.arrays import ARRAYS
-from mammometry.io.results.formats.registry import FORMATS, Format
+from mammometry.io.results.arrays import ARRAYS, FORMATS, Format
 
 _DAMAGED = (
     OSError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError, EOFError, RecursionError,

@@ -30,7 +30,6 @@ from typing import Literal, TypeVar, cast
 from mammometry.base.errors import StorageError
 from mammometry.base.machine.cores import available_cores
 from mammometry.base.progress import Progress, no_progress
-from mammometry.io.durable import sync_folder, sync_tree, write_new
 from mammometry.io.lock import RunLock
 from mammometry.io.results.records import (
     READY_RECORD,
@@ -46,7 +45,7 @@ from mammometry.io.results.records import (
     write_records,
 )
 from mammometry.io.results.stamp import stamp_folder
-from mammometry.io.write import disk_errors, file_digest
+from mammometry.io.write import disk_errors, file_digest, sync_folder, sync_tree, write_new
 from mammometry.job.products import Key
 
 T = TypeVar("T")

@@ -10,9 +10,8 @@ from mammometry.base.errors import CalibrationError
 from mammometry.base.photograph import Photograph
 from mammometry.base.progress import Progress, no_progress
 from mammometry.geometry.camera import Rig
-from mammometry.job.inputs import Inputs
+from mammometry.job.inputs import CameraSet, Inputs
 from mammometry.job.products import Context, product, product_of_each
-from mammometry.job.values import CameraSet
 
 if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a plan alone need not wait for.
     from mammometry.calibration.adjust.bundle import Calibration

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 from mammometry.base.errors import MatchingError
 from mammometry.base.machine.cores import available_cores
 from mammometry.base.photograph import Photograph
+from mammometry.job.inputs import CameraSet
 from mammometry.job.products import Context, product, product_of_each
-from mammometry.job.values import CameraSet
 
 if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a plan alone need not wait for.
     from mammometry.calibration.features.keypoints import Keypoints

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 from mammometry.base.errors import MeasureError
 from mammometry.geometry.arrays import Array, Float64
+from mammometry.job.inputs import CameraSet, FinishedSurface, earlier_errors
 from mammometry.job.products import Context, product
-from mammometry.job.values import CameraSet, FinishedSurface, earlier_errors
 
 if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a plan alone need not wait for.
     from mammometry.calibration.adjust.calibrated import Calibration

@@ -13,7 +13,7 @@ import numpy as np
 
 from mammometry.base.csv_cells import csv_text
 from mammometry.report.documents.pages import embed, render
-from mammometry.report.figures.studies.agreement import bland_altman, scatter
+from mammometry.report.figures.observers import bland_altman, scatter
 from mammometry.study.agreement import PairedMeasurements, agreement
 from mammometry.study.agreement_tables import agreement_tables, summary
 from mammometry.study.tables import Table, number

@@ -7,9 +7,8 @@ from dataclasses import dataclass, replace
 
 from mammometry.measure.boundary.confirming import TO_BE_CONFIRMED
 from mammometry.measure.volume.attribution import Attribution, Confirmation, attributed_words
-from mammometry.report.clinical import Clinical
-from mammometry.report.content import BreastReport, ReportContent, sentence
-from mammometry.report.figures.drawing.sides import NAMES
+from mammometry.report.content import BreastReport, Clinical, ReportContent, sentence
+from mammometry.report.figures.drawing.shading import NAMES
 from mammometry.report.first_page import first_page
 
 

@@ -13,10 +13,9 @@ from mammometry.measure.shape.symmetry import Symmetry
 from mammometry.measure.volume.difference import difference
 from mammometry.measure.volume.measurement import VolumeDeficit, VolumeMeasurement
 from mammometry.report.content import Fact, LargeNumber, sentence
-from mammometry.report.figures.drawing.sides import NAMES
-from mammometry.report.words.change_words import verdict_words
+from mammometry.report.figures.drawing.shading import NAMES
 from mammometry.report.words.lengths import length_table, length_words, projections_of, quantities_of
-from mammometry.report.words.volume_words import interval_words, span_words, volume_words
+from mammometry.report.words.volumes import interval_words, span_words, verdict_words, volume_words
 from mammometry.study.tables import Table, signed
 
 

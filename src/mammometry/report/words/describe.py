@@ -22,16 +22,17 @@ from mammometry.measure.boundary.breasts import NoBreast
 from mammometry.measure.volume.attribution import curve_digest
 from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.report.content import BreastReport, Fact, LargeNumber, Meaning, StageReport, sentence
-from mammometry.report.figures.drawing.sides import NAMES
+from mammometry.report.figures.drawing.shading import NAMES
 from mammometry.report.figures.drawing.thinning import ThinnedRange
 from mammometry.report.figures.surface import provenance_shares
-from mammometry.report.words.cautions import own_cautions, skin_shares
-from mammometry.report.words.volume_words import (
+from mammometry.report.words.volumes import (
     MEANINGS,
     definition_words,
     is_coarse,
     meaning_sentences,
     meaning_title,
+    own_cautions,
+    skin_shares,
     span_words,
     term_words,
     volume_words,

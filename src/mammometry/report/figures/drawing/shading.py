@@ -20,6 +20,7 @@ from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.nearest import closest_on_mesh
 from mammometry.geometry.raster_kernels import nearest_faces
 from mammometry.measure.trunk.body import Body, Mounting, camera_up
+from mammometry.measure.volume.measurement import VolumeMeasurement
 
 _LIGHTS = ((0.25, 0.45, 0.86, 0.72), (-0.75, 0.1, 0.65, 0.28), (0.1, -0.8, 0.6, 0.18))
 """Directions towards three lights (right, up, towards the viewer) and their strengths. Ambient light comes on top."""
@@ -335,3 +336,11 @@ def even_curve(points_world: Float64[Array, "n 3"], mesh: TriangleMesh) -> Float
     dense = np.stack([np.interp(wanted, along, loop[:, axis]) for axis in range(3)], axis=1)
     even = gaussian_filter1d(dense, _EVEN_MM * count / max(float(along[-1]), 1e-9), axis=0, mode="wrap")
     return closest_on_mesh(even, mesh).points
+
+
+NAMES: Mapping[str, str] = {"model": "cast", "left": "patient's left breast", "right": "patient's right breast"}
+
+
+def wall_faces(measured: VolumeMeasurement) -> Bool[Array, " m"]:
+    """Faces of the closed solid that belong to its wall."""
+    return np.arange(len(measured.closed.faces)) >= measured.skin_faces
