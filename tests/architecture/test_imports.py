@@ -13,9 +13,9 @@ import pytest
 PACKAGE = "src/mammometry"
 CV2_MAY = (
     "calibration/features/*.py",
-    "calibration/targets/*.py",
     "calibration/targets/*/*.py",
     "calibration/detection/*.py",
+    "calibration/detection/*/*.py",
     "calibration/adjust/initialise.py",
     "matching/rectify.py",
     "io/photographs/images.py",

@@ -46,7 +46,7 @@ from mammometry.job.stages.report import PageInputs, previews_key
 from mammometry.settings import Settings
 
 if TYPE_CHECKING:
-    from mammometry.calibration.adjust.bundle import Calibration
+    from mammometry.calibration.adjust.calibrated import Calibration
     from mammometry.calibration.judge.check import RigCheck
     from mammometry.matching.dense.match import DisparityMap
     from mammometry.measure.volume.measurement import VolumeDeficit, VolumeMeasurement

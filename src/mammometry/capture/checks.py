@@ -33,7 +33,7 @@ class Found:
     """For the one who photographs: what, and what to do."""
 
     def as_table(self) -> dict[str, object]:
-        """As JSON. Level, and ``ok``, which is none where it cannot be told."""
+        """As JSON: level, and ``ok``, which is none where it is unknown."""
         ok = None if self.level == "unknown" else self.level == "ok"
         return {"check": self.check, "ok": ok, "level": self.level, "sentence": self.sentence}
 

@@ -1,4 +1,4 @@
-"""The server process, uvicorn in front of the clinic's application, and the runner's process beside it."""
+"""The server's process, uvicorn in front of the application, and the runner's beside it."""
 
 from __future__ import annotations
 

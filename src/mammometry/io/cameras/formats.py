@@ -11,8 +11,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from mammometry.base.errors import SessionError
-from mammometry.calibration.judge.scale import require_camera_scale
-from mammometry.calibration.judge.sides import require_sides
+from mammometry.calibration.judge.scale import require_camera_scale, require_sides
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.io.cameras.agisoft import read_agisoft
 from mammometry.io.cameras.colmap import colmap_texts, read_colmap

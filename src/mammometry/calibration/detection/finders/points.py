@@ -49,7 +49,7 @@ UNREAD = Cause(
 )
 
 
-def find_points(photograph: Photograph, target: PointsTarget, *, search_width_px: int) -> FoundPoints | Cause:
+def find_points(target: PointsTarget, photograph: Photograph, search_width_px: int) -> FoundPoints | Cause:
     """Find the dots of a surveyed target, or say why not."""
     small, scale = reduced(grey_bytes(photograph), _SEARCH_WIDTHS * search_width_px)
     points = target.points_target

@@ -10,9 +10,8 @@ import numpy as np
 
 from mammometry.base.photograph import Photograph
 from mammometry.calibration.features.board_map import LENS_TOLERANCE, BoardMap, fit_board_map
-from mammometry.calibration.features.dots import measure_dots
+from mammometry.calibration.features.dots import mark_size, measure_dots
 from mammometry.calibration.features.found_points import Cause, FoundPoints
-from mammometry.calibration.features.mark_size import mark_size
 from mammometry.calibration.features.pixels import enlarge, grey_bytes, linear_luma, reduced
 from mammometry.calibration.targets.kinds.circles import CirclesTarget
 from mammometry.geometry.arrays import Array, Float64, UInt8
@@ -29,7 +28,7 @@ _ROUNDS = 2
 """Measurements, each with the map of the one before. Chosen by eye."""
 
 
-def find_circles(photograph: Photograph, target: CirclesTarget, *, search_width_px: int) -> FoundPoints | Cause | None:
+def find_circles(target: CirclesTarget, photograph: Photograph, search_width_px: int) -> FoundPoints | Cause | None:
     """Find the circle centres of a board wholly in the picture.
 
     None if it is not, the cause if the circles have another size.

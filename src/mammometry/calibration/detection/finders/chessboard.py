@@ -23,11 +23,7 @@ _GOES_ON = 0.4
 
 
 def find_chessboard(
-    photograph: Photograph,
-    target: ChessboardTarget,
-    *,
-    search_width_px: int,
-    window_squares: float,
+    target: ChessboardTarget, photograph: Photograph, search_width_px: int
 ) -> FoundPoints | Cause | None:
     """Find the inner corners of a board wholly in the picture.
 
@@ -67,11 +63,10 @@ def find_chessboard(
             square_mm=target.square_mm,
             bright_first=((column + row).ravel() % 2 == 1) == starts_dark,
         ),
-        window_mm=window_squares * target.square_mm,
     )
 
 
-def explain_missed_chessboard(small: UInt8[Array, "h w"], target: ChessboardTarget) -> Cause | None:
+def explain_missed_chessboard(target: ChessboardTarget, small: UInt8[Array, "h w"]) -> Cause | None:
     """Report squares without the whole board in a reduced grey picture."""
     flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_LARGER
     found, *_ = cv2.findChessboardCornersSBWithMeta(small, (3, 3), flags)
