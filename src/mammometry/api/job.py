@@ -252,10 +252,10 @@ class Job(Reported):
         """Pages in results/ for others or of two dates → whether current."""
         folder = self.session.results
         here = {self.page_digest(deidentify=deidentify) for deidentify in (False, True)}
-        found = sorted([*folder.glob("*/report.html"), *folder.glob("compare/*/compare.html")])
+        paths = sorted([*folder.glob("*/report.html"), *folder.glob("compare/*/compare.html")])
         return {
             page.relative_to(folder).as_posix(): "current" if here & _keys_in(page) else "stale"
-            for page in found
+            for page in paths
             if page != self.page
         }
 
@@ -372,5 +372,5 @@ def open_session(path: Path | str, settings: Settings | None = None, *, watch: W
 def _keys_in(page: Path) -> set[str]:
     """Digests in a page's head. None if an earlier version made it."""
     with page.open(encoding="utf-8", errors="replace") as file:
-        found = _PAGE_KEY.search(file.read(_HEAD))
-    return set(found[1].split(",")) if found else set()
+        match = _PAGE_KEY.search(file.read(_HEAD))
+    return set(match[1].split(",")) if match else set()

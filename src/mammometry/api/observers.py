@@ -169,9 +169,9 @@ def measure_drawings(
         def part(fraction: float, done: int = done, count: int = len(own)) -> None:
             progress((done + count * fraction) / len(drawn))
 
-        surface, found = _on_one(mesh, own, units, (head, ahead), settings or MeasureSettings(), part)
+        surface, alike = _on_one(mesh, own, units, (head, ahead), settings or MeasureSettings(), part)
         surfaces.append(surface)
-        drawings += found
+        drawings += alike
         done += len(own)
     return MeasuredDrawings(surfaces=tuple(surfaces), drawings=tuple(drawings))
 
@@ -200,7 +200,7 @@ def _on_one(
     scan = scanned.finer_scan(scan, [one for curves in files for one in curves.values()])
     surface, fine = scanned.as_scanned(scan.mesh, scan.invented), scan.mesh
     frame = _frame(surface, files, axes)
-    found = []
+    drawings = []
     for number, (drawing, curves) in enumerate(zip(drawn, files, strict=True)):
         for name, one in curves.items():
             check_curve(f"{name} of {shown_name(drawing.boundary)}", one, fine)
@@ -210,7 +210,7 @@ def _on_one(
             side = breast.boundary.name
             wall = chest_wall.fit(breast)
             axes_world = np.stack([frame[0] if side == "left" else -frame[0], frame[1], frame[2]])
-            found.append(
+            drawings.append(
                 Drawing(
                     breast=f"{shown_name(path.with_suffix(''))}, {side}",
                     observer=drawing.observer,
@@ -223,7 +223,7 @@ def _on_one(
         progress((number + 1) / len(drawn))
     flat = [(drawing.observer, one) for drawing, curves in zip(drawn, files, strict=True) for one in curves.values()]
     name = shown_name(path.with_suffix(""))
-    return DrawnSurface(name=name, mesh=foreign.mesh, frame=frame, curves=tuple(flat)), found
+    return DrawnSurface(name=name, mesh=foreign.mesh, frame=frame, curves=tuple(flat)), drawings
 
 
 def _frame(

@@ -88,10 +88,10 @@ class Results:
             },
             "no_breast": dict(self.no_breast),
             "notes": list(self.notes),
-            "lacking_cc": {name: round(found.volume_cc, 3) for name, found in self.lacking.items()},
+            "lacking_cc": {name: round(deficit.volume_cc, 3) for name, deficit in self.lacking.items()},
             "lacking_interval_cc": {
-                name: None if found.interval_cc is None else [round(bound, 3) for bound in found.interval_cc]
-                for name, found in self.lacking.items()
+                name: None if deficit.interval_cc is None else [round(bound, 3) for bound in deficit.interval_cc]
+                for name, deficit in self.lacking.items()
             },
             "watertight": self.watertight,
             "seconds": round(self.seconds, 3),

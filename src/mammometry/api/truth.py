@@ -64,24 +64,24 @@ def evaluate_session(
     require_free(folder, FILES, command="evaluate")
     truth = read_truth(truth_folder, job.inputs.pair_names)
     results = current_results(job)
-    found = evaluate(results, truth, progress=part(progress, 0.0, 0.95))
-    tables = evaluation_tables(found)
+    differences = evaluate(results, truth, progress=part(progress, 0.0, 0.95))
+    tables = evaluation_tables(differences)
     files: dict[str, bytes] = {
-        "evaluation.json": (json.dumps(found.as_table(), indent=1, ensure_ascii=False) + "\n").encode(),
+        "evaluation.json": (json.dumps(differences.as_table(), indent=1, ensure_ascii=False) + "\n").encode(),
         "evaluation.md": "\n".join(table.as_markdown() for table in tables).encode(),
     }
-    if found.error_map is not None:
+    if differences.error_map is not None:
         from mammometry.report.figures.surface import error_map
 
         mesh = list(results.surfaces.values())[-1]
         body = job.plan.current(measure.body)
         left = None if body is None else body.left
-        files["error-map.png"] = error_map(results.rig, mesh, found.error_map, patient_left_world=left)
+        files["error-map.png"] = error_map(results.rig, mesh, differences.error_map, patient_left_world=left)
     subject = job.identity.subject
     files = {name: stamped(name, data, subject) for name, data in files.items()}
     write_outputs(folder, files, command="evaluate")
     progress(1.0)
-    return found, folder
+    return differences, folder
 
 
 def current_results(job: Job) -> SessionResults:
@@ -170,15 +170,15 @@ def measure_phantoms(
         model: (out / model, SessionRecipe(subject=model, scale=scale, seed=seed), text, out / models[0])
         for model in models
     }
-    found: dict[str, Any] = {}
+    results: dict[str, Any] = {}
     for some in (models[:1], models[1:]):
-        found |= map_tasks(measure_model, {model: arguments[model] for model in some})
+        results |= map_tasks(measure_model, {model: arguments[model] for model in some})
     return tuple(
         PhantomResult(
             name=model,
-            true_cc=found[model]["true_cc"],
-            measured_cc=found[model]["measured_cc"],
-            interval_cc=None if found[model]["interval_cc"] is None else tuple(found[model]["interval_cc"]),
+            true_cc=results[model]["true_cc"],
+            measured_cc=results[model]["measured_cc"],
+            interval_cc=None if results[model]["interval_cc"] is None else tuple(results[model]["interval_cc"]),
         )
         for model in models
     )
@@ -240,13 +240,15 @@ def _take(out: Path, wanted: dict[str, float]) -> None:
     record = out / _RECORD
     if record.is_file():
         try:
-            found = {str(name): float(value) for name, value in json.loads(record.read_text(encoding="utf-8")).items()}
+            volumes = {
+                str(name): float(value) for name, value in json.loads(record.read_text(encoding="utf-8")).items()
+            }
         except (ValueError, TypeError, AttributeError, OverflowError, RecursionError):
-            found = {}
-        if found != wanted:
+            volumes = {}
+        if volumes != wanted:
             raise SessionError(
                 str(out),
-                found=f"a study with {_worded(found)}" if found else f"a {_RECORD} of something else",
+                found=f"a study with {_worded(volumes)}" if volumes else f"a {_RECORD} of something else",
                 expected=_worded(wanted),
                 remedy="Go on with those, or choose another folder",
             )

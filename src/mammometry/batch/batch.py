@@ -155,15 +155,15 @@ def _line(entry: Entry, event: Ended) -> Line:
             **about,  # type: ignore[arg-type]
         )
     try:
-        found = storage.record_of(entry) if entry.remote else _record_at(Path(entry.address))
+        record = storage.record_of(entry) if entry.remote else _record_at(Path(entry.address))
     except MammometryError as error:
         return Line(entry=entry, state="failed", failed=str(error), kind="StorageError", exit_code=error.exit_code)
-    if found is None or found.digest != event.value["digest"]:
+    if record is None or record.digest != event.value["digest"]:
         refusal = (
             "Its results are not those that were measured: somebody changed them, or this machine sees other storage."
         )
         return Line(entry=entry, state="failed", failed=refusal, kind="StorageError", exit_code=9)
-    return Line(entry=entry, state="measured", row=found.row, **about)  # type: ignore[arg-type]
+    return Line(entry=entry, state="measured", row=record.row, **about)  # type: ignore[arg-type]
 
 
 def _record_at(session: Path) -> record.Record | None:

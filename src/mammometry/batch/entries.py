@@ -36,10 +36,10 @@ def find_entries(wanted: Sequence[str], results: str | None = None) -> tuple[Ent
         SessionError: there is no session where one is asked for, or the same one twice with other settings.
         TableError: a table is not as said.
     """
-    found: dict[str, Entry] = {}
+    entries: dict[str, Entry] = {}
     for text in wanted:
         for entry in _entries(text):
-            before = found.setdefault(entry.address, entry)
+            before = entries.setdefault(entry.address, entry)
             if before.assignments != entry.assignments:
                 raise SessionError(
                     entry.address,
@@ -48,10 +48,10 @@ def find_entries(wanted: Sequence[str], results: str | None = None) -> tuple[Ent
                     remedy="Remove one of the two lines, or copy the session",
                 )
     if results is None:
-        return tuple(found.values())
+        return tuple(entries.values())
     base = results.rstrip("/") if is_address(results) else str(Path(results).resolve())
     named: dict[str, str] = {}
-    for entry in found.values():
+    for entry in entries.values():
         if (other := named.setdefault(entry.name, entry.address)) != entry.address:
             raise SessionError(
                 entry.address,
@@ -66,7 +66,7 @@ def find_entries(wanted: Sequence[str], results: str | None = None) -> tuple[Ent
             reference_cc=entry.reference_cc,
             results=f"{base}/{entry.name}",
         )
-        for entry in found.values()
+        for entry in entries.values()
     )
 
 

@@ -122,8 +122,8 @@ def _row_of(job: Job, peak_mb: float | None) -> Row:
         subject=job.identity.subject,
         date=job.identity.date or None,
         measured=tuple(
-            Measured(name=name, volume_cc=found.volume_cc, interval_cc=found.interval_cc)  # type: ignore[arg-type]
-            for name, found in job.measure().items()
+            Measured(name=name, volume_cc=measured.volume_cc, interval_cc=measured.interval_cc)  # type: ignore[arg-type]
+            for name, measured in job.measure().items()
         ),
         no_breast=job.no_breast(),
         warnings=tuple(warnings),

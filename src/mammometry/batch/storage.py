@@ -36,15 +36,15 @@ def sessions_at(address: str) -> list[str]:
         if system.isfile(f"{root}/{MANIFEST}"):
             return [address.rstrip("/")]
         below = sorted(folder.rstrip("/") for folder in system.ls(root, detail=False)) if system.isdir(root) else []
-        found = [folder for folder in below if system.isfile(f"{folder}/{MANIFEST}")]
-    if not found:
+        sessions = [folder for folder in below if system.isfile(f"{folder}/{MANIFEST}")]
+    if not sessions:
         raise SessionError(
             address,
             found="no session",
             expected=f"a folder with a {MANIFEST}, or of such folders",
             remedy="Check the address",
         )
-    return [f"{address.rstrip('/')}/{folder.rpartition('/')[2]}" for folder in found]
+    return [f"{address.rstrip('/')}/{folder.rpartition('/')[2]}" for folder in sessions]
 
 
 def fetch(entry: Entry, folder: Path) -> dict[str, Stat]:
@@ -156,9 +156,9 @@ def stats(entry: Entry) -> dict[str, Stat]:
     with _answers(entry.address):
         system, root = _opened(entry.address)
         system.invalidate_cache()
-        found: Mapping[str, Mapping[str, Any]] = system.find(root, detail=True)
+        files: Mapping[str, Mapping[str, Any]] = system.find(root, detail=True)
     remote = {}
-    for path, about in found.items():
+    for path, about in files.items():
         name = path[len(root) :].lstrip("/")
         first = name.partition("/")[0]
         if first in (_RESULTS, POINTER) or first.startswith((f"{_RESULTS}-", ".")) or "/." in name:

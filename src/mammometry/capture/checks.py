@@ -38,9 +38,9 @@ class Found:
         return {"check": self.check, "ok": ok, "level": self.level, "sentence": self.sentence}
 
 
-def refuses(found: Iterable[Found]) -> bool:
+def refuses(findings: Iterable[Found]) -> bool:
     """Whether one of them says that the photograph cannot be used."""
-    return any(finding.level == "refuse" for finding in found)
+    return any(finding.level == "refuse" for finding in findings)
 
 
 _LOOKED_AT = 1 << 16  # bytes at either end: an archive's directory lies within 65,557 of the end (ZIP, APPNOTE 4.3.16)
@@ -176,8 +176,8 @@ def _blur(pixels: Array, where: Bool[Array, "h w"], step: int, side_px: int) -> 
     cut, largest = pixels[part[0], part[1]], np.iinfo(pixels.dtype).max
     channels = cut.shape[2]  # added one by one: NumPy's mean over three values is slow
     crop: Float32[Array, "h w"] = sum(cut[..., k].astype(np.float32) for k in range(channels)) / (channels * largest)
-    found = float(blur_effect(crop))  # type: ignore[no-untyped-call]
-    return found if np.isfinite(found) else 1.0  # nothing but one value
+    blur = float(blur_effect(crop))  # type: ignore[no-untyped-call]
+    return blur if np.isfinite(blur) else 1.0  # nothing but one value
 
 
 def judge(seen: Seen, subject_kind: str) -> list[Found]:
@@ -288,15 +288,15 @@ def clocks(taken: Mapping[tuple[str, str], float]) -> dict[str, float]:
 def camera_of_name(name: str, cameras: Sequence[str]) -> str | None:
     """The one camera that a file's name names as a whole word. None if none or several do."""
     stem = re.sub(r"\.[A-Za-z]+$", "", name).lower()
-    found = [camera for camera in cameras if re.search(rf"(?<![a-z0-9]){re.escape(camera.lower())}(?![a-z0-9])", stem)]
-    longest = [camera for camera in found if not any(camera != other and camera in other for other in found)]
+    named = [camera for camera in cameras if re.search(rf"(?<![a-z0-9]){re.escape(camera.lower())}(?![a-z0-9])", stem)]
+    longest = [camera for camera in named if not any(camera != other and camera in other for other in named)]
     return longest[0] if len(longest) == 1 else None
 
 
 def camera_of_serial(serial: str, known: Mapping[str, KnownCamera]) -> str | None:
     """The one camera that has this serial number."""
-    found = [camera for camera, about in known.items() if serial and about.serial == serial]
-    return found[0] if len(found) == 1 else None
+    matching = [camera for camera, about in known.items() if serial and about.serial == serial]
+    return matching[0] if len(matching) == 1 else None
 
 
 def right_camera(camera: str, exposure: Exposure, named: str | None, known: Mapping[str, KnownCamera]) -> Found:
@@ -384,13 +384,13 @@ def twice(digests: Mapping[str, str]) -> list[Found]:
         digests: camera → SHA-256 of its file.
     """
     first: dict[str, str] = {}
-    found = []
+    findings = []
     for camera, digest in digests.items():
         other = first.setdefault(digest, camera)
         if other != camera:
             sentence = f"{other} and {camera} are the same photograph. Send each camera's own."
-            found.append(Found(check="twice", level="refuse", sentence=sentence))
-    return found
+            findings.append(Found(check="twice", level="refuse", sentence=sentence))
+    return findings
 
 
 def _duration(seconds: float) -> str:

@@ -158,7 +158,7 @@ def _places(calibration: Calibration, rng: np.random.Generator) -> list[Transfor
     grid, middle = volume.grid_world, volume.middle_world
     reach = _REACH * 0.5 * float(np.ptp(grid[..., 0]))
     axes = _pair_axes(rig)
-    found = []
+    places = []
     for _ in range(_CANDIDATES):
         facing = rng.dirichlet(np.ones(len(axes))) @ axes + rng.normal(0.0, _TILT_STD, 3)
         z = -facing / np.linalg.norm(facing)  # into the board
@@ -168,8 +168,8 @@ def _places(calibration: Calibration, rng: np.random.Generator) -> list[Transfor
         x = np.cos(turn) * a + np.sin(turn) * np.cross(z, a)
         rotation = np.stack([x, np.cross(z, x), z], axis=1)
         at = middle + rng.uniform() * rng.uniform(-reach, reach, 3)  # near the middle more often: more is seen there
-        found.append(Transform(rotation=rotation, translation_mm=at - rotation @ target.body.middle_mm))
-    return found
+        places.append(Transform(rotation=rotation, translation_mm=at - rotation @ target.body.middle_mm))
+    return places
 
 
 def _pair_axes(rig: Rig) -> Float64[Array, "p 3"]:

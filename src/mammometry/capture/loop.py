@@ -212,9 +212,9 @@ class OpenRig:
             return detect_in(photograph, target, camera=camera, pose="", search_width_px=_SEARCH_PX)
 
         with ThreadPoolExecutor(available_cores()) as pool:
-            found = dict(zip(taken.frames, pool.map(detected, taken.frames), strict=True))
+            points = dict(zip(taken.frames, pool.map(detected, taken.frames), strict=True))
         swapped = check_board_names(
-            known, {name: detection for name, detection in found.items() if detection is not None}
+            known, {name: detection for name, detection in points.items() if detection is not None}
         )
         if swapped is not None:
             raise CaptureError(

@@ -104,8 +104,10 @@ def firing_table(fired: CaptureResult, then: str) -> dict[str, Any]:
 
 
 def _guidance(posed: PoseResult) -> dict[str, Any]:
-    found = posed.suggestion
-    outlines = {} if found is None else {name: outline.round(4).tolist() for name, outline in found.outlines.items()}
+    suggestion = posed.suggestion
+    outlines = (
+        {} if suggestion is None else {name: outline.round(4).tolist() for name, outline in suggestion.outlines.items()}
+    )
     return {"next": posed.sentence, "outlines": outlines}
 
 

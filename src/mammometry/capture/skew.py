@@ -130,11 +130,11 @@ def read_moment(
     Raises:
         CaptureError: board or lamps are not in the picture, or too bright.
     """
-    found = detect_in(photograph, board, camera=camera, pose="lamps")
-    if found is None:
+    points = detect_in(photograph, board, camera=camera, pose="lamps")
+    if points is None:
         raise _unread(camera, "no board", "Show the board with the lamps to all cameras, the lamps down")
     places = strip.places_mm(board)
-    image_from_board = _homography(board.points_target[found.ids, :2], found.uv)
+    image_from_board = _homography(board.points_target[points.ids, :2], points.uv)
     half_mm = 0.5 * _WITHIN * min(strip.pitch_mm, 2 * (strip.below_mm - strip.lamp_mm))
     light = photograph.linear()
     grey = light @ LUMA if light.ndim == 3 else light
@@ -268,8 +268,8 @@ def _normalised(points: Float64[Array, "n 2"]) -> tuple[Float64[Array, "3 3"], F
 
 def _mapped(matrix: Float64[Array, "3 3"], xy: Float64[Array, "n 2"]) -> Float64[Array, "n 2"]:
     mapped = np.column_stack([xy, np.ones(len(xy))]) @ matrix.T
-    found: Float64[Array, "n 2"] = mapped[:, :2] / mapped[:, 2:]
-    return found
+    points: Float64[Array, "n 2"] = mapped[:, :2] / mapped[:, 2:]
+    return points
 
 
 def _unread(camera: str, found: str, remedy: str) -> CaptureError:

@@ -243,9 +243,9 @@ def export(options: JsonOptions, folder: Folder, patient: Who, to: Target = None
     config = opened(folder)
     from mammometry.clinic.maintenance.patient import export_patient, find_patient
 
-    found = find_patient(patient)
-    target = to or Path(f"{found.pseudonym}.zip")
-    number = export_patient(config, found, target)
+    found_patient = find_patient(patient)
+    target = to or Path(f"{found_patient.pseudonym}.zip")
+    number = export_patient(config, found_patient, target)
     return Answer({"export": str(target), "files": number}, [f"{target}: {number} files. It holds the name."])
 
 
@@ -265,17 +265,17 @@ def erase(
     from mammometry.clinic.maintenance.patient import erase_bin, erase_patient, find_patient
     from mammometry.clinic.models import Visit
 
-    found = find_patient(patient)
-    name = found.pseudonym
+    found_patient = find_patient(patient)
+    name = found_patient.pseudonym
     if not yes:
-        visits = Visit.everything.filter(patient=found)
+        visits = Visit.everything.filter(patient=found_patient)
         words = (
             f"the {visits.exclude(binned_at=None).count()} visits of {name} in the bin"
             if binned
             else f"{name} with {visits.count()} visits"
         )
         typer.confirm(f"Erase {words}? It cannot be undone.", abort=True, err=True)
-    number = erase_bin(found) if binned else erase_patient(config, found)
+    number = erase_bin(found_patient) if binned else erase_patient(config, found_patient)
     older = sorted(path.name for path in config.backups.glob("*.tar"))
     lines = [f"{number} visits of {name} are erased." if binned else f"{name} is erased, with {number} visits."]
     lines += [f"Still in the backups: {', '.join(older)}"] if older else []

@@ -302,6 +302,6 @@ def _from_worklist(peer: Any, patient: Patient, order: Order, own_title: str, tl
 
     if not (order.accession or patient.id):
         raise typer.BadParameter("--worklist needs --accession or --patient-id, to know which entry is meant")
-    found = entries(peer, accession=order.accession, patient_id=patient.id, own_title=own_title, tls=tls)
-    entry = only_entry(found, peer, " and ".join(filter(None, (order.accession, patient.id))))
+    answer = entries(peer, accession=order.accession, patient_id=patient.id, own_title=own_title, tls=tls)
+    entry = only_entry(answer, peer, " and ".join(filter(None, (order.accession, patient.id))))
     return entry.patient, entry.order

@@ -281,9 +281,9 @@ def _pose(session: Path, rig: Path, backend: str | None, silent: bool) -> Answer
         lines.append(posed.progress.sentence)
         table |= {"error_mm": posed.progress.error_mm, "good_enough": posed.progress.good_enough}
     if posed.suggestion is not None:
-        found = posed.suggestion
-        table["expected_mm"] = found.then_mm
-        table["outlines_px"] = {name: outline.round(1).tolist() for name, outline in found.outlines_px.items()}
+        suggestion = posed.suggestion
+        table["expected_mm"] = suggestion.then_mm
+        table["outlines_px"] = {name: outline.round(1).tolist() for name, outline in suggestion.outlines_px.items()}
     lines.append(f"Next: {posed.sentence}")
     return Answer(table, lines)
 

@@ -199,8 +199,8 @@ def _drawn_words(plan: Plan, inputs: Inputs) -> dict[str, str]:
     from mammometry.job.stages.measure import boundaries
     from mammometry.measure.volume.attribution import confirmed_words, curve_digest
 
-    found = (plan.current(boundaries) if inputs.attributions else None) or ()
-    curves = {boundary.name: boundary.points_world for boundary in found} | dict(inputs.boundaries)
+    outlines = (plan.current(boundaries) if inputs.attributions else None) or ()
+    curves = {boundary.name: boundary.points_world for boundary in outlines} | dict(inputs.boundaries)
     words = {}
     for name, attribution in inputs.attributions.items():
         how = attribution.origin or ("given" if name in inputs.boundaries else "automatic")

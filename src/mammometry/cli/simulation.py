@@ -64,9 +64,9 @@ def scan_demo(folder: Path, options: Options) -> Answer:
     table |= {"scan": str(folder), "true_volumes_cc": {name: round(value, 3) for name, value in truth.items()}}
     lines: list[Any] = []
     for name, true_cc in truth.items():
-        found = results.volumes_cc.get(name)
-        result = "not measured" if found is None else f"measured {found:.0f} cc"
-        off = "" if found is None else f" ({100 * (found / true_cc - 1):+.0f} %)"
+        measured_cc = results.volumes_cc.get(name)
+        result = "not measured" if measured_cc is None else f"measured {measured_cc:.0f} cc"
+        off = "" if measured_cc is None else f" ({100 * (measured_cc / true_cc - 1):+.0f} %)"
         lines.append(f"{name}: {result}, true {true_cc:.0f} cc{off}")
     return Answer(table, [*lines, *volume_lines(results)])
 
@@ -291,9 +291,9 @@ def target(
     if session is not None:
         # Drawn as designed: what was measured belongs to an earlier print.
         measured = ("edge_mm", "edge_std_mm", "flatness_mm")
-        found = Session.open(session)
-        require_apart(out, found.brought)
-        described = found.manifest.target or {}
+        opened_session = Session.open(session)
+        require_apart(out, opened_session.brought)
+        described = opened_session.manifest.target or {}
         table = {key: value for key, value in described.items() if key not in measured}
     write_output(out, target_pdf(target_from_table(table), page=page), command="target")
     lines = [f"{name} = {json_module.dumps(value)}" for name, value in table.items()]

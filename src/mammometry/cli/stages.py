@@ -251,10 +251,10 @@ def volume_lines(results: Results) -> list[Any]:
             lines.append(f"    {MEANINGS[defined.meaning]}: {definition_words(defined)}")
     for name, why in results.no_breast.items():
         lines.append(f"{name}: no breast measured. {why}.")
-    for name, found in results.lacking.items():
+    for name, deficit in results.lacking.items():
         lines.append(
-            f"    {name} lacks {volume_words(found.volume_cc, found.interval_cc)} to the other side, mirrored "
-            f"{interval_words(found.interval_cc)}"
+            f"    {name} lacks {volume_words(deficit.volume_cc, deficit.interval_cc)} to the other side, mirrored "
+            f"{interval_words(deficit.interval_cc)}"
         )
     lines += [f"note: {note}" for note in results.notes]
     if not lines:

@@ -58,7 +58,7 @@ def compare(
     with Bars(options.silent) as bars:
         watches = tuple(bars.watch_as(number) for number in (1, 2))
         with bars.task("compare", "") as progress:
-            found = compare_sessions(
+            comparison = compare_sessions(
                 before,
                 after,
                 chosen,
@@ -67,16 +67,21 @@ def compare(
                 watches=(watches[0], watches[1]),
                 progress=progress,
             )
-    table = {"before": str(found.before), "after": str(found.after), "page": str(found.page), **found.table}
-    return Answer(table, _lines(found))
+    table = {
+        "before": str(comparison.before),
+        "after": str(comparison.after),
+        "page": str(comparison.page),
+        **comparison.table,
+    }
+    return Answer(table, _lines(comparison))
 
 
-def _lines(found: Comparison) -> list[Any]:
-    lines: list[Any] = [f"Warning: {warning}" for warning in found.warnings]
-    lines += [breast["verdict"] for breast in found.table["breasts"].values()]
-    fit = found.change.fit
+def _lines(comparison: Comparison) -> list[Any]:
+    lines: list[Any] = [f"Warning: {warning}" for warning in comparison.warnings]
+    lines += [breast["verdict"] for breast in comparison.table["breasts"].values()]
+    fit = comparison.change.fit
     lines.append(f"80 % of the trunk fits within {fit.within_mm:.1f} mm. The lean differs by {fit.turned_deg:.0f}°.")
-    return [*lines, *found.remarks, f"Page: {found.page}"]
+    return [*lines, *comparison.remarks, f"Page: {comparison.page}"]
 
 
 _IN_WORDS = ("meaning", "remark")
@@ -101,10 +106,10 @@ def evaluate(
 
     job = open_session(session, options.settings())
     with Bars(options.silent) as bars, bars.task("evaluate", "results against truth") as progress:
-        found, folder = evaluate_session(job, truth, progress=progress)
-    table = {"session": str(session), "evaluation": str(folder), **found.as_table()}
-    lines: list[Any] = [part for shown in evaluation_tables(found) for part in (*table_lines(shown), "")]
-    return Answer(table, [*lines, f"World and truth were aligned by {found.frame}.", f"Evaluation: {folder}"])
+        differences, folder = evaluate_session(job, truth, progress=progress)
+    table = {"session": str(session), "evaluation": str(folder), **differences.as_table()}
+    lines: list[Any] = [part for shown in evaluation_tables(differences) for part in (*table_lines(shown), "")]
+    return Answer(table, [*lines, f"World and truth were aligned by {differences.frame}.", f"Evaluation: {folder}"])
 
 
 def table_lines(table: Table) -> list[Any]:
@@ -171,14 +176,14 @@ def agreement(
         data = read_pairs(table, reference=reference, measured=measured)
         stated = () if published is None else read_published(published)
         title = shown_name(table.with_suffix(""))
-    found = agree(data)
+    study_figures = agree(data)
     try:
-        checked = check_published(found, stated)
+        checked = check_published(study_figures, stated)
     except ValueError as error:
         raise typer.BadParameter(f"--published: {error}") from None
     with Bars(options.silent) as bars, bars.task("agreement", "figures"):
-        write_outputs(out, agreement_files(title, data, found, checked), command="study agreement")
-    return _answer(out, data, found, checked)
+        write_outputs(out, agreement_files(title, data, study_figures, checked), command="study agreement")
+    return _answer(out, data, study_figures, checked)
 
 
 @command(
@@ -236,17 +241,17 @@ def observers(
                 drawn, units=units, head=head, ahead=ahead, settings=chosen.measure, progress=progress
             )
         try:
-            found = observer_study(measured.drawings)
+            study = observer_study(measured.drawings)
         except ValueError as error:
             raise typer.BadParameter(f"CURVES: {error}") from None
         title = f"{shown_name(curves.with_suffix(''))}: {len(measured.drawings)} curves"
         with bars.task("observers", "figures"):
-            files = observers_files(title, measured.surfaces, measured.drawings, found)
+            files = observers_files(title, measured.surfaces, measured.drawings, study)
             write_outputs(out, files, command="study observers")
     page = out / "report.html"
-    lines: list[Any] = [*observers_summary(found), ""]
-    lines += [part for table in observers_tables(found, measured.drawings) for part in (*table_lines(table), "")]
-    return Answer({"report": str(page), **observers_json(found, measured.drawings)}, [*lines, f"Report: {page}"])
+    lines: list[Any] = [*observers_summary(study), ""]
+    lines += [part for table in observers_tables(study, measured.drawings) for part in (*table_lines(table), "")]
+    return Answer({"report": str(page), **observers_json(study, measured.drawings)}, [*lines, f"Report: {page}"])
 
 
 @command(app, "mammometry study phantoms OUT", "mammometry study phantoms OUT --scale 0.5 --seed 3 --json")
@@ -275,17 +280,17 @@ def phantoms(
     with Bars(options.silent) as bars, _tasks_side_by_side(bars, len(MODELS), scale) as map_tasks:
         results = measure_phantoms(out, scale=scale, seed=seed, settings=chosen, map_tasks=map_tasks)
     data = paired(results)
-    found = agree(data)
+    figures = agree(data)
     intervals = interval_table(results)
     remark = (
         "These are virtual models, photographed by our own renderer. A real rig is harder: boards bend, cameras move, "
         "and there is stray light. The sessions give the rim radius of the models as 0 mm. The paper measured nine "
         "plaster models: 11.12 ± 23.23 cc, slope 0.078."
     )
-    written = agreement_files("Nine virtual plaster models", data, found, more=(intervals,), remarks=(remark,))
+    written = agreement_files("Nine virtual plaster models", data, figures, more=(intervals,), remarks=(remark,))
     written |= {"table.csv": as_csv(results).encode()}
     write_outputs(out / "report", written, command="study phantoms")
-    return _answer(out / "report", data, found, (), intervals)
+    return _answer(out / "report", data, figures, (), intervals)
 
 
 @contextmanager
@@ -333,14 +338,14 @@ def interval_table(results: Sequence[PhantomResult]) -> Table:
 def _answer(
     folder: Path,
     data: PairedMeasurements,
-    found: Agreement,
+    figures: Agreement,
     checked: Sequence[CheckedFigure],
     *more: Table,
 ) -> Answer:
     from mammometry.study.agreement_tables import agreement_json, agreement_tables, summary
 
-    tables = (*agreement_tables(data, found, checked), *more)
-    lines: list[Any] = [*summary(data, found), ""]
+    tables = (*agreement_tables(data, figures, checked), *more)
+    lines: list[Any] = [*summary(data, figures), ""]
     lines += [part for table in tables for part in (*table_lines(table), "")]
     page = folder / "report.html"
-    return Answer({"report": str(page), **agreement_json(data, found, checked)}, [*lines, f"Report: {page}"])
+    return Answer({"report": str(page), **agreement_json(data, figures, checked)}, [*lines, f"Report: {page}"])

@@ -183,12 +183,12 @@ def study_of(config: ClinicConfig, visit: Visit, *, deidentify: bool = False) ->
 
 def order_of(visit: Visit) -> Order:
     """What was ordered. Empty where the visit did not come from a worklist."""
-    found = VisitOrder.objects.filter(visit=visit).first()
-    if found is None:
+    order = VisitOrder.objects.filter(visit=visit).first()
+    if order is None:
         return Order()
     return Order(
-        accession=found.accession, study_uid=found.study_uid, referring=found.referring,
-        procedure_id=found.procedure_id, procedure=found.procedure,
+        accession=order.accession, study_uid=order.study_uid, referring=order.referring,
+        procedure_id=order.procedure_id, procedure=order.procedure,
     )  # fmt: skip
 
 

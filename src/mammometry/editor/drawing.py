@@ -85,12 +85,12 @@ class DrawingBoard:
             automatic: boundaries that were found automatically. A curve equal to one of them is measured as automatic.
             wanted: breasts whose volume is wanted; None: all of them.
         """
-        found = {name: boundary for name, boundary in (automatic or {}).items() if name in curves_world}
+        kept = {name: boundary for name, boundary in (automatic or {}).items() if name in curves_world}
         drawn: dict[str, Boundary] = {}
         problems: dict[str, str] = {}
         for name, curve in curves_world.items():
-            if name in found and np.array_equal(found[name].points_world, curve):
-                drawn[name] = found[name]
+            if name in kept and np.array_equal(kept[name].points_world, curve):
+                drawn[name] = kept[name]
                 continue
             try:
                 drawn[name] = given_boundary(_breast(name), curve, self.surface, rim_sigma_mm=DRAWN_RIM_SIGMA_MM)

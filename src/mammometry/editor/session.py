@@ -276,7 +276,7 @@ class Desk:
                 with one_blas_thread():
                     sides = plan.value(measure.sides)
                     boundaries = plan[measure.boundaries]() if sides is None else sides.boundaries
-                found: dict[str, Boundary] = {
+                automatic: dict[str, Boundary] = {
                     boundary.name: boundary for boundary in boundaries if boundary.name not in given
                 }
                 self._remark = ""
@@ -285,8 +285,8 @@ class Desk:
                 return {}
             except MammometryError as error:
                 self._remark = f"No automatic boundary: {error}"
-                found = {}
-            self._automatic = found
+                automatic = {}
+            self._automatic = automatic
         return self._automatic
 
     def _boundary_state(

@@ -155,8 +155,8 @@ def text_fault(text: str, representation: Representation) -> tuple[str, str] | N
         text: of one field. Empty text is allowed, but for an application's title.
         representation: of that field.
     """
-    found = _fault(text, representation)
-    return None if found is None else (found, _ALLOWED[representation])
+    fault = _fault(text, representation)
+    return None if fault is None else (fault, _ALLOWED[representation])
 
 
 def require_text(

@@ -31,15 +31,15 @@ class Peer:
         Raises:
             SettingsError: it is written otherwise.
         """
-        found = _PEER.match(text)
-        if found is None or text_fault(found["title"], "AE") is not None or not 0 < int(found["port"]) < 65536:
+        match = _PEER.match(text)
+        if match is None or text_fault(match["title"], "AE") is not None or not 0 < int(match["port"]) < 65536:
             raise SettingsError(
                 text or "the archive's address",
                 found="no AE title, host and port",
                 expected="AE@host:port, such as PACS@10.0.0.5:104",
                 remedy="Ask the archive's administrator for them",
             )
-        return cls(title=found["title"].strip(), host=found["host"].strip("[]"), port=int(found["port"]))
+        return cls(title=match["title"].strip(), host=match["host"].strip("[]"), port=int(match["port"]))
 
     def __str__(self) -> str:
         return f"{self.title}@{self.host}:{self.port}"

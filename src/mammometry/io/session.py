@@ -274,38 +274,38 @@ class Session:
 
     def _images(self, folder: Path) -> dict[str, Path]:
         """Stem → image file, by name. Other files are ignored."""
-        found: dict[str, Path] = {}
+        files: dict[str, Path] = {}
         for path in sorted(folder.iterdir()) if folder.is_dir() else ():
             if path.suffix.lower() not in EXTENSIONS or path.name.startswith(".") or not path.is_file():
                 continue
-            if path.stem in found:
+            if path.stem in files:
                 raise SessionError(
                     self._name(path),
-                    found=f"a second photograph beside {found[path.stem].name}",
+                    found=f"a second photograph beside {files[path.stem].name}",
                     expected="one a camera",
                     remedy="Remove one of them",
                 )
-            found[path.stem] = path
-        return found
+            files[path.stem] = path
+        return files
 
     def _capture_files(self) -> dict[str, Path]:
-        found = self._images(self.path / "capture")
+        files = self._images(self.path / "capture")
         for camera in self.cameras:
-            if camera not in found:
+            if camera not in files:
                 raise SessionError(
                     f"capture/{camera}",
-                    found="no photograph" + (f" (but {', '.join(found)})" if found else ", the folder is empty"),
+                    found="no photograph" + (f" (but {', '.join(files)})" if files else ", the folder is empty"),
                     expected="one of every camera that a pair names",
-                    remedy=_perhaps(camera, [name for name in found if name not in self.cameras])
+                    remedy=_perhaps(camera, [name for name in files if name not in self.cameras])
                     or "Add the photograph, or take the pair out of session.toml",
                 )
-        others = [name for name in found if name not in self.cameras]
-        return {name: found[name] for name in (*self.cameras, *others)}
+        others = [name for name in files if name not in self.cameras]
+        return {name: files[name] for name in (*self.cameras, *others)}
 
     def _all_capture_files(self) -> dict[str, Path]:
         """Capture files of the pairs' cameras, present or missing."""
-        found = self._images(self.path / "capture")
-        return {camera: found.get(camera, self.path / "capture" / camera) for camera in (*self.cameras, *found)}
+        files = self._images(self.path / "capture")
+        return {camera: files.get(camera, self.path / "capture" / camera) for camera in (*self.cameras, *files)}
 
     def _calibration_files(self) -> dict[tuple[str, str], Path]:
         folder = self.path / "calibration"
@@ -324,11 +324,11 @@ class Session:
     def _intrinsics_files(self) -> dict[str, dict[tuple[str, str], Path]]:
         if self.manifest.intrinsics is None:
             return {}
-        found = {
+        files = {
             camera: {(shot, camera): path for shot, path in self._images(self.path / "intrinsics" / camera).items()}
             for camera in self.cameras
         }
-        for camera, shots in found.items():
+        for camera, shots in files.items():
             if not shots:
                 raise SessionError(
                     f"intrinsics/{camera}",
@@ -336,11 +336,11 @@ class Session:
                     expected="photographs of the [intrinsics] target by every camera",
                     remedy="Add them, or take [intrinsics] out of session.toml",
                 )
-        return found
+        return files
 
     def _mask_files(self, capture: Mapping[str, Path]) -> dict[str, Path]:
-        found = self._images(self.path / "masks")
-        for camera, path in found.items():
+        files = self._images(self.path / "masks")
+        for camera, path in files.items():
             if camera not in capture:
                 raise SessionError(
                     self._name(path),
@@ -348,7 +348,7 @@ class Session:
                     expected=f"one of {', '.join(capture)}",
                     remedy=_perhaps(camera, list(capture)) or "Rename or remove it",
                 )
-        return found
+        return files
 
     def _ready_cameras(self) -> dict[str, Camera] | None:
         path = self.path / "cameras.json"
@@ -407,11 +407,11 @@ class Session:
 
     def _checked_mask(self, camera: str, path: Path, photograph: Path) -> Array:
         width, height = self._header(photograph).size_wh
-        found = self._header(path).size_wh
-        if found != (width, height):
+        size_wh = self._header(path).size_wh
+        if size_wh != (width, height):
             raise ImageError(
                 self._name(path),
-                found=f"{found[0]} × {found[1]} pixels",
+                found=f"{size_wh[0]} × {size_wh[1]} pixels",
                 expected=f"{width} × {height} pixels, as the photograph of camera {camera}",
                 remedy="Export the mask at the photograph's size",
             )

@@ -109,11 +109,13 @@ def _json(path: Path) -> Any:
 def _volumes(facts: Mapping[str, Any]) -> dict[str, float]:
     """Breast → true volume, cc, with the truth's primary wall."""
     if "breasts" in facts:
-        found = {
+        volumes = {
             name.removeprefix(_PATIENT): float(breast["volume_cc"][breast["primary"]])
             for name, breast in facts["breasts"].items()
         }
-        return found if "model" in found else {"left": 0.0, "right": 0.0} | found  # a side that is not named has none
+        return (
+            volumes if "model" in volumes else {"left": 0.0, "right": 0.0} | volumes
+        )  # a side that is not named has none
     if "volumes_cc" in facts:
         return {name: float(value) for name, value in facts["volumes_cc"].items()}
     return {"model": float(facts["volume_cc"])}
@@ -121,8 +123,8 @@ def _volumes(facts: Mapping[str, Any]) -> dict[str, float]:
 
 def _boundaries(folder: Path) -> dict[str, Float64[Array, "n 3"]]:
     """Breast → closed curve, of boundary_base.xyz, boundary_patient_left.xyz and boundary_patient_right.xyz."""
-    found = {}
+    boundaries = {}
     for path in sorted(folder.glob("boundary_*.xyz")):
         name = path.stem.removeprefix("boundary_").removeprefix(_PATIENT)
-        found["model" if name == "base" else name] = numbers(np.loadtxt(path, dtype=np.float64, ndmin=2), -1, 3)
-    return found
+        boundaries["model" if name == "base" else name] = numbers(np.loadtxt(path, dtype=np.float64, ndmin=2), -1, 3)
+    return boundaries

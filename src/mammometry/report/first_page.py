@@ -139,9 +139,9 @@ def _cautions(measured: Sequence[BreastReport]) -> tuple[str, ...]:
 
 def _pictures(content: ReportContent) -> tuple[Picture, ...]:
     drawn = content.pictures.get("measure", {})
-    found = tuple(drawn[name] for name in FIRST_PICTURES if name in drawn)
+    pictures = tuple(drawn[name] for name in FIRST_PICTURES if name in drawn)
     surface = content.pictures.get("surface", {})
-    return found or tuple(surface[name] for name in (_WITHOUT_A_BREAST,) if name in surface)
+    return pictures or tuple(surface[name] for name in (_WITHOUT_A_BREAST,) if name in surface)
 
 
 def _joined(*words: str | None, between: str = " · ") -> str:

@@ -11,7 +11,7 @@ import numpy as np
 from mammometry.base.identity import NAMELESS
 from mammometry.base.progress import Progress, no_progress
 from mammometry.base.sizes import subject_extent
-from mammometry.calibration.adjust.bundle import Calibration
+from mammometry.calibration.adjust.calibrated import Calibration
 from mammometry.calibration.judge.quality import CalibrationQuality, assess
 from mammometry.job.graph import Plan
 from mammometry.job.inputs import Inputs

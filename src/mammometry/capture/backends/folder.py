@@ -117,7 +117,7 @@ class WatchedFolder:
 
     def _all(self) -> list[_File]:
         """Whole files whose camera is known."""
-        found = []
+        files = []
         for path in self._files():
             try:
                 stamp = _stamp(path)
@@ -126,10 +126,10 @@ class WatchedFolder:
                 key = (path, stamp[1])
                 if key not in self._read:
                     self._read[key] = self._about(path)
-                found.append(self._read[key])
+                files.append(self._read[key])
             except OSError:
                 continue  # it was removed meanwhile
-        return [name for name in found if name is not None]
+        return [name for name in files if name is not None]
 
     def _about(self, path: Path) -> _File | None:
         exposure = read_exposure(path)

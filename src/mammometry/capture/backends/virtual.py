@@ -213,13 +213,13 @@ class VirtualRig:
         if scene == "lamps":
             return {}
         folder = self._folder / ("capture" if scene == "capture" else f"calibration/{scene}")
-        found = {p.stem: p for p in sorted(folder.iterdir()) if p.suffix in EXTENSIONS} if folder.is_dir() else {}
-        if scene == "capture" and (missing := [name for name in self._cameras if name not in found]):
+        files = {p.stem: p for p in sorted(folder.iterdir()) if p.suffix in EXTENSIONS} if folder.is_dir() else {}
+        if scene == "capture" and (missing := [name for name in self._cameras if name not in files]):
             raise SettingsError(
                 str(folder), found="no photograph by " + ", ".join(missing), expected="one of every camera of the rig",
                 remedy="Name a session of this rig in [capture.options] session, or its own rig",
             )  # fmt: skip
-        return {name: found[name] for name in self._cameras if name in found}
+        return {name: files[name] for name in self._cameras if name in files}
 
     def _rendered(self, options: Mapping[str, Any]) -> Path:
         recipe = SessionRecipe(**{name: options[name] for name in _RECIPE if name in options})

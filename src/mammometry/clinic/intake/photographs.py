@@ -105,15 +105,15 @@ def _checked(calibration: str, photographs: tuple[tuple[str, str, Path], ...]) -
         return ()
     names = check_names(rig, seen)
     wrong = wrong_photographs(names, rig.pair_names)
-    found = [
+    findings = [
         Found(check="names", level="refuse", sentence=f"{mismatch.listed}: {mismatch.found}. {mismatch.remedy}.")
         for mismatch in wrong
     ]
-    if names.unknown and not found:
+    if names.unknown and not findings:
         pairs = ", ".join(names.unknown)
         sentence = f"Too little texture to tell whether the photographs of pair {pairs} belong to their cameras."
-        found.append(Found(check="names", level="unknown", sentence=sentence))
-    return tuple(found)
+        findings.append(Found(check="names", level="unknown", sentence=sentence))
+    return tuple(findings)
 
 
 @lru_cache(maxsize=8)
@@ -156,18 +156,18 @@ def look(upload: Upload, target: Target) -> tuple[list[Found], dict[str, Any]]:
     if not upload.camera:
         upload.camera = checks.camera_of_serial(exposure.serial, known) or ""
     megapixels = header.stored_wh[0] * header.stored_wh[1] / 1e6
-    found = [Found(check="format", level="ok", sentence=f"A photograph of {megapixels:.1f} megapixels.")]
+    findings = [Found(check="format", level="ok", sentence=f"A photograph of {megapixels:.1f} megapixels.")]
     if upload.camera:
-        found.append(checks.right_camera(upload.camera, exposure, named, known))
-        found.append(checks.right_size(upload.camera, header.stored_wh, header.orientation, known))
+        findings.append(checks.right_camera(upload.camera, exposure, named, known))
+        findings.append(checks.right_size(upload.camera, header.stored_wh, header.orientation, known))
     else:
         sentence = "Neither the file's name nor its EXIF says which camera took it. Choose the camera."
-        found.append(Found(check="camera", level="unknown", sentence=sentence))
+        findings.append(Found(check="camera", level="unknown", sentence=sentence))
     if isinstance(target, Visit):
-        found += checks.judge(checks.look(photograph), target.subject_kind)
+        findings += checks.judge(checks.look(photograph), target.subject_kind)
         note(upload.sha256, photograph)
     write_thumbnail(photograph, thumbnail_path(upload))
-    return found, {"serial": exposure.serial, "taken_s": exposure.taken_s, "named": named}
+    return findings, {"serial": exposure.serial, "taken_s": exposure.taken_s, "named": named}
 
 
 def known_cameras(target: Target) -> dict[str, KnownCamera]:

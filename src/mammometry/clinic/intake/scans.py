@@ -109,10 +109,10 @@ def _new(folder: Path, name: str) -> Path:
 
 
 def _meshes(folder: Path) -> list[Path]:
-    found = [path for path in sorted(folder.iterdir()) if path.suffix.lower() in SUFFIXES]
-    if len(found) != 1:
-        raise UploadError(f"There are {len(found)} meshes. Choose one ({KINDS}) and its files.", 400)
-    return found
+    meshes = [path for path in sorted(folder.iterdir()) if path.suffix.lower() in SUFFIXES]
+    if len(meshes) != 1:
+        raise UploadError(f"There are {len(meshes)} meshes. Choose one ({KINDS}) and its files.", 400)
+    return meshes
 
 
 def _check_pictures(folder: Path) -> None:

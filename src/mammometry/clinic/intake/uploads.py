@@ -249,9 +249,9 @@ def bring_back(upload: Upload) -> None:
 
 def target_of(upload: Upload) -> Target:
     """What an upload is for."""
-    found = upload.visit or upload.calibration or upload.check_of_day
-    assert found is not None
-    return found
+    target = upload.visit or upload.calibration or upload.check_of_day
+    assert target is not None
+    return target
 
 
 def rig_of(target: Target) -> Rig:
@@ -358,15 +358,15 @@ def _judge_and_place(upload: Upload) -> None:
     target = target_of(upload)
     with _DECODED_AT_ONCE:
         by_serial = not upload.camera
-        found, seen = look(upload, target)
-    if refuses(found):
-        _refuse(upload, found)
+        findings, seen = look(upload, target)
+    if refuses(findings):
+        _refuse(upload, findings)
         return
     if by_serial and upload.camera and _has_photograph(target, _pose(upload), upload.camera):
         sentence = f"By its serial number {upload.camera} took it, which has another photograph. Choose the camera."
-        found.append(Found(check="camera", level="warn", sentence=sentence))
+        findings.append(Found(check="camera", level="warn", sentence=sentence))
         upload.camera = ""
-    upload.checks = [{**finding.as_table(), **seen} for finding in found]
+    upload.checks = [{**finding.as_table(), **seen} for finding in findings]
     upload.state = Upload.State.PLACED if upload.camera else Upload.State.CHECKED
     if not upload.camera:
         upload.save()
@@ -419,17 +419,17 @@ def _together(target: Target, placed: Sequence[Upload]) -> list[Found]:
     taken = {camera: table["taken_s"] for camera, table in facts.items() if table.get("taken_s") is not None}
     known = known_cameras(target)
     clock_s = {camera: about.clock_s for camera, about in known.items() if about.clock_s is not None}
-    found = [checks.together(taken, clock_s), *checks.twice({upload.camera: upload.sha256 for upload in placed})]
-    if isinstance(target, Visit) and not refuses(found):
+    findings = [checks.together(taken, clock_s), *checks.twice({upload.camera: upload.sha256 for upload in placed})]
+    if isinstance(target, Visit) and not refuses(findings):
         folder = folder_of(target)
-        found += photographs.check(
+        findings += photographs.check(
             target, tuple((upload.camera, upload.sha256, folder / upload.name) for upload in placed)
         )
-    return found
+    return findings
 
 
-def _refuse(upload: Upload, found: Sequence[Found]) -> None:
-    upload.checks = [finding.as_table() for finding in found]
+def _refuse(upload: Upload, findings: Sequence[Found]) -> None:
+    upload.checks = [finding.as_table() for finding in findings]
     upload.state = Upload.State.REFUSED
     upload.path.unlink(missing_ok=True)
     upload.save()

@@ -56,9 +56,9 @@ def stage_words(stage: str) -> str:
 
 def target_of(job: Job) -> Target:
     """What a job is about."""
-    found = job.visit or job.calibration or job.check_of_day or job.comparison
-    assert found is not None
-    return found
+    target = job.visit or job.calibration or job.check_of_day or job.comparison
+    assert target is not None
+    return target
 
 
 def enqueue(target: Target, by: Person | None) -> Job:
@@ -269,8 +269,8 @@ def _compare_after(job: Job) -> None:
 def unwanted(owner: str) -> list[str]:
     """Keys of a runner's jobs that were cancelled just now."""
     since = timezone.now() - datetime.timedelta(seconds=_STOPPED_S)
-    found = Job.objects.filter(lease_owner=owner, state=Job.State.CANCELLED, ended__gt=since)
-    return [str(key) for key in found.values_list("pk", flat=True)]
+    cancelled = Job.objects.filter(lease_owner=owner, state=Job.State.CANCELLED, ended__gt=since)
+    return [str(key) for key in cancelled.values_list("pk", flat=True)]
 
 
 def new_owner(names: Iterable[str] = ()) -> str:

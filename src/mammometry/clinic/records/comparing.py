@@ -118,8 +118,8 @@ def verdicts(visit: Visit) -> tuple[str, ...]:
     pair = next((pair for pair in neighbours(visit) if pair[1] == visit), None)
     if pair is None:
         return ()
-    found = verdict(*pair)
-    return (*found.sentences, *found.cautions)
+    change = verdict(*pair)
+    return (*change.sentences, *change.cautions)
 
 
 def _sentences(comparison: Comparison) -> tuple[str, ...]:

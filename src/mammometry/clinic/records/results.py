@@ -61,12 +61,12 @@ class VisitResult:
 
 def latest(visits: Iterable[Visit]) -> list[VisitResult]:
     """Newest measurement of each visit, in the order of the visits. Visits without one are left out."""
-    found = []
+    results = []
     for visit in visits:
         measurement = next(iter(visit.measurements.all()), None)  # the newest first
         if measurement is not None:
-            found.append(visit_result(visit, measurement))
-    return found
+            results.append(visit_result(visit, measurement))
+    return results
 
 
 def add_volumes(measurement: Measurement, volumes: Iterable[Volume]) -> None:

@@ -249,14 +249,14 @@ def _carried_out(
 
 
 def _search(request: HttpRequest, context: dict[str, Any], question: str, *, leave_out: Patient) -> HttpResponse:
-    found = search_context(request, choosing=True, leave_out=leave_out)
+    search = search_context(request, choosing=True, leave_out=leave_out)
     page = "clinic/patients_rows.html" if is_part(request) else "clinic/correction.html"
-    return render(request, page, {**context, **found, "question": question})
+    return render(request, page, {**context, **search, "question": question})
 
 
 def _visit(key: uuid.UUID) -> Visit:
-    found: Visit = get_object_or_404(Visit.objects.select_related("patient", "rig"), pk=key)
-    return found
+    row: Visit = get_object_or_404(Visit.objects.select_related("patient", "rig"), pk=key)
+    return row
 
 
 def _of_visit(visit: Visit) -> dict[str, Any]:

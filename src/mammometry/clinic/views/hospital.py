@@ -181,13 +181,13 @@ def worklist(request: HttpRequest) -> HttpResponse:
     lines = []
     for source in _sources():
         try:
-            found = _asked(source, day=timezone.localdate())
+            answer = _asked(source, day=timezone.localdate())
         except MammometryError as error:
             messages.error(request, str(error))
             continue
-        for refusal in found.refused:
+        for refusal in answer.refused:
             messages.error(request, str(refusal))
-        lines += [Line(source, entry, ", ".join(_names(entry))) for entry in found.entries]
+        lines += [Line(source, entry, ", ".join(_names(entry))) for entry in answer.entries]
     context = {"lines": lines, "sources": _sources(), "rigs": Rig.objects.filter(active=True)}
     return render(request, "clinic/worklist.html", context)
 
@@ -200,18 +200,18 @@ def _begun(request: HttpRequest) -> HttpResponse:
     if not number:
         raise Http404
     try:
-        found = [
+        begun = [
             entry
             for entry in _asked(source, accession=accession, patient_id=number).entries
             if (entry.order.accession, entry.patient.id) == (accession, number)
         ]
-        if len(found) != 1:
-            messages.error(request, f"The worklist has {len(found)} such entries now. Choose again.")
+        if len(begun) != 1:
+            messages.error(request, f"The worklist has {len(begun)} such entries now. Choose again.")
             return redirect("worklist")
     except MammometryError as error:
         messages.error(request, str(error))
         return redirect("worklist")
-    (entry,) = found
+    (entry,) = begun
     patient = _patient(entry)
     alike = duplicates(patient)
     if alike.same_number is not None:

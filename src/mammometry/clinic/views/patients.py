@@ -96,16 +96,16 @@ def patient(request: HttpRequest, patient: uuid.UUID) -> HttpResponse:
     person = get_object_or_404(Patient, pk=patient)
     visits = list(person.visits.select_related("rig").prefetch_related("measurements__volumes"))
     operations = list(person.operations.select_related("entered_by"))
-    found = results.latest(visits)
-    by_visit = {result.visit.id: result for result in found}
+    shown_results = results.latest(visits)
+    by_visit = {result.visit.id: result for result in shown_results}
     context = {
         "patient": person,
         "visits": [(visit, by_visit.get(visit.id), phase_of(visit, operations)) for visit in visits],
         "measured": comparing.comparable(visits)[::-1],
-        "readings": results.readings(found),
+        "readings": results.readings(shown_results),
         "events": events(operations),
         "operations": [(operation, ", ".join(operation_details(operation))) for operation in operations],
-        "retentions": retentions(operations, found),
+        "retentions": retentions(operations, shown_results),
         "consents": person.consents.select_related("entered_by"),
         "lacking": [purpose for purpose in Consent.Purpose if not holds(person, purpose)],
     }

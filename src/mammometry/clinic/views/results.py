@@ -121,10 +121,10 @@ def report_pdf(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
 
 def scene(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
     """The surface for the 3D view."""
-    found = scene_of(_visit(visit))
-    if found is None:
+    content = scene_of(_visit(visit))
+    if content is None:
         raise Http404
-    return HttpResponse(found, content_type="application/json")
+    return HttpResponse(content, content_type="application/json")
 
 
 def draw(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
@@ -267,8 +267,8 @@ def _measured(visit: uuid.UUID) -> Visit:
 
 
 def _visit(visit: uuid.UUID) -> Visit:
-    found: Visit = get_object_or_404(Visit.objects.select_related("patient", "rig"), pk=visit)
-    return found
+    row: Visit = get_object_or_404(Visit.objects.select_related("patient", "rig"), pk=visit)
+    return row
 
 
 Pair = tuple[Upload | None, Upload | None]

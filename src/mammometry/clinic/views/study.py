@@ -57,10 +57,10 @@ def study(request: HttpRequest) -> HttpResponse:
     everything = pooled(visits)
     within_days = _whole(request.GET.get("within", ""), 1, 365)
     pairs = everything.repeated(within_days)
-    found = None
+    figures = None
     if len({name for name, *_ in pairs}) >= LEAST_SUBJECTS:
         names, first, second = zip(*pairs, strict=True)
-        found = agreement(
+        figures = agreement(
             PairedMeasurements(
                 names=names, reference=np.array(first), measured=np.array(second),
                 reference_name="first", measured_name="second", unit="cc",
@@ -77,7 +77,7 @@ def study(request: HttpRequest) -> HttpResponse:
         "refused": len(everything.day) - len(volumes_cc),
         "median_cc": float(np.median(volumes_cc)) if len(volumes_cc) else None,
         "quartiles_cc": tuple(map(float, np.quantile(volumes_cc, [0.25, 0.75]))) if len(volumes_cc) else None,
-        "agreement": found,
+        "agreement": figures,
         "pairs": len(pairs),
         "least": LEAST_SUBJECTS,
         "within": within_days,

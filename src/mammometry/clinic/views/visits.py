@@ -191,7 +191,7 @@ def take_in(visit: Visit, fired: CaptureResult, by: Person | None) -> None:
 
 
 def _checks(fired: CaptureResult, camera: str, about: dict[str, Any]) -> list[dict[str, Any]]:
-    own = [finding for who, finding in fired.verdict.found if who == camera]
+    own = [finding for who, finding in fired.verdict.findings if who == camera]
     fact = Found(check="camera", level="ok", sentence="Taken by the rig, from this page.")
     # Times are the verdict's matter, whose clocks are better than EXIF's.
     shared = {"serial": about["serial"], "taken_s": None, "named": None}

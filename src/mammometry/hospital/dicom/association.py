@@ -47,20 +47,20 @@ def associated(
             ae.add_requested_context(sop_class)
         else:
             ae.add_requested_context(sop_class, list(syntaxes))
-    found = ae.associate(
+    association = ae.associate(
         peer.host,
         peer.port,
         ae_title=peer.title,
         tls_args=None if tls is None else (tls.context(), peer.host),
         evt_handlers=list(handlers),
     )
-    if not found.is_established:
-        raise _refused(peer, found, own_title, encrypted=tls is not None)
+    if not association.is_established:
+        raise _refused(peer, association, own_title, encrypted=tls is not None)
     try:
-        yield found
+        yield association
     finally:
-        if found.is_established:
-            found.release()
+        if association.is_established:
+            association.release()
 
 
 def accepts(association: Any, sop_class: str) -> bool:

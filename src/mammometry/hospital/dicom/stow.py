@@ -71,8 +71,8 @@ def _there(base: str, study: str, context: ssl.SSLContext | None) -> set[str]:
     if not answer.strip():
         return set()
     try:
-        found = json.loads(answer)
-        return {str(instance["00080018"]["Value"][0]) for instance in found}
+        listed = json.loads(answer)
+        return {str(instance["00080018"]["Value"][0]) for instance in listed}
     except (ValueError, KeyError, TypeError, IndexError):
         raise ArchiveError(
             base,
@@ -123,8 +123,8 @@ def _listed(answer: bytes, made: Dataset) -> bool:
 def _items(answer: bytes, sequence: str) -> list[dict[str, Any]]:
     """Items of a sequence of an answer. Empty for an answer that is no DICOM JSON."""
     try:
-        found = json.loads(answer)[sequence].get("Value") or []
-        return [instance for instance in found if isinstance(instance, dict)]
+        items = json.loads(answer)[sequence].get("Value") or []
+        return [instance for instance in items if isinstance(instance, dict)]
     except (ValueError, AttributeError, TypeError, KeyError):
         return []
 

@@ -67,9 +67,10 @@ def read_agisoft(path: Path, known: Collection[str]) -> dict[str, Camera]:
 
 
 def _lens(subject: str, sensor: ElementTree.Element) -> dict[str, Any]:
-    found = sensor.findall("calibration")
+    calibrations = sensor.findall("calibration")
     calibration = next(
-        (element for element in found if element.get("class") == "adjusted"), found[0] if found else None
+        (element for element in calibrations if element.get("class") == "adjusted"),
+        calibrations[0] if calibrations else None,
     )
     if calibration is None:
         raise unfit(subject, "no calibration of its sensor", "<calibration> with f, cx and cy")

@@ -42,12 +42,12 @@ def import_cameras(paths: Sequence[Path], pair_names: Mapping[str, tuple[str, st
     """
     cameras: dict[str, Camera] = {}
 
-    def add(file: str, found: Mapping[str, Camera]) -> None:
-        for name in found:
+    def add(file: str, by_name: Mapping[str, Camera]) -> None:
+        for name in by_name:
             if name in cameras:
                 raise unfit(file, f"a second camera called {name}", "every camera once")
-        require_plausible(file, found)
-        cameras.update(found)
+        require_plausible(file, by_name)
+        cameras.update(by_name)
 
     known = [name for pair in pair_names.values() for name in pair]
     texts = {path.name: path for path in paths if path.suffix == ".txt"}

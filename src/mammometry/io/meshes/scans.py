@@ -273,18 +273,18 @@ def _libraries(mesh: Path, lines: tuple[str, ...]) -> list[Path]:
 def _materials(path: Path) -> dict[str, str]:
     """Material → its picture's file name. Empty for a plain colour."""
     content = read_bytes(path, path.name, "a material file", most_mib=_MOST_MTL_MIB)
-    found: dict[str, str] = {}
+    pictures: dict[str, str] = {}
     current = ""
     for line in re.split("\r\n|\r|\n", content.decode("utf-8-sig", "surrogateescape")):
         word, _, rest = line.strip().replace("\t", " ").partition(" ")
         if word == "newmtl":
             current = rest.strip()
-            found.setdefault(current, "")
-        elif word.lower() == "map_kd" and current in found:
-            found[current] = _picture(rest)
-    if not found:
+            pictures.setdefault(current, "")
+        elif word.lower() == "map_kd" and current in pictures:
+            pictures[current] = _picture(rest)
+    if not pictures:
         raise _refused(path, "no materials", "a material file (MTL)", "Export the scan again as OBJ with its texture")
-    return found
+    return pictures
 
 
 def _picture(rest: str) -> str:

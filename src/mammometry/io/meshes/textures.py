@@ -65,15 +65,15 @@ class CoveredObj:
         Args:
             pictures: material → its picture, sRGB.
         """
-        found = np.full((len(self.points), 3), _GREY, dtype=np.uint8)
+        rgb = np.full((len(self.points), 3), _GREY, dtype=np.uint8)
         for number, name in enumerate(self.materials):
             picture = pictures.get(name)
             mine = np.flatnonzero((self.material == number) & np.isfinite(self.uv).all(axis=1))
             if picture is None or not len(mine):
                 continue
-            found[mine] = _pixels(picture, self.uv[mine])
+            rgb[mine] = _pixels(picture, self.uv[mine])
         finite = np.isfinite(self.points).all(axis=1)
-        return self.points[finite], found[finite]
+        return self.points[finite], rgb[finite]
 
 
 def _pixels(picture: UInt8[Array, "h w 3"], uv: Float64[Array, "n 2"]) -> UInt8[Array, "n 3"]:

@@ -139,8 +139,8 @@ def write_arrays(path: Path, value: Any) -> None:
         write("tree", np.frombuffer(tree, dtype=np.uint8))
         for name, array in arrays.items():
             array = np.asanyarray(array)
-            if (found := packed(array)) is not None:
-                array, laid_out[name] = found
+            if (tight := packed(array)) is not None:
+                array, laid_out[name] = tight
             write(name, array)
         if laid_out:
             write("packed", np.frombuffer(json.dumps(laid_out).encode(), dtype=np.uint8))

@@ -259,10 +259,10 @@ class Store:
         return state == "current"
 
     def _is_as_written(self, results: Path, stage: str, name: str, written: FileRecord) -> bool:
-        found = file_of(results, stage, name)
-        if found is None or found.st_size != written.bytes:
+        file = file_of(results, stage, name)
+        if file is None or file.st_size != written.bytes:
             return False
-        path, identity = results / stage / name, _identity(found)
+        path, identity = results / stage / name, _identity(file)
         if self._digests.get(path, (None, ""))[0] != identity:
             with disk_errors(path):
                 self._digests[path] = identity, file_digest(path)
@@ -389,8 +389,8 @@ class Reader:
         return self._store.recall(key, refuse)
 
 
-def _identity(found: os.stat_result) -> _Identity:
-    return found.st_size, found.st_mtime_ns, found.st_ino, found.st_ctime_ns
+def _identity(status: os.stat_result) -> _Identity:
+    return status.st_size, status.st_mtime_ns, status.st_ino, status.st_ctime_ns
 
 
 def _names(records: dict[str, Record]) -> set[str]:

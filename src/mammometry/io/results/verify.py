@@ -83,11 +83,11 @@ def verify(results: Path) -> Findings:
             for name in invalid or ([RECORDS] if set(present) - moving[stage] and not records else [])
         ]
     for stage, product, name, written in files:
-        found = _damage(results, stage, name, written)
-        if found is None:
+        damage = _damage(results, stage, name, written)
+        if damage is None:
             whole += written.bytes
         else:
-            damaged.append(Damage(stage=stage, product=product, file=f"{stage}/{name}", found=found))
+            damaged.append(Damage(stage=stage, product=product, file=f"{stage}/{name}", found=damage))
     return Findings(
         products=sum(len(records) for records, _ in read.values()),
         files=len(files),
@@ -115,11 +115,11 @@ def _no_record(stage: str, name: str) -> Damage:
 
 
 def _damage(results: Path, stage: str, name: str, written: FileRecord) -> str | None:
-    found = file_of(results, stage, name)
-    if found is None:
+    path = file_of(results, stage, name)
+    if path is None:
         return "no such file"
-    if found.st_size != written.bytes:
-        return f"{found.st_size} bytes where {written.bytes} were written"
+    if path.st_size != written.bytes:
+        return f"{path.st_size} bytes where {written.bytes} were written"
     try:
         digest = file_digest(results / stage / name)
     except OSError as error:

@@ -79,13 +79,13 @@ def batch_files(title: str, lines: Sequence[BatchLine]) -> dict[str, bytes]:
 
 def _page(title: str, lines: Sequence[BatchLine]) -> str:
     paired = _paired(lines)
-    found = None if paired is None else agreement(paired)
+    figures = None if paired is None else agreement(paired)
     pictures: list[object] = []
     tables: list[Table] = []
     paragraphs: list[str] = []
-    if paired is not None and found is not None:
-        pictures = [embed(bland_altman(paired, found)), embed(scatter(paired))]
-        tables, paragraphs = [*agreement_tables(paired, found)], [*summary(paired, found)]
+    if paired is not None and figures is not None:
+        pictures = [embed(bland_altman(paired, figures)), embed(scatter(paired))]
+        tables, paragraphs = [*agreement_tables(paired, figures)], [*summary(paired, figures)]
     return render(
         "batch.html.j2",
         title=title,

@@ -242,18 +242,18 @@ def length_tables(lengths: Sequence[LengthChange]) -> tuple[Table, ...]:
 
 def definitions(change: Change) -> tuple[Fact, ...]:
     """The boundaries, the chest wall and the interval that were compared."""
-    found = []
+    rows = []
     for breast in change.breasts:
         name = NAMES[breast.name]
-        found += [
+        rows += [
             Fact(label=f"Boundary before, {name}", value=sentence(breast.before.boundary_method)),
             Fact(label=f"Boundary after, {name}", value=sentence(breast.after.boundary_method)),
         ]
     first = change.breasts[0]
     wall = f"{first.after.wall_kind.capitalize()}: {sentence(first.after.wall_definition, capital=False)}"
-    found.append(Fact(label="Chest wall", value=wall))
-    found.append(Fact(label="95 % interval", value=sentence(first.volume.note)))
-    return tuple(found)
+    rows.append(Fact(label="Chest wall", value=wall))
+    rows.append(Fact(label="95 % interval", value=sentence(first.volume.note)))
+    return tuple(rows)
 
 
 def _story(

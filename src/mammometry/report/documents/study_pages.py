@@ -19,7 +19,7 @@ FILES = ("report.html", "agreement.json", "bland-altman.png", "scatter.png")
 def agreement_files(
     title: str,
     data: PairedMeasurements,
-    found: Agreement,
+    figures: Agreement,
     checked: Sequence[CheckedFigure] = (),
     *,
     more: Sequence[Table] = (),
@@ -30,23 +30,23 @@ def agreement_files(
     Args:
         title: of the page.
         data: the measurements.
-        found: what they come to.
+        figures: what they come to.
         checked: published figures beside the recomputed ones.
         more: further tables.
         remarks: sentences for the end.
     """
-    pictures = {"bland-altman.png": bland_altman(data, found), "scatter.png": scatter(data)}
+    pictures = {"bland-altman.png": bland_altman(data, figures), "scatter.png": scatter(data)}
     page = render(
         "agreement.html.j2",
         kind="agreement study",
         title=title,
         subtitle=f"{data.measured_name} against {data.reference_name}",
-        summary=summary(data, found),
+        summary=summary(data, figures),
         pictures=[embed(png) for png in pictures.values()],
-        tables=[*agreement_tables(data, found, checked), *more],
+        tables=[*agreement_tables(data, figures, checked), *more],
         remarks=[*remarks, *(check.published.note for check in checked if not check.follows and check.published.note)],
     )
-    numbers = json.dumps({"title": title, **agreement_json(data, found, checked)}, indent=1, ensure_ascii=False)
+    numbers = json.dumps({"title": title, **agreement_json(data, figures, checked)}, indent=1, ensure_ascii=False)
     return {"report.html": page.encode(), "agreement.json": (numbers + "\n").encode(), **pictures}
 
 
@@ -67,7 +67,7 @@ def observers_names(surfaces: int) -> tuple[str, ...]:
 
 
 def observers_files(
-    title: str, surfaces: Sequence[DrawnSurface], drawings: Sequence[Drawing], found: ObserverStudy
+    title: str, surfaces: Sequence[DrawnSurface], drawings: Sequence[Drawing], study: ObserverStudy
 ) -> dict[str, bytes]:
     """The page, its pictures and its numbers: file name → content.
 
@@ -75,11 +75,11 @@ def observers_files(
         title: of the page.
         surfaces: with the curves on them.
         drawings: one a curve.
-        found: what they come to.
+        study: what they come to.
     """
-    pictures = {"volumes.png": volumes(drawings, found), "regions.png": regions(found)}
+    pictures = {"volumes.png": volumes(drawings, study), "regions.png": regions(study)}
     pictures |= {
-        _picture_of(number): curves_on(surface, found.observers)
+        _picture_of(number): curves_on(surface, study.observers)
         for number, surface in enumerate(surfaces[:_SURFACES_SHOWN])
     }
     left_out = len(surfaces) - _SURFACES_SHOWN
@@ -88,12 +88,12 @@ def observers_files(
         kind="observer study",
         title=title,
         subtitle="The same breasts, outlined by several persons or several times",
-        summary=observers_summary(found),
+        summary=observers_summary(study),
         pictures=[embed(png) for png in pictures.values()],
-        tables=observers_tables(found, drawings),
+        tables=observers_tables(study, drawings),
         remarks=[*_REMARKS, *([f"{left_out} more surfaces are not shown."] if left_out > 0 else [])],
     )
-    numbers = json.dumps({"title": title, **observers_json(found, drawings)}, indent=1, ensure_ascii=False)
+    numbers = json.dumps({"title": title, **observers_json(study, drawings)}, indent=1, ensure_ascii=False)
     return {"report.html": page.encode(), "observers.json": (numbers + "\n").encode(), **pictures}
 
 

@@ -43,27 +43,27 @@ def curves_on(surface: DrawnSurface, observers: Sequence[str]) -> bytes:
     )
 
 
-def volumes(drawings: Sequence[Drawing], found: ObserverStudy) -> bytes:
+def volumes(drawings: Sequence[Drawing], study: ObserverStudy) -> bytes:
     """Each drawing's volume less the mean of its breast."""
     sheet = Sheet(1, 1, _PLOT, axes_room=_ROOM, header=26)
-    colours = _colours(found.observers)
-    sheet.legend([(colours[name], name) for name in found.observers])
+    colours = _colours(study.observers)
+    sheet.legend([(colours[name], name) for name in study.observers])
     axes = sheet.panel(0, plain=False)
-    for place, breast in enumerate(found.breasts):
+    for place, breast in enumerate(study.breasts):
         own = [drawing for drawing in drawings if drawing.breast == breast]
         mean = float(np.mean([drawing.volume_cc for drawing in own]))
         for drawing in own:
-            beside = (found.observers.index(drawing.observer) + 1) / (len(found.observers) + 1) - 0.5
+            beside = (study.observers.index(drawing.observer) + 1) / (len(study.observers) + 1) - 0.5
             axes.plot(
                 place + 0.6 * beside, drawing.volume_cc - mean, "o", color=colours[drawing.observer], markersize=5
             )
-    for scatter, style in ((found.within, ":"), (found.between, "--")):
+    for scatter, style in ((study.within, ":"), (study.between, "--")):
         if scatter is not None:
             for sign in (-1, 1):
                 axes.axhline(sign * scatter.sem.value, color=canvas.FAINT, linewidth=1.0, linestyle=style)
     axes.axhline(0, color=canvas.FAINT, linewidth=0.8)
-    axes.set(xlim=(-0.6, len(found.breasts) - 0.4), ylabel="volume less the breast's mean, cc")
-    axes.set_xticks(range(len(found.breasts)), found.breasts)
+    axes.set(xlim=(-0.6, len(study.breasts) - 0.4), ylabel="volume less the breast's mean, cc")
+    axes.set_xticks(range(len(study.breasts)), study.breasts)
     return sheet.png(
         Caption(
             title="Volumes",
@@ -73,14 +73,14 @@ def volumes(drawings: Sequence[Drawing], found: ObserverStudy) -> bytes:
     )
 
 
-def regions(found: ObserverStudy) -> bytes:
+def regions(study: ObserverStudy) -> bytes:
     """Mean distance between curves by region."""
     sheet = Sheet(1, 1, _PLOT, axes_room=_ROOM, header=26)
     shown = [
         (apart, colour, words)
         for apart, colour, words in (
-            (found.apart_within, canvas.SKY, "two curves of one person"),
-            (found.apart_between, canvas.BLUE, "curves of two persons"),
+            (study.apart_within, canvas.SKY, "two curves of one person"),
+            (study.apart_between, canvas.BLUE, "curves of two persons"),
         )
         if apart
     ]
@@ -115,7 +115,7 @@ def _colours(observers: Sequence[str]) -> dict[str, str]:
 _PANEL = (560, 360)  # size of the plot, px; chosen by eye
 
 
-def bland_altman(data: PairedMeasurements, found: Agreement) -> bytes:
+def bland_altman(data: PairedMeasurements, figures: Agreement) -> bytes:
     """Bland–Altman plot: differences over means.
 
     It shows bias, limits of agreement, their 95 % intervals and the proportional bias.
@@ -127,16 +127,16 @@ def bland_altman(data: PairedMeasurements, found: Agreement) -> bytes:
     axes = sheet.panel(0, plain=False)
     low, high = _stretched(data.means, 0.04)
     levels: tuple[tuple[Estimate, str, str], ...] = (
-        (found.mean_difference, canvas.BLUE, "bias"),
-        (found.lower_limit, canvas.VERMILION, "−1.96 SD"),
-        (found.upper_limit, canvas.VERMILION, "+1.96 SD"),
+        (figures.mean_difference, canvas.BLUE, "bias"),
+        (figures.lower_limit, canvas.VERMILION, "−1.96 SD"),
+        (figures.upper_limit, canvas.VERMILION, "+1.96 SD"),
     )
     for estimate, colour, _ in levels:
         axes.axhspan(*estimate.interval, color=colour, alpha=0.12, linewidth=0)
         axes.axhline(estimate.value, color=colour, linewidth=1.3)
     axes.axhline(0, color=canvas.FAINT, linewidth=0.8, linestyle=":")
     ends = np.array([low, high])
-    trend = found.trend
+    trend = figures.trend
     if np.isfinite(trend.slope.value):
         axes.plot(ends, trend.intercept + trend.slope.value * ends, color=canvas.GREEN, linewidth=1.3, linestyle="--")
     axes.plot(data.means, data.differences, "o", color=canvas.INK, markersize=5)

@@ -64,9 +64,11 @@ def stereo_and_matching(source: Source) -> Sheet:
     """Fig. 1: stereo pair, disparities, confidence and range image. One row a pair."""
     plan, inputs, _ = source
     rig = plan[calibrate.cameras]().rig
-    found = {pair: product() for pair, product in plan[match.disparity].items()}
-    sheet = Sheet(6, len(found), canvas.fitting([disparity.valid.shape for disparity in found.values()], _PANEL_PX))
-    for row, (pair, disparity) in enumerate(found.items()):
+    disparities = {pair: product() for pair, product in plan[match.disparity].items()}
+    sheet = Sheet(
+        6, len(disparities), canvas.fitting([disparity.valid.shape for disparity in disparities.values()], _PANEL_PX)
+    )
+    for row, (pair, disparity) in enumerate(disparities.items()):
         ranged = plan[surface.range_image][pair]()
         for side, (name, ideal) in enumerate(zip(rig.pair_names[pair], (disparity.left, disparity.right), strict=True)):
             axes = sheet.panel(6 * row + side, f"{pair}: {('left', 'right')[side]} picture")
