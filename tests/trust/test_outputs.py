@@ -413,6 +413,7 @@ def commands(group: click.Group, above: str = "") -> Iterator[tuple[str, click.C
             yield above + name, command
 
 
+@pytest.mark.requirement("R-LOSS-7")
 def test_every_command_is_covered() -> None:
     """A new command, or a new place to write to, has to come here."""
     found = dict(commands(get_command(main.app)))  # type: ignore[arg-type]
@@ -465,6 +466,7 @@ def _no_stage_is_made(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
+@pytest.mark.requirement("R-LOSS-6")
 def test_a_second_run_replaces_its_own_and_nothing_else(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -488,6 +490,7 @@ def test_a_second_run_replaces_its_own_and_nothing_else(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
+@pytest.mark.requirement("R-LOSS-5")
 def test_what_somebody_else_wrote_is_refused_and_stays(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -506,6 +509,7 @@ def test_what_somebody_else_wrote_is_refused_and_stays(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in CASES if name != "measure"])  # its files are the memo's
+@pytest.mark.requirement("R-LOSS-5")
 def test_what_was_changed_since_is_refused_and_stays(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -522,6 +526,7 @@ def test_what_was_changed_since_is_refused_and_stays(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
+@pytest.mark.requirement("R-LOSS-6")
 def test_nothing_is_written_to_where_the_command_reads(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

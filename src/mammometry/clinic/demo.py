@@ -11,7 +11,6 @@ process beside the server brings their photographs in one after another, as staf
 from __future__ import annotations
 
 import datetime
-import os
 import secrets
 import shutil
 import tempfile
@@ -24,6 +23,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mammometry.base.errors import BatchError
+from mammometry.base.machine.system import lower_priority
 from mammometry.base.progress import Progress
 from mammometry.clinic.config import FILE, SETTINGS_FILE, ClinicConfig, new_clinic, quoted, read_config, write_private
 
@@ -54,7 +54,6 @@ _PEOPLE = (
 )
 _WAIT_S = 900.0  # for all jobs: a slow machine is no failure
 _LOOK_S = 0.3  # between looks at the jobs: often enough for a smooth bar
-_NICE = 10  # of what renders beside the server: pages and measurements come first
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -196,7 +195,7 @@ def finish_beside(folder: Path) -> None:
     from mammometry.base.progress import no_progress
     from mammometry.clinic.site import configure
 
-    os.nice(_NICE)
+    lower_priority()  # pages and measurements come first
     configure(read_config(folder))
     finish(lambda _: no_progress)
 

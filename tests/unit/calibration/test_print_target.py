@@ -32,6 +32,7 @@ def path_points_mm(pdf: bytes) -> np.ndarray:
 
 
 @pytest.mark.parametrize("target", [CHARUCO, ChessboardTarget(squares=(8, 6), square_mm=25.0)])
+@pytest.mark.requirement("R-UNIT-2")
 def test_the_board_is_printed_at_true_scale(target):
     pdf = target_pdf(target, page="A4")
     np.testing.assert_allclose(page_mm(pdf), [297.0, 210.0], atol=1e-3)

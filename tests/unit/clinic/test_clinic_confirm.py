@@ -109,6 +109,7 @@ def test_only_a_clinician_confirms(client_of: Callable[..., Client], measured: V
 
 
 @pytest.mark.parametrize("curves", [{}, {"left": LEFT}, {"left": RIGHT, "right": LEFT}])
+@pytest.mark.requirement("R-WHO-6")
 def test_only_the_measured_boundaries_can_be_confirmed(
     client_of: Callable[..., Client], measured: Visit, curves: dict[str, str]
 ) -> None:
@@ -313,6 +314,7 @@ def test_a_disk_that_refuses_is_a_sentence_and_in_the_log(
 # --- what is said of a change that is not measured ---
 
 
+@pytest.mark.requirement("R-WHO-6")
 def test_an_unmeasured_change_is_said_everywhere_and_no_number_is_shown(
     client_of: Callable[..., Client], measured: Visit, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

@@ -103,6 +103,7 @@ def names_nobody_else(visit: Visit) -> None:
 # --- moving ---
 
 
+@pytest.mark.requirement("R-KEEP-3")
 def test_a_moved_visit_carries_the_right_pseudonym_everywhere_and_is_measured_again(
     anna: Patient, berta: Patient, rig: Rig
 ) -> None:

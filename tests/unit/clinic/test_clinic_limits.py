@@ -80,6 +80,7 @@ def test_a_body_that_says_it_is_too_large_is_not_read() -> None:
     assert inner.bodies == []
 
 
+@pytest.mark.requirement("R-SEC-4")
 def test_a_body_in_pieces_is_stopped_at_the_limit() -> None:
     inner = Inner()
     assert ask(limited(inner), [b"x" * 1024] * (BODY_BYTES // 1024 + 5)) == 413
@@ -106,6 +107,7 @@ def test_a_length_that_is_no_number_is_refused(length: bytes) -> None:
     assert ask(limited(Inner()), [b""], [(b"content-length", length)]) == 413
 
 
+@pytest.mark.requirement("R-SEC-4")
 def test_who_asks_too_often_waits_and_others_do_not() -> None:
     now = 0.0
     application = limited(Inner(), per_second=2, clock=lambda: now)

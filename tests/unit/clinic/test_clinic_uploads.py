@@ -377,6 +377,7 @@ def test_a_calibration_says_how_many_poses_it_still_needs(client_of, rig_visit):
     assert may_queue(sender.target) is None
 
 
+@pytest.mark.requirement("R-FIRE-5")
 def test_exchanged_photographs_are_named_before_they_are_measured(sender, rig_visit, monkeypatch):
     from mammometry.calibration.judge.cameras.names import Names
     from mammometry.clinic.intake import photographs

@@ -47,6 +47,7 @@ def test_an_entry_becomes_patient_visit_and_order(client_of: Callable[..., Clien
 
 
 @pytest.mark.parametrize("known", [{"family_name": "Other"}, {"born": datetime.date(1950, 1, 1)}])
+@pytest.mark.requirement("R-KEEP-5")
 def test_a_record_number_of_somebody_else_makes_no_visit(
     client_of: Callable[..., Client], asked: dict[str, str], known: dict[str, object]
 ) -> None:

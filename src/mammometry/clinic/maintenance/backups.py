@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import datetime
-import fcntl
 import hashlib
 import io
 import json
@@ -26,6 +25,7 @@ from django.core import serializers
 from django.db import connection
 from django.db.migrations.loader import MigrationLoader
 from django.db.models import Model
+from filelock import FileLock, Timeout
 
 from mammometry.base.errors import MammometryError
 from mammometry.clinic.config import FILE, KEY_FILE, OPENID_SECRET_FILE, ClinicConfig, ClinicError, write_private
@@ -151,18 +151,18 @@ def exclusive(config: ClinicConfig) -> Iterator[None]:
         ClinicError: another process holds it.
     """
     config.backups.mkdir(mode=0o700, parents=True, exist_ok=True)
-    descriptor = os.open(config.backups / _LOCK, os.O_RDWR | os.O_CREAT, 0o600)
+    lock = FileLock(config.backups / _LOCK, mode=0o600, blocking=False)
     try:
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise ClinicError(
-                "backups", found="one that is being made or tested", expected="none",
-                remedy="Wait until it ends",
-            ) from None  # fmt: skip
+        lock.acquire()
+    except Timeout:
+        raise ClinicError(
+            "backups", found="one that is being made or tested", expected="none",
+            remedy="Wait until it ends",
+        ) from None  # fmt: skip
+    try:
         yield
     finally:
-        os.close(descriptor)  # which gives the lock back
+        lock.release()
 
 
 class DailyBackup(threading.Thread):

@@ -188,5 +188,5 @@ def _date_ticks(dates: Sequence[datetime.datetime], x_of: Callable[[datetime.dat
     for at in reversed(dates):
         x = x_of(at)
         if not ticks or ticks[-1].at - x >= _DATE_PX:
-            ticks.append(Tick(x, at.strftime("%-d %b %Y")))
+            ticks.append(Tick(x, f"{at.day} {at:%b %Y}"))
     return ticks[::-1]

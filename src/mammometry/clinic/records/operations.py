@@ -63,7 +63,7 @@ def events(operations: Sequence[Operation]) -> list[Event]:
     return [
         Event(
             timezone.make_aware(datetime.datetime.combine(day, datetime.time(12))),
-            f"{day:%-d %b %Y}: {'; '.join(_short(operation) for operation in rows)}",
+            f"{day.day} {day:%b %Y}: {'; '.join(_short(operation) for operation in rows)}",
         )
         for day, rows in by_day.items()
     ]

@@ -106,7 +106,7 @@ def readings(results: Iterable[VisitResult]) -> list[Reading]:
             if side.volume_cc is None:
                 continue
             low, high = side.interval_cc or (side.volume_cc, side.volume_cc)
-            date = f"{result.visit.taken_at:%-d %b %Y}"
+            date = f"{result.visit.taken_at.day} {result.visit.taken_at:%b %Y}"
             words = f"{side.title}, {date}: {side.volume_cc:.0f} cc (95 %: {low:.0f} to {high:.0f})"
             made.append(Reading(side.side, result.visit.taken_at, side.volume_cc, low, high, words))
     return made

@@ -153,7 +153,8 @@ def date_questions(taken_at: datetime.datetime, rig: Rig | None) -> list[str]:
 
 
 def _day(at: datetime.datetime) -> str:
-    return timezone.localtime(at).strftime("%-d %b %Y")
+    local = timezone.localtime(at)
+    return f"{local.day} {local:%b %Y}"
 
 
 def _born(born: datetime.date | None) -> Q:

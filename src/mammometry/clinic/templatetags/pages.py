@@ -272,13 +272,14 @@ def day(at: datetime.datetime | datetime.date | None) -> str:
     """A date as everybody reads it alike: 3 Nov 2026."""
     if at is None:
         return "–"
-    return (timezone.localtime(at) if isinstance(at, datetime.datetime) else at).strftime("%-d %b %Y")
+    local = timezone.localtime(at) if isinstance(at, datetime.datetime) else at
+    return f"{local.day} {local:%b %Y}"
 
 
 @register.filter
 def moment(at: datetime.datetime | None) -> str:
     """Date and time of the clinic's zone."""
-    return "–" if at is None else timezone.localtime(at).strftime("%-d %b %Y, %H:%M")
+    return "–" if at is None else f"{day(at)}, {timezone.localtime(at):%H:%M}"
 
 
 @register.inclusion_tag("clinic/time_line.html")
