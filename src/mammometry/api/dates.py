@@ -231,12 +231,9 @@ def _check(jobs: list[Dated]) -> None:
     for job in jobs:
         kind = job.inputs.subject_kind
         if kind != "torso":
-            raise SessionError(
-                f"{job.path}: subject.kind",
-                found=repr(kind),
-                expected="'torso' in both sessions: dates are registered on the body beside the breasts",
-                remedy="Compare casts by their volumes: `mammometry run` on each",
-            )
+            remedy = "Compare casts by their volumes: `mammometry run` on each"
+            expected = "'torso' in both sessions: dates are registered on the body beside the breasts"
+            raise SessionError(f"{job.path}: subject.kind", found=repr(kind), expected=expected, remedy=remedy)
     first, second = jobs
     same = first.path.resolve() == second.path.resolve()
     if same or first.pictures & second.pictures:

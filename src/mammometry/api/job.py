@@ -160,12 +160,9 @@ class Job(Reported):
         photographs, measured = self.session.image_set(Path(image_set))
         target = self.inputs.target
         if target is None:
-            raise SessionError(
-                "session.toml",
-                found="no [target]",
-                expected="a description of the target of that exposure",
-                remedy="Describe it as `mammometry new` shows",
-            )
+            remedy = "Describe it as `mammometry new` shows"
+            expected = "a description of the target of that exposure"
+            raise SessionError("session.toml", found="no [target]", expected=expected, remedy=remedy)
         self.ensure("calibrate")
         calibration = self.calibration()
         reference = (

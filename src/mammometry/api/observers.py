@@ -66,12 +66,9 @@ def read_drawn_by(curves: Path, mesh: Path | None = None) -> tuple[DrawnBy, ...]
     """
     drawn = _of_folder(curves, mesh) if curves.is_dir() else _of_table(curves, mesh)
     if len(drawn) < 2:
-        raise SessionError(
-            str(curves),
-            found=f"{len(drawn)} drawings",
-            expected="two or more of one surface",
-            remedy="Let another person draw, or draw again",
-        )
+        remedy = "Let another person draw, or draw again"
+        expected = "two or more of one surface"
+        raise SessionError(str(curves), found=f"{len(drawn)} drawings", expected=expected, remedy=remedy)
     return drawn
 
 
@@ -98,12 +95,8 @@ def _of_table(path: Path, mesh: Path | None) -> tuple[DrawnBy, ...]:
         table.lines, meshes, table.texts("boundary"), table.texts("observer"), repeats, strict=True
     ):
         if not all(cells):
-            raise TableError(
-                f"{path}, row {line}",
-                found="an empty cell",
-                expected=_COLUMNS,
-                remedy="Fill it in, or leave the row out",
-            )
+            remedy = "Fill it in, or leave the row out"
+            raise TableError(f"{path}, row {line}", found="an empty cell", expected=_COLUMNS, remedy=remedy)
         on, boundary, observer, repeat = cells
         drawing = DrawnBy(mesh=path.parent / on, boundary=path.parent / boundary, observer=observer, repeat=repeat)
         if any((drawing.mesh, observer, repeat) == (other.mesh, other.observer, other.repeat) for other in drawn):
@@ -190,12 +183,9 @@ def _on_one(
     for drawing in drawn:
         curves = boundaries_in(drawing.boundary, _SIDES).curves
         if not curves:
-            raise SessionError(
-                str(drawing.boundary),
-                found="no points",
-                expected="a curve around a breast, left or right",
-                remedy="Let this person draw, or take the file out",
-            )
+            remedy = "Let this person draw, or take the file out"
+            expected = "a curve around a breast, left or right"
+            raise SessionError(str(drawing.boundary), found="no points", expected=expected, remedy=remedy)
         files.append({name: scanned.in_mesh_unit(one, scan.mesh, foreign.mm_per_unit) for name, one in curves.items()})
     scan = scanned.finer_scan(scan, [one for curves in files for one in curves.values()])
     surface, fine = scanned.as_scanned(scan.mesh, scan.invented), scan.mesh

@@ -254,12 +254,8 @@ def _take(out: Path, wanted: dict[str, float]) -> None:
             )
         return
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise SessionError(
-            str(out),
-            found="something else there",
-            expected="a new folder, or one of an earlier run of this study",
-            remedy="Choose another folder",
-        )
+        expected = "a new folder, or one of an earlier run of this study"
+        raise SessionError(str(out), found="something else there", expected=expected, remedy="Choose another folder")
     out.mkdir(parents=True, exist_ok=True)
     write_text(record, json.dumps(wanted) + "\n")
 

@@ -133,12 +133,9 @@ def _require_same(client: Client, scheduler: str) -> None:
     try:
         client.wait_for_workers(1, timeout=_ANSWER_S)
     except TimeoutError:
-        raise BatchError(
-            scheduler,
-            found="a scheduler without any worker",
-            expected="at least one worker",
-            remedy=f"Start some with `dask worker {scheduler} --nthreads N`, N being the machine's cores",
-        ) from None
+        remedy = f"Start some with `dask worker {scheduler} --nthreads N`, N being the machine's cores"
+        expected = "at least one worker"
+        raise BatchError(scheduler, found="a scheduler without any worker", expected=expected, remedy=remedy) from None
     ours = importlib.metadata.version("mammometry")
     # A function of the standard library: a worker without mammometry can run no other.
     versions = client.run(importlib.metadata.version, "mammometry", on_error="return")

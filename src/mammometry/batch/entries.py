@@ -80,12 +80,9 @@ def _entries(text: str) -> Iterator[Entry]:
     paths = [Path(text)] if os.path.lexists(text) else [Path(path) for path in sorted(glob.glob(text, recursive=True))]
     sessions = [session for path in paths for session in _sessions_in(path)]
     if not sessions:
-        raise SessionError(
-            text,
-            found="no session" if paths else "no such folder",
-            expected=f"a folder with a {MANIFEST}, or of such folders; a pattern; a .csv; or an address",
-            remedy="Check the name; `mammometry new SESSION` makes a session",
-        )
+        remedy = "Check the name; `mammometry new SESSION` makes a session"
+        expected = f"a folder with a {MANIFEST}, or of such folders; a pattern; a .csv; or an address"
+        raise SessionError(text, found="no session" if paths else "no such folder", expected=expected, remedy=remedy)
     yield from (Entry(address=str(session)) for session in sessions)
 
 
@@ -113,12 +110,8 @@ def _of_table(path: Path) -> Iterator[Entry]:
     wrong = [column for column, name in references.items() if name not in _NAMES]
     wrong += [column for column in columns if column.startswith("reference") and column not in references]
     if wrong:
-        raise TableError(
-            str(path),
-            found=f"a column {wrong[0]}",
-            expected="reference_cc, reference_left_cc or reference_right_cc",
-            remedy="Rename the column",
-        )
+        expected = "reference_cc, reference_left_cc or reference_right_cc"
+        raise TableError(str(path), found=f"a column {wrong[0]}", expected=expected, remedy="Rename the column")
     volumes = _volumes(table, list(references))
     for place, (text, given) in enumerate(zip(addresses, assignments, strict=True)):
         known = {

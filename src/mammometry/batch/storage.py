@@ -38,12 +38,8 @@ def sessions_at(address: str) -> list[str]:
         below = sorted(folder.rstrip("/") for folder in system.ls(root, detail=False)) if system.isdir(root) else []
         sessions = [folder for folder in below if system.isfile(f"{folder}/{MANIFEST}")]
     if not sessions:
-        raise SessionError(
-            address,
-            found="no session",
-            expected=f"a folder with a {MANIFEST}, or of such folders",
-            remedy="Check the address",
-        )
+        expected = f"a folder with a {MANIFEST}, or of such folders"
+        raise SessionError(address, found="no session", expected=expected, remedy="Check the address")
     return [f"{address.rstrip('/')}/{folder.rpartition('/')[2]}" for folder in sessions]
 
 
@@ -62,12 +58,8 @@ def fetch(entry: Entry, folder: Path) -> dict[str, Stat]:
         for name in remote:
             target = folder / name
             if not target.resolve().is_relative_to(folder.resolve()):
-                raise SessionError(
-                    entry.address,
-                    found=f"a file named {name}",
-                    expected="files inside the session",
-                    remedy="Remove it",
-                )
+                expected = "files inside the session"
+                raise SessionError(entry.address, found=f"a file named {name}", expected=expected, remedy="Remove it")
             target.parent.mkdir(parents=True, exist_ok=True)
             system.get_file(f"{root}/{name}", str(target))
     if (former := _pointed(entry)) is not None:

@@ -91,10 +91,9 @@ def read_skew(folder: Path) -> Skew | None:
             exposure_ms=float(table["exposure_ms"]),
         )
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
-        raise SessionError(
-            str(path), found="no record of a measured skew", expected="the file as `mammometry skew` wrote it",
-            remedy="Remove it, and measure the skew again",
-        ) from None  # fmt: skip
+        remedy = "Remove it, and measure the skew again"
+        expected = "the file as `mammometry skew` wrote it"
+        raise SessionError(str(path), found="no record of a measured skew", expected=expected, remedy=remedy) from None
 
 
 _STEPS_MS = (0.1, 0.01)  # between moments that are tried: in the whole count, then about the best

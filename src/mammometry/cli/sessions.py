@@ -2,42 +2,29 @@
 
 from __future__ import annotations
 
+import sys
+import webbrowser
 from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import asdict
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mammometry.cli.common import Answer, Options, OutputOptions, SessionFolder, SessionOrScan, command
+from mammometry.cli.common import Answer, Bars, Options, OutputOptions, SessionFolder, SessionOrScan, command
+from mammometry.cli.stages import opened
 
 if TYPE_CHECKING:
     from mammometry.api.job import Job
+    from mammometry.editor.session import Drawable
     from mammometry.io.results.store import Store
+    from mammometry.io.results.verify import Findings
     from mammometry.job.graph import Plan
     from mammometry.job.inputs import Inputs
     from mammometry.job.products import Key
     from mammometry.settings import Settings
-
-
-from dataclasses import asdict
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from mammometry.io.results.verify import Findings
-
-
-import sys
-import webbrowser
-from contextlib import suppress
-from typing import TYPE_CHECKING
-
-from mammometry.cli.common import Bars
-from mammometry.cli.stages import opened
-
-if TYPE_CHECKING:
-    from mammometry.editor.session import Drawable
-
 
 app = typer.Typer()
 

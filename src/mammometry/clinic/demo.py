@@ -347,10 +347,8 @@ def _wait_for_jobs(folder: Path, progress: Progress) -> None:
     until = time.monotonic() + _WAIT_S
     while left := Job.objects.filter(state__in=(Job.State.QUEUED, Job.State.RUNNING)).count():
         if time.monotonic() > until:
-            raise BatchError(
-                "the demo's jobs", found=f"{left} that have not ended", expected="none",
-                remedy=f"Look at {folder / 'logs'}",
-            )  # fmt: skip
+            remedy = f"Look at {folder / 'logs'}"
+            raise BatchError("the demo's jobs", found=f"{left} that have not ended", expected="none", remedy=remedy)
         progress(1.0 - left / Job.objects.count())
         time.sleep(_LOOK_S)
 

@@ -102,12 +102,9 @@ class Desk:
         """
         self.kind = job.inputs.subject_kind
         if not BREASTS[self.kind]:
-            raise SessionError(
-                "session.toml",
-                found="an open surface",
-                expected="a model or a torso, which have boundaries",
-                remedy="Correct [subject] kind",
-            )
+            remedy = "Correct [subject] kind"
+            expected = "a model or a torso, which have boundaries"
+            raise SessionError("session.toml", found="an open surface", expected=expected, remedy=remedy)
         surface = job.surface().repaired
         self.job = job
         self.folder = job.folder
@@ -366,12 +363,9 @@ def _known(name: str, names: Iterable[str]) -> None:
 
 def _count(name: str, count: int, *, line: bool) -> None:
     if (line and count < 2) or (not line and count != 1):
-        raise SessionError(
-            name,
-            found=f"{count} point{'' if count == 1 else 's'}",
-            expected="two or more along the line" if line else "one point",
-            remedy="Draw it again",
-        )
+        remedy = "Draw it again"
+        expected = "two or more along the line" if line else "one point"
+        raise SessionError(name, found=f"{count} point{'' if count == 1 else 's'}", expected=expected, remedy=remedy)
 
 
 def _measured_live(measurement: VolumeMeasurement) -> LiveVolume:

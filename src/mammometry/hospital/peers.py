@@ -85,17 +85,11 @@ def web_address(url: str) -> str:
     """
     parts = urlsplit(url)
     if parts.scheme not in ("http", "https") or not parts.hostname or parts.query or parts.fragment:
-        raise SettingsError(
-            url,
-            found="no address of a DICOMweb service",
-            expected="such as https://pacs.example.org/dicom-web",
-            remedy="Ask the archive's administrator for it",
-        )
+        remedy = "Ask the archive's administrator for it"
+        expected = "such as https://pacs.example.org/dicom-web"
+        raise SettingsError(url, found="no address of a DICOMweb service", expected=expected, remedy=remedy)
     if parts.username or parts.password:
-        raise SettingsError(
-            parts.hostname,
-            found="a name or password in the address",
-            expected=f"the variable {AUTHORIZATION} in the environment, such as 'Basic …' or 'Bearer …'",
-            remedy="Addresses are shown and logged: leave it out of the address",
-        )
+        remedy = "Addresses are shown and logged: leave it out of the address"
+        expected = f"the variable {AUTHORIZATION} in the environment, such as 'Basic …' or 'Bearer …'"
+        raise SettingsError(parts.hostname, found="a name or password in the address", expected=expected, remedy=remedy)
     return url.rstrip("/")

@@ -48,12 +48,9 @@ class RunLock:
         marker = SoftFileLock(self._folder / MARKER, timeout=_MARKER_TIMEOUT_S, thread_local=False)
         for path in (self._folder / LOCK, self._folder / MARKER):
             if os.path.lexists(path) and not is_plain(path):
-                raise StorageError(
-                    str(path),
-                    found="a link or a folder",
-                    expected="a lock file, or nothing",
-                    remedy="Remove it and run the same command again",
-                )
+                remedy = "Remove it and run the same command again"
+                expected = "a lock file, or nothing"
+                raise StorageError(str(path), found="a link or a folder", expected=expected, remedy=remedy)
         with disk_errors(self._folder):
             try:
                 self._lock = native

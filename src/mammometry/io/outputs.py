@@ -62,12 +62,8 @@ def require_apart(out: Path, inputs: Iterable[Path | None]) -> None:
             found = f"a place in {path}, which this command reads"
         else:
             continue
-        raise StorageError(
-            str(out),
-            found=found,
-            expected="a place apart from what is read",
-            remedy="Choose another place for the results",
-        )
+        remedy = "Choose another place for the results"
+        raise StorageError(str(out), found=found, expected="a place apart from what is read", remedy=remedy)
 
 
 def require_free(folder: Path, names: Iterable[str], *, command: str) -> None:
@@ -86,12 +82,9 @@ def require_free(folder: Path, names: Iterable[str], *, command: str) -> None:
         written = _read(folder).files
         for name in names:
             if (found := _in_the_way(folder / name, written.get(name), command)) is not None:
-                raise StorageError(
-                    str(folder / name),
-                    found=found,
-                    expected=f"no such file, or one that `mammometry {command}` wrote and nobody changed",
-                    remedy="Move it away, or choose another place for the results",
-                )
+                remedy = "Move it away, or choose another place for the results"
+                expected = f"no such file, or one that `mammometry {command}` wrote and nobody changed"
+                raise StorageError(str(folder / name), found=found, expected=expected, remedy=remedy)
 
 
 def write_output(path: Path, data: bytes, *, command: str) -> None:
@@ -151,12 +144,9 @@ def require_own_folder(folder: Path, *, command: str) -> None:
     with disk_errors(folder):
         _require_folder(folder)
         if folder.exists() and any(folder.iterdir()) and _read(folder).command != command:
-            raise StorageError(
-                str(folder),
-                found="a folder with other files",
-                expected=f"a new or empty folder, or one that `mammometry {command}` made",
-                remedy="Choose another place for the results",
-            )
+            remedy = "Choose another place for the results"
+            expected = f"a new or empty folder, or one that `mammometry {command}` made"
+            raise StorageError(str(folder), found="a folder with other files", expected=expected, remedy=remedy)
 
 
 def take_folder(folder: Path, *, command: str) -> None:
@@ -203,12 +193,8 @@ def _put(fresh: Path, path: Path) -> None:
 
 def _require_folder(folder: Path) -> None:
     if os.path.lexists(folder) and not folder.is_dir():
-        raise StorageError(
-            str(folder),
-            found="a file",
-            expected="a folder, or nothing yet",
-            remedy="Choose another place for the results",
-        )
+        remedy = "Choose another place for the results"
+        raise StorageError(str(folder), found="a file", expected="a folder, or nothing yet", remedy=remedy)
 
 
 def _same(one: Path, other: Path) -> bool:

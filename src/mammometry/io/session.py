@@ -330,12 +330,9 @@ class Session:
         }
         for camera, shots in files.items():
             if not shots:
-                raise SessionError(
-                    f"intrinsics/{camera}",
-                    found="no photograph",
-                    expected="photographs of the [intrinsics] target by every camera",
-                    remedy="Add them, or take [intrinsics] out of session.toml",
-                )
+                remedy = "Add them, or take [intrinsics] out of session.toml"
+                expected = "photographs of the [intrinsics] target by every camera"
+                raise SessionError(f"intrinsics/{camera}", found="no photograph", expected=expected, remedy=remedy)
         return files
 
     def _mask_files(self, capture: Mapping[str, Path]) -> dict[str, Path]:
@@ -430,12 +427,9 @@ def _read_points(path: Path, name: str) -> MeasuredPoints:
     values = table.numbers("id", "u", "v")
     for line, value in zip(table.lines, values[:, 0], strict=True):
         if value != round(value):
-            raise SessionError(
-                f"{name}, row {line}, column id",
-                found=f"{value:g}",
-                expected="a whole number, the point's place in the target's list",
-                remedy="Correct the table",
-            )
+            remedy = "Correct the table"
+            expected = "a whole number, the point's place in the target's list"
+            raise SessionError(f"{name}, row {line}, column id", found=f"{value:g}", expected=expected, remedy=remedy)
     return MeasuredPoints(name=name, ids=values[:, 0].astype(np.int64), uv=values[:, 1:].copy())
 
 

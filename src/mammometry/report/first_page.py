@@ -6,7 +6,7 @@ import datetime
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from mammometry.measure.volume.attribution import Attribution, Confirmation
+from mammometry.measure.volume.attribution import Attribution
 from mammometry.report.content import BreastReport, Clinical, LargeNumber, Picture, ReportContent, Signed
 from mammometry.report.figures.drawing.canvas import CYCLE
 from mammometry.report.words.volumes import date_words
@@ -112,14 +112,12 @@ def _confirmation(
     for breast in measured:
         seen = attributions.get(breast.name, Attribution()).confirmation
         holds = seen is not None and seen.curve == breast.curve
-        words[breast.number.title] = _confirmed_words(seen, named=named) if seen and holds else NOT_CONFIRMED
+        words[breast.number.title] = (
+            (f"confirmed by {seen.by}, {seen.at[:10]}" if named else "confirmed") if seen and holds else NOT_CONFIRMED
+        )
     if len(set(words.values())) == 1:
         return next(iter(words.values()))
     return "; ".join(f"{title[0].lower()}{title[1:]} {how}" for title, how in words.items())
-
-
-def _confirmed_words(seen: Confirmation, *, named: bool) -> str:
-    return f"confirmed by {seen.by}, {seen.at[:10]}" if named else "confirmed"
 
 
 def _volumes(breasts: Sequence[BreastReport]) -> list[LargeNumber]:

@@ -38,12 +38,9 @@ class PylonRig:
         factory = pylon.TlFactory.GetInstance()
         attached = {info.GetSerialNumber(): info for info in factory.EnumerateDevices()}
         if not attached:
-            raise SettingsError(
-                "back-end pylon",
-                found="no camera on any bus",
-                expected="the cameras of the rig's file",
-                remedy="Check power and cables; pylon's own IP Configurator shows cameras with a wrong address",
-            )
+            remedy = "Check power and cables; pylon's own IP Configurator shows cameras with a wrong address"
+            expected = "the cameras of the rig's file"
+            raise SettingsError("back-end pylon", found="no camera on any bus", expected=expected, remedy=remedy)
         for name in devices.cameras:
             serial = devices.ids.get(name, "")
             if serial not in attached:

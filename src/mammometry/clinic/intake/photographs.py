@@ -42,11 +42,6 @@ def thumbnail_path(upload: Upload) -> Path:
     return upload.path.with_suffix(".webp")
 
 
-def write_thumbnail(photograph: Photograph, path: Path) -> None:
-    """Write it as WebP."""
-    small_picture(_roughly(photograph, _LONGEST_PX), path)
-
-
 def screen_picture(photograph: Photograph) -> bytes:
     """WebP that fills a screen."""
     picture = _roughly(photograph, _SCREEN_PX)
@@ -166,7 +161,7 @@ def look(upload: Upload, target: Target) -> tuple[list[Found], dict[str, Any]]:
     if isinstance(target, Visit):
         findings += checks.judge(checks.look(photograph), target.subject_kind)
         note(upload.sha256, photograph)
-    write_thumbnail(photograph, thumbnail_path(upload))
+    small_picture(_roughly(photograph, _LONGEST_PX), thumbnail_path(upload))
     return findings, {"serial": exposure.serial, "taken_s": exposure.taken_s, "named": named}
 
 

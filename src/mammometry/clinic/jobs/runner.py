@@ -6,7 +6,6 @@ import logging
 import threading
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
-from pathlib import Path
 from uuid import UUID
 
 from django.db import DatabaseError, close_old_connections
@@ -108,7 +107,7 @@ class Runner:
             queue.put_back(key, self.owner)
             return
         else:
-            held = queue.failed(key, self.owner, _without_paths(event.failed, self._config.folder), event.exit_code)
+            held = queue.failed(key, self.owner, event.failed.replace(f"{self._config.folder}/", ""), event.exit_code)
         if not held:
             _LOG.info("Job %s is no longer ours; what it made stays on the disk.", key)
 
@@ -167,8 +166,3 @@ def _megapixels(visit: Visit) -> float | None:
         return megapixels_of(visit.folder / "capture")
     except (OSError, MammometryError):  # its own task will say what is wrong with it
         return None
-
-
-def _without_paths(message: str, folder: Path) -> str:
-    """A sentence for a page. What lies where on this machine is nobody's business."""
-    return message.replace(f"{folder}/", "")

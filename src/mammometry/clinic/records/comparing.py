@@ -44,14 +44,9 @@ def comparable(visits: Iterable[Visit]) -> list[Visit]:
     return sorted(chosen, key=lambda visit: (visit.taken_at, visit.created))
 
 
-def visits_to_compare(visit: Visit) -> list[Visit]:
-    """All comparable visits of a visit's patient, the earliest first."""
-    return comparable(Visit.objects.filter(patient=visit.patient_id).prefetch_related("measurements__volumes"))
-
-
 def neighbours(visit: Visit) -> list[tuple[Visit, Visit]]:
     """Pairs of a visit with the comparable visit before it, and with the one after it."""
-    visits = visits_to_compare(visit)
+    visits = comparable(Visit.objects.filter(patient=visit.patient_id).prefetch_related("measurements__volumes"))
     return [pair for pair in itertools.pairwise(visits) if visit in pair]
 
 

@@ -197,17 +197,15 @@ def measured_job(visit: Visit) -> Job | MeshJob:
     from mammometry.api.mesh import open_scan
 
     if visit.is_changed:
-        raise SessionError(
-            str(visit), found=CHANGED, expected="a visit whose newest boundaries and landmarks are measured",
-            remedy="Wait until it is measured, or measure it",
-        )  # fmt: skip
+        remedy = "Wait until it is measured, or measure it"
+        expected = "a visit whose newest boundaries and landmarks are measured"
+        raise SessionError(str(visit), found=CHANGED, expected=expected, remedy=remedy)
     settings = the_clinic().measuring()
     job: Job | MeshJob = open_scan(visit.folder, settings) if visit.is_scan else open_session(visit.folder, settings)
     if not job.store.has(job.content_key):
-        raise SessionError(
-            str(visit), found="a visit whose report is not current", expected="a measured visit",
-            remedy="Measure it again",
-        )  # fmt: skip
+        remedy = "Measure it again"
+        expected = "a measured visit"
+        raise SessionError(str(visit), found="a visit whose report is not current", expected=expected, remedy=remedy)
     return job
 
 

@@ -100,16 +100,6 @@ def study_csv(request: HttpRequest) -> HttpResponse:
     return response
 
 
-def asked_visits(request: HttpRequest) -> QuerySet[Visit]:
-    """Measured visits of the asked time whose patients consent to research, by pseudonym and day."""
-    return measured_visits(_asked(request)).select_related("patient", "rig")
-
-
-def visits_left_out(request: HttpRequest) -> tuple[int, int]:
-    """Numbers of measured visits of the asked time, and of their patients, without a consent to research."""
-    return left_out(_asked(request))
-
-
 def _asked(request: HttpRequest) -> QuerySet[Visit]:
     begin, end = (_day(request.GET.get(name, "")) for name in ("from", "until"))
     return visits_between(begin, end, confirmed="confirmed" in request.GET)
@@ -187,13 +177,13 @@ def study_table(request: HttpRequest) -> HttpResponse:
 def _study(request: HttpRequest, tables: Callable[[Any], dict[str, bytes]], kind: str) -> HttpResponse:
     """Numbers of all visits that were asked for. Which are left out, and why, stands beside them."""
     config, sessions, left_out = the_clinic(), [], []
-    for visit in asked_visits(request):
+    for visit in measured_visits(_asked(request)).select_related("patient", "rig"):
         try:
             sessions.append(deliveries.gathered(config, visit, whole=False))
         except MammometryError as error:
             day = timezone.localtime(visit.taken_at).date().isoformat()
             left_out.append((visit.patient.pseudonym, day, error.found))
-    visits, patients = visits_left_out(request)
+    visits, patients = left_out(_asked(request))
     if visits:
         left_out.append(("", "", f"no consent to research holds: {visits} visits of {patients} patients"))
     try:

@@ -122,10 +122,9 @@ def require_current(config: ClinicConfig) -> None:
             remedy="Serve the clinic with the version that served it last",
         )  # fmt: skip
     if executor.migration_plan(executor.loader.graph.leaf_nodes()):
-        raise ClinicError(
-            "the database", found="tables of an older version", expected="those of this version",
-            remedy=f"Run `mammometry clinic upgrade {config.folder}`, which makes a backup first",
-        )  # fmt: skip
+        remedy = f"Run `mammometry clinic upgrade {config.folder}`, which makes a backup first"
+        expected = "those of this version"
+        raise ClinicError("the database", found="tables of an older version", expected=expected, remedy=remedy)
     if not audit.is_sealed():
         raise ClinicError(
             "the audit", found="no triggers that keep it from being changed", expected="them in the database",
@@ -149,10 +148,9 @@ def serve(config: ClinicConfig, *, jobs: bool = True) -> None:
     host, port = host_and_port(config.address)
     tls = config.tls
     if not tls.certificate and not _is_loopback(host):
-        raise ClinicError(
-            f"address {config.address}", found="no certificate", expected="encryption, as other machines can call it",
-            remedy="Give --tls-certificate and --tls-key, or listen on 127.0.0.1 behind a proxy that speaks TLS",
-        )  # fmt: skip
+        remedy = "Give --tls-certificate and --tls-key, or listen on 127.0.0.1 behind a proxy that speaks TLS"
+        expected = "encryption, as other machines can call it"
+        raise ClinicError(f"address {config.address}", found="no certificate", expected=expected, remedy=remedy)
     for name in filter(None, (tls.certificate, tls.key)):
         if not Path(name).is_file():
             raise ClinicError(name, found="no file", expected="a PEM file", remedy="Correct [tls] in clinic.toml")
@@ -257,10 +255,8 @@ def require_free(address: str) -> None:
             remedy = f"Stop that program, perhaps another server of this clinic. Or: {remedy[0].lower()}{remedy[1:]}"
         elif error.errno == errno.EACCES:
             found = "a port that only the system may use"
-        raise ClinicError(
-            f"address {address}", found=found, expected="an address on which the clinic can listen",
-            remedy=remedy,
-        ) from None  # fmt: skip
+        expected = "an address on which the clinic can listen"
+        raise ClinicError(f"address {address}", found=found, expected=expected, remedy=remedy) from None
 
 
 def _is_loopback(host: str) -> bool:

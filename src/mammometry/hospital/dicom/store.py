@@ -13,7 +13,7 @@ from pydicom import Dataset
 from pydicom.sequence import Sequence as Items
 from pynetdicom import AE, evt
 from pynetdicom.sop_class import (  # type: ignore[attr-defined]  # made at run time
-    StorageCommitmentPushModel,  # type: ignore[attr-defined]  # made at run time
+    StorageCommitmentPushModel,
     StudyRootQueryRetrieveInformationModelFind,
 )
 

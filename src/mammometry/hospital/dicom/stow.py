@@ -74,12 +74,9 @@ def _there(base: str, study: str, context: ssl.SSLContext | None) -> set[str]:
         listed = json.loads(answer)
         return {str(instance["00080018"]["Value"][0]) for instance in listed}
     except (ValueError, KeyError, TypeError, IndexError):
-        raise ArchiveError(
-            base,
-            found="an answer that is no DICOM JSON",
-            expected="a DICOMweb service",
-            remedy="Check the address: it ends before /studies",
-        ) from None
+        remedy = "Check the address: it ends before /studies"
+        expected = "a DICOMweb service"
+        raise ArchiveError(base, found="an answer that is no DICOM JSON", expected=expected, remedy=remedy) from None
 
 
 def _store(base: str, made: Dataset, context: ssl.SSLContext | None, when: str) -> None:

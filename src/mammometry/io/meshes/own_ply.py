@@ -146,10 +146,6 @@ def read_wall(path: Path) -> TriangleMesh:
     wall = read_ply(path)[0]
     extent = subject_extent(float(np.ptp(wall.vertices, axis=0).max()))
     if not extent.is_possible:
-        raise SessionError(
-            path.name,
-            found=f"a wall of which {extent}",
-            expected=extent.expected,
-            remedy=f"Export it in millimetres{fitting(extent.mm, [extent])}",
-        )
+        remedy = f"Export it in millimetres{fitting(extent.mm, [extent])}"
+        raise SessionError(path.name, found=f"a wall of which {extent}", expected=extent.expected, remedy=remedy)
     return wall

@@ -215,10 +215,9 @@ def _check(about: Scan) -> None:
             "the scan's subject", found=f"{about.subject!r:.40}", expected=str(error), remedy="Correct --subject"
         ) from None  # fmt: skip
     if about.posture not in ("", *POSTURES):
-        raise SessionError(
-            "the scan's posture", found=f"{about.posture[:20]!r}", expected=f"one of {', '.join(POSTURES)}",
-            remedy="Correct --posture",
-        )  # fmt: skip
+        remedy = "Correct --posture"
+        expected = f"one of {', '.join(POSTURES)}"
+        raise SessionError("the scan's posture", found=f"{about.posture[:20]!r}", expected=expected, remedy=remedy)
     for axis, given in (("head", about.head), ("ahead", about.ahead)):
         if given not in ("", *AXES):
             raise SessionError(

@@ -244,12 +244,9 @@ def read_pairs(path: Path, *, reference: str, measured: str) -> PairedMeasuremen
     named = table.columns[0] not in (reference, measured)
     names = table.texts(table.columns[0]) if named else tuple(str(row + 1) for row in range(len(pairs)))
     if len(pairs) < LEAST_SUBJECTS:
-        raise TableError(
-            str(path),
-            found=f"{len(pairs)} rows of measurements",
-            expected=f"{LEAST_SUBJECTS} or more",
-            remedy="Add measurements: fewer do not show agreement",
-        )
+        remedy = "Add measurements: fewer do not show agreement"
+        expected = f"{LEAST_SUBJECTS} or more"
+        raise TableError(str(path), found=f"{len(pairs)} rows of measurements", expected=expected, remedy=remedy)
     units = {name.rpartition("_")[2] for name in (reference, measured)}
     unit = units.pop() if len(units) == 1 else ""
     return PairedMeasurements(

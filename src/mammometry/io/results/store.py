@@ -103,12 +103,9 @@ class Store:
     def _take(self) -> None:
         with disk_errors(self.folder):
             if is_link(self.folder):
-                raise StorageError(
-                    str(self.folder),
-                    found="a link to another folder",
-                    expected="a folder, so that nothing is written elsewhere",
-                    remedy="Replace the link by a folder",
-                )
+                remedy = "Replace the link by a folder"
+                expected = "a folder, so that nothing is written elsewhere"
+                raise StorageError(str(self.folder), found="a link to another folder", expected=expected, remedy=remedy)
             if not self.folder.exists():
                 self.folder.mkdir()
                 sync_folder(self.folder.parent)

@@ -54,12 +54,9 @@ def results_in(folder: Path) -> Path:
         return folder / RESULTS
     if any((folder / stage).is_dir() for stage in STAGES):
         return folder
-    raise SessionError(
-        str(folder),
-        found="no results",
-        expected="a session, a scan, or the folder of a measured mesh",
-        remedy="Name the folder that `mammometry run` or `mammometry measure` has written to",
-    )
+    remedy = "Name the folder that `mammometry run` or `mammometry measure` has written to"
+    expected = "a session, a scan, or the folder of a measured mesh"
+    raise SessionError(str(folder), found="no results", expected=expected, remedy=remedy)
 
 
 def verify(results: Path) -> Findings:

@@ -132,15 +132,12 @@ def _adjusted(
     )
 
 
-def _quality_settings(job: Context) -> object:
-    return job.settings.calibration.quality if job.inputs.calibrates else None
-
-
-def _camera_inputs(job: Context) -> dict[str, str]:
-    return {} if job.inputs.calibrates else job.inputs.key_part("cameras", "rig", "subject")
-
-
-@product("calibrate", version=6, settings=_quality_settings, inputs=_camera_inputs)
+@product(
+    "calibrate",
+    version=6,
+    settings=lambda job: job.settings.calibration.quality if job.inputs.calibrates else None,
+    inputs=lambda job: {} if job.inputs.calibrates else job.inputs.key_part("cameras", "rig", "subject"),
+)
 def cameras(calibration: Calibration | None, *, job: Context) -> CameraSet:
     """The cameras of a calibration that is fit to measure with, or those that came with the session.
 

@@ -48,10 +48,8 @@ def names(cameras: CameraSet, *, job: Context) -> Names:
     fitting = {name: points for name, (size_wh, points) in seen.items() if size_wh == cameras.rig.cameras[name].size_wh}
     compared = check_names(cameras.rig, fitting)
     for wrong in wrong_photographs(compared, job.inputs.pair_names):
-        raise MatchingError(
-            f"capture, {wrong.listed}", found=wrong.found,
-            expected="each camera's own photograph, all of one exposure", remedy=wrong.remedy,
-        )  # fmt: skip
+        expected = "each camera's own photograph, all of one exposure"
+        raise MatchingError(f"capture, {wrong.listed}", found=wrong.found, expected=expected, remedy=wrong.remedy)
     return compared
 
 

@@ -72,7 +72,10 @@ def batch_files(title: str, lines: Sequence[BatchLine]) -> dict[str, bytes]:
         lines: one a session.
     """
     columns = _columns(lines)
-    files = {"batch.html": _page(title, lines).encode(), "batch.csv": _as_csv(columns)}
+    files = {
+        "batch.html": _page(title, lines).encode(),
+        "batch.csv": csv_text(columns, zip(*columns.values(), strict=True)).encode(),
+    }
     parquet = _as_parquet(columns)
     return files if parquet is None else files | {"batch.parquet": parquet}
 
@@ -184,10 +187,6 @@ def _columns(lines: Sequence[BatchLine]) -> dict[str, list[str | float | None]]:
             for name, cell in cells.items():
                 columns.setdefault(name, []).append(cell)
     return columns
-
-
-def _as_csv(columns: Mapping[str, Sequence[str | float | None]]) -> bytes:
-    return csv_text(columns, zip(*columns.values(), strict=True)).encode()
 
 
 def _as_parquet(columns: Mapping[str, Sequence[str | float | None]]) -> bytes | None:

@@ -210,7 +210,7 @@ def rig_views(result: CalibrationResult) -> bytes:
     centred = np.stack([*points, origin, *(corner for target in targets for corner in target)]) - origin
     reach = float(np.abs(centred @ frame.T).max()) * 1.18
     sheet = Sheet(3, 1, (330, 330), axes_room=(52, 40), header=26)
-    colours = dict(zip(rig.pair_names, _repeat(canvas.CYCLE), strict=False))
+    colours = dict(zip(rig.pair_names, ([*canvas.CYCLE] * 8), strict=False))
     sheet.legend([(colours[name], f"pair {name}") for name in list(rig.pair_names)[:8]])
     for index, (title, axis_x, axis_y, names) in enumerate(
         (
@@ -358,10 +358,6 @@ def _hull(points: Float64[Array, "n 3"]) -> Array:
         return ConvexHull(centred @ axes.T).vertices
     except QhullError:
         return np.arange(len(points))
-
-
-def _repeat(colours: tuple[str, ...]) -> list[str]:
-    return [*colours] * 8
 
 
 _COLOURS = {"unmoved": canvas.BLUE, "moved": canvas.ORANGE, "refuse": canvas.VERMILION}
