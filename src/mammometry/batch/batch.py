@@ -178,7 +178,6 @@ def map_tasks_on(
     *,
     megapixels: float | None = None,
     watch: Callable[[Began | Ended], None] = lambda event: None,
-    stop: Callable[[], StopRequest] = lambda: StopRequest.NONE,
 ) -> MapTasks:
     """Make a loop that runs each turn as a Dask task. Each task has its own process.
 
@@ -186,7 +185,6 @@ def map_tasks_on(
         machines: the workers.
         megapixels: of the photographs in each turn, by which memory is learned.
         watch: called for all that happens.
-        stop: what the user wants now.
     """
     known: list[tuple[float, float]] = []
 
@@ -196,7 +194,7 @@ def map_tasks_on(
             for name, given in arguments.items()
         ]
         done: dict[str, Any] = {}
-        for event in Engine(machines, known=known, stop=stop).run(tasks):
+        for event in Engine(machines, known=known).run(tasks):
             watch(event)
             if isinstance(event, Ended):
                 if event.failed:

@@ -14,7 +14,6 @@ from typing import Annotated, Literal, TypeAlias
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 import mammometry
-from mammometry.base.limits import LimitSettings
 from mammometry.io.write import write_text
 from mammometry.job.products import versions
 from mammometry.job.stages.report import VERSIONS
@@ -154,14 +153,9 @@ def software() -> dict[str, str]:
     return {"mammometry": mammometry.__version__, "results": hashlib.sha256(numbers).hexdigest()[:12]}
 
 
-def key_of(settings: Settings, limits: LimitSettings | None = None) -> str:
-    """Digest of settings and software.
-
-    Args:
-        settings: of all stages.
-        limits: other sizes of photographs than those of the settings.
-    """
-    text = json.dumps([settings.to_toml(), repr(limits or settings.limits), software()], sort_keys=True)
+def key_of(settings: Settings) -> str:
+    """Digest of settings and software."""
+    text = json.dumps([settings.to_toml(), repr(settings.limits), software()], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
 
 

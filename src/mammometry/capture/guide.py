@@ -81,13 +81,8 @@ def progress(calibration: Calibration) -> Progress:
     )
 
 
-def suggest(calibration: Calibration, *, seed: int = 0) -> Suggestion | None:
-    """Where to hold the board next. None where no place is seen by two cameras.
-
-    Args:
-        calibration: of the poses so far.
-        seed: of the places that are compared.
-    """
+def suggest(calibration: Calibration) -> Suggestion | None:
+    """Where to hold the board next, by the poses so far. None where no place is seen by two cameras."""
     shifts = shape_shifts(calibration)
     own = np.ix_(shifts.columns, shifts.columns)
     information = np.linalg.pinv(calibration.covariance.independent[own], hermitian=True)
@@ -105,7 +100,7 @@ def suggest(calibration: Calibration, *, seed: int = 0) -> Suggestion | None:
     shared = worst_mm(calibration.covariance.matrix[own]) / worst_mm(calibration.covariance.independent[own])
     weight = 1.0 / _variance_px2(calibration)
     best: tuple[float, Transform] | None = None
-    for placed in _places(calibration, np.random.default_rng([seed, len(calibration.world_from_target)])):
+    for placed in _places(calibration, np.random.default_rng([0, len(calibration.world_from_target)])):
         gain = _information_of(calibration, placed, shifts.names, weight)
         if gain is None:
             continue

@@ -211,13 +211,13 @@ def drawing_board(
     return DrawingBoard(surface=small, frame=frame, settings=settings)
 
 
-def handle_indices(curve_world: Float64[Array, "n 3"], spacing_mm: float = _HANDLE_MM) -> Int64[Array, " k"]:
+def handle_indices(curve_world: Float64[Array, "n 3"]) -> Int64[Array, " k"]:
     """Indices of a closed curve's handles.
 
     Evenly spaced, eight or more if there are so many points, else three.
     """
     along = _along(np.concatenate([curve_world, curve_world[:1]]))
-    count = max(int(along[-1] / spacing_mm), _FEWEST_HANDLES)
+    count = max(int(along[-1] / _HANDLE_MM), _FEWEST_HANDLES)
     if len(curve_world) <= count:
         return np.arange(len(curve_world))
     wanted = np.linspace(0.0, along[-1], count, endpoint=False)

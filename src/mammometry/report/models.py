@@ -90,9 +90,7 @@ def viewer_scene(
     )
 
 
-def change_scene(
-    frame: Float64[Array, "3 3"], dates: tuple[Dated, Dated], limit_mm: float, *, triangles: int = TRIANGLES
-) -> ViewerScene:
+def change_scene(frame: Float64[Array, "3 3"], dates: tuple[Dated, Dated], limit_mm: float) -> ViewerScene:
     """Two dates of one patient, aligned and side by side.
 
     The trunks are aligned. The later one can be coloured by the change.
@@ -101,7 +99,6 @@ def change_scene(
         frame: rows right, up and towards the viewer of the front view, world frame of the earlier date.
         dates: the earlier one first.
         limit_mm: end of the change's colour scale in both directions.
-        triangles: of both surfaces together at most.
     """
     centre = dates[0].repaired.mesh.vertices.mean(axis=0)
     world_from_view = Transform(rotation=frame.T, translation_mm=centre)
@@ -121,7 +118,7 @@ def change_scene(
                 view_from_world.apply,
                 own=date.world_from_own.apply,
                 first=layers,
-                triangles=triangles // 2,
+                triangles=TRIANGLES // 2,
             )
         )
     title = "Both dates side by side"

@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-from uuid import UUID
 
 from django.db import transaction
 from django.db.models import QuerySet
@@ -481,9 +480,3 @@ def _pose(upload: Upload) -> str:
 
 def _files(upload: Upload) -> list[Path]:
     return [upload.path, Path(f"{upload.path}.lock"), thumbnail_path(upload)]
-
-
-def find(key: UUID) -> Upload | None:
-    """An upload by its key."""
-    related = ("visit__rig", "visit__calibration", "visit__patient", "calibration__rig", "check_of_day__rig")
-    return Upload.objects.select_related(*related, "check_of_day__calibration").filter(pk=key).first()

@@ -104,7 +104,7 @@ class Runner:
         if not event.failed:
             held = queue.done(key, self.owner, event.value)
         elif _BUSY in event.failed:
-            queue.put_back(key, self.owner)
+            queue.release(self.owner, key)
             return
         else:
             held = queue.failed(key, self.owner, event.failed.replace(f"{self._config.folder}/", ""), event.exit_code)

@@ -23,7 +23,7 @@ from mammometry.clinic.records.confirmations import CHANGED_SENTENCE
 from mammometry.clinic.records.results import report_file
 from mammometry.clinic.records.search import duplicates
 from mammometry.clinic.records.search_words import plain_name
-from mammometry.clinic.views.responses import person_of
+from mammometry.clinic.views.responses import form_page, person_of
 from mammometry.hospital.peers import Peer, web_address
 
 if TYPE_CHECKING:
@@ -92,14 +92,12 @@ def destinations(request: HttpRequest) -> HttpResponse:
     return render(request, "clinic/destinations.html", {"destinations": Destination.objects.all()})
 
 
-def destination_new(request: HttpRequest) -> HttpResponse:
-    """Enter an archive."""
-    return _edited(request, None)
-
-
-def destination_edit(request: HttpRequest, destination: uuid.UUID) -> HttpResponse:
-    """Change an archive's entry."""
-    return _edited(request, get_object_or_404(Destination, pk=destination))
+def destination_form(request: HttpRequest, destination: uuid.UUID | None = None) -> HttpResponse:
+    """Enter an archive, or change its entry."""
+    shown = None if destination is None else get_object_or_404(Destination, pk=destination)
+    form = DestinationForm(request.POST or None, instance=shown)
+    kept, page = "The entry is kept. Test whether the archive answers.", "clinic/destination_form.html"
+    return form_page(request, page, form, kept, lambda _: redirect("destinations"), destination=shown)
 
 
 def destination_test(request: HttpRequest, destination: uuid.UUID) -> HttpResponse:
@@ -146,15 +144,6 @@ def delivery_retry(request: HttpRequest, delivery: uuid.UUID) -> HttpResponse:
     if request.method == "POST":
         deliveries.again(shown)
     return redirect("visit-send", visit=shown.visit_id)
-
-
-def _edited(request: HttpRequest, shown: Destination | None) -> HttpResponse:
-    form = DestinationForm(request.POST or None, instance=shown)
-    if request.method == "POST" and form.is_valid():
-        form.save()
-        messages.success(request, "The entry is kept. Test whether the archive answers.")
-        return redirect("destinations")
-    return render(request, "clinic/destination_form.html", {"form": form, "destination": shown})
 
 
 def _key(text: str) -> uuid.UUID:

@@ -25,7 +25,7 @@ from mammometry.clinic.models import Visit
 from mammometry.clinic.records.cohort import left_out, measured_visits, pooled, study_rows, visits_between
 from mammometry.clinic.records.results import report_file
 from mammometry.clinic.site import the_clinic
-from mammometry.clinic.views.responses import not_installed
+from mammometry.clinic.views.responses import download, not_installed
 from mammometry.study.agreement import LEAST_SUBJECTS, PairedMeasurements, agreement
 
 if TYPE_CHECKING:
@@ -91,8 +91,7 @@ def study(request: HttpRequest) -> HttpResponse:
 
 def study_csv(request: HttpRequest) -> HttpResponse:
     """The cohort as a table. Pseudonyms only."""
-    response = HttpResponse(content_type="text/csv; charset=utf-8")
-    response["Content-Disposition"] = f'attachment; filename="cohort_{timezone.localdate():%Y-%m-%d}.csv"'
+    response = download("", f"cohort_{timezone.localdate():%Y-%m-%d}.csv", "text/csv; charset=utf-8")
     writer = CsvWriter(response)
     writer.row(_COLUMNS)
     for row in study_rows(_asked(request)):
@@ -122,7 +121,7 @@ def _whole(text: str, low: int, high: int) -> int:
 
 
 _RELEASES: Mapping[str, Release] = {"r4": "R4", "r5": "R5"}
-_LEFT_OUT = "left-out.csv"
+_LEFT_OUT, _ZIP = "left-out.csv", "application/zip"
 _ZIP_EPOCH = (1980, 1, 1, 0, 0, 0)  # the earliest a zip can hold: the same results are the same bytes
 
 
@@ -138,7 +137,7 @@ def visit_dicom(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
         messages.error(request, str(error))
         return redirect("visit-send", visit=visit)
     # What is for others says neither pseudonym nor day in its name.
-    return _download(_zipped(made), "dicom-deidentified.zip" if deidentify else _named(shown, "dicom.zip"))
+    return download(_zipped(made), "dicom-deidentified.zip" if deidentify else _named(shown, "dicom.zip"), _ZIP)
 
 
 def visit_fhir(request: HttpRequest, visit: uuid.UUID, release: str) -> HttpResponse:
@@ -157,7 +156,7 @@ def visit_fhir(request: HttpRequest, visit: uuid.UUID, release: str) -> HttpResp
     except MammometryError as error:
         messages.error(request, str(error))
         return redirect("visit-send", visit=visit)
-    return _download(made, _named(shown, f"fhir-{release}.json"), content_type="application/fhir+json")
+    return download(made, _named(shown, f"fhir-{release}.json"), "application/fhir+json")
 
 
 def study_redcap(request: HttpRequest) -> HttpResponse:
@@ -176,24 +175,24 @@ def study_table(request: HttpRequest) -> HttpResponse:
 
 def _study(request: HttpRequest, tables: Callable[[Any], dict[str, bytes]], kind: str) -> HttpResponse:
     """Numbers of all visits that were asked for. Which are left out, and why, stands beside them."""
-    config, sessions, left_out = the_clinic(), [], []
+    config, sessions, omitted = the_clinic(), [], []
     for visit in measured_visits(_asked(request)).select_related("patient", "rig"):
         try:
             sessions.append(deliveries.gathered(config, visit, whole=False))
         except MammometryError as error:
             day = timezone.localtime(visit.taken_at).date().isoformat()
-            left_out.append((visit.patient.pseudonym, day, error.found))
+            omitted.append((visit.patient.pseudonym, day, error.found))
     visits, patients = left_out(_asked(request))
     if visits:
-        left_out.append(("", "", f"no consent to research holds: {visits} visits of {patients} patients"))
+        omitted.append(("", "", f"no consent to research holds: {visits} visits of {patients} patients"))
     try:
         made = tables(sessions)
     except MammometryError as error:
         messages.error(request, str(error))
         return redirect("study")
-    if left_out:
-        made[_LEFT_OUT] = csv_text(("pseudonym", "day", "why"), left_out).encode()
-    return _download(_zipped(made), f"study-{kind}_{timezone.localdate():%Y-%m-%d}.zip")
+    if omitted:
+        made[_LEFT_OUT] = csv_text(("pseudonym", "day", "why"), omitted).encode()
+    return download(_zipped(made), f"study-{kind}_{timezone.localdate():%Y-%m-%d}.zip", _ZIP)
 
 
 def _measured(visit: uuid.UUID) -> Visit:
@@ -214,9 +213,3 @@ def _zipped(files: Mapping[str, bytes]) -> bytes:
         for name, content in sorted(files.items()):
             archive.writestr(zipfile.ZipInfo(name, _ZIP_EPOCH), content)
     return made.getvalue()
-
-
-def _download(content: bytes | str, name: str, *, content_type: str = "application/zip") -> HttpResponse:
-    response = HttpResponse(content, content_type=content_type)
-    response["Content-Disposition"] = f'attachment; filename="{name}"'
-    return response

@@ -163,16 +163,13 @@ def picture_wh(view: View, size_px: int) -> tuple[int, int]:
     return width, height
 
 
-def standard_views(
-    mesh: TriangleMesh, frame: Float64[Array, "3 3"], *, of_patient: bool = False, margin: float = 1.06
-) -> tuple[View, ...]:
+def standard_views(mesh: TriangleMesh, frame: Float64[Array, "3 3"], *, of_patient: bool = False) -> tuple[View, ...]:
     """Four standard views: front, 45° from either side, from below. All have one scale and centre.
 
     Args:
         mesh: what to look at.
         frame: rows right, up, towards the viewer of the front view, world frame: see `front_frame`.
         of_patient: name the sides as the patient's own; the picture's left is the patient's right.
-        margin: picture's side over the mesh's own.
     """
     sides = np.sin(np.pi / 4), np.cos(np.pi / 4)
     left, right = ("patient's right", "patient's left") if of_patient else ("left", "right")
@@ -182,7 +179,7 @@ def standard_views(
         f"45° from the {right}": np.array([[sides[1], 0, -sides[0]], [0, 1, 0], [sides[0], 0, sides[1]]]),
         "45° from below": np.array([[1, 0, 0], [0, sides[1], sides[0]], [0, -sides[0], sides[1]]]),
     }
-    return views_of(mesh, {name: turn @ frame for name, turn in turns.items()}, margin=margin)
+    return views_of(mesh, {name: turn @ frame for name, turn in turns.items()})
 
 
 def views_of(mesh: TriangleMesh, frames: dict[str, Float64[Array, "3 3"]], *, margin: float = 1.06) -> tuple[View, ...]:
@@ -273,11 +270,11 @@ def visible(points_world: Float64[Array, "n 3"], view: View, cast: Cast, *, slac
     return seen
 
 
-def join_segments(segments: Float64[Array, "k 2 d"], *, digits: int = 6) -> list[Float64[Array, "n d"]]:
+def join_segments(segments: Float64[Array, "k 2 d"]) -> list[Float64[Array, "n d"]]:
     """Chain segments that share end points into polylines."""
     if not len(segments):
         return []
-    keys, index = np.unique(np.round(segments.reshape(-1, segments.shape[2]), digits), axis=0, return_inverse=True)
+    keys, index = np.unique(np.round(segments.reshape(-1, segments.shape[2]), 6), axis=0, return_inverse=True)
     pairs = index.reshape(-1, 2)
     neighbours: dict[int, list[int]] = {}
     for a, b in pairs:
