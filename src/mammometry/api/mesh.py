@@ -147,18 +147,16 @@ class MeshJob(Reported):
         drawn = DrawnBoundaries() if files.boundary is None else boundaries_in(files.boundary, _NAMES)
         foreign = read_foreign(files.mesh, files.units, of_torso="model" not in drawn.curves)
         if files.boundary is None and files.landmarks is None and not files.automatic:
+            remedy = "Add --boundary b.json, or --landmarks l.json with the protocol's landmarks, or --automatic"
+            expected = "where the breast ends on this mesh"
             raise SessionError(
-                str(files.mesh),
-                found="neither a boundary nor landmarks",
-                expected="where the breast ends on this mesh",
-                remedy="Add --boundary b.json, or --landmarks l.json with the protocol's landmarks, or --automatic",
+                str(files.mesh), found="neither a boundary nor landmarks", expected=expected, remedy=remedy
             )
         if files.boundary is not None and files.automatic and files.scan is None:
+            remedy = "Leave out --boundary or --automatic"
+            expected = "one of the two"
             raise SessionError(
-                str(files.boundary),
-                found="a boundary file together with --automatic",
-                expected="one of the two",
-                remedy="Leave out --boundary or --automatic",
+                str(files.boundary), found="a boundary file together with --automatic", expected=expected, remedy=remedy
             )
         own = replace(settings.measure, surface_sigma_mm=files.surface_std_mm)
         if files.boundary is None and not files.automatic:
@@ -180,11 +178,10 @@ class MeshJob(Reported):
             )
         curves = drawn.curves
         if "model" in curves and len(curves) > 1:
+            remedy = "Name the patient's own sides"
+            expected = "model alone, or left and right"
             raise SessionError(
-                str(files.boundary),
-                found=f"boundaries {', '.join(curves)}",
-                expected="model alone, or left and right",
-                remedy="Name the patient's own sides",
+                str(files.boundary), found=f"boundaries {', '.join(curves)}", expected=expected, remedy=remedy
             )
         self.kind: SubjectKind = "model" if "model" in curves else "torso"
         places = {} if files.landmarks is None else landmarks_in(files.landmarks, self.kind)

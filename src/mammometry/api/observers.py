@@ -111,12 +111,9 @@ def _of_table(path: Path, mesh: Path | None) -> tuple[DrawnBy, ...]:
 
 
 def _no_mesh(curves: Path) -> SessionError:
-    return SessionError(
-        str(curves),
-        found="drawings without a surface",
-        expected="the mesh that they were drawn on",
-        remedy="Add --mesh front.ply, or a column mesh to the table",
-    )
+    remedy = "Add --mesh front.ply, or a column mesh to the table"
+    expected = "the mesh that they were drawn on"
+    return SessionError(str(curves), found="drawings without a surface", expected=expected, remedy=remedy)
 
 
 _SIDES = ("left", "right")

@@ -240,11 +240,10 @@ def unpacked(data: bytes) -> ReportContent:
             }
             scene = archive.read(_SCENE).decode().replace("<", "\\u003c")  # safe inside a page, whoever wrote it
     except (OSError, ValueError, LookupError, EOFError, zipfile.BadZipFile, zlib.error, NotImplementedError) as error:
+        remedy = "Run the command again: it will be made again"
+        expected = "the file as it was written"
         raise StorageError(
-            CONTENT,
-            found=f"a result that cannot be read back ({error})",
-            expected="the file as it was written",
-            remedy="Run the command again: it will be made again",
+            CONTENT, found=f"a result that cannot be read back ({error})", expected=expected, remedy=remedy
         ) from None
     return replace(content, pictures=pictures, scene=scene)
 

@@ -116,11 +116,10 @@ def _connected(scheduler: str) -> Iterator[Client]:
         client = Client(scheduler, timeout=_ANSWER_S, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:
         reason = str(error).partition("\n")[0]
+        remedy = "Start one with `dask scheduler`, or leave --scheduler out to use this machine"
+        expected = "the address of a Dask scheduler, such as tcp://host:8786"
         raise BatchError(
-            scheduler,
-            found=f"no scheduler that answers ({reason})",
-            expected="the address of a Dask scheduler, such as tcp://host:8786",
-            remedy="Start one with `dask scheduler`, or leave --scheduler out to use this machine",
+            scheduler, found=f"no scheduler that answers ({reason})", expected=expected, remedy=remedy
         ) from None
     try:
         yield client

@@ -314,12 +314,9 @@ class Engine:
 
 
 def _lost() -> BatchError:
-    return BatchError(
-        "the scheduler",
-        found="no answer any more",
-        expected="a scheduler that lives as long as the batch",
-        remedy="Start it and its workers again, and run the same command again: finished sessions are kept",
-    )
+    remedy = "Start it and its workers again, and run the same command again: finished sessions are kept"
+    expected = "a scheduler that lives as long as the batch"
+    return BatchError("the scheduler", found="no answer any more", expected=expected, remedy=remedy)
 
 
 def _blame(why: str, taken_mb: float | None) -> str:

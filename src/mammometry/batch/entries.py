@@ -41,11 +41,10 @@ def find_entries(wanted: Sequence[str], results: str | None = None) -> tuple[Ent
         for entry in _entries(text):
             before = entries.setdefault(entry.address, entry)
             if before.assignments != entry.assignments:
+                remedy = "Remove one of the two lines, or copy the session"
+                expected = "each session once"
                 raise SessionError(
-                    entry.address,
-                    found="the same session twice, with other settings",
-                    expected="each session once",
-                    remedy="Remove one of the two lines, or copy the session",
+                    entry.address, found="the same session twice, with other settings", expected=expected, remedy=remedy
                 )
     if results is None:
         return tuple(entries.values())
@@ -53,11 +52,10 @@ def find_entries(wanted: Sequence[str], results: str | None = None) -> tuple[Ent
     named: dict[str, str] = {}
     for entry in entries.values():
         if (other := named.setdefault(entry.name, entry.address)) != entry.address:
+            remedy = "Rename one of them, or measure them in two batches"
+            expected = "sessions whose folders have different names, since --results holds one folder each"
             raise SessionError(
-                entry.address,
-                found=f"another session of the same name, {other}",
-                expected="sessions whose folders have different names, since --results holds one folder each",
-                remedy="Rename one of them, or measure them in two batches",
+                entry.address, found=f"another session of the same name, {other}", expected=expected, remedy=remedy
             )
     return tuple(
         Entry(

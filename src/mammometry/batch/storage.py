@@ -171,11 +171,10 @@ def _opened(address: str) -> tuple[AbstractFileSystem, str]:
     try:
         system, path = url_to_fs(address if is_address(address) else f"file://{address}")
     except (ImportError, ValueError) as error:
+        remedy = "Install that package on every machine, or correct the address"
+        expected = "an address that fsspec knows and its package (s3fs for s3://, sshfs for sftp://)"
         raise StorageError(
-            address,
-            found=f"storage that cannot be opened ({error})",
-            expected="an address that fsspec knows and its package (s3fs for s3://, sshfs for sftp://)",
-            remedy="Install that package on every machine, or correct the address",
+            address, found=f"storage that cannot be opened ({error})", expected=expected, remedy=remedy
         ) from None
     return system, path.rstrip("/")
 
@@ -210,9 +209,8 @@ def _answers(address: str) -> Iterator[None]:
         raise
     except Exception as error:
         reason = str(error).partition("\n")[0] or type(error).__name__
+        remedy = "Check the address, the credentials and the network, and run the same command again"
+        expected = "to read the session and to write its results"
         raise StorageError(
-            address,
-            found=f"storage that does not answer as it should ({reason})",
-            expected="to read the session and to write its results",
-            remedy="Check the address, the credentials and the network, and run the same command again",
+            address, found=f"storage that does not answer as it should ({reason})", expected=expected, remedy=remedy
         ) from None

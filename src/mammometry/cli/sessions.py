@@ -81,11 +81,10 @@ def new(
         text = manifest_template(rig=rig.value, target=target.value, subject=subject.value)
         write_text(session / MANIFEST, text)
     except OSError as error:
+        remedy = "Choose another place"
+        expected = "permission and room to write"
         raise StorageError(
-            str(session),
-            found=f"a folder that cannot be made ({error.strerror})",
-            expected="permission and room to write",
-            remedy="Choose another place",
+            str(session), found=f"a folder that cannot be made ({error.strerror})", expected=expected, remedy=remedy
         ) from None
     lines: list[Any] = [
         f"{session / MANIFEST}: describe your rig and target here",

@@ -222,11 +222,10 @@ class Desk:
             entries = drawn_entries(self.folder, self.kind, self.subject)
             curves = self._shown(read_boundaries(self.folder, self.kind, self.subject))
             if {name: curve_digest(curve) for name, curve in curves.items()} != sent.curves:
+                remedy = "Load the page again and look at them"
+                expected = "the curves in the session"
                 raise SessionError(
-                    "the boundaries",
-                    found="others than those on the page",
-                    expected="the curves in the session",
-                    remedy="Load the page again and look at them",
+                    "the boundaries", found="others than those on the page", expected=expected, remedy=remedy
                 )
             moment = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
             changes: dict[Item, Change] = {}
@@ -346,11 +345,10 @@ class Desk:
         places = np.array(list(points), dtype=np.float64)
         away = np.maximum(self.low - places, places - self.high).max()
         if away > _FARTHEST_MM:
+            remedy = "Draw it again"
+            expected = f"one on it, at most {_FARTHEST_MM / 1000:.0f} m away"
             raise SessionError(
-                name,
-                found=f"a point {away / 1000:.3g} m away from the surface",
-                expected=f"one on it, at most {_FARTHEST_MM / 1000:.0f} m away",
-                remedy="Draw it again",
+                name, found=f"a point {away / 1000:.3g} m away from the surface", expected=expected, remedy=remedy
             )
         return places
 

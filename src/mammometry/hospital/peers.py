@@ -33,11 +33,10 @@ class Peer:
         """
         match = _PEER.match(text)
         if match is None or text_fault(match["title"], "AE") is not None or not 0 < int(match["port"]) < 65536:
+            remedy = "Ask the archive's administrator for them"
+            expected = "AE@host:port, such as PACS@10.0.0.5:104"
             raise SettingsError(
-                text or "the archive's address",
-                found="no AE title, host and port",
-                expected="AE@host:port, such as PACS@10.0.0.5:104",
-                remedy="Ask the archive's administrator for them",
+                text or "the archive's address", found="no AE title, host and port", expected=expected, remedy=remedy
             )
         return cls(title=match["title"].strip(), host=match["host"].strip("[]"), port=int(match["port"]))
 
@@ -68,11 +67,10 @@ class Tls:
                 made.load_cert_chain(self.certificate, self.key)
         except OSError as error:  # SSLError is one
             files = ", ".join(str(path) for path in (self.authorities, self.certificate, self.key) if path is not None)
+            remedy = "Check the files of --tls-ca, --tls-certificate and --tls-key"
+            expected = "certificates and a key as PEM"
             raise SettingsError(
-                files or "TLS",
-                found=f"no certificate that can be read ({error})",
-                expected="certificates and a key as PEM",
-                remedy="Check the files of --tls-ca, --tls-certificate and --tls-key",
+                files or "TLS", found=f"no certificate that can be read ({error})", expected=expected, remedy=remedy
             ) from None
         return made
 

@@ -80,11 +80,9 @@ class RunLock:
         remedy = "Wait for it to end, or stop it"
         if Path(lock.lock_file).name == MARKER:
             remedy += f"; if it is gone, remove {MARKER} there"
+        expected = "one run at a time in a session"
         return StorageError(
-            str(self._folder),
-            found=f"another run at work there{self._holder()}",
-            expected="one run at a time in a session",
-            remedy=remedy,
+            str(self._folder), found=f"another run at work there{self._holder()}", expected=expected, remedy=remedy
         )
 
     def _holder(self) -> str:

@@ -226,11 +226,10 @@ def _read(folder: Path) -> _Record:
         files = {_plain(name): _written(entry) for name, entry in table["files"].items()}
         command = table.get("folder_of")
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        remedy = "Move it away, or choose another place for the results"
+        expected = "the file as mammometry left it"
         raise StorageError(
-            str(path),
-            found=f"no record of what was written here ({error})",
-            expected="the file as mammometry left it",
-            remedy="Move it away, or choose another place for the results",
+            str(path), found=f"no record of what was written here ({error})", expected=expected, remedy=remedy
         ) from None
     return _Record(command=None if command is None else str(command), files=files)
 

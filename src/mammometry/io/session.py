@@ -167,11 +167,10 @@ class Session:
             )
         for (_, camera), path in files.items():
             if camera not in self.cameras:
+                remedy = _perhaps(camera, list(self.cameras)) or "Rename or remove it"
+                expected = f"one of {', '.join(self.cameras)}"
                 raise SessionError(
-                    str(path),
-                    found="a photograph by an unknown camera",
-                    expected=f"one of {', '.join(self.cameras)}",
-                    remedy=_perhaps(camera, list(self.cameras)) or "Rename or remove it",
+                    str(path), found="a photograph by an unknown camera", expected=expected, remedy=remedy
                 )
         tables = {shot: path.with_suffix(".csv") for shot, path in files.items() if path.with_suffix(".csv").is_file()}
         points = {shot: _read_points(path, str(path)) for shot, path in tables.items()}
@@ -204,11 +203,9 @@ class Session:
         intrinsics = self._intrinsics_files() if cameras is None else {}
         manifest = self.manifest
         if manifest.target is None and cameras is None:
+            remedy = "Describe the calibration target, or import cameras with `mammometry import-cameras`"
             raise SessionError(
-                MANIFEST,
-                found="neither a [target] nor a cameras.json beside it",
-                expected="one of them",
-                remedy="Describe the calibration target, or import cameras with `mammometry import-cameras`",
+                MANIFEST, found="neither a [target] nor a cameras.json beside it", expected="one of them", remedy=remedy
             )
         present = {camera: path for camera, path in capture.items() if path.exists()}
         self._check_headers(present, calibration if cameras is None else {}, intrinsics, cameras)
@@ -339,11 +336,10 @@ class Session:
         files = self._images(self.path / "masks")
         for camera, path in files.items():
             if camera not in capture:
+                remedy = _perhaps(camera, list(capture)) or "Rename or remove it"
+                expected = f"one of {', '.join(capture)}"
                 raise SessionError(
-                    self._name(path),
-                    found="a mask without a photograph",
-                    expected=f"one of {', '.join(capture)}",
-                    remedy=_perhaps(camera, list(capture)) or "Rename or remove it",
+                    self._name(path), found="a mask without a photograph", expected=expected, remedy=remedy
                 )
         return files
 
@@ -406,11 +402,10 @@ class Session:
         width, height = self._header(photograph).size_wh
         size_wh = self._header(path).size_wh
         if size_wh != (width, height):
+            remedy = "Export the mask at the photograph's size"
+            expected = f"{width} × {height} pixels, as the photograph of camera {camera}"
             raise ImageError(
-                self._name(path),
-                found=f"{size_wh[0]} × {size_wh[1]} pixels",
-                expected=f"{width} × {height} pixels, as the photograph of camera {camera}",
-                remedy="Export the mask at the photograph's size",
+                self._name(path), found=f"{size_wh[0]} × {size_wh[1]} pixels", expected=expected, remedy=remedy
             )
         return read_mask(path, self._name(path), self.limits)
 
@@ -472,11 +467,9 @@ def _file_digest(path: Path) -> str:
         status = path.stat()
         return _hashed(path, status.st_size, status.st_mtime_ns)
     except OSError as error:
+        remedy = "Check it and its permissions"
         raise ImageError(
-            str(path),
-            found=f"a file that cannot be read ({error.strerror})",
-            expected="a readable file",
-            remedy="Check it and its permissions",
+            str(path), found=f"a file that cannot be read ({error.strerror})", expected="a readable file", remedy=remedy
         ) from None
 
 

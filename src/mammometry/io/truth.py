@@ -43,11 +43,10 @@ def read_truth(folder: Path, pair_names: Mapping[str, tuple[str, str]]) -> Truth
         targets = {pose: Transform.from_matrix(np.array(matrix)) for pose, matrix in placed.items()}
         volumes, boundaries = _volumes(facts), _boundaries(folder)
     except FileNotFoundError as error:
+        remedy = "Evaluate a session of `mammometry simulate`, or name its truth with --truth"
+        expected = "the truth of a virtual capture: truth.json, mesh.ply and cameras.json"
         raise SessionError(
-            str(folder),
-            found=f"no {Path(error.filename).name}",
-            expected="the truth of a virtual capture: truth.json, mesh.ply and cameras.json",
-            remedy="Evaluate a session of `mammometry simulate`, or name its truth with --truth",
+            str(folder), found=f"no {Path(error.filename).name}", expected=expected, remedy=remedy
         ) from None
     except (OSError, ValueError, KeyError, TypeError, AttributeError, IndexError) as error:
         raise SessionError(
@@ -59,11 +58,10 @@ def read_truth(folder: Path, pair_names: Mapping[str, tuple[str, str]]) -> Truth
     mesh = folder / "mesh.ply"
     missing = sorted({name for pair in pair_names.values() for name in pair} - set(cameras))
     if missing:
+        remedy = "Name the truth of this session with --truth"
+        expected = f"also {', '.join(missing)}, which the session's pairs name"
         raise SessionError(
-            str(common / "cameras.json"),
-            found=f"cameras {', '.join(cameras)}",
-            expected=f"also {', '.join(missing)}, which the session's pairs name",
-            remedy="Name the truth of this session with --truth",
+            str(common / "cameras.json"), found=f"cameras {', '.join(cameras)}", expected=expected, remedy=remedy
         )
     return Truth(
         rig=Rig(name="truth", cameras=cameras, pair_names=pair_names),

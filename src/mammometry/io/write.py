@@ -86,11 +86,10 @@ def disk_errors(path: Path) -> Iterator[None]:
             full.is_full = True
             raise full from None
         if error.errno in _DENIED:
+            remedy = "Change its permissions, or copy the session elsewhere"
+            expected = "a folder that may be written to"
             raise StorageError(
-                str(error.filename or path),
-                found=f"no permission ({error.strerror})",
-                expected="a folder that may be written to",
-                remedy="Change its permissions, or copy the session elsewhere",
+                str(error.filename or path), found=f"no permission ({error.strerror})", expected=expected, remedy=remedy
             ) from None
         raise StorageError(
             str(error.filename or path),

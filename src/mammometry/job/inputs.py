@@ -101,11 +101,9 @@ class Inputs:
             CalibrationError: there is neither a target nor a camera.
         """
         if self.cameras is None and self.target is None:
+            remedy = "Describe the calibration target, or import cameras with `mammometry import-cameras`"
             raise CalibrationError(
-                "session.toml",
-                found="neither a [target] nor ready-made cameras",
-                expected="one of them",
-                remedy="Describe the calibration target, or import cameras with `mammometry import-cameras`",
+                "session.toml", found="neither a [target] nor ready-made cameras", expected="one of them", remedy=remedy
             )
         return self.cameras is None
 

@@ -54,11 +54,10 @@ class _Fault:
     def of(cls, camera: str, text: str) -> _Fault:
         kind, _, size = text.partition("=")
         if kind not in FAULTS:
+            remedy = "Name a fault, or remove the line"
+            expected = f"one of {', '.join(FAULTS)}"
             raise SettingsError(
-                f"[capture.options.faults] {camera}",
-                found=repr(text),
-                expected=f"one of {', '.join(FAULTS)}",
-                remedy="Name a fault, or remove the line",
+                f"[capture.options.faults] {camera}", found=repr(text), expected=expected, remedy=remedy
             )
         return cls(kind=kind, size=size)
 

@@ -93,12 +93,8 @@ def found_by(association: Any, query: Dataset, model: str, peer: Peer) -> list[D
 
 def lost(peer: Peer, when: str) -> ArchiveError:
     """The error for a connection that ended too soon."""
-    return ArchiveError(
-        str(peer),
-        found=f"a connection that ended {when}",
-        expected="an answer",
-        remedy="Run the same command again: what has arrived is not sent again",
-    )
+    remedy = "Run the same command again: what has arrived is not sent again"
+    return ArchiveError(str(peer), found=f"a connection that ended {when}", expected="an answer", remedy=remedy)
 
 
 def echo(peer: Peer, *, own_title: str = OWN_TITLE, tls: Tls | None = None) -> None:
@@ -125,11 +121,9 @@ def _refused(peer: Peer, association: Any, own_title: str, *, encrypted: bool) -
     if association.is_rejected:
         answer = association.acceptor.primitive
         why = "" if answer is None else f" ({answer.reason_str})"
+        remedy = "Ask its administrator to enter our AE title, and check its own"
         return ArchiveError(
-            str(peer),
-            found=f"an application that refuses {own_title}{why}",
-            expected="to be accepted",
-            remedy="Ask its administrator to enter our AE title, and check its own",
+            str(peer), found=f"an application that refuses {own_title}{why}", expected="to be accepted", remedy=remedy
         )
     if association.acceptor.primitive is not None:
         return ArchiveError(
@@ -138,9 +132,6 @@ def _refused(peer: Peer, association: Any, own_title: str, *, encrypted: bool) -
             expected="storage, or the search that was asked for",
             remedy="Ask its administrator which services it allows us",
         )
-    return ArchiveError(
-        str(peer),
-        found="nobody who answers",
-        expected="a DICOM application" + (", with TLS" if encrypted else ""),
-        remedy="Check host and port, whether it runs, and whether it wants TLS. Then run the same command again",
-    )
+    remedy = "Check host and port, whether it runs, and whether it wants TLS. Then run the same command again"
+    expected = "a DICOM application" + (", with TLS" if encrypted else "")
+    return ArchiveError(str(peer), found="nobody who answers", expected=expected, remedy=remedy)

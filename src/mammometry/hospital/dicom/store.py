@@ -86,11 +86,10 @@ def _require_all(association: Any, made: Sequence[Dataset], peer: Peer) -> None:
         }
     )
     if refused:
+        remedy = "Ask its administrator to allow them, or leave them out by --without"
+        expected = "one that takes all kinds of object"
         raise ArchiveError(
-            str(peer),
-            found=f"an archive that does not take {', '.join(refused)}",
-            expected="one that takes all kinds of object",
-            remedy="Ask its administrator to allow them, or leave them out by --without",
+            str(peer), found=f"an archive that does not take {', '.join(refused)}", expected=expected, remedy=remedy
         )
 
 
@@ -188,11 +187,10 @@ def committed(
         )
         if status.get("Status") != 0:
             code = f"status {status.get('Status', 0):04X}{comment(status)}"
+            remedy = "Ask its administrator to allow us storage commitment, or leave --commitment out"
+            expected = "the promise to keep what was sent"
             raise ArchiveError(
-                str(peer),
-                found=f"a refused request for storage commitment ({code})",
-                expected="the promise to keep what was sent",
-                remedy="Ask its administrator to allow us storage commitment, or leave --commitment out",
+                str(peer), found=f"a refused request for storage commitment ({code})", expected=expected, remedy=remedy
             )
         if not replied.wait(answer_s):
             return None

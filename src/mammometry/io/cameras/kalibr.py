@@ -89,11 +89,10 @@ def kalibr_text(cameras: Mapping[str, Camera]) -> str:
     before: Camera | None = None
     for number, camera in enumerate(cameras.values()):
         if camera.distortion[4]:
+            remedy = "Export for OpenCV or COLMAP, or calibrate without k3"
+            expected = "k1, k2, p1, p2 only: Kalibr's radtan has no k3"
             raise SessionError(
-                f"camera {camera.name}",
-                found=f"k3 = {camera.distortion[4]:g}",
-                expected="k1, k2, p1, p2 only: Kalibr's radtan has no k3",
-                remedy="Export for OpenCV or COLMAP, or calibrate without k3",
+                f"camera {camera.name}", found=f"k3 = {camera.distortion[4]:g}", expected=expected, remedy=remedy
             )
         entry: dict[str, Any] = {
             "camera_model": "pinhole",

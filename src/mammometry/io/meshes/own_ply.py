@@ -89,11 +89,9 @@ def read_ply(path: Path) -> tuple[TriangleMesh, dict[str, Array], tuple[str, ...
             raise ValueError("coordinates that are not finite")
         mesh = TriangleMesh(vertices=positions, faces=np.ascontiguousarray(faces["corners"]))
     except (ValueError, KeyError) as error:
+        remedy = "Export the mesh again"
         raise StorageError(
-            path.name,
-            found=f"a mesh that cannot be read ({error_text(error)})",
-            expected=expected,
-            remedy="Export the mesh again",
+            path.name, found=f"a mesh that cannot be read ({error_text(error)})", expected=expected, remedy=remedy
         ) from None
     others = {name: np.ascontiguousarray(vertices[name]) for name, _ in header.columns if name not in ("x", "y", "z")}
     return mesh, others, header.comments

@@ -184,11 +184,9 @@ def covered_parts(path: Path, folder: Path, limits: LimitSettings) -> Path | Non
     except SessionError:
         raise
     except Exception as error:  # the reader raises anything that a damaged file makes it stumble over
+        remedy = "Export it again"
         raise SessionError(
-            path.name,
-            found=f"a file that cannot be read ({error_text(error)})",
-            expected="a GLB",
-            remedy="Export it again",
+            path.name, found=f"a file that cannot be read ({error_text(error)})", expected="a GLB", remedy=remedy
         ) from None
     return _written(folder, parts, [f"{number}.png" for number in range(len(pictures))])
 

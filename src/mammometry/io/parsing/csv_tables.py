@@ -148,21 +148,19 @@ class Table:
     def _number(self, cell: str, where: str, mark: DecimalMark, *, doubted: bool) -> float:
         readings = both_readings(cell)
         if readings is not None and doubted:
+            remedy = "Write whole numbers without a mark, or decimals of all numbers to another place"
+            expected = "numbers without marks between thousands"
             raise self.refusal(
-                where,
-                found=f"{shown(cell)}, which may mean {' or '.join(readings)}",
-                expected="numbers without marks between thousands",
-                remedy="Write whole numbers without a mark, or decimals of all numbers to another place",
+                where, found=f"{shown(cell)}, which may mean {' or '.join(readings)}", expected=expected, remedy=remedy
             )
         try:
             return mark.number(cell)
         except ValueError:
             doubt = "" if readings is None else f", which may mean {' or '.join(readings)}"
+            remedy = "Correct the value, or leave the whole row out"
+            expected = f"a number with a decimal {'comma, as the others' if mark.mark == ',' else 'point'}"
             raise self.refusal(
-                where,
-                found=f"{shown(cell)}{doubt}" if cell else "no value",
-                expected=f"a number with a decimal {'comma, as the others' if mark.mark == ',' else 'point'}",
-                remedy="Correct the value, or leave the whole row out",
+                where, found=f"{shown(cell)}{doubt}" if cell else "no value", expected=expected, remedy=remedy
             ) from None
 
 

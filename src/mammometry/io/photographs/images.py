@@ -366,12 +366,8 @@ def _unreadable(path: Path, name: str, error: BaseException | None) -> ImageErro
     if path.is_file() and path.stat().st_size == 0:
         return ImageError(name, found="an empty file", expected="a photograph", remedy="Copy it again from the camera")
     if isinstance(error, UnusualTiffError):
-        return ImageError(
-            name,
-            found=str(error),
-            expected="a photograph, grey or RGB, of 8 or 16 bits",
-            remedy="Export it as an ordinary JPEG, PNG or TIFF",
-        )
+        remedy = "Export it as an ordinary JPEG, PNG or TIFF"
+        return ImageError(name, found=str(error), expected="a photograph, grey or RGB, of 8 or 16 bits", remedy=remedy)
     if error is not None and "truncated" in str(error).lower():
         return _truncated(name)
     if isinstance(error, OSError) and error.errno is not None:
@@ -380,9 +376,5 @@ def _unreadable(path: Path, name: str, error: BaseException | None) -> ImageErro
     kind = "a damaged image"
     if isinstance(error, UnidentifiedImageError):
         kind = _other_format(path) or "a file that is not an image"
-    return ImageError(
-        name,
-        found=kind,
-        expected="a readable JPEG, PNG or TIFF",
-        remedy="Copy it again from the camera, or export it again",
-    )
+    remedy = "Copy it again from the camera, or export it again"
+    return ImageError(name, found=kind, expected="a readable JPEG, PNG or TIFF", remedy=remedy)

@@ -376,11 +376,9 @@ class Reader:
         """
 
         def refuse() -> Callable[[Progress], T]:
+            remedy = "Run the session: it will be made"
             raise StorageError(
-                f"{key.stage}/{key.product}",
-                found="no current result",
-                expected="it on the disk",
-                remedy="Run the session: it will be made",
+                f"{key.stage}/{key.product}", found="no current result", expected="it on the disk", remedy=remedy
             )
 
         return self._store.recall(key, refuse)

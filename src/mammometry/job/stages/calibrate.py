@@ -180,11 +180,10 @@ def _imported(inputs: Inputs) -> CameraSet:
     wanted = sorted({name for pair in inputs.pair_names.values() for name in pair} | set(inputs.photographs))
     missing = [name for name in wanted if name not in inputs.cameras]
     if missing:
+        remedy = "Import every camera of the rig, under the names that session.toml uses"
+        expected = f"also {', '.join(missing)}"
         raise CalibrationError(
-            "cameras.json",
-            found=f"cameras {', '.join(inputs.cameras)}",
-            expected=f"also {', '.join(missing)}",
-            remedy="Import every camera of the rig, under the names that session.toml uses",
+            "cameras.json", found=f"cameras {', '.join(inputs.cameras)}", expected=expected, remedy=remedy
         )
     rig = Rig(
         name=inputs.rig_name, cameras={name: inputs.cameras[name] for name in wanted}, pair_names=inputs.pair_names

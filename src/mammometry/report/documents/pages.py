@@ -96,11 +96,10 @@ def viewer_program() -> str:
     try:
         return resource("viewer.js").replace("</", "<\\/")
     except FileNotFoundError:
+        remedy = "Install mammometry again: pip install ."
+        expected = "the 3D viewer, which is bundled when the package is installed"
         raise StorageError(
-            "mammometry/report/templates/viewer.js",
-            found="no such file",
-            expected="the 3D viewer, which is bundled when the package is installed",
-            remedy="Install mammometry again: pip install .",
+            "mammometry/report/templates/viewer.js", found="no such file", expected=expected, remedy=remedy
         ) from None
 
 

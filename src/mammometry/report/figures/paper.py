@@ -203,11 +203,10 @@ def repaired_surface(source: Source) -> Sheet:
 def _at_least_two(plan: Plan, number: int) -> list[RangeImage]:
     images = [product() for product in plan[surface.range_image].values()]
     if len(images) < 2:
+        remedy = "Draw it from a session of a rig with more pairs"
+        expected = "two pairs, whose range images are compared"
         raise SessionError(
-            f"figure {number}",
-            found=f"one pair of cameras, {images[0].name}",
-            expected="two pairs, whose range images are compared",
-            remedy="Draw it from a session of a rig with more pairs",
+            f"figure {number}", found=f"one pair of cameras, {images[0].name}", expected=expected, remedy=remedy
         )
     return images
 
