@@ -17,10 +17,9 @@ from uuid import uuid4
 
 from mammometry.base.child_process import Call
 from mammometry.base.errors import BatchError
-from mammometry.batch import memory
+from mammometry.batch import record
 from mammometry.batch.cluster import Machines, other_version
-from mammometry.batch.entry import CORES, MEMORY
-from mammometry.batch.record import software
+from mammometry.batch.record import CORES, MEMORY, software
 from mammometry.batch.supervise import TOPIC, Limits, stop, stop_all, supervise
 
 _KIND = "mammometry"  # first word of all keys: Dask learns by it how long tasks take, and spreads them evenly
@@ -222,7 +221,7 @@ class Engine:
 
     def _submit(self, tried: _Tried) -> None:
         largest = self._largest_mb
-        need = largest if tried.alone else min(largest, memory.need_mb(tried.task.megapixels, self._known) or largest)
+        need = largest if tried.alone else min(largest, record.need_mb(tried.task.megapixels, self._known) or largest)
         future = self._machines.client.submit(
             supervise,
             tried.task.name,
@@ -315,12 +314,9 @@ class Engine:
 
 
 def _lost() -> BatchError:
-    return BatchError(
-        "the scheduler",
-        found="no answer any more",
-        expected="a scheduler that lives as long as the batch",
-        remedy="Start it and its workers again, and run the same command again: finished sessions are kept",
-    )
+    remedy = "Start it and its workers again, and run the same command again: finished sessions are kept"
+    expected = "a scheduler that lives as long as the batch"
+    return BatchError("the scheduler", found="no answer any more", expected=expected, remedy=remedy)
 
 
 def _blame(why: str, taken_mb: float | None) -> str:

@@ -16,8 +16,7 @@ from typing import Any
 
 from mammometry.base.child_process import Call, ChildProcess, NotDone
 from mammometry.base.value import value
-from mammometry.batch.entry import MEMORY
-from mammometry.batch.record import software
+from mammometry.batch.record import MEMORY, software
 
 TOPIC = "mammometry"
 """Of the events by which workers say how far their tasks are."""

@@ -9,7 +9,7 @@ import psutil
 from distributed import Status, Worker, WorkerPlugin
 from distributed.system import MEMORY_LIMIT
 
-from mammometry.batch.entry import CORES, MEMORY
+from mammometry.batch.record import CORES, MEMORY
 
 _SHARE = 0.85
 """Share of a machine's memory for the tasks. The rest is for the system and the disk."""

@@ -83,7 +83,7 @@ def batch(
     from mammometry.batch.batch import look, measure_batch
     from mammometry.batch.cluster import machines
     from mammometry.batch.entries import find_entries
-    from mammometry.batch.entry import is_address
+    from mammometry.batch.record import is_address
     from mammometry.io.outputs import require_apart, require_free, write_outputs
     from mammometry.report.documents.batch_page import FILES, batch_files, counted
 

@@ -166,8 +166,8 @@ def today(rig: Rig) -> Today:
 
 def entries(rig: Rig) -> list[Entry]:
     """The newest judged checks, the oldest first. As the drift chart takes them."""
-    found = rig.checks.exclude(figures={}).select_related("calibration").order_by("-taken_at")[:_SHOWN]
-    return [_entry(check) for check in reversed(found)]
+    checks = rig.checks.exclude(figures={}).select_related("calibration").order_by("-taken_at")[:_SHOWN]
+    return [_entry(check) for check in reversed(checks)]
 
 
 def drift_rows(rig: Rig) -> Iterator[dict[str, Any]]:

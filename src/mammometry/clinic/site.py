@@ -256,7 +256,6 @@ def _logins(config: ClinicConfig) -> dict[str, Any]:
         },
         "MFA_SUPPORTED_TYPES": ["totp", "recovery_codes"],
         "MFA_TOTP_ISSUER": config.name,
-        "SOCIALACCOUNT_ADAPTER": f"{_PACKAGE}.accounts.HospitalLogin",
         "SOCIALACCOUNT_EMAIL_AUTHENTICATION": True,
         "SOCIALACCOUNT_EMAIL_AUTHENTICATION_AUTO_CONNECT": True,
         "SOCIALACCOUNT_PROVIDERS": {},

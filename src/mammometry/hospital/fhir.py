@@ -13,10 +13,9 @@ from collections.abc import Iterator
 from typing import Any, Literal
 
 from mammometry.hospital import codes
-from mammometry.hospital.codes import Coded
+from mammometry.hospital.codes import Coded, identifier
 from mammometry.hospital.exported import Absent, Exported, Operation, Patient, Quantity, Side, as_patient_id
-from mammometry.hospital.identifiers import identifier
-from mammometry.report.clinical import Signed
+from mammometry.report.content import Signed
 
 Release = Literal["R4", "R5"]
 _PACKAGES = {"R4": "fhir.resources.R4B", "R5": "fhir.resources"}

@@ -20,8 +20,7 @@ from filelock import FileLock
 from mammometry.base.errors import SessionError
 from mammometry.base.parse import json_value
 from mammometry.calibration.judge.check import CameraCheck, RigCheck
-from mammometry.io.durable import sync_folder
-from mammometry.io.write import disk_errors
+from mammometry.io.write import disk_errors, sync_folder
 
 FOLDER = "checks"
 HISTORY = "history.jsonl"

@@ -16,8 +16,7 @@ from typing import Any
 import numpy as np
 
 from mammometry.base.photograph import Photograph
-from mammometry.capture.camera import CameraSettings, Devices, Frame, Health, failed
-from mammometry.capture.registry import BACKENDS, library, missing
+from mammometry.capture.camera import BACKENDS, CameraSettings, Devices, Frame, Health, failed, library, missing
 from mammometry.io.photographs.images import demosaiced
 
 _DEBIAN = Path("/usr/lib/python3/dist-packages")  # where python3-gi is; a virtual environment does not look there

@@ -17,8 +17,7 @@ from PIL import Image
 
 from mammometry.base.errors import CaptureError
 from mammometry.base.photograph import Photograph
-from mammometry.capture.camera import CameraSettings, Devices, Frame, Health, failed
-from mammometry.capture.registry import BACKENDS, library, missing
+from mammometry.capture.camera import BACKENDS, CameraSettings, Devices, Frame, Health, failed, library, missing
 from mammometry.io.photographs.images import FORMATS
 
 _OPEN_S = 20.0  # a camera that sleeps takes some seconds to answer

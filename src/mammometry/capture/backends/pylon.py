@@ -13,8 +13,7 @@ import numpy as np
 
 from mammometry.base.errors import SettingsError
 from mammometry.base.photograph import Photograph
-from mammometry.capture.camera import CameraSettings, Devices, Frame, Health, failed
-from mammometry.capture.registry import BACKENDS, library, missing
+from mammometry.capture.camera import BACKENDS, CameraSettings, Devices, Frame, Health, failed, library, missing
 
 _READY_MS = 1000  # for a camera to wait for its pulse; it takes some ms
 _LIVE_MS = 1000  # for a live picture; slower is of no use for aiming
@@ -39,12 +38,9 @@ class PylonRig:
         factory = pylon.TlFactory.GetInstance()
         attached = {info.GetSerialNumber(): info for info in factory.EnumerateDevices()}
         if not attached:
-            raise SettingsError(
-                "back-end pylon",
-                found="no camera on any bus",
-                expected="the cameras of the rig's file",
-                remedy="Check power and cables; pylon's own IP Configurator shows cameras with a wrong address",
-            )
+            remedy = "Check power and cables; pylon's own IP Configurator shows cameras with a wrong address"
+            expected = "the cameras of the rig's file"
+            raise SettingsError("back-end pylon", found="no camera on any bus", expected=expected, remedy=remedy)
         for name in devices.cameras:
             serial = devices.ids.get(name, "")
             if serial not in attached:

@@ -155,10 +155,8 @@ def exclusive(config: ClinicConfig) -> Iterator[None]:
     try:
         lock.acquire()
     except Timeout:
-        raise ClinicError(
-            "backups", found="one that is being made or tested", expected="none",
-            remedy="Wait until it ends",
-        ) from None  # fmt: skip
+        remedy = "Wait until it ends"
+        raise ClinicError("backups", found="one that is being made or tested", expected="none", remedy=remedy) from None
     try:
         yield
     finally:

@@ -20,10 +20,7 @@ ALPHABET = "ACDEFGHJKLMNPQRTUVWXY34679"
 
 
 def new_pseudonym() -> str:
-    """P- and six random letters.
-
-    26^6 = 309 million, drawn again where one is taken.
-    """
+    """P- and six random letters. 26^6 = 309 million, drawn again where one is taken."""
     while True:
         drawn = "P-" + "".join(secrets.choice(ALPHABET) for _ in range(6))
         if not Patient.everything.filter(pseudonym=drawn).exists():

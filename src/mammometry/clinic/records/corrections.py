@@ -115,7 +115,7 @@ def merge(kept: Patient, other: Patient, number_of: Patient, reason: str, by: Pe
     }
     for visit in rows["visits"]:
         _require_idle(visit)
-    before: dict[str, Any] = {name: [str(row.pk) for row in found] for name, found in rows.items()}
+    before: dict[str, Any] = {name: [str(row.pk) for row in related] for name, related in rows.items()}
     before |= {"numbers": [kept.record_number, other.record_number], "note": kept.note}
     for visit in rows["visits"]:
         _give(visit, kept, by)

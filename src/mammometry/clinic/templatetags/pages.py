@@ -121,6 +121,7 @@ _INSTEAD = (
 )
 
 
+@register.filter
 def on_pages(sentence: str) -> str:
     """A sentence with the clinic's pages and fields in place of commands and their options."""
     for pattern, words in _INSTEAD:

@@ -6,12 +6,14 @@ import json
 import logging
 from collections.abc import Callable
 from functools import wraps
-from typing import Any, TypeVar
+from typing import Any
+from uuid import UUID
 
+from django.contrib import messages
 from django.core.exceptions import PermissionDenied
 from django.http import Http404, HttpRequest, HttpResponse, HttpResponseBase, JsonResponse
 from django.middleware.csrf import get_token
-from django.shortcuts import render
+from django.shortcuts import get_object_or_404, render
 from django.template.loader import render_to_string
 
 from mammometry.base.errors import MammometryError, StorageError
@@ -19,12 +21,10 @@ from mammometry.base.extras import MissingLibraryError
 from mammometry.clinic.audit import record_refusal
 from mammometry.clinic.intake.uploads import UploadError
 from mammometry.clinic.models import Comparison, Person, Visit
-from mammometry.clinic.models.people import Keyed
 from mammometry.clinic.roles import CARE
 from mammometry.clinic.site import the_clinic
 from mammometry.clinic.web.access import is_program
-
-Row = TypeVar("Row", bound=Keyed)
+from mammometry.clinic.web.security import report_policy
 
 
 class Refused(Exception):
@@ -101,11 +101,38 @@ def require_care(request: HttpRequest, target: object) -> None:
         raise Http404
 
 
-def get_or_404(row: Row | None) -> Row:
-    """A row, or the page that says that there is none."""
-    if row is None:
-        raise Http404
-    return row
+def visit_or_404(key: UUID) -> Visit:
+    """A visit that is not in the bin, with its patient, rig and calibration."""
+    visit: Visit = get_object_or_404(Visit.objects.select_related("patient", "rig", "calibration"), pk=key)
+    return visit
+
+
+def form_page(
+    request: HttpRequest,
+    template: str,
+    form: Any,
+    done: str,
+    goes_on: Callable[[Any], HttpResponse],
+    **context: object,
+) -> HttpResponse:
+    """A page with the form of one row. A row that is filled in is saved, and leads on."""
+    if request.method == "POST" and form.is_valid():
+        row = form.save()
+        messages.success(request, done)
+        return goes_on(row)
+    return render(request, template, {"form": form, **context})
+
+
+def download(content: bytes | str, name: str, content_type: str) -> HttpResponse:
+    """A file to take along."""
+    headers = {"Content-Disposition": f'attachment; filename="{name}"'}
+    return HttpResponse(content, content_type=content_type, headers=headers)
+
+
+def sealed_page(page: bytes) -> HttpResponse:
+    """A report's page, sealed off from the clinic's."""
+    headers = {"Content-Security-Policy": report_policy(page)}
+    return HttpResponse(page, content_type="text/html; charset=utf-8", headers=headers)
 
 
 _LOG = logging.getLogger(__name__)

@@ -60,10 +60,7 @@ def route(where: str, view: View, name: str, roles: frozenset[Role] | None, **ot
 
 
 def guarded(view: View, access: Access) -> View:
-    """A view that refuses whoever may not open it.
-
-    ``view.access`` says who may.
-    """
+    """A view that refuses whoever may not open it. ``view.access`` says who may."""
     from mammometry.clinic.audit import record_view
 
     if iscoroutinefunction(view):

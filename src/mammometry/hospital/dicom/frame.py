@@ -12,9 +12,8 @@ from pydicom.dataset import FileMetaDataset
 from pydicom.sequence import Sequence
 from pydicom.uid import UID, ExplicitVRLittleEndian
 
-from mammometry.hospital.codes import Coded
+from mammometry.hospital.codes import Coded, uid
 from mammometry.hospital.exported import Exported, Order, Patient
-from mammometry.hospital.identifiers import uid
 
 _IMPLEMENTATION = uid("mammometry", "implementation")
 _NO_DAY = "19000101"  # where DICOM requires a date and none may be told

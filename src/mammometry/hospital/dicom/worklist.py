@@ -13,10 +13,10 @@ from pydicom.sequence import Sequence as DicomSequence
 from pynetdicom.sop_class import ModalityWorklistInformationFind  # type: ignore[attr-defined]  # made at run time
 
 from mammometry.base.errors import ArchiveError, SettingsError
+from mammometry.hospital.codes import text_fault
 from mammometry.hospital.dicom.association import OWN_TITLE, associated, found_by
 from mammometry.hospital.exported import Order, Patient, Sex
 from mammometry.hospital.peers import Peer, Tls
-from mammometry.hospital.representations import text_fault
 
 _DESCRIPTION = 64  # letters of a procedure's words that DICOM allows; the rest is cut off
 _SEXES: dict[str, Sex] = {"F": "F", "M": "M", "O": "O"}

@@ -143,10 +143,10 @@ def is_plain(path: Path) -> bool:
 def status(path: Path) -> os.stat_result | None:
     """Size and times of a plain file. None where there is none."""
     try:
-        found = path.lstat()
+        about = path.lstat()
     except (OSError, ValueError):
         return None
-    return found if modes.S_ISREG(found.st_mode) else None
+    return about if modes.S_ISREG(about.st_mode) else None
 
 
 def file_of(results: Path, stage: str, name: str) -> os.stat_result | None:

@@ -135,11 +135,10 @@ def from_tree(tree: Any, arrays: Mapping[str, np.ndarray[Any, Any]]) -> Any:
         members = {now.get(name, str(name)): from_tree(item, arrays) for name, item in tree.items() if name != "$value"}
         return _type(tree["$value"])(**members)
     except (KeyError, TypeError, ValueError, AttributeError, ImportError) as error:
+        remedy = "Delete the results folder and run again"
+        expected = "a result of this version"
         raise StorageError(
-            "a stored result",
-            found=f"one that cannot be rebuilt ({error})",
-            expected="a result of this version",
-            remedy="Delete the results folder and run again",
+            "a stored result", found=f"one that cannot be rebuilt ({error})", expected=expected, remedy=remedy
         ) from None
 
 

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from mammometry.job.inputs import CameraSet, FinishedSurface
 from mammometry.job.products import Context, product, product_of_each
-from mammometry.job.values import CameraSet, FinishedSurface
 
 if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a plan alone need not wait for.
     from mammometry.calibration.adjust.calibrated import Calibration

@@ -22,16 +22,17 @@ from mammometry.measure.boundary.breasts import NoBreast
 from mammometry.measure.volume.attribution import curve_digest
 from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.report.content import BreastReport, Fact, LargeNumber, Meaning, StageReport, sentence
-from mammometry.report.figures.drawing.sides import NAMES
+from mammometry.report.figures.drawing.shading import NAMES
 from mammometry.report.figures.drawing.thinning import ThinnedRange
 from mammometry.report.figures.surface import provenance_shares
-from mammometry.report.words.cautions import own_cautions, skin_shares
-from mammometry.report.words.volume_words import (
+from mammometry.report.words.volumes import (
     MEANINGS,
     definition_words,
     is_coarse,
     meaning_sentences,
     meaning_title,
+    own_cautions,
+    skin_shares,
     span_words,
     term_words,
     volume_words,
@@ -95,16 +96,16 @@ def side_title(name: str) -> str:
 
 def meanings(measurements: Sequence[VolumeMeasurement]) -> tuple[Meaning, ...]:
     """The volumes in every meaning of the breast."""
-    found: dict[str, list[Fact]] = {}
+    facts: dict[str, list[Fact]] = {}
     walls: dict[str, str] = {}
     for measured in measurements:
         for defined in measured.definitions:
             words = Fact(label=side_title(measured.name), value=definition_words(defined))
-            found.setdefault(defined.meaning, []).append(words)
+            facts.setdefault(defined.meaning, []).append(words)
             walls[defined.meaning] = measured.wall_kind
     return tuple(
         Meaning(title=meaning_title(name), sentences=meaning_sentences(name, walls[name]), volumes=tuple(volumes))
-        for name, volumes in found.items()
+        for name, volumes in facts.items()
     )
 
 
@@ -237,7 +238,7 @@ def matching_report(
         ),
         rows=tuple(rows),
     )
-    known = sum(not found.everything for found in foregrounds.values())
+    known = sum(not foreground.everything for foreground in foregrounds.values())
     facts = (Fact(label="Silhouettes", value=f"found in {known} of {len(foregrounds)} photographs"),)
     return StageReport(stage="match", title="Matching", facts=facts, tables=(table,))
 

@@ -1,18 +1,82 @@
-"""Any value as .npz: arrays, and ``tree``, UTF-8 JSON with their structure."""
+"""Formats of products, and any value as .npz: arrays, and ``tree``, UTF-8 JSON with their structure."""
 
 from __future__ import annotations
 
 import json
+import zipfile
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 
+from mammometry.base.registry import Registry
 from mammometry.geometry.arrays import Array, UInt8
-from mammometry.io.results.formats.deflate import DeflatedArchive
-from mammometry.io.results.formats.registry import Format
 from mammometry.io.results.tree import from_tree, to_tree
+
+_LEVEL = 1  # ISA-L takes a tenth of zlib's time; 1: a third of a raster's length; higher ones gain little
+_RAW = -15  # window bits of a stream without header, as archives hold it
+
+
+def deflated(data: Any) -> bytes:
+    """Compress a buffer to a zlib stream."""
+    from isal import isal_zlib
+
+    return isal_zlib.compress(data, _LEVEL)
+
+
+def inflated(stream: bytes, length: int) -> bytes:
+    """Inflate a zlib stream that holds so many bytes.
+
+    Raises:
+        ValueError: it holds another number, or is none.
+    """
+    from isal import isal_zlib
+
+    try:
+        data = isal_zlib.decompressobj().decompress(stream, length)
+    except isal_zlib.IsalError as error:  # type: ignore[misc]  # its stubs call the class an instance
+        raise ValueError(f"a damaged stream ({error})") from None
+    if len(data) != length:
+        raise ValueError(f"{len(data)} bytes where {length} were expected")
+    return data
+
+
+class DeflatedArchive(zipfile.ZipFile):
+    """A new ZIP archive whose members are deflated by ISA-L."""
+
+    def member(self, name: str) -> IO[bytes]:
+        """Open a new member for writing, of any length."""
+        from isal import isal_zlib
+
+        about = zipfile.ZipInfo(name)
+        about.compress_type = zipfile.ZIP_DEFLATED
+        opened = self.open(about, "w", force_zip64=True)
+        # The standard library lets nobody choose who compresses: a member asks this of its own.
+        opened._compressor = isal_zlib.compressobj(_LEVEL, isal_zlib.DEFLATED, _RAW)  # type: ignore[attr-defined]
+        return opened
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Format:
+    """How one kind of product lies on disk."""
+
+    write: Callable[[Path, Any], None]
+    """Writes the value to a path with `ending`, and the format's other files beside it with the same stem."""
+    read: Callable[[Path], Any]
+    """Reads the value back from the path with `read_ending`. Any error means a damaged file."""
+    ending: str
+    """Of the file that the product is known by, with its dot."""
+    read_ending: str | None = None
+    """Ending of the file that the value is read from. None: the same as `ending`."""
+
+
+FORMATS: Registry[Format] = Registry(
+    "format of a product", modules=("mammometry.io.results.formats", "mammometry.io.results.rasters")
+)
+"""Kind of product → its format. A kind without an entry is stored as `ARRAYS`."""
+
 
 _LEAST = 1 << 12  # numbers of an array that is worth it
 _PER_UNIT = 1024.0  # steps of positions, 1/mm
@@ -75,8 +139,8 @@ def write_arrays(path: Path, value: Any) -> None:
         write("tree", np.frombuffer(tree, dtype=np.uint8))
         for name, array in arrays.items():
             array = np.asanyarray(array)
-            if (found := packed(array)) is not None:
-                array, laid_out[name] = found
+            if (tight := packed(array)) is not None:
+                array, laid_out[name] = tight
             write(name, array)
         if laid_out:
             write("packed", np.frombuffer(json.dumps(laid_out).encode(), dtype=np.uint8))

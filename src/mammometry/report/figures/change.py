@@ -15,8 +15,7 @@ from mammometry.measure.dates.change import Change
 from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.report.figures.drawing import canvas
 from mammometry.report.figures.drawing.canvas import Caption, Sheet
-from mammometry.report.figures.drawing.shading import Scene, join_segments, picture_wh, section, views_of
-from mammometry.report.figures.drawing.sides import NAMES
+from mammometry.report.figures.drawing.shading import NAMES, Scene, join_segments, picture_wh, section, views_of
 from mammometry.report.figures.measure import curve
 from mammometry.report.figures.surface import show
 from mammometry.surface.repair.repair import RepairedSurface

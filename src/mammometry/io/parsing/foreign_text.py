@@ -1,15 +1,36 @@
-"""YAML of other programs, without aliases, objects or duplicate keys."""
+"""XML and YAML of other programs, read without what can do harm."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import yaml
 
-from mammometry.base.parse import DEEPEST, parsing, require_sane, shown
+from mammometry.base.parse import DEEPEST, parsing, read_text, require_sane, shown
+
+_MOST_MIB = 16  # a large project of photogrammetry has some MiB of cameras
+
+
+def read_xml(path: Path, expected: str) -> ElementTree.Element:
+    """Read the root of an XML file. Declarations are refused: a few entities unfold to gigabytes.
+
+    Raises:
+        SessionError: it cannot be read, or is no such XML.
+    """
+    text = read_text(path, path.name, expected, most_mib=_MOST_MIB).lstrip()
+    with parsing("a file that cannot be parsed", path.name, expected):
+        if "<!" in text.replace("<!--", ""):
+            raise ValueError("a declaration, <!…>")
+        try:
+            return ElementTree.fromstring(text)
+        except ElementTree.ParseError as error:
+            raise ValueError(str(error)) from None
+
 
 _INTEGER = re.compile(r"^[-+]?(?:0|[1-9][0-9]*)$")
 _FLOAT = re.compile(
