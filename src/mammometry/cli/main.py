@@ -19,6 +19,7 @@ from mammometry.cli import (
     capturing,
     clinic,
     comparison,
+    doctor,
     export,
     importing,
     rig,
@@ -45,13 +46,14 @@ app = typer.Typer(
     epilog="Start with `mammometry demo`, then `mammometry new SESSION`. Exit codes: 0 success, 2 usage, "
     "3 session, settings or table, 4 photograph, 5 calibration, 6 matching, 7 surface, 8 measurement, 9 storage, "
     "10 a camera moved (check), 11 a session of a batch failed, "
-    "12 a camera failed or the pictures are refused (capture), 130 interrupted.",
+    "12 a camera failed or the pictures are refused (capture), 13 the machine or the clinic is unwell (doctor), "
+    "130 interrupted.",
     no_args_is_help=True,
     add_completion=False,
     context_settings={"help_option_names": ["-h", "--help"]},
     pretty_exceptions_enable=False,
 )
-for group in (stages, batch, comparison, sessions, rig, capturing, simulation):
+for group in (stages, batch, comparison, sessions, rig, capturing, simulation, doctor):
     app.registered_commands += group.app.registered_commands
 app.add_typer(study.app, no_args_is_help=True)
 app.add_typer(clinic.app, no_args_is_help=True)
@@ -61,9 +63,9 @@ app.add_typer(importing.app, no_args_is_help=True)
 
 def _show_version(wanted: bool) -> None:
     if wanted:
-        from importlib.metadata import version
+        from mammometry.cli.doctor import program
 
-        typer.echo(f"mammometry {version('mammometry')}")
+        typer.echo(program())
         raise typer.Exit
 
 
