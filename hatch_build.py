@@ -59,9 +59,9 @@ def _commit() -> str:
     given = _ROOT / _COMMIT
     if given.is_file():  # of a source distribution
         return given.read_text(encoding="ascii")
-    asked = ["git", "-C", str(_ROOT), "describe", "--always", "--dirty", "--exclude=*"]
+    describe = ["git", "-C", str(_ROOT), "describe", "--always", "--dirty", "--exclude=*"]
     try:
-        return subprocess.run(asked, capture_output=True, text=True, check=False).stdout.strip()
+        return subprocess.run(describe, capture_output=True, text=True, check=False).stdout.strip()
     except OSError:
         return ""
 

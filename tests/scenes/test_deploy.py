@@ -12,13 +12,14 @@ import time
 from pathlib import Path
 from typing import Any
 
+import certifi
 import pytest
 import yaml
 from tests.clinic_server import free_port
 from tests.postgresql import ABSENT, binaries, server
 
 MIRROR = "http://deb.debian.org/debian"
-_KEPT = ("PIP_CERT", "PIP_INDEX_URL", "PIP_EXTRA_INDEX_URL", "http_proxy", "https_proxy", "no_proxy")
+_KEPT = ("PIP_INDEX_URL", "PIP_EXTRA_INDEX_URL", "http_proxy", "https_proxy", "no_proxy")
 
 
 def containerfile(repository: Path) -> list[tuple[str, str]]:
@@ -34,20 +35,20 @@ class Root:
     def __init__(self, folder: Path, shared: Path) -> None:
         """Take a folder with a Debian, and one that both sides see under the same path."""
         self.folder, self._shared, self.user = folder, shared, "root"
-        for path in (Path("/etc/resolv.conf"), Path("/etc/ssl/certs/ca-certificates.crt")):
-            (folder / path.relative_to("/")).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copy(path, folder / path.relative_to("/"))
+        shutil.copy("/etc/resolv.conf", folder / "etc/resolv.conf")
+        shutil.copy(ssl.get_default_verify_paths().cafile or certifi.where(), folder / "certificates.pem")
         (folder / shared.relative_to("/")).mkdir(parents=True)
 
     def start(self, command: str, **more: Any) -> "subprocess.Popen[str]":
         """Start a shell's line as the user whose turn it is. All of it ends with this process."""
         folder = shlex.quote(str(self.folder))
         kept = [f"{name}={os.environ[name]}" for name in _KEPT if name in os.environ]
-        inside = ["env", "-i", "PATH=/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin", "LC_ALL=C.UTF-8", *kept]
+        inside = ["env", "-i", "PATH=/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin", "LC_ALL=C.UTF-8"]
+        inside += ["PIP_CERT=/certificates.pem", *kept]
         inside += ["chroot", f"--userspec={self.user}", str(self.folder), "/bin/sh", "-c", command]
         mounts = (
             f"mount -t proc proc {folder}/proc && mount --bind {self._shared} {folder}{self._shared} "
-            f"&& mount --bind /dev {folder}/dev && exec {shlex.join(inside)}"
+            f"&& mount --rbind /dev {folder}/dev && exec {shlex.join(inside)}"
         )
         words = ["unshare", "--mount", "--pid", "--fork", "--kill-child", "/bin/sh", "-c", mounts]
         return subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, **more)
@@ -100,8 +101,10 @@ def test_the_containers_steps_make_a_clinic_that_is_served_and_backed_up(reposit
     subprocess.run([*made, str(tmp_path / "root"), MIRROR], check=True, timeout=900)
     secrets = tmp_path / "root/run/secrets"
     secrets.mkdir(parents=True)
-    certificate = ["openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-subj", "/CN=localhost", "-quiet"]
-    subprocess.run([*certificate, "-keyout", secrets / "key", "-out", secrets / "certificate"], check=True)
+    certificate = ["openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-subj", "/CN=localhost"]
+    subprocess.run(
+        [*certificate, "-keyout", secrets / "key", "-out", secrets / "certificate"], check=True, capture_output=True
+    )
     (secrets / "key").chmod(0o644)
     with server() as address:
         shared = Path(address.rpartition("host=")[2])

@@ -25,7 +25,7 @@ def index() -> None:
 @pytest.mark.usefixtures("index")
 def test_a_wheel_measures_where_there_is_neither_compiler_nor_node(repository: Path, tmp_path: Path) -> None:
     made = ["make", "-o", f"{sys.prefix}/.installed", f"VENV={sys.prefix}", f"DIST={tmp_path}", "wheel"]
-    subprocess.run(made, cwd=repository, check=True, timeout=900)
+    subprocess.run(made, cwd=repository, check=True, timeout=1800)
     (wheel,) = tmp_path.glob("mammometry-*.whl")
     venv.create(tmp_path / "empty", with_pip=True)
     bin_folder = tmp_path / "empty" / ("Scripts" if os.name == "nt" else "bin")

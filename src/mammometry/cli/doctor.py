@@ -1,4 +1,4 @@
-"""What of mammometry works on this machine, and what each job still needs: `mammometry doctor`, and `--version`."""
+"""What is installed on this machine, and what each job needs: `mammometry doctor` and `--version`."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ CAMERAS = {"pylon": "basler", "aravis": "genicam", "gphoto2": "tethered"}
 """Kind of cameras → its extra."""
 _LEAST_MEMORY_GB = 4.0  # the largest process of a full-size torso takes 1.6 (docs/speed.md)
 _LEAST_DISK_GB = 2.0  # a full-size session has 0.5 of results
-_OLD_BACKUP_DAYS = 2
+_OLD_BACKUP_DAYS = 2  # one is made every night
 _GB = 1e9  # bytes
 _SIGNS = {"ok": "ok", "absent": "–", "wrong": "!!"}
 State: TypeAlias = Literal["ok", "absent", "wrong"]
@@ -192,9 +192,9 @@ def _commit() -> str | None:
         return made.read_text(encoding="ascii").strip()
     if not (package.parents[1] / ".git").exists():
         return None
-    asked = ["git", "-C", str(package), "describe", "--always", "--dirty", "--exclude=*"]
+    describe = ["git", "-C", str(package), "describe", "--always", "--dirty", "--exclude=*"]
     try:
-        return subprocess.run(asked, capture_output=True, text=True, check=False).stdout.strip() or None
+        return subprocess.run(describe, capture_output=True, text=True, check=False).stdout.strip() or None
     except OSError:  # no Git here
         return None
 

@@ -55,7 +55,9 @@ def own_group() -> dict[str, Any]:
 
 
 def sync_folder(folder: Path) -> None:
-    """Wait until the names in a folder are on the disk. Windows opens no folders, and keeps their names itself.
+    """Wait until the names in a folder are on the disk.
+
+    Windows opens no folders, and keeps their names itself.
 
     Raises:
         OSError: the disk refuses.

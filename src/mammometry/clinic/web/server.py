@@ -114,7 +114,7 @@ def require_current(config: ClinicConfig) -> None:
     if executor.migration_plan(executor.loader.graph.leaf_nodes()):
         raise ClinicError(
             "the database", found="tables of an older version", expected="those of this version",
-            remedy=f"Run `mammometry clinic upgrade {config.folder}`, which makes a backup first",
+            remedy=f"Make a backup with that version, then run `mammometry clinic upgrade {config.folder}`",
         )  # fmt: skip
     if not audit.is_sealed():
         raise ClinicError(
