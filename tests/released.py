@@ -16,8 +16,7 @@ import mammometry
 
 EXAMPLES = Path(__file__).parent / "data" / "released"
 SETTINGS = "settings.toml"
-_HEAVY = ("truth", "results/match", "results/surface", "results/report")
-_QUALITY = 60  # of the photographs, as JPEG: small, and good enough to calibrate by
+_HEAVY = ("match", "surface", "report")  # stages whose results are large; a rerun makes them again
 _ROLES = ("technician", "clinician", "researcher", "administrator")
 _PAGES = ("/", "/patients/", "/rigs/", "/jobs/", "/study/", "/people/", "/audit/", "/backups/")
 
@@ -38,7 +37,6 @@ def in_process(*words: str) -> Any:
 
 def make_session(folder: Path) -> dict[str, Any]:
     """A tiny session: measured, a landmark drawn, every setting written down. Its volume and interval."""
-    from PIL import Image
     from tests.scenes.conftest import TINY, TINY_SETTINGS
 
     from mammometry.api.job import open_session
@@ -46,10 +44,11 @@ def make_session(folder: Path) -> dict[str, Any]:
     from mammometry.settings import Settings
     from mammometry.simulate.session import write_session
 
-    write_session(folder, TINY)
-    for photograph in folder.glob("c*/**/*.jpg"):
-        with Image.open(photograph, formats=["JPEG"]) as picture:
-            picture.save(photograph, quality=_QUALITY)
+    write_session(folder, TINY, truth=False)
+    open_session(folder).calibrate()
+    shutil.copy(folder / "results/calibrate/cameras.json", folder / "cameras.json")
+    for name in ("calibration", "results"):  # a megabyte of photographs
+        shutil.rmtree(folder / name)
     (folder / SETTINGS).write_text(TINY_SETTINGS, encoding="utf-8")
     settings = Settings.load(folder / SETTINGS)
     (folder / SETTINGS).write_text(settings.to_toml(), encoding="utf-8")
@@ -57,7 +56,7 @@ def make_session(folder: Path) -> dict[str, Any]:
     change_drawn(folder, "model", {("landmarks", "nipple_model"): Change(entry=entry, base=None)})
     results = open_session(folder, settings=settings).run()
     for name in _HEAVY:
-        shutil.rmtree(folder / name)
+        shutil.rmtree(folder / "results" / name)
     return {"volume_cc": results.volumes_cc["model"], "interval_cc": results.intervals_cc["model"]}
 
 
