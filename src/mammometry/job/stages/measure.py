@@ -111,7 +111,7 @@ def boundaries(
     return tuple(sorted((*given, *wanted), key=lambda curve: curve.name))
 
 
-@product("measure", version=4, settings="measure.thorax", inputs=("mounting",), when=_torso)
+@product("measure", version=5, settings="measure.thorax", inputs=("mounting",), when=_torso)
 def body(
     corrected_cameras: CameraSet, repaired: RepairedSurface, boundaries: tuple[Boundary, ...], *, job: Context
 ) -> Body:
@@ -145,7 +145,7 @@ def evidence(
     )
 
 
-@product("measure", version=18, name="measurement", settings="measure", inputs=("wall", "scale"), when=_has_volume)
+@product("measure", version=19, name="measurement", settings="measure", inputs=("wall", "scale"), when=_has_volume)
 def measurements(
     repaired: RepairedSurface,
     boundaries: tuple[Boundary, ...],
