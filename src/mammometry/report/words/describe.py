@@ -250,7 +250,7 @@ def surface_report(
     closed = mesh.is_watertight()
     shares = provenance_shares(repaired)
     area_cm2 = mesh.area_mm2() / 100
-    closed_cm2, beside_cm2 = area_cm2 * (1 - shares[Provenance.MEASURED]), area_cm2 * shares[Provenance.REPAIRED]
+    closed_cm2, beside_cm2 = (area_cm2 * shares[kind] for kind in (Provenance.INVENTED, Provenance.REPAIRED))
     facts = (
         Fact(
             label="Mesh",
@@ -273,8 +273,8 @@ def surface_report(
         ),
         Fact(
             label="Closed without having been measured",
-            value=f"{closed_cm2:.0f} cm², {beside_cm2:.0f} cm² of them between or beside measured places; greyed in "
-            "photographic colours",
+            value=f"{closed_cm2:.0f} cm², greyed in photographic colours; {beside_cm2:.0f} cm² more right beside measured "
+            "skin",
         ),
         Fact(
             label="Movement in each repair round",

@@ -33,8 +33,10 @@ TANGENTIAL_MM = 0.8
 """Largest distance of a datum beside the vertex, mm. Further off, the vertex is beyond the edge of the data."""
 SIMILARITY_MM = 2.0
 """Distance at which the similarity ω has fallen to 1/e, mm."""
-REPAIRED_REACH_MM = 15.0
-"""Distance from measured vertices, along the surface, beyond which a vertex without datum counts as invented, mm."""
+REPAIRED_REACH_MM = 2.0
+"""Distance from measured vertices, along the surface, beyond which a vertex without datum counts as invented, mm. Nearer
+skin is off by .7 mm on average, beyond it soon by millimetres: what bridges folds and armpits (docs/decisions/0026).
+"""
 _MAX_ITERATIONS = 400  # of the conjugate gradients; about 125 are usual (docs/decisions/0007)
 _TOLERANCE = 1e-3  # relative residual at which they stop; 1e-6 changed nothing
 _FADED = 10.0  # fading lengths after which a displacement is nothing: e⁻¹⁰ of it is left
@@ -47,7 +49,7 @@ class Provenance(IntEnum):
     INVENTED = 0
     """Nothing was seen there: closed plainly."""
     REPAIRED = 1
-    """No range datum of its own. Moved along with its neighbours and bounded by silhouettes."""
+    """No range datum of its own, but measured skin beside it. Moved along with its neighbours."""
     MEASURED = 2
     """Drawn to range data of at least one pair."""
 
