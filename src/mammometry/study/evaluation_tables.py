@@ -71,7 +71,17 @@ def evaluation_tables(found: Evaluation) -> list[Table]:
         ),
         Table(
             title="Surface: where at least one pair sees the skin; positive outside",
-            columns=("surface", "mean mm", "median mm", "RMS mm", "95 % mm", "bias mm", "complete %", "claimed %", "stray %"),
+            columns=(
+                "surface",
+                "mean mm",
+                "median mm",
+                "RMS mm",
+                "95 % mm",
+                "bias mm",
+                "complete %",
+                "claimed %",
+                "stray %",
+            ),
             rows=tuple(
                 (
                     f"{name}, {how}",

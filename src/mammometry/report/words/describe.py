@@ -273,8 +273,8 @@ def surface_report(
         ),
         Fact(
             label="Closed without having been measured",
-            value=f"{closed_cm2:.0f} cm², greyed in photographic colours; {beside_cm2:.0f} cm² more right beside measured "
-            "skin",
+            value=f"{closed_cm2:.0f} cm², greyed in photographic colours; {beside_cm2:.0f} cm² more right beside "
+            "measured skin",
         ),
         Fact(
             label="Movement in each repair round",

@@ -34,8 +34,9 @@ TANGENTIAL_MM = 0.8
 SIMILARITY_MM = 2.0
 """Distance at which the similarity ω has fallen to 1/e, mm."""
 REPAIRED_REACH_MM = 2.0
-"""Distance from measured vertices, along the surface, beyond which a vertex without datum counts as invented, mm. Nearer
-skin is off by .7 mm on average, beyond it soon by millimetres: what bridges folds and armpits (docs/decisions/0026).
+"""Distance from measured vertices, along the surface, beyond which a vertex without datum counts as invented, mm.
+Nearer skin is off by .7 mm on average, beyond it soon by millimetres: it bridges folds and armpits
+(docs/decisions/0026).
 """
 _MAX_ITERATIONS = 400  # of the conjugate gradients; about 125 are usual (docs/decisions/0007)
 _TOLERANCE = 1e-3  # relative residual at which they stop; 1e-6 changed nothing

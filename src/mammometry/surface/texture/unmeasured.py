@@ -1,7 +1,8 @@
 """Fading of skin that no pair measured, in photographic colours.
 
-Further than a few millimetres from measured places the surface is closed by silhouettes alone. Photographs painted on it look like skin all the same. So its colours fade to grey: in pictures, in the 3D view and in the models
-that other programs open.
+Further than a few millimetres from measured places the surface is closed by silhouettes alone. Photographs painted on
+it look like skin all the same. So its colours fade to grey: in pictures, in the 3D view and in the models that other
+programs open.
 """
 
 from __future__ import annotations
