@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 from spheres import camera_towards, ellipsoid_range, range_image, sphere_mesh
 
 from mammometry.base.errors import SurfaceError
@@ -82,10 +83,9 @@ def test_what_is_invented_far_from_data_is_left_out_without_a_trace(monkeypatch)
     assert (near.provenance[far] == Provenance.INVENTED).all()
 
 
-def test_provenance_and_pair_bits_say_who_saw_what(monkeypatch):
+def test_provenance_and_pair_bits_say_who_saw_what():
     first = sphere_mesh(RADIUS, rings=60)
     valid = valid_views([(0, 0, 1), (1, 0, 1)])
-    monkeypatch.setattr("mammometry.surface.repair.repair.REPAIRED_REACH_MM", 8.0)
     result = repair(first, valid)
     z, x = first.vertices[:, 2], first.vertices[:, 0]
     top = z > 0.9 * RADIUS
@@ -103,7 +103,11 @@ def test_provenance_and_pair_bits_say_who_saw_what(monkeypatch):
     assert (seen_once > 0.05).all()
     assert (seen_once < 0.071).all()
     assert seen_twice.max() < 0.051
-    assert (result.provenance == Provenance.REPAIRED).any()
+    measured, beside = (
+        first.vertices[result.provenance == kind] for kind in (Provenance.MEASURED, Provenance.REPAIRED)
+    )
+    assert len(beside)
+    assert cKDTree(measured).query(beside)[0].max() <= 2.0  # nothing further away is claimed
 
 
 def test_a_hole_in_the_data_keeps_the_shape_between():
