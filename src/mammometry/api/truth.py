@@ -15,7 +15,6 @@ from mammometry.io.truth import read_truth
 from mammometry.job.stages import calibrate, match, measure, surface
 from mammometry.study.evaluation import Evaluation, SessionResults, evaluate
 from mammometry.study.evaluation_tables import evaluation_tables
-from mammometry.surface.repair.repair import Provenance
 
 if TYPE_CHECKING:
     from mammometry.api.job import Job
@@ -102,7 +101,7 @@ def current_results(job: Job) -> SessionResults:
         disparities=all_current(plan[match.disparity]),
         ranges=all_current(plan[surface.range_image]),
         surfaces={name: mesh for name, mesh in surfaces.items() if mesh is not None},
-        claimed=None if repaired is None else repaired.provenance != Provenance.INVENTED,
+        claimed=None if repaired is None else repaired.claimed,
         boundaries=plan.current(measure.boundaries) or (),
         measurements=plan.current(measure.measurements) or (),
         absent=tuple(side.name for side in plan.current(measure.absent) or ()),

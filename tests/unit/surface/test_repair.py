@@ -71,7 +71,7 @@ def test_what_is_invented_far_from_data_is_left_out_without_a_trace(monkeypatch)
     # displacements that fade over 1 mm do not reach the far side; with a reach of 90 mm nothing is left out
     results = []
     for reach in (8.0, 90.0):
-        monkeypatch.setattr("mammometry.surface.repair.repair.REPAIRED_REACH_MM", reach)
+        monkeypatch.setattr("mammometry.surface.repair.repair.BRIDGED_REACH_MM", reach)
         results.append(repair(first, valid))
     near, whole = results
     # the solver stops at a thousandth of displacements of up to 1.5 mm

@@ -14,7 +14,7 @@ from PIL import Image, ImageDraw
 
 from mammometry.geometry.arrays import Array, UInt8
 from mammometry.geometry.nearest import point_tree
-from mammometry.surface.repair.repair import Provenance, RepairedSurface
+from mammometry.surface.repair.repair import RepairedSurface
 from mammometry.surface.texture.texture_atlas import Atlas
 
 GREY = (154, 163, 173)
@@ -29,13 +29,12 @@ def faded(colours: UInt8[Array, "*n 3"]) -> UInt8[Array, "*n 3"]:
 
 
 def shown_colours(colours: UInt8[Array, "n 3"], repaired: RepairedSurface) -> UInt8[Array, "n 3"]:
-    """A surface's vertex colours, with invented skin faded."""
-    claimed = repaired.provenance != Provenance.INVENTED
-    return np.where(claimed[:, None], colours, faded(colours))
+    """A surface's vertex colours, with skin that is not claimed faded."""
+    return np.where(repaired.claimed[:, None], colours, faded(colours))
 
 
 def faded_atlas(atlas: Atlas, repaired: RepairedSurface) -> Atlas:
-    """A viewing mesh whose picture is faded on invented skin.
+    """A viewing mesh whose picture is faded on skin that is not claimed.
 
     A triangle counts as claimed where the nearest vertices of the full surface are, for two of its corners or three.
 
@@ -44,7 +43,7 @@ def faded_atlas(atlas: Atlas, repaired: RepairedSurface) -> Atlas:
         repaired: the full surface.
     """
     nearest = point_tree(repaired.mesh.vertices).query(atlas.mesh.vertices)[1]
-    claimed = (repaired.provenance != Provenance.INVENTED)[nearest]
+    claimed = repaired.claimed[nearest]
     unmeasured = np.flatnonzero((claimed[atlas.mesh.faces].sum(axis=1) < 2) & (atlas.view >= 0))
     mask = Image.new("1", (atlas.picture.shape[1], atlas.picture.shape[0]))
     draw = ImageDraw.Draw(mask)
