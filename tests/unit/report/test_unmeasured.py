@@ -1,6 +1,7 @@
 """Skin that no pair measured is told from measured skin, in pictures and in the 3D view."""
 
 import numpy as np
+import pytest
 import synthetic
 
 from mammometry.geometry.mesh import TriangleMesh
@@ -13,6 +14,7 @@ from mammometry.surface.texture.unmeasured import GREY, faded, faded_atlas, show
 SKIN = np.array([205, 160, 140], dtype=np.uint8)
 
 
+@pytest.mark.requirement("R-VOL-5")
 def test_skin_that_is_not_claimed_is_greyed_and_no_other() -> None:
     ball = synthetic.ball(3)
     repaired, colours = synthetic.repaired(ball), synthetic.textured(ball).colours

@@ -7,7 +7,7 @@ import pytest
 from moving_rig import RADII, calibrated_rig, measured, standing
 
 from mammometry.base.errors import SurfaceError
-from mammometry.calibration.judge.cameras.shifts import shifts
+from mammometry.calibration.judge.cameras.pose_motion import shifts
 from mammometry.surface.motion import motion_test as stillness
 from mammometry.surface.motion import rigid_motion as motions
 from mammometry.surface.motion.agreement import differences
@@ -124,6 +124,7 @@ def test_a_still_capture_is_left_alone(still):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
+@pytest.mark.requirement("R-CAL-2")
 def test_no_false_alarm(seed):
     _, images, rows = capture(seed=seed + 10, noise_mm=1.5 * NOISE_MM)
     assert not find(RIG, images, rows).moved
@@ -153,6 +154,7 @@ def test_rows_that_common_skin_contradicts_move_nothing(still):
     assert not find(RIG, images, {**rows, pair: spoilt}).moved
 
 
+@pytest.mark.requirement("R-CAL-2")
 def test_turned_cameras_are_put_right(turned):
     found, images, _ = turned
     assert found.corrected
@@ -189,6 +191,7 @@ def test_what_is_left_is_as_large_as_claimed():
     assert 0.2 < np.sqrt(np.mean(np.square(ratios))) < 1.5
 
 
+@pytest.mark.requirement("R-CAL-2")
 def test_one_camera_that_turned_is_named():
     _, images, rows = capture({"left_r": np.array([0.0, np.radians(0.06), 0.0])})
     found = find(RIG, images, rows)
@@ -201,6 +204,7 @@ def test_one_camera_that_turned_is_named():
     assert next(concerns(uncertain)).startswith("A camera turned after the calibration, probably left_r. Calibrate")
 
 
+@pytest.mark.requirement("R-CAL-3")
 def test_a_body_that_moved_between_exposures_is_put_right_and_told_from_a_camera():
     _, images, rows = capture(shifts_mm={"left": np.array([0.0, 0.4, 0.9])})
     found = find(RIG, images, rows)
@@ -254,6 +258,7 @@ def test_a_body_that_ripples_is_not_explained_and_refused_beyond_the_limit():
         find(RIG, images, rows, settings=StillnessSettings(most_unexplained_mm=0.0))
 
 
+@pytest.mark.requirement("R-CAL-2")
 def test_far_motions_are_refused_by_name():
     _, images, rows = capture({"right_l": np.array([0.0, np.radians(0.3), 0.0])})
     with pytest.raises(SurfaceError, match=r"pair right.*right_l.*calibrate again"):
