@@ -219,9 +219,8 @@ def _of_skin(
         return _at_95({"matching": settings.surface_sigma_mm * own_mm2.sum()})
     nearest = np.asarray(point_tree(surface.mesh.vertices).query(skin.vertices, workers=1)[1])
     origin = surface.provenance[nearest]
-    seen, repaired, invented = (
-        origin == provenance for provenance in (Provenance.MEASURED, Provenance.REPAIRED, Provenance.INVENTED)
-    )
+    seen, invented = origin == Provenance.MEASURED, origin == Provenance.INVENTED
+    repaired = ~(seen | invented)
     sigma_mm = np.nan_to_num(surface.sigma_mm[nearest[seen]].astype(np.float64))
     # Windows overlap: errors of measured vertices are alike within a patch, and but for a share independent beyond it.
     patch_mm2 = np.pi * MATCHING_REACH_MM**2
