@@ -69,11 +69,13 @@ def boundary_std_cc(breast: OpenBreast, wall: ChestWall, *, progress: Progress =
     except MeasureError:
         return None
     for number, across_mm in enumerate(modes):
-        moved_cc = (_redrawn_cc(breast, wall, band, share * across_mm) for share in _SHARES)
-        change_cc = next(((cc - volume_cc) / share for cc, share in zip(moved_cc, _SHARES) if cc is not None), None)
-        if change_cc is None:
+        for share in _SHARES:
+            moved_cc = _redrawn_cc(breast, wall, band, share * across_mm)
+            if moved_cc is not None:
+                changes_cc.append((moved_cc - volume_cc) / share)
+                break
+        else:
             return None
-        changes_cc.append(change_cc)
         progress((number + 1) / len(modes))
     widened, narrowed, *bent = changes_cc
     mean = (widened + narrowed) / 2
