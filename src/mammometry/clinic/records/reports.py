@@ -6,7 +6,9 @@ import json
 from dataclasses import dataclass
 from pathlib import Path
 
+from mammometry.api.refused import FOLDER
 from mammometry.clinic.models import Visit
+from mammometry.report.figures.drawing.canvas import Caption, caption_of
 from mammometry.report.scene import json_in_page
 
 _OF_THE_STATE = ("Nobody has confirmed the automatic boundary", "Boundaries are drawn and confirmed with")
@@ -34,6 +36,18 @@ def report_file(visit: Visit, name: str) -> Path | None:
 def readable(path: Path) -> Path | None:
     """A file of ours that may be shown. None if there is none."""
     return path if path.is_file() and not path.is_symlink() and path.stat().st_size <= _LARGEST else None
+
+
+def refusal_pictures(visit: Visit) -> dict[str, Caption]:
+    """What the visit's refused measurement saw: name of each picture → its caption."""
+    paths = sorted((visit.folder / "results" / FOLDER).glob("*.png"))
+    return {path.stem: caption_of(path.read_bytes()) for path in paths if readable(path)}
+
+
+def refusal_picture(visit: Visit, name: str) -> bytes | None:
+    """One of those pictures, as PNG. None if there is none."""
+    path = readable(visit.folder / "results" / FOLDER / f"{name}.png")
+    return None if path is None else path.read_bytes()
 
 
 def facts(visit: Visit) -> Facts:

@@ -72,6 +72,13 @@ PAGES = [
     route("visits/scan/", scans.scan_new, name="scan-new", roles=CARE, body_bytes=scans.BODY_BYTES, atomic=False),
     route("worklist/", worklist.worklist, name="worklist", roles=CARE),
     route("visits/<uuid:visit>/", visits.visit, name="visit", roles=CARE),
+    route(
+        "visits/<uuid:visit>/refused/<str:name>.png",
+        visits.refused_picture,
+        name="refused-picture",
+        roles=CARE,
+        audited=False,
+    ),
     route("visits/<uuid:visit>/move/", corrections.visit_move, name="visit-move", roles=CARE),
     route("visits/<uuid:visit>/date/", corrections.visit_date, name="visit-date", roles=CARE),
     route("visits/<uuid:visit>/bin/", corrections.visit_bin, name="visit-bin", roles=CARE),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import uuid
 
-from django.http import HttpRequest, HttpResponse
+from django.http import Http404, HttpRequest, HttpResponse
 from django.shortcuts import get_object_or_404, redirect, render
 from django.utils import timezone
 
@@ -17,7 +17,7 @@ from mammometry.clinic.records.confirmations import is_changed
 from mammometry.clinic.records.consents import pictures_caution
 from mammometry.clinic.records.next_step import next_step
 from mammometry.clinic.records.operations import phase_of
-from mammometry.clinic.records.reports import facts, report_file
+from mammometry.clinic.records.reports import facts, refusal_picture, refusal_pictures, report_file
 from mammometry.clinic.records.results import visit_result
 from mammometry.clinic.rigs.history import today as verdict_of
 from mammometry.clinic.roles import Role
@@ -59,12 +59,14 @@ def visit(request: HttpRequest, visit: uuid.UUID, draft: str | None = None) -> H
     measurement = shown.measurements.prefetch_related("volumes").first()
     busy = job is not None and job.state in OPEN
     person = person_of(request)
+    failed = job if job is not None and job.state in ("failed", "cancelled") and not busy else None
     context = {
         "visit": shown,
         "patient": shown.patient,
         "job": job,
         "busy": busy,
-        "failed": job if job is not None and job.state in ("failed", "cancelled") and not busy else None,
+        "failed": failed,
+        "refusal_pictures": {} if failed is None else refusal_pictures(shown),
         "step": next_step(shown, job, measurement, person),
         "result": None if measurement is None or busy else visit_result(shown, measurement),
         "lengths": None if measurement is None or is_changed(shown) else length_table(measurement.quantities),
@@ -84,6 +86,14 @@ def visit(request: HttpRequest, visit: uuid.UUID, draft: str | None = None) -> H
         "limit_mb": the_clinic().limits.photograph_mb,
     }
     return render(request, "clinic/visit.html", context)
+
+
+def refused_picture(request: HttpRequest, visit: uuid.UUID, name: str) -> HttpResponse:
+    """A picture of what a refused measurement saw."""
+    picture = refusal_picture(get_object_or_404(Visit, pk=visit), name)
+    if picture is None:
+        raise Http404
+    return HttpResponse(picture, content_type="image/png", headers={"Cache-Control": "private, no-store"})
 
 
 def jobs(request: HttpRequest) -> HttpResponse:
