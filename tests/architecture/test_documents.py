@@ -138,18 +138,6 @@ def test_the_session_page_shows_a_manifest_that_is_read(repository: Path) -> Non
     assert target_from_table(manifest.target).kind == "charuco"
 
 
-def test_every_test_that_a_promise_names_exists(repository: Path) -> None:
-    page = (repository / "docs" / "promises.md").read_text(encoding="utf-8")
-    named = re.findall(r"`(tests/[\w/.]+\.py)::(\w+)`", page)
-    assert len(named) > 30
-    wrong = [
-        f"{file}::{name}"
-        for file, name in named
-        if not (repository / file).is_file() or f"\ndef {name}(" not in (repository / file).read_text(encoding="utf-8")
-    ]
-    assert wrong == []
-
-
 def test_one_source_of_the_version(repository: Path) -> None:
     with (repository / "pyproject.toml").open("rb") as file:
         project = tomllib.load(file)

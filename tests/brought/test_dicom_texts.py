@@ -45,6 +45,7 @@ REFUSED = [
 
 
 @pytest.mark.parametrize(("option", "text", "sentence"), REFUSED, ids=[f"{o} {ascii(t)[:20]}" for o, t, _ in REFUSED])
+@pytest.mark.requirement("R-IN-5")
 def test_the_command_line_refuses_before_anything_is_made(
     tmp_path: Path, option: str, text: str, sentence: str, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -55,6 +55,7 @@ def test_the_column_settles_what_a_mark_means(tmp_path: Path, text: str, values:
 
 
 @pytest.mark.parametrize(("text", "sentence"), REFUSED, ids=[ascii(text) for text, _ in REFUSED])
+@pytest.mark.requirement("R-IN-4")
 def test_a_number_that_may_mean_two_is_refused(tmp_path: Path, text: str, sentence: str) -> None:
     (tmp_path / "a.csv").write_text(text)
     with pytest.raises(SessionError, match=sentence):

@@ -30,6 +30,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.data]
 
 
 @pytest.mark.parametrize("subject", ["plaster_a", "plaster_b"])
+@pytest.mark.requirement("R-VOL-1")
 def test_a_casts_volume_is_within_half_a_percent_and_its_interval(
     shared_data: Path, tmp_path: Path, subject: str
 ) -> None:
@@ -104,6 +105,7 @@ def test_a_torsos_breast_is_off_as_documented(torso: Torso, name: str) -> None:
 
 @pytest.mark.xdist_group("rendered torso")
 @pytest.mark.parametrize("name", SIDES)
+@pytest.mark.requirement("R-VOL-2")
 def test_a_torsos_skin_is_right_within_half_a_millimetre_over_the_base(torso: Torso, name: str) -> None:
     """The same wall within the same boundary on the true skin: what is left is the error of cameras and surface.
 

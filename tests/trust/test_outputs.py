@@ -416,6 +416,7 @@ def commands(group: click.Group, above: str = "") -> Iterator[tuple[str, click.C
             yield above + name, command
 
 
+@pytest.mark.requirement("R-LOSS-7")
 def test_every_command_is_covered() -> None:
     """A new command, or a new place to write to, has to come here."""
     found = dict(commands(get_command(main.app)))  # type: ignore[arg-type]
@@ -468,6 +469,7 @@ def _no_stage_is_made(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
+@pytest.mark.requirement("R-LOSS-6")
 def test_a_second_run_replaces_its_own_and_nothing_else(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -491,6 +493,7 @@ def test_a_second_run_replaces_its_own_and_nothing_else(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
+@pytest.mark.requirement("R-LOSS-5")
 def test_what_somebody_else_wrote_is_refused_and_stays(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -509,6 +512,7 @@ def test_what_somebody_else_wrote_is_refused_and_stays(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in CASES if name != "measure"])  # its files are the memo's
+@pytest.mark.requirement("R-LOSS-5")
 def test_what_was_changed_since_is_refused_and_stays(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -525,6 +529,7 @@ def test_what_was_changed_since_is_refused_and_stays(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
+@pytest.mark.requirement("R-LOSS-6")
 def test_nothing_is_written_to_where_the_command_reads(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from virtual_rig import BOARD, PAIRS, cameras_in_rig, observe, placements, with_views
 
-from mammometry.calibration.adjust.bundle import Calibration, SetAside, calibrate
+from mammometry.calibration.adjust.bundle import calibrate
+from mammometry.calibration.adjust.calibrated import Calibration, SetAside
 from mammometry.calibration.detection.detect import Detection, MissedView, Observations
 from mammometry.calibration.judge.quality import CalibrationQuality, assess
 from mammometry.calibration.judge.reconstruction import reconstruct, triangulate
@@ -92,6 +93,7 @@ def test_triangulation_inverts_projection() -> None:
     )
 
 
+@pytest.mark.requirement("R-CAL-1")
 def test_scale_error_of_a_pair_is_measured_on_the_target(clean: Calibration) -> None:
     """A rig blown up by 0.1 % about its origin sees everything 0.1 % larger, with the same pictures."""
     larger = {
@@ -128,6 +130,7 @@ def test_outliers_are_counted() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.requirement("R-CAL-1")
 def test_poor_focal_length_is_refused_in_percent_and_mm() -> None:
     poses = {pose: POSES[pose] for pose in list(POSES)[:3]}
     quality = assess(calibrate(observe(CAMERAS, poses, noise_px=0.3), PAIRS, "virtual"))

@@ -24,8 +24,8 @@ from mammometry.base.identity import Identity
 from mammometry.clinic.config import ClinicConfig
 from mammometry.clinic.jobs import queue, work
 from mammometry.clinic.models import Consent, Job, Patient, Scan, Visit
-from mammometry.clinic.page_words import on_pages
 from mammometry.clinic.roles import Role
+from mammometry.clinic.templatetags.pages import on_pages
 from mammometry.report.figures.drawing.canvas import Caption, encode
 
 

@@ -130,6 +130,7 @@ def test_a_glb_holds_what_it_says(tmp_path: Path) -> None:
         read_triangles(path)
 
 
+@pytest.mark.requirement("R-IN-10")
 def test_no_mesh_makes_other_files_be_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "skin.mtl").write_text("newmtl skin\nmap_Kd skin.png\n")
     (tmp_path / "skin.png").write_bytes(b"x")

@@ -123,6 +123,7 @@ def test_the_frame_comes_from_both_boundaries_or_from_landmarks_of_one_side() ->
         viewing_frame(surface, {"right": EDGES["right"]}, {})
 
 
+@pytest.mark.requirement("R-SIDE-2")
 def test_exchanged_sides_are_told_by_the_notch() -> None:
     surface = as_scanned(trunk_mesh(4.0))
     notch = {"sternal_notch": np.array([[0.0, 130.0, RADIUS_MM]])}

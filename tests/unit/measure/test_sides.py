@@ -45,6 +45,7 @@ def one_sided() -> RepairedSurface:
     return torso_with(LEFT, flat=FLAT)
 
 
+@pytest.mark.requirement("R-SIDE-3")
 def test_a_side_without_a_breast_is_a_result_and_the_other_one_is_as_with_two() -> None:
     alone = outline_torso(one_sided(), np.eye(3))
     both = outline_torso(torso_with(LEFT, TWIN, flat=FLAT), np.eye(3))
@@ -61,6 +62,7 @@ def test_a_side_without_a_breast_is_a_result_and_the_other_one_is_as_with_two() 
 
 
 @pytest.mark.slow
+@pytest.mark.requirement("R-SIDE-1")
 def test_the_feet_are_not_taken_for_the_head() -> None:
     """A breast that hangs, seen by cameras that are mounted upside down."""
     mesh = one_sided().mesh
@@ -114,6 +116,7 @@ def test_a_round_trunk_shows_no_plane_and_says_so() -> None:
     assert "no plane of symmetry" in body.how
 
 
+@pytest.mark.requirement("R-SIDE-1")
 def test_a_trunk_across_the_cameras_is_refused() -> None:
     rolled = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     skin = seen_skin(one_sided())
@@ -121,6 +124,18 @@ def test_a_trunk_across_the_cameras_is_refused() -> None:
     assert not lies_across(skin, np.eye(3))
     with pytest.raises(MeasureError, match=r"lies across.*rig\.mounting"):
         find_body(one_sided(), rolled)
+
+
+def test_two_boundaries_show_which_way_a_low_front_lies() -> None:
+    mesh = one_sided().mesh
+    front = mesh.submesh(mesh.faces_within((np.abs(mesh.vertices[:, 1]) < 50) & (mesh.vertices[:, 2] > 80)))
+    surface = as_surface(front, np.ones(len(front.vertices), dtype=bool))
+    curves = [edge_of(each, "left").points_world for each in (LEFT, TWIN)]
+    with pytest.raises(MeasureError, match="lies across"):
+        find_body(surface, np.eye(3))
+    assert find_body(surface, np.eye(3), boundaries=curves).up[1] > 0.9
+    with pytest.raises(MeasureError, match="lies across"):
+        find_body(surface, np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), boundaries=curves)
 
 
 @pytest.mark.parametrize(

@@ -97,6 +97,7 @@ def test_the_terms_of_a_torso() -> None:
     assert found.as_defined_cc == pytest.approx((400 - half, 400 + half))
 
 
+@pytest.mark.requirement("R-VOL-5")
 def test_invented_skin_is_the_less_known_the_farther_it_lies_from_measured_skin(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -157,6 +158,7 @@ def test_what_is_not_known_is_said() -> None:
     assert unknown.interval_cc is None
 
 
+@pytest.mark.requirement("R-VOL-7")
 def test_a_flat_wall_of_a_torso_is_told_to_be_biased() -> None:
     found = interval(Boundary(name="left", points_world=RIM, method=""), wall("plane"), 400.0)
     assert "the volume is too large" in found.note

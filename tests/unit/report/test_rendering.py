@@ -42,6 +42,7 @@ def test_equal_arguments_give_equal_bytes() -> None:
     assert render(content, {}, clinical) == render(unpacked(packed(content)), {}, clinical)
 
 
+@pytest.mark.requirement("R-VOL-8")
 def test_a_boundary_that_nobody_confirmed_is_warned_of() -> None:
     content = automatic()
     warnings = attributed_content(content, {}, None, named=True).warnings

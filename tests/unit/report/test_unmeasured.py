@@ -1,6 +1,7 @@
 """Skin that no pair measured is told from measured skin, in pictures and in the 3D view."""
 
 import numpy as np
+import pytest
 import synthetic
 
 from mammometry.geometry.mesh import TriangleMesh
@@ -14,6 +15,7 @@ from mammometry.surface.texture.unmeasured import GREY, faded, faded_atlas, show
 SKIN = np.array([205, 160, 140], dtype=np.uint8)
 
 
+@pytest.mark.requirement("R-VOL-5")
 def test_measured_skin_keeps_its_colour_and_no_other_does() -> None:
     ball = synthetic.ball(3)
     repaired, colours = synthetic.repaired(ball), synthetic.textured(ball).colours
