@@ -29,8 +29,9 @@ def test_what_was_made_replaces_the_table_and_nothing_else(tmp_path: Path, monke
     monkeypatch.setattr(measured, "ROOT", tmp_path)
     monkeypatch.setattr(measured, "REGISTRY", registry)
     entry = measured.Entry(name="a", commands=("x --out OUT",), minutes=1, page="page.md")
+    other = measured.Entry(name="b", commands=("y",), minutes=1, page="page.md", kept="2")
     result = measured.Result(commit="12345678", day="1 May 2026", seconds=2.0, outputs=("| t |\n| --- |\n| 1 |\n",))
-    measured.write({"a": entry}, {"a": result})
+    measured.write({"a": entry, "b": other}, {"a": result})
     made = "```console\n$ x --out OUT\n```\n\n| t |\n| --- |\n| 1 |\n\n*By commit 12345678, 1 May 2026.*\n"
     assert measured.blocks(page.read_text()) == {"a": made, "b": "old\n"}
     assert registry.read_text() == '[a]\ncommands = ["x"]\n\n[b]\ncommands = ["y"]\nkept = "2"\n'
