@@ -17,9 +17,10 @@ from tests.unit.measure.solids import as_surface, ball, dome, rig_around
 from tests.unit.report import synthetic
 
 from mammometry.base.registry import Registry
+from mammometry.calibration.detection.finders import find
 from mammometry.calibration.features.found_points import FoundPoints
-from mammometry.calibration.targets.registry import TARGETS
 from mammometry.calibration.targets.table import target_from_table
+from mammometry.calibration.targets.target import TARGETS
 from mammometry.capture.camera import Devices
 from mammometry.capture.registry import BACKENDS
 from mammometry.capture.shots import Shot
@@ -111,7 +112,7 @@ def test_a_calibration_target_is_described_drawn_and_found(run: Callable[[str], 
     (placed,) = draw_poses(rig, framed, 1, 7).values()
     camera = rig.cameras["front_left"]
     light = render_target(camera, placed, framed, flashes(), background=film.stray_light)
-    found = framed.find(develop(light, film, name="board", seed=1), search_width_px=900, window_squares=0.4)
+    found = find(framed, develop(light, film, name="board", seed=1), 900)
     assert isinstance(found, FoundPoints)
     assert len(found.ids) == 8 * 5
     true_uv = camera.project(placed.apply(framed.points_target))[found.ids]

@@ -10,7 +10,7 @@ from tests.unit.calibration.virtual_rig import cameras_in_rig, observe, placemen
 from mammometry.base.errors import CalibrationError
 from mammometry.calibration.adjust.bundle import calibrate
 from mammometry.calibration.detection.detect import Observations
-from mammometry.calibration.judge.sides import require_sides
+from mammometry.calibration.judge.scale import require_sides
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.transform import Transform
 from mammometry.measure.trunk.body import rig_frame

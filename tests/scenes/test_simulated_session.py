@@ -17,7 +17,7 @@ from filelock import FileLock
 from PIL import Image
 
 from mammometry.base.errors import SessionError, StorageError
-from mammometry.calibration.targets.charuco_board import charuco_board
+from mammometry.calibration.targets.kinds.charuco import charuco_board
 from mammometry.calibration.targets.table import target_from_table
 from mammometry.geometry.camera import Camera
 from mammometry.geometry.nearest import closest_on_mesh

@@ -130,9 +130,3 @@ def test_runs_that_start_together_all_end_well(results: Path, tmp_path: Path) ->
             assert store.has(key(name, last))
             make(alone, name, last)
     assert contents(results) == contents(tmp_path / "alone")
-
-
-@pytest.mark.slow
-def test_the_memo_is_imported_where_there_is_no_flock() -> None:
-    script = "import sys; sys.modules['fcntl'] = None; import mammometry.io.results.store"
-    assert subprocess.run([sys.executable, "-c", script], check=False).returncode == 0

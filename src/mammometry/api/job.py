@@ -33,7 +33,8 @@ from mammometry.base.errors import (
     SurfaceError,
 )
 from mammometry.base.machine.cores import one_blas_thread
-from mammometry.base.machine.memory import peak_memory_mb, return_freed_arrays
+from mammometry.base.machine.memory import return_freed_arrays
+from mammometry.base.machine.system import peak_memory_mb
 from mammometry.base.progress import Progress, no_progress
 from mammometry.geometry.camera import Rig
 from mammometry.io.outputs import require_apart, require_free, write_output
@@ -47,7 +48,7 @@ from mammometry.job.values import CameraSet, FinishedSurface
 from mammometry.settings import Settings
 
 if TYPE_CHECKING:
-    from mammometry.calibration.adjust.bundle import Calibration
+    from mammometry.calibration.adjust.calibrated import Calibration
     from mammometry.calibration.judge.check import RigCheck
     from mammometry.matching.dense.match import DisparityMap
     from mammometry.measure.volume.measurement import VolumeDeficit, VolumeMeasurement

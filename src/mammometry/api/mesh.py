@@ -28,7 +28,7 @@ from mammometry.api.stored_report import Reported
 from mammometry.base.errors import MeasureError, SessionError
 from mammometry.base.identity import Identity
 from mammometry.base.machine.cores import one_blas_thread
-from mammometry.base.machine.memory import peak_memory_mb
+from mammometry.base.machine.system import peak_memory_mb
 from mammometry.base.progress import Progress, no_progress
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.mesh import TriangleMesh

@@ -23,7 +23,8 @@ from typing import IO, Any, Self, TypeVar
 
 from mammometry.base.errors import MammometryError
 from mammometry.base.machine.cores import CORES
-from mammometry.base.machine.memory import peak_memory_mb, return_freed_arrays
+from mammometry.base.machine.memory import return_freed_arrays
+from mammometry.base.machine.system import own_group, peak_memory_mb
 from mammometry.base.progress import StageProgress
 
 _R = TypeVar("_R")
@@ -75,7 +76,7 @@ class ChildProcess:
             stdout=subprocess.PIPE,
             stderr=self._errors,
             env=os.environ | limits | {"PYTHONPATH": os.pathsep.join(sys.path)},  # functions are found as here
-            start_new_session=True,
+            **own_group(),
         )
         return self
 

@@ -20,7 +20,7 @@ from PIL import Image
 from mammometry.api.job import Job, open_session
 from mammometry.api.stored_report import WARNINGS
 from mammometry.base.errors import StorageError
-from mammometry.base.machine.memory import peak_memory_mb
+from mammometry.base.machine.system import peak_memory_mb
 from mammometry.base.progress import Progress, StageProgress
 from mammometry.batch import storage
 from mammometry.batch.entry import Entry

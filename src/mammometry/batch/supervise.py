@@ -6,6 +6,7 @@ A process that grows too large is ended.
 from __future__ import annotations
 
 import os
+import platform
 import subprocess
 import tempfile
 import threading
@@ -56,7 +57,7 @@ def supervise(name: str, call: Call, limits: Limits) -> dict[str, Any]:
     from distributed import get_worker
 
     worker = get_worker()
-    about = {"worker": str(worker.name), "host": os.uname().nodename}
+    about = {"worker": str(worker.name), "host": platform.node()}
     if software() != dict(limits.software):
         return {"other": software(), **about}
 

@@ -13,8 +13,7 @@ import numpy as np
 
 from mammometry.base.value import value
 from mammometry.calibration.adjust.calibrated import Calibration
-from mammometry.calibration.judge.expected_error import derivatives, expected_error, shape_shifts
-from mammometry.calibration.judge.working_volume import working_volume
+from mammometry.calibration.judge.expected_error import derivatives, expected_error, shape_shifts, working_volume
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.camera import Rig
 from mammometry.geometry.transform import Transform

@@ -111,7 +111,7 @@ def work(options: JsonOptions, folder: Folder) -> Answer:
     For a second machine, or beside `serve --no-jobs`. It must see the clinic's folder under the same path.
     """
     config = opened(folder)
-    from mammometry.clinic.jobs.process import run_here
+    from mammometry.clinic.jobs.runner import run_here
     from mammometry.clinic.web.server import require_current
 
     require_current(config)
@@ -130,7 +130,7 @@ def demo(
 
     Each was there at two dates. A demo that is there already is opened as it is.
     """
-    from mammometry.clinic.jobs.process import beside
+    from mammometry.clinic.jobs.runner import beside
     from mammometry.clinic.web.server import require_free
     from mammometry.clinic.web.server import serve as run
 
@@ -198,8 +198,7 @@ def backup(options: JsonOptions, folder: Folder, to: Target = None) -> Answer:
     The clinic may be in use. Without --to the file goes to the clinic's backups, of which the newest are kept.
     """
     config = opened(folder)
-    from mammometry.clinic.maintenance.backup import make_backup
-    from mammometry.clinic.maintenance.backups import make_kept_backup
+    from mammometry.clinic.maintenance.backups import make_backup, make_kept_backup
     from mammometry.clinic.web.server import require_current
 
     require_current(config)
@@ -214,9 +213,9 @@ def check_restore(options: JsonOptions, folder: Folder) -> Answer:
     It needs as much free space as the backup has. The clinic may be in use.
     """
     from mammometry.clinic.config import read_config
-    from mammometry.clinic.maintenance import restore_test
+    from mammometry.clinic.maintenance import restore
 
-    made = restore_test.run_restore_test(read_config(folder))
+    made = restore.run_restore_test(read_config(folder))
     table = {"backup": made.backup, "rows": made.rows, "files": made.files, "seconds": round(made.seconds, 1)}
     return Answer(table, [made.sentence])
 
@@ -345,13 +344,13 @@ def people_invite(
 ) -> Answer:
     """Print a new link that sets a password."""
     config = opened(folder)
-    from mammometry.clinic.accounts.people import find_person
+    from mammometry.clinic.accounts import find_person
 
     return _invitation(config, find_person(username))
 
 
 def _invite(config: ClinicConfig, username: str, roles: list[str], name: str, email: str) -> Answer:
-    from mammometry.clinic.accounts.people import add_person
+    from mammometry.clinic.accounts import add_person
     from mammometry.clinic.roles import Role
 
     unknown = sorted(set(roles) - {role.value for role in Role})
@@ -362,7 +361,7 @@ def _invite(config: ClinicConfig, username: str, roles: list[str], name: str, em
 
 
 def _invitation(config: ClinicConfig, person: object) -> Answer:
-    from mammometry.clinic.accounts.people import invitation
+    from mammometry.clinic.accounts import invitation
     from mammometry.clinic.models import Person
 
     assert isinstance(person, Person)

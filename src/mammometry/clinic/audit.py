@@ -24,8 +24,6 @@ from django.db.models import Model
 from django.dispatch import Signal
 from django.http import HttpRequest, HttpResponseBase
 
-from mammometry.clinic.accounts.adapters import tried_name
-
 TABLE = "auditlog_logentry"
 OPENED, LOGIN, FAILED_LOGIN, REFUSED, COMMAND = "opened", "login", "failed login", "refused", "command"
 """Kinds of entries that are no change of a row; `additional_data["kind"]`."""
@@ -215,3 +213,12 @@ def is_sealed() -> bool:
         cursor.execute(query)
         row = cursor.fetchone()
     return row is not None and row[0] == 2
+
+
+def tried_name(request: HttpRequest | None, credentials: dict[str, Any] | None = None) -> str | None:
+    """The name of a failed login, however it was given."""
+    for source in (credentials or {}, getattr(request, "POST", {})):
+        for key in ("username", "login"):
+            if source.get(key):
+                return str(source[key])[:150]
+    return None

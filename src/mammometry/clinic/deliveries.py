@@ -16,8 +16,8 @@ from mammometry.base.errors import MammometryError
 from mammometry.base.extras import MissingLibraryError, missing
 from mammometry.clinic.config import ClinicConfig
 from mammometry.clinic.models import Delivery, Destination, Patient, Person, Visit, VisitOrder
-from mammometry.clinic.records.clinical_facts import clinical_of, operation_words, operations_before
-from mammometry.clinic.records.rendered import measured_job
+from mammometry.clinic.records.clinical import clinical_of, operation_words, operations_before
+from mammometry.clinic.records.results import measured_job
 from mammometry.hospital.exported import Exported, Operation, Order, plain_name
 from mammometry.hospital.exported import Patient as PatientModule
 from mammometry.hospital.peers import Peer, Tls

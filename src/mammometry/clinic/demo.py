@@ -11,7 +11,6 @@ process beside the server brings their photographs in one after another, as staf
 from __future__ import annotations
 
 import datetime
-import os
 import secrets
 import shutil
 import sys
@@ -25,6 +24,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mammometry.base.errors import BatchError
+from mammometry.base.machine.system import lower_priority
 from mammometry.base.progress import Progress
 from mammometry.clinic.config import FILE, SETTINGS_FILE, ClinicConfig, new_clinic, quoted, read_config, write_private
 
@@ -55,7 +55,6 @@ _PEOPLE = (
 )
 _WAIT_S = 900.0  # for all jobs: a slow machine is no failure
 _LOOK_S = 0.3  # between looks at the jobs: often enough for a smooth bar
-_NICE = 10  # of what renders beside the server: pages and measurements come first
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -196,11 +195,11 @@ def main() -> None:
     """Finish a demo beside its server, until standard input ends."""
     from mammometry.base.progress import no_progress
     from mammometry.clinic.config import read_config
-    from mammometry.clinic.jobs.process import end_with_input
+    from mammometry.clinic.jobs.runner import end_with_input
     from mammometry.clinic.site import configure
 
     end_with_input()
-    os.nice(_NICE)
+    lower_priority()  # pages and measurements come first
     configure(read_config(Path(sys.argv[1])))
     finish(lambda _: no_progress)
 
@@ -241,7 +240,7 @@ def _calibrated(made: Path) -> Calibration:
     from mammometry.capture.sessions import definition_of
     from mammometry.clinic.jobs.queue import enqueue
     from mammometry.clinic.models import Rig
-    from mammometry.clinic.rigs.history import new_calibration
+    from mammometry.clinic.rig_history import new_calibration
     from mammometry.io.manifest import read_manifest
 
     rig = Rig.objects.create(name=_RIG_NAME, definition=definition_of(read_manifest(made / "session.toml")))
@@ -287,7 +286,7 @@ def _shots(made: Path) -> list[Path]:
 def _check(rig: Rig, made: Path) -> None:
     """Today's check, by a new photograph of the board."""
     from mammometry.clinic.jobs.queue import enqueue
-    from mammometry.clinic.rigs.history import new_check
+    from mammometry.clinic.rig_history import new_check
 
     check = new_check(rig, None)
     assert check is not None

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import fcntl
 import hashlib
 import json
-import os
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -34,6 +32,7 @@ Item: TypeAlias = tuple[Group, str]
 Entry: TypeAlias = Mapping[str, Any]
 """One item as it stands in its file."""
 
+_LOCK = ".lock"
 _FILES: Mapping[Group, str] = {"boundaries": BOUNDARIES, "landmarks": LANDMARK_FILE}
 
 
@@ -168,7 +167,6 @@ def _write(
             entries = {name: entry for name, entry in entries.items() if "confirmed" in entry}
     if exists:
         with disk_errors(path):
-            (session / HISTORY).mkdir(exist_ok=True)
             write_bytes(_free(session, path.stem, moment), path.read_bytes())
     if entries:
         table |= {"drawn": moment.strftime("%Y-%m-%dT%H:%M:%SZ"), group: entries}
@@ -183,8 +181,6 @@ def _keep_late(session: Path, changes: Mapping[Item, Change], moment: datetime) 
     table: dict[str, Any] = {"units": "mm", "frame": "world", "boundaries": {}, "landmarks": {}}
     for (group, name), change in changes.items():
         table[group][name] = change.entry
-    with disk_errors(session / HISTORY):
-        (session / HISTORY).mkdir(exist_ok=True)
     path = _free(session, "late", moment)
     write_bytes(path, (json.dumps(table, indent=1, ensure_ascii=False) + "\n").encode())
     return path
@@ -222,11 +218,14 @@ def _check(path: Path, group: Group, kind: SubjectKind, subject: str | None) -> 
 @contextmanager
 def _taken(session: Path) -> Iterator[None]:
     """One at a time, in other processes too."""
+    from filelock import FileLock
+
+    lock = FileLock(session / HISTORY / _LOCK, fallback_to_soft=False)
     with disk_errors(session):
-        folder = os.open(session, os.O_RDONLY)
+        (session / HISTORY).mkdir(exist_ok=True)
+    with suppress(OSError):  # some network disks know no locks: then changes meet within one process alone
+        lock.acquire()
     try:
-        with suppress(OSError):  # some network disks lock no folders: then changes meet within one process alone
-            fcntl.flock(folder, fcntl.LOCK_EX)
         yield
     finally:
-        os.close(folder)
+        lock.release()

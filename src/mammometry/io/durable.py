@@ -6,6 +6,8 @@ import errno
 import os
 from pathlib import Path
 
+from mammometry.base.machine import system
+
 _NOT_FOR_FOLDERS = (errno.EINVAL, errno.ENOTSUP, errno.EBADF)  # what network drives answer to fsync of a folder
 
 
@@ -22,21 +24,14 @@ def sync_file(path: Path) -> None:
 def sync_folder(path: Path) -> None:
     """Wait until the names in a folder are on the disk.
 
-    Nothing to do where folders cannot be opened (Windows).
-
     Raises:
         OSError: the disk refuses.
     """
-    if os.name == "nt":
-        return
-    descriptor = os.open(path, os.O_RDONLY)
     try:
-        os.fsync(descriptor)
+        system.sync_folder(path)
     except OSError as error:
         if error.errno not in _NOT_FOR_FOLDERS:
             raise
-    finally:
-        os.close(descriptor)
 
 
 def sync_tree(folder: Path) -> None:

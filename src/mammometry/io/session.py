@@ -53,7 +53,7 @@ from mammometry.job.inputs import MISSING, Inputs
 from mammometry.job.products import Stage
 
 if TYPE_CHECKING:
-    from mammometry.calibration.adjust.prior import CameraPrior
+    from mammometry.calibration.adjust.projection import CameraPrior
     from mammometry.calibration.detection.measured_points import MeasuredPoints
 
 K = TypeVar("K")

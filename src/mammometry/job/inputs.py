@@ -13,7 +13,7 @@ from mammometry.geometry.camera import Camera
 from mammometry.geometry.mesh import TriangleMesh
 
 if TYPE_CHECKING:
-    from mammometry.calibration.adjust.prior import CameraPrior
+    from mammometry.calibration.adjust.projection import CameraPrior
     from mammometry.calibration.detection.measured_points import MeasuredPoints
     from mammometry.calibration.targets.target import Target
     from mammometry.measure.trunk.body import Mounting

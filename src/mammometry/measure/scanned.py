@@ -19,7 +19,7 @@ from mammometry.geometry.nearest import point_tree
 from mammometry.geometry.refine import edge_table, split_edges
 from mammometry.geometry.transform import Transform
 from mammometry.measure.boundary.boundary import Boundary
-from mammometry.measure.boundary.trace import edge_loop
+from mammometry.measure.boundary.trace import check_beside_holes, edge_loop
 from mammometry.measure.scan_front import ahead_by_feet
 from mammometry.measure.scan_repair import RepairedScan
 from mammometry.measure.solid.cut import check_whole, inside_curve
@@ -133,8 +133,9 @@ def check_cut(name: str, points_world: Float64[Array, "n 3"], mesh: TriangleMesh
     Raises:
         MeasureError: the mesh has a hole within the curve, or is inside out there.
     """
-    curve = edge_loop(name, points_world, mesh)
-    check_whole(name, inside_curve(mesh, curve))
+    part = inside_curve(mesh, edge_loop(name, points_world, mesh))
+    check_whole(name, part)
+    check_beside_holes(name, points_world, part, mesh)
 
 
 def viewing_frame(

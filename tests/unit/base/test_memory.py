@@ -1,4 +1,4 @@
-"""Memory: freed arrays go back to the system, seen in a process of its own; peaks are told where the system knows."""
+"""Memory: freed arrays go back to the system, seen in a process of its own; the peak is at least what is held."""
 
 import platform
 import subprocess
@@ -7,7 +7,7 @@ import sys
 import psutil
 import pytest
 
-from mammometry.base.machine.memory import peak_memory_mb
+from mammometry.base.machine.system import peak_memory_mb
 
 PROGRAM = """
 import numpy as np, psutil
@@ -32,18 +32,5 @@ def test_what_arrays_took_goes_back_to_the_system() -> None:
 
 def test_the_peak_is_at_least_what_is_held_now() -> None:
     peak_mb = peak_memory_mb()
-    assert peak_mb is not None
     held_mb = psutil.Process().memory_info().rss / (1 << 20)
     assert held_mb - 1 < peak_mb < held_mb + 16384
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("module", ["mammometry.base.machine.memory", "mammometry.api.job", "mammometry.api.mesh"])
-def test_the_package_imports_where_the_system_counts_no_memory(module: str) -> None:
-    """As on Windows, which has no module `resource`."""
-    program = (
-        f"import sys; sys.modules['resource'] = None; import {module}\n"
-        "from mammometry.base.machine.memory import peak_memory_mb; print(peak_memory_mb())"
-    )
-    printed = subprocess.run([sys.executable, "-c", program], capture_output=True, check=True, text=True).stdout
-    assert printed.strip() == "None"

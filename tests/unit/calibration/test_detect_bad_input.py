@@ -8,8 +8,7 @@ from printed import mirrored, turned
 from scipy.ndimage import gaussian_filter
 
 from mammometry.base.photograph import Photograph
-from mammometry.calibration.detection.detect import Detection, Observations, detect
-from mammometry.calibration.detection.duplicates import set_duplicates_aside
+from mammometry.calibration.detection.detect import Detection, Observations, detect, set_duplicates_aside
 from mammometry.calibration.targets.kinds.charuco import CharucoTarget
 from mammometry.calibration.targets.kinds.chessboard import ChessboardTarget
 from mammometry.geometry.transform import Transform

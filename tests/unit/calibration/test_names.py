@@ -7,7 +7,7 @@ import pytest
 
 from mammometry.calibration.features.keypoints import Keypoints
 from mammometry.calibration.judge.cameras.names import check_names, wrong_photographs
-from mammometry.calibration.judge.working_volume import meeting_point
+from mammometry.calibration.judge.expected_error import meeting_point
 from mammometry.geometry.camera import Rig
 from mammometry.simulate.rigs.build import build_rig
 from mammometry.simulate.rigs.plan import REFERENCE

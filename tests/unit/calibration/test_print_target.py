@@ -9,12 +9,10 @@ import numpy as np
 import pytest
 
 from mammometry.base.errors import SettingsError
-from mammometry.calibration.targets.charuco_board import charuco_board
-from mammometry.calibration.targets.dotted_cylinder.strips import column_labels
-from mammometry.calibration.targets.kinds.charuco import CharucoTarget
+from mammometry.calibration.targets.kinds.charuco import CharucoTarget, charuco_board
 from mammometry.calibration.targets.kinds.chessboard import ChessboardTarget
 from mammometry.calibration.targets.kinds.circles import CirclesTarget
-from mammometry.calibration.targets.kinds.cylinder import DottedCylinderTarget
+from mammometry.calibration.targets.kinds.cylinder import DottedCylinderTarget, column_labels
 from mammometry.calibration.targets.kinds.points import PointsTarget
 from mammometry.calibration.targets.pdf import target_pdf
 

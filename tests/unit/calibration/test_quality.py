@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from virtual_rig import BOARD, PAIRS, cameras_in_rig, observe, placements, with_views
 
-from mammometry.calibration.adjust.bundle import Calibration, SetAside, calibrate
+from mammometry.calibration.adjust.bundle import calibrate
+from mammometry.calibration.adjust.calibrated import Calibration, SetAside
 from mammometry.calibration.detection.detect import Detection, MissedView, Observations
 from mammometry.calibration.judge.quality import CalibrationQuality, assess
 from mammometry.calibration.judge.reconstruction import reconstruct, triangulate

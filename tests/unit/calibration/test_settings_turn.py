@@ -8,7 +8,8 @@ from virtual_rig import BOARD, PAIRS, cameras_in_rig, observe, placements, smoot
 
 from mammometry.base.photograph import Photograph
 from mammometry.calibration.adjust.assemble import all_views, network_of
-from mammometry.calibration.adjust.bundle import Calibration, calibrate
+from mammometry.calibration.adjust.bundle import calibrate
+from mammometry.calibration.adjust.calibrated import Calibration
 from mammometry.calibration.adjust.initialise import initialise
 from mammometry.calibration.adjust.robust import bad_views
 from mammometry.calibration.detection import detect as detection
@@ -148,15 +149,11 @@ def test_a_limit_of_the_check_changes_its_verdict(
 
 
 def test_the_search_width_reaches_the_detector(monkeypatch) -> None:
-    given = {}
-
-    def find(self, photograph, **words):
-        given.update(words)
-
-    monkeypatch.setattr(type(BOARD), "find", find)
+    given = []
+    monkeypatch.setattr(detection, "find", lambda *arguments: given.append(arguments))
     picture = Photograph(name="a", pixels=np.zeros((20, 30), np.uint8))
     assert detection.detect_in(picture, BOARD, camera="a", pose="0", search_width_px=321) is None
-    assert given == {"search_width_px": 321, "window_squares": 0.48}
+    assert given == [(BOARD, picture, 321)]
 
 
 def test_threads_are_so_many(monkeypatch) -> None:

@@ -118,7 +118,7 @@ def test_what_is_refused_elsewhere_is_json_for_a_script_too(
     def fail(*_: object) -> None:
         raise ZeroDivisionError
 
-    monkeypatch.setattr("mammometry.clinic.views.who.get_token", fail)
+    monkeypatch.setattr("mammometry.clinic.views.responses.get_token", fail)
     broken = client.get(reverse("account-token"), headers=SCRIPT)
     assert broken.status_code == 500
     assert "our side" in broken.json()["error"]

@@ -19,7 +19,7 @@ from tests.clinic_server import command, served
 from mammometry.clinic.config import ClinicConfig
 from mammometry.clinic.models import Person, Visit
 from mammometry.clinic.roles import Role
-from mammometry.clinic.web.logs import Plain
+from mammometry.clinic.site import Plain
 from mammometry.clinic.web.security import report_policy
 
 

@@ -22,10 +22,9 @@ from tests.postgresql import VARIABLE, new_database
 
 from mammometry.cli.main import run
 from mammometry.clinic.config import ClinicConfig, ClinicError
-from mammometry.clinic.maintenance.backup import make_backup
-from mammometry.clinic.maintenance.backups import make_kept_backup
+from mammometry.clinic.maintenance.backups import make_backup, make_kept_backup
 from mammometry.clinic.maintenance.patient import find_patient
-from mammometry.clinic.maintenance.restore_test import _digests, _require_same
+from mammometry.clinic.maintenance.restore import _digests, _require_same
 from mammometry.clinic.models import Drawing, Job, Measurement, Patient, Upload, Visit, Volume
 from mammometry.clinic.roles import Role
 

@@ -13,9 +13,9 @@ from django.urls import reverse
 
 from mammometry.clinic.config import ClinicConfig, Limits
 from mammometry.clinic.roles import Role
-from mammometry.clinic.web import limits
+from mammometry.clinic.web import requests
 from mammometry.clinic.web.access import BODY_BYTES
-from mammometry.clinic.web.limits import Limited
+from mammometry.clinic.web.requests import Limited
 
 Message = dict[str, Any]
 
@@ -173,7 +173,7 @@ def test_a_large_body_has_longer_on_a_slow_line(monkeypatch: pytest.MonkeyPatch)
     async def send(message: Mapping[str, Any]) -> None:
         pass
 
-    monkeypatch.setattr(limits, "_granted", lambda path: 1_000_000)
+    monkeypatch.setattr(requests, "_granted", lambda path: 1_000_000)
     scope: Message = {"type": "http", "path": "/", "headers": [], "client": ("10.0.0.1", 4711)}
     asyncio.run(Limited(inner, Limits(request_s=1))(scope, receive, send))
     assert inner.bodies == [100_000]

@@ -10,7 +10,7 @@ from django.test import Client
 from django.urls import reverse
 from pytest_django import Settings
 
-from mammometry.clinic.accounts.people import add_person, invitation
+from mammometry.clinic.accounts import add_person, invitation
 from mammometry.clinic.config import ClinicError
 from mammometry.clinic.models import Person
 from mammometry.clinic.roles import Role

@@ -20,8 +20,8 @@ from tests.unit.io.scan_files import scanned, texture
 from mammometry.clinic.config import ClinicConfig
 from mammometry.clinic.jobs import queue, work
 from mammometry.clinic.models import Consent, Job, Patient, Scan, Visit
-from mammometry.clinic.page_words import on_pages
 from mammometry.clinic.roles import Role
+from mammometry.clinic.templatetags.pages import on_pages
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ from django.test import Client
 from django.urls import reverse
 
 from mammometry.base.errors import SettingsError
-from mammometry.clinic.accounts.people import add_person
+from mammometry.clinic.accounts import add_person
 from mammometry.clinic.config import ClinicError, new_clinic, read_config
 from mammometry.clinic.models import Destination, Patient, Person
 from mammometry.clinic.roles import Role

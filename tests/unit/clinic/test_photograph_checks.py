@@ -12,7 +12,7 @@ from mammometry.base.photograph import Photograph
 from mammometry.capture.checks import cameras, pixels
 from mammometry.capture.checks.cameras import KnownCamera
 from mammometry.capture.checks.content import not_only_a_photograph
-from mammometry.clinic.rigs.today import Calibrated, Checked, judge
+from mammometry.clinic.rig_history import Calibrated, Checked, judge
 from mammometry.io.photographs.exposure import Exposure, read_exposure
 
 SIZE_WH = (900, 600)

@@ -28,7 +28,7 @@ def put(session: Path, name: str, table: object) -> Path:
 
 
 def history(session: Path) -> list[Path]:
-    return sorted((session / "history").iterdir()) if (session / "history").exists() else []
+    return sorted((session / "history").glob("*.json"))
 
 
 @pytest.mark.parametrize(

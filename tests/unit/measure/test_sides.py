@@ -126,6 +126,18 @@ def test_a_trunk_across_the_cameras_is_refused() -> None:
         find_body(one_sided(), rolled)
 
 
+def test_two_boundaries_show_which_way_a_low_front_lies() -> None:
+    mesh = one_sided().mesh
+    front = mesh.submesh(mesh.faces_within((np.abs(mesh.vertices[:, 1]) < 50) & (mesh.vertices[:, 2] > 80)))
+    surface = as_surface(front, np.ones(len(front.vertices), dtype=bool))
+    curves = [edge_of(each, "left").points_world for each in (LEFT, TWIN)]
+    with pytest.raises(MeasureError, match="lies across"):
+        find_body(surface, np.eye(3))
+    assert find_body(surface, np.eye(3), boundaries=curves).up[1] > 0.9
+    with pytest.raises(MeasureError, match="lies across"):
+        find_body(surface, np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), boundaries=curves)
+
+
 @pytest.mark.parametrize(
     ("mounting", "roll_deg"), [("upright", 0.0), ("left", -90.0), ("right", 90.0), ("upside-down", 180.0)]
 )

@@ -6,7 +6,7 @@ import numpy as np
 import trimesh
 
 from mammometry.base.photograph import Photograph
-from mammometry.calibration.adjust.bundle import Calibration, ParameterCovariance
+from mammometry.calibration.adjust.calibrated import Calibration, ParameterCovariance
 from mammometry.calibration.adjust.left_out import LeftOut
 from mammometry.calibration.detection.detect import Detection, Observations
 from mammometry.calibration.targets.kinds.charuco import CharucoTarget

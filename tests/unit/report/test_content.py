@@ -175,7 +175,7 @@ def test_each_fault_has_its_warning(rig) -> None:
     assert "Something hides part of the subject in the photographs of one_left (12 %)." in hidden
     leaking = replace(synthetic.measurement(), watertight=False)
     assert warned(rig, measurements=[leaking]).startswith("The closed solid of the cast is not watertight")
-    from mammometry.calibration.adjust.bundle import SetAside
+    from mammometry.calibration.adjust.calibrated import SetAside
 
     aside = replace(synthetic.calibration(rig), set_aside=(SetAside(camera="one_left", pose="02", residual_px=7.25),))
     assert "Pose 02 of camera one_left was left out" in warned(rig, calibration=aside)

@@ -189,6 +189,17 @@ def test_pairs_fire_one_after_another_and_cameras_of_a_pair_together():
     assert 0.05 < furthest < 0.06 * 20.0  # mm: sway and breath, each below 10 mm/s
 
 
+def test_pairs_see_the_chest_at_other_moments_of_a_breath():
+    exposure = exposed("breathing=0.8")
+    at = np.array([[0.0, 0.0, 0.0], [0.0, -400.0, 0.0]])
+    assert exposure.motion is not None
+    chest, belly = np.array(
+        [exposure.motion.at(at, exposure.seconds[left]) - at for left, _ in exposure.rig.pair_names.values()]
+    ).transpose(1, 0, 2)
+    assert np.linalg.norm(chest.max(axis=0) - chest.min(axis=0)) == pytest.approx(0.8)
+    assert np.abs(belly).max() < 0.02
+
+
 def test_motion_turns_as_a_rotation_does():
     turn = np.array([0.001, -0.002, 0.0015])
     motion = Motion(sway_mm_s=np.array([1.0, 2.0, 3.0]), turn_rad_s=turn, breath_mm_s=np.zeros(3), chest=np.zeros(3))

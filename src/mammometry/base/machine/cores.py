@@ -10,6 +10,8 @@ from typing import TypeVar
 
 from threadpoolctl import threadpool_limits
 
+from mammometry.base.machine.system import allowed_cores
+
 _R = TypeVar("_R")
 _T = TypeVar("_T")
 
@@ -24,7 +26,7 @@ def available_cores() -> int:
 
     All that the system allows, or fewer if ``MAMMOMETRY_CORES`` says so.
     """
-    count = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    count = allowed_cores()
     wanted = os.environ.get(CORES, "")
     return min(count, max(1, int(wanted))) if wanted.isdecimal() else count
 

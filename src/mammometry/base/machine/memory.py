@@ -1,7 +1,6 @@
-"""Peak memory of the process, and the return of freed memory."""
+"""The return of freed memory to the system."""
 
 import ctypes
-import sys
 from contextlib import suppress
 from functools import cache
 
@@ -10,9 +9,6 @@ _LEAST_BYTES = 1 << 23
 """8 MB: smaller than an image's working arrays, so that all of them are returned. Chosen by eye."""
 _KEPT_BYTES = 1 << 27
 """128 MB of smaller ones are kept for reuse at most. Chosen by eye."""
-_BYTES_A_UNIT = 1 if sys.platform == "darwin" else 1024
-"""Unit of `ru_maxrss`: bytes on macOS, KiB elsewhere (getrusage(2))."""
-_MIB = 1 << 20  # bytes in a MiB
 
 
 @cache
@@ -28,13 +24,3 @@ def return_freed_arrays() -> None:
         library = ctypes.CDLL(None)
         for what, value in ((_MMAP_THRESHOLD, _LEAST_BYTES), (_TRIM_THRESHOLD, _KEPT_BYTES), (_ARENA_MAX, 1)):
             library.mallopt(what, value)
-
-
-def peak_memory_mb() -> float | None:
-    """Peak memory of this process or a finished child, MB to 0.1. None on Windows."""
-    try:
-        import resource
-    except ImportError:  # Windows has no such module
-        return None
-    most = max(resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
-    return round(most * _BYTES_A_UNIT / _MIB, 1)

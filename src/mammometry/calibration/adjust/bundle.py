@@ -15,14 +15,18 @@ from mammometry.base.machine.cores import one_blas_thread
 from mammometry.base.progress import Progress, no_progress
 from mammometry.calibration.adjust.assemble import View, all_views, held_at_first, network_of
 from mammometry.calibration.adjust.calibrated import Calibration, ParameterCovariance, SetAside
-from mammometry.calibration.adjust.covariance import clustered_covariance, independent_covariance
 from mammometry.calibration.adjust.initialise import initialise, require_connected
 from mammometry.calibration.adjust.least_squares import SingularNormalEquationsError
 from mammometry.calibration.adjust.left_out import leave_poses_out
 from mammometry.calibration.adjust.network import POSE_NAMES_CAMERA, Network, State, residuals
-from mammometry.calibration.adjust.prior import CameraPrior
-from mammometry.calibration.adjust.projection import INTRINSIC_NAMES
-from mammometry.calibration.adjust.robust import Solved, adjusted, bad_views
+from mammometry.calibration.adjust.projection import INTRINSIC_NAMES, CameraPrior
+from mammometry.calibration.adjust.robust import (
+    Solved,
+    adjusted,
+    bad_views,
+    clustered_covariance,
+    independent_covariance,
+)
 from mammometry.calibration.detection.detect import Observations
 from mammometry.calibration.settings import BundleSettings, CalibrateSettings
 from mammometry.geometry.arrays import Array, Float64

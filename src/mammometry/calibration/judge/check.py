@@ -16,7 +16,7 @@ import numpy as np
 
 from mammometry.base.errors import CalibrationError, ImageError
 from mammometry.base.value import value
-from mammometry.calibration.adjust.bundle import Calibration, ParameterCovariance
+from mammometry.calibration.adjust.calibrated import Calibration, ParameterCovariance
 from mammometry.calibration.adjust.initialise import resect
 from mammometry.calibration.adjust.projection import intrinsics_of
 from mammometry.calibration.detection.detect import Detection, Observations

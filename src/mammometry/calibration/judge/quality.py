@@ -12,7 +12,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from mammometry.base.value import value
-from mammometry.calibration.adjust.bundle import Calibration
+from mammometry.calibration.adjust.calibrated import Calibration
 from mammometry.calibration.judge.cameras.pose_motion import Movement, movements
 from mammometry.calibration.judge.expected_error import expected_error
 from mammometry.calibration.judge.findings import (
@@ -30,11 +30,16 @@ from mammometry.calibration.judge.findings import (
     about_pixels,
     about_residuals,
     about_scale,
+    about_target,
 )
-from mammometry.calibration.judge.reconstruction import PairQuality, reconstruct
+from mammometry.calibration.judge.reconstruction import (
+    PairQuality,
+    ViewQuality,
+    pooled_rms,
+    reconstruct,
+    view_qualities,
+)
 from mammometry.calibration.judge.sighting import sightings
-from mammometry.calibration.judge.target_shape import about_target
-from mammometry.calibration.judge.view_quality import ViewQuality, pooled_rms, view_qualities
 from mammometry.calibration.settings import QualitySettings
 
 _MOVED_SIGMA = 8.0

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from mammometry.base.value import value
-from mammometry.calibration.adjust.bundle import Calibration, ParameterCovariance
+from mammometry.calibration.adjust.calibrated import Calibration, ParameterCovariance
 from mammometry.calibration.adjust.projection import INTRINSIC_NAMES, intrinsics_of, project_with_derivatives
 from mammometry.calibration.detection.detect import Detection
 from mammometry.geometry.arrays import Array, Bool, Float64

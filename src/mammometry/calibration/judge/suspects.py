@@ -14,11 +14,11 @@ from typing import TypeAlias
 import numpy as np
 
 from mammometry.base.errors import CalibrationError
-from mammometry.calibration.adjust.bundle import Calibration
+from mammometry.calibration.adjust.calibrated import Calibration
 from mammometry.calibration.detection.detect import Observations
 from mammometry.calibration.features.found_points import Cause
+from mammometry.calibration.judge.findings import board_faults
 from mammometry.calibration.judge.quality import CalibrationQuality, assess
-from mammometry.calibration.judge.target_shape import board_faults
 from mammometry.calibration.settings import QualitySettings
 
 _ROUNDS = 6

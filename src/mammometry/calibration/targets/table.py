@@ -12,8 +12,7 @@ from pydantic import TypeAdapter, ValidationError
 from mammometry.base.errors import SessionError
 from mammometry.base.sizes import Size, fitting
 from mammometry.calibration.targets.board import Board
-from mammometry.calibration.targets.registry import TARGETS
-from mammometry.calibration.targets.target import Target
+from mammometry.calibration.targets.target import TARGETS, Target
 
 _MAX_PRINT_SCALE = 0.1
 """Largest relative scale error of a print. Chosen by eye: printers err by a few per cent at most, so a larger

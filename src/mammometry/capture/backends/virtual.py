@@ -21,7 +21,7 @@ import numpy as np
 from mammometry.api.job import open_session
 from mammometry.base.errors import SettingsError
 from mammometry.base.photograph import Photograph
-from mammometry.calibration.judge.working_volume import middle_world
+from mammometry.calibration.judge.expected_error import middle_world
 from mammometry.calibration.targets.lamps import LAMPS
 from mammometry.capture.camera import CameraSettings, Devices, Frame, Health, failed
 from mammometry.capture.registry import BACKENDS

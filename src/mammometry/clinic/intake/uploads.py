@@ -24,11 +24,17 @@ from mammometry.base.errors import MammometryError
 from mammometry.capture.checks import cameras
 from mammometry.capture.checks.found import Found, refuses
 from mammometry.capture.sessions import cameras_of, make_session, manifest_text
-from mammometry.clinic.intake import names
-from mammometry.clinic.intake.look import Target, known_cameras, look
-from mammometry.clinic.intake.poses import poses_needed
-from mammometry.clinic.intake.set_aside import clear_place, put_back, set_aside
-from mammometry.clinic.intake.thumbnail import thumbnail_path
+from mammometry.clinic.intake import photographs
+from mammometry.clinic.intake.photographs import (
+    Target,
+    clear_place,
+    known_cameras,
+    look,
+    poses_needed,
+    put_back,
+    set_aside,
+    thumbnail_path,
+)
 from mammometry.clinic.jobs import queue
 from mammometry.clinic.models import Calibration, DailyCheck, Job, Person, Rig, Upload, Visit
 from mammometry.clinic.site import the_clinic
@@ -417,7 +423,9 @@ def _together(target: Target, placed: Sequence[Upload]) -> list[Found]:
     found = [cameras.together(taken, clock_s), *cameras.twice({upload.camera: upload.sha256 for upload in placed})]
     if isinstance(target, Visit) and not refuses(found):
         folder = folder_of(target)
-        found += names.check(target, tuple((upload.camera, upload.sha256, folder / upload.name) for upload in placed))
+        found += photographs.check(
+            target, tuple((upload.camera, upload.sha256, folder / upload.name) for upload in placed)
+        )
     return found
 
 

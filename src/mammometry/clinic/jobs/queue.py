@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import datetime
 import os
+import platform
 from collections.abc import Iterable, Mapping
 from typing import Any
 from uuid import UUID
@@ -20,7 +21,7 @@ from django.utils import timezone
 from mammometry.clinic.jobs import results
 from mammometry.clinic.jobs.results import Target
 from mammometry.clinic.models import Calibration, Comparison, DailyCheck, Job, Person, Visit
-from mammometry.clinic.study import comparing
+from mammometry.clinic.records import comparing
 from mammometry.io.subject import rename_subject
 
 LEASE_S = 45.0
@@ -277,7 +278,7 @@ def new_owner(names: Iterable[str] = ()) -> str:
     """A runner's name: its machine, its process, and a random part."""
     from uuid import uuid4
 
-    return ":".join((os.uname().nodename, str(os.getpid()), uuid4().hex[:12], *names))
+    return ":".join((platform.node(), str(os.getpid()), uuid4().hex[:12], *names))
 
 
 def _is_dead(owner: str) -> bool:
@@ -286,4 +287,4 @@ def _is_dead(owner: str) -> bool:
 
     host, _, rest = owner.partition(":")
     pid = rest.partition(":")[0]
-    return host == os.uname().nodename and pid.isdecimal() and not psutil.pid_exists(int(pid))
+    return host == platform.node() and pid.isdecimal() and not psutil.pid_exists(int(pid))

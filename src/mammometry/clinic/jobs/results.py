@@ -12,9 +12,9 @@ from typing import Any
 from django.utils import timezone
 
 from mammometry.clinic.models import Calibration, Comparison, DailyCheck, Job, Measurement, Visit, Volume
-from mammometry.clinic.records.confirmations import has_unmeasured_drawing, settled_state
+from mammometry.clinic.records.comparing import measured_digests, refusal_of
+from mammometry.clinic.records.confirmations import settled_state
 from mammometry.clinic.records.results import add_volumes
-from mammometry.clinic.study.comparing import measured_digests, refusal_of
 
 Target = Visit | Calibration | DailyCheck | Comparison
 
@@ -64,7 +64,7 @@ def cancelled(target: Target) -> None:
 def failed(target: Target, message: str) -> None:
     """Its job failed."""
     if isinstance(target, Visit):
-        target.state = Visit.State.CHANGED if has_unmeasured_drawing(target) else Visit.State.REFUSED
+        target.state = Visit.State.CHANGED if target.has_unmeasured_drawing else Visit.State.REFUSED
         target.save(update_fields=["state"])
     elif isinstance(target, Calibration):
         target.state, target.verdict = Calibration.State.FAILED, message[:_LONGEST]

@@ -29,8 +29,8 @@ from mammometry.clinic.models import (
     Visit,
     VisitOrder,
 )
-from mammometry.clinic.rigs.history import may_queue
-from mammometry.clinic.study.comparing import comparison_folder
+from mammometry.clinic.records.comparing import comparison_folder
+from mammometry.clinic.rig_history import may_queue
 
 DAYS = 30
 """Days within which a correction can be undone."""

@@ -10,9 +10,9 @@ from django.http import HttpRequest, HttpResponseBase, JsonResponse, StreamingHt
 from mammometry.clinic.jobs import events, queue
 from mammometry.clinic.jobs.results import Target
 from mammometry.clinic.models import Calibration, DailyCheck, Job, Person, Visit
-from mammometry.clinic.rigs.history import may_queue
+from mammometry.clinic.rig_history import may_queue
 from mammometry.clinic.roles import CARE
-from mammometry.clinic.views.answers import Refused, get_or_404, json_body, json_view, require_care
+from mammometry.clinic.views.responses import Refused, get_or_404, json_body, json_view, require_care
 
 _MOST = 200  # jobs on one page
 

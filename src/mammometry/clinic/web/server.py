@@ -13,7 +13,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 
 import mammometry
 from mammometry.clinic.config import ClinicConfig, ClinicError, host_and_port
-from mammometry.clinic.jobs.process import beside
+from mammometry.clinic.jobs.runner import beside
 from mammometry.clinic.site import application
 
 
@@ -21,7 +21,7 @@ def closing_silent(seconds: float) -> type[asyncio.Protocol]:
     """Limit how long the head of a request may take.
 
     HTTP is as uvicorn speaks it. uvicorn closes a connection that rests after an answer, and waits without end for the
-    first request and for the rest of a begun one. How long bodies take is counted by `mammometry.clinic.web.limits`.
+    first request and for the rest of a begun one. How long bodies take is counted by `mammometry.clinic.web.requests`.
 
     Args:
         seconds: from the connection, or the first byte of a later request, to the end of a request's head.

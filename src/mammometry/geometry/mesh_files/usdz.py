@@ -6,7 +6,6 @@ outside the file is read.
 
 from __future__ import annotations
 
-import resource
 import tempfile
 import threading
 import zipfile
@@ -19,6 +18,7 @@ import numpy as np
 from mammometry.base.child_process import ChildProcess, NotDone
 from mammometry.base.errors import SessionError
 from mammometry.base.extras import require
+from mammometry.base.machine.system import limit_memory
 from mammometry.base.parse import error_text, require_file
 from mammometry.geometry.arrays import Array, Float64, Int64, UInt8
 
@@ -86,7 +86,7 @@ def read_usdz(path: Path, *, shape: bool = True) -> UsdScene:
 
 def _read(path: str, shape: bool) -> UsdScene | str:  # positional, as `ChildProcess.call` hands it on
     """Read a USDZ, or say what it is instead."""
-    resource.setrlimit(resource.RLIMIT_AS, (_MOST_MEMORY, _MOST_MEMORY))
+    limit_memory(_MOST_MEMORY)
     try:
         return _opened(path, shape=shape)
     except Exception as error:  # the reader raises anything that a damaged file makes it stumble over

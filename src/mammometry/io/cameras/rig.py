@@ -8,8 +8,7 @@ from itertools import combinations
 import numpy as np
 
 from mammometry.base.errors import SessionError
-from mammometry.calibration.judge.scale import require_camera_scale
-from mammometry.calibration.judge.sides import require_sides
+from mammometry.calibration.judge.scale import require_camera_scale, require_sides
 from mammometry.geometry.camera import Camera, Rig
 
 _ONE_PLACE_MM = 1e-6  # cameras nearer to each other stand in one place, but for rounding

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from mammometry.base.errors import StorageError
-from mammometry.calibration.targets.registry import TARGETS
+from mammometry.calibration.targets.target import TARGETS
 
 STORED_TYPES: Mapping[str, str] = MappingProxyType(
     {

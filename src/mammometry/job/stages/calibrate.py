@@ -15,7 +15,7 @@ from mammometry.job.products import Context, product, product_of_each
 from mammometry.job.values import CameraSet
 
 if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a plan alone need not wait for.
-    from mammometry.calibration.adjust.bundle import Calibration
+    from mammometry.calibration.adjust.calibrated import Calibration
     from mammometry.calibration.detection.detect import Observations
     from mammometry.calibration.settings import CalibrateSettings
     from mammometry.calibration.targets.target import Target
@@ -93,11 +93,9 @@ def calibration(
         CalibrationError: no photograph shows the target, cameras cannot be adjusted, or the result contradicts what
             the session says of its rig.
     """
-    from mammometry.calibration.detection.detect import merged
-    from mammometry.calibration.detection.duplicates import set_duplicates_aside
+    from mammometry.calibration.detection.detect import merged, set_duplicates_aside
     from mammometry.calibration.judge import no_target
-    from mammometry.calibration.judge.scale import require_scale
-    from mammometry.calibration.judge.sides import require_sides
+    from mammometry.calibration.judge.scale import require_scale, require_sides
 
     inputs, settings = job.inputs, job.settings.calibration
     assert inputs.target is not None
@@ -180,8 +178,7 @@ def cameras(calibration: Calibration | None, *, job: Context) -> CameraSet:
 
 def _imported(inputs: Inputs) -> CameraSet:
     """The cameras that came with the session."""
-    from mammometry.calibration.judge.scale import require_camera_scale
-    from mammometry.calibration.judge.sides import require_sides
+    from mammometry.calibration.judge.scale import require_camera_scale, require_sides
 
     assert inputs.cameras is not None
     wanted = sorted({name for pair in inputs.pair_names.values() for name in pair} | set(inputs.photographs))

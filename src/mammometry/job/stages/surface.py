@@ -35,7 +35,7 @@ def range_image(disparity: DisparityMap, *, job: Context) -> RangeImage:
     return triangulate(disparity, job.settings.surface.triangulate)
 
 
-@product("surface", version=4, settings="surface.stillness")
+@product("surface", version=5, settings="surface.stillness")
 def stillness(
     cameras: CameraSet,
     calibration: Calibration | None,

@@ -124,7 +124,8 @@ def find_body(
     Args:
         surface: the repaired mesh, world frame, mm.
         rough: patient's left, head, straight ahead (rows), as the cameras have it (`rig_frame`).
-        boundaries: curves around the breasts, left out; without them the breasts are outliers of the symmetry.
+        boundaries: curves around the breasts, left out; without them the breasts are outliers of the symmetry. Two of
+            them show which way the trunk lies.
         skin: the visible skin, where it is known already.
         stated: whether the user said where the head is: then no sign contradicts it.
 
@@ -135,7 +136,7 @@ def find_body(
         MeasureError: the trunk lies across the rough frame's up.
     """
     skin = seen_skin(surface) if skin is None else skin
-    if not stated and lies_across(skin, rough):
+    if not stated and (_one_above_the_other(boundaries, rough) if len(boundaries) == 2 else lies_across(skin, rough)):
         raise MeasureError(
             "torso",
             found="a trunk that lies across the direction that is taken for up",
@@ -245,6 +246,12 @@ def lies_across(skin: Skin, frame: Float64[Array, "3 3"]) -> bool:
         return float(weights.mean()), abs(float(axis @ frame[0])) - abs(float(axis @ frame[1]))
 
     return max(level(frame[1]), level(frame[0]))[1] > 0
+
+
+def _one_above_the_other(curves: Sequence[Float64[Array, "_ 3"]], frame: Float64[Array, "3 3"]) -> bool:
+    """Whether both breasts lie along the frame's up, as they do where the trunk lies across it."""
+    aside, up, _ = frame @ (curves[0].mean(axis=0) - curves[1].mean(axis=0))
+    return bool(abs(up) > abs(aside))
 
 
 def _plane(

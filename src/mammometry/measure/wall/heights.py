@@ -18,8 +18,9 @@ from mammometry.base.value import value
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.measure.boundary.cast_base import frame_towards
 from mammometry.measure.solid.cut import OpenPart
-from mammometry.measure.solid.patch import Patch, harmonic, signed_area_mm2
+from mammometry.measure.solid.patch import Patch, harmonic
 from mammometry.measure.solid.sew import Closed, sew
+from mammometry.measure.solid.untangle import signed_area_mm2
 from mammometry.measure.trunk.thorax import Trunk
 
 Height: TypeAlias = Callable[[Float64[Array, "n 2"]], Float64[Array, " n"]]

@@ -15,7 +15,7 @@ from mammometry.geometry.mesh import TriangleMesh
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.boundary.breasts import within_outline
 from mammometry.measure.boundary.cast_base import Base, BaseKind, base_through
-from mammometry.measure.boundary.trace import edge_loop
+from mammometry.measure.boundary.trace import check_beside_holes, edge_loop
 from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.solid.cut import OpenPart, above, check_above_base, check_whole, inside_curve
 from mammometry.measure.trunk.thorax import (
@@ -83,6 +83,7 @@ class OpenBreast:
         if part is None:
             part = inside_curve(mesh, edge_loop(name, self.boundary.points_world, mesh))
         check_whole(name, part)
+        check_beside_holes(name, self.boundary.points_world, part, mesh)
         return part
 
     def above(self, base: Base) -> OpenPart:

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mammometry.calibration.adjust.bundle import Calibration
+from mammometry.calibration.adjust.calibrated import Calibration
 from mammometry.calibration.detection.detect import Detection
 from mammometry.calibration.judge import expected_error as judge
-from mammometry.calibration.judge.working_volume import middle_world
+from mammometry.calibration.judge.expected_error import middle_world
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.report.figures.catalogue import preview

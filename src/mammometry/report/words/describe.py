@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from mammometry.base.posture import NOT_TO_BE_COMPARED
-from mammometry.calibration.adjust.bundle import Calibration
+from mammometry.calibration.adjust.calibrated import Calibration
 from mammometry.calibration.judge.quality import CalibrationQuality
 from mammometry.calibration.targets.target import Target
 from mammometry.geometry.arrays import Array, Float32

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from mammometry.base.sizes import subject_extent
-from mammometry.calibration.adjust.bundle import Calibration
+from mammometry.calibration.adjust.calibrated import Calibration
 from mammometry.calibration.judge.quality import CalibrationQuality
 from mammometry.matching import quality as match_quality
 from mammometry.matching.foreground.foreground import Foreground

@@ -77,6 +77,25 @@ def _asynchronous(exposure: Exposure, span_ms: float, rng: np.random.Generator) 
 
 
 @disturbance(
+    "breathing",
+    "shoot",
+    "pairs exposed one after another within a breath, the chest a random part of this further out at each",
+    Number(usual=1.0, within=(0.0, 5.0), likely=(0.2, 1.5), unit="mm"),
+)
+def _breathing(exposure: Exposure, depth_mm: float, rng: np.random.Generator) -> Exposure:
+    pairs = list(exposure.rig.pair_names.values())
+    parts = np.array([0.0, 1.0, *rng.uniform(size=len(pairs))])[: len(pairs)]
+    seconds = dict(exposure.seconds)
+    for pair, part in zip(rng.permutation(len(pairs)), parts - parts.mean(), strict=True):
+        seconds |= dict.fromkeys(pairs[pair], float(part))
+    still = np.zeros(3)
+    motion = Motion(
+        sway_mm_s=still, turn_rad_s=still, breath_mm_s=depth_mm * np.array(_FRONT), chest=still
+    )  # a breath that takes a second
+    return replace(exposure, seconds=seconds, motion=motion)
+
+
+@disturbance(
     "asynchronous-cameras",
     "shoot",
     "cameras exposed one after another, from first to last, while the body sways and breathes",

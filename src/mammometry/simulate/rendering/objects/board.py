@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mammometry.calibration.targets.flat_body import FlatBody
+from mammometry.calibration.targets.board import FlatBody
 from mammometry.calibration.targets.sheet import Pattern
 from mammometry.geometry.arrays import Array, Float32, Float64
 from mammometry.geometry.camera import Camera

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from scipy.ndimage import binary_dilation, maximum_filter, minimum_filter
 
-from mammometry.calibration.targets.flat_body import FlatBody
+from mammometry.calibration.targets.board import FlatBody
 from mammometry.calibration.targets.target import Target
 from mammometry.geometry.arrays import Array, Float32, Float64
 from mammometry.geometry.camera import Camera
