@@ -82,7 +82,7 @@ def test_every_setting_in_the_documents_exists(repository: Path) -> None:
         for name in _SETTING.findall(path.read_text(encoding="utf-8"))
     }
     modules = {
-        ".".join(path.relative_to(repository / "src" / "mammometry").with_suffix("").parts)
+        ".".join(path.relative_to(repository / "src" / "mammometry").with_suffix("").parts).removesuffix(".__init__")
         for path in (repository / "src" / "mammometry").rglob("*.py")
     }
     assert {(where, name) for where, name in mentioned if name not in known | parts | modules} == set()
