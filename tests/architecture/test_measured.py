@@ -1,6 +1,8 @@
 """Figures of the documentation: every table has its commands and its commit, and the runner writes what it made."""
 
 import re
+import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -67,3 +69,14 @@ def test_nine_casts_become_a_table() -> None:
         "",
         "Mean error +0.00 cc, standard deviation 1.41 cc.",
     ]
+
+
+def test_commands_that_ended_are_not_run_again(tmp_path: Path) -> None:
+    entry = measured.Entry(
+        name="a", commands=("python -c 'print(1)'", f"python -c 'print(len(open(\"{tmp_path}/there\").read()))'")
+    )
+    with pytest.raises(subprocess.CalledProcessError):
+        measured.make(entry, "12345678", tmp_path)
+    (tmp_path / "there").write_text("four")
+    again = measured.make(replace(entry, commands=("python -c 'print(2)'", *entry.commands[1:])), "12345678", tmp_path)
+    assert again.outputs == ("1\n", "4\n")
