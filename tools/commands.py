@@ -51,9 +51,9 @@ def page() -> str:
             argument = parameter.param_type_name == "argument"
             spelled = parameter.metavar or parameter.name.upper() if argument else " ".join(parameter.opts[:1])
             if argument or parameter.opts[0] not in EVERYWHERE:
-                rows.append(f"| `{_one_line(spelled)}` | {_one_line(parameter.help or '')} |")
+                rows.append(f"- `{spelled}`: {_one_line(parameter.help or '')}")
         if rows:
-            lines += ["", "| | |", "| --- | --- |", *rows]
+            lines += ["", *rows]
     return "\n".join(lines) + "\n"
 
 
@@ -63,7 +63,7 @@ def _paragraphs(text: str) -> list[str]:
 
 
 def _one_line(text: str) -> str:
-    return re.sub(r"\s+", " ", text).replace("|", "\\|").replace("<", "&lt;").strip()
+    return re.sub(r"\s+", " ", text).replace("<", "&lt;").strip()
 
 
 if __name__ == "__main__":
