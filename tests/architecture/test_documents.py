@@ -16,7 +16,7 @@ from mammometry.settings import Settings, names
 _COMMAND = re.compile(r"^\s*\$?\s*(?:\.venv/bin/)?mammometry\s+([a-z][a-z-]*)((?:\s+\S+)*)\s*$")
 _INLINE = re.compile(r"`mammometry ([a-z][a-z-]*)((?: [^`\s]+)*)`")
 _SETTING = re.compile(r"`((?:calibration|matching|surface|measure|compare)\.[a-z_.]+)(?:=[^`]*)?`")
-_LINK = re.compile(r"\]\((?!https?://|#)([^)#]+)(?:#[^)]*)?\)")
+_LINK = re.compile(r"(?:\]\(|src=\")(?!https?://|#)([^)#\"]+)(?:#[^)]*)?[)\"]")
 
 
 def commands() -> dict[str, set[str]]:
