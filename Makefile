@@ -66,6 +66,7 @@ check: $(VENV)/.installed-dev
 	$(BIN)/zensical build --strict --clean
 
 docs: $(VENV)/.installed-dev
+	$(BIN)/python -m tools.commands
 	$(BIN)/zensical serve
 
 # Requirements and what shows them, third-party software: docs/dossier.

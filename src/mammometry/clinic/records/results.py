@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from mammometry.api.refused import FOLDER
+from mammometry.api.results import FOLDER
 from mammometry.base.errors import SessionError
 from mammometry.clinic.models import Measurement, Visit, Volume
 from mammometry.clinic.records.charts import Reading
