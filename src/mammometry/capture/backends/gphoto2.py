@@ -4,8 +4,6 @@
 library blocks while a file comes, and a camera that hangs must not hold the others.
 """
 
-from __future__ import annotations
-
 import io
 import multiprocessing
 import time
@@ -93,7 +91,7 @@ class TetheredRig:
         return Health(fault="The memory card is full." if free_kb == 0 else "", model=model, serial=serial)
 
     def close(self) -> None:
-        """End the processes."""
+        """End the cameras' processes."""
         for worker in self._workers.values():
             worker.close()
 
@@ -122,7 +120,7 @@ class _Worker:
             self.fault = error.found
 
     def ask(self, what: str, *arguments: Any, within_s: float) -> Any:
-        """Send and receive.
+        """Send a request to the camera's process, and receive its answer.
 
         Raises:
             CaptureError: it failed, hung or went.
@@ -131,7 +129,7 @@ class _Worker:
         return self.receive(within_s)
 
     def send(self, what: str, *arguments: Any) -> None:
-        """Ask for something."""
+        """Send a request to the camera's process."""
         self._require_well()
         try:
             self._ours.send((what, *arguments))
@@ -139,7 +137,7 @@ class _Worker:
             raise self._gone() from None
 
     def receive(self, within_s: float) -> Any:
-        """The next answer."""
+        """Receive the next answer of the camera's process."""
         self._require_well()
         try:
             if not self._ours.poll(within_s):
