@@ -41,7 +41,7 @@ from mammometry.report.figures.product_graph import product_graph
 from mammometry.settings import Settings
 from mammometry.simulate.disturbances.about import Surroundings
 from mammometry.simulate.disturbances.registry import DISTURBANCES, check, disturbed
-from mammometry.simulate.recipe import SessionRecipe
+from mammometry.simulate.recipe import SessionRecipe, parse_situation
 from mammometry.simulate.rendering.develop import develop
 from mammometry.simulate.rendering.film import Film
 from mammometry.simulate.rendering.objects.skin import Skin
@@ -49,9 +49,8 @@ from mammometry.simulate.rendering.objects.solid_target import render_target
 from mammometry.simulate.rendering.registry import RENDERERS
 from mammometry.simulate.rigs.build import flashes
 from mammometry.simulate.rigs.poses import draw_poses
-from mammometry.simulate.rigs.rig import make_rig
+from mammometry.simulate.rigs.rig_file import make_rig
 from mammometry.simulate.session import SimulatedSession, write_session
-from mammometry.simulate.situation import parse_situation
 from mammometry.simulate.studio import Studio
 from mammometry.simulate.subjects.registry import SUBJECTS, make_subject
 

@@ -11,13 +11,17 @@ from typing import TYPE_CHECKING
 from mammometry.api.job import open_session
 from mammometry.base.errors import SessionError
 from mammometry.base.identity import Identity
-from mammometry.base.posture import NOT_TO_BE_COMPARED
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.io.meshes.scans import is_scan
 from mammometry.io.results.store import Store, Watch
 from mammometry.job.graph import Plan
 from mammometry.job.inputs import FinishedSurface, Inputs
 from mammometry.job.stages import calibrate, measure, surface
+<<<<<<< HEAD
+=======
+from mammometry.job.values import FinishedSurface
+from mammometry.measure.settings import NOT_TO_BE_COMPARED
+>>>>>>> houseB
 from mammometry.settings import Settings
 
 if TYPE_CHECKING:

@@ -32,8 +32,7 @@ from mammometry.base.errors import (
     SurfaceError,
 )
 from mammometry.base.machine.cores import one_blas_thread
-from mammometry.base.machine.memory import return_freed_arrays
-from mammometry.base.machine.system import peak_memory_mb
+from mammometry.base.machine.system import peak_memory_mb, return_freed_arrays
 from mammometry.base.progress import Progress, no_progress
 from mammometry.geometry.camera import Rig
 from mammometry.io.outputs import require_apart, require_free, write_output

@@ -34,10 +34,8 @@ class BundleSettings:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class QualitySettings:
-    """Limits above which a calibration is refused."""
+    """Limit above which a calibration is refused, beside the constants of `judge.findings`."""
 
-    bias_refuse: float = 20.0
-    """Bias statistic above which the cameras cannot have stood still."""
     focal_std_refuse: float = 5e-4
     """Relative standard deviation of a focal length that is refused: at its place, the camera's depths would be off by
     0.4 mm at 0.8 m. Three poses with corners measured to 0.05 px reach 3–5e-4, blurred ones (0.2 px) 7e-4 and more.
@@ -45,14 +43,6 @@ class QualitySettings:
     camera is also placed farther away by as much as its focal length is too long, and points stay in place. The
     expected error contains both effects.
     """
-    geometry_refuse_mm: float = 0.5
-    """The paper's depth error on a flat plate (Results). With a larger one, measuring is not worthwhile."""
-    scale_refuse_ppm: float = 1500.0
-    """Scale error of a pair above which volumes are off by half a percent from it alone."""
-    expected_refuse_mm: float = 0.5
-    """Expected error no better than the paper's on a flat plate. Measuring is then not worthwhile."""
-    moved_refuse_mm: float = 0.05
-    """Displacement of measured points by a movement between poses above which the poses must not be used together."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -16,9 +16,8 @@ from mammometry.base.errors import SettingsError
 from mammometry.cli.common import Answer, Bars, Options, OutputOptions, command
 from mammometry.cli.compile_cache import compiled_ahead
 from mammometry.cli.stages import opened, volume_lines
-from mammometry.simulate.recipe import SessionRecipe
+from mammometry.simulate.recipe import SessionRecipe, parse_situation
 from mammometry.simulate.rendering.film import Film
-from mammometry.simulate.situation import parse_situation
 
 if TYPE_CHECKING:
     from mammometry.simulate.subjects.solid import Solid

@@ -370,9 +370,8 @@ def _wait_for_calibration(rig: Rig) -> None:
 def render(folder: Path, subject: str, other: str, poses: int, progress: Progress) -> Path:
     """Photographs of the target or of a subject, by one rig."""
     from mammometry.calibration.targets.kinds.charuco import CharucoTarget
-    from mammometry.simulate.recipe import SessionRecipe
+    from mammometry.simulate.recipe import SessionRecipe, parse_situation
     from mammometry.simulate.session import write_session
-    from mammometry.simulate.situation import parse_situation
     from mammometry.simulate.studio import Studio
 
     recipe = SessionRecipe(

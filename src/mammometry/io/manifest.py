@@ -12,7 +12,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstra
 from mammometry.base.errors import SessionError
 from mammometry.base.identity import subject_id
 from mammometry.base.parse import read_text, shown, toml_table
-from mammometry.base.posture import Posture
+from mammometry.measure.settings import Posture
 
 MANIFEST = "session.toml"
 _NAME = re.compile(r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")

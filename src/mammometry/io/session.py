@@ -31,7 +31,7 @@ import numpy as np
 
 from mammometry.base.errors import ImageError, SessionError
 from mammometry.base.identity import Identity
-from mammometry.base.limits import LimitSettings
+from mammometry.base.parse import LimitSettings
 from mammometry.base.photograph import Photograph
 from mammometry.geometry.arrays import Array
 from mammometry.geometry.camera import Camera

@@ -22,7 +22,7 @@ from mammometry.matching.foreground.seeded_segmentation import DepthSeeds
 from mammometry.matching.foreground.silhouette import block_means
 from mammometry.matching.pyramid import Level
 from mammometry.matching.rectify import RectifiedPair, rectify
-from mammometry.matching.semiglobal.semiglobal_start import both_ways
+from mammometry.matching.semiglobal import both_ways
 
 # Where no other source is named: chosen on the simulated captures of docs/decisions/0028.
 _SPAN_PX = 270  # longer side of the small photographs, about: a trunk is a hundred pixels wide

@@ -1,7 +1,4 @@
-"""First values for the adjustment, without guesses.
-
-Each camera's intrinsics come first, then all cameras' and targets' poses.
-"""
+"""First values for the adjustment: each camera's intrinsics, then the poses of cameras and targets."""
 
 from __future__ import annotations
 

@@ -1,8 +1,4 @@
-"""Find the target in photographs and measure its points.
-
-They are measured to hundredths of a pixel. This module holds the values common to all kinds of target. Each kind's own
-module finds it.
-"""
+"""Find the target in photographs, measure its points to hundredths of a pixel, say why it was not found."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Expected error of points that the pairs reconstruct, mm.
-
-It comes from the calibration's uncertainty.
-"""
+"""Working volume of the rig, and expected error, mm, of points that its pairs reconstruct there."""
 
 from __future__ import annotations
 

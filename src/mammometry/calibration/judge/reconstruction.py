@@ -1,4 +1,4 @@
-"""The target as a pair reconstructs it, mm. This is an independent check of a calibration."""
+"""Residuals of single views, and the target as each pair reconstructs it: an independent check."""
 
 from __future__ import annotations
 

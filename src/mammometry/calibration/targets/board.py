@@ -1,4 +1,4 @@
-"""Flat boards: what all printed boards share, and boards of squares."""
+"""Flat boards: what all printed boards share, boards of squares, and their solid for the simulation."""
 
 from __future__ import annotations
 

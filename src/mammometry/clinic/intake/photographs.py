@@ -15,7 +15,7 @@ from PIL import Image
 
 from mammometry.api.job import open_session
 from mammometry.base.errors import CalibrationError, ImageError, MammometryError
-from mammometry.base.limits import LimitSettings
+from mammometry.base.parse import LimitSettings
 from mammometry.base.photograph import Photograph
 from mammometry.calibration.adjust.initialise import least_views
 from mammometry.calibration.features.keypoints import Keypoints, keypoints

@@ -22,9 +22,7 @@ from PIL import Image
 
 from mammometry.base.errors import SessionError
 from mammometry.base.identity import subject_id
-from mammometry.base.limits import LimitSettings
-from mammometry.base.parse import read_bytes, read_text, toml_table
-from mammometry.base.posture import POSTURES
+from mammometry.base.parse import LimitSettings, read_bytes, read_text, toml_table
 from mammometry.geometry.arrays import Array, Float64, UInt8
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.mesh_files.obj import parse_obj
@@ -32,7 +30,12 @@ from mammometry.io.meshes.foreign import MM_PER_UNIT, ForeignMesh, read_foreign
 from mammometry.io.meshes.own_ply import read_ply, write_ply
 from mammometry.io.meshes.textures import CoveredObj, covered_parts, read_covered_obj, texture_at
 from mammometry.io.photographs.images import read_photograph, read_plain_picture
+<<<<<<< HEAD
 from mammometry.io.photographs.tags import without_tags
+=======
+from mammometry.io.photographs.jpeg import without_tags
+from mammometry.measure.settings import POSTURES
+>>>>>>> houseB
 
 ABOUT, MESH = "scan.toml", "scan.ply"
 RESULTS = "results"

@@ -12,8 +12,7 @@ import numpy as np
 from PIL import Image, UnidentifiedImageError
 
 from mammometry.base.errors import ImageError, MammometryError
-from mammometry.base.limits import LimitSettings
-from mammometry.base.parse import require_file
+from mammometry.base.parse import LimitSettings, require_file
 from mammometry.base.photograph import Photograph
 from mammometry.geometry.arrays import Array, Bool, UInt8
 from mammometry.io.photographs.tiff import SIGNATURES, UnusualTiffError, tiff_header, tiff_is_truncated, tiff_pixels

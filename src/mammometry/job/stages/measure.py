@@ -73,7 +73,7 @@ def boundaries(
 ) -> tuple[Boundary, ...]:
     """One closed curve for each breast: drawn, by picked landmarks, or found."""
     from mammometry.measure.boundary import boundary
-    from mammometry.measure.volume.refused import wanted_boundaries
+    from mammometry.measure.volume.volumes import wanted_boundaries
 
     inputs, settings = job.inputs, job.settings.measure
     given = tuple(
@@ -189,7 +189,7 @@ def absent(
     job: Context,
 ) -> tuple[NoBreast, ...]:
     """Sides that were not measured, with reasons: without a breast, removed, unclear or refused."""
-    from mammometry.measure.volume.refused import refused_side, removed_side
+    from mammometry.measure.volume.volumes import refused_side, removed_side
     from mammometry.measure.wall.open_breast import open_breasts
 
     inputs = job.inputs

@@ -14,8 +14,16 @@ from typing import Any, TypeVar
 import numpy as np
 
 from mammometry.geometry.arrays import Array, Bool, Float32
-from mammometry.matching.dense.consistency_kernels import agreeing, compete, smoothing_weights
-from mammometry.matching.dense.least_squares_step import Both, Estimate, Side, prepare, step
+from mammometry.matching.dense.least_squares_step import (
+    Both,
+    Estimate,
+    Side,
+    agreeing,
+    compete,
+    prepare,
+    smoothing_weights,
+    step,
+)
 from mammometry.matching.dense.levels import LevelWork
 from mammometry.matching.dense.plane_smoothing import adaptively_smooth, smooth
 from mammometry.matching.dense.vertical_disparity import LevelState, Vertical, aligned

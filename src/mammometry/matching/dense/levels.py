@@ -7,7 +7,7 @@ import numpy as np
 
 from mammometry.base.errors import MatchingError
 from mammometry.geometry.arrays import Array, Bool
-from mammometry.matching.semiglobal.semiglobal_start import span_px
+from mammometry.matching.semiglobal import span_px
 
 START_SPAN_PX = 400.0
 """Subject size (root of its area, pixels) below which semi-global matching starts: the finest such level. At half of

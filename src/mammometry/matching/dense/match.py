@@ -11,7 +11,6 @@ from mammometry.base.value import value
 from mammometry.geometry.arrays import Array, Bool, Float32
 from mammometry.geometry.camera import Camera
 from mammometry.geometry.rounding import SIGMA_BITS, to_bits, to_step
-from mammometry.matching.dense.consistency_kernels import agreeing
 from mammometry.matching.dense.crop import (
     Window,
     at_level,
@@ -31,18 +30,15 @@ from mammometry.matching.dense.least_squares import (
     solve_level,
     upsampled,
 )
-from mammometry.matching.dense.least_squares_step import LEAST_CORRELATION, Both
+from mammometry.matching.dense.least_squares_step import LEAST_CORRELATION, Both, agreeing
 from mammometry.matching.dense.levels import Levels, choose_levels
-from mammometry.matching.dense.texture_strength import unexplained, weak_texture
-from mammometry.matching.dense.vertical_disparity import Vertical, VerticalField
-from mammometry.matching.dense.vertical_free import nothing_yet
+from mammometry.matching.dense.vertical_disparity import Vertical, VerticalField, nothing_yet
 from mammometry.matching.filters import squared_slope
-from mammometry.matching.noise import noise_variance
+from mammometry.matching.noise import empty_levels, noise_variance, unexplained, weak_texture
 from mammometry.matching.pyramid import Level, build, coarser_camera, decimation, finer_field, finer_mask
 from mammometry.matching.rectify import RectifiedPair
-from mammometry.matching.semiglobal.semiglobal_start import start
+from mammometry.matching.semiglobal import start
 from mammometry.matching.settings import MatchSettings
-from mammometry.matching.sharpness import empty_levels
 
 SEARCH_SHARE = 0.25
 """Range of the search, as a share of the subject's width, to either side of the shift between both silhouettes."""

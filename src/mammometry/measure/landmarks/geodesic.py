@@ -14,9 +14,8 @@ from scipy.sparse.csgraph import dijkstra
 from mammometry.base.errors import MeasureError
 from mammometry.base.value import value
 from mammometry.geometry.arrays import Array, Bool, Float64, Int64
-from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry.mesh import TriangleMesh, edge_table
 from mammometry.geometry.nearest import closest_on_mesh
-from mammometry.geometry.refine import edge_table
 
 _ROUNDS = ((0, 1.16), (1, 1.04), (4, 1.006), (12, 1.0))
 """Points on each edge, and ratio to the shortest length up to which a path stays in the next round's belt. Along edges

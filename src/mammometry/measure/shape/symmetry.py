@@ -13,8 +13,7 @@ from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.nearest import point_tree
 from mammometry.geometry.transform import Transform
 from mammometry.measure.trunk.body import within_boundary
-from mammometry.measure.trunk.mirror_plane import MirrorPlane, mirror
-from mammometry.measure.trunk.register import register
+from mammometry.measure.trunk.mirror_plane import MirrorPlane, mirror, register
 from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.surface.repair.repair import Provenance, RepairedSurface
 

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from mammometry.base.posture import NOT_TO_BE_COMPARED
 from mammometry.calibration.adjust.calibrated import Calibration
 from mammometry.calibration.judge.quality import CalibrationQuality
 from mammometry.calibration.targets.target import Target
@@ -19,6 +18,7 @@ from mammometry.geometry.camera import Rig
 from mammometry.matching.foreground.foreground import Foreground
 from mammometry.matching.quality import MatchQuality
 from mammometry.measure.boundary.breasts import NoBreast
+from mammometry.measure.settings import NOT_TO_BE_COMPARED
 from mammometry.measure.volume.attribution import curve_digest
 from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.report.content import BreastReport, Fact, LargeNumber, Meaning, StageReport, sentence

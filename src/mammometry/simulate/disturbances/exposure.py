@@ -15,7 +15,7 @@ from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.transform import Transform
 from mammometry.simulate.rendering.film import Film
-from mammometry.simulate.rendering.motion import Motion
+from mammometry.simulate.rendering.scene import Motion
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -14,7 +14,7 @@ from skimage.measure import marching_cubes
 
 from mammometry.geometry.arrays import Array, Bool, Float64
 from mammometry.geometry.mesh import TriangleMesh
-from mammometry.simulate.subjects.waves import smoothstep, waves
+from mammometry.simulate.subjects.solid import smoothstep, waves
 
 # Height, mm; width and depth there over those at the breasts; how far the middle of the section stands forward, mm.
 _SECTIONS = np.array(

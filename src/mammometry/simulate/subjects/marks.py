@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 
 from mammometry.geometry.arrays import Array, Float32, Float64
-from mammometry.simulate.subjects.waves import smoothstep
+from mammometry.simulate.subjects.solid import smoothstep
 
 _SOFT_MM = 1.5
 """Half the width over which a mark's colour fades. Chosen by eye."""

@@ -14,8 +14,7 @@ from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.simulate.subjects.registry import SubjectRequest, add_subject, numbered
 from mammometry.simulate.subjects.shapes import back_faces, disc
-from mammometry.simulate.subjects.solid import Solid, rounded_mesh
-from mammometry.simulate.subjects.waves import smoothstep, waves
+from mammometry.simulate.subjects.solid import Solid, rounded_mesh, smoothstep, waves
 
 TABLE_1_WATER_CC = (364.6, 434.7, 579.0, 231.1, 433.4, 591.6, 596.6, 100.4, 863.1)
 """Volumes of the paper's nine plaster models by water displacement (Table 1), cc."""
