@@ -114,7 +114,7 @@ class MeshJob(Reported):
     def __init__(
         self, files: MeshFiles, folder: Path, settings: Settings | None = None, *, watch: Watch = unwatched
     ) -> None:
-        """Read the files.
+        """Read the mesh and the files that belong to it.
 
         Args:
             files: the mesh and what was drawn on it.
@@ -387,7 +387,7 @@ class _StoreOfMesh(Store):
     """Results of a mesh. What its measurement refuses is said in words of a mesh."""
 
     def recall(self, key: Key, prepare: Callable[[], Callable[[Progress], T]]) -> T:
-        """As `Store.recall`."""
+        """Recall a product, as `Store.recall` does."""
         try:
             return super().recall(key, prepare)
         except MeasureError as error:

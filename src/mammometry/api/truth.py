@@ -128,7 +128,7 @@ _RECORD = "study.json"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PhantomResult:
-    """One model."""
+    """A plaster model's measured and exact volume."""
 
     name: str
     true_cc: float

@@ -1,7 +1,5 @@
 """Batch of sessions: skip current ones, measure the others, report each."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass

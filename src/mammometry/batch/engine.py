@@ -4,8 +4,6 @@ Nothing of a scheduler is ours: every task is given to Dask at once, with the co
 Dask finds the worker that has them free. What is ours is what becomes of a task that took a worker down.
 """
 
-from __future__ import annotations
-
 import queue
 import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
@@ -31,7 +29,7 @@ _LOOK_S = 0.25  # between two looks at what the user wants
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Task:
-    """One piece of work."""
+    """A call for a worker, with what it needs."""
 
     name: str
     """Of its own in the batch."""
@@ -80,7 +78,7 @@ class StopRequest(Enum):
 
 @dataclass(slots=True)
 class _Tried:
-    """Where a task stands."""
+    """State of a task: its tries and their outcome."""
 
     task: Task
     alone: bool = False
@@ -119,7 +117,7 @@ class Engine:
         )
 
     def run(self, tasks: Iterable[Task]) -> Iterator[Event]:
-        """Do all tasks.
+        """Run all tasks to their end.
 
         Yield what happens, as it happens. Where no task of the kind was ever measured, one goes first with a worker
         for itself: how much memory the others need is learned from it, not guessed.

@@ -1,7 +1,5 @@
 """Sessions that a batch measures, from folders, patterns and tables."""
 
-from __future__ import annotations
-
 import glob
 import math
 import os

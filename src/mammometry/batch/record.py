@@ -91,7 +91,7 @@ Stat: TypeAlias = tuple[int, int | float | str]
 
 
 class Measured(BaseModel):
-    """One volume."""
+    """A measured volume, as the record keeps it."""
 
     model_config = _STRICT
 
@@ -130,7 +130,7 @@ class Row(BaseModel):
 
 
 class Record(BaseModel):
-    """A finished session."""
+    """Record of a finished session."""
 
     model_config = _STRICT
 

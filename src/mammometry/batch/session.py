@@ -1,7 +1,5 @@
 """A batch's work on one session: fetch, measure, record the result."""
 
-from __future__ import annotations
-
 import base64
 import io
 import json

@@ -3,8 +3,6 @@
 A process that grows too large is ended.
 """
 
-from __future__ import annotations
-
 import os
 import platform
 import subprocess

@@ -3,8 +3,6 @@
 Dask installs it on every worker, also on later ones, whoever started them.
 """
 
-from __future__ import annotations
-
 import psutil
 from distributed import Status, Worker, WorkerPlugin
 from distributed.system import MEMORY_LIMIT

@@ -69,7 +69,7 @@ class Health:
     temperature_c: float | None = None
 
     def as_table(self) -> dict[str, Any]:
-        """As JSON."""
+        """The state as JSON."""
         return {
             "fault": self.fault,
             "model": self.model,
@@ -130,10 +130,10 @@ class Backend(Protocol):
         """
 
     def health(self, camera: str) -> Health:
-        """How the camera is."""
+        """State of a camera."""
 
     def close(self) -> None:
-        """Let the cameras go."""
+        """Release the cameras."""
 
 
 def failed(camera: str, found: str, remedy: str, *, expected: str = "one picture of this firing") -> CaptureError:
@@ -145,7 +145,7 @@ class Holds:
     """The cameras that a rig holds. Until `release`, or the end of the process."""
 
     def __init__(self, rig: str, backend: str, ids: Mapping[str, str]) -> None:
-        """Take them all, or none.
+        """Lock all cameras, or none.
 
         Args:
             rig: its name, for whoever wants the same camera.
@@ -175,7 +175,7 @@ class Holds:
             self._locks.append(lock)
 
     def release(self) -> None:
-        """Let them go."""
+        """Release the locks."""
         for lock in self._locks:
             lock.release()
         self._locks.clear()

@@ -249,13 +249,13 @@ class KnownCamera:
     """How far its clock is ahead of the rig's median clock, s."""
 
     def as_table(self) -> dict[str, Any]:
-        """As JSON."""
+        """The known facts of a camera as JSON."""
         size = None if self.stored_wh is None else list(self.stored_wh)
         return {"stored_wh": size, "orientation": self.orientation, "serial": self.serial, "clock_s": self.clock_s}
 
     @classmethod
     def from_table(cls, table: Mapping[str, Any]) -> KnownCamera:
-        """Back from JSON."""
+        """Read the known facts of a camera from JSON."""
         size = table.get("stored_wh")
         return cls(
             stored_wh=None if size is None else (int(size[0]), int(size[1])),

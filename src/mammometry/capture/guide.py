@@ -174,7 +174,7 @@ def _pair_axes(rig: Rig) -> Float64[Array, "p 3"]:
 
 
 def _variance_px2(calibration: Calibration) -> float:
-    """Of one coordinate of a point, as the calibration found it."""
+    """Variance of one coordinate of a point, as the calibration estimated it."""
     variances = [
         np.trace(detection.covariance_px2, axis1=1, axis2=2) / 2 for detection in calibration.observations.detections
     ]

@@ -56,7 +56,7 @@ class Aids:
     """Regions in which the target has been seen, now or before."""
 
     def as_table(self) -> dict[str, Any]:
-        """As JSON, without the picture."""
+        """The aids as JSON, without the picture."""
         return {
             "camera": self.camera,
             "sharpness": np.round(self.sharpness, 3).tolist(),
@@ -108,7 +108,7 @@ class LiveView:
         return {name: int((~covered).sum()) for name, covered in self._covered.items()}
 
     def close(self) -> None:
-        """End the threads."""
+        """End the threads of the live view."""
         self._pool.shutdown()
 
 

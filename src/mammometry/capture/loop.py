@@ -125,7 +125,7 @@ class OpenRig:
         self.close()
 
     def close(self) -> None:
-        """Let the cameras go."""
+        """Release the cameras."""
         self.backend.close()
         self._holds.release()
 
@@ -330,7 +330,7 @@ def prepare(session: Path, file: RigFile, calibration: Path | None, *, subject_i
 
 
 def record_of(taken: Firing, verdict: Verdict, backend: str) -> dict[str, object]:
-    """A firing's shot.json."""
+    """Content of a firing's shot.json."""
     when = datetime.datetime.fromtimestamp(taken.fired_s, datetime.UTC).isoformat(timespec="milliseconds")
     return {
         "format": 1,

@@ -1,7 +1,5 @@
 """The page on which cameras are aimed, focused and fired, served by the local server or the clinic."""
 
-from __future__ import annotations
-
 import base64
 import html
 import json
@@ -88,7 +86,7 @@ class Stand:
 
 
 def firing_table(fired: CaptureResult, then: str) -> dict[str, Any]:
-    """A firing, for the page.
+    """A firing's result as JSON for the page.
 
     Args:
         fired: what came of it.
@@ -129,7 +127,7 @@ def _shown(aids: Aids | str) -> dict[str, Any]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Goal:
-    """Where firings go."""
+    """Session into which the page fires."""
 
     session: Path
     """Made if there is none."""

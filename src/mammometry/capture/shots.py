@@ -1,7 +1,5 @@
 """Fire all cameras once, and write their pictures whole or not at all."""
 
-from __future__ import annotations
-
 import io
 import json
 import os
@@ -37,7 +35,7 @@ class Shot:
     """One firing that is being written."""
 
     def __init__(self, session: Path, *, suffix: str = "jpg") -> None:
-        """Begin.
+        """Begin a firing's folder.
 
         Raises:
             StorageError: the disk is full or refuses.
@@ -216,7 +214,7 @@ class Delivered:
 
 @value(eq=False)
 class Firing:
-    """One firing."""
+    """A firing: the pictures of all cameras, and what failed."""
 
     fired_s: float
     """By ``time.time()``."""

@@ -49,7 +49,7 @@ class Skew:
         return max(self.offset_ms, key=lambda name: abs(self.offset_ms[name]))
 
     def as_table(self) -> dict[str, object]:
-        """As JSON."""
+        """The skew as JSON."""
         return {
             "format": _FORMAT,
             "measured": self.measured,

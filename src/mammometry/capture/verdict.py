@@ -4,8 +4,6 @@ All cameras delivered, each its own picture of this moment, all together, sharp,
 that is whole in every view. Each sentence says what to do.
 """
 
-from __future__ import annotations
-
 import statistics
 import time
 from collections.abc import Iterator, Mapping
@@ -51,7 +49,7 @@ class Verdict:
         return tuple(lines)
 
     def as_table(self) -> dict[str, Any]:
-        """As JSON."""
+        """The verdict as JSON."""
         return {
             "may_be_measured": self.may_be_measured,
             "seconds": round(self.seconds, 3),

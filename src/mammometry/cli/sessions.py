@@ -225,7 +225,7 @@ _STATES = {
 
 
 def _stages_table(stages: dict[str, Any]) -> Any:
-    """A line a stage."""
+    """Table with a line for every stage."""
     from rich.table import Table
 
     shown = Table.grid(padding=(0, 3))
@@ -240,7 +240,7 @@ def _stages_table(stages: dict[str, Any]) -> Any:
 
 
 def _products_table(stages: dict[str, Any]) -> Any:
-    """A line a product."""
+    """Table with a line for every product."""
     from rich.table import Table
 
     shown = Table("stage", "product", "state", "made", "seconds", box=None, pad_edge=False)

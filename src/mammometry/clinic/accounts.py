@@ -1,7 +1,5 @@
 """How people come in: entry by an administrator, passwords, second factor, the hospital's own login."""
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import time
@@ -95,7 +93,7 @@ class Accounts(DefaultAccountAdapter):
     }
 
     def is_open_for_signup(self, request: HttpRequest) -> bool:
-        """No."""
+        """Refuse: accounts are made by an administrator."""
         return False
 
     def add_message(

@@ -1,7 +1,5 @@
 """The audit, to read: filters, pages of entries, and their CSV."""
 
-from __future__ import annotations
-
 import datetime
 import io
 from collections.abc import Iterator, Mapping
@@ -103,7 +101,7 @@ class AuditFilter:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Entry:
-    """One entry in words."""
+    """An entry of the audit as the page shows it, in words."""
 
     number: int
     at: datetime.datetime
@@ -142,11 +140,11 @@ class _Kind(Func):
     output_field = TextField()
 
     def as_sqlite(self, compiler: Any, connection: Any, **context: Any) -> Any:
-        """SQLite's JSON."""
+        """Extract the kind as SQLite reads JSON."""
         return super().as_sql(compiler, connection, template=KIND_SQLITE % "%(expressions)s", **context)
 
     def as_postgresql(self, compiler: Any, connection: Any, **context: Any) -> Any:
-        """PostgreSQL's JSON."""
+        """Extract the kind as PostgreSQL reads JSON."""
         return super().as_sql(compiler, connection, template=f"({KIND_POSTGRESQL % '%(expressions)s'})", **context)
 
 

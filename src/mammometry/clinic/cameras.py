@@ -4,8 +4,6 @@ clinic.toml names a rig.toml for each rig whose cables end here. Cameras are ope
 and let go when no page has asked for a while, so that other programs can have them.
 """
 
-from __future__ import annotations
-
 import atexit
 import threading
 import time

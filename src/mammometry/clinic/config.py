@@ -195,7 +195,7 @@ class ClinicConfig(BaseModel):
 
 
 def host_and_port(address: str) -> tuple[str, int]:
-    """Parts of an address.
+    """Host and port of an address.
 
     Raises:
         ClinicError: it is not of the form host:port.

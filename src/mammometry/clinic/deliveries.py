@@ -1,7 +1,5 @@
 """Results to archives. A queue whose rows are tried again, later each time."""
 
-from __future__ import annotations
-
 import datetime
 import logging
 import threading
@@ -94,7 +92,7 @@ def claim() -> Delivery | None:
 
 
 def deliver(config: ClinicConfig, delivery: Delivery) -> None:
-    """Send one, and write down what came of it."""
+    """Send a claimed delivery, and write down what came of it."""
     lease = delivery.next_try
     mine = Delivery.objects.filter(pk=delivery.pk, state=Delivery.State.SENDING, next_try=lease)
     try:

@@ -1,7 +1,5 @@
 """Forms of the clinic's pages."""
 
-from __future__ import annotations
-
 import datetime
 import tomllib
 from collections.abc import Mapping

@@ -51,7 +51,7 @@ class Drawable(Protocol):
 
     @property
     def identity(self) -> Identity:
-        """Whose it is."""
+        """Whose breasts are drawn on."""
         ...
 
     @property

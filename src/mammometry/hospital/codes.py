@@ -1,7 +1,5 @@
 """Codes, identifiers and texts as DICOM and FHIR want them."""
 
-from __future__ import annotations
-
 import hashlib
 import re
 import unicodedata

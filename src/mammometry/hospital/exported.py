@@ -236,7 +236,7 @@ class Exported:
 
     @property
     def digest(self) -> str:
-        """SHA-256 of the numbers."""
+        """SHA-256 digest of the exported numbers."""
         rows = [
             [quantity.name, quantity.value, quantity.interval_95, quantity.sigma, quantity.wall]
             for quantity in self.quantities

@@ -5,8 +5,6 @@ concluded. The report is final once both are there. The bundle is a transaction 
 derived from content: sent twice, it changes nothing.
 """
 
-from __future__ import annotations
-
 import importlib
 import json
 from collections.abc import Iterator

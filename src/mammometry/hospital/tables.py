@@ -1,7 +1,5 @@
 """Measurements as a table with a codebook, plain or for REDCap."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Iterator, Sequence
 from typing import get_args
@@ -161,7 +159,7 @@ def dictionary() -> str:
 
 
 def records(sessions: Sequence[Exported]) -> str:
-    """One row a visit.
+    """Records for REDCap, one row a visit.
 
     Raises:
         TableError: two sessions of the same photographs.

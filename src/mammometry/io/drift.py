@@ -3,8 +3,6 @@
 The file only ever grows. A line that cannot be read costs itself alone, and stays where it is.
 """
 
-from __future__ import annotations
-
 import json
 import logging
 import math
@@ -44,7 +42,7 @@ class CameraDrift:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Entry:
-    """One check of a rig."""
+    """A check of a rig, as a line of its history."""
 
     when: str
     """Moment of the check, ISO 8601, local time."""

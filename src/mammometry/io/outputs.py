@@ -5,8 +5,6 @@ run of the same command may replace a file whose content is still that; any othe
 possible before anything is computed. What is not in the way is never touched.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

@@ -3,8 +3,6 @@
 Two different subjects are refused. A session that was entered under a wrong one can be given another.
 """
 
-from __future__ import annotations
-
 import datetime
 import json
 import re

@@ -1,7 +1,5 @@
 """Atomic file writes that survive a power cut, with disk errors as one sentence."""
 
-from __future__ import annotations
-
 import errno
 import hashlib
 import os

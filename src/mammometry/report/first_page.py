@@ -1,7 +1,5 @@
 """The first page of a report, for a surgeon in thirty seconds: in the browser and on paper."""
 
-from __future__ import annotations
-
 import datetime
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace

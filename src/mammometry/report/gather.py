@@ -1,7 +1,5 @@
 """Collect the report from the job's plan, stage by stage. Stage by stage, little is held in memory."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime

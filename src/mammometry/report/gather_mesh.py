@@ -1,7 +1,5 @@
 """Report of a scanner's mesh, without cameras or photographs."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 

@@ -4,8 +4,6 @@ Tethering programs write each camera's photographs into a folder. It is watched,
 new file of every camera, by its name or its serial number, all of one exposure by their EXIF times.
 """
 
-from __future__ import annotations
-
 import threading
 import time
 from dataclasses import dataclass
@@ -103,7 +101,7 @@ class WatchedFolder:
         return Health(fault=fault, model="a watched folder", serial=self._ids.get(camera, ""))
 
     def close(self) -> None:
-        """Nothing is held."""
+        """Release nothing: a folder holds no cameras."""
 
     def _files(self) -> list[Path]:
         try:

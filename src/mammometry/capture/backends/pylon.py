@@ -4,8 +4,6 @@
 PTP stamps its pictures with a time that all share.
 """
 
-from __future__ import annotations
-
 import time
 from typing import Any
 
@@ -153,7 +151,7 @@ class PylonRig:
         )
 
     def close(self) -> None:
-        """Let them go."""
+        """Release the cameras."""
         for camera in self._cameras.values():
             camera.StopGrabbing()
             camera.Close()

@@ -117,7 +117,7 @@ class VirtualRig:
         return tuple(sorted(path.name for path in folder.iterdir() if path.is_dir())) if folder.is_dir() else ()
 
     def arm(self) -> None:
-        """Wait for `fire`."""
+        """Make the cameras wait for `fire`."""
         self._armed, self._fired_s = True, None
 
     def fire(self) -> float:
@@ -166,7 +166,7 @@ class VirtualRig:
         return self._picture(camera)
 
     def health(self, camera: str) -> Health:
-        """Its fault in words."""
+        """A camera's fault in words."""
         words = {"unplugged": "No camera answers at this cable.", "card-full": "The memory card is full."}
         fault = words.get(self._faults.get(camera, _Fault(kind="")).kind, "")
         size_wh = None if fault else self._picture(camera).size_wh

@@ -1,7 +1,5 @@
 """Photographs as they come in: what each shows, its smaller pictures, its camera, those set aside."""
 
-from __future__ import annotations
-
 import io
 import json
 import os

@@ -5,8 +5,6 @@ kill. The whole file is checked against the digest that the sender gave, looked 
 session in one step: a session never holds half a photograph, or one that was refused.
 """
 
-from __future__ import annotations
-
 import re
 import threading
 from collections.abc import Sequence

@@ -3,8 +3,6 @@
 One poll of the database serves all who listen: the rows are the truth, whichever process changes them.
 """
 
-from __future__ import annotations
-
 import asyncio
 import json
 from collections.abc import AsyncIterator, Mapping

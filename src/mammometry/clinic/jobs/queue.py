@@ -5,8 +5,6 @@ renews its lease while it lives. When it dies, the lease ends, and the job is qu
 entered in the same transaction that ends it, and only by the runner that still holds it.
 """
 
-from __future__ import annotations
-
 import datetime
 import os
 import platform
@@ -144,7 +142,7 @@ def place(job: Job) -> int | None:
 
 
 def anything() -> bool:
-    """Whether a job waits."""
+    """Whether any job waits in the queue."""
     return Job.objects.filter(state=Job.State.QUEUED).exists()
 
 

@@ -1,7 +1,5 @@
 """The runner. Takes jobs from the queue and has them done by Dask's workers."""
 
-from __future__ import annotations
-
 import logging
 import threading
 from collections.abc import Callable, Sequence

@@ -281,7 +281,7 @@ def _digest(value: object) -> str:
 
 
 def _finite(value: Any) -> Any:
-    """The same without what JSON in a database cannot hold. Numbers that are none."""
+    """JSON-ready values, without infinite numbers and NaN, which the database cannot hold."""
     if isinstance(value, Mapping):
         return {str(name): _finite(item) for name, item in value.items()}
     if isinstance(value, (list, tuple)):

@@ -1,7 +1,5 @@
 """One patient's data: found, exported, erased."""
 
-from __future__ import annotations
-
 import io
 import json
 import os

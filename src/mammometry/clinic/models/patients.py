@@ -237,7 +237,7 @@ class Visit(Keyed):
 
     @property
     def folder(self) -> Path:
-        """Its session folder, named by this row's key."""
+        """The visit's session folder, named by the row's key."""
         return the_clinic().folder / "sessions" / str(self.id)
 
     @property
@@ -250,7 +250,7 @@ class Visit(Keyed):
 
     @property
     def shown_state(self) -> str:
-        """Its state, as pages say it."""
+        """The visit's state, as pages say it."""
         return Visit.State.CHANGED if self.is_changed else self.state
 
     @property

@@ -1,7 +1,5 @@
 """Comparison of two visits of one patient and its verdict in words."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -62,7 +60,7 @@ def refusal_of(digests: str) -> str:
 
 
 def is_current(comparison: Comparison) -> bool:
-    """Whether it is of both newest measurements."""
+    """Whether a comparison is of both visits' newest measurements."""
     digests = measured_digests(comparison.before, comparison.after)
     if comparison.state == Comparison.State.DONE:
         return comparison.of == digests

@@ -5,8 +5,6 @@ without visits goes into the bin. Nothing is destroyed. A visit whose patient or
 no report carries another patient's pseudonym.
 """
 
-from __future__ import annotations
-
 import datetime
 import shutil
 from typing import Any

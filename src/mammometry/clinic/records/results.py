@@ -115,7 +115,7 @@ def readings(results: Iterable[VisitResult]) -> list[Reading]:
 
 
 def age(born: datetime.date | None, at: datetime.date) -> int | None:
-    """Full years."""
+    """Age at a day, in full years."""
     if born is None:
         return None
     return at.year - born.year - ((at.month, at.day) < (born.month, born.day))

@@ -1,7 +1,5 @@
 """The one search for patients, and what may be in the clinic already."""
 
-from __future__ import annotations
-
 import datetime
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -94,7 +92,7 @@ class Duplicates:
     """Have this name, and this birthday or none."""
 
     def __bool__(self) -> bool:
-        """Whether there are any."""
+        """Whether there are any duplicates."""
         return self.same_number is not None or bool(self.same_person)
 
 

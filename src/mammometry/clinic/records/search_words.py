@@ -1,7 +1,5 @@
 """Names, numbers and days as a search compares them."""
 
-from __future__ import annotations
-
 import datetime
 import re
 import unicodedata

@@ -1,7 +1,5 @@
 """Administrators' pages: what needs them now, people, the audit, backups, the disk, erasure."""
 
-from __future__ import annotations
-
 import datetime
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Pages that put records right, and the page that undoes it."""
 
-from __future__ import annotations
-
 import uuid
 from collections.abc import Callable
 from dataclasses import dataclass

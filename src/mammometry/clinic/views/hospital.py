@@ -88,7 +88,7 @@ class DestinationForm(forms.ModelForm):  # type: ignore[type-arg]
 
 
 def destinations(request: HttpRequest) -> HttpResponse:
-    """All archives."""
+    """Page of all archives."""
     return render(request, "clinic/destinations.html", {"destinations": Destination.objects.all()})
 
 

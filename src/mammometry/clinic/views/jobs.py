@@ -1,7 +1,5 @@
 """Jobs: queue, cancel, try again, and follow them."""
 
-from __future__ import annotations
-
 from collections.abc import AsyncIterator
 from uuid import UUID
 
@@ -53,7 +51,7 @@ def many(request: HttpRequest) -> HttpResponseBase:
 
 @json_view("GET")
 def one(request: HttpRequest, job: UUID) -> HttpResponseBase:
-    """One job."""
+    """A job as JSON."""
     return _job_response(_find(request, job))
 
 

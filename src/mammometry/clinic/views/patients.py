@@ -1,7 +1,5 @@
 """Patients: search, who they are, all their visits, and what people enter beside photographs."""
 
-from __future__ import annotations
-
 import uuid
 from collections.abc import Callable
 from functools import wraps

@@ -1,7 +1,5 @@
 """What views share: who asks, JSON for programs of a page, pages for what is refused or missing."""
 
-from __future__ import annotations
-
 import json
 import logging
 from collections.abc import Callable
@@ -124,7 +122,7 @@ def form_page(
 
 
 def download(content: bytes | str, name: str, content_type: str) -> HttpResponse:
-    """A file to take along."""
+    """Response with a file to download."""
     headers = {"Content-Disposition": f'attachment; filename="{name}"'}
     return HttpResponse(content, content_type=content_type, headers=headers)
 
@@ -145,7 +143,7 @@ def _page(request: HttpRequest, status: int, title: str, sentence: str) -> HttpR
 
 
 def bad_request(request: HttpRequest, exception: Exception | None = None) -> HttpResponse:
-    """400."""
+    """Page for 400: the request cannot be read."""
     return _page(request, 400, "This request cannot be read", "Go back and try again.")
 
 
@@ -157,7 +155,7 @@ def forbidden(request: HttpRequest, exception: Exception | None = None) -> HttpR
 
 
 def missing(request: HttpRequest, exception: Exception | None = None) -> HttpResponse:
-    """404."""
+    """Page for 404: there is nothing at this address."""
     return _page(request, 404, "Not here", "There is no such page. It may have been erased.")
 
 

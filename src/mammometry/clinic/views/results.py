@@ -1,7 +1,5 @@
 """A visit's result: report, 3D view, boundaries to draw or confirm. And two dates side by side."""
 
-from __future__ import annotations
-
 import hashlib
 import logging
 import uuid
@@ -66,7 +64,7 @@ class _Desks:
         self._lock = Lock()
 
     def of(self, visit: Visit) -> EditorPage:
-        """The visit's surface.
+        """The visit's surface to draw on, opened once.
 
         Raises:
             MammometryError: the session cannot be opened, or has nothing to draw on.
@@ -104,7 +102,7 @@ def report(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
 
 
 def report_pdf(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
-    """The same report on paper."""
+    """The visit's report as PDF."""
     shown = _measured(visit)
     try:
         document = rendered_report(shown).pdf

@@ -1,7 +1,5 @@
 """Pages of rigs. May we measure today, calibrations and their history, drift, the daily check."""
 
-from __future__ import annotations
-
 import uuid
 from typing import Any
 from uuid import UUID
@@ -64,7 +62,7 @@ def calibration(request: HttpRequest, calibration: uuid.UUID) -> HttpResponse:
 
 
 def check(request: HttpRequest, check: uuid.UUID) -> HttpResponse:
-    """One daily check."""
+    """Page of a daily check."""
     shown = get_object_or_404(DailyCheck.objects.select_related("rig", "by"), pk=check)
     context = {
         "check": shown,
@@ -111,7 +109,7 @@ def _figures(figures: dict[str, Any]) -> dict[str, Any]:
 
 @json_view("GET")
 def today(request: HttpRequest, rig: UUID) -> HttpResponseBase:
-    """May we measure today?"""
+    """Whether a rig may be measured with today, as JSON."""
     return JsonResponse(rig_history.today(get_object_or_404(Rig, pk=rig)).as_table())
 
 

@@ -52,7 +52,7 @@ _COLUMNS = (
 
 
 def study(request: HttpRequest) -> HttpResponse:
-    """Cohort and agreement."""
+    """Page of the cohort and of the agreement between repeated visits."""
     visits = _asked(request)
     everything = pooled(visits)
     within_days = _whole(request.GET.get("within", ""), 1, 365)

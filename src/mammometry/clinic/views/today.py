@@ -1,7 +1,5 @@
 """The first page: what there is to do today, the first day of a fresh clinic, help."""
 
-from __future__ import annotations
-
 import datetime
 from dataclasses import dataclass
 from typing import NamedTuple

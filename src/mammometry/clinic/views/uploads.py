@@ -1,7 +1,5 @@
 """Uploads: begin, go on, place, set aside, bring back, look."""
 
-from __future__ import annotations
-
 from typing import Any
 from uuid import UUID
 
@@ -109,7 +107,7 @@ def back(request: HttpRequest, upload: UUID) -> HttpResponseBase:
 
 @json_view("GET")
 def thumbnail(request: HttpRequest, upload: UUID) -> HttpResponseBase:
-    """A small picture of it."""
+    """A small picture of an uploaded photograph."""
     path = thumbnail_path(_find(request, upload))
     if not path.is_file():
         raise Http404

@@ -1,7 +1,5 @@
 """Visits: begun, photographed by the rig's cameras, and looked at."""
 
-from __future__ import annotations
-
 import uuid
 from typing import Any
 from uuid import UUID

@@ -4,8 +4,6 @@
 transaction, and enters into the audit who saw which patient's, visit's or rig's page.
 """
 
-from __future__ import annotations
-
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from functools import wraps

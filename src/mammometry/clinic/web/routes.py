@@ -1,7 +1,5 @@
 """The one table of routes. Each line says who may open it: `access.route`."""
 
-from __future__ import annotations
-
 from allauth.account import views as account
 from allauth.mfa.base import views as mfa
 from allauth.mfa.recovery_codes import views as recovery

@@ -1,7 +1,5 @@
 """The server's process, uvicorn in front of the application, and the runner's beside it."""
 
-from __future__ import annotations
-
 import asyncio
 import errno
 import ipaddress

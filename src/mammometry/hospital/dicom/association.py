@@ -1,7 +1,5 @@
 """A connection to another DICOM application."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any

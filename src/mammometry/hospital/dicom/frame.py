@@ -1,7 +1,5 @@
 """What all objects of a study share: patient, study, series, equipment."""
 
-from __future__ import annotations
-
 import datetime
 import hashlib
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """All objects of a session's study, report and models among them as encapsulated documents."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from pydicom import Dataset

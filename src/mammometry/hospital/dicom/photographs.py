@@ -3,8 +3,6 @@
 A baseline JPEG is taken over as it is, without its tags. Others are written as plain 8-bit RGB.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Send a study by C-STORE, nothing twice, and await the archive's promise to keep it."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Sequence
 from contextlib import ExitStack

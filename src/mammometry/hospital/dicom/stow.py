@@ -1,7 +1,5 @@
 """Send a study by STOW-RS (PS3.18), nothing twice."""
 
-from __future__ import annotations
-
 import json
 import os
 import ssl

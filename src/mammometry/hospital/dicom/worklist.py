@@ -1,7 +1,5 @@
 """Modality worklist: who is to be photographed, and what was ordered (C-FIND)."""
 
-from __future__ import annotations
-
 import datetime
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -99,7 +97,7 @@ def read_answers(answers: Sequence[Dataset], peer: Peer) -> Worklist:
 
 
 def only_entry(worklist: Worklist, peer: Peer, query: str) -> Entry:
-    """Return the one entry.
+    """Return the only entry of a worklist's answer.
 
     Raises:
         ArchiveError: there is none, or more than one, or it cannot be used.

@@ -1,7 +1,5 @@
 """Cameras from and for other programs, and our cameras.json."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from itertools import combinations

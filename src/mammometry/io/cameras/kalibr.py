@@ -28,7 +28,7 @@ _ROUNDED = 1e-3  # a matrix this near to a rotation was one before its digits we
 
 
 def read_kalibr(path: Path, known: Collection[str] = ()) -> dict[str, Camera]:
-    """Read a camchain.
+    """Read the cameras of a Kalibr camchain file.
 
     Its first camera is the world. Cameras are named after the part of their ``rostopic`` that the session knows, else
     after its first part.

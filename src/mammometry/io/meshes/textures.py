@@ -41,7 +41,7 @@ class CoveredObj:
     """Number of each vertex's material (n). −1: none."""
 
     def text(self, library: str | None) -> str:
-        """The same OBJ under names of ours, materials m1 and so on.
+        """Text of the OBJ with neutral names: materials m1 and so on.
 
         Args:
             library: file name of the material file. None: without materials.

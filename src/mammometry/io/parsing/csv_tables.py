@@ -35,7 +35,7 @@ class DecimalMark:
     """Columns in which nothing shows what a mark before three digits means."""
 
     def number(self, cell: str) -> float:
-        """Parse a cell.
+        """Parse a cell as a number.
 
         Raises:
             ValueError: it is no number as this table writes them.

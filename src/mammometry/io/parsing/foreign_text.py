@@ -1,7 +1,5 @@
 """XML and YAML of other programs, read without what can do harm."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from functools import partial

@@ -1,7 +1,5 @@
 """Tags of photographs: which camera took one, and when. And JPEG files without tags."""
 
-from __future__ import annotations
-
 import datetime
 import re
 from dataclasses import dataclass

@@ -18,8 +18,6 @@ all others            .npz, deflated: arrays, and ``tree``, UTF-8 JSON that says
 ====================  =========================================================================================
 """
 
-from __future__ import annotations
-
 import struct
 import zipfile
 import zlib

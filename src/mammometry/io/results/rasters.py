@@ -1,7 +1,5 @@
 """Values on a pixel grid as one TIFF."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from pathlib import Path

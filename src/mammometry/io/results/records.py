@@ -1,7 +1,5 @@
 """Records in provenance.json, checked strictly: the folder may be foreign."""
 
-from __future__ import annotations
-
 import json
 import os
 import re
@@ -131,12 +129,12 @@ def is_own_folder(folder: Path) -> bool:
 
 
 def is_link(path: Path) -> bool:
-    """Whether it is a symbolic link, or on Windows a junction."""
+    """Whether a path is a symbolic link, or on Windows a junction."""
     return path.is_symlink() or bool(getattr(os.path, "isjunction", lambda _: False)(path))
 
 
 def is_plain(path: Path) -> bool:
-    """Whether it is a file: not a folder, link, pipe or device."""
+    """Whether a path is a plain file: not a folder, link, pipe or device."""
     return status(path) is not None
 
 

@@ -4,8 +4,6 @@ The store stamps whatever a stage wrote, so that no writer has to think of it. P
 their headings instead.
 """
 
-from __future__ import annotations
-
 import json
 import re
 import struct

@@ -8,8 +8,6 @@ results folder may come from elsewhere. What its records say is checked (`record
 is in the way and not ours is set aside, never removed.
 """
 
-from __future__ import annotations
-
 import json
 import logging
 import os
@@ -61,7 +59,7 @@ _LOG = logging.getLogger(__name__)
 
 
 def unwatched(key: Key) -> AbstractContextManager[Progress]:
-    """Watch nothing."""
+    """Watch a product being made, without showing anything."""
     return nullcontext(no_progress)
 
 

@@ -5,8 +5,6 @@ scalars become JSON. Arrays are set aside under a number, for the caller to stor
 label in `STORED_TYPES`.
 """
 
-from __future__ import annotations
-
 import importlib
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass

@@ -1,7 +1,5 @@
 """Whether every byte of a results folder is as it was written. Changes nothing."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path

@@ -97,7 +97,7 @@ def valid_patches(
     *,
     job: Context,
 ) -> ValidPatches:
-    """Those data: taken from the range images when they are wanted."""
+    """Range data that survive, taken from the range images when they are wanted."""
     return keep_masks.of([stillness.carry(image, cameras.rig) for image in range_images.values()])
 
 

@@ -3,8 +3,6 @@
 The page has a sortable line with pictures for each session.
 """
 
-from __future__ import annotations
-
 import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -24,7 +22,7 @@ _FEWEST = 3  # pairs that an agreement study takes
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BatchVolume:
-    """One volume."""
+    """A volume of a session, with its interval and reference."""
 
     name: str
     """``model``, ``left`` or ``right``."""
@@ -37,7 +35,7 @@ class BatchVolume:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BatchLine:
-    """One session."""
+    """A session's line on the page."""
 
     session: str
     address: str

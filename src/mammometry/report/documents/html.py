@@ -3,8 +3,6 @@
 Pictures, style and 3D viewer are inside. It needs no network.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 from mammometry.report.content import DISCLAIMER, Picture, ReportContent
@@ -17,7 +15,7 @@ PAGE = "report.html"
 
 
 def render(content: ReportContent, first: FirstPage) -> str:
-    """The page's text.
+    """HTML of the report's page.
 
     Args:
         content: what was measured.

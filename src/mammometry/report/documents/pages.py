@@ -1,7 +1,5 @@
 """Pages from templates: what all share, the places of a report's pictures, the page of a refused run."""
 
-from __future__ import annotations
-
 import base64
 import re
 from collections.abc import Mapping, Sequence
@@ -40,7 +38,7 @@ def resource(name: str) -> str:
 
 
 def render(template: str, *, styles: tuple[str, ...] = (STYLE,), **values: Any) -> str:
-    """A page's text.
+    """HTML of a page, from its template.
 
     It may import macros from other templates, and finds its style under ``style``. Its filter ``commands`` sets what
     stands between `backticks` as code.

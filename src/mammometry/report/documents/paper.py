@@ -1,7 +1,5 @@
 """Parts of our paper documents: paragraphs, facts, tables, pictures on A4."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import lru_cache

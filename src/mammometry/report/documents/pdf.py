@@ -4,8 +4,6 @@ It shows what the page in the browser shows, from the same values. ReportLab nee
 can be made wherever mammometry runs.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from functools import partial
 from typing import Any

@@ -1,7 +1,5 @@
 """Render a report: stored content, whoever drew and confirmed the boundaries, and what a clinic knows."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 

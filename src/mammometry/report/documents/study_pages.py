@@ -1,7 +1,5 @@
 """Agreement and observer studies, each on one page that needs nothing but itself."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 

@@ -1,7 +1,5 @@
 """The products of a session as a drawing: what each is made from, its state, and how long it took."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape

@@ -1,7 +1,5 @@
 """Lengths, shape, and left against right, in words."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from mammometry.measure.boundary.breasts import NoBreast

@@ -57,7 +57,7 @@ class View:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Cast:
-    """What a view shows."""
+    """Faces and depths that a view shows, pixel by pixel."""
 
     faces: Int32[Array, "h w"]
     """Index of the face seen. −1 where there is none."""
@@ -68,7 +68,7 @@ class Cast:
 
     @property
     def hit(self) -> Bool[Array, "h w"]:
-        """Where a face is seen."""
+        """Pixels in which a face is seen."""
         return self.faces >= 0
 
 
