@@ -10,10 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from mammometry.base.progress import Progress, no_progress
-from mammometry.geometry.arrays import Array, Float32
-from mammometry.geometry.camera import Camera, Rig
-from mammometry.geometry.mesh import TriangleMesh
-from mammometry.geometry.transform import Transform
+from mammometry.geometry import Array, Camera, Float32, Rig, Transform, TriangleMesh
 from mammometry.simulate.disturbances.registry import as_truth
 from mammometry.simulate.disturbances.surfaces import merged
 from mammometry.simulate.recipe import SessionRecipe

@@ -15,7 +15,7 @@ from django.http import HttpResponse
 from django.test import Client
 from django.urls import reverse
 from django.utils import timezone
-from mammometry.api.refused import show_refusal
+from mammometry.api.results import show_refusal
 from pytest_django import Settings
 from tests.unit.io.scan_files import scanned, texture
 

@@ -14,8 +14,7 @@ import numpy as np
 from scipy import ndimage
 from scipy.ndimage import uniform_filter1d
 
-from mammometry.geometry.arrays import Array, Float64
-from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry import Array, Float64, TriangleMesh
 from mammometry.geometry.nearest import closest_on_mesh
 from mammometry.measure.landmarks.landmarks import Landmark
 
