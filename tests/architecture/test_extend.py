@@ -21,18 +21,15 @@ from mammometry.calibration.detection.finders import find
 from mammometry.calibration.features.found_points import FoundPoints
 from mammometry.calibration.targets.table import target_from_table
 from mammometry.calibration.targets.target import TARGETS
-from mammometry.capture.camera import Devices
-from mammometry.capture.registry import BACKENDS
-from mammometry.capture.shots import Shot
-from mammometry.capture.take import take
+from mammometry.capture.camera import BACKENDS, Devices
+from mammometry.capture.shots import Shot, take
 from mammometry.geometry.transform import Transform
-from mammometry.io.results.formats.registry import FORMATS
+from mammometry.io.results.arrays import FORMATS
 from mammometry.io.results.store import Store
 from mammometry.job.graph import Plan
-from mammometry.job.inputs import Inputs
+from mammometry.job.inputs import CameraSet, Inputs
 from mammometry.job.products import DEFINITIONS, at_hand
 from mammometry.job.stages import surface
-from mammometry.job.values import CameraSet
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.open_breast import OpenBreast

@@ -156,7 +156,8 @@ def read_manifest(path: Path) -> Manifest:
             str(path.parent),
             found="no session.toml" if path.parent.is_dir() else "a file" if path.parent.exists() else "no such folder",
             expected="a session folder with a session.toml",
-            remedy="Check the path, or make an empty session with `mammometry new`",
+            remedy="Check the path. Photographs: make an empty session with `mammometry new`. "
+            "A scan of another device: take it over with `mammometry import mesh`",
         )
     text = read_text(path, str(path), "TOML", most_mib=1)
     return parse_manifest(text)

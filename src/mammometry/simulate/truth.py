@@ -214,7 +214,7 @@ def _write_rig(
 
 
 def _write_json(path: Path, value: object) -> None:
-    path.write_text(json.dumps(value, indent=1) + "\n", encoding="utf-8")
+    path.write_text(json.dumps(value, indent=1, default=dict) + "\n", encoding="utf-8")  # frozen mappings
 
 
 def _write_ply(path: Path, mesh: TriangleMesh) -> None:

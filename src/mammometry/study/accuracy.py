@@ -42,6 +42,8 @@ class SurfaceAccuracy:
     """Volume between the two surfaces, the signed distance integrated over the judged area, cc."""
     points: int
     """Number of true points compared."""
+    claimed_percent: float = 100.0
+    """Share of the true area that the measurement claims to know. The other figures are of this part."""
 
 
 @value(eq=False)
@@ -89,6 +91,7 @@ def compare_surfaces(
     *,
     at: Int64[Array, " k"] | None = None,
     truth_from_measured: Transform | None = None,
+    claimed: Bool[Array, " n"] | None = None,
 ) -> SurfaceAccuracy:
     """Judge a measured surface at points of the true one.
 
@@ -97,6 +100,7 @@ def compare_surfaces(
         truth: the true surface, its faces counter-clockwise seen from outside.
         at: vertices of `truth` that ought to be there (for example those that two cameras see); None for all.
         truth_from_measured: where the measured surface belongs; None if both are in one frame.
+        claimed: vertices of the measured surface that are said to be skin. True points nearest to others are left out.
 
     Raises:
         ValueError: nothing is left to compare.
@@ -109,10 +113,13 @@ def compare_surfaces(
         back = truth_from_measured.inverse()
         points, normals = back.apply(points), back.rotate(normals)
     area = vertex_areas_mm2(truth)
-    weight = area[chosen] / area[chosen].sum()
     found = closest_on_mesh(points, measured)
-    outwards = np.einsum("ij,ij->i", found.points - points, normals)
-    distance = found.distances_mm
+    kept = np.ones(len(points), bool) if claimed is None else claimed[measured.faces[found.faces]].sum(axis=1) >= 2
+    if not kept.any():
+        raise ValueError("nothing to compare: the measured surface claims no skin there")
+    weight = area[chosen][kept] / area[chosen][kept].sum()
+    outwards = np.einsum("ij,ij->i", found.points - points, normals)[kept]
+    distance = found.distances_mm[kept]
     bias_mm = float(weight @ np.where(outwards > 0, distance, -distance))
     order = np.argsort(distance)
     cumulated = np.cumsum(weight[order])
@@ -124,8 +131,9 @@ def compare_surfaces(
         p95_mm=p95,
         bias_mm=bias_mm,
         complete_percent=float(100 * weight @ (distance <= COMPLETE_MM)),
-        volume_bias_cc=bias_mm * float(area[chosen].sum()) / 1000,
-        points=len(chosen),
+        volume_bias_cc=bias_mm * float(area[chosen][kept].sum()) / 1000,
+        points=len(distance),
+        claimed_percent=float(100 * area[chosen][kept].sum() / area[chosen].sum()),
     )
 
 

@@ -1,4 +1,4 @@
-"""All results of a session against its truth, stage by stage, and their tables."""
+"""All results of a session against its truth, stage by stage."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ from mammometry.study.accuracy_matching import (
     true_disparity,
 )
 from mammometry.study.rays import RayScene, seen_by_pairs
-from mammometry.study.tables import Table, number, plain
+from mammometry.study.tables import plain
 from mammometry.study.truth import Truth
 from mammometry.surface.ranges.range_image import RangeImage
 
@@ -114,6 +114,8 @@ class SessionResults:
     """Pair → its range image."""
     surfaces: Mapping[str, TriangleMesh]
     """``first`` and ``repaired``, in this order."""
+    claimed: Bool[Array, " n"] | None
+    """Vertices of the last surface that it claims to be skin. None where none is repaired."""
     boundaries: Sequence[Boundary]
     measurements: Sequence[VolumeMeasurement]
     absent: Sequence[str] = ()
@@ -125,6 +127,8 @@ class SurfaceJudgement:
     """One surface as measured, and aligned with the truth."""
 
     unaligned: SurfaceAccuracy
+    claimed: SurfaceAccuracy | None
+    """As measured, where the surface claims to be skin. None of the first surface, which does not say."""
     aligned: SurfaceAccuracy
     """After iterated closest points: shape alone, without where it lies."""
     aligned_by_mm: float
@@ -216,11 +220,12 @@ def evaluate(results: SessionResults, truth: Truth, *, progress: Progress = no_p
     seen = np.any(list(by_pair.values()), axis=0)
     surfaces: dict[str, SurfaceJudgement] = {}
     error_map = None
-    for index, (name, mesh) in enumerate(results.surfaces.items()):
-        begun, size = 0.55 + 0.4 * index / len(results.surfaces), 0.4 / len(results.surfaces)
+    for number, (name, mesh) in enumerate(results.surfaces.items()):
+        begun, size = 0.55 + 0.4 * number / len(results.surfaces), 0.4 / len(results.surfaces)
         error_map = map_errors(mesh, truth.mesh, seen, truth_from_measured=rig_from_world)
         progress(begun + 0.3 * size)
-        surfaces[name] = _judge_surface(mesh, truth.mesh, seen, rig_from_world, error_map)
+        claimed = results.claimed if name == "repaired" else None
+        surfaces[name] = _judge_surface(mesh, truth.mesh, seen, rig_from_world, error_map, claimed)
         progress(begun + size)
     _require_same_subject(results, truth, scene, foregrounds, surfaces)
 
@@ -275,7 +280,7 @@ def _compare_pairs(
 ) -> tuple[dict[str, MatchingAccuracy | None], dict[str, RangeAccuracy | None]]:
     matching: dict[str, MatchingAccuracy | None] = {}
     ranges: dict[str, RangeAccuracy | None] = {}
-    for index, (pair, load) in enumerate(results.disparities.items()):
+    for number, (pair, load) in enumerate(results.disparities.items()):
         found = load()
         true = true_disparity(
             scene, truth.rig.pair(pair), results.rig.pair(pair), found.left, found.right, pair_px=found.pair_px
@@ -283,7 +288,7 @@ def _compare_pairs(
         matching[pair] = judge_disparity(true, found)
         if pair in results.ranges:
             ranges[pair] = judge_range(true, results.ranges[pair]())
-        progress((index + 1) / len(results.disparities))
+        progress((number + 1) / len(results.disparities))
     return matching, ranges
 
 
@@ -296,7 +301,12 @@ def _truths_place(results: SessionResults, truth: Truth, cameras: RigAccuracy) -
 
 
 def _judge_surface(
-    mesh: TriangleMesh, truth: TriangleMesh, seen: Bool[Array, " n"], rig_from_world: Transform, errors: ErrorMap
+    mesh: TriangleMesh,
+    truth: TriangleMesh,
+    seen: Bool[Array, " n"],
+    rig_from_world: Transform,
+    errors: ErrorMap,
+    claimed: Bool[Array, " m"] | None,
 ) -> SurfaceJudgement:
     at = np.flatnonzero(seen)
     at = at[:: max(1, len(at) // _POINTS)]
@@ -306,6 +316,9 @@ def _judge_surface(
     middle = truth.vertices[at].mean(axis=0)
     return SurfaceJudgement(
         unaligned=unaligned,
+        claimed=None
+        if claimed is None
+        else compare_surfaces(mesh, truth, at=at, truth_from_measured=rig_from_world, claimed=claimed),
         aligned=compare_surfaces(placed, truth, at=at, truth_from_measured=truth_from_placed),
         aligned_by_mm=float(np.linalg.norm(truth_from_placed.apply(middle) - middle)),
         aligned_by_deg=float(np.degrees(np.linalg.norm(truth_from_placed.rotation_vector_rad))),
@@ -353,125 +366,3 @@ def _another(what: str, found: str) -> SessionError:
 
 def _tables(values: Mapping[str, Any]) -> dict[str, Any]:
     return {name: None if value is None else asdict(value) for name, value in values.items()}
-
-
-_Column = tuple[str, Callable[[Any], str]]
-
-
-def evaluation_tables(found: Evaluation) -> list[Table]:
-    """One table a stage that has results."""
-    pair, worst_mm = found.cameras.worst_pair
-    rig = found.cameras
-    tables = [
-        Table(
-            title="Calibration: cameras after rigid alignment over the working volume",
-            columns=("camera", "projection px", "centre mm", "focal %"),
-            rows=(
-                *(
-                    (
-                        name,
-                        number(camera.projection_rms_px),
-                        number(camera.centre_mm),
-                        number(camera.focal_percent, "+.4f"),
-                    )
-                    for name, camera in rig.cameras.items()
-                ),
-                (
-                    "all, RMS (focal: worst)",
-                    number(rig.projection_rms_px),
-                    number(rig.centre_rms_mm),
-                    number(rig.focal_worst_percent, "+.4f"),
-                ),
-            ),
-        ),
-        Table(
-            title=f"Calibration: triangulation, worst pair {pair} {number(worst_mm)} mm",
-            columns=("pair", "RMS mm"),
-            rows=tuple((name, number(value)) for name, value in rig.triangulation_rms_mm.items()),
-        ),
-        _table(
-            "Silhouettes: distance from the true outline, positive outside",
-            "camera",
-            found.silhouettes,
-            ("mean px", lambda silhouette: number(silhouette.mean_px, "+.2f")),
-            ("95 % px", lambda silhouette: number(silhouette.p95_px, ".2f")),
-        ),
-        _table(
-            "Matching: disparity error where both cameras see the surface, 5 px off its edges, below 70°",
-            "pair",
-            found.matching,
-            ("median px", lambda matching: number(matching.median_px)),
-            ("95 % px", lambda matching: number(matching.p95_px)),
-            ("> 1 px %", lambda matching: number(matching.beyond_1_px_percent, ".2f")),
-            ("complete %", lambda matching: number(matching.complete_percent, ".1f")),
-            ("bias mm", lambda matching: number(matching.depth_bias_mm, "+.3f")),
-            ("error / σ", lambda matching: number(matching.error_over_sigma, ".2f")),
-            ("d_V px", lambda matching: number(matching.d_v_median_px, "+.3f")),
-        ),
-        _table(
-            "Range images: measured less true distance, cameras' errors included",
-            "pair",
-            found.ranges,
-            ("bias mm", lambda ranges: number(ranges.bias_mm, "+.3f")),
-            ("median mm", lambda ranges: number(ranges.median_mm)),
-            ("95 % mm", lambda ranges: number(ranges.p95_mm)),
-        ),
-        Table(
-            title="Surface: where at least one pair sees the skin; positive outside",
-            columns=("surface", "mean mm", "median mm", "RMS mm", "95 % mm", "bias mm", "complete %", "stray %"),
-            rows=tuple(
-                (
-                    f"{name}, {how}",
-                    *(
-                        number(value)
-                        for value in (accuracy.mean_mm, accuracy.median_mm, accuracy.rms_mm, accuracy.p95_mm)
-                    ),
-                    number(accuracy.bias_mm, "+.3f"),
-                    number(accuracy.complete_percent, ".2f"),
-                    number(judged.stray_percent, ".2f") if how == "unaligned" else "",
-                )
-                for name, judged in found.surfaces.items()
-                for how, accuracy in (("unaligned", judged.unaligned), ("ICP-aligned", judged.aligned))
-            ),
-        ),
-        _table(
-            "Boundary: distance from the true curve; height towards the front",
-            "breast",
-            found.boundaries,
-            ("mean mm", lambda boundary: number(boundary.mean_mm, ".2f")),
-            ("95 % mm", lambda boundary: number(boundary.p95_mm, ".2f")),
-            ("worst mm", lambda boundary: number(boundary.worst_mm, ".2f")),
-            ("height mm", lambda boundary: number(boundary.height_bias_mm, "+.3f")),
-        ),
-        Table(
-            title="Volume",
-            columns=("breast", "true cc", "measured cc", "error cc", "error %", "95 % interval cc", "holds the truth"),
-            rows=tuple(
-                (
-                    name,
-                    number(volume.true_cc, ".1f"),
-                    number(volume.measured_cc, ".1f"),
-                    number(volume.error_cc, "+.2f"),
-                    number(volume.error_percent, "+.2f"),
-                    _interval(found.intervals_cc[name]),
-                    {True: "yes", False: "no", None: "–"}[volume.covered],
-                )
-                for name, volume in found.volumes.items()
-            ),
-        ),
-    ]
-    return [table for table in tables if table.rows]
-
-
-def _table(title: str, first: str, values: Mapping[str, Any], *columns: _Column) -> Table:
-    return Table(
-        title=title,
-        columns=(first, *(name for name, _ in columns)),
-        rows=tuple(
-            (name, *("–" if value is None else show(value) for _, show in columns)) for name, value in values.items()
-        ),
-    )
-
-
-def _interval(interval: tuple[float, float] | None) -> str:
-    return "–" if interval is None else f"{number(interval[0], '.1f')} … {number(interval[1], '.1f')}"

@@ -10,8 +10,7 @@ from tests.unit.capture.virtual_capture import rig_file
 from mammometry.base.errors import CaptureError, SessionError
 from mammometry.calibration.targets.kinds.charuco import CharucoTarget
 from mammometry.calibration.targets.lamps import LAMPS
-from mammometry.capture.skew.measured import read_skew, write_skew
-from mammometry.capture.skew.read import Moment, moment_of, read_moment, skew_of
+from mammometry.capture.skew import Moment, moment_of, read_moment, read_skew, skew_of, write_skew
 from mammometry.cli.main import run
 from mammometry.geometry.transform import Transform
 from mammometry.simulate.rendering.objects.lamps import LampScene, hold_lamps, render_lamps

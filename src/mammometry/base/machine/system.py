@@ -54,11 +54,13 @@ def lower_priority() -> None:
 
 def own_group() -> dict[str, Any]:
     """Arguments of `subprocess.Popen` for a child that does not hear Ctrl-C at the terminal."""
-    return {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP} if WINDOWS else {"start_new_session": True}
+    if WINDOWS:
+        return {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP}  # type: ignore[attr-defined]
+    return {"start_new_session": True}
 
 
 def sync_folder(folder: Path) -> None:
-    """Wait until the names in a folder are on the disk. Windows opens no folders, and keeps their names itself.
+    """Wait until the names in a folder are on the disk. Windows keeps them itself.
 
     Raises:
         OSError: the disk refuses.

@@ -1,4 +1,4 @@
-"""Robust adjustment: estimates the noise, leaves out gross errors, and tells the parameters' covariance.
+"""Robust adjustment: the noise, gross errors left out, and the parameters' covariance.
 
 Corner errors of one photograph are not independent: defocus, light and the lens's remainder shift neighbours alike.
 The inverse of the normal matrix does not include this. The scatter of the views' own pulls on the minimum does: V = Σ

@@ -162,7 +162,7 @@ def judged(fit: TrunkFit, settings: CompareSettings = CompareSettings()) -> tupl
             "the trunks of both dates",
             found=f"that a fifth of them lies more than {fit.within_mm:.1f} mm apart",
             expected=f"one body, within {settings.refuse_mm:g} mm beside the breasts",
-            remedy="Check that both sessions show the same patient in about the same pose, arms and breath alike; "
+            remedy="Check that both show the same patient in about the same pose, arms and breath alike; "
             "compare.refuse_mm sets the limit",
         )
     same = fit.within_mm <= SAME_POSE_MM and fit.turned_deg <= SAME_POSE_DEG

@@ -105,6 +105,11 @@ class Thorax:
         """Radius of the trunk without breasts at (half width × θ, y). All in mm."""
         return _design(arc_y, self.trunk.half_width_mm) @ self.coefficients
 
+    def bend_per_mm(self, arc_y: Float64[Array, "n 2"]) -> Float64[Array, " n"]:
+        """Curvature along the trunk at (half width × θ, y), mm; 1/mm, positive where it is rounded."""
+        around = _design(arc_y, self.trunk.half_width_mm)[:, :AROUND]
+        return -2 * around @ self.coefficients[2 * AROUND :] / HEIGHT_WINDOW_MM**2
+
     def bulge_mm(self, points_world: Float64[Array, "n 3"]) -> Float64[Array, " n"]:
         """How far points stand out from the trunk without breasts, mm."""
         cylindrical = self.trunk.cylindrical(points_world)

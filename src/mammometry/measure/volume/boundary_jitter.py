@@ -26,6 +26,7 @@ further out without being seen, whichever is less. For a ptotic cast photographe
 hidden (63 cm², up to 49 mm away), the volume was off by .5 times distance times area. For casts photographed by four
 pairs, at .15 of full size, it was -.2 to .4 times (docs/decisions/0009)."""
 _ORDERS = 4  # Fourier orders 0 to 3: wider, shifted, oblong, three-lobed (docs/decisions/0009)
+_SHARES = (1.0, 0.5, -1.0, -0.5)  # of a displacement that are tried in turn where the curve meets an edge of the skin
 _SMOOTH = 48
 """A curve's uncertainty is smoothed over this part of its length (standard deviation); chosen by eye."""
 _SKIN_MARGIN_MM = 10.0  # skin around a redrawn curve onto which it is laid; chosen by eye
@@ -53,7 +54,7 @@ def boundary_std_cc(breast: OpenBreast, wall: ChestWall, *, progress: Progress =
         progress: called with the fraction done.
 
     Returns:
-        None where a redrawn curve could not be followed, so that the derivative is not known.
+        None where the curve could not be followed displaced to either side, so that a derivative is not known.
     """
     boundary, surface = breast.boundary, breast.surface
     volume_cc = wall.closed.volume_mm3() / 1000
@@ -66,20 +67,30 @@ def boundary_std_cc(breast: OpenBreast, wall: ChestWall, *, progress: Progress =
     except MeasureError:
         return None
     for number, across_mm in enumerate(modes):
-        redrawn = redraw(boundary, across_mm, band.mesh)
-        boundaries = [redrawn if other.name == boundary.name else other for other in breast.boundaries]
-        try:
-            part = band.inside(edge_loop(redrawn.name, redrawn.points_world, band.mesh))
-            again = replace(breast, boundary=redrawn, boundaries=boundaries, seen=breast.skin, cut=part)
-            moved = chest_wall.fit(again, wall.kind)
-        except MeasureError:
+        for share in _SHARES:
+            moved_cc = _redrawn_cc(breast, wall, band, share * across_mm)
+            if moved_cc is not None:
+                changes_cc.append((moved_cc - volume_cc) / share)
+                break
+        else:
             return None
-        changes_cc.append(moved.closed.volume_mm3() / 1000 - volume_cc)
         progress((number + 1) / len(modes))
     widened, narrowed, *bent = changes_cc
     mean = (widened + narrowed) / 2
     linear = [(widened - narrowed) / 2, *(change - mean / 2 for change in bent)]
     return float(np.sqrt(np.sum(np.square(linear)) + (_ORDERS * mean) ** 2))
+
+
+def _redrawn_cc(breast: OpenBreast, wall: ChestWall, band: Band, across_mm: Float64[Array, " n"]) -> float | None:
+    """Volume within a displaced boundary, cc. None where it could not be followed."""
+    redrawn = redraw(breast.boundary, across_mm, band.mesh)
+    boundaries = [redrawn if other.name == redrawn.name else other for other in breast.boundaries]
+    try:
+        part = band.inside(edge_loop(redrawn.name, redrawn.points_world, band.mesh))
+        again = replace(breast, boundary=redrawn, boundaries=boundaries, seen=breast.skin, cut=part)
+        return chest_wall.fit(again, wall.kind).closed.volume_mm3() / 1000
+    except MeasureError:
+        return None
 
 
 def _sigma_mm(breast: OpenBreast) -> Float64[Array, " n"]:

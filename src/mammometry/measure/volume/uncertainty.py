@@ -165,7 +165,9 @@ def interval(
     else:
         if torso:
             if boundary_std_cc is None:
-                boundary_std_cc = settings.observers.mean_mm * _BOUNDARY_CC_PER_MM_CM2 * area_cm2
+                across_mm = np.zeros(1) if boundary.across_mm is None else boundary.across_mm
+                sigma_mm = float(np.sqrt(settings.observers.mean_mm**2 + np.mean(across_mm**2)))
+                boundary_std_cc = sigma_mm * _BOUNDARY_CC_PER_MM_CM2 * area_cm2
             terms["boundary"] = _COVERAGE_95 * boundary_std_cc
         height_mm = WALL_MEASURED_U95_MM if model.measured else model.off_u95_mm(area_cm2)
         terms[WALL] = height_mm * area_cm2 / 10
@@ -211,9 +213,8 @@ def _of_skin(
         return _at_95({"matching": settings.surface_sigma_mm * own_mm2.sum()})
     nearest = np.asarray(point_tree(surface.mesh.vertices).query(skin.vertices, workers=1)[1])
     origin = surface.provenance[nearest]
-    seen, repaired, invented = (
-        origin == provenance for provenance in (Provenance.MEASURED, Provenance.REPAIRED, Provenance.INVENTED)
-    )
+    seen, invented = origin == Provenance.MEASURED, origin == Provenance.INVENTED
+    repaired = ~(seen | invented)
     sigma_mm = np.nan_to_num(surface.sigma_mm[nearest[seen]].astype(np.float64))
     # Windows overlap: errors of measured vertices are alike within a patch, and but for a share independent beyond it.
     patch_mm2 = np.pi * MATCHING_REACH_MM**2
