@@ -1,7 +1,15 @@
-"""Settings of the measurement: boundary, wall and uncertainty."""
+"""Settings of the measurement: boundary, wall and uncertainty. Postures of the patient."""
+
+from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, TypeAlias, get_args
+
+Posture: TypeAlias = Literal["leaning", "standing", "lying"]
+"""As a clinic's visit names them."""
+POSTURES: tuple[Posture, ...] = get_args(Posture)
+NOT_TO_BE_COMPARED = "Volumes of different postures are not to be compared"
+
 
 ProtocolJoin = Literal["arc", "geodesic"]
 """How a boundary runs between landmarks. See `protocol`."""

@@ -16,7 +16,7 @@ from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.heights import TrunkChart, through
 from mammometry.measure.wall.open_breast import OpenBreast
 from mammometry.measure.wall.registry import CAST_WALLS, TORSO_WALLS, add_wall, in_order
-from mammometry.report.figures import measure as figures
+from mammometry.report.figures import measure
 from mammometry.report.figures.stage_results import MeasureResult
 from mammometry.report.words.describe import breast_report
 from mammometry.settings import Settings
@@ -71,7 +71,7 @@ def test_a_wall_of_ones_own_is_chosen_measured_drawn_and_named() -> None:
         measurements=[found],
         textured=TexturedMesh(mesh=found.closed, colours=np.zeros((len(found.closed.vertices), 3), np.uint8)),
     )
-    assert figures.closed(shown, found).startswith(b"\x89PNG")
+    assert measure.closed(shown, found).startswith(b"\x89PNG")
     assert breast_report(found).wall.startswith("Dented: a cylinder with a dent")
 
 

@@ -86,7 +86,9 @@ def _filled(loops: Sequence[Float64[Array, "_ 2"]], spacing_mm: float | None) ->
     wanted = sum(signed_area_mm2(loop) for loop in loops)
     a, b, c = np.moveaxis(points[faces], 1, 0)
     covered = np.abs(_cross(b - a, c - a)).sum() / 2
-    return Patch(points=points, faces=faces, n_loop=n_loop) if np.isclose(covered, wanted, rtol=1e-3, atol=1e-6) else None
+    return (
+        Patch(points=points, faces=faces, n_loop=n_loop) if np.isclose(covered, wanted, rtol=1e-3, atol=1e-6) else None
+    )
 
 
 def harmonic(patch: Patch, boundary_values: Float64[Array, "b k"]) -> Float64[Array, "n k"]:
