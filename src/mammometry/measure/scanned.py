@@ -14,9 +14,8 @@ import numpy as np
 from mammometry.base.errors import MeasureError
 from mammometry.geometry.arrays import Array, Bool, Float64
 from mammometry.geometry.camera import Camera, Rig
-from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry.mesh import TriangleMesh, edge_table, split_edges
 from mammometry.geometry.nearest import point_tree
-from mammometry.geometry.refine import edge_table, split_edges
 from mammometry.geometry.transform import Transform
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.boundary.breasts import roundest_side_per_mm

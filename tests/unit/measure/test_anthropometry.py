@@ -22,8 +22,7 @@ from mammometry.measure.shape.shape import shape_of
 from mammometry.measure.shape.symmetry import symmetry
 from mammometry.measure.solid.clip import volume_within_mm3
 from mammometry.measure.trunk.body import find_body
-from mammometry.measure.trunk.mirror_plane import MirrorPlane, mirror
-from mammometry.measure.trunk.register import register
+from mammometry.measure.trunk.mirror_plane import MirrorPlane, mirror, register
 from mammometry.measure.volume import volume
 from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.measure.wall import chest_wall

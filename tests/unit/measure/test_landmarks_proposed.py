@@ -5,8 +5,7 @@ import pytest
 from scipy.spatial import Delaunay
 
 from mammometry.geometry.mesh import TriangleMesh
-from mammometry.measure.landmarks.ends import EndSigmas, propose_ends
-from mammometry.measure.landmarks.hollows import propose_on_midline
+from mammometry.measure.landmarks.hollows import EndSigmas, propose_ends, propose_on_midline
 from mammometry.measure.landmarks.landmarks import Landmark
 
 NOTCH, NAVEL = np.array([0.0, 170.0]), np.array([0.0, -190.0])

@@ -1,4 +1,4 @@
-"""Robust adjustment: estimates the noise, leaves out gross errors, and tells the parameters' covariance.
+"""Robust adjustment: the noise, gross errors left out, and the parameters' covariance.
 
 Corner errors of one photograph are not independent: defocus, light and the lens's remainder shift neighbours alike.
 The inverse of the normal matrix does not include this. The scatter of the views' own pulls on the minimum does: V = Σ
@@ -21,10 +21,9 @@ from mammometry.geometry.arrays import Array, Bool, Float64
 HUBER_MAD = 3.0
 """Residuals up to this many robust standard deviations count in full, larger ones linearly."""
 REJECT_SIGMA = 10.0
-"""Robust standard deviations beyond which points are left out of the last adjustment. Photographs of one capture
-differ twofold in noise, so ten of all photographs' are five of the worst one's. Nearer points do no harm, since they
-count linearly only.
-"""
+"""Robust standard deviations beyond which points are left out of the last adjustment. Photographs of one capture differ
+twofold in noise, so ten of all photographs' are five of the worst one's. Nearer points do no harm, since they count
+linearly only."""
 _MAX_ITERATIONS = 50
 """Levenberg–Marquardt steps of one adjustment. 5–15 are usual."""
 

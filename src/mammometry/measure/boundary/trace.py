@@ -125,7 +125,7 @@ def edge_loop(name: str, points_world: Float64[Array, "n 3"], mesh: TriangleMesh
 
 
 def check_beside_holes(name: str, points_world: Float64[Array, "n 3"], part: OpenPart, mesh: TriangleMesh) -> None:
-    """Refuse a part whose opening goes around a hole of the mesh, far from its curve: what the hole hides is cut off.
+    """Refuse a part whose opening goes around a hole of the mesh, far from its curve.
 
     Args:
         name: of the boundary.

@@ -8,12 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from mammometry.base.value import value
-from mammometry.geometry.arrays import Array, Float64, UInt8
-from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry import Array, Float64, TriangleMesh, UInt8
 from mammometry.geometry.nearest import closest_on_mesh, point_tree
 from mammometry.measure.boundary.boundary import Boundary
-from mammometry.measure.landmarks.ends import EndSigmas, propose_ends
-from mammometry.measure.landmarks.hollows import propose_on_midline
+from mammometry.measure.landmarks.hollows import EndSigmas, propose_ends, propose_on_midline
 from mammometry.measure.landmarks.landmarks import PICKED_SIGMA_MM, Landmark, picked_landmarks
 from mammometry.measure.landmarks.nipples import propose_nipple
 from mammometry.measure.settings import MeasureSettings

@@ -9,8 +9,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from mammometry.base.errors import MeasureError
 from mammometry.base.progress import Progress, no_progress
-from mammometry.geometry.arrays import Array, Float64
-from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry import Array, Float64, TriangleMesh
 from mammometry.geometry.nearest import point_tree
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.boundary.trace import REACH_MM, edge_loop
@@ -25,8 +24,7 @@ UNSEEN_SLOPE = 0.5
 """Growth of both, mm for each mm of distance from measured skin, or of the distance by which the skin could stand
 further out without being seen, whichever is less. For a ptotic cast photographed by one pair, with its lower pole
 hidden (63 cm², up to 49 mm away), the volume was off by .5 times distance times area. For casts photographed by four
-pairs, at .15 of full size, it was -.2 to .4 times (docs/decisions/0009).
-"""
+pairs, at .15 of full size, it was -.2 to .4 times (docs/decisions/0009)."""
 _ORDERS = 4  # Fourier orders 0 to 3: wider, shifted, oblong, three-lobed (docs/decisions/0009)
 _SHARES = (1.0, 0.5, -1.0, -0.5)  # of a displacement that are tried in turn where the curve meets an edge of the skin
 _SMOOTH = 48
@@ -133,10 +131,7 @@ def drawn_sigma_mm(
 
 
 def displacements_mm(sigma_mm: Float64[Array, " n"]) -> Float64[Array, "m n"]:
-    """Displacements across a closed curve, one for each Fourier term.
-
-    Their squares add up to each point's σ².
-    """
+    """Displacements across a closed curve, one per Fourier term. Their squares add up to σ²."""
     count = len(sigma_mm)
     around = 2 * np.pi * np.arange(count) / count
     terms = [np.ones(count)]
@@ -146,10 +141,7 @@ def displacements_mm(sigma_mm: Float64[Array, " n"]) -> Float64[Array, "m n"]:
 
 
 def redraw(boundary: Boundary, across_mm: Float64[Array, " n"], mesh: TriangleMesh) -> Boundary:
-    """Displace a boundary outwards along its best plane.
-
-    It is then laid back onto the nearest vertices of the skin.
-    """
+    """Displace a boundary outwards along its best plane, and lay it back onto the skin's vertices."""
     points = boundary.points_world
     centre = points.mean(axis=0)
     normal = np.linalg.svd(points - centre, full_matrices=False)[2][2]

@@ -1,4 +1,4 @@
-"""Range data after a correction: of the cameras' poses, whose rays are intersected again, or of the body's shape."""
+"""Range data after a correction of the cameras' poses or of the body's shape."""
 
 from __future__ import annotations
 
