@@ -98,7 +98,7 @@ def torso(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Torso:
 @pytest.mark.xdist_group("rendered torso")
 @pytest.mark.parametrize("name", SIDES)
 def test_a_torsos_breast_is_off_as_documented(torso: Torso, name: str) -> None:
-    """The wide interval holds the truth; the error itself is that of the cylinder membrane on bodies of this family.
+    """The wide interval holds the truth; the error itself is that of the wall on bodies of this family.
 
     Decision 9: +81 ± 44 cc over 60 breasts, for there the skin without the breast stands further out than the wall.
     """

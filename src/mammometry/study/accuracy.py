@@ -11,10 +11,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from mammometry.base.value import value
-from mammometry.geometry.arrays import Array, Bool, Float64, Int64
-from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry import Array, Bool, Float64, Int64, Transform, TriangleMesh
 from mammometry.geometry.nearest import closest_on_mesh
-from mammometry.geometry.transform import Transform
 
 COMPLETE_MM = 0.5
 """A true point with measured surface nearer than this counts as measured."""
@@ -140,9 +138,7 @@ def compare_surfaces(
 
 
 def align_surfaces(measured: TriangleMesh, truth: TriangleMesh, at: Int64[Array, " k"]) -> Transform:
-    """Move a measured surface rigidly onto the truth.
-
-    Iterated closest points, point to plane, Huber's weights.
+    """Move a measured surface rigidly onto the truth: closest points, point to plane, Huber's weights.
 
     Args:
         measured: the surface under test, mm, within a few mm of its place.
@@ -199,9 +195,6 @@ def map_errors(
 def compare_volumes(
     measured_cc: float, true_cc: float, interval_cc: tuple[float, float] | None = None
 ) -> VolumeAccuracy:
-    """Compare a measured volume and its interval with the true one.
-
-    All in cc. The 95 % interval may be absent.
-    """
+    """Compare a measured volume and its 95 % interval, if any, with the true one, all in cc."""
     covered = None if interval_cc is None else bool(interval_cc[0] <= true_cc <= interval_cc[1])
     return VolumeAccuracy(measured_cc=measured_cc, true_cc=true_cc, covered=covered)

@@ -12,10 +12,7 @@ from scipy.spatial import cKDTree
 from mammometry.base.errors import SessionError
 from mammometry.base.progress import Progress, no_progress, part
 from mammometry.base.value import value
-from mammometry.geometry.arrays import Array, Bool, Float64
-from mammometry.geometry.camera import Rig
-from mammometry.geometry.mesh import TriangleMesh
-from mammometry.geometry.transform import Transform
+from mammometry.geometry import Array, Bool, Float64, Rig, Transform, TriangleMesh
 from mammometry.matching.dense.match import DisparityMap
 from mammometry.matching.foreground.foreground import Foreground
 from mammometry.measure.boundary.boundary import Boundary

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from mammometry.job.inputs import CameraSet, FinishedSurface
 from mammometry.job.products import Context, product, product_of_each
-from mammometry.job.values import CameraSet, FinishedSurface
 
 if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a plan alone need not wait for.
     from mammometry.calibration.adjust.calibrated import Calibration
@@ -97,7 +97,7 @@ def valid_patches(
     *,
     job: Context,
 ) -> ValidPatches:
-    """Those data: taken from the range images when they are wanted."""
+    """Range data that survive, taken from the range images when they are wanted."""
     return keep_masks.of([stillness.carry(image, cameras.rig) for image in range_images.values()])
 
 
