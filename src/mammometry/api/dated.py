@@ -17,11 +17,7 @@ from mammometry.io.results.store import Store, Watch
 from mammometry.job.graph import Plan
 from mammometry.job.inputs import FinishedSurface, Inputs
 from mammometry.job.stages import calibrate, measure, surface
-<<<<<<< HEAD
-=======
-from mammometry.job.values import FinishedSurface
 from mammometry.measure.settings import NOT_TO_BE_COMPARED
->>>>>>> houseB
 from mammometry.settings import Settings
 
 if TYPE_CHECKING:

@@ -14,10 +14,6 @@ from typing import Annotated, Literal, TypeAlias
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 import mammometry
-<<<<<<< HEAD
-=======
-from mammometry.base.parse import LimitSettings
->>>>>>> houseB
 from mammometry.io.write import write_text
 from mammometry.job.products import versions
 from mammometry.job.stages.report import VERSIONS

@@ -10,12 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from mammometry.base.value import value
-<<<<<<< HEAD
 from mammometry.cli.common import Answer, Bars, Options, OutputOptions, command
-=======
-from mammometry.cli.common import Bars, Options
 from mammometry.measure.settings import POSTURES
->>>>>>> houseB
 
 if TYPE_CHECKING:
     from mammometry.api.results import Results

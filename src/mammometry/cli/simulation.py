@@ -72,7 +72,7 @@ def scan_demo(folder: Path, options: Options) -> Answer:
 
 def _woman() -> Solid:
     from mammometry.simulate.disturbances.registry import disturbed
-    from mammometry.simulate.situation import parse_situation
+    from mammometry.simulate.recipe import parse_situation
     from mammometry.simulate.subjects.registry import make_subject
 
     reshape = partial(disturbed, stage="patient", situation=parse_situation(_SITUATION), seed=_SEED)

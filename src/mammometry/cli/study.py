@@ -226,14 +226,8 @@ def observers(
     from mammometry.api.observers import measure_drawings, read_drawn_by
     from mammometry.base.identity import shown_name
     from mammometry.io.outputs import require_apart, require_free, write_outputs
-<<<<<<< HEAD
     from mammometry.report.documents.study_pages import observers_files, observers_names
-    from mammometry.study.observers import observer_study
-    from mammometry.study.observers_tables import observers_json, observers_summary, observers_tables
-=======
-    from mammometry.report.documents.observers_page import observers_files, observers_names
     from mammometry.study.observers import observer_study, observers_json, observers_summary, observers_tables
->>>>>>> houseB
 
     chosen = options.settings()
     drawn = read_drawn_by(curves, mesh)
@@ -304,12 +298,7 @@ def _tasks_side_by_side(bars: Bars, count: int, scale: float) -> Iterator[MapTas
     from mammometry.batch.batch import map_tasks_on
     from mammometry.batch.cluster import machines
     from mammometry.batch.engine import Began, Ended
-<<<<<<< HEAD
-    from mammometry.simulate.rigs.plan import FULL_SIZE_WH
-=======
-    from mammometry.batch.map_tasks import map_tasks_on
     from mammometry.simulate.rigs.build import FULL_SIZE_WH
->>>>>>> houseB
 
     width, height = FULL_SIZE_WH
     megapixels, done = _CAMERAS * width * height * scale**2 / 1e6, Counter[str]()

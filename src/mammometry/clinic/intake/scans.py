@@ -17,13 +17,8 @@ from typing import Any
 
 from django.core.files.uploadedfile import UploadedFile
 
-<<<<<<< HEAD
-from mammometry.base.limits import LimitSettings
-from mammometry.capture.checks import not_only_a_photograph
-=======
 from mammometry.base.parse import LimitSettings
-from mammometry.capture.checks.content import not_only_a_photograph
->>>>>>> houseB
+from mammometry.capture.checks import not_only_a_photograph
 from mammometry.clinic.intake.uploads import UploadError
 from mammometry.clinic.site import the_clinic
 from mammometry.geometry.mesh_files.mesh_file import KINDS, SUFFIXES

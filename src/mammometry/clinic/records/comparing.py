@@ -9,12 +9,8 @@ from django.utils import timezone
 
 import mammometry
 from mammometry.clinic.models import Comparison, Measurement, Visit
-<<<<<<< HEAD
-from mammometry.report.words.volumes import change_sentence, date_words
-=======
 from mammometry.measure.settings import NOT_TO_BE_COMPARED
-from mammometry.report.words.change_words import change_sentence, date_words
->>>>>>> houseB
+from mammometry.report.words.volumes import change_sentence, date_words
 
 _MEASURED = (Visit.State.MEASURED, Visit.State.CONFIRMED)
 """States in which a visit's newest measurement is of all that was drawn."""

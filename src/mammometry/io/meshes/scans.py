@@ -30,12 +30,8 @@ from mammometry.io.meshes.foreign import MM_PER_UNIT, ForeignMesh, read_foreign
 from mammometry.io.meshes.own_ply import read_ply, write_ply
 from mammometry.io.meshes.textures import CoveredObj, covered_parts, read_covered_obj, texture_at
 from mammometry.io.photographs.images import read_photograph, read_plain_picture
-<<<<<<< HEAD
 from mammometry.io.photographs.tags import without_tags
-=======
-from mammometry.io.photographs.jpeg import without_tags
 from mammometry.measure.settings import POSTURES
->>>>>>> houseB
 
 ABOUT, MESH = "scan.toml", "scan.ply"
 RESULTS = "results"

@@ -11,14 +11,8 @@ import numpy as np
 
 from mammometry.base.csv_cells import csv_text
 from mammometry.report.documents.pages import embed, render
-<<<<<<< HEAD
 from mammometry.report.figures.observers import bland_altman, scatter
-from mammometry.study.agreement import PairedMeasurements, agreement
-from mammometry.study.agreement_tables import agreement_tables, summary
-=======
-from mammometry.report.figures.studies.agreement import bland_altman, scatter
 from mammometry.study.agreement import PairedMeasurements, agreement, agreement_tables, summary
->>>>>>> houseB
 from mammometry.study.tables import Table, number
 
 FILES = ("batch.html", "batch.csv", "batch.parquet")
