@@ -87,21 +87,22 @@ def commit() -> str:
 
 
 def make(entry: Entry, by: str, folder: Path) -> Result:
-    """Run an entry's commands, one after another, in the repository.
+    """Run an entry's commands, one after another, in the repository. Those that ended are not run again.
 
     Raises:
         subprocess.CalledProcessError: a command failed.
     """
-    out = folder / entry.name
+    out, begun = folder / entry.name, folder / f"{entry.name}.begun.json"
     out.mkdir(parents=True, exist_ok=True)
-    started = time.monotonic()
-    outputs = []
-    for command in entry.commands:
+    outputs, before_s = json.loads(begun.read_text(encoding="utf-8")) if begun.is_file() else ([], 0.0)
+    started = time.monotonic() - before_s
+    for command in entry.commands[len(outputs) :]:
         program, *arguments = shlex.split(command)
         words = [word.replace("OUT", str(out)) for word in arguments]
         begin = [sys.executable, "-m", "mammometry"] if program == "mammometry" else [sys.executable]
         done = subprocess.run([*begin, *words], cwd=ROOT, stdout=subprocess.PIPE, text=True, check=True)
         outputs.append(done.stdout)
+        begun.write_text(json.dumps([outputs, time.monotonic() - started]), encoding="utf-8")
     if entry.file:
         outputs.append(Path(entry.file.replace("OUT", str(out))).read_text(encoding="utf-8"))
     day = time.strftime("%-d %B %Y", time.gmtime())

@@ -128,7 +128,7 @@ def requirements_page(rows: Sequence[Requirement], tests: Sequence[MarkedTest]) 
         "# Requirements and what shows them",
         "",
         "`make dossier` makes this page from `requirements.toml` and the marks of the tests. It fails on a requirement",
-        "without a test. Tests marked *slow* run in turns; `make test-slow` runs them all.",
+        "without a test. A test's name is a sentence, its file lies in `tests/`. Slow ones: `make test-slow`.",
     ]
     section = ""
     for row in rows:
@@ -138,14 +138,10 @@ def requirements_page(rows: Sequence[Requirement], tests: Sequence[MarkedTest]) 
                 "",
                 f"## {section}",
                 "",
-                "| | what is required | code | shown by | measured |",
+                "| | required | code | shown by | measured |",
                 "| --- " * 5 + "|",
             ]
-        shown = "<br>".join(
-            f"`{test.file}::{test.name}`" + (" *slow*" if test.slow else "")
-            for test in tests
-            if row.id in test.requirements
-        )
+        shown = "<br>".join(_sentence(test) for test in tests if row.id in test.requirements)
         code = "<br>".join(f"`{code}`" for code in row.code)
         figure = f"[figure](../measured.md#{row.measured})" if row.measured else ""
         lines.append(f"| {row.id} | {row.text} | {code} | {shown} | {figure} |")
@@ -307,6 +303,11 @@ def main() -> None:
         (DOSSIER / "requirements.md").write_text(requirements_page(rows, tests), encoding="utf-8")
         (DOSSIER / "third-party.md").write_text(third_party_page(found, registry), encoding="utf-8")
         (DOSSIER / "sbom.cdx.json").write_text(sbom(found), encoding="utf-8")
+
+
+def _sentence(test: MarkedTest) -> str:
+    words = test.name.removeprefix("test_").replace("_", " ")
+    return f"{words}{' (slow)' if test.slow else ''}, `{test.file.removeprefix('tests/')}`"
 
 
 def _anchors(page: Path) -> set[str]:

@@ -16,7 +16,7 @@ from mammometry.settings import Settings, names
 _COMMAND = re.compile(r"^\s*\$?\s*(?:\.venv/bin/)?mammometry\s+([a-z][a-z-]*)((?:\s+\S+)*)\s*$")
 _INLINE = re.compile(r"`mammometry ([a-z][a-z-]*)((?: [^`\s]+)*)`")
 _SETTING = re.compile(r"`((?:calibration|matching|surface|measure|compare)\.[a-z_.]+)(?:=[^`]*)?`")
-_LINK = re.compile(r"\]\((?!https?://|#)([^)#]+)(?:#[^)]*)?\)")
+_LINK = re.compile(r"(?:\]\(|src=\")(?!https?://|#)([^)#\"]+)(?:#[^)]*)?[)\"]")
 
 
 def commands() -> dict[str, set[str]]:
@@ -138,11 +138,22 @@ def test_the_session_page_shows_a_manifest_that_is_read(repository: Path) -> Non
     assert target_from_table(manifest.target).kind == "charuco"
 
 
+def test_every_command_is_in_the_reference(repository: Path) -> None:
+    from tools.commands import PAGE
+
+    named = set(re.findall(r"^###? (.+)$", PAGE.read_text(encoding="utf-8"), re.MULTILINE))
+    known = commands()
+    groups = {name.rpartition(" ")[0] for name in known} - {""}
+    assert named == known.keys() | groups, "call make docs"
+
+
 def test_one_source_of_the_version(repository: Path) -> None:
     with (repository / "pyproject.toml").open("rb") as file:
         project = tomllib.load(file)
     assert "version" in project["project"]["dynamic"]
     assert re.fullmatch(r"\d+\.\d+\.\d+", mammometry.__version__)
+    citation = (repository / "CITATION.cff").read_text(encoding="utf-8")
+    assert f"\nversion: {mammometry.__version__}\n" in citation
 
 
 def test_nothing_committed_names_a_machine(repository: Path) -> None:

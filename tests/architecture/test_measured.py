@@ -1,6 +1,8 @@
 """Figures of the documentation: every table has its commands and its commit, and the runner writes what it made."""
 
 import re
+import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -17,6 +19,9 @@ def test_every_table_stands_in_its_page_with_its_commands_and_its_commit(reposit
         for name, text in blocks.items():
             shown = re.findall(r"^\$ (.+)$", text, re.MULTILINE)
             assert tuple(shown) == ENTRIES[name].commands, name
+            if ENTRIES[name].kept == "never":
+                assert "By commit" not in text
+                continue
             (commit,) = re.findall(r"^\*By commit ([0-9a-f]{8}), \d+ \w+ \d{4}\.\*$", text, re.MULTILINE)
             assert ENTRIES[name].kept in ("", commit), name
             assert "| --- |" in text, name
@@ -29,8 +34,9 @@ def test_what_was_made_replaces_the_table_and_nothing_else(tmp_path: Path, monke
     monkeypatch.setattr(measured, "ROOT", tmp_path)
     monkeypatch.setattr(measured, "REGISTRY", registry)
     entry = measured.Entry(name="a", commands=("x --out OUT",), minutes=1, page="page.md")
+    other = measured.Entry(name="b", commands=("y",), minutes=1, page="page.md", kept="2")
     result = measured.Result(commit="12345678", day="1 May 2026", seconds=2.0, outputs=("| t |\n| --- |\n| 1 |\n",))
-    measured.write({"a": entry}, {"a": result})
+    measured.write({"a": entry, "b": other}, {"a": result})
     made = "```console\n$ x --out OUT\n```\n\n| t |\n| --- |\n| 1 |\n\n*By commit 12345678, 1 May 2026.*\n"
     assert measured.blocks(page.read_text()) == {"a": made, "b": "old\n"}
     assert registry.read_text() == '[a]\ncommands = ["x"]\n\n[b]\ncommands = ["y"]\nkept = "2"\n'
@@ -63,3 +69,14 @@ def test_nine_casts_become_a_table() -> None:
         "",
         "Mean error +0.00 cc, standard deviation 1.41 cc.",
     ]
+
+
+def test_commands_that_ended_are_not_run_again(tmp_path: Path) -> None:
+    entry = measured.Entry(
+        name="a", commands=("python -c 'print(1)'", f"python -c 'print(len(open(\"{tmp_path}/there\").read()))'")
+    )
+    with pytest.raises(subprocess.CalledProcessError):
+        measured.make(entry, "12345678", tmp_path)
+    (tmp_path / "there").write_text("four")
+    again = measured.make(replace(entry, commands=("python -c 'print(2)'", *entry.commands[1:])), "12345678", tmp_path)
+    assert again.outputs == ("1\n", "4\n")

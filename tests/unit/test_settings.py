@@ -73,7 +73,7 @@ def test_later_assignments_win_and_the_rest_stays() -> None:
         ("surface.repair.reach_mm=5", r"reach_mm: found 5, expected 4\.0, since it is no setting any more\. Remove"),
         ("surface.texture=5", r"surface\.texture: found 5"),
         ("surface.texture.colour=5", r"surface\.texture\.colour: found an unknown setting"),
-        ("measure.wall=nope", r"'default', 'cylinder-membrane', .*'membrane'"),
+        ("measure.wall=nope", r"'default', 'rounded-membrane', .*'membrane'"),
     ],
 )
 def test_mistakes_are_named(assignment: str, said: str) -> None:

@@ -107,13 +107,13 @@ class Results:
 
 _LOG = logging.getLogger(__name__)
 FOLDER, PAGE = "refused", "refused.html"
-"""Where the page lies, in the results."""
+"""Where the page lies, in the results. Its pictures lie beside it, for the clinic."""
 Pictures = Mapping[str, bytes]
 """Name → PNG with its caption."""
 
 
 def show_refusal(results: Path, identity: Identity, error: MammometryError, draw: Callable[[], Pictures]) -> None:
-    """Write a page of what was seen and set `error.page`.
+    """Write a page of what was seen and its pictures, and set `error.page`.
 
     If the page fails, the refusal itself is still reported.
 
@@ -126,7 +126,9 @@ def show_refusal(results: Path, identity: Identity, error: MammometryError, draw
     from mammometry.report.documents.pages import refusal_page
 
     try:
-        write_outputs(results / FOLDER, {PAGE: refusal_page(identity, error, draw()).encode()}, command="run")
+        pictures = draw()
+        files = {PAGE: refusal_page(identity, error, pictures).encode()}
+        write_outputs(results / FOLDER, files | {f"{name}.png": png for name, png in pictures.items()}, command="run")
         error.page = results / FOLDER / PAGE
     except Exception as trouble:  # whatever hinders the page must not hide why there is no volume
         _LOG.warning("what was seen could not be drawn: %s", error_text(trouble))

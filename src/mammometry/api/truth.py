@@ -114,6 +114,7 @@ def current_results(job: Job) -> SessionResults:
         disparities=all_current(plan[match.disparity]),
         ranges=all_current(plan[surface.range_image]),
         surfaces={name: mesh for name, mesh in surfaces.items() if mesh is not None},
+        claimed=None if repaired is None else repaired.claimed,
         boundaries=plan.current(measure.boundaries) or (),
         measurements=plan.current(measure.measurements) or (),
         absent=tuple(side.name for side in plan.current(measure.absent) or ()),

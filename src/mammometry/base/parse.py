@@ -32,8 +32,7 @@ class LimitSettings:
 
     megapixels: float = 200.0
     """Largest photograph or mask, millions of pixels. The largest medium-format sensors have 151. 200 of them take 0.6
-    GB at 8 bits a channel, 1.2 GB at 16.
-    """
+    GB at 8 bits a channel, 1.2 GB at 16."""
 
     def __post_init__(self) -> None:
         if not 0 < self.megapixels <= _OPENCV_MEGAPIXELS:
@@ -209,9 +208,7 @@ def _dotted(place: tuple[object, ...]) -> str:
 
 
 def number(text: str) -> float:
-    """Parse a finite decimal number such as ``-1.5e3``.
-
-    ``1_000``, ``nan``, ``٣`` and ``1,5`` are refused.
+    """Parse a finite decimal number such as ``-1.5e3``, not ``1_000``, ``nan``, ``٣`` or ``1,5``.
 
     Raises:
         ValueError: it is none, or lies beyond ±`LARGEST`.

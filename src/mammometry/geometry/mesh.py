@@ -65,20 +65,14 @@ class TriangleMesh:
         return unique_edges(starts, stops, len(self.vertices))
 
     def is_watertight(self) -> bool:
-        """Whether the mesh is closed, edge-manifold and oriented.
-
-        Every directed edge occurs once, and so does its opposite.
-        """
+        """Whether every directed edge occurs once, and so does its opposite."""
         starts, stops, across = self._sides()
         side = np.arange(len(across))
         opposite = (across[across] == side) & (starts[across] == stops) & ((starts != stops) | (across == side))
         return len(starts) > 0 and bool(opposite.all())
 
     def euler_number(self) -> int:
-        """V − E + F over the vertices in use.
-
-        2 for one closed surface without tunnels.
-        """
+        """V − E + F over the vertices in use. 2 for one closed surface without tunnels."""
         used = np.bincount(self.faces.ravel(), minlength=1)
         starts, stops, across = self._sides()
         side = np.arange(len(across))

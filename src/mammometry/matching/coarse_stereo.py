@@ -15,8 +15,7 @@ from scipy import ndimage
 
 from mammometry.base.errors import MatchingError
 from mammometry.base.photograph import Photograph
-from mammometry.geometry.arrays import Array, Bool, Float32, Float64, read_only
-from mammometry.geometry.camera import Camera, Rig
+from mammometry.geometry import Array, Bool, Camera, Float32, Float64, Rig, read_only
 from mammometry.matching.foreground.foreground import Foreground
 from mammometry.matching.foreground.seeded_segmentation import DepthSeeds
 from mammometry.matching.foreground.silhouette import block_means

@@ -16,8 +16,7 @@ from mammometry.matching.pyramid import Level
 
 COSTS_TO_ONE = 100
 """Costs are whole hundredths: a byte holds them, and sixteen bits hold the sum of all paths. Memory limits the level on
-which a match can start.
-"""
+which a match can start."""
 
 
 @fast_kernel
@@ -255,10 +254,7 @@ def _unit_neighbourhoods(level: Level, noise: Float32[Array, "h w"]) -> Float32[
 def _neighbourhood(
     image: Float32[Array, "h w"], mask: Bool[Array, "h w"], spacing: int
 ) -> tuple[Float32[Array, "h w 9"], Float32[Array, "h w"]]:
-    """3 × 3 pixels, `spacing` apart, and the sum of their squares.
-
-    Less the mean of the subject's among them; 0 where not the subject's.
-    """
+    """3 × 3 pixels, `spacing` apart, less the mean of the subject's, and the sum of their squares."""
     height, width = mask.shape
     padded = np.pad(image, spacing, mode="edge")
     subject = np.pad(mask, spacing).astype(np.float32)

@@ -115,7 +115,7 @@ class MeasureSettings:
 
     wall: str = "default"
     """Name of the wall that closes the breast. default: the measured wall if the session has a wall.ply. Otherwise a
-    cast gets its own base, plane or convex cylinder as its rim shows, and a torso the cylinder membrane. (A flat wall
+    cast gets its own base, plane or convex cylinder as its rim shows, and a torso the rounded membrane. (A flat wall
     overestimates a breast by a quarter to three quarters.)"""
     boundary: Literal["default", "landmarks"] = "default"
     """Source of a torso breast's boundary, unless drawn. default: its crease. landmarks: the named protocol, from

@@ -256,8 +256,8 @@ def _layers(repaired: RepairedSurface, origin: Array) -> tuple[Layer, ...]:
         Layer(
             name="provenance",
             title="Where it comes from",
-            help="Measured parts were drawn to range data; repaired ones were carried along by their neighbours; "
-            "invented ones were seen by no pair of cameras.",
+            help="Measured parts were drawn to range data, repaired ones lie right beside them, bridged ones were "
+            "closed between or beyond them, and invented ones were seen by no pair of cameras.",
             values=repaired.provenance[origin].astype(np.float32),
             kind="category",
             categories=tuple((meaning, colour) for colour, meaning in colours),

@@ -43,10 +43,7 @@ class Situation:
         return ",".join(map(str, self.disturbances))
 
     def without(self, names: Collection[str]) -> Situation:
-        """Return the same situation without some disturbances.
-
-        It serves comparisons of a body with and without them, all else equal.
-        """
+        """Return the same situation without some disturbances, to compare bodies with and without them."""
         return Situation(
             disturbances=tuple(disturbance for disturbance in self.disturbances if disturbance.name not in names)
         )
@@ -76,8 +73,7 @@ class SessionRecipe:
 
     rig: str = "reference"
     """``reference`` (eight cameras, four pairs), or a rig's TOML file. ``reference:front,floor`` keeps only these
-    pairs.
-    """
+    pairs."""
     subject: str = "plaster_5"
     """A name in `subjects.registry.SUBJECTS`, or the path of a PLY, OBJ or STL."""
     scale: float = 0.25

@@ -24,8 +24,7 @@ from filelock import FileLock, Timeout
 from mammometry.base.errors import SessionError, StorageError
 from mammometry.base.progress import Progress, no_progress, part
 from mammometry.calibration.targets.target import Target
-from mammometry.geometry.camera import Rig
-from mammometry.geometry.transform import Transform
+from mammometry.geometry import Rig, Transform
 from mammometry.simulate.disturbances.about import Surroundings
 from mammometry.simulate.disturbances.exposure import Exposure, plain_exposure
 from mammometry.simulate.disturbances.registry import DISTURBANCES, disturbed
@@ -247,10 +246,7 @@ def _check_cameras_see_target(rig: Rig, target: Target, poses: Mapping[str, Tran
 
 
 def _manifest(rig: Rig, target: Target, solid: Solid, made_by: str) -> str:
-    """session.toml of this rig, its target and the subject.
-
-    `made_by` is its recipe.
-    """
+    """session.toml of this rig, its target and the subject. `made_by` is its recipe."""
     pairs = ",\n".join(
         f'  {{ name = "{name}", left = "{left}", right = "{right}" }}' for name, (left, right) in rig.pair_names.items()
     )

@@ -17,9 +17,7 @@ from mammometry.base.errors import MammometryError
 from mammometry.base.machine.cores import available_cores
 from mammometry.base.progress import Progress, no_progress
 from mammometry.calibration.targets.target import Target
-from mammometry.geometry.arrays import Array, Float32, Float64
-from mammometry.geometry.camera import Camera, Rig
-from mammometry.geometry.transform import Transform
+from mammometry.geometry import Array, Camera, Float32, Float64, Rig, Transform
 from mammometry.simulate.disturbances.exposure import Exposure
 from mammometry.simulate.rendering.develop import develop
 from mammometry.simulate.rendering.film import Film

@@ -10,10 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from mammometry.base.progress import Progress, no_progress
-from mammometry.geometry.arrays import Array, Float32
-from mammometry.geometry.camera import Camera, Rig
-from mammometry.geometry.mesh import TriangleMesh
-from mammometry.geometry.transform import Transform
+from mammometry.geometry import Array, Camera, Float32, Rig, Transform, TriangleMesh
 from mammometry.simulate.disturbances.registry import as_truth
 from mammometry.simulate.disturbances.surfaces import merged
 from mammometry.simulate.recipe import SessionRecipe
@@ -217,7 +214,7 @@ def _write_rig(
 
 
 def _write_json(path: Path, value: object) -> None:
-    path.write_text(json.dumps(value, indent=1) + "\n", encoding="utf-8")
+    path.write_text(json.dumps(value, indent=1, default=dict) + "\n", encoding="utf-8")  # frozen mappings
 
 
 def _write_ply(path: Path, mesh: TriangleMesh) -> None:

@@ -18,8 +18,7 @@ import scipy  # it imports scipy.stats, which takes half a second, when that is 
 from scipy.spatial import cKDTree
 
 from mammometry.base.value import value
-from mammometry.geometry.arrays import Array, Float64, Int64
-from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry import Array, Float64, Int64, TriangleMesh
 from mammometry.study.agreement import Estimate
 from mammometry.study.icc import IntraclassCorrelation, intraclass_correlations
 from mammometry.study.tables import Table, number, plain
@@ -76,10 +75,7 @@ class Scatter:
 
     @property
     def mdc(self) -> Estimate:
-        """Minimal detectable change at 95 %, cc.
-
-        1.96 √2 times the standard error.
-        """
+        """Minimal detectable change at 95 %, cc. 1.96 √2 times the standard error."""
         low, high = self.sem.interval
         return Estimate(value=_DETECTABLE_95 * self.sem.value, interval=(_DETECTABLE_95 * low, _DETECTABLE_95 * high))
 
@@ -262,10 +258,7 @@ def distances_by_region_mm(first: Drawing, second: Drawing) -> dict[str, Float64
 
 
 def regions_of(from_middle_mm: Float64[Array, "n 3"]) -> Int64[Array, " n"]:
-    """Index into `REGIONS` of directions from a breast's middle.
-
-    Quarters around lateral, up, medial and down.
-    """
+    """Index into `REGIONS` of directions from a breast's middle, by quarters."""
     turn = np.arctan2(from_middle_mm[:, 1], from_middle_mm[:, 0])
     return np.asarray(np.round(turn / (np.pi / 2)).astype(np.int64) % 4)
 

@@ -76,17 +76,17 @@ def test_a_wall_of_ones_own_is_chosen_measured_drawn_and_named() -> None:
 
 
 def test_a_wall_that_nobody_added_is_an_error_at_once() -> None:
-    with pytest.raises(SettingsError, match=r"measure\.wall: found 'dented', expected one of 'default', 'cylinder"):
+    with pytest.raises(SettingsError, match=r"measure\.wall: found 'dented', expected one of 'default', 'rounded"):
         Settings().overridden(["measure.wall=dented"])
-    with pytest.raises(MeasureError, match=r"measure\.wall: found dented, expected one of default, cylinder"):
+    with pytest.raises(MeasureError, match=r"measure\.wall: found dented, expected one of default, rounded"):
         chest_wall.fit(breast(Settings()), "dented")
 
 
 def test_walls_stand_in_the_order_in_which_results_name_them() -> None:
     """The first is the default; results are lists in this order, so that it must not change."""
     assert in_order(TORSO_WALLS) == [
-        "cylinder-membrane", "thorax-fit", "tangent-continuous", "mirrored", "measured", "membrane", "thin-plate",
-        "coons", "plane",
+        "rounded-membrane", "cylinder-membrane", "thorax-fit", "tangent-continuous", "mirrored", "measured", "membrane",
+        "thin-plate", "coons", "plane",
     ]  # fmt: skip
     assert in_order(CAST_WALLS) == ["plane", "convex-cylinder", "measured", "membrane", "thin-plate", "coons"]
     assert {name for name in TORSO_WALLS if not TORSO_WALLS[name].sees_the_chest} == {"plane", "membrane", "coons"}

@@ -204,8 +204,7 @@ _DARKER = 0.6
 """Largest share of the bright light that the dark has. Chosen by eye."""
 _DOUBT_PX, _DOUBT_BLURS = 0.5, 0.5
 """What a step may be off without meaning anything, px and standard deviations of the blur: where a bright gap is
-narrower than two of these, half the height is no longer where the step is.
-"""
+narrower than two of these, half the height is no longer where the step is."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -50,9 +50,8 @@ def true_shot(calibration: Calibration, detection: Detection) -> Shot | None:
 
 
 _BIAS_WARN = 8.0
-"""Bias of a view (its median residual in standard errors) that gives a warning. Clean ones reach 4–5, a camera moved
-by 0.01 mm 7–9 at a quarter of the size, 36–46 at full size.
-"""
+"""Bias of a view (its median residual in standard errors) that gives a warning. Clean ones reach 4–5, a camera moved by
+0.01 mm 7–9 at a quarter of the size, 36–46 at full size."""
 BIAS_REFUSE = 20.0
 """Bias above which the cameras cannot have stood still."""
 _FOCAL_STD_WARN = 2.5e-4
@@ -67,8 +66,7 @@ _SCALE_REFUSE_PPM = 1500.0
 """Scale error of a pair above which volumes are off by half a percent from it alone."""
 _EXPECTED_WARN_MM = 0.1
 """Expected error of reconstructed points in the working volume, from the cameras' uncertainty, that gives a warning.
-Over the 300 cm² that a pair sees, 0.1 mm is 3 cc.
-"""
+Over the 300 cm² that a pair sees, 0.1 mm is 3 cc."""
 _EXPECTED_REFUSE_MM = 0.5
 """Expected error no better than the paper's on a flat plate. Measuring is then not worthwhile."""
 _MOVED_REFUSE_MM = 0.05
@@ -82,16 +80,14 @@ RESIDUAL_GOOD_MM = 0.05
 _RESIDUAL_WARN_MM = 0.2
 """RMS residual at the target's distance above which the pictures or the target are wrong."""
 _LEFT_OUT_WARN = 1.2
-"""Residuals of poses left out over those of the same poses fitted, corrected for the number of unknowns. Above it,
-the cameras are not trusted elsewhere. 1.0 if points err independently, 1.05–1.1 if a photograph's points err
-together, 1.25 and more with three such poses.
-"""
+"""Residuals of poses left out over those of the same poses fitted, corrected for the number of unknowns. Above it, the
+cameras are not trusted elsewhere. 1.0 if points err independently, 1.05–1.1 if a photograph's points err together, 1.25
+and more with three such poses."""
 _BLURRED_RATIO = 5.0
 """RMS of a view over that of the others above which it is called blurred."""
 _REJECTED_WARN = 0.15
 """Share of a view's points left out as outliers that gives a warning. Clean views lose up to a tenth: corners at the
-board's rim, or out of focus, err more than their σ.
-"""
+board's rim, or out of focus, err more than their σ."""
 
 Verdict: TypeAlias = Literal["pass", "warn", "refuse"]
 Finding: TypeAlias = tuple[Verdict, str]
@@ -100,8 +96,7 @@ _PRINT_SCALE = 1e-3
 
 _SQUARE_PIXELS, _SURE_SIGMA = 0.01, 5.0
 """Share by which pixels may differ from squares, and standard deviations by which they then must. Real cameras are
-below .001; prints are stretched by up to .005.
-"""
+below .001; prints are stretched by up to .005."""
 
 
 def about_names(calibration: Calibration) -> Iterator[Finding]:
@@ -162,10 +157,7 @@ def about_movements(movements: Sequence[Movement]) -> Iterator[Finding]:
 
 
 def about_fit(calibration: Calibration, views: Sequence[ViewQuality]) -> Iterator[Finding]:
-    """Findings about an adjustment that did not settle.
-
-    Also about views that lost many points or fit badly.
-    """
+    """Findings about an adjustment that did not settle, and views that fit badly or lost many points."""
     if not calibration.converged:
         yield "warn", f"the adjustment had not settled after {calibration.iterations} steps"
     aside = {(view.camera, view.pose) for view in calibration.set_aside}

@@ -72,8 +72,7 @@ class CalibrationQuality:
     """Share of the working volume within an eighth of its width of a target position. NaN if there is none."""
     expected_mm: Mapping[str, float]
     """Pair → standard deviation of its reconstructed points, from the cameras' own, over the part of the working volume
-    in which the target was shown. NaN if that is empty.
-    """
+    in which the target was shown. NaN if that is empty."""
     focal_std: Mapping[str, float]
     """Camera → relative standard deviation of its focal length."""
     views: tuple[ViewQuality, ...]

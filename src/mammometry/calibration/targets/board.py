@@ -121,10 +121,7 @@ class Board(Target):
 
     @property
     def looks_alike_turned(self) -> bool:
-        """Whether half a turn in its plane gives the same board.
-
-        Then only its direction in the picture decides.
-        """
+        """Whether half a turn in its plane gives the same board, so that only its direction decides."""
         return False
 
     @property

@@ -43,6 +43,17 @@ def _library() -> Any:
     return aravis
 
 
+def attached() -> list[str]:
+    """Identifiers of the cameras that can be reached.
+
+    Raises:
+        SettingsError: Aravis is not installed.
+    """
+    aravis = _library()
+    aravis.update_device_list()
+    return [aravis.get_device_id(number) for number in range(aravis.get_n_devices())]
+
+
 @BACKENDS.add("aravis")
 class AravisRig:
     """GigE Vision and USB3 Vision cameras."""

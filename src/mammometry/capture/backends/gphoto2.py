@@ -26,15 +26,28 @@ _EXPOSURES = ("shutterspeed", "shutterspeed2")  # what makers call it
 _SPOOL = "capturetarget"  # where pictures go: memory in the camera, so that no full card is in the way
 
 
+def _library() -> Any:
+    try:
+        return library("gphoto2")
+    except ImportError:
+        raise missing("gphoto2", "python package gphoto2", "python -m pip install 'mammometry[tethered]'") from None
+
+
+def attached() -> list[str]:
+    """Ports of the cameras that can be reached.
+
+    Raises:
+        SettingsError: gphoto2 is not installed.
+    """
+    return [port for _, port in _library().Camera.autodetect()]
+
+
 @BACKENDS.add("gphoto2")
 class TetheredRig:
     """Reflex cameras on USB."""
 
     def __init__(self, devices: Devices) -> None:
-        try:
-            library("gphoto2")
-        except ImportError:
-            raise missing("gphoto2", "python package gphoto2", "python -m pip install 'mammometry[tethered]'") from None
+        _library()
         self._workers = {name: _Worker(name, devices.ids.get(name, "")) for name in devices.cameras}
         for worker in self._workers.values():
             worker.wait_open()

@@ -19,15 +19,28 @@ _QUEUE = 4  # pictures that may wait; one is wanted, more are dropped by `arm`
 _INSTALL = "python -m pip install 'mammometry[basler]'"
 
 
+def _library() -> Any:
+    try:
+        return library("pypylon.pylon")
+    except ImportError:
+        raise missing("pylon", "pypylon", _INSTALL) from None
+
+
+def attached() -> list[str]:
+    """Serial numbers of the cameras that can be reached.
+
+    Raises:
+        SettingsError: pypylon is not installed.
+    """
+    return [info.GetSerialNumber() for info in _library().TlFactory.GetInstance().EnumerateDevices()]
+
+
 @BACKENDS.add("pylon")
 class PylonRig:
     """Basler cameras, by cable or on one network."""
 
     def __init__(self, devices: Devices) -> None:
-        try:
-            pylon: Any = library("pypylon.pylon")
-        except ImportError:
-            raise missing("pylon", "pypylon", _INSTALL) from None
+        pylon = _library()
         self._pylon, self._devices = pylon, devices
         self._line = str(devices.options.get("line", "Line1"))
         self._cameras: dict[str, Any] = {}

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from mammometry.api.results import FOLDER
 from mammometry.base.errors import SessionError
 from mammometry.clinic.models import Measurement, Visit, Volume
 from mammometry.clinic.records.charts import Reading
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from mammometry.api.job import Job
     from mammometry.api.mesh import MeshJob
     from mammometry.report.documents.rendering import RenderedReport
+    from mammometry.report.figures.drawing.canvas import Caption
 
 
 Interval = tuple[float, float]
@@ -163,6 +165,20 @@ def report_file(visit: Visit, name: str) -> Path | None:
 def readable(path: Path) -> Path | None:
     """A file of ours that may be shown. None if there is none."""
     return path if path.is_file() and not path.is_symlink() and path.stat().st_size <= _LARGEST else None
+
+
+def refusal_pictures(visit: Visit) -> dict[str, Caption]:
+    """What the visit's refused measurement saw: name of each picture → its caption."""
+    from mammometry.report.figures.drawing.canvas import caption_of
+
+    paths = sorted((visit.folder / "results" / FOLDER).glob("*.png"))
+    return {path.stem: caption_of(path.read_bytes()) for path in paths if readable(path)}
+
+
+def refusal_picture(visit: Visit, name: str) -> bytes | None:
+    """One of those pictures, as PNG. None if there is none."""
+    path = readable(visit.folder / "results" / FOLDER / f"{name}.png")
+    return None if path is None else path.read_bytes()
 
 
 def facts(visit: Visit) -> Facts:

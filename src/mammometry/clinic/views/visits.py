@@ -6,7 +6,7 @@ from uuid import UUID
 
 from django.contrib import messages
 from django.db import transaction
-from django.http import HttpRequest, HttpResponse, HttpResponseBase, JsonResponse
+from django.http import Http404, HttpRequest, HttpResponse, HttpResponseBase, JsonResponse
 from django.shortcuts import get_object_or_404, redirect, render
 from django.urls import reverse
 from django.utils import timezone
@@ -26,7 +26,7 @@ from mammometry.clinic.models import Calibration, Conclusion, Person, Scan, Uplo
 from mammometry.clinic.records.clinical import pictures_caution
 from mammometry.clinic.records.confirmations import CHANGED_SENTENCE, next_step
 from mammometry.clinic.records.operations import phase_of
-from mammometry.clinic.records.results import facts, report_file, visit_result
+from mammometry.clinic.records.results import facts, refusal_picture, refusal_pictures, report_file, visit_result
 from mammometry.clinic.rig_history import today
 from mammometry.clinic.roles import Role
 from mammometry.clinic.site import the_clinic
@@ -73,12 +73,14 @@ def visit_page(request: HttpRequest, visit: uuid.UUID, draft: str | None = None)
     measurement = shown.measurements.prefetch_related("volumes").first()
     busy = job is not None and job.state in OPEN
     person = person_of(request)
+    failed = job if job is not None and job.state in ("failed", "cancelled") and not busy else None
     context = {
         "visit": shown,
         "patient": shown.patient,
         "job": job,
         "busy": busy,
-        "failed": job if job is not None and job.state in ("failed", "cancelled") and not busy else None,
+        "failed": failed,
+        "refusal_pictures": {} if failed is None else refusal_pictures(shown),
         "step": next_step(shown, job, measurement, person),
         "result": None if measurement is None or busy else visit_result(shown, measurement),
         "lengths": None if measurement is None or shown.is_changed else length_table(measurement.quantities),
@@ -98,6 +100,14 @@ def visit_page(request: HttpRequest, visit: uuid.UUID, draft: str | None = None)
         "limit_mb": the_clinic().limits.photograph_mb,
     }
     return render(request, "clinic/visit.html", context)
+
+
+def refused_picture(request: HttpRequest, visit: uuid.UUID, name: str) -> HttpResponse:
+    """A picture of what a refused measurement saw."""
+    picture = refusal_picture(get_object_or_404(Visit, pk=visit), name)
+    if picture is None:
+        raise Http404
+    return HttpResponse(picture, content_type="image/png", headers={"Cache-Control": "private, no-store"})
 
 
 def circumstances(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:

@@ -60,6 +60,7 @@ PAGES = [
     route("visits/scan/", scans.scan_new, "scan-new", CARE, body_bytes=scans.BODY_BYTES, atomic=False),
     route("worklist/", hospital.worklist, "worklist", CARE),
     route("visits/<uuid:visit>/", visits.visit_page, "visit", CARE),
+    route("visits/<uuid:visit>/refused/<str:name>.png", visits.refused_picture, "refused-picture", CARE, audited=False),
     route("visits/<uuid:visit>/move/", corrections.visit_move, "visit-move", CARE),
     route("visits/<uuid:visit>/date/", corrections.visit_date, "visit-date", CARE),
     route("visits/<uuid:visit>/bin/", corrections.visit_bin, "visit-bin", CARE),

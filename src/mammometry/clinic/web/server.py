@@ -120,7 +120,7 @@ def require_current(config: ClinicConfig) -> None:
             remedy="Serve the clinic with the version that served it last",
         )  # fmt: skip
     if executor.migration_plan(executor.loader.graph.leaf_nodes()):
-        remedy = f"Run `mammometry clinic upgrade {config.folder}`, which makes a backup first"
+        remedy = f"Make a backup with that version, then run `mammometry clinic upgrade {config.folder}`"
         expected = "those of this version"
         raise ClinicError("the database", found="tables of an older version", expected=expected, remedy=remedy)
     if not audit.is_sealed():

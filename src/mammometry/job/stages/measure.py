@@ -111,7 +111,7 @@ def boundaries(
     return tuple(sorted((*given, *wanted), key=lambda curve: curve.name))
 
 
-@product("measure", version=4, settings="measure.thorax", inputs=("mounting",), when=_torso)
+@product("measure", version=5, settings="measure.thorax", inputs=("mounting",), when=_torso)
 def body(
     corrected_cameras: CameraSet, repaired: RepairedSurface, boundaries: tuple[Boundary, ...], *, job: Context
 ) -> Body:
@@ -145,7 +145,7 @@ def evidence(
     )
 
 
-@product("measure", version=18, name="measurement", settings="measure", inputs=("wall", "scale"), when=_has_volume)
+@product("measure", version=19, name="measurement", settings="measure", inputs=("wall", "scale"), when=_has_volume)
 def measurements(
     repaired: RepairedSurface,
     boundaries: tuple[Boundary, ...],
@@ -217,10 +217,11 @@ def lacking(
     return () if deficit is None else (deficit,)
 
 
-@product("measure", version=4, settings="measure", inputs=("landmarks", "mounting"), when=_has_volume, threads=1)
+@product("measure", version=5, settings="measure", inputs=("landmarks", "mounting"), when=_has_volume, threads=1)
 def landmarks(
     corrected_cameras: CameraSet,
     mesh: FinishedSurface,
+    boundaries: tuple[Boundary, ...],
     measurements: tuple[VolumeMeasurement, ...],
     body: Body | None,
     *,
@@ -231,7 +232,9 @@ def landmarks(
 
     textured, picked, settings = mesh.textured, job.inputs.landmarks, job.settings.measure
     frame, plane = _frame(corrected_cameras, job, body), None if body is None else body.plane
-    return find_landmarks(textured.mesh, textured.colours, measurements, picked, frame, settings, plane=plane)
+    return find_landmarks(
+        textured.mesh, textured.colours, measurements, picked, frame, settings, plane=plane, boundaries=boundaries
+    )
 
 
 @product("measure", version=3, when=_has_volume, threads=1)

@@ -150,7 +150,7 @@ def initial_surface(valid_patches: ValidPatches, solid: Solid | None, *, job: Co
     return extract.meshed(solid, extraction, progress=job.progress)
 
 
-@product("surface", version=5, name="repaired", settings="surface.repair")
+@product("surface", version=6, name="repaired", settings="surface.repair")
 def repaired(initial_surface: TriangleMesh, valid_patches: ValidPatches, *, job: Context) -> RepairedSurface:
     """The surface, drawn elastically to the range data. An open one stays as measured. Paper 2.6.3."""
     from mammometry.surface.repair import repair

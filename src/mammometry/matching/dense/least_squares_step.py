@@ -46,10 +46,7 @@ def agreeing(ours: Float32[Array, "h w"], theirs: Float32[Array, "h w"], limit: 
 
 @fast_kernel
 def _between(values, i, j, halved):  # type: ignore[no-untyped-def]
-    """Interpolate a coarse field at a finer pixel.
-
-    The field is halved 0 or 1 times; linear between its pixels.
-    """
+    """Interpolate a coarse field, halved 0 or 1 times, linearly at a finer pixel."""
     if halved == 0:
         return values[i, j]
     row, column = i >> 1, j >> 1
@@ -102,10 +99,7 @@ def compete(
 def smoothing_weights(
     variance: Float32[Array, "h w"], plausible: Bool[Array, "h w"], mask: Bool[Array, "h w"]
 ) -> Float32[Array, "h w"]:
-    """Weights of the matches in the smoothing.
-
-    1/variance, little for those that failed, 0 outside the mask.
-    """
+    """Weights in the smoothing: 1/variance, little for failed matches, 0 outside the mask."""
     height, width = variance.shape
     out = np.empty((height, width), dtype=np.float32)
     for i in range(height):
@@ -118,9 +112,8 @@ def smoothing_weights(
 
 
 LEAST_CORRELATION = 0.3
-"""Correlation below which a match is rejected (c of Eq. 1). It shows how much noise there is, not how far the match
-is off: accepted matches must still agree both ways and be certain enough.
-"""
+"""Correlation below which a match is rejected (c of Eq. 1). It shows how much noise there is, not how far the match is
+off: accepted matches must still agree both ways and be certain enough."""
 LEAST_MASS = 0.3  # of the window inside both subjects; chosen by eye
 FLAT_DEVIATION = 0.002  # luma (0…1) within a window: half a step of 8 bit; below, too flat to match
 _BAND_ROWS = 192  # bounds memory: a full-size torso under a gigabyte (docs/decisions/0020)
@@ -266,10 +259,7 @@ def _pixels(where: Bool[Array, "h w"]) -> tuple[Int64[Array, " n"], Int64[Array,
 
 
 def _take_better(found: Estimate, wide: Estimate, where: Any) -> None:
-    """Take the wide window's matches where they are better.
-
-    At the given pixels where the ordinary ones fail or are far less certain.
-    """
+    """Take the wide window's matches at pixels where ordinary ones fail or are far less certain."""
     better = wide.plausible & (~found.plausible[where] | (_WIDE_YIELDS_AT**2 * wide.variance < found.variance[where]))
     chosen = tuple(index[better] for index in where)
     for name in Estimate.__dataclass_fields__:

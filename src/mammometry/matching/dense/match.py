@@ -8,8 +8,7 @@ import numpy as np
 from mammometry.base.errors import MatchingError
 from mammometry.base.progress import Progress, no_progress
 from mammometry.base.value import value
-from mammometry.geometry.arrays import Array, Bool, Float32
-from mammometry.geometry.camera import Camera
+from mammometry.geometry import Array, Bool, Camera, Float32
 from mammometry.geometry.rounding import SIGMA_BITS, to_bits, to_step
 from mammometry.matching.dense.crop import (
     Window,
@@ -46,8 +45,7 @@ ERODE_PX = 2
 """Pixels taken off the silhouette before matching. They are mixed with the backdrop and would spoil the rim."""
 LARGEST_SIGMA_PX = 1.0
 """Standard deviation of one window's match above which it is rejected, pixels of the finest level. Half of it where
-noise does not explain what gain and offset leave over.
-"""
+noise does not explain what gain and offset leave over."""
 _SIGMA_SCALE = 1.8  # expected σ over the smoothing's; captures of two renderers (error / σ in docs/decisions/0015)
 _SIGMA_SLOPE = 1.0  # … and so much more by slope²
 _DOUBT_SLOPE = 4.0  # a window on steep skin is doubted sooner, by 1 + 4·slope²; chosen by eye
@@ -230,10 +228,7 @@ def coarse_to_fine(begun: Start, settings: MatchSettings, pool: Executor, progre
 
 
 def _solve_both(begun: Start, settings: MatchSettings, pool: Executor, progress: Progress) -> SolvedBoth:
-    """Solve all levels of both pictures.
-
-    After the coarsest one a cluttered scene is cut down to the subject.
-    """
+    """Solve all levels of both pictures, a cluttered scene cut to the subject after the coarsest."""
     first, *further = begun.levels.both()
     images = begun.images
     solved = solve_level(images[-1], first, begun.known, begun.vertical, settings, pool)
@@ -311,10 +306,7 @@ def finish(pair: RectifiedPair, found: Finest, settings: MatchSettings, pool: Ex
 
 
 def _accept(name: str, found: Finest, settings: MatchSettings, pool: Executor) -> AcceptedMatches:
-    """Accept matches that correlate, have settled, agree, and are certain.
-
-    They must agree in both directions.
-    """
+    """Accept matches that correlate, have settled, agree in both directions, and are certain."""
     fine, matches, shift, sigma = found.matches, found.matches.matches, found.matches.shift, found.matches.variance
     window = settings.window_sigma_px
     too_weak = pool.submit(weak_texture, found.image, matches, window, LARGEST_SIGMA_PX)

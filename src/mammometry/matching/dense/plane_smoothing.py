@@ -13,8 +13,7 @@ from mammometry.matching.filters import blur, double, from_blocks, gaussian_taps
 _TILE_COLUMNS = 128  # a tile's sums fit a processor's nearest cache
 _DAMPING = np.float32(0.02)  # of the window's own spread, added to that of the data: bounds one-sided slopes
 """Damping of the plane fits. A tenth of it left the rim unchanged (docs/decisions/0015, last lines of its second
-table).
-"""
+table)."""
 # Vertical sums of w, wy, wy², wd, wdy, wd²; of each, where its horizontal sums with 1, x and x² go (−1: not wanted).
 _HORIZONTAL = ((0, 0, 1, 2), (1, 3, 4, -1), (2, 5, -1, -1), (3, 6, 7, -1), (4, 8, -1, -1), (5, 9, -1, -1))
 _BETTER = np.float32(0.25)  # of its own scatter: a window that gains less is not exchanged; chosen by eye
@@ -301,10 +300,7 @@ def smoothed_noise(scale_px: float, window_sigma_px: float) -> float:
 
 
 def difference_noise(fine_px: float, coarse_px: float, window_sigma_px: float) -> float:
-    """Variance of the difference of two smoothings of noise.
-
-    The noise has variance 1 and is correlated by the matching window.
-    """
+    """Variance of the difference of two smoothings of unit noise correlated by the matching window."""
     return _noise(_smoothing_gain(fine_px) - _smoothing_gain(coarse_px), window_sigma_px)
 
 

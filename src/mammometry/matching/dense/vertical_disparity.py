@@ -93,10 +93,7 @@ def aligned(vertical: Vertical, right: Level, level: int) -> Level:
 
 @value(eq=False)
 class VerticalField:
-    """The vertical disparity as one quadratic polynomial.
-
-    d_v = v_left − v_right over the right image, held within what was seen.
-    """
+    """The vertical disparity v_left − v_right over the right image, as one quadratic polynomial."""
 
     refinements: ClassVar[int] = 2
     """Earlier, the shifts still move by more than what is left of d_v."""
@@ -112,10 +109,7 @@ class VerticalField:
     """Median size where matches support it. Its extremes, in the corners, are the least certain."""
 
     def matters(self, level: int) -> bool:
-        """Whether resampling a level's right image helps.
-
-        Below that, the estimate's own noise would do more harm.
-        """
+        """Whether resampling a level's right image helps more than the estimate's own noise harms."""
         return self.typical_px > _HARMLESS_PX * 2**level
 
     def at(self, u: Float32[Array, "h w"], level: int) -> Float32[Array, "h w"]:
@@ -213,10 +207,7 @@ _UNKNOWN_VARIANCE_PX2 = np.float32(1e4)
 
 @value(eq=False)
 class FreeVertical:
-    """The vertical disparity at each pixel, on the level last solved.
-
-    d_v = v_left − v_right over the right image.
-    """
+    """The vertical disparity v_left − v_right at each pixel of the right image, on the level last solved."""
 
     refinements: ClassVar[int] = 100
     """All of a level's steps: two unknowns each step."""

@@ -21,8 +21,7 @@ from scipy import ndimage
 from mammometry.base.machine.cores import available_cores
 from mammometry.base.photograph import Photograph
 from mammometry.base.value import value
-from mammometry.geometry.arrays import Array, Bool, Float64
-from mammometry.geometry.camera import Camera, Rig
+from mammometry.geometry import Array, Bool, Camera, Float64, Rig
 from mammometry.matching.coarse_stereo import CoarseDepths, coarse_depths, depth_seeds, near_points, subject_middle
 from mammometry.matching.foreground.foreground import Blocks, blocks_of, subject_blocks
 from mammometry.matching.settings import ForegroundSettings

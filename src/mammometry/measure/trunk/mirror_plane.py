@@ -9,9 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from mammometry.base.errors import MeasureError
 from mammometry.base.value import value
-from mammometry.geometry.arrays import Array, Float64
+from mammometry.geometry import Array, Float64, Transform
 from mammometry.geometry.nearest import point_tree
-from mammometry.geometry.transform import Transform
 
 _SAMPLES = 6000  # points that are moved; chosen for speed
 _ROUNDS = 60  # at most; it ends when a step is below _AT_REST
@@ -24,8 +23,7 @@ _SHARED = 25.0  # points that share one error, since neighbours share a matching
 _MAD = 1.4826  # standard deviation of a normal distribution over its median absolute deviation
 _NARROWING, _REACH, _LEAST_REACH_MM = 0.8, 6.0, 3.0
 """Search distance for partners: it shrinks by this factor each round, but not below so many scatters and so many mm.
-Chosen by eye.
-"""
+Chosen by eye."""
 _AT_REST = 1e-4  # a step below this, mm (turns as mm at the surface's radius), ends the search
 _COUNTS = 0.1  # weight from which a point counts as used
 
@@ -42,8 +40,7 @@ class Registration:
     weakest_mm: float
     """Standard uncertainty of the least certain of the six motions, as displacement at the surface's radius, mm: how
     far two surfaces can be shifted against each other unnoticed (a round trunk along itself). One in 25 points counts
-    as independent, since neighbours share the errors of their matching windows.
-    """
+    as independent, since neighbours share the errors of their matching windows."""
 
 
 def register(

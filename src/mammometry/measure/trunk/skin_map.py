@@ -21,8 +21,7 @@ from mammometry.base.errors import MeasureError
 from mammometry.base.machine.compiled import kernel
 from mammometry.base.machine.cores import in_bands
 from mammometry.base.value import value
-from mammometry.geometry.arrays import Array, Bool, Float64, Int32, Int64
-from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry import Array, Bool, Float64, Int32, Int64, TriangleMesh
 from mammometry.measure.trunk.thorax import ARM, AROUND, HEIGHT_WINDOW_MM, WIDEST_DEG, Thorax
 
 
@@ -142,8 +141,7 @@ class Relief:
     """Position of the first pixel's centre, mm."""
     bulge_mm: Float64[Array, "h w"]
     """Distance by which the skin stands out. Rows go to the head, columns to the patient's left. Gaps are filled with
-    the nearest.
-    """
+    the nearest."""
     known: Bool[Array, "h w"]
     """Whether skin was seen there, or next to it."""
 

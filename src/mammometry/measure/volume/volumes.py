@@ -130,6 +130,7 @@ def wanted_boundaries(sides: TorsoSides, removed: Sequence[str], *, required: bo
         expected="one on at least one side, unless both are said to be removed",
         remedy="Draw the boundaries with `mammometry edit`, or say in boundaries.json that a side was removed: "
         '{"boundaries": {"left": {"removed": true}, "right": {"removed": true}}}',
+        mesh_remedy="Draw the boundaries with `mammometry edit`, or say in their file that a side was removed",
     )
 
 

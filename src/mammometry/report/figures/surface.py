@@ -24,7 +24,8 @@ _PANEL_PX = 290  # width of a panel, px; chosen by eye
 
 PROVENANCE_COLOURS: Mapping[Provenance, tuple[str, str]] = {
     Provenance.MEASURED: (canvas.BLUE, "measured: by at least one pair"),
-    Provenance.REPAIRED: (canvas.ORANGE, "repaired: closed from its neighbours"),
+    Provenance.REPAIRED: (canvas.SKY, "repaired: right beside it"),
+    Provenance.BRIDGED: (canvas.ORANGE, "bridged: closed between or beyond, not measured"),
     Provenance.INVENTED: (canvas.GREY, "invented: no pair measured it"),
 }
 

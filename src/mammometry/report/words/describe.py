@@ -61,10 +61,7 @@ def breast_report(
     ]
     shares = None if repaired is None else skin_shares(measured, repaired)
     if shares is not None:
-        seen, mended, invented = (100 * shares[kind] for kind in sorted(Provenance, reverse=True))
-        facts.append(
-            Fact(label="Skin", value=f"{seen:.1f} % measured, {mended:.1f} % repaired, {invented:.1f} % invented")
-        )
+        facts.append(Fact(label="Skin", value=_shares_words(shares)))
     if not measured.watertight:
         facts.append(Fact(label="Closed solid", value="NOT watertight: do not use this volume"))
     return BreastReport(
@@ -243,6 +240,10 @@ def matching_report(
     return StageReport(stage="match", title="Matching", facts=facts, tables=(table,))
 
 
+def _shares_words(shares: Mapping[Provenance, float]) -> str:
+    return ", ".join(f"{100 * shares[kind]:.1f} % {kind.name.lower()}" for kind in sorted(Provenance, reverse=True))
+
+
 def surface_report(
     ranges: Sequence[ThinnedRange], repaired: RepairedSurface, stillness: str = "not compared"
 ) -> StageReport:
@@ -251,7 +252,8 @@ def surface_report(
     closed = mesh.is_watertight()
     shares = provenance_shares(repaired)
     area_cm2 = mesh.area_mm2() / 100
-    closed_cm2, beside_cm2 = area_cm2 * (1 - shares[Provenance.MEASURED]), area_cm2 * shares[Provenance.REPAIRED]
+    bridged_cm2 = area_cm2 * shares[Provenance.BRIDGED]
+    closed_cm2 = bridged_cm2 + area_cm2 * shares[Provenance.INVENTED]
     facts = (
         Fact(
             label="Mesh",
@@ -268,13 +270,11 @@ def surface_report(
         ),
         Fact(
             label="Area",
-            value=", ".join(
-                f"{100 * shares[kind]:.1f} % {kind.name.lower()}" for kind in sorted(Provenance, reverse=True)
-            ),
+            value=_shares_words(shares),
         ),
         Fact(
             label="Closed without having been measured",
-            value=f"{closed_cm2:.0f} cm², {beside_cm2:.0f} cm² of them between or beside measured places; greyed in "
+            value=f"{closed_cm2:.0f} cm², {bridged_cm2:.0f} cm² of them between or beside measured places; greyed in "
             "photographic colours",
         ),
         Fact(

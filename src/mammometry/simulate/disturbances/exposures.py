@@ -12,8 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from mammometry.geometry.arrays import Array, Float64
-from mammometry.geometry.camera import Rig
+from mammometry.geometry import Array, Float64, Rig
 from mammometry.simulate.disturbances.exposure import Exposure, shifted, turned, with_cameras
 from mammometry.simulate.disturbances.registry import Number, Word, disturbance
 from mammometry.simulate.rendering.scene import Motion

@@ -16,9 +16,7 @@ from embreex.rtcore_scene import EmbreeScene
 from scipy.sparse import csr_matrix
 
 from mammometry.base.value import value
-from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32, UInt8
-from mammometry.geometry.mesh import TriangleMesh
-from mammometry.geometry.transform import Transform
+from mammometry.geometry import Array, Bool, Float32, Float64, Int32, Transform, TriangleMesh, UInt8
 from mammometry.simulate.rendering.objects import props
 from mammometry.simulate.rendering.objects.props import Props
 from mammometry.simulate.rendering.objects.skin import Skin
@@ -101,8 +99,7 @@ class Scene:
     """Which vertices move with the subject."""
     attributes: Float32[Array, "n a"]
     """Per vertex: normal (3), areola, visible share of the surroundings, irradiance gained by light that travels below
-    the surface (RGB), visible share of each light. Factors of the skin's colour (RGB) where something marks it.
-    """
+    the surface (RGB), visible share of each light. Factors of the skin's colour (RGB) where something marks it."""
     material: UInt8[Array, " m"]
     """Per face: 0 is skin, k the k-th row of `plain_colours`, from 1."""
     piece: Int32[Array, " m"]
@@ -339,10 +336,7 @@ def _visibility(
     lights: Float64[Array, "l 4"],
     hidden: Array,
 ) -> Float32[Array, "n s"]:
-    """Visible share of the surroundings, then of each light's disc.
-
-    For every vertex. 0 if it is never seen itself.
-    """
+    """Visible share of the surroundings, then of each light's disc, at every vertex."""
     seen = np.zeros((len(vertices), 1 + len(lights)), dtype=np.float32)
     shown = np.flatnonzero(~hidden)
     origins = (vertices + _LIFT_MM * normals)[shown].astype(np.float32)

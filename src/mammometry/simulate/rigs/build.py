@@ -8,9 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from mammometry.geometry.arrays import Array, Float64
-from mammometry.geometry.camera import Camera, Rig
-from mammometry.geometry.transform import Transform
+from mammometry.geometry import Array, Camera, Float64, Rig, Transform
 
 FULL_SIZE_WH = (4504, 3000)
 """Width and height of the reference rig's photographs, pixels: 13.5 megapixels."""

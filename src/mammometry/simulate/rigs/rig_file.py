@@ -29,8 +29,7 @@ from mammometry.simulate.rigs.build import (
 
 _WIDEST_BASELINE = 1.7
 """Largest baseline, in distances: 116° between the lines of sight. At twice the distance, the cameras are on opposite
-sides.
-"""
+sides."""
 _STRICT = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
 Number = Annotated[float, Field(strict=False)]
@@ -276,9 +275,7 @@ def reference_rig(scale: float, seed: int) -> Rig:
 
 
 def make_rig(name: str, scale: float, seed: int) -> Rig:
-    """Build a rig by name, or some of its pairs.
-
-    ``reference``, or ``reference:front`` / ``reference:front,floor``.
+    """Build a rig by name, ``reference``, or some of its pairs, ``reference:front,floor``.
 
     Raises:
         ValueError: there is no rig, or no pair, of that name.

@@ -17,9 +17,7 @@ from scipy.spatial import cKDTree
 
 from mammometry.base.machine.compiled import kernel
 from mammometry.base.value import value
-from mammometry.geometry.arrays import Array, Bool, Float32, Float64, UInt8
-from mammometry.geometry.mesh import TriangleMesh
-from mammometry.geometry.transform import Transform
+from mammometry.geometry import Array, Bool, Float32, Float64, Transform, TriangleMesh, UInt8
 from mammometry.simulate.rendering.develop import srgb_encoded
 from mammometry.simulate.rendering.objects.skin import SKINS
 from mammometry.simulate.subjects.solid import Solid

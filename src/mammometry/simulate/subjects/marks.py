@@ -23,10 +23,7 @@ Point = tuple[float, float]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Mark:
-    """One mark: a line, a spot or a field.
-
-    A line has a width. A spot is a line of one point, a field a closed line.
-    """
+    """One mark: a line with a width, a spot (a line of one point), or a field (a closed line)."""
 
     side: str
     """Of the breast in whose plane it lies: "left" or "right"."""

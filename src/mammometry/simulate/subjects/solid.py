@@ -14,9 +14,7 @@ from dataclasses import field, replace
 import numpy as np
 
 from mammometry.base.value import value
-from mammometry.geometry.arrays import Array, Float32, Float64, Int32
-from mammometry.geometry.mesh import TriangleMesh
-from mammometry.geometry.transform import Transform
+from mammometry.geometry import Array, Float32, Float64, Int32, Transform, TriangleMesh
 
 
 def waves(points: Array, rng: np.random.Generator, *, shortest_mm: float, longest_mm: float) -> Float64[Array, " n"]:
@@ -32,10 +30,7 @@ def waves(points: Array, rng: np.random.Generator, *, shortest_mm: float, longes
 
 
 def smoothstep(low: float, high: float, value: Array) -> Array:
-    """Ease from 0 at `low` to 1 at `high`, flat at both.
-
-    `low` may be the greater.
-    """
+    """Ease from 0 at `low` to 1 at `high`, flat at both. `low` may be the greater."""
     t = np.clip((value - low) / (high - low), 0.0, 1.0)
     return t * t * (3.0 - 2.0 * t)
 

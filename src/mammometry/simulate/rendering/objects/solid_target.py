@@ -10,9 +10,7 @@ from scipy.ndimage import binary_dilation, maximum_filter, minimum_filter
 from mammometry.calibration.targets.board import FlatBody
 from mammometry.calibration.targets.sheet import Pattern
 from mammometry.calibration.targets.target import Target
-from mammometry.geometry.arrays import Array, Float32, Float64
-from mammometry.geometry.camera import Camera
-from mammometry.geometry.transform import Transform
+from mammometry.geometry import Array, Camera, Float32, Float64, Transform
 from mammometry.simulate.rendering import kernels
 from mammometry.simulate.rendering.kernels import board as board_kernel
 from mammometry.simulate.rendering.sampling import (
