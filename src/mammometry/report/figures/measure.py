@@ -244,9 +244,9 @@ def _turn(angle_rad: float) -> Float64[Array, "3 3"]:
     return np.array([[cosine, 0.0, -sine], [0.0, 1.0, 0.0], [sine, 0.0, cosine]])
 
 
-_symmetry_PANEL_PX = 300  # width of a panel, px; chosen by eye
+_SYMMETRY_PANEL_PX = 300  # width of a panel, px; chosen by eye
 _VIEW_PX = 520  # size at which a view is rendered, px; chosen by eye
-_symmetry_LEAST_MM = 1.0  # least end of the scale, mm; chosen by eye
+_LEAST_DIFFERENCE_MM = 1.0  # least end of the scale, mm; chosen by eye
 _TURN_DEG = 50.0  # of the view from the outside; chosen by eye
 
 
@@ -270,7 +270,7 @@ def symmetry_map(result: MeasureResult) -> bytes | None:
         ("right breast, mirrored", _skin(right).mapped(symmetry.mirrored).turned_over(), symmetry.right_mm, edge),
     )
     views = views_of(skins[0][1], frames, margin=1.12)  # both lie on one another: the same views for both
-    sheet = Sheet(4, 1, picture_wh(views[0], _symmetry_PANEL_PX), bars=True, header=26)
+    sheet = Sheet(4, 1, picture_wh(views[0], _SYMMETRY_PANEL_PX), bars=True, header=26)
     sheet.legend(
         [
             (canvas.DIVERGING[-2], "fuller than the other one"),
@@ -305,7 +305,7 @@ def reach_mm(symmetry: Symmetry) -> float:
     """
     every_mm = np.concatenate([symmetry.left_mm, symmetry.right_mm])
     known_mm = np.abs(every_mm[np.isfinite(every_mm)])
-    return canvas.rounded_up(max(float(np.quantile(known_mm, 0.98)) if len(known_mm) else 0.0, _symmetry_LEAST_MM))
+    return canvas.rounded_up(max(float(np.quantile(known_mm, 0.98)) if len(known_mm) else 0.0, _LEAST_DIFFERENCE_MM))
 
 
 def _skin(measured: VolumeMeasurement) -> TriangleMesh:

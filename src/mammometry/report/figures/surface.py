@@ -204,7 +204,7 @@ def _map_sheet(shapes: Sequence[tuple[int, ...]], *, bars: bool = False, header:
     return Sheet(columns, rows, canvas.fitting(shapes, 270), bars=bars, header=header)
 
 
-_accuracy_PANEL_PX = 330  # width of a panel, px; chosen by eye
+_ERROR_PANEL_PX = 330  # width of a panel, px; chosen by eye
 _VIEW_PX = 600  # size at which a view is rendered, px; chosen by eye
 _MAP = "RdBu_r"
 """Diverging colours that all common kinds of colour vision distinguish (ColorBrewer): blue inside, red outside."""
@@ -239,7 +239,7 @@ def error_map(
     )
     colours[~errors.judged] = _NOT_JUDGED
     scene = Scene(mesh)
-    sheet = Sheet(2, 2, picture_wh(views[0], _accuracy_PANEL_PX), bars=True, header=26)
+    sheet = Sheet(2, 2, picture_wh(views[0], _ERROR_PANEL_PX), bars=True, header=26)
     sheet.legend(
         [
             (canvas.hexadecimal(scale.to_rgba(0.8 * limit_mm)[:3]), "outside the true surface"),
