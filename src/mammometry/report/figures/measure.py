@@ -14,7 +14,7 @@ from mammometry.measure.shape.symmetry import Symmetry
 from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.report.figures.catalogue import preview
 from mammometry.report.figures.drawing import canvas
-from mammometry.report.figures.drawing.canvas import Caption, Sheet
+from mammometry.report.figures.drawing.canvas import Sheet
 from mammometry.report.figures.drawing.shading import (
     NAMES,
     Scene,
@@ -80,11 +80,9 @@ def overview(result: MeasureResult) -> bytes | None:
         f" The cross marks the highest place of the {side.name} side: {_not(side)}." for side in result.absent
     )
     return sheet.png(
-        Caption(
-            title="The surface and the boundary",
-            text="Standard views in photographic colours, all at one scale. The volume was measured within the "
-            f"boundary, which is dashed where it is hidden. {WORDS}.{absent}",
-        )
+        "The surface and the boundary",
+        "Standard views in photographic colours, all at one scale. The volume was measured within the "
+        f"boundary, which is dashed where it is hidden. {WORDS}.{absent}",
     )
 
 
@@ -125,7 +123,7 @@ def _near(result: MeasureResult, index: int, size_px: int) -> bytes | None:
         if visible(place, view, scene.cast(view, 2 * size_px), slack_mm=4.0)[0]:
             axes.plot(*view.project(place)[0, :2], "x", color=_NONE, markersize=13, markeredgewidth=3)
     name = view.name[:1].upper() + view.name[1:]
-    return sheet.png(Caption(title=name, text=f"The boundary is dashed where it is hidden. {WORDS}."))
+    return sheet.png(name, f"The boundary is dashed where it is hidden. {WORDS}.")
 
 
 def _close_views(result: MeasureResult) -> tuple[View, ...]:
@@ -169,11 +167,9 @@ def closed(result: MeasureResult, measured: VolumeMeasurement) -> bytes:
         show(axes, scene.render(view, size_px=_PANEL_PX, face_colours=colours), view)
         curve(axes, scene, view, measured.boundary_world, canvas.INK, size_px=_PANEL_PX)
     return sheet.png(
-        Caption(
-            title=f"The closed solid: {NAMES[measured.name]}",
-            text="The volume is that of this solid, between skin and wall. "
-            f"The wall is {measured.wall_definition.strip().rstrip('.')}.",
-        )
+        f"The closed solid: {NAMES[measured.name]}",
+        "The volume is that of this solid, between skin and wall. "
+        f"The wall is {measured.wall_definition.strip().rstrip('.')}.",
     )
 
 
@@ -198,10 +194,8 @@ def sections(result: MeasureResult, measured: VolumeMeasurement) -> bytes:
                 axes.plot(*line.T, color=colour, linewidth=1.8, solid_capstyle="round")
         axes.set(xlim=(-reach, reach), ylim=(-reach, reach), xlabel=labels[axis_x], ylabel=labels[axis_y])
     return sheet.png(
-        Caption(
-            title=f"Sections: {NAMES[measured.name]}",
-            text="Two cuts through the middle of the closed breast. The volume lies between the skin and the wall.",
-        )
+        f"Sections: {NAMES[measured.name]}",
+        "Two cuts through the middle of the closed breast. The volume lies between the skin and the wall.",
     )
 
 
@@ -288,13 +282,11 @@ def symmetry_map(result: MeasureResult) -> bytes | None:
     moved_mm = float(np.linalg.norm(symmetry.shift_mm))
     sheet.bar(0, scale, "in front of the other one, mm", extend="both")
     return sheet.png(
-        Caption(
-            title="Symmetry",
-            text=f"The {NAMES['left']} and the mirrored right one, laid onto one another. Orange: fuller than the "
-            f"other breast, blue: less full. The difference is {symmetry.rms_mm:.1f} mm RMS. The scale ends at "
-            f"±{limit_mm:g} mm. The mirrored right breast was moved by {moved_mm:.0f} mm and turned by "
-            f"{symmetry.turn_deg:.0f}°, so the map does not show their difference in place.",
-        )
+        "Symmetry",
+        f"The {NAMES['left']} and the mirrored right one, laid onto one another. Orange: fuller than the "
+        f"other breast, blue: less full. The difference is {symmetry.rms_mm:.1f} mm RMS. The scale ends at "
+        f"±{limit_mm:g} mm. The mirrored right breast was moved by {moved_mm:.0f} mm and turned by "
+        f"{symmetry.turn_deg:.0f}°, so the map does not show their difference in place.",
     )
 
 
