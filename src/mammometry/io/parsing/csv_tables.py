@@ -208,11 +208,4 @@ def read_table(path: Path, name: str, expected: str, *, refusal: type[Mammometry
         raise refusal(where, found=error_text(error), expected=expected, remedy="Correct the table") from None
     if not columns:
         raise refusal(name, found="an empty file", expected=expected, remedy="Fill in the table")
-    return Table(
-        name=name,
-        columns=columns,
-        lines=tuple(lines),
-        rows=tuple(rows),
-        separator=separator,
-        refusal=refusal,
-    )
+    return Table(name=name, columns=columns, lines=tuple(lines), rows=tuple(rows), separator=separator, refusal=refusal)

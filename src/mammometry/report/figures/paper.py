@@ -145,10 +145,7 @@ def depth_discontinuity(source: Source) -> Sheet:
         tip = flat / np.linalg.norm(flat) * _ARROW_MM
         axes.update_datalim([tip])
         axes.annotate(
-            "",
-            xy=tuple(tip),
-            xytext=(0.0, 0.0),
-            arrowprops={"arrowstyle": "->", "color": kept, "linewidth": 1.0},
+            "", xy=tuple(tip), xytext=(0.0, 0.0), arrowprops={"arrowstyle": "->", "color": kept, "linewidth": 1.0}
         )
         axes.text(tip[0], tip[1], f" to {image.name}", fontsize=8, color=canvas.INK)
     axes.autoscale_view()
