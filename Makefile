@@ -18,7 +18,7 @@ ROTA ?= $(shell if [ "$$(git rev-parse --is-shallow-repository 2>/dev/null)" = f
 test test-services test-slow test-slow-rota test-seconds: export PYTHONDONTWRITEBYTECODE =
 test test-services test-slow test-slow-rota test-seconds: export OPENBLAS_NUM_THREADS = 1
 
-.PHONY: demo wheel clinic test test-slow test-slow-rota test-seconds check docs format clean test-services
+.PHONY: demo wheel clinic test test-slow test-slow-rota test-seconds check docs dossier measured paper format clean test-services
 
 demo: $(VENV)/.installed
 	$(BIN)/mammometry demo demo-session
@@ -62,10 +62,24 @@ check: $(VENV)/.installed-dev
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	$(BIN)/python -m tools.dossier --check
 	$(BIN)/zensical build --strict --clean
 
 docs: $(VENV)/.installed-dev
+	$(BIN)/python -m tools.commands
 	$(BIN)/zensical serve
+
+# Requirements and what shows them, third-party software: docs/dossier.
+dossier: $(VENV)/.installed-dev
+	$(BIN)/python -m tools.dossier
+
+# Every figure of the documentation, some hours; goes on where it ended. Some: make measured WHAT="plate casts"
+measured: $(VENV)/.installed-dev
+	$(BIN)/python -m benchmarks.measured $(WHAT)
+
+# Every figure and table of the paper beside the printed ones: docs/paper.md.
+paper: $(VENV)/.installed-dev
+	$(BIN)/python -m benchmarks.measured plate casts dents-casts dents-torsos paper-figures
 
 format: $(VENV)/.installed-dev
 	$(BIN)/ruff check --fix .

@@ -25,7 +25,7 @@ def rig_of(session: Path, folder: Path) -> Any:
     """A rig, with a calibration whose photographs are those of a session."""
     from mammometry.capture.sessions import definition_of
     from mammometry.clinic.models import Rig
-    from mammometry.clinic.rigs.history import new_calibration
+    from mammometry.clinic.rig_history import new_calibration
     from mammometry.io.manifest import read_manifest
 
     rig = Rig.objects.create(name="rig", definition=definition_of(read_manifest(session / "session.toml")))
@@ -73,7 +73,7 @@ def before_cameras(folder: Path, place: Path) -> Any:
     from mammometry.capture.rig_file import read_rig_file
     from mammometry.capture.sessions import definition_of
     from mammometry.clinic.models import Patient, Rig, Visit
-    from mammometry.clinic.rigs.history import new_calibration
+    from mammometry.clinic.rig_history import new_calibration
 
     with (folder / "clinic.toml").open("a") as file:
         file.write(f'\n[cameras]\n"Room 2" = "{place / "rig.toml"}"\n')

@@ -38,8 +38,7 @@ from benchmarks.files import Files
 from mammometry.calibration.adjust.bundle import calibrate
 from mammometry.calibration.detection.detect import Detection, detect
 from mammometry.calibration.judge.quality import assess
-from mammometry.calibration.targets.charuco_board import charuco_board
-from mammometry.calibration.targets.kinds.charuco import CharucoTarget
+from mammometry.calibration.targets.kinds.charuco import CharucoTarget, charuco_board
 from mammometry.calibration.targets.table import target_from_table
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.camera import Camera, Rig

@@ -16,7 +16,7 @@ from mammometry.settings import Settings, names
 _COMMAND = re.compile(r"^\s*\$?\s*(?:\.venv/bin/)?mammometry\s+([a-z][a-z-]*)((?:\s+\S+)*)\s*$")
 _INLINE = re.compile(r"`mammometry ([a-z][a-z-]*)((?: [^`\s]+)*)`")
 _SETTING = re.compile(r"`((?:calibration|matching|surface|measure|compare)\.[a-z_.]+)(?:=[^`]*)?`")
-_LINK = re.compile(r"\]\((?!https?://|#)([^)#]+)(?:#[^)]*)?\)")
+_LINK = re.compile(r"(?:\]\(|src=\")(?!https?://|#)([^)#\"]+)(?:#[^)]*)?[)\"]")
 
 
 def commands() -> dict[str, set[str]]:
@@ -82,7 +82,7 @@ def test_every_setting_in_the_documents_exists(repository: Path) -> None:
         for name in _SETTING.findall(path.read_text(encoding="utf-8"))
     }
     modules = {
-        ".".join(path.relative_to(repository / "src" / "mammometry").with_suffix("").parts)
+        ".".join(path.relative_to(repository / "src" / "mammometry").with_suffix("").parts).removesuffix(".__init__")
         for path in (repository / "src" / "mammometry").rglob("*.py")
     }
     assert {(where, name) for where, name in mentioned if name not in known | parts | modules} == set()
@@ -138,16 +138,13 @@ def test_the_session_page_shows_a_manifest_that_is_read(repository: Path) -> Non
     assert target_from_table(manifest.target).kind == "charuco"
 
 
-def test_every_test_that_a_promise_names_exists(repository: Path) -> None:
-    page = (repository / "docs" / "promises.md").read_text(encoding="utf-8")
-    named = re.findall(r"`(tests/[\w/.]+\.py)::(\w+)`", page)
-    assert len(named) > 30
-    wrong = [
-        f"{file}::{name}"
-        for file, name in named
-        if not (repository / file).is_file() or f"\ndef {name}(" not in (repository / file).read_text(encoding="utf-8")
-    ]
-    assert wrong == []
+def test_every_command_is_in_the_reference(repository: Path) -> None:
+    from tools.commands import PAGE
+
+    named = set(re.findall(r"^###? (.+)$", PAGE.read_text(encoding="utf-8"), re.MULTILINE))
+    known = commands()
+    groups = {name.rpartition(" ")[0] for name in known} - {""}
+    assert named == known.keys() | groups, "call make docs"
 
 
 def test_one_source_of_the_version(repository: Path) -> None:
@@ -155,6 +152,8 @@ def test_one_source_of_the_version(repository: Path) -> None:
         project = tomllib.load(file)
     assert "version" in project["project"]["dynamic"]
     assert re.fullmatch(r"\d+\.\d+\.\d+", mammometry.__version__)
+    citation = (repository / "CITATION.cff").read_text(encoding="utf-8")
+    assert f"\nversion: {mammometry.__version__}\n" in citation
 
 
 def test_nothing_committed_names_a_machine(repository: Path) -> None:

@@ -17,21 +17,19 @@ from tests.unit.measure.solids import as_surface, ball, dome, rig_around
 from tests.unit.report import synthetic
 
 from mammometry.base.registry import Registry
+from mammometry.calibration.detection.finders import find
 from mammometry.calibration.features.found_points import FoundPoints
-from mammometry.calibration.targets.registry import TARGETS
 from mammometry.calibration.targets.table import target_from_table
-from mammometry.capture.camera import Devices
-from mammometry.capture.registry import BACKENDS
-from mammometry.capture.shots import Shot
-from mammometry.capture.take import take
+from mammometry.calibration.targets.target import TARGETS
+from mammometry.capture.camera import BACKENDS, Devices
+from mammometry.capture.shots import Shot, take
 from mammometry.geometry.transform import Transform
-from mammometry.io.results.formats.registry import FORMATS
+from mammometry.io.results.arrays import FORMATS
 from mammometry.io.results.store import Store
 from mammometry.job.graph import Plan
-from mammometry.job.inputs import Inputs
+from mammometry.job.inputs import CameraSet, Inputs
 from mammometry.job.products import DEFINITIONS, at_hand
 from mammometry.job.stages import surface
-from mammometry.job.values import CameraSet
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.open_breast import OpenBreast
@@ -43,7 +41,7 @@ from mammometry.report.figures.product_graph import product_graph
 from mammometry.settings import Settings
 from mammometry.simulate.disturbances.about import Surroundings
 from mammometry.simulate.disturbances.registry import DISTURBANCES, check, disturbed
-from mammometry.simulate.recipe import SessionRecipe
+from mammometry.simulate.recipe import SessionRecipe, parse_situation
 from mammometry.simulate.rendering.develop import develop
 from mammometry.simulate.rendering.film import Film
 from mammometry.simulate.rendering.objects.skin import Skin
@@ -51,9 +49,8 @@ from mammometry.simulate.rendering.objects.solid_target import render_target
 from mammometry.simulate.rendering.registry import RENDERERS
 from mammometry.simulate.rigs.build import flashes
 from mammometry.simulate.rigs.poses import draw_poses
-from mammometry.simulate.rigs.rig import make_rig
+from mammometry.simulate.rigs.rig_file import make_rig
 from mammometry.simulate.session import SimulatedSession, write_session
-from mammometry.simulate.situation import parse_situation
 from mammometry.simulate.studio import Studio
 from mammometry.simulate.subjects.registry import SUBJECTS, make_subject
 
@@ -111,7 +108,7 @@ def test_a_calibration_target_is_described_drawn_and_found(run: Callable[[str], 
     (placed,) = draw_poses(rig, framed, 1, 7).values()
     camera = rig.cameras["front_left"]
     light = render_target(camera, placed, framed, flashes(), background=film.stray_light)
-    found = framed.find(develop(light, film, name="board", seed=1), search_width_px=900, window_squares=0.4)
+    found = find(framed, develop(light, film, name="board", seed=1), 900)
     assert isinstance(found, FoundPoints)
     assert len(found.ids) == 8 * 5
     true_uv = camera.project(placed.apply(framed.points_target))[found.ids]

@@ -90,6 +90,7 @@ def test_sizes_that_fit_the_picture_are_taken(pictures: dict[str, Photograph], t
     ],
     ids=["square", "marker", "pitch"],
 )
+@pytest.mark.requirement("R-UNIT-2")
 def test_a_size_that_contradicts_the_picture_is_named_with_those_that_fit(
     pictures: dict[str, Photograph], target: Board, sentence: str, ratio: float, fits: tuple[float, float]
 ) -> None:

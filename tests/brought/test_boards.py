@@ -13,16 +13,15 @@ from tests.unit.calibration.virtual_rig import PAIRS, cameras_in_rig, observe, p
 
 from mammometry.base.errors import CalibrationError
 from mammometry.base.photograph import Photograph
-from mammometry.calibration.adjust.bundle import BundleSettings, Calibration, calibrate
+from mammometry.calibration.adjust.bundle import calibrate
+from mammometry.calibration.adjust.calibrated import Calibration
 from mammometry.calibration.adjust.initialise import TooFewViewsError
-from mammometry.calibration.detection.detect import Observations, detect, detect_in
-from mammometry.calibration.detection.duplicates import set_duplicates_aside
+from mammometry.calibration.detection.detect import Observations, detect, detect_in, set_duplicates_aside
 from mammometry.calibration.judge.no_target import no_target, with_causes
 from mammometry.calibration.judge.quality import assess
 from mammometry.calibration.judge.suspects import SuspectPhotographsError, refusal
-from mammometry.calibration.settings import CalibrateSettings, QualitySettings
-from mammometry.calibration.targets.charuco_board import charuco_board
-from mammometry.calibration.targets.kinds.charuco import CharucoTarget
+from mammometry.calibration.settings import BundleSettings, CalibrateSettings, QualitySettings
+from mammometry.calibration.targets.kinds.charuco import CharucoTarget, charuco_board
 from mammometry.calibration.targets.kinds.chessboard import ChessboardTarget
 from mammometry.calibration.targets.kinds.circles import CirclesTarget
 from mammometry.calibration.targets.target import Target
@@ -31,7 +30,7 @@ from mammometry.simulate.rendering.develop import develop
 from mammometry.simulate.rendering.film import Film
 from mammometry.simulate.rendering.objects.solid_target import render_target
 from mammometry.simulate.rigs.build import flashes
-from mammometry.simulate.rigs.rig import reference_rig
+from mammometry.simulate.rigs.rig_file import reference_rig
 
 NEW = CharucoTarget(squares=(10, 8), square_mm=28.0, marker_mm=20.0, dictionary="DICT_5X5_250")
 OLD = replace(NEW, legacy_pattern=True)

@@ -127,6 +127,7 @@ def tried(number: int, folder: Path) -> str:
     return outcome(subject, changes, rng, folder / str(number), rng.choice(ODD_NAMES), rng.choice(LINKS))
 
 
+@pytest.mark.requirement("R-IN-2")
 def test_some_changes_of_formats_end_in_the_same_numbers_or_their_name(tmp_path: Path) -> None:
     wrong = list(filter(None, (tried(number, tmp_path) for number in range(DEFAULT))))
     assert not wrong, "\n".join(wrong)
@@ -134,6 +135,7 @@ def test_some_changes_of_formats_end_in_the_same_numbers_or_their_name(tmp_path:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("part", range(PARTS))
+@pytest.mark.requirement("R-IN-2")
 def test_eight_hundred_changes_of_formats_end_in_the_same_numbers_or_their_name(tmp_path: Path, part: int) -> None:
     numbers = range(part * COUNT // PARTS, (part + 1) * COUNT // PARTS)
     wrong = list(filter(None, (tried(number, tmp_path) for number in numbers)))
@@ -176,6 +178,7 @@ def test_the_search_covers_every_kind_of_input() -> None:
 
 
 @pytest.mark.parametrize("subject", INPUTS, ids=lambda subject: subject.name)
+@pytest.mark.requirement("R-IN-2")
 def test_an_input_is_read_from_a_folder_of_any_name(subject: Input, tmp_path: Path) -> None:
     unchanged = Change(name="nothing", suits=frozenset(), apply=lambda files, rng: files)
     wrong = []

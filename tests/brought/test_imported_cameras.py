@@ -73,6 +73,7 @@ def matlab_pair(**changed: Any) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("packed", [False, True])
+@pytest.mark.requirement("R-IN-8")
 def test_a_pair_of_matlab(tmp_path: Path, packed: bool) -> None:
     savemat(tmp_path / "rig.mat", {"s": matlab_pair(), "note": "ours"}, do_compression=packed)
     require_twin(import_cameras([tmp_path / "rig.mat"], PAIR), plain)
@@ -197,6 +198,7 @@ def agisoft_twin(points: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("component", [False, True])
 @pytest.mark.parametrize("labels", [("front_left", "front_right"), ("front_left.jpg", "front_right.JPG"),
                                     ("front_left/0001.jpg", "front_right/0001.jpg")])  # fmt: skip
+@pytest.mark.requirement("R-IN-8")
 def test_cameras_of_agisoft(tmp_path: Path, component: bool, labels: tuple[str, str]) -> None:
     (tmp_path / "cameras.xml").write_text(agisoft(component=component, labels=labels))
     require_twin(import_cameras([tmp_path / "cameras.xml"], PAIR), agisoft_twin)
@@ -294,6 +296,7 @@ POLYNOMIAL = {"Poly1": 600.0, "Poly2": 2e5, "Poly3": 0.0, "Poly4": 0.01, "Poly5"
     [({"Kappa": 0.0}, 1e-6), (WEAK, 1e-6), (TYPICAL, 0.01), (POLYNOMIAL, 0.01)],
     ids=["none", "weak", "typical", "polynomial"],
 )
+@pytest.mark.requirement("R-IN-8")
 def test_cameras_of_halcon(tmp_path: Path, terms: dict[str, float], most_px: float) -> None:
     lenses = [halcon(tmp_path / f"{name}.cal", **terms) for name in PAIR["front"]]
     relative = halcon_pose(tmp_path / "relpose.dat")

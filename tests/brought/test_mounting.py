@@ -10,7 +10,7 @@ from tests.unit.calibration.virtual_rig import cameras_in_rig, observe, placemen
 from mammometry.base.errors import CalibrationError
 from mammometry.calibration.adjust.bundle import calibrate
 from mammometry.calibration.detection.detect import Observations
-from mammometry.calibration.judge.sides import require_sides
+from mammometry.calibration.judge.scale import require_sides
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.transform import Transform
 from mammometry.measure.trunk.body import rig_frame
@@ -79,6 +79,7 @@ def test_a_whole_rig_upside_down_is_named_from_behind_or_as_its_pictures_show(
 
 
 @pytest.mark.parametrize("name", ["front_left", "front_right"])
+@pytest.mark.requirement("R-SIDE-1")
 def test_up_and_the_patients_left_do_not_hang_on_the_mounting(name: str) -> None:
     upright, turned = (Rig(name="rig", cameras=cameras, pair_names=PAIR) for cameras in (UPRIGHT, with_turned(name)))
     np.testing.assert_allclose(rig_frame(turned, {name: "upside-down"}), rig_frame(upright), atol=1e-12)

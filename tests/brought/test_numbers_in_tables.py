@@ -7,8 +7,7 @@ import pytest
 
 from mammometry.base.errors import SessionError, TableError
 from mammometry.batch.entries import find_entries
-from mammometry.io.parsing.csv_tables import read_table
-from mammometry.io.parsing.paired_tables import read_pairs
+from mammometry.io.parsing.csv_tables import read_pairs, read_table
 
 READ = [
     ("id;cc\n1;1860\n2;950\n", [1860, 950]),
@@ -55,6 +54,7 @@ def test_the_column_settles_what_a_mark_means(tmp_path: Path, text: str, values:
 
 
 @pytest.mark.parametrize(("text", "sentence"), REFUSED, ids=[ascii(text) for text, _ in REFUSED])
+@pytest.mark.requirement("R-IN-4")
 def test_a_number_that_may_mean_two_is_refused(tmp_path: Path, text: str, sentence: str) -> None:
     (tmp_path / "a.csv").write_text(text)
     with pytest.raises(SessionError, match=sentence):

@@ -68,6 +68,7 @@ def can_mount(tmp_path_factory: pytest.TempPathFactory) -> None:
 @pytest.mark.slow
 @pytest.mark.usefixtures("can_mount")
 @pytest.mark.parametrize("name", COMMANDS)
+@pytest.mark.requirement("R-IN-3")
 def test_a_disk_without_room_is_said(tmp_path: Path, name: str) -> None:
     words, out = arranged(tmp_path, name)
     steps = [f"mount -t tmpfs -o size=8k none {out}"]
@@ -82,6 +83,7 @@ def test_a_disk_without_room_is_said(tmp_path: Path, name: str) -> None:
 @pytest.mark.slow
 @pytest.mark.usefixtures("can_mount")
 @pytest.mark.parametrize("name", COMMANDS)
+@pytest.mark.requirement("R-IN-3")
 def test_a_disk_that_may_only_be_read_is_said(tmp_path: Path, name: str) -> None:
     words, out = arranged(tmp_path, name)
     code, said = run(words, before=f"mount --bind {out} {out} && mount -o remount,ro,bind {out}")
@@ -91,6 +93,7 @@ def test_a_disk_that_may_only_be_read_is_said(tmp_path: Path, name: str) -> None
 @pytest.mark.slow
 @pytest.mark.parametrize("name", COMMANDS)
 @pytest.mark.parametrize("coerced", ["0", "1"])
+@pytest.mark.requirement("R-IN-3")
 def test_a_computer_without_utf_8_does_the_same(tmp_path: Path, name: str, coerced: str) -> None:
     """As cron, a container or an old remote shell sets it."""
     place = tmp_path / os.fsdecode(TARGET)

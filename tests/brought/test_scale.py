@@ -18,8 +18,7 @@ from mammometry.calibration.targets.table import target_from_table
 from mammometry.cli import main
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.transform import Transform
-from mammometry.io.cameras.formats import CameraFormat, camera_texts
-from mammometry.io.cameras.rig import require_rig
+from mammometry.io.cameras.formats import CameraFormat, camera_texts, require_rig
 from mammometry.io.meshes.foreign import read_foreign
 from mammometry.io.meshes.own_ply import write_ply
 from mammometry.job.stages import calibrate
@@ -119,6 +118,7 @@ def test_a_rare_rig_is_measured_with(name: str) -> None:
 @pytest.mark.parametrize(("factor", "unit"), [(0.1, "cm"), (1e-3, "m"), (10.0, "tenths of a mm"), (1 / 25.4, "inches")])
 @pytest.mark.parametrize("kind", ["model", "torso"])
 @pytest.mark.parametrize("name", RIGS)
+@pytest.mark.requirement("R-UNIT-1")
 def test_another_unit_never_goes_unnoticed(name: str, kind: str, factor: float, unit: str) -> None:
     calibration = calibrated(pair_of(*RIGS[name]), 200.0, factor)
     refused, sentence = noticed(calibration, kind)
@@ -130,6 +130,7 @@ def test_another_unit_never_goes_unnoticed(name: str, kind: str, factor: float, 
 
 @pytest.mark.parametrize("kind", ["model", "torso"])
 @pytest.mark.parametrize("name", ["reference", "cross", "two cameras before a tube", "three cameras before a face"])
+@pytest.mark.requirement("R-UNIT-1")
 def test_centimetres_are_refused_before_anything_is_matched(name: str, kind: str) -> None:
     refused, sentence = noticed(calibrated(pair_of(*RIGS[name]), 200.0, 0.1), kind)
     assert refused
@@ -233,6 +234,7 @@ def test_edited_cameras_json_is_refused_before_matching(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("factor", "fits"), [(1e-3, "m"), (0.1, "cm")])
+@pytest.mark.requirement("R-UNIT-1")
 def test_a_mesh_in_another_unit_is_refused_with_the_one_that_fits(tmp_path: Path, factor: float, fits: str) -> None:
     trunk = dome(sink_mm=10.0, rings=6, around=20)
     write_ply(tmp_path / "scan.ply", replace(trunk, vertices=trunk.vertices * factor * 0.9))

@@ -33,6 +33,7 @@ def complaints(held: Sequence[Held]) -> Iterator[str]:
 
 
 @pytest.mark.slow
+@pytest.mark.requirement("R-VOL-4")
 def test_intervals_hold_the_truth_on_more_than_sixty_volumes() -> None:
     """31 casts and 62 breasts, each breast also as it is defined, before the wall that is named, and 31 differences.
 

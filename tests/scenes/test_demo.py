@@ -141,6 +141,7 @@ def test_masks_and_ready_made_cameras_are_used(
 
 
 @pytest.mark.slow
+@pytest.mark.requirement("R-VOL-1")
 def test_the_demo_is_right_within_three_thousandths(tmp_path: Path) -> None:
     """Matching windows leave .04 mm on 220 cm² of convex skin, the rim .06 mm under 110 cm² of base: 1.1 of 423 cc."""
     command = [sys.executable, "-m", "mammometry", "demo", str(tmp_path / "demo"), "--json"]

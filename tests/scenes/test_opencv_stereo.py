@@ -4,7 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from mammometry.calibration.adjust.bundle import Calibration, calibrate
+from mammometry.calibration.adjust.bundle import calibrate
+from mammometry.calibration.adjust.calibrated import Calibration
 from mammometry.calibration.detection.detect import detect
 from mammometry.calibration.judge.quality import assess
 from mammometry.calibration.targets.kinds.chessboard import ChessboardTarget

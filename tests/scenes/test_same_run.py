@@ -46,6 +46,7 @@ def products(results: Path) -> dict[str, Any]:
 
 
 @pytest.mark.slow
+@pytest.mark.requirement("R-SAME-1")
 def test_a_whole_run_gives_the_same_bytes_on_any_number_of_cores(
     tmp_path: Path, tiny_original: Path, tiny_settings: Path
 ) -> None:

@@ -25,6 +25,7 @@ def test_a_plates_residuals_are_the_noise_about_its_plane() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.requirement("R-VOL-3")
 def test_a_tilted_plate_is_flat_within_the_papers_half_millimetre(tmp_path: Path, tiny_settings: Path) -> None:
     """At a tenth of the size a pixel of disparity is 3.5 mm of depth (z²/(b·f): 771²/(210·803)).
 

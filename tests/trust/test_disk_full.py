@@ -26,6 +26,7 @@ def filled(results: Path, version: int) -> None:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("quick")
+@pytest.mark.requirement("R-LOSS-3")
 def test_the_disk_is_full_after_any_step(tmp_path: Path) -> None:
     filled(tmp_path / "wanted", 1)
     filled(tmp_path / "wanted", 2)
@@ -90,6 +91,7 @@ def on_a_small_disk(results: Path, size: str, command: str, out: Path) -> tuple[
 
 @pytest.mark.usefixtures("can_mount")
 @pytest.mark.parametrize("size", ["16k", *(pytest.param(size, marks=pytest.mark.slow) for size in ("32k", "48k"))])
+@pytest.mark.requirement("R-LOSS-3")
 def test_a_disk_that_is_really_full(tmp_path: Path, size: str) -> None:
     command = f"{sys.executable} {HERE / 'small_products.py'} {tmp_path / 'results'} 1"
     code, said = on_a_small_disk(tmp_path / "results", size, command, tmp_path / "out")

@@ -81,6 +81,7 @@ def shown(folder: Path) -> str:
 
 
 @pytest.mark.slow
+@pytest.mark.requirement("R-WHO-1")
 def test_a_copied_folder_shows_its_own_name(
     tmp_path: Path,
     options: list[str],
@@ -158,6 +159,7 @@ def test_every_field_of_a_manifest_is_changed_here() -> None:
 
 
 @pytest.mark.parametrize("field", FIELDS)
+@pytest.mark.requirement("R-WHO-2")
 def test_whatever_a_manifest_tells_is_in_the_reports_key(linked: Path, tmp_path: Path, field: str) -> None:
     text = (linked / "session.toml").read_text(encoding="utf-8")
     before, after = FIELDS[field]
@@ -174,6 +176,7 @@ def test_whatever_a_manifest_tells_is_in_the_reports_key(linked: Path, tmp_path:
     assert job.content_key.digest != open_session(linked).content_key.digest
 
 
+@pytest.mark.requirement("R-WHO-2")
 def test_every_setting_that_a_page_lists_is_in_its_key(linked: Path) -> None:
     everything = {fact.label for fact in settings_facts(Settings())[1]}
     assert everything == set(names(Settings()))
@@ -220,6 +223,7 @@ def test_a_folder_whose_name_is_not_utf_8_is_measured_to_the_end(identified: Run
 
 
 @whole_run
+@pytest.mark.requirement("R-SENT-5")
 def test_no_log_tells_a_name(identified: Run) -> None:
     assert "making surface/mesh" in identified.log
     assert ID not in identified.log
@@ -227,6 +231,7 @@ def test_no_log_tells_a_name(identified: Run) -> None:
 
 
 @whole_run
+@pytest.mark.requirement("R-WHO-3")
 def test_every_file_of_the_results_carries_the_subject(identified: Run) -> None:
     files = [path for path in (identified.folder / "results").rglob("*") if path.is_file() and path.name != ".lock"]
     endings = {path.suffix for path in files}
@@ -285,6 +290,7 @@ def claimed(linked: Path, tiny_finished_original: Path, tmp_path: Path) -> Path:
 @pytest.mark.parametrize(
     "command", ["run", "info", "calibrate", "match", "surface", "measure", "report", "edit", "evaluate", "figure 5"]
 )
+@pytest.mark.requirement("R-WHO-4")
 def test_results_of_another_subject_are_refused_by_every_command(
     claimed: Path, options: list[str], command: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -299,6 +305,7 @@ def test_results_of_another_subject_are_refused_by_every_command(
 
 
 @pytest.mark.parametrize("file", ["boundaries.json", "landmarks.json", "history/boundaries-20260101T000000Z.json"])
+@pytest.mark.requirement("R-WHO-4")
 def test_what_was_drawn_on_another_subject_is_refused(linked: Path, tmp_path: Path, file: str) -> None:
     folder = tell(Path(shutil.copytree(linked, tmp_path / "drawn")), ID)
     (folder / "history").mkdir()
@@ -332,6 +339,7 @@ def test_results_are_stale_where_their_subject_was_told_later_or_no_longer(
 
 
 @whole_run
+@pytest.mark.requirement("R-SENT-4")
 def test_a_report_for_others_tells_neither_subject_nor_folder_nor_date(
     copied: Path, options: list[str], tmp_path: Path
 ) -> None:

@@ -44,6 +44,7 @@ def versions(results: Path) -> dict[str, int]:
 
 
 @pytest.mark.slow
+@pytest.mark.requirement("R-LOSS-1")
 def test_killed_while_results_are_renewed_on_and_on(tmp_path: Path) -> None:
     results, chance, before = tmp_path / "results", random.Random(3), dict[str, int]()
     for _ in range(50):
@@ -66,6 +67,7 @@ def test_killed_while_results_are_renewed_on_and_on(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("part", range(5))
+@pytest.mark.requirement("R-LOSS-1")
 def test_killed_fifty_times_in_whole_runs(
     tiny_original: Path, tiny_finished_original: Path, tiny_settings: Path, tmp_path: Path, part: int
 ) -> None:

@@ -158,6 +158,7 @@ def attempt(number: int, cases: list[Case], worker: Worker, originals: Path, fol
 
 @pytest.mark.slow
 @pytest.mark.parametrize("number", range(SEED, SEED + DEFAULT))
+@pytest.mark.requirement("R-IN-1")
 def test_a_spoilt_file_ends_in_success_or_one_sentence(
     number: int, worker: Worker, originals: Path, tmp_path: Path
 ) -> None:
@@ -167,6 +168,7 @@ def test_a_spoilt_file_ends_in_success_or_one_sentence(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("part", range(PARTS))
+@pytest.mark.requirement("R-IN-1")
 def test_a_thousand_spoilt_files_end_in_success_or_one_sentence(
     worker: Worker, originals: Path, tmp_path: Path, part: int
 ) -> None:

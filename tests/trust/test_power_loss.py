@@ -45,6 +45,7 @@ def run_recorded(tmp_path: Path) -> tuple[Recording, dict[str, bytes]]:
 
 @pytest.mark.usefixtures("quick")
 @pytest.mark.parametrize("lost", [LOST[0], *(pytest.param(lost, marks=pytest.mark.slow) for lost in LOST[1:])])
+@pytest.mark.requirement("R-LOSS-2")
 def test_a_power_cut_at_any_moment_of_a_run(tmp_path: Path, lost: float) -> None:
     recording, wanted = run_recorded(tmp_path)
     assert len(recording.steps) > 100
@@ -56,6 +57,7 @@ def test_a_power_cut_at_any_moment_of_a_run(tmp_path: Path, lost: float) -> None
 
 @pytest.mark.usefixtures("quick")
 @pytest.mark.parametrize("moments", [pytest.param(8, id="8"), pytest.param(100, id="100", marks=pytest.mark.slow)])
+@pytest.mark.requirement("R-LOSS-2")
 def test_a_second_power_cut_while_the_first_is_tidied_up(tmp_path: Path, moments: int) -> None:
     recording, wanted = run_recorded(tmp_path)
     ready = [at for at, step in enumerate(recording.steps) if step.target[1].startswith(".ready")]

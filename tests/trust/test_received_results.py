@@ -70,6 +70,7 @@ HOSTILE = ["../../../precious.txt", ABSOLUTE, "sub/../../../../precious.txt", ".
 
 @pytest.mark.parametrize("name", HOSTILE)
 @pytest.mark.parametrize("where", ["record in place", "record ready"])
+@pytest.mark.requirement("R-LOSS-8")
 def test_names_that_lead_elsewhere(results: Path, name: str, where: str) -> None:
     name = name.replace(ABSOLUTE, str(precious(results)))
     files = {"files": {name: answered(b"precious")}}
@@ -239,6 +240,7 @@ def test_a_link_inside_a_stages_folder(results: Path, outside: Path, name: str) 
 
 
 @pytest.mark.parametrize("where", ["", "surface", "surface/mesh.ply", "provenance.json", "record.json"])
+@pytest.mark.requirement("R-LOSS-8")
 def test_a_leftover_with_links(results: Path, outside: Path, where: str) -> None:
     ready = left_ready(results, {"made": "2099-01-01T00:00:00+00:00"})
     (ready / "surface" / "mesh.ply").write_bytes((outside / "mesh.ply").read_bytes())

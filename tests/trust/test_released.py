@@ -16,6 +16,7 @@ from mammometry.settings import Settings
 VERSIONS = sorted(path.name for path in EXAMPLES.iterdir())
 
 
+@pytest.mark.requirement("R-NEXT-3")
 def test_each_release_has_left_an_example(repository: Path) -> None:
     log = (repository / "CHANGELOG.md").read_text(encoding="utf-8")
     released = set(re.findall(r"^## \[?(\d+\.\d+\.\d+)", log, re.MULTILINE))
@@ -23,6 +24,7 @@ def test_each_release_has_left_an_example(repository: Path) -> None:
     assert sum(path.stat().st_size for path in EXAMPLES.rglob("*") if path.is_file()) < 1_000_000 * len(VERSIONS)
 
 
+@pytest.mark.requirement("R-NEXT-1")
 @pytest.mark.parametrize("version", VERSIONS)
 def test_a_session_of_a_release_opens(version: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     session = unpacked(version, "session", tmp_path)
@@ -43,6 +45,7 @@ def test_a_session_of_a_release_opens(version: str, tmp_path: Path, capsys: pyte
     assert not {stage["state"] for stage in stages.values()} & {"damaged", "unreadable"}
 
 
+@pytest.mark.requirement("R-NEXT-1")
 @pytest.mark.slow
 @pytest.mark.parametrize("version", VERSIONS)
 def test_a_session_of_a_release_is_measured_again(version: str, tmp_path: Path) -> None:
@@ -54,6 +57,7 @@ def test_a_session_of_a_release_is_measured_again(version: str, tmp_path: Path) 
     assert main.run(["verify", str(session)]) == 0
 
 
+@pytest.mark.requirement("R-NEXT-2")
 @pytest.mark.slow
 @pytest.mark.parametrize("version", VERSIONS)
 def test_a_clinic_of_a_release_is_upgraded_with_all_its_data(version: str, tmp_path: Path) -> None:

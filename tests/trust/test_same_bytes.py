@@ -25,6 +25,7 @@ assert cv2.getNumThreads() == threads
 
 
 @pytest.mark.slow
+@pytest.mark.requirement("R-SAME-1")
 def test_a_calibration_is_the_same_for_any_number_of_threads(tmp_path: Path) -> None:
     running = {}
     for threads in (1, 2):

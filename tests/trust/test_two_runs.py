@@ -63,6 +63,7 @@ def other_run(results: Path, drive: str) -> Iterator[subprocess.Popen[str]]:
 
 
 @pytest.mark.slow
+@pytest.mark.requirement("R-LOSS-4")
 def test_the_second_run_is_told_who_is_at_work(results: Path, drive: str, other_run: subprocess.Popen[str]) -> None:
     with pytest.raises(StorageError) as caught, Store(results).taken():
         pass
@@ -114,6 +115,7 @@ def test_a_note_that_says_nothing(results: Path, note: str) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.requirement("R-LOSS-4")
 def test_runs_that_start_together_all_end_well(results: Path, tmp_path: Path) -> None:
     command = [sys.executable, str(HERE / "small_products.py"), str(results)]
     runs = [subprocess.Popen([*command, version], stderr=subprocess.PIPE, text=True) for version in "121"]

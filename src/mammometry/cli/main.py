@@ -14,20 +14,7 @@ from typing import Annotated, Any
 import typer
 
 from mammometry.base.errors import MammometryError, StorageError
-from mammometry.cli import (
-    batch,
-    capturing,
-    clinic,
-    comparison,
-    doctor,
-    export,
-    importing,
-    rig,
-    sessions,
-    simulation,
-    stages,
-    study,
-)
+from mammometry.cli import batch, clinic, doctor, export, mesh, rig, sessions, simulation, stages, study
 from mammometry.cli.common import Answer, silently, start_logging
 
 _DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
@@ -53,12 +40,12 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
     pretty_exceptions_enable=False,
 )
-for group in (stages, batch, comparison, sessions, rig, capturing, simulation, doctor):
-    app.registered_commands += group.app.registered_commands
+for group in (stages.app, batch.app, study.dates_app, sessions.app, rig.app, simulation.app, doctor.app):
+    app.registered_commands += group.registered_commands
 app.add_typer(study.app, no_args_is_help=True)
 app.add_typer(clinic.app, no_args_is_help=True)
 app.add_typer(export.app, no_args_is_help=True)
-app.add_typer(importing.app, no_args_is_help=True)
+app.add_typer(mesh.app, no_args_is_help=True)
 
 
 def _show_version(wanted: bool) -> None:

@@ -6,8 +6,6 @@ name a patient by pseudonym, and hold no names: what is entered of `MASKED` fiel
 reads them.
 """
 
-from __future__ import annotations
-
 import getpass
 from collections.abc import Mapping
 from typing import Any
@@ -23,8 +21,6 @@ from django.db import connection
 from django.db.models import Model
 from django.dispatch import Signal
 from django.http import HttpRequest, HttpResponseBase
-
-from mammometry.clinic.accounts.adapters import tried_name
 
 TABLE = "auditlog_logentry"
 OPENED, LOGIN, FAILED_LOGIN, REFUSED, COMMAND = "opened", "login", "failed login", "refused", "command"
@@ -215,3 +211,12 @@ def is_sealed() -> bool:
         cursor.execute(query)
         row = cursor.fetchone()
     return row is not None and row[0] == 2
+
+
+def tried_name(request: HttpRequest | None, credentials: dict[str, Any] | None = None) -> str | None:
+    """The name of a failed login, however it was given."""
+    for source in (credentials or {}, getattr(request, "POST", {})):
+        for key in ("username", "login"):
+            if source.get(key):
+                return str(source[key])[:150]
+    return None

@@ -1,8 +1,9 @@
 """Django's settings, made of a clinic's. A process opens one clinic."""
 
-from __future__ import annotations
-
+import logging
 import os
+import re
+import traceback
 from typing import Any
 
 from mammometry.clinic.config import ClinicConfig, ClinicError, OpenId
@@ -43,8 +44,7 @@ def the_clinic() -> ClinicConfig:
 def application(config: ClinicConfig) -> Any:
     """The clinic as an ASGI application."""
     configure(config)
-    from mammometry.clinic.web.limits import Limited
-    from mammometry.clinic.web.threads import Dispatcher
+    from mammometry.clinic.web.requests import Dispatcher, Limited
 
     return Limited(Dispatcher(), config.limits)
 
@@ -186,7 +186,7 @@ def _cookies(config: ClinicConfig, tls: bool) -> dict[str, Any]:
         "CSRF_COOKIE_SECURE": tls,
         "CSRF_COOKIE_HTTPONLY": True,
         "CSRF_COOKIE_SAMESITE": "Lax",
-        "CSRF_FAILURE_VIEW": f"{_PACKAGE}.views.refusals.forged",
+        "CSRF_FAILURE_VIEW": f"{_PACKAGE}.views.responses.forged",
         "SECURE_CONTENT_TYPE_NOSNIFF": True,
         "SECURE_REFERRER_POLICY": "same-origin",
         "SECURE_CROSS_ORIGIN_OPENER_POLICY": "same-origin",
@@ -228,12 +228,12 @@ def _logins(config: ClinicConfig) -> dict[str, Any]:
         ],
         "PASSWORD_RESET_TIMEOUT": 3 * 24 * 3600,  # an invitation's
         "EMAIL_BACKEND": "django.core.mail.backends.dummy.EmailBackend",  # an invitation is handed over in person
-        "ACCOUNT_ADAPTER": f"{_PACKAGE}.accounts.adapters.Accounts",
+        "ACCOUNT_ADAPTER": f"{_PACKAGE}.accounts.Accounts",
         "ACCOUNT_FORMS": {
-            "login": f"{_PACKAGE}.accounts.forms.LoginForm",
-            "reset_password_from_key": f"{_PACKAGE}.accounts.forms.FirstPasswordForm",
-            "change_password": f"{_PACKAGE}.accounts.forms.ChangePasswordForm",
-            "reauthenticate": f"{_PACKAGE}.accounts.forms.PasswordAgainForm",
+            "login": f"{_PACKAGE}.accounts.LoginForm",
+            "reset_password_from_key": f"{_PACKAGE}.accounts.FirstPasswordForm",
+            "change_password": f"{_PACKAGE}.accounts.ChangePasswordForm",
+            "reauthenticate": f"{_PACKAGE}.accounts.PasswordAgainForm",
         },
         "ACCOUNT_LOGIN_METHODS": {"username"},
         "ACCOUNT_SIGNUP_FIELDS": ["username*", "password1*"],
@@ -246,24 +246,23 @@ def _logins(config: ClinicConfig) -> dict[str, Any]:
         "ACCOUNT_REAUTHENTICATION_TIMEOUT": 600,
         # Wrong passwords by name are counted by axes; by name alone, anybody could keep somebody out.
         "ACCOUNT_RATE_LIMITS": {"login_failed": "30/m/ip"},
-        "MFA_ADAPTER": f"{_PACKAGE}.accounts.adapters.SecondFactor",
+        "MFA_ADAPTER": f"{_PACKAGE}.accounts.SecondFactor",
         "MFA_FORMS": {
-            "authenticate": f"{_PACKAGE}.accounts.forms.CodeForm",
-            "reauthenticate": f"{_PACKAGE}.accounts.forms.CodeAgainForm",
-            "activate_totp": f"{_PACKAGE}.accounts.forms.SetUpForm",
+            "authenticate": f"{_PACKAGE}.accounts.CodeForm",
+            "reauthenticate": f"{_PACKAGE}.accounts.CodeAgainForm",
+            "activate_totp": f"{_PACKAGE}.accounts.SetUpForm",
         },
         "MFA_SUPPORTED_TYPES": ["totp", "recovery_codes"],
         "MFA_TOTP_ISSUER": config.name,
-        "SOCIALACCOUNT_ADAPTER": f"{_PACKAGE}.accounts.adapters.HospitalLogin",
         "SOCIALACCOUNT_EMAIL_AUTHENTICATION": True,
         "SOCIALACCOUNT_EMAIL_AUTHENTICATION_AUTO_CONNECT": True,
         "SOCIALACCOUNT_PROVIDERS": {},
         "AXES_FAILURE_LIMIT": config.limits.wrong_passwords,
         "AXES_COOLOFF_TIME": config.limits.wait_minutes / 60,  # hours
         "AXES_LOCKOUT_PARAMETERS": [["username", "ip_address"]],
-        "AXES_USERNAME_CALLABLE": f"{_PACKAGE}.accounts.adapters.tried_name",
+        "AXES_USERNAME_CALLABLE": f"{_PACKAGE}.audit.tried_name",
         "AXES_RESET_ON_SUCCESS": True,
-        "AXES_LOCKOUT_CALLABLE": f"{_PACKAGE}.views.refusals.locked_out",
+        "AXES_LOCKOUT_CALLABLE": f"{_PACKAGE}.views.responses.locked_out",
         "AXES_IPWARE_PROXY_COUNT": 0,
         "AXES_VERBOSE": False,
     }
@@ -288,7 +287,7 @@ def _logging(config: ClinicConfig) -> dict[str, Any]:
     return {
         "version": 1,
         "disable_existing_loggers": False,
-        "formatters": {"plain": {"()": f"{_PACKAGE}.web.logs.Plain"}},
+        "formatters": {"plain": {"()": f"{_PACKAGE}.site.Plain"}},
         "handlers": {
             "file": {
                 "class": "logging.handlers.RotatingFileHandler",
@@ -305,3 +304,34 @@ def _logging(config: ClinicConfig) -> dict[str, Any]:
             "mammometry.clinic": {"handlers": ["file"], "level": "INFO", "propagate": False},
         },
     }
+
+
+_INVITATION = re.compile(r"(/invitation/).+")  # what follows sets a password
+
+
+class Plain(logging.Formatter):
+    """Time, level, where from, and what was said to be logged.
+
+    Of an exception only its class and the lines of code are written: its message may hold what somebody typed, as
+    PostgreSQL's do. Of a request only the path is written, which holds random keys and no search words.
+    """
+
+    def format(self, record: logging.LogRecord) -> str:
+        """Format a log record as one line of text."""
+        message = record.getMessage() if record.name.startswith("mammometry.") else str(record.msg)
+        request = getattr(record, "request", None)
+        if request is not None:
+            path = _INVITATION.sub(r"\1…", request.path)
+            message = f"{getattr(record, 'status_code', '')} {request.method} {path}"
+        line = f"{self.formatTime(record)} {record.levelname} {record.name}: {_one_line(message)}"
+        if record.exc_info and record.exc_info[1] is not None:
+            error = record.exc_info[1]
+            frames = traceback.extract_tb(error.__traceback__)
+            line += f"\n  {type(error).__name__} in " + " < ".join(
+                f"{frame.name} ({frame.filename}:{frame.lineno})" for frame in reversed(frames)
+            )
+        return line
+
+
+def _one_line(text: str) -> str:
+    return "".join(letter if letter.isprintable() else " " for letter in text)[:500]

@@ -17,16 +17,17 @@ from mammometry.base.errors import MeasureError
 from mammometry.base.value import value
 from mammometry.geometry import mesh_kernels
 from mammometry.geometry.arrays import Array, Bool, Float64, Int32, Int64
-from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry.mesh import TriangleMesh, edge_table, split_edges
 from mammometry.geometry.nearest import point_tree
 from mammometry.measure.solid.cut import opening_loops
 from mammometry.measure.solid.patch import fill, harmonic
 
 TOUCHING_MM = 0.05
 """Open edges this near to one another are one seam: half of the coarsest step that coordinates may have."""
-WIDEST_HOLE_MM = 70.0
+WIDEST_HOLE_MM = 90.0
 """A hole up to this wide is closed: the diameter of a circle of its area. What a hanging breast hides from a telephone
-has 40 to 60; necks and arms that were cut off have 90 and more."""
+has 40 to 80; necks and arms that were cut off have 90 and more."""
+_OWN_EDGE_MM = 70.0  # the longest opening is a hole up to this width, else the surface's own edge: a small cast's
 _LONGEST_HOLE_MM = 150.0  # a slit that is longer is no hole in a breast; chosen by eye
 _CRUMB = 0.01  # share of the area below which a piece is a crumb
 _BESIDE = 0.2  # share of the area that all pieces beside the body may have together; chosen by eye
@@ -289,20 +290,18 @@ def _stands_out_mm3(mesh: TriangleMesh) -> float:
 def _filled(mesh: TriangleMesh, notes: list[str]) -> tuple[TriangleMesh, Bool[Array, " n"]]:
     """Close holes up to `WIDEST_HOLE_MM` wide."""
     loops = opening_loops(mesh.faces.astype(np.int64), len(mesh.vertices))
-    holes = [loop for loop in loops if _width_mm(mesh.vertices[loop]) <= WIDEST_HOLE_MM]
+    holes = [
+        loop
+        for number, loop in enumerate(loops)  # the longest first
+        if _width_mm(mesh.vertices[loop]) <= (WIDEST_HOLE_MM if number else _OWN_EDGE_MM)
+    ]
     if not holes:
         return mesh, np.zeros(len(mesh.vertices), dtype=bool)
     edges = mesh.edges()
     taken = set((edges[:, 0] * len(mesh.vertices) + edges[:, 1]).tolist())
     patches = []
     for loop in holes:
-        points, triangles = _patch(mesh, loop, holes)
-        chords = _chords(triangles, loop, len(mesh.vertices))
-        if taken.isdisjoint(chords):
-            taken |= chords
-        else:  # the skin beside the hole has an edge there already
-            points, triangles = mesh.vertices[loop].mean(axis=0, keepdims=True), _fan(len(loop))
-        patches.append((loop, points, triangles))
+        patches.append((loop, *_without_chords(mesh, loop, *_patch(mesh, loop, holes), taken)))
     vertices, faces = [mesh.vertices], [mesh.faces]
     count, widest_mm = len(mesh.vertices), 0.0
     for loop, points, triangles in patches:
@@ -329,13 +328,33 @@ def _fan(count: int) -> Int64[Array, "m 3"]:
     return np.stack([np.roll(number, -1), number, np.full(count, count)], axis=1)
 
 
-def _chords(triangles: Int64[Array, "m 3"], loop: Int64[Array, " n"], vertex_count: int) -> set[int]:
-    """Edges of a hole's triangles from corner to corner of the hole, but those along it, as numbers."""
-    starts, stops = triangles.ravel(), triangles[:, [1, 2, 0]].ravel()
-    count = len(loop)
-    across = (starts < count) & (stops < count) & ~np.isin((starts - stops) % max(count, 1), (1, count - 1))
-    a, b = loop[starts[across]], loop[stops[across]]
-    return set((np.minimum(a, b) * vertex_count + np.maximum(a, b)).tolist())
+def _without_chords(
+    mesh: TriangleMesh,
+    loop: Int64[Array, " n"],
+    points: Float64[Array, "k 3"],
+    triangles: Int64[Array, "m 3"],
+    taken: set[int],
+) -> tuple[Float64[Array, "j 3"], Int64[Array, "i 3"]]:
+    """Split edges of a hole's triangles, from corner to corner of the hole, that the skin beside it has already.
+
+    Args:
+        mesh: the skin with the hole.
+        loop: the hole's edge.
+        points: of the hole's triangles, beside its edge, mm.
+        triangles: by the edge's corners, then the points.
+        taken: edges, as numbers: smaller vertex times the number of vertices plus larger. The others are added.
+    """
+    faces, corners = triangles.astype(np.int32), np.concatenate([mesh.vertices[loop], points])
+    edges, of_face = edge_table(faces)
+    across = np.flatnonzero((edges < len(loop)).all(axis=1))
+    across = across[~np.isin(np.diff(edges[across])[:, 0], (1, len(loop) - 1))]
+    ends = np.sort(loop[edges[across]], axis=1)
+    keys = (ends[:, 0] * len(mesh.vertices) + ends[:, 1]).tolist()
+    split = np.zeros(len(edges), dtype=bool)
+    split[across] = [key in taken for key in keys]
+    taken.update(keys)
+    middles = corners[edges[split]].mean(axis=1)
+    return np.concatenate([points, middles]), split_edges(faces, of_face, split, len(corners)).astype(np.int64)
 
 
 def _width_mm(rim: Float64[Array, "n 3"]) -> float:
@@ -350,10 +369,7 @@ def _width_mm(rim: Float64[Array, "n 3"]) -> float:
 def _patch(
     mesh: TriangleMesh, loop: Int64[Array, " n"], holes: Sequence[Int64[Array, " _"]]
 ) -> tuple[Float64[Array, "k 3"], Int64[Array, "m 3"]]:
-    """New points and triangles that close a hole as the skin around it curves: a thin plate over that skin.
-
-    Where the hole's edge crosses itself seen from ahead, a fan of triangles about its middle.
-    """
+    """New points and triangles that close a hole as the skin around it curves: a thin plate over that skin."""
     rim = mesh.vertices[loop]
     middle = rim.mean(axis=0)
     fan = _fan(len(loop))
@@ -374,10 +390,7 @@ def _patch(
     if len(local) < _FEWEST:
         return middle[None], fan
     plate = RBFInterpolator(local[:, :2], local[:, 2], kernel="thin_plate_spline", smoothing=_SMOOTHING)
-    try:
-        patch = fill([flat[::-1, :2]], _GRID_MM)
-    except MeasureError:
-        return middle + np.array([[0.0, 0.0, float(plate(np.zeros((1, 2)))[0])]]) @ frame, fan
+    patch = fill([flat[::-1, :2]], _GRID_MM)
     smooth = plate(patch.points)
     beside = flat[::-1, 2] - smooth[: patch.n_loop]
     heights = (smooth + harmonic(patch, beside[:, None])[:, 0])[patch.n_loop :]

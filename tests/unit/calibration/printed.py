@@ -12,8 +12,7 @@ from scipy.ndimage import gaussian_filter
 from scipy.spatial import cKDTree
 
 from mammometry.base.photograph import Photograph
-from mammometry.calibration.targets.charuco_board import charuco_board
-from mammometry.calibration.targets.kinds.charuco import CharucoTarget
+from mammometry.calibration.targets.kinds.charuco import CharucoTarget, charuco_board
 from mammometry.calibration.targets.kinds.chessboard import ChessboardTarget
 from mammometry.calibration.targets.kinds.circles import CirclesTarget
 from mammometry.calibration.targets.kinds.cylinder import DottedCylinderTarget

@@ -8,10 +8,11 @@ from scipy.spatial.transform import Rotation
 from virtual_rig import BOARD, PAIRS, cameras_in_rig, observe, placements, solid_target, with_views
 
 from mammometry.base.errors import CalibrationError
-from mammometry.calibration.adjust.bundle import Calibration, calibrate
-from mammometry.calibration.adjust.prior import CameraPrior
+from mammometry.calibration.adjust.bundle import calibrate
+from mammometry.calibration.adjust.calibrated import Calibration
+from mammometry.calibration.adjust.projection import CameraPrior
 from mammometry.calibration.detection.detect import Detection, Observations
-from mammometry.calibration.judge.sides import require_sides
+from mammometry.calibration.judge.scale import require_sides
 from mammometry.calibration.settings import BundleSettings, CalibrateSettings
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.study.accuracy_cameras import compare_rigs

@@ -10,9 +10,8 @@ from virtual_rig import BOARD, PAIRS, cameras_in_rig, observe, placements, smoot
 from mammometry.calibration.adjust.bundle import K3_SIGMA, calibrate
 from mammometry.calibration.adjust.calibrated import Calibration
 from mammometry.calibration.detection.detect import Detection, Observations
-from mammometry.calibration.judge.expected_error import ExpectedError, expected_error
+from mammometry.calibration.judge.expected_error import ExpectedError, expected_error, working_volume
 from mammometry.calibration.judge.reconstruction import triangulate
-from mammometry.calibration.judge.working_volume import working_volume
 from mammometry.calibration.settings import BundleSettings, CalibrateSettings
 from mammometry.geometry.camera import Camera
 from mammometry.geometry.transform import Transform

@@ -63,6 +63,7 @@ def test_inflation_of_the_exposure_leaves_the_calibration_s_errors_as_they_are(c
     assert np.linalg.norm(once - own) > 0
 
 
+@pytest.mark.requirement("R-CAL-2")
 def test_camera_that_moved_is_named(reference):
     """By 0.02°, 0.28 mm at 0.8 m: 0.7 px."""
     camera = CAMERAS["floor_left"]

@@ -9,7 +9,7 @@ from scipy.special import erf
 from mammometry.base.photograph import Photograph
 from mammometry.calibration.detection.detect import detect
 from mammometry.calibration.features import corner_kernels
-from mammometry.calibration.features.corner_fit import monomials
+from mammometry.calibration.features.board_map import monomials
 from mammometry.calibration.features.pixels import linear_luma
 from mammometry.simulate.rigs.targets import BOARD
 

@@ -14,7 +14,7 @@ from mammometry.base.errors import CalibrationError
 from mammometry.calibration.adjust.bundle import calibrate
 from mammometry.calibration.detection.detect import Detection, Observations
 from mammometry.calibration.judge.quality import CalibrationQuality, assess
-from mammometry.calibration.judge.sides import require_sides
+from mammometry.calibration.judge.scale import require_sides
 from mammometry.calibration.targets.kinds.chessboard import ChessboardTarget
 from mammometry.geometry.camera import Camera
 

@@ -9,8 +9,14 @@ from scipy.spatial.transform import Rotation
 from virtual_rig import BOARD, cameras_in_rig, observe, placements, solid_target, with_views
 
 from mammometry.base.errors import CalibrationError
-from mammometry.calibration.adjust.averaging import average_network, components, median_transform
-from mammometry.calibration.adjust.initialise import initialise, require_connected, resect
+from mammometry.calibration.adjust.initialise import (
+    average_network,
+    components,
+    initialise,
+    median_transform,
+    require_connected,
+    resect,
+)
 from mammometry.calibration.detection.detect import Detection, Observations
 from mammometry.geometry.transform import Transform
 

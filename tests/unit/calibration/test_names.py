@@ -7,10 +7,9 @@ import pytest
 
 from mammometry.calibration.features.keypoints import Keypoints
 from mammometry.calibration.judge.cameras.names import check_names, wrong_photographs
-from mammometry.calibration.judge.working_volume import meeting_point
+from mammometry.calibration.judge.expected_error import meeting_point
 from mammometry.geometry.camera import Rig
-from mammometry.simulate.rigs.build import build_rig
-from mammometry.simulate.rigs.plan import REFERENCE
+from mammometry.simulate.rigs.build import REFERENCE, build_rig
 
 POINTS, NOISE_PX = 250, 0.3  # of a subject; of a feature's place
 
@@ -49,6 +48,7 @@ def test_right_names_are_left_alone(rig, seen):
     assert list(wrong_photographs(names, rig.pair_names)) == []
 
 
+@pytest.mark.requirement("R-FIRE-5")
 def test_any_two_photographs_that_are_exchanged_are_named(rig, seen):
     for one, other in list(combinations(rig.cameras, 2))[::4]:
         names = check_names(rig, {**seen, one: seen[other], other: seen[one]})
@@ -66,6 +66,7 @@ def test_two_pairs_that_are_exchanged_are_named(rig, seen):
     assert {frozenset(cycle) for cycle in names.cycles} == {frozenset((one, third)), frozenset((other, fourth))}
 
 
+@pytest.mark.requirement("R-FIRE-5")
 def test_a_photograph_of_another_patient_is_found_with_its_pair(rig, seen):
     name = rig.pair_names["front"][0]
     names = check_names(rig, {**seen, name: photographs(rig, seed=2)[name]})

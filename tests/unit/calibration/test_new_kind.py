@@ -1,4 +1,4 @@
-"""A new kind of target is one class under one name: nothing else in the package needs to know it."""
+"""A new kind of target is one class and its finder: nothing else in the package needs to know it."""
 
 import json
 import tomllib
@@ -10,6 +10,7 @@ import pytest
 
 from mammometry.base.errors import SessionError
 from mammometry.calibration.detection.detect import detect
+from mammometry.calibration.detection.finders import find
 from mammometry.calibration.features.constellation import read_constellation
 from mammometry.calibration.features.dots import measure_dots
 from mammometry.calibration.features.found_points import FoundPoints
@@ -17,16 +18,16 @@ from mammometry.calibration.features.lattice import find_dots
 from mammometry.calibration.features.pixels import grey_bytes, linear_luma
 from mammometry.calibration.targets.board import Board
 from mammometry.calibration.targets.pdf import target_pdf
-from mammometry.calibration.targets.registry import TARGETS
 from mammometry.calibration.targets.sheet import Sheet
 from mammometry.calibration.targets.table import target_from_table
+from mammometry.calibration.targets.target import TARGETS
 from mammometry.io.results.tree import from_tree, to_tree
 from mammometry.simulate.rendering.develop import develop
 from mammometry.simulate.rendering.film import Film
 from mammometry.simulate.rendering.objects.solid_target import render_target
 from mammometry.simulate.rigs.build import flashes
 from mammometry.simulate.rigs.poses import draw_poses
-from mammometry.simulate.rigs.rig import make_rig
+from mammometry.simulate.rigs.rig_file import make_rig
 from mammometry.simulate.rigs.targets import described, sees_target
 
 
@@ -59,22 +60,24 @@ class ScatteredTarget(Board):
         points = self.points_target[:, :2]
         return Sheet(extent_mm=self.extent_mm, discs=np.column_stack([points, np.full(len(points), self.dot_mm / 2)]))
 
-    def find(self, photograph, *, search_width_px, window_squares):
-        dots = find_dots(grey_bytes(photograph), 0.08)
-        readings = read_constellation(self.points_target, dots, photograph.size_wh)
-        if len(readings) != 1:
-            return None
-        ids, camera = np.sort(readings[0].ids), readings[0].camera
-        measured = measure_dots(
-            linear_luma(photograph),
-            lambda xy: camera.image(np.concatenate([xy, np.zeros((*xy.shape[:-1], 1))], axis=-1)),
-            self.points_target[ids, :2],
-            shape="disc",
-            half_mm=self.dot_mm / 2,
-            pitch_mm=(self.step_mm, self.step_mm),
-        )
-        ok = measured.ok
-        return FoundPoints(ids=ids[ok], uv=measured.uv[ok], covariance_px2=measured.covariance_px2[ok])
+
+@find.register(ScatteredTarget)
+def find_scattered(target, photograph, search_width_px):
+    dots = find_dots(grey_bytes(photograph), 0.08)
+    readings = read_constellation(target.points_target, dots, photograph.size_wh)
+    if len(readings) != 1:
+        return None
+    ids, camera = np.sort(readings[0].ids), readings[0].camera
+    measured = measure_dots(
+        linear_luma(photograph),
+        lambda xy: camera.image(np.concatenate([xy, np.zeros((*xy.shape[:-1], 1))], axis=-1)),
+        target.points_target[ids, :2],
+        shape="disc",
+        half_mm=target.dot_mm / 2,
+        pitch_mm=(target.step_mm, target.step_mm),
+    )
+    ok = measured.ok
+    return FoundPoints(ids=ids[ok], uv=measured.uv[ok], covariance_px2=measured.covariance_px2[ok])
 
 
 @pytest.fixture

@@ -9,12 +9,10 @@ import numpy as np
 import pytest
 
 from mammometry.base.errors import SettingsError
-from mammometry.calibration.targets.charuco_board import charuco_board
-from mammometry.calibration.targets.dotted_cylinder.strips import column_labels
-from mammometry.calibration.targets.kinds.charuco import CharucoTarget
+from mammometry.calibration.targets.kinds.charuco import CharucoTarget, charuco_board
 from mammometry.calibration.targets.kinds.chessboard import ChessboardTarget
 from mammometry.calibration.targets.kinds.circles import CirclesTarget
-from mammometry.calibration.targets.kinds.cylinder import DottedCylinderTarget
+from mammometry.calibration.targets.kinds.cylinder import DottedCylinderTarget, column_labels
 from mammometry.calibration.targets.kinds.points import PointsTarget
 from mammometry.calibration.targets.pdf import target_pdf
 
@@ -34,6 +32,7 @@ def path_points_mm(pdf: bytes) -> np.ndarray:
 
 
 @pytest.mark.parametrize("target", [CHARUCO, ChessboardTarget(squares=(8, 6), square_mm=25.0)])
+@pytest.mark.requirement("R-UNIT-2")
 def test_the_board_is_printed_at_true_scale(target):
     pdf = target_pdf(target, page="A4")
     np.testing.assert_allclose(page_mm(pdf), [297.0, 210.0], atol=1e-3)

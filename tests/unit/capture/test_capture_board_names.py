@@ -8,8 +8,7 @@ import pytest
 from mammometry.calibration.detection.detect import Detection
 from mammometry.calibration.judge.cameras.names import check_board_names
 from mammometry.calibration.targets.kinds.charuco import CharucoTarget
-from mammometry.simulate.rigs.build import build_rig
-from mammometry.simulate.rigs.plan import REFERENCE
+from mammometry.simulate.rigs.build import REFERENCE, build_rig
 from mammometry.simulate.rigs.poses import draw_poses
 from mammometry.simulate.rigs.targets import sees_target, visible_points
 
@@ -49,6 +48,7 @@ def test_right_names_are_left_alone(rig, seen):
     assert check_board_names(rig, seen) is None
 
 
+@pytest.mark.requirement("R-FIRE-4")
 def test_any_two_cameras_of_which_one_sees_the_board_are_named(rig, seen):
     for pair in list(combinations(rig.cameras, 2))[::5]:
         if set(pair) & set(seen):

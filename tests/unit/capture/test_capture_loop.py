@@ -13,7 +13,7 @@ from mammometry.base.errors import CaptureError, SessionError, StorageError
 from mammometry.capture import shots
 from mammometry.capture.camera import Frame
 from mammometry.capture.loop import OpenRig
-from mammometry.capture.skew.measured import Skew, write_skew
+from mammometry.capture.skew import Skew, write_skew
 from mammometry.cli.main import run
 from mammometry.io.session import Session
 
@@ -27,14 +27,14 @@ def fire(place, session="s", **how):
 
 def levels(fired):
     """(camera, check) of all that is not well; the skew is measured in its own tests."""
-    return {(who, one.check, one.level) for who, one in fired.verdict.found if one.level not in ("ok", "unknown")}
+    return {(who, one.check, one.level) for who, one in fired.verdict.findings if one.level not in ("ok", "unknown")}
 
 
 def test_a_faultless_firing_becomes_the_session_s_capture(place):
     fired = fire(place)
     assert fired.accepted
     assert levels(fired) == set()
-    assert {one.check for _, one in fired.verdict.found} >= {
+    assert {one.check for _, one in fired.verdict.findings} >= {
         "delivered", "size", "fresh", "times", "names", "moved", "sharpness", "exposure", "whole",
     }  # fmt: skip
     session = Session.open(place / "s")
@@ -63,6 +63,7 @@ def test_a_faultless_firing_becomes_the_session_s_capture(place):
         pytest.param('left_left = "blurred"', {("left_left", "sharpness", "warn")}, 8, marks=pytest.mark.slow),
     ],
 )
+@pytest.mark.requirement("R-FIRE-1", "R-FIRE-4")
 def test_each_fault_is_named_and_the_other_cameras_frames_are_kept(place, faults, expected, delivered):
     fired = fire(place, faults=faults)
     assert levels(fired) == expected
@@ -102,6 +103,7 @@ def test_a_refused_firing_leaves_an_earlier_capture_alone(place):
 
 
 @pytest.mark.slow
+@pytest.mark.requirement("R-FIRE-3")
 def test_photographs_from_elsewhere_are_never_replaced(place):
     fire(place)
     shutil.copy(place / "calibrated/capture/front_left.png", place / "s/capture/mine.png")
@@ -127,6 +129,7 @@ def test_the_last_picture_once_more_is_found_by_its_bytes(place, monkeypatch):
 
 
 @pytest.mark.slow
+@pytest.mark.requirement("R-FIRE-1")
 def test_a_full_disk_is_named_and_what_fits_is_kept(place, monkeypatch):
     written = []
 
@@ -141,11 +144,12 @@ def test_a_full_disk_is_named_and_what_fits_is_kept(place, monkeypatch):
     fired = fire(place)
     assert not fired.accepted
     assert len(list(fired.shot.glob("*.jpg"))) == 3
-    missing = [one.sentence for _, one in fired.verdict.found if one.check == "delivered" and one.level == "refuse"]
+    missing = [one.sentence for _, one in fired.verdict.findings if one.check == "delivered" and one.level == "refuse"]
     assert len(missing) == CAMERAS - 3
     assert all("no room" in sentence for sentence in missing)
 
 
+@pytest.mark.requirement("R-FIRE-1")
 def test_a_disk_without_any_room_leaves_nothing(place, monkeypatch):
     def write(path, data):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
@@ -158,6 +162,7 @@ def test_a_disk_without_any_room_leaves_nothing(place, monkeypatch):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("cut", ["after the first rename", "before any"])
+@pytest.mark.requirement("R-FIRE-2")
 def test_a_power_cut_while_the_capture_is_replaced_loses_nothing(place, cut):
     fire(place)
     session = place / "s"
@@ -174,12 +179,13 @@ def test_a_power_cut_while_the_capture_is_replaced_loses_nothing(place, cut):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("spread_ms", "accepted"), [(0.4, True), (1.6, False)])
+@pytest.mark.requirement("R-FIRE-6")
 def test_a_measured_skew_over_the_limit_refuses_a_patient(place, spread_ms, accepted):
     offsets = dict.fromkeys(Session.open(place / "calibrated").cameras, 0.0) | {"left_left": spread_ms}
     write_skew(place / "calibrated", Skew(offset_ms=offsets, std_ms=0.05, measured="2026-01-01", exposure_ms=1.0))
     fired = fire(place, subject="torso")
     assert fired.accepted is accepted
-    assert any("left_left" in one.sentence for _, one in fired.verdict.found if one.check == "skew") is not accepted
+    assert any("left_left" in one.sentence for _, one in fired.verdict.findings if one.check == "skew") is not accepted
     assert (place / "s/skew.json").exists() is accepted
 
 
@@ -206,6 +212,7 @@ def test_a_wrong_rig_file_is_one_sentence(place, capsys, wrong, code):
     assert not (place / "s").exists()
 
 
+@pytest.mark.requirement("R-FIRE-7")
 def test_two_rigs_on_one_bus_are_told_who_has_the_camera(place):
     """The same serial number in two rigs' files: the second is refused, and the first goes on."""
     serial = f"S-{place.name}"  # of this test alone

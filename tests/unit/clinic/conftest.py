@@ -92,7 +92,7 @@ def shared_database(transactional_db: None) -> Iterator[None]:
 def commands(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """Commands that pages would have begun beside the server; a test begins none."""
     begun: list[str] = []
-    monkeypatch.setattr("mammometry.clinic.views.administration.upkeep.begin_command", begun.append)
+    monkeypatch.setattr("mammometry.clinic.views.administration.begin_command", begun.append)
     return begun
 
 

@@ -28,6 +28,7 @@ def all_patterns(of: URLResolver | None = None, path: str = "") -> Iterator[tupl
             yield path + str(each.pattern), each
 
 
+@pytest.mark.requirement("R-SEC-1")
 def test_every_mounted_view_says_who_may_open_it() -> None:
     found = list(all_patterns())
     assert len(found) > 25
@@ -55,6 +56,7 @@ def table() -> list[tuple[str, Access]]:
 
 
 @pytest.mark.parametrize("role", [None, *Role])
+@pytest.mark.requirement("R-SEC-1")
 def test_the_whole_table_for_each_role(clinic: object, client_of: Callable[..., Client], role: Role | None) -> None:
     wrong = []
     for path, access in table():
@@ -76,6 +78,7 @@ def test_the_whole_table_for_each_role(clinic: object, client_of: Callable[..., 
     assert wrong == []
 
 
+@pytest.mark.requirement("R-SEC-1")
 def test_nobody_reaches_anything_but_the_way_in_without_a_login() -> None:
     """The list of what is open, by hand: a new open route is a decision."""
     opened = {each.name for _, each in all_patterns() if each.callback.access.roles is None}  # type: ignore[attr-defined]
@@ -115,7 +118,7 @@ def test_what_is_refused_elsewhere_is_json_for_a_script_too(
     def fail(*_: object) -> None:
         raise ZeroDivisionError
 
-    monkeypatch.setattr("mammometry.clinic.views.who.get_token", fail)
+    monkeypatch.setattr("mammometry.clinic.views.responses.get_token", fail)
     broken = client.get(reverse("account-token"), headers=SCRIPT)
     assert broken.status_code == 500
     assert "our side" in broken.json()["error"]

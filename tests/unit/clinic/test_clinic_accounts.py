@@ -19,8 +19,7 @@ from pytest_django import Settings
 from test_clinic_login import PASSWORD, anna, code, login  # noqa: F401
 
 from mammometry.clinic import audit
-from mammometry.clinic.accounts.adapters import Accounts
-from mammometry.clinic.accounts.people import add_person, invitation
+from mammometry.clinic.accounts import Accounts, add_person, invitation
 from mammometry.clinic.models import Person
 from mammometry.clinic.roles import Role
 

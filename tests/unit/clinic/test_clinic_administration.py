@@ -15,12 +15,12 @@ from pytest_django import Settings
 from tests.clinic_seed import DEFINITION
 
 from mammometry.clinic.config import ClinicConfig
-from mammometry.clinic.first_day import first_day_of, steps
 from mammometry.clinic.maintenance import backups
 from mammometry.clinic.maintenance.disk import measure_usage
 from mammometry.clinic.models import Job, Patient, Person, Rig, Upload, Visit
-from mammometry.clinic.rigs.history import new_calibration
+from mammometry.clinic.rig_history import new_calibration
 from mammometry.clinic.roles import Role
+from mammometry.clinic.views.today import first_day_of, steps
 
 NEW = {"username": "anna", "full_name": "Anna Ahorn", "email": "", "roles": ["technician"], "is_active": "on"}
 

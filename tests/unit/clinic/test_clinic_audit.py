@@ -25,6 +25,7 @@ from mammometry.clinic.roles import Role
 @pytest.mark.parametrize(
     "statement", ["UPDATE {} SET object_repr = ''", "DELETE FROM {}", "DELETE FROM {} WHERE id > 0"]
 )
+@pytest.mark.requirement("R-SEC-5")
 def test_the_database_refuses_to_change_it(visit: Visit, statement: str) -> None:
     before = LogEntry.objects.count()
     assert before > 0
@@ -42,6 +43,7 @@ def test_postgresql_refuses_to_empty_it(visit: Visit) -> None:
         cursor.execute(f"TRUNCATE {audit.TABLE} CASCADE")
 
 
+@pytest.mark.requirement("R-SEC-5")
 def test_it_holds_no_name(visit: Visit) -> None:
     patient = visit.patient
     patient.given_name, patient.note = "Ottilie", "allergic to Zypernkatzen"
@@ -65,6 +67,7 @@ def test_changes_in_a_request_name_who_and_from_where(
     assert entry.remote_addr == "127.0.0.1"
 
 
+@pytest.mark.requirement("R-SEC-5")
 def test_opening_a_page_is_entered(client_of: Callable[..., Client], person_of: Callable[..., Person]) -> None:
     client = client_of(Role.ADMINISTRATOR)
     somebody = person_of(Role.TECHNICIAN)

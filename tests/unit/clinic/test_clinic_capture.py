@@ -18,7 +18,7 @@ from mammometry.capture.sessions import definition_of
 from mammometry.clinic import cameras
 from mammometry.clinic.config import ClinicConfig
 from mammometry.clinic.models import Calibration, Job, Upload, Visit
-from mammometry.clinic.rigs.history import new_calibration
+from mammometry.clinic.rig_history import new_calibration
 from mammometry.clinic.roles import Role
 
 CAMERAS = 8

@@ -22,11 +22,10 @@ from mammometry.clinic.models import (
     Visit,
     Volume,
 )
-from mammometry.clinic.records.clinical_facts import clinical_of, operation_words
-from mammometry.clinic.records.operations import phase_of
+from mammometry.clinic.records.clinical import clinical_of, operation_words
+from mammometry.clinic.records.operations import Retention, phase_of, retentions
 from mammometry.clinic.records.results import latest
 from mammometry.clinic.roles import Role
-from mammometry.clinic.study.retention import Retention, retentions
 from mammometry.report.words.lengths import length_table
 
 TODAY = timezone.localdate

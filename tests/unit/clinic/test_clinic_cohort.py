@@ -25,9 +25,9 @@ from mammometry.clinic.models import (
     Volume,
 )  # fmt: skip
 from mammometry.clinic.records import results
-from mammometry.clinic.records.confirmations import CHANGED, confirmation_of, is_changed
+from mammometry.clinic.records.cohort import Row, left_out, pooled, study_rows, visits_between
+from mammometry.clinic.records.confirmations import CHANGED, confirmation_of
 from mammometry.clinic.roles import Role
-from mammometry.clinic.study.cohort import Row, left_out, pooled, study_rows, visits_between
 
 NOON = datetime.datetime(2026, 3, 1, 12, tzinfo=datetime.UTC)
 DAY = datetime.timedelta(days=1)
@@ -115,7 +115,7 @@ def rows_by_objects(**asked: object) -> list[Row]:
                 Row(
                     pseudonym=visit.patient.pseudonym, day=day, years=results.age(visit.patient.born, day),
                     side=side.side, definition=side.definition, volume_cc=side.volume_cc, low_cc=low, high_cc=high,
-                    refused=side.refused, state=CHANGED if is_changed(visit) else visit.state,
+                    refused=side.refused, state=CHANGED if visit.is_changed else visit.state,
                     confirmed=confirmation is not None,
                     confirmed_on=None if confirmation is None else timezone.localtime(confirmation.at).date(),
                     rig=visit.device, software=result.measurement.software,
@@ -171,7 +171,7 @@ def test_rows_go_on_where_many_visits_are_read_in_parts(clinic: ClinicConfig, mo
         measure(visit, [Volume(side="left", definition="flat chest", volume_cc=400.0 + number)])
     visits = visits_between(None, None, confirmed=False)
     whole = list(study_rows(visits))
-    monkeypatch.setattr("mammometry.clinic.study.cohort._VISITS_AT_ONCE", 2)
+    monkeypatch.setattr("mammometry.clinic.records.cohort._VISITS_AT_ONCE", 2)
     assert list(study_rows(visits)) == whole
     assert sorted(row.volume_cc or 0 for row in whole) == [400, 401, 402, 403, 404]
 

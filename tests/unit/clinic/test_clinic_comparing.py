@@ -17,8 +17,8 @@ import mammometry
 from mammometry.clinic.config import ClinicConfig
 from mammometry.clinic.jobs import queue
 from mammometry.clinic.models import Calibration, Comparison, Job, Measurement, Patient, Rig, Upload, Visit, Volume
+from mammometry.clinic.records import comparing
 from mammometry.clinic.roles import Role
-from mammometry.clinic.study import comparing
 
 pytestmark = pytest.mark.django_db
 

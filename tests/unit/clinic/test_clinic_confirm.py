@@ -25,9 +25,8 @@ from mammometry.clinic.models import Confirmation, Consent, Drawing, Job, Measur
 from mammometry.clinic.records import confirmations
 from mammometry.clinic.roles import Role
 from mammometry.clinic.site import the_clinic
-from mammometry.clinic.views.administration import deliveries as sending
-from mammometry.clinic.views.patient import exports
-from mammometry.clinic.views.patient import results as drawing
+from mammometry.clinic.views import hospital, results
+from mammometry.clinic.views import study as exports
 from mammometry.editor.messages import Save
 from mammometry.io.drawn_changes import Change, change_drawn, drawn_entries, drawn_entry, entry_digest
 from mammometry.io.write import disk_errors
@@ -110,6 +109,7 @@ def test_only_a_clinician_confirms(client_of: Callable[..., Client], measured: V
 
 
 @pytest.mark.parametrize("curves", [{}, {"left": LEFT}, {"left": RIGHT, "right": LEFT}])
+@pytest.mark.requirement("R-WHO-6")
 def test_only_the_measured_boundaries_can_be_confirmed(
     client_of: Callable[..., Client], measured: Visit, curves: dict[str, str]
 ) -> None:
@@ -166,7 +166,7 @@ def test_what_is_drawn_while_a_job_is_at_work_is_measured_after_it(measured: Vis
     assert queue.done(job.pk, owner, answer())
     measured.refresh_from_db()
     assert measured.state == Visit.State.QUEUED
-    assert confirmations.is_changed(measured)
+    assert measured.is_changed
     measure(measured)
     assert measured.state == Visit.State.MEASURED
 
@@ -222,7 +222,7 @@ class Page:
 @pytest.fixture
 def page(monkeypatch: pytest.MonkeyPatch, measured: Visit) -> Page:
     made = Page(measured)
-    monkeypatch.setattr(drawing, "_DESKS", SimpleNamespace(of=lambda visit: made))
+    monkeypatch.setattr(results, "_DESKS", SimpleNamespace(of=lambda visit: made))
     return made
 
 
@@ -237,7 +237,7 @@ def test_what_is_saved_is_measured_at_once(
 ) -> None:
     client = client_of(Role.CLINICIAN)
     finish(client, measured)
-    monkeypatch.setattr(drawing, "may_queue", lambda *_, **__: None)
+    monkeypatch.setattr(results, "may_queue", lambda *_, **__: None)
     answer = save(client, measured).json()
     assert answer["visit"] == {"state": "queued", "changed": True, "curves": BOTH}
     assert Job.objects.filter(state="queued", visit=measured, created_by__username="clinician").count() == 1
@@ -314,6 +314,7 @@ def test_a_disk_that_refuses_is_a_sentence_and_in_the_log(
 # --- what is said of a change that is not measured ---
 
 
+@pytest.mark.requirement("R-WHO-6")
 def test_an_unmeasured_change_is_said_everywhere_and_no_number_is_shown(
     client_of: Callable[..., Client], measured: Visit, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
@@ -329,7 +330,7 @@ def test_an_unmeasured_change_is_said_everywhere_and_no_number_is_shown(
 
     draw(measured)
     monkeypatch.setattr(exports, "report_file", lambda *_: tmp_path)
-    monkeypatch.setattr(sending, "report_file", lambda *_: tmp_path)
+    monkeypatch.setattr(hospital, "report_file", lambda *_: tmp_path)
     for state in ("changed", "queued"):
         Visit.objects.filter(pk=measured.pk).update(state=state)
         for address in addresses:

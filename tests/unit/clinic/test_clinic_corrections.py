@@ -34,10 +34,10 @@ from mammometry.clinic.models import (
     Volume,
 )
 from mammometry.clinic.records import corrections
+from mammometry.clinic.records.cohort import study_rows, visits_between
 from mammometry.clinic.records.corrections import CorrectionError
 from mammometry.clinic.records.search import search
 from mammometry.clinic.roles import Role
-from mammometry.clinic.study.cohort import study_rows, visits_between
 from mammometry.io.session import Session
 
 NOON = datetime.datetime(2026, 3, 1, 12, tzinfo=datetime.UTC)
@@ -103,6 +103,7 @@ def names_nobody_else(visit: Visit) -> None:
 # --- moving ---
 
 
+@pytest.mark.requirement("R-KEEP-3")
 def test_a_moved_visit_carries_the_right_pseudonym_everywhere_and_is_measured_again(
     anna: Patient, berta: Patient, rig: Rig
 ) -> None:
@@ -400,7 +401,7 @@ def test_researchers_and_administrators_correct_nothing(
 def test_a_backup_holds_the_bin_and_merged_records(tmp_path: Path, anna: Patient, berta: Patient, rig: Rig) -> None:
     from io import BytesIO
 
-    from mammometry.clinic.maintenance.backup import write_database
+    from mammometry.clinic.maintenance.backups import write_database
 
     visit = measured(anna, rig)
     corrections.put_into_bin(visit, "x", None)

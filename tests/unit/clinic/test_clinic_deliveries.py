@@ -29,11 +29,10 @@ from mammometry.clinic import deliveries
 from mammometry.clinic.config import ClinicConfig
 from mammometry.clinic.models import Consent, Delivery, Destination, Visit
 from mammometry.clinic.roles import Role
-from mammometry.clinic.views.administration import deliveries as pages
-from mammometry.clinic.views.patient import exports
+from mammometry.clinic.views import hospital, study
 from mammometry.hospital.exported import Exported
-from mammometry.hospital.redcap import FILES as REDCAP
 from mammometry.hospital.tables import FILES as TABLES
+from mammometry.hospital.tables import REDCAP_FILES as REDCAP
 
 pytestmark = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 
@@ -52,7 +51,7 @@ def measured(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
         return deidentified(tmp_path) if deidentify else exported(tmp_path)
 
     monkeypatch.setattr(deliveries, "gathered", gathered)
-    for module in (pages, exports):
+    for module in (hospital, study):
         monkeypatch.setattr(module, "report_file", lambda *_: tmp_path)
 
 

@@ -19,10 +19,11 @@ from tests.clinic_server import command, served
 from mammometry.clinic.config import ClinicConfig
 from mammometry.clinic.models import Person, Visit
 from mammometry.clinic.roles import Role
-from mammometry.clinic.web.logs import Plain
+from mammometry.clinic.site import Plain
 from mammometry.clinic.web.security import report_policy
 
 
+@pytest.mark.requirement("R-SEC-3")
 def test_a_form_from_elsewhere_changes_nothing(person_of: Callable[..., Person]) -> None:
     client = Client(enforce_csrf_checks=True)
     client.force_login(person_of(Role.ADMINISTRATOR), backend=settings.AUTHENTICATION_BACKENDS[1])
@@ -40,10 +41,12 @@ def test_a_login_form_needs_its_token(clinic: object) -> None:
 
 
 @pytest.mark.parametrize("host", ["evil.example", "testserver.evil.example", "testserver:80@evil", "a b"])
+@pytest.mark.requirement("R-SEC-3")
 def test_another_host_is_refused(clinic: object, client: Client, host: str) -> None:
     assert client.get(reverse("account_login"), headers={"Host": host}).status_code == 400
 
 
+@pytest.mark.requirement("R-SEC-3")
 def test_html_in_names_stays_text(client_of: Callable[..., Client], clinic: object) -> None:
     client = client_of(Role.ADMINISTRATOR)
     evil = "<script>alert(1)</script><img src=x onerror=alert(2)>"
@@ -76,6 +79,7 @@ def test_a_patients_name_is_escaped_in_templates(visit: Visit) -> None:
         "/static/admin/../../../../../../../../etc/passwd",
     ],
 )
+@pytest.mark.requirement("R-SEC-3")
 def test_paths_that_climb_find_nothing(clinic: object, client: Client, path: str) -> None:
     answer = client.get(path)
     assert answer.status_code in (302, 400, 404)
@@ -98,6 +102,7 @@ def test_a_line_break_in_a_value_makes_no_header(clinic: object, client: Client)
     assert "\n" not in answer["Location"]
 
 
+@pytest.mark.requirement("R-SEC-3")
 def test_every_answer_has_its_headers(clinic: object, client_of: Callable[..., Client], client: Client) -> None:
     answers = [client.get("/"), client.get("/alive/"), client.get("/nowhere"), client_of(Role.CLINICIAN).get("/")]
     answers += [client_of(Role.CLINICIAN).get(reverse("administration")), client.get("/static/clinic/clinic.css")]
@@ -123,6 +128,7 @@ def test_a_reports_policy_names_its_own_scripts_and_shuts_it_in() -> None:
     assert "script-src 'unsafe" not in policy
 
 
+@pytest.mark.requirement("R-SEC-6")
 def test_a_request_that_fails_leaves_no_trace_of_the_patient(
     visit: Visit, rf: RequestFactory, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -171,6 +177,7 @@ def test_a_log_line_is_one_line() -> None:
     assert "\x1b" not in Plain().format(record)
 
 
+@pytest.mark.requirement("R-SEC-6")
 def test_no_name_gets_into_files_or_their_names(clinic: ClinicConfig, visit: Visit) -> None:
     visit.folder.mkdir(parents=True)
     everything = "".join(str(path.relative_to(clinic.folder)) for path in clinic.folder.rglob("*"))
@@ -211,6 +218,7 @@ def raw(address: str, request: bytes) -> bytes:
 
 
 @pytest.mark.slow
+@pytest.mark.requirement("R-SEC-4")
 def test_the_running_server_stands_hostile_bytes(tmp_path: Path) -> None:
     """Over the wire: nothing between us and the server puts a request in order before it arrives."""
     command("init", str(tmp_path / "clinic"))
@@ -245,6 +253,7 @@ def test_the_running_server_stands_hostile_bytes(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.requirement("R-SEC-4")
 def test_silent_and_slow_callers_are_hung_up_on(tmp_path: Path) -> None:
     """Else a thousand of them would shut everybody out. A browser that has asked before keeps its connection."""
     folder = tmp_path / "clinic"

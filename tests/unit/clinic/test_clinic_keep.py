@@ -22,10 +22,9 @@ from tests.postgresql import VARIABLE, new_database
 
 from mammometry.cli.main import run
 from mammometry.clinic.config import ClinicConfig, ClinicError
-from mammometry.clinic.maintenance.backup import make_backup
-from mammometry.clinic.maintenance.backups import make_kept_backup
+from mammometry.clinic.maintenance.backups import make_backup, make_kept_backup
 from mammometry.clinic.maintenance.patient import find_patient
-from mammometry.clinic.maintenance.restore_test import _digests, _require_same
+from mammometry.clinic.maintenance.restore import _digests, _require_same
 from mammometry.clinic.models import Drawing, Job, Measurement, Patient, Upload, Visit, Volume
 from mammometry.clinic.roles import Role
 
@@ -61,6 +60,7 @@ def another_database() -> Iterator[list[str]]:
 
 
 @pytest.mark.slow
+@pytest.mark.requirement("R-KEEP-1")
 def test_a_restored_clinic_is_the_same(clinic: ClinicConfig, full: Visit, tmp_path: Path, settings: Settings) -> None:
     settings.MIGRATION_MODULES = {}  # which the tests leave out to be quick
     archive, again = tmp_path / "clinic.tar", tmp_path / "again.tar"
@@ -121,6 +121,7 @@ def test_rows_that_differ_are_named() -> None:
         _require_same(same, _digests([lines[0], lines[1].replace(b"{}", b'{"name": "x"}')]))
 
 
+@pytest.mark.requirement("R-KEEP-1")
 def test_a_damaged_backup_is_refused(clinic: ClinicConfig, full: Visit, tmp_path: Path) -> None:
     from mammometry.clinic.maintenance.restore import unpack
 
@@ -148,6 +149,7 @@ def test_a_backup_cannot_leave_its_folder(tmp_path: Path) -> None:
     assert not (tmp_path / "escaped").exists()
 
 
+@pytest.mark.requirement("R-KEEP-1")
 def test_restore_replaces_nothing(clinic: ClinicConfig, tmp_path: Path) -> None:
     from mammometry.clinic.maintenance.restore import unpack
 
@@ -177,6 +179,7 @@ def test_an_export_holds_all_of_one_patient_and_nothing_of_others(
     assert target.stat().st_mode & 0o077 == 0
 
 
+@pytest.mark.requirement("R-KEEP-2")
 def test_an_erased_patient_is_gone(clinic: ClinicConfig, full: Visit, tmp_path: Path) -> None:
     folder, upload, pseudonym = full.folder, Upload.objects.get().path, full.patient.pseudonym
     other = Patient.objects.create(family_name="Andere", given_name="Ada", record_number="2")
@@ -249,6 +252,7 @@ connections.close_all()
 
 
 @pytest.mark.slow
+@pytest.mark.requirement("R-KEEP-2")
 def test_no_byte_of_an_erased_name_is_left_in_the_folder(tmp_path: Path) -> None:
     from mammometry.clinic.config import new_clinic
 

@@ -16,7 +16,7 @@ import mammometry
 from mammometry.clinic import deliveries
 from mammometry.clinic.models import Destination, Visit
 from mammometry.clinic.roles import Role
-from mammometry.clinic.views.patient import exports
+from mammometry.clinic.views import study
 
 PROJECT = tomllib.loads((Path(mammometry.__file__).parents[2] / "pyproject.toml").read_text())["project"]
 
@@ -79,7 +79,7 @@ def test_the_extra_brings_all_that_the_pages_import() -> None:
 def test_a_missing_library_is_for_the_administrator(
     client_of: Callable[..., Client], visit: Visit, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, address: str
 ) -> None:
-    monkeypatch.setattr(exports, "report_file", lambda *_: tmp_path)
+    monkeypatch.setattr(study, "report_file", lambda *_: tmp_path)
     monkeypatch.setattr(deliveries, "missing", lambda *modules: [modules[0]])
     arguments = [visit.pk] if address == "visit-dicom" else [visit.pk, "r4"]
     answer = client_of(Role.CLINICIAN).get(reverse(address, args=arguments))

@@ -13,9 +13,9 @@ from django.urls import reverse
 
 from mammometry.clinic.config import ClinicConfig, Limits
 from mammometry.clinic.roles import Role
-from mammometry.clinic.web import limits
+from mammometry.clinic.web import requests
 from mammometry.clinic.web.access import BODY_BYTES
-from mammometry.clinic.web.limits import Limited
+from mammometry.clinic.web.requests import Limited
 
 Message = dict[str, Any]
 
@@ -80,6 +80,7 @@ def test_a_body_that_says_it_is_too_large_is_not_read() -> None:
     assert inner.bodies == []
 
 
+@pytest.mark.requirement("R-SEC-4")
 def test_a_body_in_pieces_is_stopped_at_the_limit() -> None:
     inner = Inner()
     assert ask(limited(inner), [b"x" * 1024] * (BODY_BYTES // 1024 + 5)) == 413
@@ -106,6 +107,7 @@ def test_a_length_that_is_no_number_is_refused(length: bytes) -> None:
     assert ask(limited(Inner()), [b""], [(b"content-length", length)]) == 413
 
 
+@pytest.mark.requirement("R-SEC-4")
 def test_who_asks_too_often_waits_and_others_do_not() -> None:
     now = 0.0
     application = limited(Inner(), per_second=2, clock=lambda: now)
@@ -171,7 +173,7 @@ def test_a_large_body_has_longer_on_a_slow_line(monkeypatch: pytest.MonkeyPatch)
     async def send(message: Mapping[str, Any]) -> None:
         pass
 
-    monkeypatch.setattr(limits, "_granted", lambda path: 1_000_000)
+    monkeypatch.setattr(requests, "_granted", lambda path: 1_000_000)
     scope: Message = {"type": "http", "path": "/", "headers": [], "client": ("10.0.0.1", 4711)}
     asyncio.run(Limited(inner, Limits(request_s=1))(scope, receive, send))
     assert inner.bodies == [100_000]

@@ -10,7 +10,7 @@ from django.test import Client
 from django.urls import reverse
 from pytest_django import Settings
 
-from mammometry.clinic.accounts.people import add_person, invitation
+from mammometry.clinic.accounts import add_person, invitation
 from mammometry.clinic.config import ClinicError
 from mammometry.clinic.models import Person
 from mammometry.clinic.roles import Role
@@ -109,6 +109,7 @@ def test_an_inactive_person_is_out_at_once(anna: Person, client: Client) -> None
     assert not is_in(client)
 
 
+@pytest.mark.requirement("R-SEC-2")
 def test_a_session_ends_when_idle_and_after_its_hours(
     anna: Person, client: Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -131,6 +132,7 @@ def test_a_session_ends_when_idle_and_after_its_hours(
     assert not at(start + most_s + 1)
 
 
+@pytest.mark.requirement("R-SEC-2")
 def test_wrong_passwords_lock_the_name_at_that_address_for_a_while(anna: Person, client: Client) -> None:
     answers = [login(client, password=f"wrong {number}") for number in range(8)]
     assert answers == [200] * 7 + [429]
@@ -141,6 +143,7 @@ def test_wrong_passwords_lock_the_name_at_that_address_for_a_while(anna: Person,
     assert is_in(elsewhere)  # else anybody could keep anna out
 
 
+@pytest.mark.requirement("R-SEC-2")
 def test_unknown_names_and_wrong_passwords_look_alike(anna: Person) -> None:
     pages = []
     for name in ("anna", "nobody-of-that-name"):
@@ -149,6 +152,7 @@ def test_unknown_names_and_wrong_passwords_look_alike(anna: Person) -> None:
     assert pages[0] == pages[1]
 
 
+@pytest.mark.requirement("R-SEC-2")
 def test_the_second_factor_is_set_up_and_then_asked(anna: Person, client: Client, settings: Settings) -> None:
     people = settings.CLINIC.people.model_copy(update={"second_factor": "required"})
     settings.CLINIC = settings.CLINIC.model_copy(update={"people": people})

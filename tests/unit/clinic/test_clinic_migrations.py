@@ -62,6 +62,7 @@ def test_every_change_of_a_model_has_its_migration(clinic: object, settings: Set
 
 
 @pytest.mark.slow
+@pytest.mark.requirement("R-KEEP-4")
 def test_a_killed_migration_leaves_nothing_half_done(tmp_path: Path) -> None:
     whole, killed = tmp_path / "whole", tmp_path / "killed"
     for folder in (whole, killed):

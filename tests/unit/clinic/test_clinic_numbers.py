@@ -99,6 +99,7 @@ def unzipped(content: bytes) -> dict[str, bytes]:
         return {name: archive.read(name) for name in archive.namelist()}
 
 
+@pytest.mark.requirement("R-WHO-7")
 def test_the_figures_are_the_same_numbers_everywhere(
     client_of: Callable[..., Client], clinic: ClinicConfig, tmp_path: Path
 ) -> None:

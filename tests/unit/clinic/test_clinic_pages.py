@@ -13,10 +13,10 @@ from django.utils import timezone
 
 from mammometry.clinic.config import ClinicConfig
 from mammometry.clinic.models import Consent, Drawing, Measurement, Patient, Person, Rig, Visit, Volume
+from mammometry.clinic.records.charts import Reading, round_levels, time_line
 from mammometry.clinic.records.results import age
 from mammometry.clinic.roles import Role
-from mammometry.clinic.study.charts import Reading, round_levels, time_line
-from mammometry.clinic.views.patient import results as result_pages
+from mammometry.clinic.views import results
 from mammometry.report.documents.rendering import RenderedReport
 
 NOON = datetime.datetime(2026, 3, 1, 12, tzinfo=datetime.UTC)
@@ -233,7 +233,7 @@ def test_a_report_is_sealed_off_and_its_scene_is_given(
     page = f'<html><script type="application/json" id="mm-scene">{scene}</script><script>let x = 1;</script></html>'
     (folder / "report.html").write_text(page)
     rendered = RenderedReport(html=page.encode(), pdf=b"", warnings=())
-    monkeypatch.setattr(result_pages, "rendered_report", lambda _: rendered)
+    monkeypatch.setattr(results, "rendered_report", lambda _: rendered)
     answer = client.get(f"/visits/{visit.pk}/report/")
     policy = answer.headers["Content-Security-Policy"]
     assert "sandbox allow-scripts" in policy

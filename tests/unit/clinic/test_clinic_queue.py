@@ -11,9 +11,9 @@ import pytest
 from django.db import IntegrityError, connection, transaction
 from django.utils import timezone
 
+from mammometry.clinic import rig_history
 from mammometry.clinic.jobs import events, queue, runner
 from mammometry.clinic.models import Calibration, DailyCheck, Job, Measurement, Patient, Rig, Visit
-from mammometry.clinic.rigs import history
 from mammometry.clinic.roles import Role
 
 ANSWER = {
@@ -231,8 +231,8 @@ def test_what_a_calibration_and_a_check_come_to_is_told_by_the_rig():
     new.refresh_from_db()
     earlier.refresh_from_db()
     assert (new.state, new.current, earlier.current) == (Calibration.State.DONE, True, False)
-    assert history.today(rig).verdict == "yes"
-    check = history.new_check(rig, None)
+    assert rig_history.today(rig).verdict == "yes"
+    check = rig_history.new_check(rig, None)
     figures = {
         "verdict": "refuse",
         "reasons": ["front_left moved by 2 mm."],
@@ -244,12 +244,12 @@ def test_what_a_calibration_and_a_check_come_to_is_told_by_the_rig():
     queue.done(job.pk, owner, {"digest": "k", "figures": figures})
     check = DailyCheck.objects.get()
     assert check.passed is False
-    answer = history.today(rig)
+    answer = rig_history.today(rig)
     assert answer.verdict == "no"
     assert "front_left moved by 2 mm." in answer.reasons
-    (row,) = history.drift_rows(rig)
+    (row,) = rig_history.drift_rows(rig)
     assert row["moved"] == ["front_left"]
-    assert "has moved" in history.may_queue(visit)
+    assert "has moved" in rig_history.may_queue(visit)
 
 
 def test_the_bar_grows_from_stage_to_stage():

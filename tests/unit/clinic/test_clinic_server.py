@@ -91,6 +91,7 @@ def test_a_clinic_whose_audit_was_unsealed_is_not_served(clinic: ClinicConfig, m
         require_current(clinic)
 
 
+@pytest.mark.requirement("R-KEEP-4")
 def test_a_database_that_waits_for_migrations_is_not_served(
     clinic: ClinicConfig, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -12,7 +12,7 @@ from tests.unit.clinic.test_clinic_uploads import SIZE_WH, Sender, photograph
 from mammometry.clinic.jobs import queue
 from mammometry.clinic.jobs.results import enter
 from mammometry.clinic.models import Calibration, DailyCheck, Job, Measurement, Patient, Upload, Visit
-from mammometry.clinic.rigs.history import may_queue, new_calibration, new_check
+from mammometry.clinic.rig_history import may_queue, new_calibration, new_check
 from mammometry.clinic.roles import Role
 from mammometry.io.write import file_digest
 
@@ -147,7 +147,7 @@ def test_nothing_comes_back_while_it_is_measured(sender: Sender, rig_visit: Visi
 def test_a_full_disk_leaves_the_photograph_in_its_place(
     sender: Sender, rig_visit: Visit, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from mammometry.clinic.intake import set_aside
+    from mammometry.clinic.intake import photographs
 
     sent = sender.send(photograph(1))
 
@@ -155,8 +155,8 @@ def test_a_full_disk_leaves_the_photograph_in_its_place(
         raise OSError(28, "No space left on device")
 
     with monkeypatch.context() as patch:
-        patch.setattr(set_aside.os, "link", full)
-        patch.setattr(set_aside.shutil, "copy2", full)
+        patch.setattr(photographs.os, "link", full)
+        patch.setattr(photographs.shutil, "copy2", full)
         assert sender.client.delete(sent["url"]).status_code == 507
     assert (rig_visit.folder / "capture/front_left.jpg").is_file()
     assert Upload.objects.get().state == Upload.State.PLACED

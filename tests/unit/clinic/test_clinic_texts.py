@@ -8,7 +8,7 @@ from django.test import Client
 from django.urls import reverse
 
 from mammometry.base.errors import SettingsError
-from mammometry.clinic.accounts.people import add_person
+from mammometry.clinic.accounts import add_person
 from mammometry.clinic.config import ClinicError, new_clinic, read_config
 from mammometry.clinic.models import Destination, Patient, Person
 from mammometry.clinic.roles import Role
@@ -29,6 +29,7 @@ ANNA = {"family_name": "Größe", "given_name": "Åse", "born": "1971-05-04", "r
         ({"family_name": "M\ufffdller"}, "Found a byte at place 2 that is no letter"),
     ],
 )
+@pytest.mark.requirement("R-IN-5")
 def test_a_patient_is_entered_as_dicom_allows(
     client_of: Callable[..., Client], changed: dict[str, str], sentence: str
 ) -> None:

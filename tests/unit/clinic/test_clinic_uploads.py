@@ -293,7 +293,7 @@ def test_what_is_asked_for_wrongly_is_one_sentence(sender, rig_visit):
 
 
 def test_a_calibration_takes_poses_and_no_path(client_of, rig_visit):
-    from mammometry.clinic.rigs.history import new_calibration
+    from mammometry.clinic.rig_history import new_calibration
 
     sender = Sender(client_of(Role.ADMINISTRATOR), new_calibration(rig_visit.rig, None), "calibration")
     for wrong in ("", "..", "a/b", "-x", "x" * 33):
@@ -359,7 +359,7 @@ def test_a_second_photograph_replaces_the_first_only_where_that_is_said(sender, 
 
 
 def test_a_calibration_says_how_many_poses_it_still_needs(client_of, rig_visit):
-    from mammometry.clinic.rigs.history import may_queue, new_calibration
+    from mammometry.clinic.rig_history import may_queue, new_calibration
 
     sender = Sender(client_of(Role.ADMINISTRATOR), new_calibration(rig_visit.rig, None), "calibration")
     for pose in (1, 2):
@@ -377,18 +377,19 @@ def test_a_calibration_says_how_many_poses_it_still_needs(client_of, rig_visit):
     assert may_queue(sender.target) is None
 
 
+@pytest.mark.requirement("R-FIRE-5")
 def test_exchanged_photographs_are_named_before_they_are_measured(sender, rig_visit, monkeypatch):
     from mammometry.calibration.judge.cameras.names import Names
-    from mammometry.clinic.intake import names
-    from mammometry.clinic.rigs.history import may_queue
+    from mammometry.clinic.intake import photographs
+    from mammometry.clinic.rig_history import may_queue
 
     both = {"front_left": "front_right", "front_right": "front_left"}
     rig = type("AnyRig", (), {"cameras": both, "pair_names": {"front": ("front_left", "front_right")}})
-    monkeypatch.setattr(names, "_rig", lambda calibration: rig)
-    monkeypatch.setattr(names, "check_names", lambda rig, seen: Names(pairs={}, exchanged=both))
-    names._checked.cache_clear()
+    monkeypatch.setattr(photographs, "_rig", lambda calibration: rig)
+    monkeypatch.setattr(photographs, "check_names", lambda rig, seen: Names(pairs={}, exchanged=both))
+    photographs._checked.cache_clear()
     for seed, camera in enumerate(both):
         sender.send(photograph(seed), name=f"{camera}.jpg")
     assert "front_left and front_right: photographs that seem to be exchanged" in may_queue(rig_visit)
     assert not sender.state()["ready"]
-    names._checked.cache_clear()
+    photographs._checked.cache_clear()

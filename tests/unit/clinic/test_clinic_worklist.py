@@ -13,7 +13,7 @@ from mammometry.clinic.config import ClinicConfig
 from mammometry.clinic.deliveries import order_of
 from mammometry.clinic.models import Destination, Patient, Rig, Visit
 from mammometry.clinic.roles import Role
-from mammometry.clinic.views.patient import worklist
+from mammometry.clinic.views import hospital
 from mammometry.hospital.dicom.worklist import Entry, Worklist
 from mammometry.hospital.exported import Order
 from mammometry.hospital.exported import Patient as PatientModule
@@ -28,7 +28,7 @@ ENTRY = Entry(
 @pytest.fixture
 def asked(clinic: ClinicConfig, monkeypatch: pytest.MonkeyPatch) -> dict[str, str]:
     """A worklist with one entry, and a page's press on its button."""
-    monkeypatch.setattr(worklist, "_asked", lambda source, **_: Worklist(entries=(ENTRY,)))
+    monkeypatch.setattr(hospital, "_asked", lambda source, **_: Worklist(entries=(ENTRY,)))
     source = Destination.objects.create(name="RIS", kind="worklist", address="RIS@127.0.0.1:105")
     rig = Rig.objects.create(name="Four cameras")
     return {"worklist": str(source.pk), "rig": str(rig.pk), "accession": "A123", "patient": "KIS-4712"}
@@ -47,6 +47,7 @@ def test_an_entry_becomes_patient_visit_and_order(client_of: Callable[..., Clien
 
 
 @pytest.mark.parametrize("known", [{"family_name": "Other"}, {"born": datetime.date(1950, 1, 1)}])
+@pytest.mark.requirement("R-KEEP-5")
 def test_a_record_number_of_somebody_else_makes_no_visit(
     client_of: Callable[..., Client], asked: dict[str, str], known: dict[str, object]
 ) -> None:
@@ -60,7 +61,7 @@ def test_an_entry_that_cannot_be_used_is_named_beside_the_others(
     client_of: Callable[..., Client], asked: dict[str, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     refused = ArchiveError("RIS, entry A7", found="the patient's id with a backslash", expected="none", remedy="Ask")
-    monkeypatch.setattr(worklist, "_asked", lambda source, **_: Worklist(entries=(ENTRY,), refused=(refused,)))
+    monkeypatch.setattr(hospital, "_asked", lambda source, **_: Worklist(entries=(ENTRY,), refused=(refused,)))
     page = client_of(Role.TECHNICIAN).get(reverse("worklist")).content.decode()
     assert "RIS, entry A7: found the patient&#x27;s id with a backslash" in page
     assert "Muster, Anna" in page
@@ -71,7 +72,7 @@ def test_a_name_in_several_letterings_is_taken_from_its_first(
 ) -> None:
     """The second group was read as part of the given name."""
     listed = replace(ENTRY, patient=replace(ENTRY.patient, name="Yamada^Tarou=山田^太郎=やまだ^たろう"))
-    monkeypatch.setattr(worklist, "_asked", lambda source, **_: Worklist(entries=(listed,)))
+    monkeypatch.setattr(hospital, "_asked", lambda source, **_: Worklist(entries=(listed,)))
     client_of(Role.TECHNICIAN).post(reverse("worklist"), asked)
     assert Patient.objects.get().name == "Yamada, Tarou"
 
@@ -87,7 +88,7 @@ def test_a_worklist_that_is_down_says_so(
     def down(source: Destination, **_: object) -> None:
         raise ArchiveError("RIS", found="nobody who answers", expected="a DICOM application", remedy="Start it")
 
-    monkeypatch.setattr(worklist, "_asked", down)
+    monkeypatch.setattr(hospital, "_asked", down)
     assert "nobody who answers" in client_of(Role.CLINICIAN).get(reverse("worklist")).content.decode()
 
 

@@ -112,6 +112,7 @@ def test_a_curve_that_nobody_touched_stays_exactly_as_it_is(board: DrawingBoard)
 
 @pytest.mark.slow
 @pytest.mark.parametrize("which", [0, 5, -1])
+@pytest.mark.requirement("R-LOSS-11")
 def test_a_moved_handle_changes_the_curve_only_up_to_its_neighbours(board: DrawingBoard, which: int) -> None:
     curve, held = wavy(), handles(wavy())
     goal = on_ball(curve[held[which].at] + [0.0, 0.0, 10.0])

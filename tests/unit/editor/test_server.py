@@ -186,6 +186,7 @@ def given(folder: Path, **more: object) -> bytes:
 # --- whom it answers ---
 
 
+@pytest.mark.requirement("R-SENT-2")
 def test_only_those_who_came_in_by_a_key_are_answered(address: str, door: Door) -> None:
     client = Client(address)
     for path in ("/", "/drawing", "/items", "/docs", "/admin/"):
@@ -220,6 +221,7 @@ def test_only_those_who_came_in_by_a_key_are_answered(address: str, door: Door) 
         {"Sec-Fetch-Site": "same-site"},
     ],
 )
+@pytest.mark.requirement("R-SENT-2")
 def test_another_page_cannot_save(client: Client, tmp_path: Path, headers: dict[str, str]) -> None:
     sent = {"author": "A", "landmarks": {"nipple_model": {"base": None, "points": [[0, 0, 60]]}}}
     answer = client.post("/save", sent, headers=headers)
@@ -241,6 +243,7 @@ def test_what_is_too_large_or_of_another_kind_is_refused_before_it_is_read(clien
     assert client.ask("PUT", "/save", b"{}", JSON).status == 405
 
 
+@pytest.mark.requirement("R-SENT-3")
 def test_the_key_stands_in_no_argument_of_the_browser(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     said: list[str] = []
     files: list[tuple[int, str]] = []
@@ -669,6 +672,7 @@ def test_a_line_is_drawn_anew_dragged_undone_and_saved(tab: Callable[[], Page], 
 
 
 @pytest.mark.slow
+@pytest.mark.requirement("R-LOSS-11")
 def test_a_landmark_saved_alone_leaves_a_wavy_given_curve_byte_for_byte(
     tab: Callable[[], Page], tmp_path: Path
 ) -> None:
@@ -743,6 +747,7 @@ def test_nothing_is_confirmed_that_nobody_looked_at(tab: Callable[[], Page], tmp
 
 
 @pytest.mark.slow
+@pytest.mark.requirement("R-LOSS-12")
 def test_the_second_of_two_tabs_is_told_that_it_is_late(tab: Callable[[], Page], tmp_path: Path) -> None:
     one, two = tab(), tab()
     say_name(one, "A. First")

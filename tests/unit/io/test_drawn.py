@@ -90,6 +90,7 @@ def test_a_drawing_of_another_subject_is_refused(tmp_path: Path) -> None:
     assert boundaries_in(path, ("left",), "P-8").curves == {}
 
 
+@pytest.mark.requirement("R-LOSS-10")
 def test_only_what_is_changed_changes_and_every_earlier_version_is_kept(tmp_path: Path) -> None:
     by_hand = {"note": "from the CT", "boundaries": {"left": {"points": CURVE, "key": "of theirs"}}}
     first = put(tmp_path, "boundaries.json", by_hand).read_bytes()
@@ -131,6 +132,7 @@ def test_a_breast_that_the_file_leaves_out_stays_left_out(tmp_path: Path) -> Non
     assert set(json.loads((tmp_path / "boundaries.json").read_text())["boundaries"]) == {"left"}
 
 
+@pytest.mark.requirement("R-LOSS-12")
 def test_who_comes_late_is_told_and_loses_nothing(tmp_path: Path) -> None:
     change_drawn(tmp_path, "torso", {LEFT: Change(entry=entry(), base=None)})
     before = (tmp_path / "boundaries.json").read_bytes()
@@ -186,6 +188,7 @@ def test_how_a_curve_came_to_be_is_told_from_the_last_hand_to_the_first(tmp_path
     assert of_model.origin.endswith(", from edited by hand by A. First on 2026-01-02, from the automatic boundary")
 
 
+@pytest.mark.requirement("R-WHO-5")
 def test_a_confirmation_holds_for_the_curve_that_was_looked_at(tmp_path: Path) -> None:
     curve = np.array(CURVE)
     seen = {"by": "C. Eye", "at": "2026-11-22T10:00:00Z", "curve": curve_digest(curve)}

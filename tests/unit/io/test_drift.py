@@ -42,6 +42,7 @@ def line(number: int) -> bytes:
         line(2).replace(b'"effect_mm": 0.0', b'"effect_mm": 1e999'),
     ],
 )
+@pytest.mark.requirement("R-LOSS-13")
 def test_a_bad_line_is_named_and_kept_and_the_others_are_read(tmp_path: Path, bad: bytes) -> None:
     (tmp_path / FOLDER).mkdir()
     path = tmp_path / FOLDER / HISTORY
@@ -80,6 +81,7 @@ def test_names_with_any_letters_are_one_line(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.requirement("R-LOSS-13")
 def test_checks_at_the_same_time_all_stay(tmp_path: Path) -> None:
     code = """
 import sys; sys.path.insert(0, sys.argv[2])

@@ -85,6 +85,7 @@ def changed(row: int, column: int, value: object) -> list[list[Any]]:
         ({"t": [0.0, 0.0, [1.0]]}, "rows of different lengths"),
     ],
 )
+@pytest.mark.requirement("R-IN-9")
 def test_a_camera_that_cannot_be_is_refused(tmp_path: Path, changes: dict[str, Any], said: str) -> None:
     path = own(tmp_path, **changes)
     for read in (read_cameras, read_priors):

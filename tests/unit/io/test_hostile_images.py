@@ -15,7 +15,7 @@ from PIL import EpsImagePlugin, Image
 
 import mammometry as mm
 from mammometry.base.errors import ImageError, SettingsError
-from mammometry.base.limits import LimitSettings
+from mammometry.base.parse import LimitSettings
 from mammometry.io.photographs.images import read_header, read_mask, read_photograph
 from mammometry.io.session import Session
 from mammometry.settings import Settings
@@ -46,6 +46,7 @@ def bomb(width: int, height: int) -> bytes:
 @pytest.mark.parametrize(
     "content", [EPS, *map(encoded, ("GIF", "BMP", "WEBP", "PPM", "JPEG2000", "PCX", "TGA", "ICO"))]
 )
+@pytest.mark.requirement("R-IN-6")
 def test_other_formats_are_not_even_tried(
     tmp_path: Path, name: str, content: bytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -68,6 +69,7 @@ def test_of_a_camera_file_with_several_pictures_the_first_is_taken(tmp_path: Pat
     assert read_photograph(tmp_path / "a.jpg", "a").size_wh == (30, 20)
 
 
+@pytest.mark.requirement("R-IN-7")
 def test_too_many_pixels_are_refused_by_the_header(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "a.png").write_bytes(bomb(30_000, 30_000))
     assert (tmp_path / "a.png").stat().st_size < 200_000
@@ -125,6 +127,7 @@ def test_a_job_hands_its_limit_on(session: Path) -> None:
         mm.open_session(session, Settings(limits=LimitSettings(megapixels=1e-4)))
 
 
+@pytest.mark.requirement("R-IN-7")
 def test_a_masks_size_is_compared_before_it_is_decoded(session: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (session / "masks" / "l.png").write_bytes(bomb(8_000, 8_000))
     masks = Session.open(session).inputs().masks

@@ -13,7 +13,7 @@ from mammometry.base.errors import MammometryError, SessionError, StorageError
 from mammometry.geometry.mesh_files.mesh_file import read_triangles
 from mammometry.io.meshes.foreign import read_foreign
 from mammometry.io.meshes.own_ply import read_ply, write_ply
-from mammometry.io.results.formats.rasters import read_raster
+from mammometry.io.results.rasters import read_raster
 
 HEADER = """\
 ply
@@ -130,6 +130,7 @@ def test_a_glb_holds_what_it_says(tmp_path: Path) -> None:
         read_triangles(path)
 
 
+@pytest.mark.requirement("R-IN-10")
 def test_no_mesh_makes_other_files_be_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "skin.mtl").write_text("newmtl skin\nmap_Kd skin.png\n")
     (tmp_path / "skin.png").write_bytes(b"x")

@@ -41,6 +41,7 @@ def flip(path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["mesh.ply", "model.glb"])
+@pytest.mark.requirement("R-LOSS-9")
 def test_a_flipped_byte_is_damage_and_is_renewed(results: Path, name: str) -> None:
     path = results / "surface" / name
     data = path.read_bytes()
@@ -103,6 +104,7 @@ DAMAGES: dict[str, tuple[Callable[[Path], object], str]] = {
 
 
 @pytest.mark.parametrize(("damage", "found"), DAMAGES.values(), ids=DAMAGES)
+@pytest.mark.requirement("R-LOSS-9")
 def test_verify_names_what_is_damaged(
     results: Path, capsys: pytest.CaptureFixture[str], damage: Callable[[Path], object], found: str
 ) -> None:

@@ -51,6 +51,7 @@ def test_the_trunk_finds_its_known_motion_though_a_breast_grew() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.requirement("R-VOL-9")
 def test_the_change_of_volume_is_found_and_called_what_it_is() -> None:
     before, after = visit()[0], visit(place=3, growth=GROWTH)[0]
     left, right = changed().breasts
@@ -110,6 +111,7 @@ def test_swapped_dates_turn_every_sign() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.requirement("R-DATE-1")
 def test_another_body_is_refused_and_a_doubtful_one_told() -> None:
     other = visit(name="torso_5")[1]
     with pytest.raises(MeasureError, match="the trunks of both dates"):
@@ -163,6 +165,7 @@ def test_settings_must_be_in_order() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.requirement("R-VOL-9")
 def test_verdicts_are_right_at_their_rate() -> None:
     """Bodies with drawn errors of every stage and boundaries drawn by another hand at each date."""
     found = [row for row, _ in rows(8, first=2)]

@@ -73,6 +73,7 @@ def test_what_both_share_falls_out() -> None:
     assert half < single / 2
 
 
+@pytest.mark.requirement("R-VOL-4")
 def test_the_intervals_hold_drawn_errors_at_their_rate() -> None:
     """Errors drawn as the theory says they are: walls and boundaries of each side, one scale for both."""
     rng = np.random.default_rng(5)

@@ -12,7 +12,7 @@ from mammometry.geometry.mesh import TriangleMesh, joined
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.boundary.trace import edge_loop
 from mammometry.measure.scan_repair import WIDEST_HOLE_MM, RepairedScan, repair_scan
-from mammometry.measure.scanned import as_scanned, check_mesh, finer_scan
+from mammometry.measure.scanned import as_scanned, check_cut, check_mesh, finer_scan
 from mammometry.measure.solid.cut import inside_curve, opening_loops
 from mammometry.measure.volume.uncertainty import Evidence
 from mammometry.measure.volume.volumes import measured_or_refused
@@ -85,10 +85,14 @@ def test_a_boundary_over_a_hole_is_refused_and_not_led_around_it() -> None:
     sheet = TriangleMesh(vertices=np.stack([x, y, 0 * x], axis=1), faces=faces)
     turn = np.linspace(0, 2 * np.pi, 120, endpoint=False)
     curve = 60 * np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=1)
-    away = np.linalg.norm(sheet.corners().mean(axis=1) - [60, 0, 0], axis=1)
-    assert len(edge_loop("left", curve, sheet.submesh(away > 8)))
-    with pytest.raises(MeasureError, match="a hole of the mesh under it"):
-        edge_loop("left", curve, sheet.submesh(away > 20))
+
+    def with_hole(middle_mm: float, reach_mm: float) -> TriangleMesh:
+        return sheet.submesh(np.linalg.norm(sheet.corners().mean(axis=1) - [middle_mm, 0, 0], axis=1) > reach_mm)
+
+    check_cut("left", curve, with_hole(60, 8))
+    for middle_mm in (60, 42):  # the second reaches the curve from inside
+        with pytest.raises(MeasureError, match="a hole of the mesh under it"):
+            check_cut("left", curve, with_hole(middle_mm, 20))
 
 
 def test_a_casts_hole_is_refused_too() -> None:

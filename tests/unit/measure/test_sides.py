@@ -45,6 +45,7 @@ def one_sided() -> RepairedSurface:
     return torso_with(LEFT, flat=FLAT)
 
 
+@pytest.mark.requirement("R-SIDE-3")
 def test_a_side_without_a_breast_is_a_result_and_the_other_one_is_as_with_two() -> None:
     alone = outline_torso(one_sided(), np.eye(3))
     both = outline_torso(torso_with(LEFT, TWIN, flat=FLAT), np.eye(3))
@@ -61,6 +62,7 @@ def test_a_side_without_a_breast_is_a_result_and_the_other_one_is_as_with_two() 
 
 
 @pytest.mark.slow
+@pytest.mark.requirement("R-SIDE-1")
 def test_the_feet_are_not_taken_for_the_head() -> None:
     """A breast that hangs, seen by cameras that are mounted upside down."""
     mesh = one_sided().mesh
@@ -114,6 +116,7 @@ def test_a_round_trunk_shows_no_plane_and_says_so() -> None:
     assert "no plane of symmetry" in body.how
 
 
+@pytest.mark.requirement("R-SIDE-1")
 def test_a_trunk_across_the_cameras_is_refused() -> None:
     rolled = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     skin = seen_skin(one_sided())
@@ -121,6 +124,37 @@ def test_a_trunk_across_the_cameras_is_refused() -> None:
     assert not lies_across(skin, np.eye(3))
     with pytest.raises(MeasureError, match=r"lies across.*rig\.mounting"):
         find_body(one_sided(), rolled)
+
+
+def test_two_boundaries_show_which_way_a_low_front_lies() -> None:
+    mesh = one_sided().mesh
+    front = mesh.submesh(mesh.faces_within((np.abs(mesh.vertices[:, 1]) < 50) & (mesh.vertices[:, 2] > 80)))
+    surface = as_surface(front, np.ones(len(front.vertices), dtype=bool))
+    curves = [edge_of(each, "left").points_world for each in (LEFT, TWIN)]
+    with pytest.raises(MeasureError, match="lies across"):
+        find_body(surface, np.eye(3))
+    assert find_body(surface, np.eye(3), boundaries=curves).up[1] > 0.9
+    with pytest.raises(MeasureError, match="lies across"):
+        find_body(surface, np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), boundaries=curves)
+
+
+@pytest.mark.slow
+def test_noise_of_a_tenth_of_the_expected_moves_a_volume_by_less_than_a_tenth_of_its_interval() -> None:
+    """Skin is expected to be off by .15 mm; the interval is that before the named wall, the narrower one."""
+    clean = torso_with(LEFT, TWIN, flat=FLAT, step_mm=3.5)
+    rng, normals = np.random.default_rng(17), clean.mesh.vertex_normals()
+    measured = []
+    for scale_mm in (0.0, 0.015, 0.015, 0.015):
+        noise = normals * rng.normal(0.0, scale_mm, (len(normals), 1))
+        surface = replace(clean, mesh=TriangleMesh(vertices=clean.mesh.vertices + noise, faces=clean.mesh.faces))
+        edges = outline_torso(surface, np.eye(3)).boundaries
+        frame = find_body(surface, np.eye(3), boundaries=[edge.points_world for edge in edges]).frame
+        measured.append(measure_volumes(open_breasts(edges, surface, frame=frame)))
+    for side in range(2):
+        volumes = [both[side].volume_cc for both in measured]
+        interval = measured[0][side].as_defined_cc
+        assert interval is not None
+        assert np.ptp(volumes) < (interval[1] - interval[0]) / 10
 
 
 @pytest.mark.parametrize(

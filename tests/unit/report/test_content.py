@@ -12,11 +12,10 @@ from mammometry.calibration.judge.quality import assess
 from mammometry.measure.trunk.head import HEAD_NOT_SHOWN
 from mammometry.measure.volume.definitions import DefinedVolume, Meaning
 from mammometry.report.figures.drawing.thinning import thinned_ranges
+from mammometry.report.gather import RunResults, run_cautions, run_concerns, warnings
 from mammometry.report.words import describe
 from mammometry.report.words.anthropometry import comparison
-from mammometry.report.words.cautions import skin_shares
-from mammometry.report.words.volume_words import MEANINGS, interval_words, meaning_sentences, volume_words
-from mammometry.report.words.warnings import RunResults, run_cautions, run_concerns, warnings
+from mammometry.report.words.volumes import MEANINGS, interval_words, meaning_sentences, skin_shares, volume_words
 from mammometry.settings import Settings
 from mammometry.surface.occlusion.occlusion import Occlusion
 from mammometry.surface.repair.repair import Provenance
@@ -175,7 +174,7 @@ def test_each_fault_has_its_warning(rig) -> None:
     assert "Something hides part of the subject in the photographs of one_left (12 %)." in hidden
     leaking = replace(synthetic.measurement(), watertight=False)
     assert warned(rig, measurements=[leaking]).startswith("The closed solid of the cast is not watertight")
-    from mammometry.calibration.adjust.bundle import SetAside
+    from mammometry.calibration.adjust.calibrated import SetAside
 
     aside = replace(synthetic.calibration(rig), set_aside=(SetAside(camera="one_left", pose="02", residual_px=7.25),))
     assert "Pose 02 of camera one_left was left out" in warned(rig, calibration=aside)

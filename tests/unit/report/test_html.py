@@ -123,6 +123,7 @@ def test_a_command_is_set_as_code_and_nothing_else_is_markup(page_content: Repor
     assert "Left &lt; right: save it with <code>mammometry edit</code>, then measure." in page
 
 
+@pytest.mark.requirement("R-SENT-6")
 def test_nothing_is_loaded_from_elsewhere_and_nothing_runs(page_content: ReportContent) -> None:
     text = html.render(page_content, first(page_content))
     page = Page(text)

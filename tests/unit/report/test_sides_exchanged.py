@@ -37,6 +37,7 @@ def test_a_pyramids_mass_lies_a_quarter_of_the_way_to_its_tip() -> None:
     assert pyramid("left", -20.0).sunk(-UP) == pytest.approx(-5 / 50)
 
 
+@pytest.mark.requirement("R-SIDE-2")
 def test_breasts_that_hang_upwards_are_told() -> None:
     assert said(-20.0, up=-1.0)
     assert not said(-20.0, up=1.0)

@@ -13,15 +13,14 @@ from mammometry.simulate.disturbances.draw import OF_OTHER_CAPTURES, draw, is_he
 from mammometry.simulate.disturbances.exposure import Exposure, plain_exposure, shifted
 from mammometry.simulate.disturbances.registry import DISTURBANCES, Word, check, disturbed
 from mammometry.simulate.disturbances.surfaces import ball, bar, box, merged, straight
+from mammometry.simulate.recipe import parse_situation
+from mammometry.simulate.rendering.develop import magnified
 from mammometry.simulate.rendering.film import Film
-from mammometry.simulate.rendering.in_camera import magnified
-from mammometry.simulate.rendering.motion import Motion
 from mammometry.simulate.rendering.objects.skin import SKINS, Skin
 from mammometry.simulate.rendering.render import render_subject
-from mammometry.simulate.rendering.scene import Room, light_scene, moved
+from mammometry.simulate.rendering.scene import Motion, Room, light_scene, moved
 from mammometry.simulate.rigs.build import flashes
-from mammometry.simulate.rigs.rig import make_rig
-from mammometry.simulate.situation import parse_situation
+from mammometry.simulate.rigs.rig_file import make_rig
 from mammometry.simulate.subjects.body import Body
 from mammometry.simulate.subjects.registry import make_subject
 from mammometry.simulate.subjects.shapes import sphere
@@ -187,6 +186,17 @@ def test_pairs_fire_one_after_another_and_cameras_of_a_pair_together():
     chest = np.zeros((1, 3))
     furthest = max(exposure.shift_mm(name, chest)[0] for name in exposure.rig.cameras)
     assert 0.05 < furthest < 0.06 * 20.0  # mm: sway and breath, each below 10 mm/s
+
+
+def test_pairs_see_the_chest_at_other_moments_of_a_breath():
+    exposure = exposed("breathing=0.8")
+    at = np.array([[0.0, 0.0, 0.0], [0.0, -400.0, 0.0]])
+    assert exposure.motion is not None
+    chest, belly = np.array(
+        [exposure.motion.at(at, exposure.seconds[left]) - at for left, _ in exposure.rig.pair_names.values()]
+    ).transpose(1, 0, 2)
+    assert np.linalg.norm(chest.max(axis=0) - chest.min(axis=0)) == pytest.approx(0.8)
+    assert np.abs(belly).max() < 0.02
 
 
 def test_motion_turns_as_a_rotation_does():

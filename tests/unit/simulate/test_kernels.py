@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import convolve1d
 
-from mammometry.calibration.targets.flat_body import BORDER_MM
+from mammometry.calibration.targets.board import BORDER_MM
 from mammometry.calibration.targets.kinds.charuco import CharucoTarget
 from mammometry.calibration.targets.kinds.chessboard import ChessboardTarget
 from mammometry.geometry.camera import Camera
@@ -59,7 +59,7 @@ def _board_twin(camera, target, light, background, fine=12):
     """The board's picture by brute force: OpenCV's own drawing of the board looked up at 12 × 12 places a pixel."""
     pixels_per_mm = 70
     size = [int(side * target.square_mm * pixels_per_mm) for side in target.squares]
-    from mammometry.calibration.targets.charuco_board import charuco_board
+    from mammometry.calibration.targets.kinds.charuco import charuco_board
 
     drawn = charuco_board(target).generateImage(size, marginSize=0)
     width, height = camera.size_wh
@@ -83,7 +83,7 @@ def _board_twin(camera, target, light, background, fine=12):
 @pytest.mark.slow
 @pytest.mark.parametrize(("samples", "spread"), [(16, 0.015), (256, 0.0025)])
 def test_board_is_opencvs_drawing_seen_through_the_lens(camera, one_light, monkeypatch, samples, spread):
-    monkeypatch.setattr("mammometry.simulate.rendering.objects.board._EDGE_SAMPLES", samples)
+    monkeypatch.setattr("mammometry.simulate.rendering.objects.solid_target._EDGE_SAMPLES", samples)
     image = render_target(camera, Transform.identity(), _BOARD, one_light, background=0.01)
     twin = _board_twin(camera, _BOARD, one_light, 0.01)
     assert twin.max() > 0.5  # it is in view
@@ -287,7 +287,7 @@ def test_opencv_reads_the_board_and_its_corners_are_unbiased(camera, one_light):
         distortion=camera.distortion,
         camera_from_world=camera.camera_from_world,
     )
-    from mammometry.calibration.targets.charuco_board import charuco_board
+    from mammometry.calibration.targets.kinds.charuco import charuco_board
 
     image = render_target(big, Transform.identity(), _BOARD, one_light)
     photograph = develop(image, Film(electrons=1e9, read_noise=0.0), name="x", seed=1)

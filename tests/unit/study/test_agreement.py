@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from mammometry.io.parsing.paired_tables import read_pairs, read_published
+from mammometry.io.parsing.csv_tables import read_pairs, read_published
 from mammometry.study.agreement import PairedMeasurements, PublishedFigure, agreement, check_published
 
 PAPER = Path(str(files("mammometry.study").joinpath("paper")))
@@ -26,6 +26,7 @@ def pairs(reference: np.ndarray, measured: np.ndarray) -> PairedMeasurements:
     )
 
 
+@pytest.mark.requirement("R-VOL-10")
 def test_table_1_is_reproduced() -> None:
     """The paper's figures, and those that the usual estimators give (see the project's notes on section 2.7)."""
     data = read_pairs(PAPER / "table_1.csv", reference="water_cc", measured="imaging_cc")
@@ -57,6 +58,7 @@ def test_what_does_not_follow_from_table_1() -> None:
 
 
 @pytest.mark.data
+@pytest.mark.requirement("R-VOL-10")
 def test_bland_and_altmans_peak_flow(shared_data: Path) -> None:
     """Lancet 1986: first readings, large less mini meter: −2.1, SD 38.8; limits −79.7 and 75.5 with 2 SD.
 

@@ -9,8 +9,7 @@ import numpy as np
 
 from mammometry.calibration.adjust.initialise import InitialRig
 from mammometry.calibration.adjust.network import Network, State, tie_of
-from mammometry.calibration.adjust.prior import CameraPrior
-from mammometry.calibration.adjust.projection import INTRINSIC_NAMES
+from mammometry.calibration.adjust.projection import INTRINSIC_NAMES, CameraPrior
 from mammometry.calibration.detection.detect import Detection, Observations
 from mammometry.calibration.settings import BundleSettings
 from mammometry.calibration.targets.target import Target

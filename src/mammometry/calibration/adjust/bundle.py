@@ -1,7 +1,4 @@
-"""Bundle adjustment of the whole rig, with covariance (paper 2.2).
-
-All cameras and all target placements are adjusted at once.
-"""
+"""Bundle adjustment of all cameras and target placements at once, with covariance (paper 2.2)."""
 
 from __future__ import annotations
 
@@ -15,26 +12,27 @@ from mammometry.base.machine.cores import one_blas_thread
 from mammometry.base.progress import Progress, no_progress
 from mammometry.calibration.adjust.assemble import View, all_views, held_at_first, network_of
 from mammometry.calibration.adjust.calibrated import Calibration, ParameterCovariance, SetAside
-from mammometry.calibration.adjust.covariance import clustered_covariance, independent_covariance
 from mammometry.calibration.adjust.initialise import initialise, require_connected
 from mammometry.calibration.adjust.least_squares import SingularNormalEquationsError
 from mammometry.calibration.adjust.left_out import leave_poses_out
 from mammometry.calibration.adjust.network import POSE_NAMES_CAMERA, Network, State, residuals
-from mammometry.calibration.adjust.prior import CameraPrior
-from mammometry.calibration.adjust.projection import INTRINSIC_NAMES
-from mammometry.calibration.adjust.robust import Solved, adjusted, bad_views
+from mammometry.calibration.adjust.projection import INTRINSIC_NAMES, CameraPrior
+from mammometry.calibration.adjust.robust import (
+    Solved,
+    adjusted,
+    bad_views,
+    clustered_covariance,
+    independent_covariance,
+)
 from mammometry.calibration.detection.detect import Observations
 from mammometry.calibration.settings import BundleSettings, CalibrateSettings
-from mammometry.geometry.arrays import Array, Float64
-from mammometry.geometry.camera import Camera, Rig
-from mammometry.geometry.transform import Transform
+from mammometry.geometry import Array, Camera, Float64, Rig, Transform
 
 K3_SIGMA = 4.0
 """Standard deviations (for errors that a photograph's points share) above which ``auto`` accepts k3."""
 VIEW_RATIO = 50.0
-"""Ratio to all views' median residual above which a whole view is set aside and named. Only a picture of another
-pose, swapped cameras or a mirrored target reach it.
-"""
+"""Ratio to all views' median residual above which a whole view is set aside and named. Only a picture of another pose,
+swapped cameras or a mirrored target reach it."""
 
 __all__ = ["BundleSettings", "Calibration", "ParameterCovariance", "SetAside", "calibrate"]
 
@@ -44,8 +42,7 @@ _LEAST_VIEW_ERROR_PX = 1.0
 """Median residual below which a view is never set aside, px."""
 _FIRST_VIEW_ERROR_WIDTHS = 0.02
 """The same before the first adjustment, in picture widths. First values are good to a pixel or so, pictures of another
-pose are much farther off.
-"""
+pose are much farther off."""
 
 
 @one_blas_thread()

@@ -1,22 +1,21 @@
-"""Camera with analytic derivatives, many points and cameras at once.
+"""Camera with analytic derivatives, many points and cameras at once, and what is known of a lens beforehand.
 
 The same model as `geometry.camera.Camera`, its oracle in the tests, and a skew. The lens is `geometry.lens`.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from mammometry.geometry import lens
-from mammometry.geometry.arrays import Array, Float64
-from mammometry.geometry.camera import Camera
+from mammometry.base.value import value
+from mammometry.geometry import Array, Camera, Float64, lens
 
 INTRINSIC_NAMES = ("fx_px", "fy_px", "cx_px", "cy_px", *lens.COEFFICIENTS, "skew_px")
 """Order of a camera's ten intrinsic values everywhere in the adjustment. The skew, u's change with the distorted y, is
-zero in every camera that we return. Only published calibrations of older cameras have one.
-"""
+zero in every camera that we return. Only published calibrations of older cameras have one."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -77,3 +76,42 @@ def _pixels(
 ) -> Float64[Array, "n 2"]:
     fx, fy, cx, cy, skew = intrinsics.T[[0, 1, 2, 3, 9]]
     return np.stack([fx * x_distorted + skew * y_distorted + cx, fy * y_distorted + cy], axis=1)
+
+
+LENS_NAMES = INTRINSIC_NAMES[:9]
+"""Parameters of which something may be known beforehand."""
+
+
+@value(eq=False)
+class CameraPrior:
+    """A camera's earlier lens, each parameter free, fixed or softly held.
+
+    Only the lens is kept. Where the camera stands is found again, so that a moved camera is detected and not pulled
+    back.
+    """
+
+    camera: Camera
+    """Its matrix and distortion count."""
+    std: Mapping[str, float]
+    """Parameter (``fx_px`` … ``k3``) → standard deviation, px or dimensionless. Zero fixes it. Missing ones are free.
+    """
+
+    def __post_init__(self) -> None:
+        for name, std in self.std.items():
+            if name not in LENS_NAMES or not (np.isfinite(std) and std >= 0):
+                raise ValueError(f"{self.camera.name}: no prior can have a standard deviation of {std} in {name}")
+
+    @property
+    def intrinsics(self) -> Float64[Array, 10]:
+        """The values in the order of `INTRINSIC_NAMES`."""
+        return intrinsics_of(self.camera)
+
+    @property
+    def intrinsics_std(self) -> Float64[Array, 10]:
+        """Standard deviations of the intrinsics' pull. Infinite if free, or fixed and in need of none."""
+        return np.array([self.std.get(name) or np.inf for name in INTRINSIC_NAMES])
+
+    @property
+    def fixed(self) -> frozenset[str]:
+        """Names of the parameters that stay."""
+        return frozenset(name for name, std in self.std.items() if std == 0)

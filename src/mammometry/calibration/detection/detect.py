@@ -1,14 +1,12 @@
-"""Find the target in photographs and measure its points.
-
-They are measured to hundredths of a pixel. This module holds the values common to all kinds of target. Each kind's own
-module finds it.
-"""
+"""Find the target in photographs, measure its points to hundredths of a pixel, say why it was not found."""
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import combinations
 from types import MappingProxyType
 
 import cv2
@@ -18,20 +16,53 @@ from mammometry.base.errors import ImageError
 from mammometry.base.photograph import Photograph
 from mammometry.base.progress import Progress, no_progress
 from mammometry.base.value import value
-from mammometry.calibration.detection.diagnose import diagnose
+from mammometry.calibration.detection.finders import explain_miss, find
+from mammometry.calibration.detection.finders.cylinder import numbered_alike
 from mammometry.calibration.detection.measured_points import MeasuredPoints, points_from_table
 from mammometry.calibration.features.found_points import Cause, FoundPoints
+from mammometry.calibration.features.pixels import grey_bytes, reduced
 from mammometry.calibration.targets.target import Target
-from mammometry.geometry.arrays import Array, Float64, Int64
+from mammometry.geometry.arrays import Array, Float64, Int64, UInt8
+
+_WHITE, _MAX_WHITE_SHARE = 252, 0.35
+"""Overexposed grey level of 255, and its share in an over-exposed picture. Chosen by eye."""
+_DARK = 40
+"""Brightest grey level of a picture that is nearly black. Chosen by eye."""
+_MIN_STEP = 0.16
+"""Share of the picture's contrast that a sharp edge climbs from one reduced pixel to the next. A smeared one climbs
+less."""
+_MIN_CONTRAST = 50
+"""Grey levels between dark and bright above which a picture without edges is called blurred. Chosen by eye."""
+
+NOT_IN_VIEW = Cause(found="no target", remedy="")
+"""Nothing in the photograph says that the target should have been found."""
+
+
+def diagnose(photograph: Photograph, target: Target, *, search_width_px: int) -> Cause:
+    """Say why a photograph has no detection."""
+    small, _ = reduced(grey_bytes(photograph), search_width_px)
+    return explain_miss(target, small) or _about_exposure(small) or NOT_IN_VIEW
+
+
+def _about_exposure(small: UInt8[Array, "h w"]) -> Cause | None:
+    low, high = (float(level) for level in np.percentile(small, (1, 99.5)))
+    white = float((small >= _WHITE).mean())
+    if white > _MAX_WHITE_SHARE:
+        return Cause(found=f"an over-exposed picture: {100 * white:.0f} % of it is white", remedy="Expose it less")
+    if high < _DARK:
+        return Cause(found="a picture that is nearly black", remedy="Expose it more, or check its flash")
+    steps = np.abs(np.diff(small.astype(np.float32), axis=1))
+    if high - low > _MIN_CONTRAST and float(np.percentile(steps, 99.9)) < _MIN_STEP * (high - low):
+        return Cause(
+            found="a picture without one sharp edge: blurred by motion or focus, or without the target",
+            remedy="Focus on the board and hold it still while it is exposed",
+        )
+    return None
+
 
 SEARCH_WIDTH_PX = 1100
 """Width of the reduced picture in which the target is searched. Only its scale matters for finding. The final
-measurement uses the original pixels.
-"""
-_WINDOW_SQUARES = 0.48
-"""Half-width of the fitted window around a corner, in sides of a square: nearly all of the four squares that meet
-there, without the neighbouring corners' blurred edges.
-"""
+measurement uses the original pixels."""
 _FLOOR_PX = 0.01
 """Standard deviation added to every point's own, px: what no fit of one point can show (print, pixel grid)."""
 MIN_POINTS = 8
@@ -166,7 +197,7 @@ def detect(
             else:
                 found["/".join(key)] = seen
             progress((done + 1) / len(keys))
-    numbered = target.number_alike(found)
+    numbered = numbered_alike(found)
     detections = tuple(
         _named(numbered[name], camera, pose) for pose, camera in keys if (name := f"{pose}/{camera}") in numbered
     )
@@ -193,7 +224,7 @@ def _look(photograph: Photograph, target: Target, search_width_px: int) -> Found
     # OpenCV's searches for grids draw at random. Without a fresh start, what is found would depend on the photographs
     # that the same thread searched before.
     cv2.setRNGSeed(0)
-    return target.find(photograph, search_width_px=search_width_px, window_squares=_WINDOW_SQUARES)
+    return find(target, photograph, search_width_px)
 
 
 def _look_or_explain(photograph: Photograph, target: Target) -> FoundPoints | Cause:
@@ -234,3 +265,62 @@ def _require_size(name: str, camera: str, size_wh: tuple[int, int], expected_wh:
             expected=f"{expected_wh[0]} × {expected_wh[1]}, as in the other poses of {camera}",
             remedy="Export all photographs of a camera at the same size, without cropping or rotating",
         )
+
+
+_SAME_PX = 0.1
+"""Median distance of the same points, px. Different cameras are never so near. One camera that stands still is, but
+then all cameras of the pose are."""
+_COPIED_PX = 1e-3
+"""Noise alone moves corners by more than this between exposures, px."""
+_COMMON = 0.9
+"""Least share of points that two copies of a picture have in common."""
+
+
+def set_duplicates_aside(observations: Observations) -> Observations:
+    """Leave out photographs that are there more than once, and say so.
+
+    A picture may stand under two cameras' names, or in two poses of one camera while the others saw the target move.
+    Neither of the two can be trusted. A whole pose that was copied counts once.
+    """
+    twins: dict[tuple[str, str], list[Detection]] = defaultdict(list)
+    for a, b in combinations(observations.detections, 2):
+        distance_px = _distance_px(a, b)
+        if a.camera != b.camera and distance_px < _SAME_PX:
+            twins[a.pose, a.camera].append(b)
+            twins[b.pose, b.camera].append(a)
+        elif a.camera == b.camera and a.pose != b.pose and distance_px < _SAME_PX:
+            stood_still = _stood_still(observations, a, b)
+            if not stood_still:
+                twins[a.pose, a.camera].append(b)
+            if not stood_still or distance_px < _COPIED_PX:
+                twins[b.pose, b.camera].append(a)
+    if not twins:
+        return observations
+    missed = [
+        MissedView(
+            camera=camera,
+            pose=pose,
+            found=f"the same picture as {', '.join(f'{other.pose}/{other.camera}' for other in others)}",
+            remedy="Copy the right photograph there again, or remove the pose",
+        )
+        for (pose, camera), others in twins.items()
+    ]
+    kept = tuple(seen for seen in observations.detections if (seen.pose, seen.camera) not in twins)
+    return replace(observations, detections=kept, missed=(*observations.missed, *missed))
+
+
+def _stood_still(observations: Observations, a: Detection, b: Detection) -> bool:
+    """Whether every other camera saw the same in both poses."""
+    others = {seen.camera: seen for seen in observations.detections if seen.pose == a.pose and seen.camera != a.camera}
+    pairs = [
+        (others[seen.camera], seen) for seen in observations.detections if seen.pose == b.pose and seen.camera in others
+    ]
+    return all(_distance_px(first, second) < _SAME_PX for first, second in pairs)
+
+
+def _distance_px(a: Detection, b: Detection) -> float:
+    """Median distance of the points that both have. Infinite where they are hardly the same points."""
+    _, i, j = np.intersect1d(a.ids, b.ids, assume_unique=True, return_indices=True)
+    if len(i) < _COMMON * max(len(a.ids), len(b.ids)) or not len(i):
+        return float("inf")
+    return float(np.median(np.linalg.norm(a.uv[i] - b.uv[j], axis=1)))

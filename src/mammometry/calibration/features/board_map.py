@@ -11,7 +11,6 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from mammometry.calibration.features.corner_fit import monomials
 from mammometry.geometry.arrays import Array, Float64
 
 LENS_TOLERANCE = 0.006
@@ -155,3 +154,10 @@ def _normalised(points: Float64[Array, "n 2"]) -> tuple[Float64[Array, "3 3"], F
     scale = float(np.abs(points - centre).max()) or 1.0
     matrix = np.array([[1 / scale, 0, -centre[0] / scale], [0, 1 / scale, -centre[1] / scale], [0, 0, 1]])
     return matrix, (points - centre) / scale
+
+
+def monomials(xy: Float64[Array, "*n 2"]) -> Float64[Array, "*n 10"]:
+    """1, x, y, x², xy, y², x³, x²y, xy², y³."""
+    x, y = xy[..., 0], xy[..., 1]
+    one = np.ones_like(x)
+    return np.stack([one, x, y, x * x, x * y, y * y, x * x * x, x * x * y, x * y * y, y * y * y], axis=-1)

@@ -12,13 +12,11 @@ from pydantic import TypeAdapter, ValidationError
 from mammometry.base.errors import SessionError
 from mammometry.base.sizes import Size, fitting
 from mammometry.calibration.targets.board import Board
-from mammometry.calibration.targets.registry import TARGETS
-from mammometry.calibration.targets.target import Target
+from mammometry.calibration.targets.target import TARGETS, Target
 
 _MAX_PRINT_SCALE = 0.1
 """Largest relative scale error of a print. Chosen by eye: printers err by a few per cent at most, so a larger
-difference is a typing error.
-"""
+difference is a typing error."""
 _TARGET_MM, _USUAL_TARGET_MM = (20.0, 2500.0), (60.0, 1500.0)
 """Possible and usual longest side of what a target's points span. A cast of 40 mm is no smaller than its target."""
 

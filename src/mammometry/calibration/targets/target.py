@@ -1,26 +1,25 @@
-"""Calibration targets of any kind, as the stages see them.
+"""Calibration targets of any kind, as the stages see them, and the registry of the kinds.
 
-A target lists its points in its own frame, mm. A detection's ids index that list. The kinds are listed in `registry`,
-each in a file of its own. What needs OpenCV is in further modules, which the methods import when they are called.
+A target lists its points in its own frame, mm. A detection's ids index that list. Each kind is a file in `kinds`.
 """
 
 from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from typing import ClassVar
 
 import numpy as np
 
 from mammometry.base.errors import SettingsError
-from mammometry.base.photograph import Photograph
-from mammometry.calibration.features.found_points import Cause, FoundPoints
+from mammometry.base.registry import Registry
 from mammometry.calibration.targets.body import Body
-from mammometry.calibration.targets.registry import TARGETS
 from mammometry.calibration.targets.sheet import Sheet
-from mammometry.geometry.arrays import Array, Float64, UInt8
+from mammometry.geometry.arrays import Array, Float64
 
+TARGETS: Registry[type[Target]] = Registry("calibration target", package="mammometry.calibration.targets.kinds")
+"""Kind, as ``[target] kind`` names it, → class of the target."""
 _MAX_PER_SIDE = 2000  # columns or rows: more than any picture could resolve
 
 
@@ -64,40 +63,6 @@ class Target(ABC):
     @property
     def flatness_mm(self) -> float | None:
         """Standard deviation of the points from a plane, mm, as measured. None: not measured, or not flat."""
-        return None
-
-    # --- how it is found ---
-
-    @abstractmethod
-    def find(
-        self, photograph: Photograph, *, search_width_px: int, window_squares: float
-    ) -> FoundPoints | Cause | None:
-        """Find the points in one photograph.
-
-        Args:
-            photograph: of any size.
-            search_width_px: width of the reduced picture to search in.
-            window_squares: half-width of the window fitted around a corner, in squares, for targets that have corners.
-
-        Returns:
-            The points; why they cannot be used; or None where no target was found.
-
-        Raises:
-            SessionError: the target's description cannot be used.
-        """
-
-    def number_alike(self, found: Mapping[str, FoundPoints]) -> Mapping[str, FoundPoints]:
-        """Give all photographs, by name, one numbering of the points.
-
-        Most kinds are found with their final ids.
-
-        Raises:
-            CalibrationError: the photographs do not agree on a numbering.
-        """
-        return found
-
-    def explain_miss(self, small: UInt8[Array, "h w"]) -> Cause | None:
-        """Report what a reduced grey picture shows instead, if visible."""
         return None
 
     def mistaken(self) -> Iterator[tuple[str, Target]]:

@@ -3,8 +3,6 @@
 Called within the transaction that changes the job's row.
 """
 
-from __future__ import annotations
-
 import datetime
 from collections.abc import Mapping
 from typing import Any
@@ -12,9 +10,9 @@ from typing import Any
 from django.utils import timezone
 
 from mammometry.clinic.models import Calibration, Comparison, DailyCheck, Job, Measurement, Visit, Volume
-from mammometry.clinic.records.confirmations import has_unmeasured_drawing, settled_state
+from mammometry.clinic.records.comparing import measured_digests, refusal_of
+from mammometry.clinic.records.confirmations import settled_state
 from mammometry.clinic.records.results import add_volumes
-from mammometry.clinic.study.comparing import measured_digests, refusal_of
 
 Target = Visit | Calibration | DailyCheck | Comparison
 
@@ -27,7 +25,7 @@ _LONGEST = 500  # characters of a verdict
 
 
 def queued(target: Target) -> None:
-    """A job of it waits."""
+    """Note at a job's target that the job waits."""
     if isinstance(target, Visit):
         target.state = Visit.State.QUEUED
         target.save(update_fields=["state"])
@@ -40,7 +38,7 @@ def queued(target: Target) -> None:
 
 
 def begun(target: Target) -> None:
-    """A job of it is at work."""
+    """Note at a job's target that the job is at work."""
     if isinstance(target, Calibration):
         target.state = Calibration.State.RUNNING
         target.save(update_fields=["state"])
@@ -50,7 +48,7 @@ def begun(target: Target) -> None:
 
 
 def cancelled(target: Target) -> None:
-    """Its job was cancelled: it is as before."""
+    """Set a cancelled job's target back to what it was."""
     if isinstance(target, Visit):
         target.state = settled_state(target)
         target.save(update_fields=["state"])
@@ -62,9 +60,9 @@ def cancelled(target: Target) -> None:
 
 
 def failed(target: Target, message: str) -> None:
-    """Its job failed."""
+    """Note at a job's target that the job failed, and why."""
     if isinstance(target, Visit):
-        target.state = Visit.State.CHANGED if has_unmeasured_drawing(target) else Visit.State.REFUSED
+        target.state = Visit.State.CHANGED if target.has_unmeasured_drawing else Visit.State.REFUSED
         target.save(update_fields=["state"])
     elif isinstance(target, Calibration):
         target.state, target.verdict = Calibration.State.FAILED, message[:_LONGEST]

@@ -1,15 +1,9 @@
-"""The runner. Takes jobs from the queue and has them done by Dask's workers.
-
-Any number of runners may serve one database, on any machines that see the clinic's folder under the same path.
-"""
-
-from __future__ import annotations
+"""The runner. Takes jobs from the queue and has them done by Dask's workers."""
 
 import logging
 import threading
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
-from pathlib import Path
 from uuid import UUID
 
 from django.db import DatabaseError, close_old_connections
@@ -22,7 +16,7 @@ from mammometry.batch.record import RECORD, read_record
 from mammometry.clinic.config import ClinicConfig
 from mammometry.clinic.jobs import queue, work
 from mammometry.clinic.models import Job, Visit
-from mammometry.clinic.study.comparing import comparison_folder
+from mammometry.clinic.records.comparing import comparison_folder
 
 _LOOK_S = 1.0  # between two looks into an empty queue
 _AGAIN_S = 5.0  # until a cluster that was gone is asked again
@@ -108,10 +102,10 @@ class Runner:
         if not event.failed:
             held = queue.done(key, self.owner, event.value)
         elif _BUSY in event.failed:
-            queue.put_back(key, self.owner)
+            queue.release(self.owner, key)
             return
         else:
-            held = queue.failed(key, self.owner, _without_paths(event.failed, self._config.folder), event.exit_code)
+            held = queue.failed(key, self.owner, event.failed.replace(f"{self._config.folder}/", ""), event.exit_code)
         if not held:
             _LOG.info("Job %s is no longer ours; what it made stays on the disk.", key)
 
@@ -170,8 +164,3 @@ def _megapixels(visit: Visit) -> float | None:
         return megapixels_of(visit.folder / "capture")
     except (OSError, MammometryError):  # its own task will say what is wrong with it
         return None
-
-
-def _without_paths(message: str, folder: Path) -> str:
-    """A sentence for a page. What lies where on this machine is nobody's business."""
-    return message.replace(f"{folder}/", "")

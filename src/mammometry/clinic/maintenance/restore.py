@@ -1,17 +1,21 @@
-"""A clinic out of a backup. Checked file by file, then whole or not at all."""
-
-from __future__ import annotations
+"""A clinic out of a backup, whole or not at all, and the test of that."""
 
 import hashlib
 import json
 import re
 import shutil
 import tarfile
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from mammometry.clinic.config import FILE, FOLDERS, ClinicConfig, ClinicError, quoted, read_config, write_private
-from mammometry.clinic.maintenance.format import DATABASE, FORMAT, MANIFEST
+from mammometry.clinic.maintenance import backups
+from mammometry.clinic.maintenance.backups import DATABASE, FORMAT, MANIFEST
 
 _CHUNK = 1 << 20  # bytes
 
@@ -90,7 +94,7 @@ def load(config: ClinicConfig, manifest: dict[str, Any]) -> None:
     """
     from django.core.management import call_command
 
-    from mammometry.clinic.maintenance.backup import known_migrations
+    from mammometry.clinic.maintenance.backups import known_migrations
     from mammometry.clinic.models import Person
     from mammometry.clinic.web.server import migrate
 
@@ -112,3 +116,102 @@ def _digest(path: Path) -> str:
         while chunk := file.read(_CHUNK):
             digest.update(chunk)
     return digest.hexdigest()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RestoreTest:
+    """What was restored and compared."""
+
+    backup: str
+    """Name of the archive."""
+    rows: int
+    files: int
+    seconds: float
+
+    @property
+    def sentence(self) -> str:
+        """The outcome of the restore test in one sentence."""
+        return f"{self.backup}: {self.rows} rows and {self.files} files came back the same, in {self.seconds:.0f} s."
+
+
+def run_restore_test(config: ClinicConfig) -> RestoreTest:
+    """Restore the newest backup into a temporary folder and database, and compare rows and files with it.
+
+    The process opens the restored clinic, so it can have opened no other. The outcome is noted for the page.
+
+    Raises:
+        ClinicError: there is no backup, it is damaged, or what came back differs.
+    """
+    with backups.exclusive(config):
+        try:
+            made = _tested(config)
+        except Exception as error:
+            backups.note(config, "restore", passed=False, sentence=str(error))
+            raise
+        backups.note(config, "restore", passed=True, sentence=made.sentence)
+    return made
+
+
+def _tested(config: ClinicConfig) -> RestoreTest:
+    begun = time.monotonic()
+    newest = next(iter(backups.backup_files(config)), None)
+    if newest is None:
+        raise ClinicError("backups", found="none", expected="a backup to test", remedy="Make one first")
+    free = shutil.disk_usage(config.backups).free
+    if free < newest.size_bytes:
+        raise ClinicError(
+            "the disk of the backups", found=f"{free / 1e9:.1f} GB free",
+            expected=f"{newest.size_bytes / 1e9:.1f} GB for the restored clinic", remedy="Free some space",
+        )  # fmt: skip
+    with tempfile.TemporaryDirectory(prefix="restore-test-", dir=config.backups) as scratch:
+        restored, manifest = unpack(newest.path, Path(scratch) / "clinic", database="sqlite")
+        from mammometry.clinic.site import configure
+
+        configure(restored)
+        expected = _digests((restored.folder / DATABASE).open("rb"))
+        load(restored, manifest)
+        _require_same(expected, _rows_now(Path(scratch)))
+        return RestoreTest(
+            backup=newest.path.name,
+            rows=sum(number for number, _ in expected.values()),
+            files=len(manifest["sha256"]) - 1,  # the rows are one of its files
+            seconds=time.monotonic() - begun,
+        )
+
+
+def _rows_now(scratch: Path) -> dict[str, tuple[int, str]]:
+    """Digests of the rows that the restored database gives back."""
+    from django.db import connections
+
+    from mammometry.clinic.maintenance.backups import write_database
+
+    with (scratch / DATABASE).open("w+b") as file:
+        write_database(file)
+        file.seek(0)
+        digests = _digests(file)
+    connections.close_all()
+    return digests
+
+
+def _digests(lines: Iterable[bytes]) -> dict[str, tuple[int, str]]:
+    """Table → number of its rows, and a digest of them all in any order."""
+    numbers: Counter[str] = Counter()
+    sums: Counter[str] = Counter()
+    for line in lines:
+        row = json.loads(line)
+        table = row["model"]
+        content = json.dumps(row, sort_keys=True).encode()
+        numbers[table] += 1
+        sums[table] += int.from_bytes(hashlib.sha256(content).digest())
+    return {table: (number, f"{sums[table]:x}") for table, number in numbers.items()}
+
+
+def _require_same(expected: dict[str, tuple[int, str]], restored: dict[str, tuple[int, str]]) -> None:
+    for table in sorted({*expected, *restored}):
+        before, after = expected.get(table, (0, "")), restored.get(table, (0, ""))
+        if before != after:
+            found = f"{after[0]} rows of {table}" + (" with other values" if before[0] == after[0] else "")
+            raise ClinicError(
+                "the restored clinic", found=found, expected=f"the {before[0]} of the backup",
+                remedy="Make another backup, test it, and tell the authors if it differs again",
+            )  # fmt: skip

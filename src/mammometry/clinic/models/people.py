@@ -1,10 +1,9 @@
-"""People who work in the clinic."""
-
-from __future__ import annotations
+"""Tables of what a clinic has before its first patient: people, rigs, calibrations and daily checks."""
 
 import uuid
-from typing import Any
+from typing import Any, ClassVar, TypeVar
 
+from django.conf import settings
 from django.contrib.auth.models import AbstractUser
 from django.core.exceptions import ValidationError
 from django.db import models
@@ -12,6 +11,29 @@ from django.http import HttpRequest
 
 from mammometry.clinic.roles import Role
 from mammometry.clinic.site import the_clinic
+
+Row = TypeVar("Row", bound=models.Model)
+
+
+class Keyed(models.Model):
+    """A row with a random key."""
+
+    id = models.UUIDField(primary_key=True, default=uuid.uuid4, editable=False)
+
+    class Meta:
+        abstract: ClassVar[bool] = True
+
+
+class InUse(models.Manager[Row]):
+    """Rows that are not in the bin.
+
+    It is the default, so that no page shows what is in the bin. Backup, export, erasure and corrections take
+    ``everything``.
+    """
+
+    def get_queryset(self) -> models.QuerySet[Row]:
+        """Rows that are not in the bin."""
+        return super().get_queryset().filter(binned_at=None)
 
 
 def require_roles(value: Any) -> None:
@@ -62,3 +84,78 @@ class Person(AbstractUser):
         if any(record.get("method") == "socialaccount" for record in get_authentication_records(request, self)):
             return False
         return not Authenticator.objects.filter(user=self, type=Authenticator.Type.TOTP).exists()
+
+
+class Rig(Keyed):
+    """Cameras that stand together."""
+
+    name = models.CharField(max_length=100, unique=True)
+    note = models.TextField(max_length=2000, blank=True)
+    created = models.DateTimeField(auto_now_add=True)
+    definition = models.JSONField(default=dict)
+    """What session.toml says of the rig: its tables rig, target and intrinsics."""
+    active = models.BooleanField(default=True)
+
+    class Meta:
+        ordering = ("name",)
+
+    def __str__(self) -> str:
+        return self.name
+
+
+class Calibration(Keyed):
+    """One calibration of a rig."""
+
+    class State(models.TextChoices):
+        """How far it is."""
+
+        UPLOADING = "uploading"
+        QUEUED = "queued"
+        RUNNING = "running"
+        DONE = "done"
+        FAILED = "failed"
+
+    rig = models.ForeignKey(Rig, on_delete=models.PROTECT, related_name="calibrations")
+    taken_at = models.DateTimeField()
+    folder = models.CharField(max_length=200)
+    """Where its photographs lie, relative to the clinic's folder."""
+    state = models.CharField(max_length=12, choices=State.choices, default=State.UPLOADING)
+    figures = models.JSONField(default=dict, blank=True)
+    """What was found, with units in the names: rms_px, worst_pair_mm, …"""
+    verdict = models.CharField(max_length=500, blank=True)
+    """One sentence: may be used, or why not."""
+    current = models.BooleanField(default=False)
+    """Whether new visits use it."""
+    created_by = models.ForeignKey(settings.AUTH_USER_MODEL, null=True, on_delete=models.PROTECT, related_name="+")
+
+    class Meta:
+        ordering = ("-taken_at",)
+        constraints = (
+            models.UniqueConstraint(fields=("rig",), condition=models.Q(current=True), name="one_current_calibration"),
+        )
+
+    def __str__(self) -> str:
+        return f"{self.rig}, {self.taken_at:%Y-%m-%d}"
+
+
+class DailyCheck(Keyed):
+    """Photographs of a board, one a camera, to see whether one moved."""
+
+    rig = models.ForeignKey(Rig, on_delete=models.PROTECT, related_name="checks")
+    calibration = models.ForeignKey(Calibration, null=True, on_delete=models.PROTECT, related_name="checks")
+    taken_at = models.DateTimeField()
+    folder = models.CharField(max_length=200, blank=True)
+    """Where its photographs lie, relative to the clinic's folder."""
+    figures = models.JSONField(default=dict, blank=True)
+    """Drift by camera, mm and px."""
+    verdict = models.CharField(max_length=500, blank=True)
+    """One sentence: may we measure today?"""
+    passed = models.BooleanField(null=True)
+    """None: not judged yet."""
+    by = models.ForeignKey(settings.AUTH_USER_MODEL, null=True, on_delete=models.PROTECT, related_name="+")
+
+    class Meta:
+        ordering = ("-taken_at",)
+
+    def __str__(self) -> str:
+        return f"{self.rig}, {self.taken_at:%Y-%m-%d}"

@@ -1,13 +1,96 @@
-"""What was measured, and what people drew and confirmed."""
-
-from __future__ import annotations
+"""Tables of what becomes of visits: jobs, results, comparisons, corrections, deliveries."""
 
 from django.conf import settings
 from django.db import models
 
-from mammometry.clinic.models.jobs import Job
-from mammometry.clinic.models.keyed import Keyed
-from mammometry.clinic.models.visits import Visit
+from mammometry.clinic.models.patients import Patient, Visit
+from mammometry.clinic.models.people import Calibration, DailyCheck, Keyed
+
+
+class Comparison(Keyed):
+    """Two visits of one patient, laid onto one another."""
+
+    class State(models.TextChoices):
+        """How far it is."""
+
+        QUEUED = "queued"
+        DONE = "done"
+        REFUSED = "refused"
+
+    before = models.ForeignKey(Visit, on_delete=models.CASCADE, related_name="comparisons_as_before")
+    after = models.ForeignKey(Visit, on_delete=models.CASCADE, related_name="comparisons")
+    of = models.CharField(max_length=200, blank=True)
+    """Digests of both measurements. Where they are others now, the comparison is of the past."""
+    state = models.CharField(max_length=10, choices=State.choices, default=State.QUEUED)
+    table = models.JSONField(default=dict)
+    """Content of compare.json."""
+    message = models.CharField(max_length=1500, blank=True)
+    """Why the two cannot be compared."""
+    made_at = models.DateTimeField(null=True)
+
+    class Meta:
+        ordering = ("-made_at",)
+        constraints = (models.UniqueConstraint(fields=("before", "after"), name="one_comparison_each"),)
+
+    def __str__(self) -> str:
+        return f"{self.before} and {self.after}"
+
+
+class Job(Keyed):
+    """One thing to compute."""
+
+    class Kind(models.TextChoices):
+        """What is computed."""
+
+        MEASURE = "measure"
+        CALIBRATE = "calibrate"
+        CHECK = "check"
+        COMPARE = "compare"
+
+    class State(models.TextChoices):
+        """How far it is."""
+
+        QUEUED = "queued"
+        RUNNING = "running"
+        DONE = "done"
+        FAILED = "failed"
+        CANCELLED = "cancelled"
+
+    visit = models.ForeignKey(Visit, null=True, on_delete=models.CASCADE, related_name="jobs")
+    calibration = models.ForeignKey(Calibration, null=True, on_delete=models.CASCADE, related_name="jobs")
+    check_of_day = models.ForeignKey(DailyCheck, null=True, on_delete=models.CASCADE, related_name="jobs")
+    comparison = models.ForeignKey(Comparison, null=True, on_delete=models.CASCADE, related_name="jobs")
+    kind = models.CharField(max_length=10, choices=Kind.choices)
+    state = models.CharField(max_length=10, choices=State.choices, default=State.QUEUED, db_index=True)
+    attempt = models.PositiveIntegerField(default=0)
+    stage = models.CharField(max_length=60, blank=True)
+    fraction = models.FloatField(default=0.0)
+    """Of the whole, 0 to 1."""
+    message = models.CharField(max_length=1500, blank=True)
+    """What a failure said, without a patient's name."""
+    exit_code = models.IntegerField(null=True)
+    lease_owner = models.CharField(max_length=100, blank=True)
+    lease_until = models.DateTimeField(null=True)
+    digest = models.CharField(max_length=64, blank=True)
+    """Of its results."""
+    created = models.DateTimeField(auto_now_add=True)
+    started = models.DateTimeField(null=True)
+    ended = models.DateTimeField(null=True)
+    created_by = models.ForeignKey(settings.AUTH_USER_MODEL, null=True, on_delete=models.PROTECT, related_name="+")
+
+    class Meta:
+        ordering = ("created",)
+        constraints = tuple(
+            models.UniqueConstraint(
+                fields=[field],
+                condition=models.Q(state__in=("queued", "running")),
+                name=f"one_open_job_a_{field}",
+            )
+            for field in ("visit", "calibration", "check_of_day", "comparison")
+        )
+
+    def __str__(self) -> str:
+        return f"{self.kind} {self.id}"
 
 
 class Measurement(Keyed):
@@ -128,3 +211,117 @@ class Conclusion(Keyed):
 
     def __str__(self) -> str:
         return f"conclusion of {self.visit}"
+
+
+class Correction(Keyed):
+    """One change of a record, with its reason. It can be undone for 30 days."""
+
+    class Kind(models.TextChoices):
+        """What was changed."""
+
+        MOVED = "moved", "Visit moved to another patient"
+        DATED = "dated", "Date of a visit corrected"
+        MERGED = "merged", "Two records of one patient merged"
+        BINNED = "binned", "Put into the bin"
+
+    kind = models.CharField(max_length=8, choices=Kind.choices)
+    visit = models.ForeignKey(Visit, null=True, on_delete=models.CASCADE, related_name="corrections")
+    patient = models.ForeignKey(Patient, null=True, on_delete=models.CASCADE, related_name="corrections")
+    """The patient who was merged or put into the bin, or whose visit was moved."""
+    before = models.JSONField(default=dict)
+    """What was there before, patients by their keys. The audit does not hold it, since notes may hold names."""
+    after = models.JSONField(default=dict)
+    reason = models.CharField(max_length=500)
+    at = models.DateTimeField(auto_now_add=True)
+    by = models.ForeignKey(settings.AUTH_USER_MODEL, null=True, on_delete=models.PROTECT, related_name="+")
+    undone_at = models.DateTimeField(null=True)
+    undone_by = models.ForeignKey(settings.AUTH_USER_MODEL, null=True, on_delete=models.PROTECT, related_name="+")
+
+    class Meta:
+        ordering = ("-at",)
+
+    def __str__(self) -> str:
+        return f"{self.get_kind_display()}"
+
+
+class Destination(Keyed):
+    """An archive."""
+
+    class Kind(models.TextChoices):
+        """How it is spoken to."""
+
+        DICOM = "dicom", "DICOM (C-STORE)"
+        STOW = "stow", "DICOMweb (STOW-RS)"
+        WORKLIST = "worklist", "Worklist (C-FIND)"
+
+    name = models.CharField(max_length=100, unique=True)
+    kind = models.CharField(max_length=8, choices=Kind.choices, default=Kind.DICOM)
+    address = models.CharField(max_length=200)
+    """``AE@host:port``, or an address of the web."""
+    own_title = models.CharField(max_length=16, default="MAMMOMETRY")
+    encrypted = models.BooleanField(default=False)
+    authorities = models.CharField(max_length=300, blank=True)
+    """File with the certificates that the archive's is signed by. Empty: those that the system trusts."""
+    certificate = models.CharField(max_length=300, blank=True, default="")
+    """File with our own certificate, where the archive asks for one."""
+    key = models.CharField(max_length=300, blank=True, default="")
+    """File with its key. Empty: in the certificate's file."""
+    commitment = models.BooleanField(default=False)
+    """Whether its promise to keep what was sent is awaited."""
+    promise_port = models.PositiveIntegerField(null=True, blank=True)
+    """Where it sends that promise. None: on the connection that asked."""
+    active = models.BooleanField(default=True)
+
+    class Meta:
+        ordering = ("name",)
+
+    def __str__(self) -> str:
+        return self.name
+
+
+class VisitOrder(Keyed):
+    """What was ordered for a visit, as the worklist said."""
+
+    visit = models.OneToOneField(Visit, on_delete=models.CASCADE, related_name="order")
+    accession = models.CharField(max_length=64, blank=True)
+    study_uid = models.CharField(max_length=64, blank=True)
+    referring = models.CharField(max_length=200, blank=True)
+    procedure_id = models.CharField(max_length=64, blank=True)
+    procedure = models.CharField(max_length=200, blank=True)
+
+    def __str__(self) -> str:
+        return f"order of {self.visit}"
+
+
+class Delivery(Keyed):
+    """One visit's results on their way to an archive."""
+
+    class State(models.TextChoices):
+        """How far it is."""
+
+        QUEUED = "queued"
+        SENDING = "sending"
+        SENT = "sent"
+        FAILED = "failed"
+
+    visit = models.ForeignKey(Visit, on_delete=models.CASCADE, related_name="deliveries")
+    destination = models.ForeignKey(Destination, on_delete=models.PROTECT, related_name="deliveries")
+    state = models.CharField(max_length=8, choices=State.choices, default=State.QUEUED, db_index=True)
+    tries = models.PositiveIntegerField(default=0)
+    next_try = models.DateTimeField()
+    """When it is tried, at the earliest. While it is being sent: until when nobody else tries."""
+    message = models.CharField(max_length=1500, blank=True)
+    """What the last try said, without a patient's name."""
+    sent = models.PositiveIntegerField(default=0)
+    """Objects that were sent, of all tries."""
+    kept = models.BooleanField(null=True)
+    """Whether the archive promised to keep them all. None: it was not asked, or gave no answer."""
+    created = models.DateTimeField(auto_now_add=True)
+    ended = models.DateTimeField(null=True)
+    created_by = models.ForeignKey(settings.AUTH_USER_MODEL, null=True, on_delete=models.PROTECT, related_name="+")
+
+    class Meta:
+        ordering = ("-created",)
+
+    def __str__(self) -> str:
+        return f"{self.visit.patient.pseudonym} to {self.destination}"

@@ -1,54 +1,16 @@
-"""Confirmations: statements of people about one measured result.
+"""Confirmations of measured results, and the one thing to do next with a visit."""
 
-A confirmation changes no number. It holds for the newest measurement of a visit, while nothing that was drawn later
-waits to be measured.
-"""
-
-from __future__ import annotations
-
-import datetime
 from collections.abc import Mapping
+from dataclasses import dataclass
 
-from mammometry.clinic.models import Confirmation, Drawing, Job, Measurement, Person, Upload, Visit
+from django.urls import reverse
+
+from mammometry.clinic.models import Confirmation, Drawing, Job, Measurement, Person, Visit
+from mammometry.clinic.roles import Role
 
 CHANGED = "changed, not yet measured"
 """What pages, tables and exports say of a visit whose newest drawing is not measured."""
 CHANGED_SENTENCE = "A boundary, landmark or photograph of this visit was changed and is not measured yet. Measure it."
-
-
-def has_unmeasured_drawing(visit: Visit) -> bool:
-    """Whether somebody drew since the last finished measurement began."""
-    drawn = visit.drawings.exclude(action=Drawing.Action.CONFIRMED).order_by("-at").first()
-    if drawn is None:
-        return False
-    measured_at = _measured_at(visit)
-    return measured_at is None or drawn.at > measured_at
-
-
-def has_unmeasured_photographs(visit: Visit) -> bool:
-    """Whether photographs came in, or came back, since the last finished measurement began."""
-    measured_at = _measured_at(visit)
-    if measured_at is None:
-        return False
-    return visit.uploads.filter(state=Upload.State.PLACED, created__gt=measured_at).exists()
-
-
-def _measured_at(visit: Visit) -> datetime.datetime | None:
-    """When the last finished measurement began. It may have come to the numbers of an earlier one."""
-    job = visit.jobs.filter(kind=Job.Kind.MEASURE, state=Job.State.DONE).order_by("-started").first()
-    if job is not None and job.started is not None:
-        return job.started
-    measurement = visit.measurements.first()
-    return None if measurement is None else measurement.made_at
-
-
-def _has_unmeasured(visit: Visit) -> bool:
-    return has_unmeasured_drawing(visit) or has_unmeasured_photographs(visit)
-
-
-def is_changed(visit: Visit) -> bool:
-    """Whether the visit's numbers are of an earlier drawing or earlier photographs."""
-    return visit.state == Visit.State.CHANGED or (visit.state == Visit.State.QUEUED and _has_unmeasured(visit))
 
 
 def confirmation_of(measurement: Measurement) -> Confirmation | None:
@@ -59,13 +21,13 @@ def confirmation_of(measurement: Measurement) -> Confirmation | None:
 def valid_confirmation(visit: Visit) -> Confirmation | None:
     """Confirmation of the visit's newest measurement, if nothing was changed since."""
     measurement = visit.measurements.first()
-    return None if measurement is None or is_changed(visit) else confirmation_of(measurement)
+    return None if measurement is None or visit.is_changed else confirmation_of(measurement)
 
 
 def settled_state(visit: Visit) -> Visit.State:
     """State of a visit for which no measurement waits."""
     measurement = visit.measurements.first()
-    if _has_unmeasured(visit):
+    if visit.has_unmeasured:
         return Visit.State.CHANGED
     if measurement is None:
         return Visit.State.READY
@@ -75,7 +37,7 @@ def settled_state(visit: Visit) -> Visit.State:
 def refusal(visit: Visit, curves: Mapping[str, str]) -> str | None:
     """Why these boundaries of a visit cannot be confirmed, in a sentence. None: they can be."""
     measurement = visit.measurements.first()
-    if is_changed(visit):
+    if visit.is_changed:
         return CHANGED_SENTENCE
     if visit.state == Visit.State.QUEUED:
         return "This visit is being measured. Wait until it is."
@@ -104,3 +66,61 @@ def next_to_confirm(after: Visit) -> Visit | None:
     """The visit that waits longest for its confirmation, beside this one."""
     waiting = Visit.objects.filter(state=Visit.State.MEASURED, binned_at=None, patient__binned_at=None)
     return waiting.exclude(pk=after.pk).order_by("taken_at").first()
+
+
+_OPEN = (Job.State.QUEUED, Job.State.RUNNING)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NextStep:
+    """What to do, and the button that does it."""
+
+    words: str
+    """Where the visit stands, in a sentence."""
+    button: str = ""
+    """Empty: there is nothing to press."""
+    address: str = ""
+    starts_job: bool = False
+    """Whether the button starts a job. Else it opens a page."""
+
+
+def next_step(visit: Visit, job: Job | None, measurement: Measurement | None, person: Person) -> NextStep | None:
+    """Choose what a person does next with a visit. None: the page shows the work itself.
+
+    Args:
+        visit: any.
+        job: its newest.
+        measurement: its newest.
+        person: who looks at the page.
+    """
+    if job is not None and job.state in _OPEN:
+        return None
+    if job is not None and job.state in (Job.State.FAILED, Job.State.CANCELLED):
+        return None  # the page says why, beside the button that tries again
+    measure = reverse("visit-measure", args=[visit.pk])
+    if visit.state == Visit.State.CHANGED:
+        words = (
+            "A boundary, landmark or photograph was changed and is not measured yet. Until then there are no numbers."
+        )
+        return NextStep(words=words, button="Measure", address=measure, starts_job=True)
+    if measurement is None:
+        if not visit.is_scan:
+            return None  # the photographs have the button
+        return NextStep(words="The scan is here.", button="Measure", address=measure, starts_job=True)
+    return _judgement(visit, measurement, clinician=person.has_role(Role.CLINICIAN))
+
+
+def _judgement(visit: Visit, measurement: Measurement, *, clinician: bool) -> NextStep:
+    """What clinicians do with a measured visit, and what others wait for."""
+    if visit.state != Visit.State.CONFIRMED:
+        if not clinician:
+            return NextStep(words="Measured. A clinician looks at the boundaries and confirms them.")
+        words = "Measured. Look at the boundaries, and confirm them or draw them better."
+        return NextStep(words=words, button="Confirm boundaries", address=reverse("draw", args=[visit.pk]))
+    newest = visit.conclusions.first()
+    if newest is None or newest.measurement_id != measurement.pk:
+        confirmed = "The boundaries are confirmed."
+        if not clinician:
+            return NextStep(words=f"{confirmed} A clinician writes the conclusion.")
+        return NextStep(words=confirmed, button="Write the conclusion", address="#conclusion")
+    return NextStep(words="Confirmed and concluded.")

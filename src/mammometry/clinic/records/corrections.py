@@ -5,8 +5,6 @@ without visits goes into the bin. Nothing is destroyed. A visit whose patient or
 no report carries another patient's pseudonym.
 """
 
-from __future__ import annotations
-
 import datetime
 import shutil
 from typing import Any
@@ -29,8 +27,8 @@ from mammometry.clinic.models import (
     Visit,
     VisitOrder,
 )
-from mammometry.clinic.rigs.history import may_queue
-from mammometry.clinic.study.comparing import comparison_folder
+from mammometry.clinic.records.comparing import comparison_folder
+from mammometry.clinic.rig_history import may_queue
 
 DAYS = 30
 """Days within which a correction can be undone."""
@@ -115,7 +113,7 @@ def merge(kept: Patient, other: Patient, number_of: Patient, reason: str, by: Pe
     }
     for visit in rows["visits"]:
         _require_idle(visit)
-    before: dict[str, Any] = {name: [str(row.pk) for row in found] for name, found in rows.items()}
+    before: dict[str, Any] = {name: [str(row.pk) for row in related] for name, related in rows.items()}
     before |= {"numbers": [kept.record_number, other.record_number], "note": kept.note}
     for visit in rows["visits"]:
         _give(visit, kept, by)

@@ -1,14 +1,16 @@
-"""Operations of a patient on the time line: after which one a visit was."""
-
-from __future__ import annotations
+"""Operations of a patient on the time line, and what stayed of a fat graft."""
 
 import datetime
+import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from django.utils import timezone
 
-from mammometry.clinic.models import Operation, Visit
-from mammometry.clinic.study.charts import Event
+from mammometry.clinic.models import Comparison, Operation, Visit
+from mammometry.clinic.records.charts import Event
+from mammometry.clinic.records.comparing import is_current
+from mammometry.clinic.records.results import SideResult, VisitResult
 
 _ORDINALS = ("first", "second", "third", "fourth", "fifth", "sixth", "seventh", "eighth", "ninth", "tenth")
 _PHASES = {
@@ -75,3 +77,127 @@ def sides_of(operations: Sequence[Operation], day: datetime.date) -> str:
     if Operation.Side.BOTH in sides or {"left", "right"} <= sides:
         return "both sides"
     return next(iter(sides), "")
+
+
+_COMPARED = ("measured wall", "named wall", "closed solid")
+"""Meanings of "the breast" that may be subtracted: nothing of an unseen chest is in them."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Retention:
+    """How much of the injected fat is there at a visit, or why that cannot be said."""
+
+    operation: Operation
+    side: str
+    after: Visit | None = None
+    percent: float | None = None
+    interval_percent: tuple[float, float] | None = None
+    """95 % interval. It does not cover how exactly the injected volume is known."""
+    why: str = ""
+    """Why there is no figure, in a sentence. Empty: there is one."""
+
+
+def retentions(operations: Sequence[Operation], results: Sequence[VisitResult]) -> list[Retention]:
+    """What stayed of each fat graft, the newest first: side by side and visit by visit.
+
+    Args:
+        operations: all of one patient.
+        results: newest measurements of the patient's visits.
+    """
+    rows = sorted(results, key=lambda result: result.visit.taken_at)
+    grafts = sorted(
+        (operation for operation in operations if operation.kind == Operation.Kind.GRAFT),
+        key=lambda operation: operation.day,
+    )
+    return [
+        retention
+        for graft in reversed(grafts)
+        for side in (("left", "right") if graft.side == Operation.Side.BOTH else (graft.side,))
+        for retention in _of_side(graft, side, operations, rows)
+    ]
+
+
+def _of_side(
+    graft: Operation, side: str, operations: Sequence[Operation], results: Sequence[VisitResult]
+) -> list[Retention]:
+    """One side of one graft: at each visit until the side is operated on again."""
+    if not graft.volume_cc:
+        return [Retention(operation=graft, side=side, why="The injected volume is not entered.")]
+    others = [
+        operation
+        for operation in operations
+        if operation.pk != graft.pk and operation.side in (side, Operation.Side.BOTH)
+    ]
+    measured = [(result.visit, volume) for result in results if (volume := _volume(result, side)) is not None]
+    before = [(visit, volume) for visit, volume in measured if is_before(visit, graft)]
+    if not before:
+        return [Retention(operation=graft, side=side, why="There is no measured visit before it.")]
+    first, was = before[-1]
+    after = [(visit, volume) for visit, volume in measured if not is_before(visit, graft)]
+    alone = [pair for pair in after if not any(_between(first, pair[0], other) for other in others)]
+    if not alone:
+        why = (
+            "Another operation on this side lies between the visits."
+            if after
+            else "There is no measured visit after it."
+        )
+        return [Retention(operation=graft, side=side, why=why)]
+    return [_retained(graft, side, (first, was), pair) for pair in alone]
+
+
+def _between(first: Visit, last: Visit, operation: Operation) -> bool:
+    return is_before(first, operation) and not is_before(last, operation)
+
+
+def _retained(
+    graft: Operation, side: str, before: tuple[Visit, SideResult], after: tuple[Visit, SideResult]
+) -> Retention:
+    (first, was), (visit, now) = before, after
+    assert graft.volume_cc is not None
+    if first.posture != visit.posture:
+        why = "The visits before and after it were photographed in different postures."
+        return Retention(operation=graft, side=side, after=visit, why=why)
+    compared = _comparison(first, visit, side)
+    if compared is None and was.definition != now.definition:
+        why = "Both visits have no volume in the same meaning. Compare them first."
+        return Retention(operation=graft, side=side, after=visit, why=why)
+    change, interval = compared or _difference(was, now)
+    share = 100.0 / graft.volume_cc
+    return Retention(
+        operation=graft, side=side, after=visit, percent=share * change,
+        interval_percent=None if interval is None else (share * interval[0], share * interval[1]),
+    )  # fmt: skip
+
+
+def _comparison(before: Visit, after: Visit, side: str) -> tuple[float, tuple[float, float] | None] | None:
+    """Change and interval of the comparison of both visits, cc. None: there is none of both newest results."""
+    row = Comparison.objects.filter(before=before, after=after, state=Comparison.State.DONE).first()
+    if row is None:
+        return None
+    row.before, row.after = before, after  # with their measurements, which are read already
+    if not is_current(row):
+        return None
+    breast = row.table.get("breasts", {}).get(side)
+    if breast is None or breast.get("change_cc") is None:
+        return None
+    interval = breast.get("change_interval_cc")
+    return breast["change_cc"], None if interval is None else (interval[0], interval[1])
+
+
+def _difference(was: SideResult, now: SideResult) -> tuple[float, tuple[float, float] | None]:
+    """Difference of two volumes whose errors are taken as independent, cc."""
+    assert was.volume_cc is not None
+    assert now.volume_cc is not None
+    change = now.volume_cc - was.volume_cc
+    if was.interval_cc is None or now.interval_cc is None:
+        return change, None
+    down = math.hypot(now.volume_cc - now.interval_cc[0], was.interval_cc[1] - was.volume_cc)
+    up = math.hypot(now.interval_cc[1] - now.volume_cc, was.volume_cc - was.interval_cc[0])
+    return change, (change - down, change + up)
+
+
+def _volume(result: VisitResult, side: str) -> SideResult | None:
+    """One breast in the first meaning that may be subtracted. None: it has no such volume."""
+    rows = [row for breast in result.sides if breast.side == side for row in (breast, *breast.others)]
+    ranked = [row for name in _COMPARED for row in rows if row.definition == name and row.volume_cc is not None]
+    return ranked[0] if ranked else None

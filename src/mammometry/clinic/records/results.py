@@ -1,15 +1,30 @@
-"""Results of visits as pages show them."""
+"""Results of visits as pages show them, and their reports."""
 
 from __future__ import annotations
 
 import datetime
+import json
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
 
+from mammometry.api.results import FOLDER
+from mammometry.base.errors import SessionError
 from mammometry.clinic.models import Measurement, Visit, Volume
-from mammometry.clinic.records.confirmations import CHANGED, is_changed
-from mammometry.clinic.study.charts import Reading
-from mammometry.report.words.volume_words import MEANINGS
+from mammometry.clinic.records.charts import Reading
+from mammometry.clinic.records.clinical import clinical_of
+from mammometry.clinic.records.confirmations import CHANGED
+from mammometry.clinic.site import the_clinic
+from mammometry.report.scene import json_in_page
+from mammometry.report.words.volumes import MEANINGS
+
+if TYPE_CHECKING:
+    from mammometry.api.job import Job
+    from mammometry.api.mesh import MeshJob
+    from mammometry.report.documents.rendering import RenderedReport
+    from mammometry.report.figures.drawing.canvas import Caption
+
 
 Interval = tuple[float, float]
 SIDES = ("left", "right", "model")
@@ -48,12 +63,12 @@ class VisitResult:
 
 def latest(visits: Iterable[Visit]) -> list[VisitResult]:
     """Newest measurement of each visit, in the order of the visits. Visits without one are left out."""
-    found = []
+    results = []
     for visit in visits:
         measurement = next(iter(visit.measurements.all()), None)  # the newest first
         if measurement is not None:
-            found.append(visit_result(visit, measurement))
-    return found
+            results.append(visit_result(visit, measurement))
+    return results
 
 
 def add_volumes(measurement: Measurement, volumes: Iterable[Volume]) -> None:
@@ -71,7 +86,7 @@ def visit_result(visit: Visit, measurement: Measurement) -> VisitResult:
 
     Without its numbers while a boundary or landmark was changed that is not measured: they are of an earlier one.
     """
-    changed = is_changed(visit)
+    changed = visit.is_changed
     by_side: dict[str, list[SideResult]] = {}
     for row in sorted(measurement.volumes.all(), key=_rank):
         side = _side(row)
@@ -100,7 +115,7 @@ def readings(results: Iterable[VisitResult]) -> list[Reading]:
 
 
 def age(born: datetime.date | None, at: datetime.date) -> int | None:
-    """Full years."""
+    """Age at a day, in full years."""
     if born is None:
         return None
     return at.year - born.year - ((at.month, at.day) < (born.month, born.day))
@@ -123,3 +138,97 @@ def _side(volume: Volume) -> SideResult:
         side=volume.side, title=titles.get(volume.side, volume.side), definition=volume.definition,
         volume_cc=volume.volume_cc, interval_cc=interval, refused=volume.refused,
     )  # fmt: skip
+
+
+_OF_THE_STATE = ("Nobody has confirmed the automatic boundary", "Boundaries are drawn and confirmed with")
+"""How warnings begin that the visit's state says already: `report.rendering` writes them."""
+_OF_PHOTOGRAPHS = ("Pose ", "Pair ", "Something hides part", "The subject was not separated")
+"""How warnings begin that concern single photographs: `report.warnings` writes them."""
+_LARGEST = 64 << 20  # bytes of a report; ours have a few MB
+
+
+@dataclass(frozen=True, slots=True)
+class Facts:
+    """What a reader must know beside the volumes."""
+
+    warnings: tuple[str, ...]
+    """What concerns the numbers."""
+    notes: tuple[str, ...] = ()
+    """What concerns single photographs and how they were matched."""
+
+
+def report_file(visit: Visit, name: str) -> Path | None:
+    """A file of the visit's report. None if there is none."""
+    return readable(visit.folder / "results" / "report" / name)
+
+
+def readable(path: Path) -> Path | None:
+    """A file of ours that may be shown. None if there is none."""
+    return path if path.is_file() and not path.is_symlink() and path.stat().st_size <= _LARGEST else None
+
+
+def refusal_pictures(visit: Visit) -> dict[str, Caption]:
+    """What the visit's refused measurement saw: name of each picture → its caption."""
+    from mammometry.report.figures.drawing.canvas import caption_of
+
+    paths = sorted((visit.folder / "results" / FOLDER).glob("*.png"))
+    return {path.stem: caption_of(path.read_bytes()) for path in paths if readable(path)}
+
+
+def refusal_picture(visit: Visit, name: str) -> bytes | None:
+    """One of those pictures, as PNG. None if there is none."""
+    path = readable(visit.folder / "results" / FOLDER / f"{name}.png")
+    return None if path is None else path.read_bytes()
+
+
+def facts(visit: Visit) -> Facts:
+    """Warnings of the report, without what the visit's state says."""
+    path = report_file(visit, "warnings.json")
+    try:
+        warnings = [] if path is None else json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        warnings = []
+    sentences = [str(warning) for warning in warnings] if isinstance(warnings, list) else []
+    sentences = [sentence for sentence in sentences if not sentence.startswith(_OF_THE_STATE)]
+    return Facts(
+        tuple(sentence for sentence in sentences if not sentence.startswith(_OF_PHOTOGRAPHS)),
+        tuple(sentence for sentence in sentences if sentence.startswith(_OF_PHOTOGRAPHS)),
+    )
+
+
+def scene_of(visit: Visit) -> str | None:
+    """The 3D scene of the visit's report, as JSON. None if there is none."""
+    path = report_file(visit, "report.html")
+    return None if path is None else json_in_page(path.read_text(encoding="utf-8"))
+
+
+def measured_job(visit: Visit) -> Job | MeshJob:
+    """Open a visit whose newest boundaries and landmarks are measured.
+
+    Raises:
+        SessionError: it was changed since, or would have to be measured again.
+        MammometryError: its folder cannot be opened.
+    """
+    from mammometry.api.job import open_session
+    from mammometry.api.mesh import open_scan
+
+    if visit.is_changed:
+        remedy = "Wait until it is measured, or measure it"
+        expected = "a visit whose newest boundaries and landmarks are measured"
+        raise SessionError(str(visit), found=CHANGED, expected=expected, remedy=remedy)
+    settings = the_clinic().measuring()
+    job: Job | MeshJob = open_scan(visit.folder, settings) if visit.is_scan else open_session(visit.folder, settings)
+    if not job.store.has(job.content_key):
+        remedy = "Measure it again"
+        expected = "a measured visit"
+        raise SessionError(str(visit), found="a visit whose report is not current", expected=expected, remedy=remedy)
+    return job
+
+
+def rendered_report(visit: Visit) -> RenderedReport:
+    """The report with names, operations, confirmation and conclusions.
+
+    Raises:
+        MammometryError: as of `measured_job`.
+    """
+    return measured_job(visit).rendered(clinical_of(visit))

@@ -1,16 +1,14 @@
-"""The one search for patients, of all pages."""
-
-from __future__ import annotations
+"""The one search for patients, and what may be in the clinic already."""
 
 import datetime
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from django.db.models import Count, Max, Q, QuerySet
 from django.utils import timezone
 
-from mammometry.clinic.models import Patient, Visit
-from mammometry.clinic.records.search_words import read_query
+from mammometry.clinic.models import Patient, Rig, Upload, Visit
+from mammometry.clinic.records.search_words import plain, plain_name, read_query
 
 MANY = 50
 """Rows that a search shows; more are not read."""
@@ -79,3 +77,88 @@ def _on(days: Iterable[datetime.date]) -> Q:
         begin = timezone.make_aware(datetime.datetime.combine(day, datetime.time()))
         within |= Q(taken_at__gte=begin, taken_at__lt=begin + datetime.timedelta(days=1))
     return within
+
+
+_CLOCK = datetime.timedelta(minutes=10)  # by which the clock of a browser's computer may be ahead
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Duplicates:
+    """Records that may be of the same patient."""
+
+    same_number: Patient | None
+    """Has this record number, but for case, hyphens and blanks. Two records cannot."""
+    same_person: tuple[Patient, ...]
+    """Have this name, and this birthday or none."""
+
+    def __bool__(self) -> bool:
+        """Whether there are any duplicates."""
+        return self.same_number is not None or bool(self.same_person)
+
+
+def duplicates(patient: Patient) -> Duplicates:
+    """Records that may be of the same patient, the bin's and merged ones too."""
+    others = Patient.everything.exclude(pk=patient.pk)
+    return Duplicates(
+        same_number=next(
+            (candidate for candidate in of_number(patient.record_number) if candidate.pk != patient.pk), None
+        ),
+        same_person=tuple(
+            candidate
+            for candidate in others.filter(_born(patient.born), merged_into=None)
+            if _names(candidate) == _names(patient) and plain(candidate.record_number) != plain(patient.record_number)
+        ),
+    )
+
+
+def of_number(record_number: str) -> list[Patient]:
+    """Patients with a record number, but for case, hyphens and blanks.
+
+    A merged record gives the one that holds its visits.
+    """
+    number = plain(record_number)
+    rows = Patient.everything.filter(search_words__contains=number).select_related("merged_into") if number else ()
+    return [row.merged_into or row for row in rows if plain(row.record_number) == number]
+
+
+def same_photographs(visit: Visit) -> list[tuple[Visit, list[str]]]:
+    """Other visits that hold the same files, with the cameras of this one."""
+    own = {row.sha256: row.camera for row in visit.uploads.filter(state=Upload.State.PLACED).exclude(sha256="")}
+    rows = Upload.objects.filter(sha256__in=own, state=Upload.State.PLACED, visit__binned_at=None)
+    cameras_of: dict[Visit, list[str]] = {}
+    for row in rows.exclude(visit=None).exclude(visit=visit).select_related("visit__patient"):
+        assert row.visit is not None
+        cameras_of.setdefault(row.visit, []).append(own[row.sha256])
+    return list(cameras_of.items())
+
+
+def elsewhere(other: Visit, cameras: Sequence[str]) -> str:
+    """That photographs are in another visit too, in a sentence."""
+    names = ", ".join(sorted(camera.replace("_", " ") for camera in cameras))
+    which = f"the visit of {_day(other.taken_at)} of {other.patient.pseudonym}"
+    return f"The same photograph{'s are' if len(cameras) > 1 else ' is'} in {which}, too: {names}."
+
+
+def date_questions(taken_at: datetime.datetime, rig: Rig | None) -> list[str]:
+    """What is strange about a visit's day, in sentences that ask whether it is right."""
+    now = timezone.now()
+    if taken_at > now + _CLOCK:
+        return [f"This visit is in the future: today is {_day(now)}. Is the day right?"]
+    first = None if rig is None else rig.calibrations.order_by("taken_at").first()
+    if first is not None and timezone.localdate(taken_at) < timezone.localdate(first.taken_at):
+        return [f"This is before the first calibration of {rig}, on {_day(first.taken_at)}. Is the day right?"]
+    return []
+
+
+def _day(at: datetime.datetime) -> str:
+    local = timezone.localtime(at)
+    return f"{local.day} {local:%b %Y}"
+
+
+def _born(born: datetime.date | None) -> Q:
+    return Q() if born is None else Q(born=born) | Q(born=None)
+
+
+def _names(patient: Patient) -> frozenset[str]:
+    """Both names, whichever stands first."""
+    return frozenset({plain_name(patient.family_name), plain_name(patient.given_name)})

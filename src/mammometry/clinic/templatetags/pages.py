@@ -1,8 +1,7 @@
-"""What every page of the clinic shows. Its ways, its name, numbers in clinical words."""
-
-from __future__ import annotations
+"""What pages of the clinic show: their ways, who they are about, numbers and verdicts in words."""
 
 import datetime
+import re
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -10,15 +9,124 @@ from django import template
 from django.http import HttpRequest
 from django.urls import resolve, reverse
 from django.utils import timezone
+from django.utils.html import format_html
+from django.utils.safestring import SafeString
 
 import mammometry
-from mammometry.clinic import page_words
+from mammometry.clinic.intake.photographs import thumbnail_path
+from mammometry.clinic.jobs import queue
+from mammometry.clinic.models import Patient, Upload, Visit
+from mammometry.clinic.records import comparing
+from mammometry.clinic.records.charts import Event, Reading, time_line
+from mammometry.clinic.records.comparing import Verdict
 from mammometry.clinic.records.confirmations import CHANGED
+from mammometry.clinic.records.operations import sides_of
+from mammometry.clinic.records.results import age
 from mammometry.clinic.roles import Role
-from mammometry.clinic.study.charts import Event, Reading, time_line
+from mammometry.report.words.lengths import Length, length_words
 
 register = template.Library()
-register.filter(page_words.on_pages)
+
+
+@register.inclusion_tag("clinic/banner.html")
+def banner(patient: Patient, visit: Visit | None = None) -> dict[str, Any]:
+    """Who the page is about, with the visit's photographs in small."""
+    shots = () if visit is None else visit.uploads.filter(state=Upload.State.PLACED).order_by("camera")
+    return {
+        **patient_facts(patient),
+        "visit": visit,
+        "shots": [upload for upload in shots if thumbnail_path(upload).is_file()],
+    }
+
+
+@register.inclusion_tag("clinic/patient_facts.html")
+def patient_facts(patient: Patient) -> dict[str, Any]:
+    """Birthday, numbers and sides of surgery of a patient."""
+    today = timezone.localdate()
+    surgery = sides_of(list(patient.operations.all()), today)
+    return {"patient": patient, "age": age(patient.born, today), "surgery": surgery}
+
+
+@register.filter
+def camera_words(camera: str) -> str:
+    """Name of a camera as a title: "Front left"."""
+    return camera.replace("_", " ").capitalize()
+
+
+@register.filter
+def length_mm(value: Length | None) -> str:
+    """A length in mm with its interval: "212.3 ± 4.1"."""
+    return _breaking_once(length_words(value))
+
+
+@register.filter
+def signed_length_mm(value: Length | None) -> str:
+    """A difference of lengths: "+4.2 ± 5.8"."""
+    return _breaking_once(length_words(value, "+"))
+
+
+def _breaking_once(words: str) -> str:
+    """On a phone the line breaks before the sign and not after it."""
+    return words.replace("± ", "±\u00a0")
+
+
+@register.filter
+def whole_percent(value: float) -> str:
+    """A per cent without decimals: "62 %"."""
+    return f"{value:.0f} %".replace("-", "−")
+
+
+_COVERAGE_95 = 1.96  # standard deviations on either side that hold 95 %
+
+
+@register.simple_tag
+def change_since_the_visit_before(visit: Visit) -> Verdict | None:
+    """The verdict against the visit before. None: there is none."""
+    pair = next((pair for pair in comparing.neighbours(visit) if pair[1] == visit), None)
+    return None if pair is None else queued(comparing.verdict(*pair))
+
+
+@register.simple_tag
+def changes_of(patient: Patient) -> list[Verdict]:
+    """The verdicts from visit to visit, the newest first."""
+    visits = Visit.objects.filter(patient=patient).prefetch_related("measurements__volumes")
+    return [queued(verdict) for verdict in comparing.changes(visits)]
+
+
+@register.filter
+def length_change(length: dict[str, Any]) -> SafeString:
+    """A change of a length with its 95 % half-width, in bold where it is more than the error."""
+    words = f"{length['change_mm']:+.1f} ± {_COVERAGE_95 * length['sigma_mm']:.1f}".replace("-", "−")
+    return format_html("<strong>{}</strong>", words) if length["beyond_error"] else format_html("{}", words)
+
+
+def queued(verdict: Verdict) -> Verdict:
+    """Queue a verdict's comparison where it is due, and return the verdict."""
+    if verdict.state != "busy":
+        return verdict
+    queue.compare(verdict.before, verdict.after, None)
+    return comparing.verdict(verdict.before, verdict.after)
+
+
+_INSTEAD = (
+    (r"with `mammometry edit`", "(a clinician, on the page of boundaries)"),
+    (r"; compare\.refuse_mm sets the limit", ""),
+    (r": --(?:head|ahead) -?[xyz], for example", ""),
+    (r", or measure the largest alone with --largest", ""),
+    (r"--units(?: mm, cm or m)?", "the unit of the mesh"),
+    (r"--head", "the axis towards the head"),
+    (r"--ahead", "the axis straight ahead"),
+)
+
+
+@register.filter
+def on_pages(sentence: str) -> str:
+    """A sentence with the clinic's pages and fields in place of commands and their options."""
+    for pattern, words in _INSTEAD:
+        sentence = re.sub(pattern, words, sentence)
+    return sentence
+
+
 _BYTES = ((1e12, "TB"), (1e9, "GB"), (1e6, "MB"), (1e3, "kB"))
 
 _MENU = {
@@ -65,7 +173,7 @@ _CHIPS = {
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """A way on every page."""
+    """An entry of the menu on every page."""
 
     title: str
     address: str
@@ -116,13 +224,13 @@ def cc(value: float | None) -> str:
 
 @register.filter
 def signed_cc(value: float | None) -> str:
-    """A change of a volume."""
+    """A change of a volume in cc, with its sign."""
     return "–" if value is None else f"{value:+.0f} cc".replace("-", "−")
 
 
 @register.filter
 def span_cc(interval: tuple[float, float] | None) -> str:
-    """An interval of volumes."""
+    """An interval of volumes in cc."""
     if not interval or interval[0] is None or interval[1] is None:
         return "not known"
     return f"{interval[0]:.0f} to {interval[1]:.0f} cc".replace("-", "−")
@@ -130,7 +238,7 @@ def span_cc(interval: tuple[float, float] | None) -> str:
 
 @register.filter
 def mm(value: float | None) -> str:
-    """A length."""
+    """A length in mm."""
     return "–" if value is None else f"{value:.1f} mm".replace("-", "−")
 
 

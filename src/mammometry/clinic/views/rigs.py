@@ -1,19 +1,24 @@
 """Pages of rigs. May we measure today, calibrations and their history, drift, the daily check."""
 
-from __future__ import annotations
-
 import uuid
 from typing import Any
+from uuid import UUID
 
 from django.contrib import messages
-from django.http import HttpRequest, HttpResponse
+from django.http import Http404, HttpRequest, HttpResponse, HttpResponseBase, JsonResponse
 from django.shortcuts import get_object_or_404, redirect, render
+from django.urls import reverse
 
+from mammometry.base.errors import MammometryError, SettingsError
+from mammometry.calibration.targets.target import Target
 from mammometry.capture.sessions import cameras_of
+from mammometry.clinic import rig_history
 from mammometry.clinic.forms import RigForm
 from mammometry.clinic.models import Calibration, DailyCheck, Rig
-from mammometry.clinic.rigs.history import drift_rows
-from mammometry.clinic.rigs.history import today as verdict_of
+from mammometry.clinic.rig_history import drift_rows
+from mammometry.clinic.rig_history import today as verdict_of
+from mammometry.clinic.site import the_clinic
+from mammometry.clinic.views.responses import Refused, form_page, json_view
 
 
 def rigs(request: HttpRequest) -> HttpResponse:
@@ -36,14 +41,12 @@ def rig(request: HttpRequest, rig: uuid.UUID) -> HttpResponse:
     return render(request, "clinic/rig.html", context)
 
 
-def rig_new(request: HttpRequest) -> HttpResponse:
-    """Enter a rig."""
-    return _edited(request, None)
-
-
-def rig_edit(request: HttpRequest, rig: uuid.UUID) -> HttpResponse:
-    """Change a rig's name, note or description."""
-    return _edited(request, get_object_or_404(Rig, pk=rig))
+def rig_form(request: HttpRequest, rig: uuid.UUID | None = None) -> HttpResponse:
+    """Enter a rig, or change its name, note or description."""
+    shown = None if rig is None else get_object_or_404(Rig, pk=rig)
+    form = RigForm(request.POST or None, request.FILES or None, instance=shown)
+    saved = "The rig is saved."
+    return form_page(request, "clinic/rig_form.html", form, saved, lambda row: redirect("rig", rig=row.pk), rig=shown)
 
 
 def calibration(request: HttpRequest, calibration: uuid.UUID) -> HttpResponse:
@@ -59,7 +62,7 @@ def calibration(request: HttpRequest, calibration: uuid.UUID) -> HttpResponse:
 
 
 def check(request: HttpRequest, check: uuid.UUID) -> HttpResponse:
-    """One daily check."""
+    """Page of a daily check."""
     shown = get_object_or_404(DailyCheck.objects.select_related("rig", "by"), pk=check)
     context = {
         "check": shown,
@@ -68,15 +71,6 @@ def check(request: HttpRequest, check: uuid.UUID) -> HttpResponse:
         **_figures(shown.figures),
     }
     return render(request, "clinic/check.html", context)
-
-
-def _edited(request: HttpRequest, rig: Rig | None) -> HttpResponse:
-    form = RigForm(request.POST or None, request.FILES or None, instance=rig)
-    if request.method == "POST" and form.is_valid():
-        made = form.save()
-        messages.success(request, "The rig is saved.")
-        return redirect("rig", rig=made.pk)
-    return render(request, "clinic/rig_form.html", {"form": form, "rig": rig})
 
 
 _SINGLE = (
@@ -111,3 +105,72 @@ def _figures(figures: dict[str, Any]) -> dict[str, Any]:
         if figures.get(key)
     ]
     return {"figures": single, "tables": tables}
+
+
+@json_view("GET")
+def today(request: HttpRequest, rig: UUID) -> HttpResponseBase:
+    """Whether a rig may be measured with today, as JSON."""
+    return JsonResponse(rig_history.today(get_object_or_404(Rig, pk=rig)).as_table())
+
+
+@json_view("GET")
+def drift(request: HttpRequest, rig: UUID) -> HttpResponseBase:
+    """The chart of the rig's checks, PNG."""
+    from mammometry.report.figures.calibration import drift as drawn
+
+    entries = rig_history.entries(get_object_or_404(Rig, pk=rig))
+    if not entries:
+        raise Http404
+    picture = drawn(entries, the_clinic().measuring().calibration.check.refuse_mm)
+    return HttpResponse(picture, content_type="image/png", headers={"Cache-Control": "private, no-store"})
+
+
+@json_view("POST")
+def new_calibration(request: HttpRequest, rig: UUID) -> HttpResponseBase:
+    """A calibration to upload to."""
+    made = rig_history.new_calibration(get_object_or_404(Rig, pk=rig), request.user)
+    return JsonResponse(
+        {"id": str(made.pk), "url": reverse("calibration-uploads", kwargs={"calibration": made.pk})}, status=201
+    )
+
+
+@json_view("POST")
+def new_check(request: HttpRequest, rig: UUID) -> HttpResponseBase:
+    """A daily check to upload to."""
+    made = rig_history.new_check(get_object_or_404(Rig, pk=rig), request.user)
+    if made is None:
+        raise Refused("This rig is not calibrated. Calibrate it first.")
+    return JsonResponse({"id": str(made.pk), "url": reverse("check-uploads", kwargs={"check": made.pk})}, status=201)
+
+
+_MEASURED = ("edge_mm", "edge_std_mm", "flatness_mm")
+"""Keys of a description that belong to an earlier print. The board is drawn as designed."""
+
+
+def target(request: HttpRequest, rig: uuid.UUID) -> HttpResponse:
+    """The calibration board of the rig's description as a PDF at true scale."""
+    from mammometry.calibration.targets.table import target_from_table
+
+    shown = get_object_or_404(Rig, pk=rig)
+    table = {key: value for key, value in shown.definition.get("target", {}).items() if key not in _MEASURED}
+    try:
+        content = _on_smallest_page(target_from_table(table))
+    except MammometryError as error:
+        messages.error(request, f"The board cannot be drawn: {error}")
+        return redirect("rig", rig=shown.pk)
+    name = f"board-{shown.pk}.pdf"
+    return HttpResponse(
+        content, content_type="application/pdf", headers={"Content-Disposition": f'inline; filename="{name}"'}
+    )
+
+
+def _on_smallest_page(target: Target) -> bytes:
+    """The board on the smallest of the usual pages that holds it, or on one of its own size."""
+    from mammometry.calibration.targets.pdf import target_pdf
+
+    for page in ("A4", "A3", "A2", "A1", "A0"):
+        try:
+            return target_pdf(target, page=page)
+        except SettingsError:
+            continue
+    return target_pdf(target)

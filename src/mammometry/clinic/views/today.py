@@ -1,19 +1,93 @@
-"""The first page: what there is to do today."""
-
-from __future__ import annotations
+"""The first page: what there is to do today, the first day of a fresh clinic, help."""
 
 import datetime
+from dataclasses import dataclass
+from typing import NamedTuple
 
+from auditlog.models import LogEntry
 from django.http import HttpRequest, HttpResponse
 from django.shortcuts import redirect, render
+from django.urls import reverse
 from django.utils import timezone
 
-from mammometry.clinic.first_day import first_day_of
-from mammometry.clinic.models import Job, Rig, Visit
+from mammometry.clinic.models import Calibration, Job, Patient, Person, Rig, Visit
 from mammometry.clinic.records.results import latest
-from mammometry.clinic.rigs.history import today as verdict_of
-from mammometry.clinic.roles import CARE, Role
-from mammometry.clinic.views.who import person_of
+from mammometry.clinic.rig_history import today as verdict_of
+from mammometry.clinic.roles import ADMINISTRATOR, CARE, RIGS, Role
+from mammometry.clinic.views.responses import person_of
+
+
+class Step(NamedTuple):
+    """One step of the first day."""
+
+    title: str
+    sentence: str
+    done: bool
+    button: str
+    address: str
+    """Where the button leads."""
+    roles: frozenset[Role]
+    """Who may do it."""
+
+    @property
+    def role_words(self) -> str:
+        """Who may do it, in words."""
+        return " or ".join(role.label.lower() for role in Role if role in self.roles)
+
+
+def steps() -> list[Step]:
+    """Return the steps, or an empty list when all are done."""
+    rig = Rig.objects.filter(active=True).order_by("created").first()
+    calibrated = Calibration.objects.filter(current=True).exists()
+    has_patient = Patient.objects.exists()
+    if rig is not None and calibrated and has_patient:
+        return []
+    staff = any(not CARE.isdisjoint(person.roles) for person in Person.objects.filter(is_active=True))
+    printed = calibrated or LogEntry.objects.filter(additional_data__page="rig-target").exists()
+    rig_page = reverse("rigs") if rig is None else reverse("rig", args=[rig.pk])
+    return [
+        Step(
+            "People", "Enter at least one technician or clinician, and hand over the link to set a password.",
+            staff, "Enter somebody", reverse("person-new"), ADMINISTRATOR,
+        ),
+        Step(
+            "Rig", "Enter the cameras that stand together, and the board they are calibrated with.",
+            rig is not None, "Enter the rig", reverse("rig-new"), RIGS,
+        ),
+        Step(
+            "Board to print", "Print it at 100 %, fix it on something flat and stiff, and measure the ruler below it.",
+            rig is not None and printed, "Open the board as PDF",
+            rig_page if rig is None else reverse("rig-target", args=[rig.pk]), RIGS,
+        ),
+        Step(
+            "Calibration", "Photograph the board in about twelve poses with all cameras, and let them be calibrated.",
+            calibrated, "To the rig", rig_page, RIGS,
+        ),
+        Step(
+            "First patient", "Enter a patient, begin a visit, and add its photographs.",
+            has_patient, "Enter a patient", reverse("patient-new"), CARE,
+        ),
+    ]  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FirstDay:
+    """The steps as one person sees them."""
+
+    steps: list[Step]
+    next_step: Step
+    may_do: bool
+    """Whether this person may do the next step."""
+
+
+def first_day_of(person: Person) -> FirstDay | None:
+    """Return the first day as this person sees it, or None when it is over."""
+    all_steps = steps()
+    waiting = [step for step in all_steps if not step.done]
+    if not waiting:
+        return None
+    return FirstDay(steps=all_steps, next_step=waiting[0], may_do=person.has_role(*waiting[0].roles))
+
 
 _MANY = 50  # rows that a page shows before it becomes a search
 
@@ -53,3 +127,13 @@ def today(request: HttpRequest) -> HttpResponse:
         "open_jobs": jobs,
     }
     return render(request, "clinic/today.html", context)
+
+
+def alive(request: HttpRequest) -> HttpResponse:
+    """Say that the server runs, for whoever watches it."""
+    return HttpResponse("ok\n", content_type="text/plain")
+
+
+def guide(request: HttpRequest) -> HttpResponse:
+    """All help on one page."""
+    return render(request, "clinic/help.html")

@@ -4,8 +4,6 @@
 transaction, and enters into the audit who saw which patient's, visit's or rig's page.
 """
 
-from __future__ import annotations
-
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from functools import wraps
@@ -42,16 +40,7 @@ class Access:
     """Open before the second factor is set up."""
 
 
-def route(
-    where: str,
-    view: View,
-    *,
-    name: str,
-    roles: frozenset[Role] | None,
-    body_bytes: int = BODY_BYTES,
-    atomic: bool = True,
-    audited: bool = True,
-) -> URLPattern:
+def route(where: str, view: View, name: str, roles: frozenset[Role] | None, **others: Any) -> URLPattern:
     """A line of the table of routes.
 
     Args:
@@ -61,32 +50,15 @@ def route(
         view: function or coroutine function.
         name: for ``reverse``.
         roles: who may open it; None for anyone, logged in or not.
-        body_bytes: largest body of a request, bytes.
-        atomic: whether a change is one transaction with its audit entry.
-        audited: whether opening it is an entry of the audit; False for what a page polls.
+        others: the other fields of `Access`.
     """
-    return _mounted(where, view, name, Access(roles=roles, body_bytes=body_bytes, atomic=atomic, audited=audited))
-
-
-def set_up_route(where: str, view: View, *, name: str, roles: frozenset[Role]) -> URLPattern:
-    """A line for a page of setting up the second factor.
-
-    It is open before there is one. See `route` for the arguments.
-    """
-    return _mounted(where, view, name, Access(roles=roles, first_factor=True))
-
-
-def _mounted(where: str, view: View, name: str, access: Access) -> URLPattern:
     mount: Any = re_path if where.startswith("^") else path
-    made: URLPattern = mount(where, guarded(view, access), name=name)
+    made: URLPattern = mount(where, guarded(view, Access(roles=roles, **others)), name=name)
     return made
 
 
 def guarded(view: View, access: Access) -> View:
-    """A view that refuses whoever may not open it.
-
-    ``view.access`` says who may.
-    """
+    """A view that refuses whoever may not open it. ``view.access`` says who may."""
     from mammometry.clinic.audit import record_view
 
     if iscoroutinefunction(view):

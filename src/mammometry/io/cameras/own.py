@@ -1,7 +1,5 @@
 """Cameras in our cameras.json, and helpers shared with other formats."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path, PurePosixPath
@@ -12,7 +10,7 @@ import numpy as np
 from mammometry.base.errors import SessionError
 from mammometry.base.parse import json_value, numbers, parsing, read_text, shown, whole
 from mammometry.calibration.adjust.paper_camera import PaperCamera
-from mammometry.calibration.adjust.prior import LENS_NAMES, CameraPrior
+from mammometry.calibration.adjust.projection import LENS_NAMES, CameraPrior
 from mammometry.geometry import lens
 from mammometry.geometry.camera import Camera
 from mammometry.geometry.transform import Transform

@@ -14,11 +14,12 @@ from mammometry.geometry import mesh_kernels
 from mammometry.geometry.arrays import Array, Float64, Int64
 from mammometry.geometry.mesh import TriangleMesh, unique_edges
 from mammometry.geometry.nearest import closest_on_mesh, point_tree
+from mammometry.measure.solid.cut import OpenPart
 
 _STEP_MM = 3.0  # distance of the stops along a curve, about an edge's length
 _STOPS = (1, 4, 12)  # one stop in so many is passed, in turn, until the path is simple; chosen by eye
 _BANDS_MM = (6.0, 12.0, 25.0, 40.0)  # widths of the band around the curve that are tried in turn; chosen by eye
-_BESIDE_HOLE_MM = _BANDS_MM[1]  # a path farther off its curve, along the edge of a hole, is another curve
+_BESIDE_HOLE_MM = _BANDS_MM[1]  # an opening farther off its curve, along the edge of a hole, is another one's
 _OFF_MESH_MM = 5.0  # a curve further off the mesh was drawn on another one; chosen by eye
 REACH_MM = _BANDS_MM[-1] + _OFF_MESH_MM
 """A path depends on the mesh up to so far from its curve."""
@@ -117,28 +118,32 @@ def edge_loop(name: str, points_world: Float64[Array, "n 3"], mesh: TriangleMesh
             paths += 1
             simple = _without_spurs(path)
             if simple is not None:
-                _check_beside_holes(name, band[simple], away[simple], mesh)
                 return band[simple]
     if paths:
         raise _broken(name, "a curve that runs back along itself")
     raise _broken(name, f"a place farther than {_BANDS_MM[-1]:.0f} mm from any connected surface")
 
 
-def _check_beside_holes(name: str, path: Int64[Array, " k"], away_mm: Float64[Array, " k"], mesh: TriangleMesh) -> None:
-    """Refuse a path that goes around a hole of the mesh, far from its curve: it would cut off what the hole hides.
+def check_beside_holes(name: str, points_world: Float64[Array, "n 3"], part: OpenPart, mesh: TriangleMesh) -> None:
+    """Refuse a part whose opening goes around a hole of the mesh, far from its curve.
+
+    Args:
+        name: of the boundary.
+        points_world: its curve, mm.
+        part: what was cut out along it.
+        mesh: out of which.
 
     Raises:
         MeasureError: says how far.
     """
-    far = away_mm > _BESIDE_HOLE_MM
-    if not far.any():
-        return
-    rings = mesh_kernels.edge_rings(len(mesh.vertices), mesh.faces)
-    rim = mesh.faces.ravel()[rings == np.arange(len(rings))]
-    if np.isin(path[far], rim).any():
+    rim = mesh.vertices[mesh_kernels.open_vertices(len(mesh.vertices), mesh.faces)]
+    opening = part.mesh.vertices[np.concatenate(part.loops)]
+    on_rim = opening[np.asarray(point_tree(rim).query(opening)[0]) == 0] if len(rim) else rim
+    away_mm = float(np.max(point_tree(_resampled(points_world)).query(on_rim)[0], initial=0.0))
+    if away_mm > _BESIDE_HOLE_MM:
         raise MeasureError(
             f"boundary {name!r}",
-            found=f"a hole of the mesh under it, so wide that its edge lies {away_mm.max():.0f} mm off the boundary",
+            found=f"a hole of the mesh under it, so wide that its edge lies {away_mm:.0f} mm off the boundary",
             expected="skin along the whole boundary",
             remedy="Scan the breast again so that its fold is seen: lying, leaning, or with the breast lifted",
         )

@@ -7,6 +7,7 @@ which the loop came from.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
 
 import manifold3d
@@ -19,6 +20,7 @@ from mammometry.base.errors import CrossingError
 from mammometry.base.value import value
 from mammometry.geometry.arrays import Array, Bool, Float64, Int64
 from mammometry.measure.solid.cut import opening_loops
+from mammometry.measure.solid.untangle import rounded, signed_area_mm2, uncrossed
 
 
 @value(eq=False)
@@ -39,15 +41,34 @@ class Patch:
 
 
 def fill(loops: Sequence[Float64[Array, "_ 2"]], spacing_mm: float | None = None) -> Patch:
-    """Triangulate the region inside simple closed loops (outer ones counter-clockwise, holes clockwise).
+    """Triangulate the region inside closed loops (outer ones counter-clockwise, holes clockwise).
+
+    Where a loop crosses itself, a simple one in its place is filled, and what fills it is moved harmonically onto the
+    loop: triangles then lie over one another there, and their signed areas still add up to the loop's.
 
     Args:
         loops: corners in order, the first not repeated; mm.
         spacing_mm: side of the inner grid's squares; None: no inner points (enough for a flat wall).
 
     Raises:
-        CrossingError: the loops cross themselves or one another, so that they bound no region.
+        CrossingError: the loops cross one another, so that they bound no region.
     """
+    given = np.concatenate(loops)
+    for simple in (uncrossed, rounded):
+        patch = _filled([simple(loop) for loop in loops], spacing_mm)
+        if patch is not None:
+            moved = given - patch.points[: patch.n_loop]
+            return replace(patch, points=patch.points + harmonic(patch, moved)) if moved.any() else patch
+    raise CrossingError(
+        "boundary",
+        found="curves that cross one another when laid flat",
+        expected="simple closed curves around the breast",
+        remedy="Redraw the boundary without crossings, or choose another wall with --set measure.wall=plane",
+    )
+
+
+def _filled(loops: Sequence[Float64[Array, "_ 2"]], spacing_mm: float | None) -> Patch | None:
+    """Triangulate the region inside simple loops. None where they bound no region."""
     points = np.concatenate(loops)
     starts = np.cumsum([0, *(len(loop) for loop in loops)])
     rings = [np.arange(a, b) for a, b in pairwise(starts)]
@@ -62,24 +83,12 @@ def fill(loops: Sequence[Float64[Array, "_ 2"]], spacing_mm: float | None = None
     centre = points.mean(axis=0)  # far from the origin the sweep would lose digits
     seam = manifold3d.triangulate([points[ring] - centre for ring in rings])
     faces = np.concatenate([order[np.asarray(seam, dtype=np.int64)].reshape(-1, 3), cells])
-    patch = Patch(points=points, faces=faces, n_loop=n_loop)
     wanted = sum(signed_area_mm2(loop) for loop in loops)
     a, b, c = np.moveaxis(points[faces], 1, 0)
     covered = np.abs(_cross(b - a, c - a)).sum() / 2
-    if not np.isclose(covered, wanted, rtol=1e-3, atol=1e-6):
-        raise CrossingError(
-            "boundary",
-            found=f"a curve that crosses itself when laid flat: {covered / 100:.2f} cm² covered of {wanted / 100:.2f}",
-            expected="a simple closed curve around the breast",
-            remedy="Redraw the boundary without crossings, or choose another wall with --set measure.wall=plane",
-        )
-    return patch
-
-
-def signed_area_mm2(loop: Float64[Array, "n 2"]) -> float:
-    """Area inside a closed loop, mm². Positive when it runs counter-clockwise."""
-    centred = loop - loop.mean(axis=0)
-    return float(_cross(centred, np.roll(centred, -1, axis=0)).sum() / 2)
+    return (
+        Patch(points=points, faces=faces, n_loop=n_loop) if np.isclose(covered, wanted, rtol=1e-3, atol=1e-6) else None
+    )
 
 
 def harmonic(patch: Patch, boundary_values: Float64[Array, "b k"]) -> Float64[Array, "n k"]:

@@ -11,8 +11,8 @@ from mammometry.base.errors import CrossingError, MeasureError
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.measure.solid.cut import OpenPart
-from mammometry.measure.solid.patch import Patch, fill, signed_area_mm2
-from mammometry.measure.solid.untangle import without_curls
+from mammometry.measure.solid.patch import Patch, fill
+from mammometry.measure.solid.untangle import signed_area_mm2
 
 Lift = Callable[[Patch], Float64[Array, "k 3"]]
 """World positions, mm, of a patch's inner points."""
@@ -52,8 +52,7 @@ def sew(
         subject: whose skin, for messages.
 
     Raises:
-        MeasureError: the skin has no opening, or the opening laid flat crosses itself by more than a curl, or runs the
-            wrong way.
+        MeasureError: the skin has no opening, or the opening laid flat runs the wrong way.
     """
     if not part.loops:
         raise MeasureError(
@@ -66,11 +65,11 @@ def sew(
     if turning <= 0:
         raise CrossingError(
             subject,
-            found="a boundary that runs the wrong way round or crosses itself when laid flat",
+            found="a boundary that runs the wrong way round when laid flat",
             expected="a simple closed curve around the breast",
             remedy="Redraw the boundary, or choose another wall with --set measure.wall=plane",
         )
-    patch = fill([without_curls(loop) for loop in flat_loops], spacing_mm)
+    patch = fill(flat_loops, spacing_mm)
     loop = np.concatenate(part.loops)
     inner = lift(patch) if len(patch.points) > patch.n_loop else np.empty((0, 3))
     faces = patch.faces[:, ::-1]

@@ -1,4 +1,4 @@
-"""Remove a small curl from a flattened boundary that crosses itself."""
+"""A simple curve in place of a flattened boundary that crosses itself."""
 
 from __future__ import annotations
 
@@ -6,28 +6,23 @@ import numpy as np
 
 from mammometry.geometry.arrays import Array, Float64, Int64
 
-_CURL_SHARE = 0.05
-"""Longest curl that is straightened, share of the curve's length: a bump of skin that leans over the curve is as large
-(17 of 560 mm on the rendered `torso_rail`). A longer one was drawn across itself.
-"""
-_ROUNDS = 20  # straightening one curl may make another cross; chosen by eye
+_ROUNDS = 20  # straightening one curl may make another cross; after them a circle is taken; chosen by eye
 
 
-def without_curls(loop: Float64[Array, "n 2"]) -> Float64[Array, "n 2"]:
+def uncrossed(loop: Float64[Array, "n 2"]) -> Float64[Array, "n 2"]:
     """Straighten what a closed curve does between meeting itself and leaving itself.
 
     On skin that leans over, a curve that is simple on the surface may cross itself in a flat map of it. The points
-    between both passes of a crossing are put on the straight line from the one before to the one behind. Only the map
-    is changed: on the surface the curve stays.
+    between both passes of a crossing are put on the straight line from the one before to the one behind. What still
+    crosses itself then is made a circle.
 
     Args:
         loop: corners in order, the first not repeated, mm.
 
     Returns:
-        The same curve where it crosses itself nowhere, or by more than a curl.
+        The curve itself where it crosses itself nowhere.
     """
     simple = loop
-    longest_mm = _CURL_SHARE * np.linalg.norm(np.roll(loop, -1, axis=0) - loop, axis=1).sum()
     for _ in range(_ROUNDS):
         crossings = self_crossings(simple)
         if not len(crossings):
@@ -36,12 +31,23 @@ def without_curls(loop: Float64[Array, "n 2"]) -> Float64[Array, "n 2"]:
         for first, second in crossings:
             between = _shorter_way(simple, int(first), int(second))
             ends = simple[(between[0] - 1) % len(loop)], simple[(between[-1] + 1) % len(loop)]
-            way = np.linalg.norm(np.diff(loop[between], axis=0), axis=1).sum()
-            if way > longest_mm:
-                return loop
             share = np.arange(1, len(between) + 1)[:, None] / (len(between) + 1)
             simple[between] = (1 - share) * ends[0] + share * ends[1]
-    return loop
+    return rounded(loop)
+
+
+def rounded(loop: Float64[Array, "n 2"]) -> Float64[Array, "n 2"]:
+    """A circle as long as a closed curve, that runs the same way round, mm."""
+    steps = np.linalg.norm(loop - np.roll(loop, 1, axis=0), axis=1)
+    around = np.sign(signed_area_mm2(loop)) * 2 * np.pi * np.cumsum(steps) / steps.sum()
+    radius = steps.sum() / (2 * np.pi)
+    return np.asarray(loop.mean(axis=0) + radius * np.stack([np.cos(around), np.sin(around)], axis=1))
+
+
+def signed_area_mm2(loop: Float64[Array, "n 2"]) -> float:
+    """Area inside a closed loop, mm². Positive when it runs counter-clockwise."""
+    x, y = (loop - loop.mean(axis=0)).T
+    return float((x * np.roll(y, -1) - y * np.roll(x, -1)).sum() / 2)
 
 
 def self_crossings(loop: Float64[Array, "n 2"]) -> Int64[Array, "k 2"]:

@@ -14,8 +14,7 @@ import numpy as np
 
 from mammometry.base.errors import MeasureError
 from mammometry.base.value import value
-from mammometry.geometry.arrays import Array, Bool, Float64
-from mammometry.geometry.camera import Camera, Rig
+from mammometry.geometry import Array, Bool, Camera, Float64, Rig
 from mammometry.measure.trunk.mirror_plane import MirrorPlane, mirror_plane
 from mammometry.measure.trunk.thorax import (
     HEIGHT_WINDOW_MM,
@@ -59,8 +58,7 @@ class Body:
     """A point of the mid-sagittal plane, mm."""
     plane_sigma_mm: float | None
     """Standard uncertainty of the plane's place along its normal, mm. None if the trunk shows no plane. The frame is
-    then the cameras'.
-    """
+    then the cameras'."""
     scatter_mm: float | None
     """Robust standard deviation of the trunk from its mirror image, without the breasts, mm. None without a plane."""
     how: str
@@ -97,9 +95,7 @@ def camera_up(camera: Camera, mounting: Mounting = "upright") -> Float64[Array, 
 
 
 def rig_frame(rig: Rig, mounting: Mapping[str, Mounting] | None = None) -> Float64[Array, "3 3"]:
-    """Patient's left, head and straight ahead, from the cameras.
-
-    These are rows. The cameras are upright on average.
+    """Patient's left, head and straight ahead, as rows, from cameras that are upright on average.
 
     Args:
         rig: the calibrated cameras.
@@ -124,7 +120,8 @@ def find_body(
     Args:
         surface: the repaired mesh, world frame, mm.
         rough: patient's left, head, straight ahead (rows), as the cameras have it (`rig_frame`).
-        boundaries: curves around the breasts, left out; without them the breasts are outliers of the symmetry.
+        boundaries: curves around the breasts, left out; without them the breasts are outliers of the symmetry. Two of
+            them show which way the trunk lies.
         skin: the visible skin, where it is known already.
         stated: whether the user said where the head is: then no sign contradicts it.
 
@@ -135,7 +132,7 @@ def find_body(
         MeasureError: the trunk lies across the rough frame's up.
     """
     skin = seen_skin(surface) if skin is None else skin
-    if not stated and lies_across(skin, rough):
+    if not stated and (_one_above_the_other(boundaries, rough) if len(boundaries) == 2 else lies_across(skin, rough)):
         raise MeasureError(
             "torso",
             found="a trunk that lies across the direction that is taken for up",
@@ -245,6 +242,12 @@ def lies_across(skin: Skin, frame: Float64[Array, "3 3"]) -> bool:
         return float(weights.mean()), abs(float(axis @ frame[0])) - abs(float(axis @ frame[1]))
 
     return max(level(frame[1]), level(frame[0]))[1] > 0
+
+
+def _one_above_the_other(curves: Sequence[Float64[Array, "_ 3"]], frame: Float64[Array, "3 3"]) -> bool:
+    """Whether both breasts lie along the frame's up, as they do where the trunk lies across it."""
+    aside, up, _ = frame @ (curves[0].mean(axis=0) - curves[1].mean(axis=0))
+    return bool(abs(up) > abs(aside))
 
 
 def _plane(

@@ -18,8 +18,9 @@ from mammometry.base.value import value
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.measure.boundary.cast_base import frame_towards
 from mammometry.measure.solid.cut import OpenPart
-from mammometry.measure.solid.patch import Patch, harmonic, signed_area_mm2
+from mammometry.measure.solid.patch import Patch, harmonic
 from mammometry.measure.solid.sew import Closed, sew
+from mammometry.measure.solid.untangle import signed_area_mm2
 from mammometry.measure.trunk.thorax import Trunk
 
 Height: TypeAlias = Callable[[Float64[Array, "n 2"]], Float64[Array, " n"]]
@@ -66,10 +67,7 @@ class PlaneChart:
 
 
 def best_plane(part: OpenPart) -> PlaneChart:
-    """Plane of least squares through the opening.
-
-    Its normal is on the side from which the loops run anticlockwise.
-    """
+    """Plane of least squares through the opening, its loops anticlockwise about its normal."""
     points = part.mesh.vertices[np.concatenate(part.loops)]
     origin = points.mean(axis=0)
     frame = frame_towards(np.linalg.svd(points - origin, full_matrices=False)[2][2])

@@ -9,7 +9,7 @@ from functools import cached_property, partial
 from typing import ClassVar, TypeAlias
 
 from mammometry.base.photograph import Photograph
-from mammometry.calibration.adjust.bundle import Calibration
+from mammometry.calibration.adjust.calibrated import Calibration
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.camera import Rig
 from mammometry.geometry.mesh import TriangleMesh

@@ -12,12 +12,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from mammometry.geometry.arrays import Array, Float64
-from mammometry.geometry.camera import Rig
+from mammometry.geometry import Array, Float64, Rig
 from mammometry.simulate.disturbances.exposure import Exposure, shifted, turned, with_cameras
 from mammometry.simulate.disturbances.registry import Number, Word, disturbance
-from mammometry.simulate.rendering.motion import Motion
-from mammometry.simulate.rigs.plan import FULL_SIZE_WH
+from mammometry.simulate.rendering.scene import Motion
+from mammometry.simulate.rigs.build import FULL_SIZE_WH
 
 _FRONT = (0.0, -math.sin(math.radians(35.0)), math.cos(math.radians(35.0)))
 """Direction out of the chest of a body that leans forward by 35°, rig frame."""
@@ -74,6 +73,25 @@ def _asynchronous(exposure: Exposure, span_ms: float, rng: np.random.Generator) 
     for pair, moment in zip(rng.permutation(len(pairs)), moments, strict=True):
         seconds |= dict.fromkeys(pairs[pair], float(moment))
     return replace(exposure, seconds=seconds, motion=_motion(rng))
+
+
+@disturbance(
+    "breathing",
+    "shoot",
+    "pairs exposed one after another within a breath, the chest a random part of this further out at each",
+    Number(usual=1.0, within=(0.0, 5.0), likely=(0.2, 1.5), unit="mm"),
+)
+def _breathing(exposure: Exposure, depth_mm: float, rng: np.random.Generator) -> Exposure:
+    pairs = list(exposure.rig.pair_names.values())
+    parts = np.array([0.0, 1.0, *rng.uniform(size=len(pairs))])[: len(pairs)]
+    seconds = dict(exposure.seconds)
+    for pair, part in zip(rng.permutation(len(pairs)), parts - parts.mean(), strict=True):
+        seconds |= dict.fromkeys(pairs[pair], float(part))
+    still = np.zeros(3)
+    motion = Motion(
+        sway_mm_s=still, turn_rad_s=still, breath_mm_s=depth_mm * np.array(_FRONT), chest=still
+    )  # a breath that takes a second
+    return replace(exposure, seconds=seconds, motion=motion)
 
 
 @disturbance(

@@ -42,9 +42,10 @@ def cause(found: Stillness) -> str:
         turned = f"after the calibration: {named}" if named else f"after the calibration, probably {found.alone}"
         return f"A camera turned {turned}. Calibrate again before the next capture."
     if share >= _MOST_PART or found.alone is not None:
+        who = "The body breathed or swayed" if found.breathed else "The body, or a pair of cameras as a whole, moved"
         return (
-            f"The body, or a pair of cameras as a whole, moved between the exposures of the pairs, most for pair "
-            f"{worst.pair}: {worst.body_mm:.2f} mm. Expose all cameras together."
+            f"{who} between the exposures of the pairs, most for pair {worst.pair}: {worst.body_mm:.2f} mm. Expose all "
+            "cameras together."
         )
     who = f"Cameras turned after the calibration ({named or 'which ones is not certain'})"
     if share > _LITTLE:

@@ -2,7 +2,8 @@
 
 A camera that turned after the calibration, or a body that moved between the pairs' exposures, makes pairs disagree
 about common skin, and rows of a pair miss one another. `motions` finds what most probably moved. If nothing did,
-nothing is changed. Otherwise the cameras are set to their most probable poses (docs/decisions/0027).
+nothing is changed. Otherwise the cameras are set to their most probable poses, and where rigid motions leave pairs
+apart, as when the chest breathes, their points are moved smoothly as well (docs/decisions/0027).
 """
 
 from __future__ import annotations
@@ -19,11 +20,13 @@ from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.transform import Transform
 from mammometry.surface.motion.agreement import RowErrors, differences
-from mammometry.surface.motion.retriangulate import retriangulated
+from mammometry.surface.motion.retriangulate import displaced, retriangulated
 from mammometry.surface.motion.rigid_motion import (
+    BREATHS_MM,
     Fit,
     Found,
     MotionParameters,
+    Observed,
     effects,
     most_probable,
     motion_parameters,
@@ -107,15 +110,18 @@ class Stillness:
     displaced: tuple[Displaced, ...] = ()
     """Each pair, the most displaced first."""
 
+    @property
+    def breathed(self) -> bool:
+        """Whether the body moved otherwise than as a whole, but smoothly."""
+        return bool(self.motions[self.parameters.of_breath].any())
+
     def rig(self, calibrated: Rig) -> Rig:
         """The cameras where they most probably stood."""
         return _moved_rig(calibrated, self.parameters, self.motions) if self.corrected else calibrated
 
     def carry(self, image: RangeImage, calibrated: Rig) -> RangeImage:
         """A range image with the cameras at their most probable poses."""
-        if not self.corrected:
-            return image
-        return retriangulated(image, calibrated.pair(image.name), self.rig(calibrated).pair(image.name))
+        return _carried(image, calibrated, self.parameters, self.motions) if self.corrected else image
 
 
 def find(
@@ -145,24 +151,33 @@ def find(
     rows = {name: rows[name] for name in pairs if name in rows and len(rows[name].points)}
     if not apart:
         return _nothing(parameters, compared=False)
-    seen = without_contradicted_rows(
-        without_outliers(observed(rig, apart, rows, covariance, parameters), parameters), parameters
-    )
+
+    def most_probably(
+        seen: Observed, parameters: MotionParameters, breaths_mm: Sequence[float] = (0.0,)
+    ) -> tuple[Observed, Found]:
+        kept = without_contradicted_rows(without_outliers(seen, parameters), parameters)
+        return kept, most_probable(kept, parameters, breaths_mm)
+
+    seen, moved = most_probably(observed(rig, apart, rows, covariance, parameters), parameters)
     before_mm = seen.rms_mm()
     honest_mm = float(np.median(np.concatenate([comparison.expected_mm for comparison in apart])))
     limit_mm = max(_UNEXPLAINED_MM, honest_mm)
-    moved = most_probable(seen, parameters)
     evidence = moved.expected.log_evidence - moved.still.log_evidence
     if evidence < LEAST_EVIDENCE and moved.expected.rest_mm < limit_mm:
         return _nothing(parameters, distance_mm=before_mm, evidence=evidence)
+    breaths_mm: Sequence[float] = (0.0,)
+    breathing = parameters.breathing(rig, np.concatenate([comparison.points for comparison in apart]))
+    kept, smooth = most_probably(observed(rig, apart, rows, covariance, breathing), breathing, BREATHS_MM)
+    rigid = most_probable(kept, breathing)
+    if smooth.expected.log_evidence - rigid.expected.log_evidence >= LEAST_EVIDENCE:
+        parameters, moved, breaths_mm = breathing, smooth, BREATHS_MM
+        evidence = moved.expected.log_evidence - moved.still.log_evidence
     for _ in range(1, _ROUNDS):
         so_far = moved.expected.motions
-        there = _moved_rig(rig, parameters, so_far)
-        images = [retriangulated(image, rig.pair(image.name), there.pair(image.name)) for image in range_images]
-        again = observed(there, differences(images), rows, covariance, parameters)
+        images = [_carried(image, rig, parameters, so_far) for image in range_images]
+        again = observed(_moved_rig(rig, parameters, so_far), differences(images), rows, covariance, parameters)
         values = again.values + np.where(again.distances, again.by_unknown @ so_far, 0.0)
-        seen = without_contradicted_rows(without_outliers(replace(again, values=values), parameters), parameters)
-        moved = most_probable(seen, parameters)
+        seen, moved = most_probably(replace(again, values=values), parameters, breaths_mm)
     best = moved.expected
     found = replace(_judged(rig, rows, moved, parameters), unexplained=best.rest_mm >= limit_mm)
     found = replace(found, evidence=evidence, distance_mm=(before_mm, seen.rms_mm(best.motions)))
@@ -192,6 +207,17 @@ def _nothing(
         evidence=evidence,
         distance_mm=(distance_mm, distance_mm),
     )
+
+
+def _carried(image: RangeImage, rig: Rig, parameters: MotionParameters, motions: Float64[Array, " p"]) -> RangeImage:
+    """A pair's data as they are with moved cameras and a body that did not breathe."""
+    there = _moved_rig(rig, parameters, motions).pair(image.name)
+    image = retriangulated(image, rig.pair(image.name), there)
+    breath = motions[parameters.of_breath]
+    if not breath.any() or not _within(parameters, image.name):
+        return image
+    along_mm = parameters.breath_mm(image.name, image.valid_points_world()) @ breath
+    return displaced(image, along_mm[:, None] * parameters.breath_direction)
 
 
 def _moved_rig(rig: Rig, parameters: MotionParameters, motions: Float64[Array, " p"]) -> Rig:

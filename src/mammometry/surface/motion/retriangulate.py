@@ -1,15 +1,19 @@
-"""Range data after a correction of the camera poses. The same two rays are intersected again."""
+"""Range data after a correction of the cameras' poses or of the body's shape."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
 import numpy as np
+from scipy import ndimage
 
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.camera import Camera, StereoPair
 from mammometry.geometry.transform import Transform
 from mammometry.surface.ranges.range_image import RangeImage
+
+_WHOLE = 0.999  # of four neighbours' weight: all are data
+_JUMP_MM = 5.0  # neighbouring ranges that differ by more show two surfaces, as in `visibility`
 
 
 def retriangulated(image: RangeImage, before: StereoPair, after: StereoPair) -> RangeImage:
@@ -36,6 +40,32 @@ def retriangulated(image: RangeImage, before: StereoPair, after: StereoPair) -> 
     good = np.isfinite(range_mm) & (range_mm > 0)
     moved = replace(image.camera, camera_from_world=image.camera.camera_from_world @ left.inverse())
     return replace(image, camera=moved, range_mm=np.where(good, range_mm, np.float32(0))).keeping(good)
+
+
+def displaced(image: RangeImage, shift_world: Float64[Array, "n 3"]) -> RangeImage:
+    """Move the points of a range image by small, smooth shifts, and look at them from the same place.
+
+    What a pixel sees then is interpolated between the moved neighbours of the point that comes to lie there.
+
+    Args:
+        image: the data.
+        shift_world: of each valid datum, in row order, mm.
+    """
+    points = image.valid_points_world()
+    rows, columns = np.nonzero(image.valid)
+    come_from = 2 * np.stack([columns, rows], axis=1) - image.camera.project(points + shift_world)
+    ray = points - image.camera.centre_world
+    further_mm = np.linalg.norm(ray + shift_world, axis=1) - np.linalg.norm(ray, axis=1)
+    known = np.zeros((2, *image.valid.shape), dtype=np.float32)
+    known[0], known[1][image.valid] = image.range_mm, further_mm
+    at = come_from[:, ::-1].T
+    range_mm = sum(ndimage.map_coordinates(part, at, order=1, mode="nearest") for part in known)
+    nearest = tuple(np.clip(np.rint(at).astype(np.intp), 0, np.array(image.valid.shape)[:, None] - 1))
+    whole = ndimage.map_coordinates(image.valid.astype(np.float32), at, order=1, mode="constant") > _WHOLE
+    whole &= np.abs(range_mm - image.range_mm[nearest]) < _JUMP_MM
+    moved, kept = np.zeros_like(image.range_mm), np.zeros_like(image.valid)
+    moved[image.valid], kept[image.valid] = np.where(whole, range_mm, 0.0), whole
+    return replace(image, range_mm=moved, valid=kept).keeping(kept)
 
 
 def motion(before: Camera, after: Camera) -> Transform:

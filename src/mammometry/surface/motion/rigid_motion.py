@@ -1,5 +1,6 @@
 """Most probable small motions of cameras and body, from pairs' disagreement.
 
+Cameras turn, each pair's exposure has a rigid motion of its own, and a smooth one, as of a chest that breathes.
 Everything is linear in the errors θ of the cameras' poses: a distance between two pairs' surfaces, and the vertical
 disparity within a pair. Observations are y = Hθ + noise, with the covariance of calibration and matching. Turns and
 shifts have normal priors. Their sizes are those that make y most probable (the evidence, or type-II likelihood: MacKay
@@ -9,7 +10,7 @@ shifts have normal priors. Their sizes are those that make y most probable (the 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import product
 
 import numpy as np
@@ -19,7 +20,7 @@ from scipy.spatial.distance import cdist
 from mammometry.base.value import value
 from mammometry.calibration.adjust.calibrated import ParameterCovariance
 from mammometry.calibration.adjust.network import POSE_NAMES_CAMERA
-from mammometry.calibration.judge.cameras.shifts import shifts
+from mammometry.calibration.judge.cameras.pose_motion import shifts
 from mammometry.geometry.arrays import Array, Bool, Float64, Int64
 from mammometry.geometry.camera import Rig
 from mammometry.surface.motion.agreement import Differences, RowErrors
@@ -43,6 +44,12 @@ _TURNS_DEG = (0.0, 0.001, 0.0015, 0.0025, 0.004, 0.006, 0.01, 0.015, 0.025, 0.04
 _SHIFTS_MM = (0.0, 0.03, 0.06, 0.1, 0.2, 0.35, 0.6, 1.0, 1.7)
 _RESTS_MM = (0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.45, 0.7, 1.1)
 """Standard deviations of turns, shifts and rests that are weighed, degrees and mm."""
+BREATHS_MM = (0.2, 0.5, 1.2)
+"""Standard deviations of smooth motions that are weighed, mm."""
+BREATH_REACH_MM = 90.0
+"""Standard deviation of the places of a smooth motion around their centres, and the centres' spacing, mm: a third of
+a chest's width. Chosen by eye.
+"""
 _FIRST_TURN_DEG, _FIRST_SHIFT_MM, _FIRST_REST_MM = 0.05, 1.0, 0.1
 """Sizes used to find outliers: large, so that outliers and not motions are left out."""
 _OUTLIER_SIGMAS = 4.0  # robust, of a cell's difference; chosen by eye
@@ -54,9 +61,10 @@ _MAD = 1.4826  # standard deviation over median of the absolute deviations, of a
 
 @value(eq=False)
 class MotionParameters:
-    """Unknowns: three turns of each camera, then a motion of each group.
+    """Unknowns: three turns of each camera, then a rigid motion of each group, then smooth motions.
 
-    A camera turns about its centre. Groups are groups of pairs.
+    A camera turns about its centre. Groups are groups of pairs. Smooth motions are along one direction; their mean over
+    the groups is 0, since what all groups share is the body's shape.
     """
 
     cameras: tuple[str, ...]
@@ -64,11 +72,21 @@ class MotionParameters:
     """Pairs that share cameras, and so are exposed together."""
     centre_world: Float64[Array, 3]
     """The point about which groups turn, mm."""
+    breath_centres: Float64[Array, "k 3"] = field(default_factory=lambda: np.zeros((0, 3)))
+    """Of the smooth motions, world frame, mm. None where bodies are taken to be rigid."""
+    breath_direction: Float64[Array, 3] = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
+    """Of the smooth motions, a unit vector: from the body to the cameras."""
 
     @property
     def count(self) -> int:
         """Number of unknowns."""
-        return 3 * len(self.cameras) + 6 * len(self.groups)
+        return self.of_breath.stop
+
+    @property
+    def of_breath(self) -> slice:
+        """Smooth motions of all groups, mm: centre by centre, a contrast of groups less than there are groups."""
+        start = 3 * len(self.cameras) + 6 * len(self.groups)
+        return slice(start, start + len(self.breath_centres) * max(0, len(self.groups) - 1))
 
     def of_camera(self, camera: str) -> slice:
         """A camera's rotation vector in its frame, rad, applied from left."""
@@ -77,14 +95,33 @@ class MotionParameters:
 
     def of_group(self, pair: str) -> slice:
         """A group's rotation vector about the centre, rad, and translation, mm. World axes."""
-        number = next(i for i, names in enumerate(self.groups) if pair in names)
-        start = 3 * len(self.cameras) + 6 * number
+        start = 3 * len(self.cameras) + 6 * self.group_of(pair)
         return slice(start, start + 6)
 
-    def prior_std(self, turn_rad: float, shift_mm: float) -> Float64[Array, " p"]:
-        """Standard deviations of all unknowns for given turns and shifts."""
+    def group_of(self, pair: str) -> int:
+        """Number of a pair's group."""
+        return next(i for i, names in enumerate(self.groups) if pair in names)
+
+    def breath_mm(self, pair: str, points: Float64[Array, "n 3"]) -> Float64[Array, "n b"]:
+        """Smooth displacement of points of a pair along the direction by a unit of each smooth motion, mm."""
+        contrast = np.linalg.qr(np.eye(len(self.groups)) - 1 / len(self.groups))[0][self.group_of(pair), :-1]
+        across = points - np.outer(points @ self.breath_direction, self.breath_direction)
+        near = np.exp(-cdist(across, self.breath_centres, "sqeuclidean") / (2 * BREATH_REACH_MM**2))
+        return np.kron(near, contrast)
+
+    def prior_std(self, turn_rad: float, shift_mm: float, breath_mm: float = 0.0) -> Float64[Array, " p"]:
+        """Standard deviations of all unknowns for given turns, shifts and smooth motions."""
         group = np.repeat([shift_mm / _LEVER_MM, shift_mm], 3)
-        return np.concatenate([np.full(3 * len(self.cameras), turn_rad), np.tile(group, len(self.groups))])
+        breath = np.full(self.of_breath.stop - self.of_breath.start, breath_mm)
+        return np.concatenate([np.full(3 * len(self.cameras), turn_rad), np.tile(group, len(self.groups)), breath])
+
+    def breathing(self, rig: Rig, points: Float64[Array, "n 3"]) -> MotionParameters:
+        """The same, with smooth motions of the skin that is compared at these points."""
+        towards = -np.mean([rig.cameras[name].axis_world for name in self.cameras], axis=0)
+        direction = towards / np.linalg.norm(towards)
+        across = np.linalg.svd(direction[None])[2][1:]
+        cells = np.unique(np.round(points @ across.T / BREATH_REACH_MM), axis=0)
+        return replace(self, breath_centres=BREATH_REACH_MM * cells @ across, breath_direction=direction)
 
 
 def motion_parameters(rig: Rig, pairs: Sequence[str], centre_world: Float64[Array, 3]) -> MotionParameters:
@@ -122,6 +159,9 @@ def effects(rig: Rig, pair: str, points: Float64[Array, "n 3"], parameters: Moti
     moved[:, :, : len(names)], vertical[:, : len(names)] = of_turns.points_mm, of_turns.vertical_rad
     whole = moved[:, :, parameters.of_group(pair)]
     whole[:] = rigid_motions(points - parameters.centre_world)
+    if len(parameters.breath_centres):
+        along = parameters.breath_mm(pair, points)
+        moved[:, :, parameters.of_breath] = along[:, None, :] * parameters.breath_direction[:, None]
     return Effects(points_mm=moved, vertical_rad=vertical)
 
 
@@ -325,7 +365,7 @@ def without_outliers(seen: Observed, parameters: MotionParameters) -> Observed:
     """
     keep = np.ones(len(seen.values), dtype=bool)
     std = np.sqrt(seen.variance)
-    large_std = parameters.prior_std(np.radians(_FIRST_TURN_DEG), _FIRST_SHIFT_MM)
+    large_std = parameters.prior_std(np.radians(_FIRST_TURN_DEG), _FIRST_SHIFT_MM, _FIRST_SHIFT_MM)
     for _ in range(_OUTLIER_ROUNDS):
         large = _fit(_sized(_reduced(seen.only(keep), _FIRST_REST_MM), large_std))
         left = np.abs(seen.values - seen.by_unknown @ large.motions)
@@ -370,8 +410,8 @@ class Found:
     """Camera, or first pair of a group, whose motion alone explains everything equally well, and that fit."""
 
 
-def most_probable(seen: Observed, parameters: MotionParameters) -> Found:
-    """Find what most probably moved.
+def most_probable(seen: Observed, parameters: MotionParameters, breaths_mm: Sequence[float] = (0.0,)) -> Found:
+    """Find what most probably moved, with smooth motions of one of these sizes.
 
     All cameras and groups are drawn from common sizes. That one camera or one group alone moved is asked only to name
     it: cameras of one pair may turn alike by chance, and the others' motions would then be taken for certain.
@@ -380,7 +420,7 @@ def most_probable(seen: Observed, parameters: MotionParameters) -> Found:
     reduced = [_reduced(seen, rest_mm) for rest_mm in rests_mm]
     none = np.zeros(parameters.count)
     still = max((_sized(known, none) for known in reduced), key=lambda size: size.log_evidence)
-    sizes = [parameters.prior_std(*size) for size in product(np.radians(_TURNS_DEG).tolist(), _SHIFTS_MM)]
+    sizes = [parameters.prior_std(*size) for size in product(np.radians(_TURNS_DEG).tolist(), _SHIFTS_MM, breaths_mm)]
     tried = [_sized(known, std) for known, std in product(reduced, sizes)]
     top = max(tried, key=lambda size: size.log_evidence)
     likely = [_fit(size) for size in tried if size.log_evidence > top.log_evidence - _UNLIKELY]

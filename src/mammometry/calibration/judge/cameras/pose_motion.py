@@ -14,10 +14,11 @@ import numpy as np
 from scipy.special import chdtri
 
 from mammometry.base.value import value
-from mammometry.calibration.adjust.bundle import Calibration
+from mammometry.calibration.adjust.calibrated import Calibration
+from mammometry.calibration.judge.expected_error import derivatives
 from mammometry.calibration.judge.reconstruction import moved_pair
 from mammometry.calibration.judge.sighting import Sighting, as_motion, moved
-from mammometry.geometry.arrays import Array, Float64
+from mammometry.geometry import Array, Float64, StereoPair
 
 _MOST_MOVEMENTS = 6
 """Movements that are named, at most: with more, nothing stood still."""
@@ -206,3 +207,42 @@ def _movement(
         sigma=sigma,
         effect_mm=max(effects, default=0.0) / (poses if suspicion.only else 1),
     )
+
+
+@value(eq=False)
+class Shifts:
+    """First-order effects of parameters on what a pair measures at some points."""
+
+    points_mm: Float64[Array, "n 3 p"]
+    """Displacement of the true point from the measured one per unit error of a parameter, world axes, mm."""
+    vertical_rad: Float64[Array, "n p"]
+    """Vertical disparity d_v per unit error, as an angle at the right camera: d_v over focal length."""
+
+
+def shifts(pair: StereoPair, points: Float64[Array, "n 3"], names: tuple[str, ...]) -> Shifts:
+    """Propagate parameters' errors through one pair's triangulation.
+
+    The right parameters being θ + dθ, the same image points mean X + dX: P dX + Q dθ is 0 in the left picture, and in
+    the right one what a point s above X shows, since both rays miss each other by s, square to the epipolar plane. P
+    and Q are the derivatives of the projections; s over the distance is the vertical disparity's angle.
+
+    Args:
+        pair: as calibrated.
+        points: that it measures, world frame, mm; in front of both cameras.
+        names: of the parameters, as in `ParameterCovariance.names`. Those of other cameras give zeros.
+    """
+    (p_left, q_left), (p_right, q_right) = (derivatives(camera, points, names) for camera in (pair.left, pair.right))
+    upwards = np.einsum("nij,nj->ni", p_right, upright(pair, points))  # px for each mm out of the epipolar plane
+    system = np.zeros((len(points), 4, 4))
+    system[:, :2, :3], system[:, 2:, :3], system[:, 2:, 3] = p_left, p_right, -upwards
+    solved = -np.linalg.solve(system, np.concatenate([q_left, q_right], axis=1))
+    distance_mm = np.linalg.norm(points - pair.right.centre_world, axis=1)
+    return Shifts(points_mm=solved[:, :3], vertical_rad=-solved[:, 3] / distance_mm[:, None])
+
+
+def upright(pair: StereoPair, points: Float64[Array, "n 3"]) -> Float64[Array, "n 3"]:
+    """Unit normals of the epipolar planes through points, towards growing rows, world axes."""
+    baseline = pair.right.centre_world - pair.left.centre_world
+    normal = np.cross(points - pair.right.centre_world, baseline)
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    return normal

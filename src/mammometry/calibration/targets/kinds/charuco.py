@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from functools import cache
+from typing import TYPE_CHECKING, ClassVar
 
-from mammometry.base.photograph import Photograph
-from mammometry.calibration.features.found_points import Cause, FoundPoints
+import numpy as np
+
+from mammometry.base.errors import SessionError
 from mammometry.calibration.targets.board import SquaresBoard
-from mammometry.calibration.targets.registry import TARGETS
-from mammometry.calibration.targets.sheet import Pattern
-from mammometry.geometry.arrays import Array, UInt8
+from mammometry.calibration.targets.sheet import DARK, MARKER, Pattern
+from mammometry.calibration.targets.target import TARGETS
+from mammometry.geometry.arrays import Array, UInt8, read_only
+
+if TYPE_CHECKING:
+    import cv2
 
 
 @TARGETS.add("charuco")
@@ -36,24 +41,6 @@ class CharucoTarget(SquaresBoard):
         if not 0 < self.marker_mm < self.square_mm:
             raise ValueError(f"marker_mm must lie between 0 and square_mm ({self.square_mm}), found {self.marker_mm}")
 
-    def find(
-        self, photograph: Photograph, *, search_width_px: int, window_squares: float
-    ) -> FoundPoints | Cause | None:
-        """Find the corners. See `find_charuco`.
-
-        Raises:
-            SessionError: there is no dictionary of the target's name.
-        """
-        from mammometry.calibration.targets.finders.find_charuco import find_charuco
-
-        return find_charuco(photograph, self, search_width_px=search_width_px, window_squares=window_squares)
-
-    def explain_miss(self, small: UInt8[Array, "h w"]) -> Cause | None:
-        """Explain a missed board: other markers, mirrored or doubled."""
-        from mammometry.calibration.targets.finders.miss_charuco import explain_missed_charuco
-
-        return explain_missed_charuco(small, self)
-
     @property
     def pattern(self) -> Pattern:
         """Squares and markers.
@@ -61,8 +48,6 @@ class CharucoTarget(SquaresBoard):
         Raises:
             SessionError: there is no dictionary of the target's name.
         """
-        from mammometry.calibration.targets.charuco_board import printed_cells
-
         return Pattern(
             grid="squares",
             count=self.squares,
@@ -77,3 +62,51 @@ class CharucoTarget(SquaresBoard):
             f"charuco, {self.squares[0]} × {self.squares[1]} squares of {self.square_mm:g} mm, "
             f"markers of {self.marker_mm:g} mm, {self.dictionary}"
         )
+
+
+def charuco_board(target: CharucoTarget) -> cv2.aruco.CharucoBoard:
+    """Return OpenCV's board of a target.
+
+    Raises:
+        SessionError: there is no dictionary of that name, or it has too few markers.
+    """
+    import cv2
+
+    number = getattr(cv2.aruco, target.dictionary, None) if target.dictionary.startswith("DICT_") else None
+    markers = target.squares[0] * target.squares[1] // 2
+    dictionary = None if number is None else cv2.aruco.getPredefinedDictionary(number)
+    if dictionary is None or len(dictionary.bytesList) < markers:
+        raise SessionError(
+            "[target] dictionary",
+            found=repr(target.dictionary),
+            expected=f"an OpenCV dictionary of at least {markers} markers, such as 'DICT_5X5_250'",
+            remedy="Write the name of the dictionary that the board was made with",
+        )
+    # Of the dictionary only what is on the board: the detector compares each square with all that it is given.
+    own = cv2.aruco.Dictionary(
+        dictionary.bytesList[:markers].copy(), dictionary.markerSize, dictionary.maxCorrectionBits
+    )
+    board = cv2.aruco.CharucoBoard(target.squares, target.square_mm, target.marker_mm, own)
+    board.setLegacyPattern(target.legacy_pattern)
+    return board
+
+
+@cache
+def printed_cells(target: CharucoTarget) -> UInt8[Array, "rows columns c c"]:
+    """What is printed in every square, as `Pattern.cells` has it.
+
+    A marker's black rim of one cell is included.
+
+    Raises:
+        SessionError: there is no dictionary of the target's name.
+    """
+    board = charuco_board(target)
+    dictionary = board.getDictionary()
+    cells = int(dictionary.markerSize) + 2
+    columns, rows = target.squares
+    printed = np.full((rows, columns, cells + 1, cells + 1), DARK, dtype=np.uint8)
+    for identity, corners in zip(np.ravel(board.getIds()), board.getObjPoints(), strict=True):
+        x, y = np.asarray(corners).reshape(4, 3)[:, :2].mean(axis=0) / target.square_mm
+        printed[int(y), int(x), 0, 0] = MARKER
+        printed[int(y), int(x), 1:, 1:] = dictionary.generateImageMarker(int(identity), cells) > 0
+    return read_only(printed)

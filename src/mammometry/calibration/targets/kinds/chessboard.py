@@ -7,12 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mammometry.base.photograph import Photograph
-from mammometry.calibration.features.found_points import Cause, FoundPoints
 from mammometry.calibration.targets.board import LEAST_SQUARES, SquaresBoard
-from mammometry.calibration.targets.registry import TARGETS
 from mammometry.calibration.targets.sheet import DARK, WHITE, Pattern
-from mammometry.geometry.arrays import Array, UInt8
+from mammometry.calibration.targets.target import TARGETS
 
 
 @TARGETS.add("chessboard")
@@ -26,20 +23,6 @@ class ChessboardTarget(SquaresBoard):
     Raises:
         ValueError: fewer than 3 × 3 squares, or a size that is not positive.
     """
-
-    def find(
-        self, photograph: Photograph, *, search_width_px: int, window_squares: float
-    ) -> FoundPoints | Cause | None:
-        """Find the corners. See `find_chessboard`."""
-        from mammometry.calibration.targets.finders.find_chessboard import find_chessboard
-
-        return find_chessboard(photograph, self, search_width_px=search_width_px, window_squares=window_squares)
-
-    def explain_miss(self, small: UInt8[Array, "h w"]) -> Cause | None:
-        """Explain a missed board: another chessboard, or a part of this."""
-        from mammometry.calibration.targets.finders.find_chessboard import explain_missed_chessboard
-
-        return explain_missed_chessboard(small, self)
 
     def mistaken(self) -> Iterator[tuple[str, ChessboardTarget]]:
         """Yield boards whose squares were counted wrongly, first those counted between the squares."""

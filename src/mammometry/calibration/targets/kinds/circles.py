@@ -10,12 +10,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from mammometry.base.photograph import Photograph
-from mammometry.calibration.features.found_points import Cause, FoundPoints
 from mammometry.calibration.targets.board import Board
-from mammometry.calibration.targets.registry import TARGETS
 from mammometry.calibration.targets.sheet import Pattern, Sheet
-from mammometry.calibration.targets.target import require_grid, require_positive
+from mammometry.calibration.targets.target import TARGETS, require_grid, require_positive
 from mammometry.geometry.arrays import Array, Float64, read_only
 
 _LEAST_CIRCLES = 2
@@ -83,14 +80,6 @@ class CirclesTarget(Board):
         True for square grids, and for staggered ones with an even number of rows.
         """
         return not self.asymmetric or self.grid[1] % 2 == 0
-
-    def find(
-        self, photograph: Photograph, *, search_width_px: int, window_squares: float
-    ) -> FoundPoints | Cause | None:
-        """Find the circles' centres. See `find_circles`."""
-        from mammometry.calibration.targets.finders.find_circles import find_circles
-
-        return find_circles(photograph, self, search_width_px=search_width_px)
 
     def mistaken(self) -> Iterator[tuple[str, CirclesTarget]]:
         """Yield boards with rows and columns exchanged, or one more or less."""

@@ -8,11 +8,8 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from mammometry.base.photograph import Photograph
-from mammometry.calibration.features.found_points import Cause, FoundPoints
 from mammometry.calibration.targets.body import Body, Hits
-from mammometry.calibration.targets.registry import TARGETS
-from mammometry.calibration.targets.target import Target, require_measured, require_positive
+from mammometry.calibration.targets.target import TARGETS, Target, require_measured, require_positive
 from mammometry.geometry.arrays import Array, Bool, Float64, read_only
 
 _LEAST_POINTS = 4
@@ -51,14 +48,6 @@ class PointsTarget(Target):
     def points_target(self) -> Float64[Array, "n 3"]:
         """Surveyed points by id, mm."""
         return read_only(np.array(self.points_mm, dtype=np.float64))
-
-    def find(
-        self, photograph: Photograph, *, search_width_px: int, window_squares: float
-    ) -> FoundPoints | Cause | None:
-        """Find the dots by their constellation. See `find_points`."""
-        from mammometry.calibration.targets.finders.find_points import find_points
-
-        return find_points(photograph, self, search_width_px=search_width_px)
 
     @property
     def body(self) -> DottedBox:

@@ -8,8 +8,9 @@ import numpy as np
 
 from mammometry.base.errors import MeasureError
 from mammometry.geometry.arrays import Array, Float64
-from mammometry.measure.solid.patch import Patch, signed_area_mm2
+from mammometry.measure.solid.patch import Patch
 from mammometry.measure.solid.sew import Closed, sew
+from mammometry.measure.solid.untangle import signed_area_mm2
 from mammometry.measure.wall.heights import SPACING_MM, best_plane
 from mammometry.measure.wall.open_breast import OpenBreast
 from mammometry.measure.wall.registry import CAST_WALLS, TORSO_WALLS, add_wall
@@ -24,9 +25,7 @@ from mammometry.measure.wall.registry import CAST_WALLS, TORSO_WALLS, add_wall
     definition="Coons' bilinearly blended patch between the boundary's four sides",
 )
 def coons(breast: OpenBreast) -> Closed:
-    """Coons' bilinearly blended patch between the boundary's four sides.
-
-    The sides are above, below, towards and off the midline.
+    """Coons' bilinearly blended patch between the sides above, below, towards and off the midline.
 
     Raises:
         MeasureError: the skin has more openings than one, or the boundary has no four sides.

@@ -1,0 +1,253 @@
+"""Make the figures of the documentation again, and write their tables.
+
+    python -m benchmarks.measured                      everything that is not there yet; some hours, resumable
+    python -m benchmarks.measured plate dents-casts    these alone
+    python -m benchmarks.measured --minutes 6          what takes at most six minutes
+    python -m benchmarks.measured --write              no run: write what is there into the pages
+
+`measured.toml` says which commands make which table. Each result is kept in build/measured/COMMIT/NAME.json, where
+COMMIT is the last one that changed the program or a benchmark; what is there is not made again. OUT in a command is a
+folder of that commit's own. A page holds the table between ``<!-- measured: NAME -->`` and ``<!-- end -->``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import re
+import shlex
+import subprocess
+import sys
+import time
+import tomllib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from statistics import mean, stdev
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[1]
+REGISTRY = Path(__file__).with_suffix(".toml")
+_CHANGES_FIGURES = ("src", "benchmarks", ":!benchmarks/measured.py", ":!benchmarks/measured.toml")
+_BLOCK = re.compile(r"<!-- measured: ([\w-]+) -->\n(.*?)<!-- end -->", re.DOTALL)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Entry:
+    """One table of the documentation and the commands that make it."""
+
+    name: str
+    commands: tuple[str, ...] = ()
+    minutes: float = 0.0
+    """What the commands take on two quiet cores."""
+    of: str = ""
+    """Table whose output this one shows in another form; it has no commands of its own."""
+    page: str = "docs/measured.md"
+    form: str = "markdown"
+    """How the output becomes a table: a key of `FORMS`."""
+    file: str = ""
+    """File that the commands write, taken as one more output."""
+    needs: str = ""
+    """Folder beside the repository without which the commands cannot run."""
+    kept: str = ""
+    """Commit or day of a table that this runner has not made yet. Removed when it has."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Result:
+    """What the commands printed, and by which program."""
+
+    commit: str
+    day: str
+    seconds: float
+    outputs: tuple[str, ...]
+
+
+def registry(path: Path = REGISTRY) -> dict[str, Entry]:
+    """Name → entry, in the order of the file."""
+    tables: Mapping[str, Mapping[str, Any]] = tomllib.loads(path.read_text(encoding="utf-8"))
+    own = {
+        name: tuple(table.get("commands", tables.get(table.get("of", ""), {}).get("commands", ())))
+        for name, table in tables.items()
+    }
+    return {name: Entry(name=name, **{**table, "commands": own[name]}) for name, table in tables.items()}
+
+
+def commit() -> str:
+    """Last commit that changed the program or a benchmark.
+
+    Raises:
+        SystemExit: something of theirs is changed and not committed.
+    """
+    changed = _git("status", "--porcelain", "--", *_CHANGES_FIGURES)
+    if changed:
+        raise SystemExit(f"A figure needs a commit that made it. Commit these first:\n{changed}")
+    return _git("log", "-1", "--format=%h", "--abbrev=8", "--", *_CHANGES_FIGURES)
+
+
+def make(entry: Entry, by: str, folder: Path) -> Result:
+    """Run an entry's commands, one after another, in the repository. Those that ended are not run again.
+
+    Raises:
+        subprocess.CalledProcessError: a command failed.
+    """
+    out, begun = folder / entry.name, folder / f"{entry.name}.begun.json"
+    out.mkdir(parents=True, exist_ok=True)
+    outputs, before_s = json.loads(begun.read_text(encoding="utf-8")) if begun.is_file() else ([], 0.0)
+    started = time.monotonic() - before_s
+    for command in entry.commands[len(outputs) :]:
+        program, *arguments = shlex.split(command)
+        words = [word.replace("OUT", str(out)) for word in arguments]
+        begin = [sys.executable, "-m", "mammometry"] if program == "mammometry" else [sys.executable]
+        done = subprocess.run([*begin, *words], cwd=ROOT, stdout=subprocess.PIPE, text=True, check=True)
+        outputs.append(done.stdout)
+        begun.write_text(json.dumps([outputs, time.monotonic() - started]), encoding="utf-8")
+    if entry.file:
+        outputs.append(Path(entry.file.replace("OUT", str(out))).read_text(encoding="utf-8"))
+    day = time.strftime("%-d %B %Y", time.gmtime())
+    return Result(commit=by, day=day, seconds=time.monotonic() - started, outputs=tuple(outputs))
+
+
+def with_minus(text: str) -> str:
+    """Negative numbers with a minus sign, as the pages have it."""
+    return re.sub(r"(?<=[ |])-(?=[\d.])", "−", text)
+
+
+def markdown(outputs: Sequence[str]) -> str:
+    """Tables and sentences as the benchmarks print them."""
+    return with_minus("\n\n".join(output.strip() for output in outputs if output.strip()))
+
+
+def demo(outputs: Sequence[str]) -> str:
+    """Volume and interval of the demo beside the truth."""
+    answer = json.loads(outputs[-1])
+    (name,) = answer["volumes_cc"]
+    low, high = answer["intervals_cc"][name]
+    return (
+        "| true cc | measured cc | 95 % interval cc |\n| --- | --- | --- |\n"
+        f"| {answer['true_volumes_cc'][name]:.1f} | {answer['volumes_cc'][name]:.1f} | {low:.1f} … {high:.1f} |"
+    )
+
+
+def casts(outputs: Sequence[str]) -> str:
+    """Nine casts, each beside its truth, and how they agree."""
+    models = list(csv.DictReader(outputs[-1].splitlines()))
+    lines = ["| cast | true cc | measured cc | error cc | error % | 95 % interval cc | holds |", "| --- " * 7 + "|"]
+    errors_cc = []
+    for model in models:
+        true, measured, low, high = (float(model[key]) for key in ("reference_cc", "measured_cc", "low_cc", "high_cc"))
+        errors_cc.append(measured - true)
+        lines.append(
+            f"| {model['model']} | {true:.1f} | {measured:.1f} | {measured - true:+.2f} | "
+            f"{100 * (measured / true - 1):+.2f} | {low:.1f} … {high:.1f} | {'yes' if low <= true <= high else 'no'} |"
+        )
+    lines += ["", f"Mean error {mean(errors_cc):+.2f} cc, standard deviation {stdev(errors_cc):.2f} cc."]
+    return with_minus("\n".join(lines))
+
+
+def paper_depth(outputs: Sequence[str]) -> str:
+    """Depth on a tilted plate beside the printed figure."""
+    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in outputs[0].splitlines() if "|" in line]
+    worst = max(float(row[5]) for row in rows[2:])
+    rms = max(float(row[3]) for row in rows[2:])
+    return (
+        "| depth on a tilted flat plate | printed | here |\n| --- | --- | --- |\n"
+        f"| greatest error, mm | < 0.5 | {worst:.2f} |\n| RMS from the plane, worst pair, mm | | {rms:.3f} |"
+    )
+
+
+def paper_table(outputs: Sequence[str]) -> str:
+    """Table 1: nine models, and how the methods agree, as printed and here."""
+    from benchmarks.paper import table_1
+
+    return with_minus(table_1(outputs[-1]))
+
+
+FORMS: Mapping[str, Callable[[Sequence[str]], str]] = {
+    "markdown": markdown,
+    "demo": demo,
+    "casts": casts,
+    "paper-depth": paper_depth,
+    "paper-table": paper_table,
+}
+
+
+def block(entry: Entry, result: Result) -> str:
+    """What stands between the markers."""
+    commands = "\n".join(f"$ {command}" for command in entry.commands)
+    table = FORMS[entry.form](result.outputs)
+    return f"```console\n{commands}\n```\n\n{table}\n\n*By commit {result.commit}, {result.day}.*\n"
+
+
+def write(entries: Mapping[str, Entry], results: Mapping[str, Result]) -> None:
+    """Put the tables of all results into their pages; what was made is not marked as kept any more."""
+    for page in {entry.page for entry in entries.values()}:
+        path = ROOT / page
+        before = path.read_text(encoding="utf-8")
+
+        def table(match: re.Match[str]) -> str:
+            name = match[1]
+            result = results.get(entries[name].of or name)
+            inside = block(entries[name], result) if result else match[2]
+            return f"<!-- measured: {name} -->\n{inside}<!-- end -->"
+
+        after = _BLOCK.sub(table, before)
+        if after != before:
+            path.write_text(after, encoding="utf-8")
+    registered = REGISTRY.read_text(encoding="utf-8")
+    for name in (entry.name for entry in entries.values() if (entry.of or entry.name) in results):
+        registered = re.sub(rf"(^\[{name}\]\n(?:[^\[\n].*\n)*?)kept = .*\n", r"\1", registered, flags=re.MULTILINE)
+    REGISTRY.write_text(registered, encoding="utf-8")
+
+
+def blocks(text: str) -> dict[str, str]:
+    """Name → what stands between its markers, of a page."""
+    return dict(_BLOCK.findall(text))
+
+
+def main() -> None:
+    """Make what lacks, then write the pages."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("names", nargs="*", metavar="NAME", help="tables to make; without names all")
+    parser.add_argument("--minutes", type=float, default=float("inf"), help="leave out what takes longer")
+    parser.add_argument("--write", action="store_true", help="run nothing, write the pages from what is there")
+    arguments = parser.parse_args()
+    entries = registry()
+    if unknown := set(arguments.names) - entries.keys():
+        parser.error(f"no table is named {', '.join(sorted(unknown))}; there are {', '.join(entries)}")
+    by = commit()
+    folder = ROOT / "build" / "measured" / by
+    results, failed = {}, []
+    for name, entry in entries.items():
+        if entry.of:
+            continue
+        path = folder / f"{name}.json"
+        if path.is_file():
+            results[name] = Result(**json.loads(path.read_text(encoding="utf-8")))
+            continue
+        chosen = name in arguments.names if arguments.names else entry.minutes <= arguments.minutes
+        if arguments.write or not chosen:
+            continue
+        if entry.needs and not (ROOT / entry.needs).is_dir():
+            print(f"{name}: left out, {entry.needs} is not there")
+            continue
+        print(f"{name}: about {entry.minutes:g} minutes", flush=True)
+        try:
+            results[name] = make(entry, by, folder)
+        except subprocess.CalledProcessError as error:
+            failed.append(f"{name}: {shlex.join(error.cmd)} ended with {error.returncode}")
+            continue
+        path.write_text(json.dumps(asdict(results[name]), indent=1), encoding="utf-8")
+        write(entries, results)
+    write(entries, results)
+    if failed:
+        raise SystemExit("\n".join(failed))
+
+
+def _git(*arguments: str) -> str:
+    return subprocess.run(["git", *arguments], cwd=ROOT, capture_output=True, text=True, check=True).stdout.strip()
+
+
+if __name__ == "__main__":
+    main()

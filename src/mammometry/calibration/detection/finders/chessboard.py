@@ -1,0 +1,134 @@
+"""Find plain chessboards: OpenCV finds the grid in a small picture, a model fit measures the corners."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from mammometry.base.photograph import Photograph
+from mammometry.calibration.features.board_map import LENS_TOLERANCE, BoardMap, fit_board_map
+from mammometry.calibration.features.corners import CornerGrid, refine_corners
+from mammometry.calibration.features.found_points import Cause, FoundPoints
+from mammometry.calibration.features.pixels import enlarge, grey_bytes, linear_luma, reduced
+from mammometry.calibration.targets.kinds.chessboard import ChessboardTarget
+from mammometry.geometry.arrays import Array, Float32, Float64, Int64, UInt8
+
+_LEAST_BEYOND = 2
+"""Squares of each colour, beyond a side of the board, by which it is seen to go on."""
+_GOES_ON = 0.4
+"""Difference of such squares, in that of the board's own. A rim has none. Chosen by eye."""
+
+
+def find_chessboard(
+    target: ChessboardTarget, photograph: Photograph, search_width_px: int
+) -> FoundPoints | Cause | None:
+    """Find the inner corners of a board wholly in the picture.
+
+    None if it is not, the cause if it is part of a larger one. The first corner is the one at a dark square. If half a
+    turn leaves the pattern unchanged, the first is the one that makes the board's x axis point to the picture's right.
+    """
+    columns, rows = target.squares[0] - 1, target.squares[1] - 1
+    small, scale = reduced(grey_bytes(photograph), search_width_px)
+    grid = _search(small, columns, rows)
+    if grid is None:
+        return None
+    uv = enlarge(grid, scale)
+    corners_mm = target.points_target[:, :2]
+    linear = linear_luma(photograph)
+    tolerance_px = LENS_TOLERANCE * max(photograph.size_wh) + 2.0 * float(scale.max())
+    candidates: list[tuple[bool, float, BoardMap]] = []
+    for turned in _orders(uv):
+        found = fit_board_map(corners_mm, turned.reshape(-1, 2), tolerance_px=tolerance_px)
+        if found is not None:
+            rightward = float((turned[:, -1] - turned[:, 0])[:, 0].sum())
+            candidates.append((_starts_dark(linear, found[0], target), rightward, found[0]))
+    if not candidates:
+        return None
+    starts_dark, _, board_map = max(candidates, key=lambda candidate: candidate[:2])
+    if _goes_on(linear, board_map, target):
+        return Cause(
+            found=f"a chessboard of more than {target.squares[0]} × {target.squares[1]} squares",
+            remedy="Count its squares, not the corners between them, and correct [target] squares",
+        )
+    column, row = np.meshgrid(np.arange(columns), np.arange(rows))
+    return refine_corners(
+        linear,
+        board_map,
+        corners_mm,
+        CornerGrid(
+            corners_mm=corners_mm,
+            square_mm=target.square_mm,
+            bright_first=((column + row).ravel() % 2 == 1) == starts_dark,
+        ),
+    )
+
+
+def explain_missed_chessboard(target: ChessboardTarget, small: UInt8[Array, "h w"]) -> Cause | None:
+    """Report squares without the whole board in a reduced grey picture."""
+    flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_LARGER
+    found, *_ = cv2.findChessboardCornersSBWithMeta(small, (3, 3), flags)
+    if not found:
+        return None
+    columns, rows = target.squares
+    return Cause(
+        found=f"squares of a chessboard, but none of {columns} × {rows} squares that is wholly in the picture",
+        remedy="Correct [target] squares if all pictures say so; else have the whole board and its white rim in view",
+    )
+
+
+def _search(small: UInt8[Array, "h w"], columns: int, rows: int) -> Float64[Array, "r c 2"] | None:
+    found, corners = cv2.findChessboardCornersSB(small, (columns, rows), flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
+    if not found:
+        flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_FAST_CHECK
+        found, corners = cv2.findChessboardCorners(small, (columns, rows), flags=flags)
+    return np.asarray(corners, np.float64).reshape(rows, columns, 2) if found else None
+
+
+def _orders(grid: Float64[Array, "r c 2"]) -> list[Float64[Array, "r c 2"]]:
+    """All ways to number the grid so that its axes turn as the board's do, seen from its front."""
+    across, down = grid[:, -1].mean(axis=0) - grid[:, 0].mean(axis=0), grid[-1].mean(axis=0) - grid[0].mean(axis=0)
+    if across[0] * down[1] - across[1] * down[0] < 0:
+        grid = grid[:, ::-1]
+    orders = [grid, grid[::-1, ::-1]]
+    if grid.shape[0] == grid.shape[1]:
+        quarter = grid.transpose(1, 0, 2)[::-1]
+        orders += [quarter, quarter[::-1, ::-1]]
+    return orders
+
+
+def _goes_on(linear: Float32[Array, "h w"], board_map: BoardMap, target: ChessboardTarget) -> bool:
+    """Whether dark and bright squares go on beyond the board, where a rim should be."""
+    columns, rows = target.squares
+    inside = _light_in(linear, board_map, target, *np.meshgrid(np.arange(1, columns - 1), np.arange(1, rows - 1)))
+    contrast = float(np.ptp(np.nanpercentile(inside, (20, 80))))
+    across, down = np.arange(columns), np.arange(rows)
+    for column, row in ((across, -1), (across, rows), (-1, down), (columns, down)):
+        beyond = _light_in(linear, board_map, target, *np.broadcast_arrays(column, row))
+        even, odd = beyond[::2], beyond[1::2]
+        seen = min(np.isfinite(even).sum(), np.isfinite(odd).sum()) >= _LEAST_BEYOND
+        if seen and abs(np.nanmedian(even) - np.nanmedian(odd)) > _GOES_ON * contrast:
+            return True
+    return False
+
+
+def _light_in(
+    linear: Float32[Array, "h w"],
+    board_map: BoardMap,
+    target: ChessboardTarget,
+    column: Int64[Array, "*n"],
+    row: Int64[Array, "*n"],
+) -> Float64[Array, "*n"]:
+    """Linear light in the middles of squares. NaN outside the picture."""
+    uv = np.rint(board_map.image((np.stack([column, row], axis=-1) + 0.5) * target.square_mm)).astype(np.int64)
+    height, width = linear.shape
+    inside = np.all((uv >= 0) & (uv < (width, height)), axis=-1)
+    u, v = np.where(inside, uv[..., 0], 0), np.where(inside, uv[..., 1], 0)
+    return np.where(inside, linear[v, u].astype(np.float64), np.nan)
+
+
+def _starts_dark(linear: Float32[Array, "h w"], board_map: BoardMap, target: ChessboardTarget) -> bool:
+    """Whether the square before the first corner is dark, by the middles of the squares."""
+    column, row = np.meshgrid(np.arange(1, target.squares[0] - 1), np.arange(1, target.squares[1] - 1))
+    light = _light_in(linear, board_map, target, column, row)
+    even = (column + row) % 2 == 0
+    return bool(np.nanmean(light[even]) < np.nanmean(light[~even]))

@@ -1,0 +1,146 @@
+"""Find a surveyed target of round dots by its constellation. The dots are measured as discs."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from mammometry.base.photograph import Photograph
+from mammometry.calibration.features.constellation import (
+    LEAST_DOTS,
+    Reading,
+    TargetCamera,
+    adjusted,
+    read_constellation,
+)
+from mammometry.calibration.features.dots import Dots, ToImage, measure_dots
+from mammometry.calibration.features.found_points import Cause, FoundPoints
+from mammometry.calibration.features.lattice import find_dots
+from mammometry.calibration.features.pixels import enlarge, grey_bytes, linear_luma, reduced
+from mammometry.calibration.targets.kinds.points import PointsTarget
+from mammometry.geometry.arrays import Array, Bool, Float32, Float64
+
+_SEARCH_WIDTHS = 2
+"""Width of the searched picture compared with boards: dots are smaller than squares."""
+_NEIGHBOURHOODS = (0.05, 0.12)
+"""What a dot must be darker than, in picture widths."""
+_MOST_DOTS = 250
+"""More dots than this are texture. Chosen by eye."""
+_START_HALF = 0.15
+"""Starting radius if the diameter is not known, in distances of neighbouring points."""
+_AROUND = 6
+"""Neighbours that show the surface's inclination at a point. Chosen by eye."""
+_FLAT = 0.12
+"""Neighbours in a plane to within this share of their distance show the surface's inclination."""
+_MAX_ERROR = 0.15
+"""Largest distance of a dot from where the camera of all others puts it, in diameters."""
+_ROUNDS = 2
+"""Measurements, each with the camera of the one before. Chosen by eye."""
+
+AMBIGUOUS = Cause(
+    found="dots that fit the list of points in more than one way",
+    remedy="Have more of the target in the picture, add points that break its symmetry, or write id,u,v to a .csv file "
+    "of the photograph's name",
+)
+UNREAD = Cause(
+    found="no dots that lie as the list of points says",
+    remedy="Have at least eight dark round dots on a bright surface in view, or write id,u,v to a .csv file of the "
+    "photograph's name",
+)
+
+
+def find_points(target: PointsTarget, photograph: Photograph, search_width_px: int) -> FoundPoints | Cause:
+    """Find the dots of a surveyed target, or say why not."""
+    small, scale = reduced(grey_bytes(photograph), _SEARCH_WIDTHS * search_width_px)
+    points = target.points_target
+    for neighbourhood in _NEIGHBOURHOODS:
+        uv = enlarge(find_dots(small, neighbourhood), scale)
+        if not LEAST_DOTS <= len(uv) <= _MOST_DOTS:
+            continue
+        readings = read_constellation(points, uv, photograph.size_wh)
+        if len(readings) > 1:
+            return AMBIGUOUS
+        if readings:
+            return _measured(linear_luma(photograph), target, readings[0]) or UNREAD
+    return UNREAD
+
+
+def _measured(linear: Float32[Array, "h w"], target: PointsTarget, reading: Reading) -> FoundPoints | None:
+    """Measure the dots that were read."""
+    points, camera, ids = target.points_target, reading.camera, np.sort(reading.ids)
+    nearest_mm = float(np.asarray(cKDTree(points).query(points, k=2)[0])[:, 1].min())
+    half_mm = target.dot_diameter_mm / 2 if target.dot_diameter_mm else _START_HALF * nearest_mm
+    for _ in range(_ROUNDS):
+        normals, flat = _normals(points, camera)
+        dots = _measure(linear, camera, points[ids], normals[ids], half_mm, nearest_mm)
+        if dots.ok.sum() < LEAST_DOTS:
+            return None
+        if target.dot_diameter_mm is None:
+            half_mm = float(np.sqrt(np.median(dots.mass_mm2[dots.ok]) / np.pi))
+        camera = adjusted(
+            camera, points[ids[dots.ok]], dots.uv[dots.ok], free_lens=bool(dots.ok.sum() >= 2 * LEAST_DOTS)
+        )
+    error_px = np.linalg.norm(camera.image(points[ids]) - dots.uv, axis=1)
+    size_px = 2 * half_mm * camera.focal_px / np.linalg.norm(points[ids] - camera.centre_mm, axis=1)
+    good = dots.ok & (error_px < _MAX_ERROR * size_px)
+    # Where the surface's slope is not known, the largest error that a slope could make is part of the uncertainty.
+    doubt_px = np.where(flat[ids], 0.0, size_px**2 / (8 * camera.focal_px))
+    covariance = dots.covariance_px2 + (doubt_px**2)[:, None, None] * np.eye(2)
+    return FoundPoints(ids=ids[good], uv=dots.uv[good], covariance_px2=covariance[good]) if good.any() else None
+
+
+def _normals(points: Float64[Array, "n 3"], camera: TargetCamera) -> tuple[Float64[Array, "n 3"], Bool[Array, " n"]]:
+    """Unit normal of the surface at each point, towards the camera.
+
+    Also whether its neighbours determine it. Otherwise the dot is assumed to face the camera.
+    """
+    distance, near = (np.asarray(part) for part in cKDTree(points).query(points, k=min(_AROUND + 1, len(points))))
+    around = points[near] - points[near].mean(axis=1, keepdims=True)
+    _, spread, axes = np.linalg.svd(around, full_matrices=False)
+    flat: Bool[Array, " n"] = spread[:, 2] / np.sqrt(near.shape[1]) < _FLAT * distance[:, 1]
+    flat &= spread[:, 1] > 0.2 * spread[:, 0]
+    towards = camera.centre_mm - points
+    towards /= np.linalg.norm(towards, axis=1, keepdims=True)
+    normal = axes[:, 2] * np.sign((axes[:, 2] * towards).sum(axis=1, keepdims=True))
+    flat &= (normal * towards).sum(axis=1) > 0.2
+    return np.where(flat[:, None], normal, towards), flat
+
+
+def _measure(
+    linear: Float32[Array, "h w"],
+    camera: TargetCamera,
+    points: Float64[Array, "n 3"],
+    normals: Float64[Array, "n 3"],
+    half_mm: float,
+    nearest_mm: float,
+) -> Dots:
+    across = np.where(np.abs(normals[:, :1]) < 0.9, np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0]))
+    first = np.cross(normals, across)
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    second = np.cross(normals, first)
+
+    return measure_dots(
+        linear,
+        _tangent_planes(camera, points, first, second),
+        np.zeros((len(points), 2)),
+        shape="disc",
+        half_mm=half_mm,
+        pitch_mm=(nearest_mm, nearest_mm),
+    )
+
+
+def _tangent_planes(
+    camera: TargetCamera, points: Float64[Array, "n 3"], first: Float64[Array, "n 3"], second: Float64[Array, "n 3"]
+) -> ToImage:
+    """Map of offsets in each point's tangent plane, mm, to pixels. Row k belongs to point k."""
+
+    def to_image(offset_mm: Float64[Array, "n *m 2"]) -> Float64[Array, "n *m 2"]:
+        shape = (len(points), *(1,) * (offset_mm.ndim - 2), 3)
+        at = (
+            points.reshape(shape)
+            + offset_mm[..., :1] * first.reshape(shape)
+            + offset_mm[..., 1:] * second.reshape(shape)
+        )
+        return camera.image(at)
+
+    return to_image

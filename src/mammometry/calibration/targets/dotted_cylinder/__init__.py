@@ -1,1 +1,0 @@
-"""The dotted cylinder of the paper: its sheet, its body and how it is found."""

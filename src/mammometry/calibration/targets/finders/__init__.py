@@ -1,1 +1,0 @@
-"""How flat targets are found in photographs."""

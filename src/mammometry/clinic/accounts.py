@@ -1,0 +1,207 @@
+"""How people come in: entry by an administrator, passwords, second factor, the hospital's own login."""
+
+import base64
+import hashlib
+import time
+from collections.abc import Sequence
+from typing import Any, ClassVar
+
+from allauth.account import forms as account
+from allauth.account.adapter import DefaultAccountAdapter
+from allauth.core import context
+from allauth.mfa.adapter import DefaultMFAAdapter
+from allauth.mfa.base import forms as mfa
+from allauth.mfa.totp import forms as totp
+from cryptography.fernet import Fernet
+from django import forms
+from django.conf import settings
+from django.core.exceptions import ValidationError
+from django.http import HttpRequest
+from django.urls import reverse
+
+from mammometry.clinic.audit import record_wrong_code
+from mammometry.clinic.config import ClinicError
+from mammometry.clinic.models import Person
+from mammometry.clinic.roles import Role
+from mammometry.hospital.codes import require_text
+from mammometry.hospital.exported import person_name
+
+
+def add_person(username: str, roles: Sequence[Role], *, full_name: str = "", email: str = "") -> Person:
+    """Enter somebody, who cannot log in before having set a password.
+
+    Raises:
+        ClinicError: the name is taken, or something in it cannot be.
+    """
+    require_text(person_name(full_name), "PN", "the full name", refusal=ClinicError)
+    person = Person(username=username, roles=[role.value for role in roles], full_name=full_name, email=email)
+    person.set_unusable_password()
+    try:
+        person.full_clean()
+    except ValidationError as error:
+        remedy = "Choose another name, or change this person in the clinic's administration"
+        found = " ".join(error.messages)
+        expected = "a new name of letters, digits and @ . + - _"
+        raise ClinicError("people add", found=found, expected=expected, remedy=remedy) from None
+    person.save()
+    return person
+
+
+def invitation(person: Person) -> str:
+    """Path of the page on which this person sets a password. It works once, for three days."""
+    from allauth.account.forms import default_token_generator
+    from allauth.account.utils import user_pk_to_url_str
+
+    key = default_token_generator.make_token(person)
+    return reverse("account_reset_password_from_key", kwargs={"uidb36": user_pk_to_url_str(person), "key": key})
+
+
+def find_person(username: str) -> Person:
+    """Somebody by the name to log in with.
+
+    Raises:
+        ClinicError: there is nobody of that name.
+    """
+    person = Person.objects.filter(username=username).first()
+    if person is None:
+        remedy = "See `mammometry clinic people list`"
+        raise ClinicError(username, found="nobody of that name", expected="somebody who may log in", remedy=remedy)
+    return person
+
+
+_MESSAGES = {
+    "account/messages/password_changed.txt": "Your password is changed. Log in with the new one.",
+    "mfa/messages/recovery_codes_generated.txt": "New codes are made. The old ones do not work any more.",
+    "mfa/messages/totp_activated.txt": "The second factor is set up.",
+    "mfa/messages/totp_deactivated.txt": "The second factor is removed.",
+}
+"""Template of allauth's message → our sentence. All other messages are left out: the page itself says it."""
+FRESH_S = 600
+"""How long after a login the password is not asked again, s."""
+
+
+class Accounts(DefaultAccountAdapter):
+    """Accounts are made by an administrator."""
+
+    error_messages = {  # noqa: RUF012
+        **DefaultAccountAdapter.error_messages,
+        "username_password_mismatch": "The name or the password is wrong.",
+        "incorrect_password": "The password is wrong.",
+        "enter_current_password": "This is not your password now.",
+        "too_many_login_attempts": "Too many tries. Wait a minute, then try again.",
+        "rate_limited": "Too many tries. Wait a minute, then try again.",
+    }
+
+    def is_open_for_signup(self, request: HttpRequest) -> bool:
+        """Refuse: accounts are made by an administrator."""
+        return False
+
+    def add_message(
+        self, request: HttpRequest, level: int, message_template: str | None = None, *args: Any, **kwargs: Any
+    ) -> None:
+        """Show our sentence in place of allauth's."""
+        sentence = _MESSAGES.get(message_template or "")
+        if sentence is not None:
+            super().add_message(request, level, message=sentence)
+
+    def is_reauthentication_required(self, *, app: str, **kwargs: Any) -> bool:
+        """Whether the password is asked again. Not for a first second factor, just after the login."""
+        from allauth.account.authentication import get_authentication_records
+
+        request = context.request
+        records = get_authentication_records(request, request.user)
+        fresh = bool(records) and time.time() - records[-1]["at"] < FRESH_S
+        if app == "allauth.mfa" and fresh and request.user.lacks_second_factor(request):
+            return False
+        return bool(super().is_reauthentication_required(app=app, **kwargs))
+
+
+class SecondFactor(DefaultMFAAdapter):
+    """Secrets of authenticators are kept encrypted. A copy of the database alone opens nothing."""
+
+    error_messages = {  # noqa: RUF012
+        **DefaultMFAAdapter.error_messages,
+        "incorrect_code": "The code is wrong. It changes every 30 seconds: enter the one that is shown now.",
+        "cannot_delete_authenticator": "The second factor cannot be removed: this clinic requires it.",
+    }
+
+    def encrypt(self, text: str) -> str:
+        """Under a key made of the clinic's."""
+        return _cipher().encrypt(text.encode()).decode()
+
+    def decrypt(self, encrypted_text: str) -> str:
+        """The text that `encrypt` was given."""
+        return _cipher().decrypt(encrypted_text.encode()).decode()
+
+
+def _cipher() -> Fernet:
+    digest = hashlib.sha256(b"second factor\0" + str(settings.SECRET_KEY).encode()).digest()
+    return Fernet(base64.urlsafe_b64encode(digest))
+
+
+_PASSWORD = "At least 12 characters. A few words in a row are good; your name or a common password is refused."
+_AGAIN = ("The same again", "")
+_CODE = "Six digits, as the application on your telephone shows them now. A code for a lost telephone works, too."
+
+
+class _Labelled:
+    """A form of allauth whose fields have our labels and hints."""
+
+    words: ClassVar[dict[str, tuple[str, str]]] = {}
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        for name, (label, hint) in self.words.items():
+            field = self.fields[name]  # type: ignore[attr-defined]
+            field.label, field.help_text = label, hint
+            field.widget.attrs.pop("placeholder", None)  # it would say the label again
+
+
+class LoginForm(_Labelled, account.LoginForm):
+    """Name and password."""
+
+    words: ClassVar = {"login": ("Name", ""), "password": ("Password", "")}
+
+
+class FirstPasswordForm(_Labelled, account.ResetPasswordKeyForm):
+    """A new password, through a link."""
+
+    words: ClassVar = {"password1": ("New password", _PASSWORD), "password2": _AGAIN}
+
+
+class ChangePasswordForm(_Labelled, account.ChangePasswordForm):
+    """The password now, and the new one."""
+
+    words: ClassVar = {"oldpassword": ("Password now", ""), **FirstPasswordForm.words}
+
+
+class PasswordAgainForm(_Labelled, account.ReauthenticateForm):
+    """The password, before something that needs it."""
+
+    words: ClassVar = {"password": ("Password", "")}
+
+
+class CodeForm(_Labelled, mfa.AuthenticateForm):
+    """The second factor's code, at the login."""
+
+    words: ClassVar = {"code": ("Code", _CODE)}
+
+    def clean_code(self) -> Any:
+        """Enter a wrong code into the audit, and refuse it."""
+        try:
+            return super().clean_code()
+        except forms.ValidationError:
+            record_wrong_code(self.user, context.request)
+            raise
+
+
+class CodeAgainForm(_Labelled, mfa.ReauthenticateForm):
+    """The second factor's code, before something that needs it."""
+
+    words: ClassVar = CodeForm.words
+
+
+class SetUpForm(_Labelled, totp.ActivateTOTPForm):
+    """The first code of a new authenticator."""
+
+    words: ClassVar = {"code": ("Code", "Six digits, as the application shows them now.")}

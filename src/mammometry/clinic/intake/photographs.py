@@ -1,0 +1,281 @@
+"""Photographs as they come in: what each shows, its smaller pictures, its camera, those set aside."""
+
+import io
+import json
+import os
+import shutil
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from mammometry.api.job import open_session
+from mammometry.base.errors import CalibrationError, ImageError, MammometryError
+from mammometry.base.parse import LimitSettings
+from mammometry.base.photograph import Photograph
+from mammometry.calibration.adjust.initialise import least_views
+from mammometry.calibration.features.keypoints import Keypoints, keypoints
+from mammometry.calibration.judge.cameras.names import check_names, wrong_photographs
+from mammometry.calibration.targets.table import target_from_table
+from mammometry.capture import checks
+from mammometry.capture.checks import Found, KnownCamera, not_only_a_photograph
+from mammometry.clinic.models import Calibration, DailyCheck, Upload, Visit
+from mammometry.clinic.site import the_clinic
+from mammometry.geometry.camera import Rig
+from mammometry.io.photographs.images import read_header, read_photograph
+from mammometry.io.photographs.tags import read_exposure
+from mammometry.io.write import disk_errors, sync_folder
+from mammometry.job.stages import calibrate
+
+_LONGEST_PX, _QUALITY = 480, 75  # of a picture of about 20 kB; chosen by eye
+_SCREEN_PX, _SCREEN_QUALITY = 1600, 85  # of a picture that fills a screen, about 200 kB; chosen by eye
+
+
+def thumbnail_path(upload: Upload) -> Path:
+    """Where the small picture of an upload lies."""
+    return upload.path.with_suffix(".webp")
+
+
+def screen_picture(photograph: Photograph) -> bytes:
+    """WebP that fills a screen."""
+    picture = _roughly(photograph, _SCREEN_PX)
+    picture.thumbnail((_SCREEN_PX, _SCREEN_PX))
+    buffer = io.BytesIO()
+    picture.save(buffer, format="WEBP", quality=_SCREEN_QUALITY)
+    return buffer.getvalue()
+
+
+def _roughly(photograph: Photograph, longest_px: int) -> Image.Image:
+    """A picture of at least twice that size, 8 bit. The rest is done well by Pillow."""
+    pixels = photograph.pixels
+    shift = 8 * (pixels.dtype.itemsize - 1)
+    step = max(1, max(photograph.size_wh) // (2 * longest_px))
+    return Image.fromarray(np.ascontiguousarray((pixels[::step, ::step] >> shift).astype(np.uint8)))
+
+
+def small_picture(picture: Image.Image, path: Path) -> None:
+    """Write a picture that Pillow has open. Of a JPEG only as much is decoded as that needs."""
+    picture.draft("RGB", (_LONGEST_PX, _LONGEST_PX))
+    picture.thumbnail((_LONGEST_PX, _LONGEST_PX))
+    small = picture if picture.mode in ("L", "RGB") else picture.convert("RGB")
+    small.save(path, format="WEBP", quality=_QUALITY)
+
+
+_KEPT = 64  # photographs whose features are kept, half a megabyte each: those of the visits that are being entered
+_features: dict[str, Keypoints] = {}
+
+
+def note(sha256: str, photograph: Photograph) -> None:
+    """Keep the features of a photograph that is decoded anyway."""
+    _features[sha256] = keypoints(photograph)
+    for old in list(_features)[:-_KEPT]:
+        _features.pop(old, None)
+
+
+def check(visit: Visit, photographs: tuple[tuple[str, str, Path], ...]) -> list[Found]:
+    """Say which photographs are exchanged, or do not belong to the others.
+
+    Args:
+        visit: with its calibration, if it has one.
+        photographs: camera, digest and place of each.
+    """
+    calibration = visit.calibration
+    if calibration is None or not calibration.figures:
+        return []
+    return list(_checked(str(the_clinic().folder / calibration.folder), photographs))
+
+
+@lru_cache(maxsize=32)
+def _checked(calibration: str, photographs: tuple[tuple[str, str, Path], ...]) -> tuple[Found, ...]:
+    try:
+        rig = _rig(calibration)
+        seen = {camera: _seen(sha256, path) for camera, sha256, path in photographs if camera in rig.cameras}
+    except MammometryError:  # the job says what is wrong with the calibration, or with a photograph
+        return ()
+    names = check_names(rig, seen)
+    wrong = wrong_photographs(names, rig.pair_names)
+    findings = [
+        Found(check="names", level="refuse", sentence=f"{mismatch.listed}: {mismatch.found}. {mismatch.remedy}.")
+        for mismatch in wrong
+    ]
+    if names.unknown and not findings:
+        pairs = ", ".join(names.unknown)
+        sentence = f"Too little texture to tell whether the photographs of pair {pairs} belong to their cameras."
+        findings.append(Found(check="names", level="unknown", sentence=sentence))
+    return tuple(findings)
+
+
+@lru_cache(maxsize=8)
+def _rig(calibration: str) -> Rig:
+    job = open_session(calibration, the_clinic().measuring())
+    if not job.store.has(job.plan[calibrate.cameras].key):  # to be made again, by a job and not while a page waits
+        raise CalibrationError(
+            calibration, found="no result that is current", expected="one", remedy="Calibrate the rig again"
+        )
+    return job.calibrate().rig
+
+
+def _seen(sha256: str, path: Path) -> Keypoints:
+    if sha256 not in _features:
+        note(sha256, read_photograph(path, path.name))
+    return _features[sha256]
+
+
+Target = Visit | Calibration | DailyCheck
+
+
+def look(upload: Upload, target: Target) -> tuple[list[Found], dict[str, Any]]:
+    """All checks of one photograph, and what is kept of its EXIF."""
+    other = not_only_a_photograph(upload.path)
+    if other is not None:
+        what = "no photograph" if other == "no photograph" else f"{other} as well as a photograph"
+        sentence = f"This file is {what}. Send the JPEG, PNG or TIFF as the camera wrote it."
+        return [Found(check="format", level="refuse", sentence=sentence)], {}
+    limits = LimitSettings(megapixels=float(the_clinic().limits.photograph_megapixels))
+    try:
+        header = read_header(upload.path, "The photograph", limits)
+        photograph = read_photograph(upload.path, "The photograph", limits)
+    except ImageError as error:
+        return [Found(check="format", level="refuse", sentence=str(error))], {}
+    except MemoryError:
+        return [Found(check="format", level="refuse", sentence="The photograph is too large for this machine.")], {}
+    exposure = read_exposure(upload.path)
+    known = known_cameras(target)
+    named = next((check.get("named") for check in upload.checks if check.get("named")), None)
+    if not upload.camera:
+        upload.camera = checks.camera_of_serial(exposure.serial, known) or ""
+    megapixels = header.stored_wh[0] * header.stored_wh[1] / 1e6
+    findings = [Found(check="format", level="ok", sentence=f"A photograph of {megapixels:.1f} megapixels.")]
+    if upload.camera:
+        findings.append(checks.right_camera(upload.camera, exposure, named, known))
+        findings.append(checks.right_size(upload.camera, header.stored_wh, header.orientation, known))
+    else:
+        sentence = "Neither the file's name nor its EXIF says which camera took it. Choose the camera."
+        findings.append(Found(check="camera", level="unknown", sentence=sentence))
+    if isinstance(target, Visit):
+        findings += checks.judge(checks.look(photograph), target.subject_kind)
+        note(upload.sha256, photograph)
+    small_picture(_roughly(photograph, _LONGEST_PX), thumbnail_path(upload))
+    return findings, {"serial": exposure.serial, "taken_s": exposure.taken_s, "named": named}
+
+
+def known_cameras(target: Target) -> dict[str, KnownCamera]:
+    """What the calibration that a target belongs to knows of its cameras. Nothing for a new calibration."""
+    if isinstance(target, Calibration):
+        return {}
+    figures = target.calibration.figures if target.calibration is not None else {}
+    return {name: KnownCamera.from_table(table) for name, table in figures.get("cameras", {}).items()}
+
+
+def poses_needed(definition: Mapping[str, Any], cameras: Sequence[str], photographs: Iterable[tuple[str, str]]) -> str:
+    """How many poses of the board are still needed, in a sentence. Empty: it can be calibrated.
+
+    Args:
+        definition: of the rig.
+        cameras: of the rig.
+        photographs: pose and camera of each.
+    """
+    table = definition.get("target")
+    least = least_views(target_from_table(table)) if table else 1
+    of_camera = Counter(camera for _, camera in photographs)
+    missing = max((least - of_camera[camera] for camera in cameras), default=least)
+    if missing <= 0:
+        return ""
+    poses = "one more pose" if missing == 1 else f"{missing} more poses"
+    return f"Add {poses} of the board: each camera must see it {least} times at least; ten poses are better."
+
+
+FOLDER = "set-aside"
+
+
+def set_aside(upload: Upload, folder: Path, *, kept_name: str = "") -> None:
+    """Move a placed photograph beside the others, under a name that no other file ever has.
+
+    Args:
+        upload: placed.
+        folder: the visit's, calibration's or check's.
+        kept_name: file that the next photograph is about to take the place of, which is left to it.
+
+    Raises:
+        StorageError: the disk is full or refuses.
+    """
+    place = Path(upload.name)
+    pose = [place.parts[1]] if len(place.parts) == 3 else []
+    name = Path(FOLDER, *pose, f"{place.stem}-{upload.pk.hex}{place.suffix}")
+    if not (folder / name).exists():
+        _copy(folder / place, folder / name)
+    upload.name, upload.state = name.as_posix(), Upload.State.SET_ASIDE
+    upload.save()
+    if place.name != kept_name:
+        (folder / place).unlink(missing_ok=True)
+
+
+def clear_place(others: Sequence[Upload], upload: Upload, folder: Path, goal: Path) -> bool:
+    """Set aside the photograph in a place, and forget uploads that never came there.
+
+    Args:
+        others: the place's uploads, but for this one.
+        upload: what comes into the place.
+        folder: the visit's, calibration's or check's.
+        goal: the file that it becomes.
+
+    Returns:
+        Whether the place held another photograph, or none.
+
+    Raises:
+        StorageError: the disk is full or refuses.
+    """
+    changed = True
+    for other in others:
+        if other.state == Upload.State.PLACED and other.sha256 != upload.sha256:
+            set_aside(other, folder, kept_name=goal.name)
+            continue
+        changed = changed and other.state != Upload.State.PLACED
+        thumbnail_path(other).unlink(missing_ok=True)
+        other.delete()
+    for path in goal.parent.glob(f"{upload.camera}.*"):
+        if path != goal:
+            path.unlink()
+    return changed
+
+
+def fired_files(folder: Path) -> dict[str, str]:
+    """Digest → name below the visit's folder of every picture that was fired, where it lies for good."""
+    names: dict[str, str] = {}
+    for path in sorted((folder / "shots").glob("[0-9]*/shot.json")):
+        try:
+            cameras = json.loads(path.read_text(encoding="utf-8"))["cameras"]
+            names |= {about["sha256"]: f"shots/{path.parent.name}/{about['file']}" for about in cameras.values()}
+        except (OSError, ValueError, KeyError, TypeError, AttributeError):
+            continue  # of a firing that failed
+    return names
+
+
+def put_back(upload: Upload, folder: Path, goal: Path) -> None:
+    """Put the file of a photograph that was set aside into its place.
+
+    It stays where it was set aside until its row says that it is back.
+
+    Raises:
+        StorageError: the disk is full or refuses.
+    """
+    _copy(folder / upload.name, goal)
+
+
+def _copy(source: Path, goal: Path) -> None:
+    """Link a file, or copy it where the disk has no links, whole or not at all."""
+    with disk_errors(goal):
+        goal.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        part = goal.with_name(f".{goal.name}.part")
+        part.unlink(missing_ok=True)
+        try:
+            os.link(source, part)
+        except OSError:
+            shutil.copy2(source, part)
+        part.replace(goal)
+        part.unlink(missing_ok=True)  # where both were links to one file already
+        sync_folder(goal.parent)

@@ -1,0 +1,268 @@
+"""Rigs: calibrations and checks out of the database, and whether one may be used today."""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, Literal, TypeAlias
+
+from django.utils import timezone
+
+from mammometry.capture.sessions import make_session, manifest_text
+from mammometry.clinic.models import Calibration, Comparison, DailyCheck, Job, Rig, Visit
+from mammometry.clinic.site import the_clinic
+from mammometry.io.drift import CameraDrift, Entry
+
+Answer: TypeAlias = Literal["yes", "care", "no"]
+_OLD_DAYS = 90
+"""Days after which a calibration is called old: screws settle and rooms change; chosen, not measured. Whether a camera
+moved, the daily check tells."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Today:
+    """Whether a rig may be measured with today."""
+
+    verdict: Answer
+    """``care``: yes, and somebody should read the reasons."""
+    sentence: str
+    reasons: tuple[str, ...] = ()
+    remedy: str = ""
+    """What to do first; empty where nothing is to be done."""
+
+    def as_table(self) -> dict[str, Any]:
+        """The verdict as JSON."""
+        return {
+            "verdict": self.verdict, "sentence": self.sentence, "reasons": list(self.reasons), "remedy": self.remedy,
+        }  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Calibrated:
+    """The calibration that is in use."""
+
+    on: datetime.date
+    verdict: str | None
+    """``pass`` or ``warn``; None for cameras that were calibrated elsewhere."""
+    reasons: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Checked:
+    """The newest daily check against that calibration."""
+
+    on: datetime.date
+    verdict: str | None
+    """``unmoved``, ``moved``, ``refuse``; None while it is not judged."""
+    effect_mm: float = 0.0
+    """RMS displacement of measured points by the worst pair."""
+    reasons: tuple[str, ...] = ()
+    unseen: tuple[str, ...] = ()
+    """Cameras that did not see the board."""
+
+    @classmethod
+    def of(cls, on: datetime.date, figures: Mapping[str, Any]) -> Checked:
+        """Build the facts from a check's stored figures."""
+        return cls(
+            on=on,
+            verdict=figures.get("verdict"),
+            effect_mm=float(figures.get("effect_mm") or 0.0),
+            reasons=tuple(figures.get("reasons", ())),
+            unseen=tuple(figures.get("unseen", ())),
+        )
+
+
+def judge(day: datetime.date, calibrated: Calibrated | None, checked: Checked | None) -> Today:
+    """Decide whether a rig may be measured with today.
+
+    Args:
+        day: today, where the clinic is.
+        calibrated: the calibration in use; None: there is none.
+        checked: the newest check against it; None: there was none.
+    """
+    if calibrated is None:
+        return Today(
+            verdict="no",
+            sentence="No: this rig is not calibrated.",
+            remedy="Photograph the board in several poses and calibrate.",
+        )
+    if checked is not None and checked.verdict == "refuse":
+        return Today(
+            verdict="no",
+            sentence="No: a camera has moved since the calibration.",
+            reasons=checked.reasons,
+            remedy="Calibrate the rig again. If the board was bent or not still, repeat the check first.",
+        )
+    reasons: list[str] = []
+    remedy = "Calibrate the rig again when there is time."
+    fresh = calibrated.on == day  # a calibration is a check of its own day
+    if not fresh and (checked is None or checked.on != day or checked.verdict is None):
+        last = "was never checked" if checked is None else f"was last checked on {checked.on.isoformat()}"
+        if checked is not None and checked.verdict is None:
+            last = "has a check that has not been judged yet"
+        return Today(
+            verdict="care",
+            sentence="Not checked today.",
+            reasons=(f"The rig {last}. A camera may have been touched since.",),
+            remedy="Take one photograph of the board with every camera.",
+        )
+    if checked is not None and checked.verdict == "moved":
+        reasons.append(f"A camera moved a little: measured points are off by {checked.effect_mm:.2f} mm.")
+        reasons += checked.reasons
+    if calibrated.verdict == "warn":
+        reasons += calibrated.reasons[:1]
+    if (age := (day - calibrated.on).days) > _OLD_DAYS:
+        reasons.append(f"The calibration is {age} days old.")
+    if checked is not None and checked.unseen and checked.on == day:
+        if not reasons:
+            remedy = "Photograph the board again, where these cameras see it."
+        reasons.insert(0, f"Not checked, as they saw no board: {', '.join(checked.unseen)}.")
+        if not fresh:
+            return Today(verdict="care", sentence="Not all cameras are checked.", reasons=tuple(reasons), remedy=remedy)
+    if reasons:
+        return Today(verdict="care", sentence="Yes, with care: read why.", reasons=tuple(reasons), remedy=remedy)
+    how = "it was calibrated today" if fresh else "no camera has moved"
+    return Today(verdict="yes", sentence=f"Yes: {how}.")
+
+
+_OF_A_DAY = 20  # newest checks among which those of one day are
+_SHOWN = 60  # newest checks of the chart: two months of days
+
+
+def current(rig: Rig) -> Calibration | None:
+    """The calibration that new visits use."""
+    return rig.calibrations.filter(current=True).first()
+
+
+def today(rig: Rig) -> Today:
+    """May we measure with this rig today?"""
+    day = timezone.localdate()
+    calibration = current(rig)
+    if calibration is None:
+        return judge(day, None, None)
+    figures = calibration.figures
+    known = Calibrated(
+        on=timezone.localdate(calibration.taken_at),
+        verdict=figures.get("verdict"),
+        reasons=tuple(figures.get("reasons", ())),
+    )
+    newest = rig.checks.filter(calibration=calibration).order_by("-taken_at").first()
+    checked = None
+    if newest is not None:
+        on = timezone.localdate(newest.taken_at)
+        # A camera that missed the board in one photograph may have seen it in another of the same day.
+        others = rig.checks.filter(calibration=calibration).exclude(figures={}).exclude(pk=newest.pk)[:_OF_A_DAY]
+        seen = {
+            name
+            for other in others
+            if timezone.localdate(other.taken_at) == on and other.figures.get("verdict") != "refuse"
+            for name in other.figures.get("cameras", {})
+        }
+        unseen = [name for name in newest.figures.get("unseen", ()) if name not in seen]
+        checked = Checked.of(on, {**newest.figures, "unseen": unseen})
+    return judge(day, known, checked)
+
+
+def entries(rig: Rig) -> list[Entry]:
+    """The newest judged checks, the oldest first. As the drift chart takes them."""
+    checks = rig.checks.exclude(figures={}).select_related("calibration").order_by("-taken_at")[:_SHOWN]
+    return [_entry(check) for check in reversed(checks)]
+
+
+def drift_rows(rig: Rig) -> Iterator[dict[str, Any]]:
+    """The newest judged checks as a table: a row a check, the newest first."""
+    for entry in reversed(entries(rig)):
+        yield {
+            "when": entry.when,
+            "verdict": entry.verdict,
+            "effect_mm": entry.effect_mm,
+            "reasons": entry.reasons,
+            "moved": [name for name, camera in entry.cameras.items() if camera.moved],
+            "cameras": {name: {"px": camera.shift_px, "mm": camera.shift_mm} for name, camera in entry.cameras.items()},
+        }
+
+
+def new_calibration(rig: Rig, by: Any) -> Calibration:
+    """A calibration without photographs yet, and its folder."""
+    made = Calibration(rig=rig, taken_at=timezone.now(), created_by=by)
+    made.folder = f"rigs/{rig.pk}/calibrations/{made.pk}"
+    make_session(the_clinic().folder / made.folder, manifest_text(rig.definition, "torso"))
+    made.save()
+    return made
+
+
+def new_check(rig: Rig, by: Any) -> DailyCheck | None:
+    """A daily check without photographs yet. None where the rig is not calibrated."""
+    calibration = current(rig)
+    if calibration is None:
+        return None
+    made = DailyCheck(rig=rig, calibration=calibration, taken_at=timezone.now(), by=by)
+    made.folder = f"rigs/{rig.pk}/checks/{made.pk}"
+    made.save()
+    return made
+
+
+def may_queue(target: Visit | Calibration | DailyCheck | Comparison, *, anyway: bool = False) -> str | None:
+    """Why something cannot be computed now, in a sentence. None where it can.
+
+    A visit takes its rig's current calibration when it is queued first, and keeps it.
+    """
+    from mammometry.clinic.intake.uploads import state_of
+    from mammometry.clinic.records.comparing import may_compare
+    from mammometry.clinic.records.search import elsewhere, same_photographs
+    from mammometry.io.meshes.scans import is_scan
+
+    if isinstance(target, Comparison):
+        ready = may_compare(target.before, target.after)
+        return None if ready else "One of both visits is not measured as it stands. Measure it first."
+    if Job.objects.filter(_about(target), state__in=(Job.State.QUEUED, Job.State.RUNNING)).exists():
+        return None  # the one that is open is answered
+    if isinstance(target, Visit):
+        if target.rig is None:
+            return None if is_scan(target.folder) else "This visit has no scan. Begin a new one."
+        if target.calibration is None:
+            target.calibration = current(target.rig)
+            if target.calibration is None:
+                return "This rig is not calibrated. Calibrate it first."
+            target.save(update_fields=["calibration"])
+        if target.calibration.state != Calibration.State.DONE:
+            return "The calibration of this visit has no result yet. Wait for it, or calibrate again."
+        answer = today(target.rig)
+        same_day = timezone.localdate(target.taken_at) == timezone.localdate()
+        if answer.verdict == "no" and same_day and not anyway:
+            return f"{answer.sentence} {answer.remedy}"
+    state = state_of(target)
+    if not state["ready"]:
+        sentences = [finding["sentence"] for finding in state["together"] if finding["level"] == "refuse"]
+        missing = f"Photographs are missing: {', '.join(state['missing'])}." if state["missing"] else ""
+        why = " ".join(filter(None, [missing, state.get("needed"), *sentences]))
+        return why or "This rig has no cameras. Describe it first."
+    if isinstance(target, Visit) and not anyway:
+        return " ".join(elsewhere(other, cameras) for other, cameras in same_photographs(target)) or None
+    return None
+
+
+def _about(target: Visit | Calibration | DailyCheck) -> Any:
+    from django.db.models import Q
+
+    if isinstance(target, Visit):
+        return Q(visit=target)
+    return Q(calibration=target) if isinstance(target, Calibration) else Q(check_of_day=target)
+
+
+def _entry(check: DailyCheck) -> Entry:
+    figures = check.figures
+    names = ("shift_mm", "turn_deg", "shift_px", "sigma")
+    return Entry(
+        when=timezone.localtime(check.taken_at).isoformat(timespec="minutes"),
+        image_set=str(check.pk),
+        calibration=str(figures.get("calibration", check.calibration_id)),
+        verdict=str(figures.get("verdict")),
+        effect_mm=float(figures.get("effect_mm") or 0.0),
+        reasons=tuple(figures.get("reasons", ())),
+        cameras={
+            name: CameraDrift(moved=bool(drift.get("moved")), **{name: float(drift.get(name) or 0.0) for name in names})
+            for name, drift in figures.get("cameras", {}).items()
+        },
+    )

@@ -1,1 +1,0 @@
-"""Rigs: calibrations, drift, and whether a rig may be measured with today."""

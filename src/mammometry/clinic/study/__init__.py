@@ -1,1 +1,0 @@
-"""Many visits together: cohorts, charts, comparisons."""

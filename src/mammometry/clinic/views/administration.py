@@ -1,0 +1,281 @@
+"""Administrators' pages: what needs them now, people, the audit, backups, the disk, erasure."""
+
+import datetime
+import subprocess
+import sys
+import threading
+import uuid
+from typing import Any
+from urllib.parse import urlencode
+
+from allauth.account.views import password_change
+from allauth.mfa.models import Authenticator
+from auditlog.models import LogEntry
+from axes.utils import reset
+from django import forms
+from django.contrib import messages
+from django.http import HttpRequest, HttpResponse
+from django.shortcuts import get_object_or_404, redirect, render
+from django.utils import timezone
+from django.views.decorators.http import require_POST
+
+from mammometry.base.errors import MammometryError
+from mammometry.clinic import audit_entries
+from mammometry.clinic.accounts import invitation
+from mammometry.clinic.audit import FAILED_LOGIN, REFUSED
+from mammometry.clinic.audit_entries import KINDS, AuditFilter, entries
+from mammometry.clinic.forms import PersonForm
+from mammometry.clinic.maintenance.backups import backup_files, state_of
+from mammometry.clinic.maintenance.disk import cached_usage, folder_bytes
+from mammometry.clinic.maintenance.patient import erase_patient, rows_of
+from mammometry.clinic.models import Patient, Person, Upload, Visit
+from mammometry.clinic.site import the_clinic
+from mammometry.clinic.views.responses import download, person_of
+from mammometry.clinic.views.today import first_day_of
+
+_DAYS = 7  # of failed logins and refused pages
+
+
+def overview(request: HttpRequest) -> HttpResponse:
+    """People, backups, disk and what the audit shows of the last days."""
+    people = [person for person in Person.objects.all() if person.is_active]
+    since = timezone.localdate() - datetime.timedelta(days=_DAYS - 1)
+    context = {
+        "first_day": first_day_of(person_of(request)),
+        "people": len(people),
+        "without_password": [person for person in people if person.waits_for_password],
+        "backups": state_of(the_clinic()),
+        "disk": cached_usage(the_clinic()),
+        "failed_logins": entries(AuditFilter(kind=FAILED_LOGIN, since=since)).count(),
+        "refused": entries(AuditFilter(kind=REFUSED, since=since)).count(),
+        "days": _DAYS,
+        "since": since,
+    }
+    return render(request, "clinic/administration.html", context)
+
+
+class AuditForm(forms.Form):
+    """Which entries are shown."""
+
+    kind = forms.ChoiceField(
+        label="What", required=False, choices=[("", "everything"), *((key, words) for key, words in KINDS.items())]
+    )
+    person = forms.ModelChoiceField(
+        label="Who", required=False, queryset=Person.objects.order_by("username"), empty_label="everybody"
+    )
+    patient = forms.CharField(
+        label="Patient’s pseudonym",
+        required=False,
+        max_length=8,
+        widget=forms.TextInput(attrs={"placeholder": "P-…", "autocomplete": "off"}),
+    )
+    since = forms.DateField(label="From", required=False, widget=forms.DateInput(attrs={"type": "date"}))
+    until = forms.DateField(label="Until", required=False, widget=forms.DateInput(attrs={"type": "date"}))
+
+    def chosen(self) -> AuditFilter:
+        """Return the filter. A form that cannot be read filters nothing."""
+        values: dict[str, Any] = self.cleaned_data if self.is_valid() else {}
+        person = values.get("person")
+        return AuditFilter(
+            person=None if person is None else person.pk,
+            since=values.get("since"),
+            until=values.get("until"),
+            patient=values.get("patient", "").strip().upper(),
+            kind=values.get("kind", ""),
+        )
+
+
+def audit(request: HttpRequest) -> HttpResponse:
+    """Entries of the audit, the newest first."""
+    form = AuditForm(request.GET)
+    before = request.GET.get("before", "")
+    entries, older = audit_entries.entry_page(form.chosen(), int(before) if _is_number(before) else None)
+    query = {name: value for name, value in request.GET.items() if name in form.fields and value}
+    context = {
+        "form": form,
+        "entries": entries,
+        "query": urlencode(query),
+        "older": urlencode({**query, "before": older}) if older is not None else None,
+        "is_newest": not before,
+        "is_filtered": bool(query),
+    }
+    return render(request, "clinic/audit.html", context)
+
+
+def audit_csv(request: HttpRequest) -> HttpResponse:
+    """What is filtered, as CSV."""
+    text = audit_entries.audit_csv(AuditForm(request.GET).chosen())
+    return download(text, "audit.csv", "text/csv; charset=utf-8")
+
+
+def audit_entry(request: HttpRequest, entry: int) -> HttpResponse:
+    """One entry with all that it holds."""
+    row = get_object_or_404(LogEntry, pk=entry)
+    names = {person.pk: str(person) for person in Person.objects.all()}
+    return render(request, "clinic/audit_entry.html", {"entry": audit_entries.in_words(row, names)})
+
+
+def _is_number(text: str) -> bool:
+    return text.isascii() and text.isdigit() and len(text) < 19  # a 64-bit key has at most 19 digits
+
+
+def erase(request: HttpRequest) -> HttpResponse:
+    """Ask for a pseudonym, show what goes, and erase it when the pseudonym is typed again."""
+    typed = (request.POST if request.method == "POST" else request.GET).get("pseudonym", "").strip().upper()
+    patient = Patient.everything.filter(pseudonym=typed, merged_into=None).first() if typed else None
+    context: dict[str, Any] = {"typed": typed}
+    if patient is not None:
+        context |= what_goes(patient)
+    elif typed:
+        context["wrong"] = "No patient has this pseudonym."
+    if request.method == "POST" and patient is not None:
+        if request.POST.get("again", "").strip().upper() != typed:
+            context["wrong_again"] = "This is not the same pseudonym. Nothing was erased."
+        else:
+            try:
+                visits = erase_patient(the_clinic(), patient, person_of(request))
+                context = {"erased": typed, "visits": visits, "backups": context["backups"]}
+            except MammometryError as error:
+                context["wrong_again"] = str(error)
+    return render(request, "clinic/erase.html", context)
+
+
+def what_goes(patient: Patient) -> dict[str, Any]:
+    """What is erased with a patient, and what stays."""
+    rows = rows_of(patient)
+    visits = [row for row in rows if isinstance(row, Visit)]
+    return {
+        "patient": patient,
+        "visits": visits,
+        "photographs": sum(isinstance(row, Upload) for row in rows),
+        "rows": len(rows),
+        "bytes": sum(folder_bytes(visit.folder) for visit in visits),
+        "backups": [file.path.name for file in backup_files(the_clinic())],
+    }
+
+
+_LINK = "invitation"  # key of the session under which a link waits until it is shown
+
+
+def people(request: HttpRequest) -> HttpResponse:
+    """Everybody, those who may log in first."""
+    with_factor = set(Authenticator.objects.filter(type=Authenticator.Type.TOTP).values_list("user_id", flat=True))
+    rows = [(person, person.pk in with_factor) for person in Person.objects.order_by("-is_active", "username")]
+    return render(request, "clinic/people.html", {"rows": rows})
+
+
+def person_new(request: HttpRequest) -> HttpResponse:
+    """Enter somebody, and lead to the page that shows the link to hand over."""
+    form = PersonForm(request.POST or None)
+    if request.method == "POST" and form.is_valid():
+        person = form.save(commit=False)
+        person.set_unusable_password()
+        person.save()
+        return _with_link(request, person)
+    return render(request, "clinic/person.html", {"form": form})
+
+
+def person_edit(request: HttpRequest, person: uuid.UUID) -> HttpResponse:
+    """Change somebody's name, roles or login."""
+    shown = get_object_or_404(Person, pk=person)
+    form = PersonForm(request.POST or None, instance=shown, own=shown.pk == request.user.pk)
+    if request.method == "POST" and form.is_valid():
+        form.save()
+        messages.success(request, "Saved.")
+        return redirect("people")
+    waiting = request.session.pop(_LINK, {})
+    context = {
+        "form": form,
+        "person": get_object_or_404(Person, pk=person),  # as saved: the form changes its own
+        "link": waiting.get("link") if waiting.get("person") == str(shown.pk) else None,
+        "second_factor": Authenticator.objects.filter(user=shown, type=Authenticator.Type.TOTP).exists(),
+    }
+    return render(request, "clinic/person.html", context)
+
+
+@require_POST
+def invite(request: HttpRequest, person: uuid.UUID) -> HttpResponse:
+    """Make a new link to set a password."""
+    return _with_link(request, get_object_or_404(Person, pk=person))
+
+
+@require_POST
+def reset_second_factor(request: HttpRequest, person: uuid.UUID) -> HttpResponse:
+    """Forget somebody's authenticator and codes."""
+    shown = get_object_or_404(Person, pk=person)
+    Authenticator.objects.filter(user=shown).delete()
+    messages.success(request, f"{shown} sets up a second factor at the next login.")
+    return redirect("person", person=shown.pk)
+
+
+@require_POST
+def let_in(request: HttpRequest, person: uuid.UUID) -> HttpResponse:
+    """Forget somebody's wrong passwords."""
+    shown = get_object_or_404(Person, pk=person)
+    reset(username=shown.username)
+    messages.success(request, f"{shown} may try again.")
+    return redirect("person", person=shown.pk)
+
+
+def own_password(request: HttpRequest) -> HttpResponse:
+    """Change one's own password, unless the hospital's own login keeps it."""
+    if not person_of(request).has_usable_password():
+        about = {"title": "No password here", "sentence": "You log in with the hospital’s own login. Change it there."}
+        return render(request, "clinic/refusal.html", about)
+    response: HttpResponse = password_change(request)
+    return response
+
+
+def _with_link(request: HttpRequest, person: Person) -> HttpResponse:
+    """Lead to the person's page, which shows the link once."""
+    request.session[_LINK] = {"person": str(person.pk), "link": request.build_absolute_uri(invitation(person))}
+    return redirect("person", person=person.pk)
+
+
+def settings(request: HttpRequest) -> HttpResponse:
+    """What clinic.toml says, without secrets."""
+    database = "SQLite, in the clinic's folder" if the_clinic().database == "sqlite" else "PostgreSQL"
+    return render(request, "clinic/settings.html", {"clinic": the_clinic(), "database": database})
+
+
+def backup_list(request: HttpRequest) -> HttpResponse:
+    """Which backups there are, when the next is made, and whether a restore was tested."""
+    clinic = the_clinic()
+    return render(request, "clinic/backups.html", {"state": state_of(clinic), "clinic": clinic})
+
+
+@require_POST
+def backup_now(request: HttpRequest) -> HttpResponse:
+    """Begin a backup in a process of its own."""
+    return _begun(request, "backup", "A backup is being made. You may leave this page.")
+
+
+@require_POST
+def test_now(request: HttpRequest) -> HttpResponse:
+    """Begin a restore test in a process of its own: a process opens one clinic."""
+    return _begun(request, "test-restore", "The newest backup is being restored and compared. You may leave this page.")
+
+
+def disk(request: HttpRequest) -> HttpResponse:
+    """What the clinic's files take, and how long the rest will last."""
+    return render(request, "clinic/disk.html", {"usage": cached_usage(the_clinic())})
+
+
+def _begun(request: HttpRequest, command: str, sentence: str) -> HttpResponse:
+    if state_of(the_clinic()).at_work:
+        messages.warning(request, "A backup or a test is at work already.")
+    else:
+        begin_command(command)
+        messages.success(request, sentence)
+    return redirect("backups")
+
+
+def begin_command(command: str) -> None:
+    """Run a command of the clinic beside the server. Its outcome is on the page of the backups."""
+    words = [sys.executable, "-m", "mammometry", "clinic", command, str(the_clinic().folder)]
+    threading.Thread(
+        target=subprocess.run,
+        args=(words,),
+        kwargs={"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL},
+        daemon=True,
+    ).start()

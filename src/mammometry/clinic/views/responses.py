@@ -1,0 +1,213 @@
+"""What views share: who asks, JSON for programs of a page, pages for what is refused or missing."""
+
+import json
+import logging
+from collections.abc import Callable
+from functools import wraps
+from typing import Any
+from uuid import UUID
+
+from django.contrib import messages
+from django.core.exceptions import PermissionDenied
+from django.http import Http404, HttpRequest, HttpResponse, HttpResponseBase, JsonResponse
+from django.middleware.csrf import get_token
+from django.shortcuts import get_object_or_404, render
+from django.template.loader import render_to_string
+
+from mammometry.base.errors import MammometryError, StorageError
+from mammometry.base.extras import MissingLibraryError
+from mammometry.clinic.audit import record_refusal
+from mammometry.clinic.intake.uploads import UploadError
+from mammometry.clinic.models import Comparison, Person, Visit
+from mammometry.clinic.roles import CARE
+from mammometry.clinic.site import the_clinic
+from mammometry.clinic.web.access import is_program
+from mammometry.clinic.web.security import report_policy
+
+
+class Refused(Exception):
+    """Something cannot be done. Its text is the sentence that says why."""
+
+    def __init__(self, sentence: str, status: int = 409) -> None:
+        super().__init__(sentence)
+        self.status = status
+
+
+def json_view(*methods: str) -> Callable[[Callable[..., HttpResponseBase]], Callable[..., HttpResponseBase]]:
+    """A view of these methods only, whose errors are JSON."""
+
+    def wrapped(view: Callable[..., HttpResponseBase]) -> Callable[..., HttpResponseBase]:
+        @wraps(view)
+        def answer(request: HttpRequest, *args: Any, **kwargs: Any) -> HttpResponseBase:
+            if request.method not in methods:
+                return JsonResponse(
+                    {"error": f"Only {', '.join(methods)}."}, status=405, headers={"Allow": ", ".join(methods)}
+                )
+            try:
+                return view(request, *args, **kwargs)
+            except (Refused, UploadError) as error:
+                return JsonResponse({"error": str(error)}, status=error.status)
+            except MammometryError as error:
+                return JsonResponse({"error": str(error)}, status=409 if error.exit_code != 9 else 507)
+
+        return answer
+
+    return wrapped
+
+
+def json_body(request: HttpRequest) -> dict[str, Any]:
+    """What the request's JSON says. Nothing where it has none.
+
+    Raises:
+        Refused: it is no JSON object.
+    """
+    if not request.body:
+        return {}
+    try:
+        table = json.loads(request.body)
+    except (ValueError, RecursionError):
+        table = None
+    if not isinstance(table, dict):
+        raise Refused("The request is no JSON object.", 400)
+    return table
+
+
+def text_of(table: dict[str, Any], name: str, *, most: int = 200) -> str:
+    """A text of the request. Empty where there is none.
+
+    Raises:
+        Refused: it is no text, or too long.
+    """
+    value = table.get(name)
+    if value is None:
+        return ""
+    if not isinstance(value, str) or len(value) > most:
+        raise Refused(f"{name} is no text of at most {most} characters.", 400)
+    return value
+
+
+def require_care(request: HttpRequest, target: object) -> None:
+    """Refuse what is of a patient to those who only keep rigs, and what lies in the bin to everybody.
+
+    Raises:
+        PermissionDenied: it is a visit or a comparison, and this person cares for no patients.
+        Http404: it is a visit in the bin.
+    """
+    if isinstance(target, Visit | Comparison) and not request.user.has_role(*CARE):  # type: ignore[union-attr]  # logged in
+        raise PermissionDenied
+    if isinstance(target, Visit) and target.binned_at is not None:
+        raise Http404
+
+
+def visit_or_404(key: UUID) -> Visit:
+    """A visit that is not in the bin, with its patient, rig and calibration."""
+    visit: Visit = get_object_or_404(Visit.objects.select_related("patient", "rig", "calibration"), pk=key)
+    return visit
+
+
+def form_page(
+    request: HttpRequest,
+    template: str,
+    form: Any,
+    done: str,
+    goes_on: Callable[[Any], HttpResponse],
+    **context: object,
+) -> HttpResponse:
+    """A page with the form of one row. A row that is filled in is saved, and leads on."""
+    if request.method == "POST" and form.is_valid():
+        row = form.save()
+        messages.success(request, done)
+        return goes_on(row)
+    return render(request, template, {"form": form, **context})
+
+
+def download(content: bytes | str, name: str, content_type: str) -> HttpResponse:
+    """Response with a file to download."""
+    headers = {"Content-Disposition": f'attachment; filename="{name}"'}
+    return HttpResponse(content, content_type=content_type, headers=headers)
+
+
+def sealed_page(page: bytes) -> HttpResponse:
+    """A report's page, sealed off from the clinic's."""
+    headers = {"Content-Security-Policy": report_policy(page)}
+    return HttpResponse(page, content_type="text/html; charset=utf-8", headers=headers)
+
+
+_LOG = logging.getLogger(__name__)
+
+
+def _page(request: HttpRequest, status: int, title: str, sentence: str) -> HttpResponse:
+    if is_program(request):
+        return JsonResponse({"error": sentence}, status=status)
+    return render(request, "clinic/refusal.html", {"title": title, "sentence": sentence}, status=status)
+
+
+def bad_request(request: HttpRequest, exception: Exception | None = None) -> HttpResponse:
+    """Page for 400: the request cannot be read."""
+    return _page(request, 400, "This request cannot be read", "Go back and try again.")
+
+
+def forbidden(request: HttpRequest, exception: Exception | None = None) -> HttpResponse:
+    """403: logged in, without the role. The audit has an entry of it."""
+    record_refusal(request)
+    sentence = "Your role does not open this page. Ask the clinic's administrator if it should."
+    return _page(request, 403, "Not for your role", sentence)
+
+
+def missing(request: HttpRequest, exception: Exception | None = None) -> HttpResponse:
+    """Page for 404: there is nothing at this address."""
+    return _page(request, 404, "Not here", "There is no such page. It may have been erased.")
+
+
+def not_now(request: HttpRequest, error: MammometryError) -> HttpResponse:
+    """409: the visit stands in its own way, or 503: the disk does."""
+    if isinstance(error, StorageError):
+        _LOG.error("%s", error)
+    words = str(error).replace(f"{the_clinic().folder}/", "")
+    return _page(request, 503 if isinstance(error, StorageError) else 409, "Not now", words)
+
+
+def not_installed(request: HttpRequest, error: MissingLibraryError) -> HttpResponse:
+    """501: the server lacks a library that this page needs."""
+    return _page(request, 501, "Not installed", str(error))
+
+
+def broken(request: HttpRequest) -> HttpResponse:
+    """500: a defect of ours, or no database. So the page asks nothing of it, not even who is logged in."""
+    sentence = "Something went wrong on our side. It is in the log. Nothing that was saved is lost."
+    if is_program(request):
+        return JsonResponse({"error": sentence}, status=500)
+    about = {"title": "A defect", "sentence": sentence, "clinic_name": the_clinic().name}
+    return HttpResponse(render_to_string("clinic/refusal.html", about), status=500)
+
+
+def forged(request: HttpRequest, reason: str = "") -> HttpResponse:
+    """403: a form without a valid token.
+
+    It is from another site or from before the last login. A script gets a new token (`account-token`) and repeats.
+    """
+    sentence = "Load the page again and repeat what you did."
+    if is_program(request):
+        return JsonResponse({"error": f"This page is out of date. {sentence}", "stale": True}, status=403)
+    return _page(request, 403, "This form is out of date", sentence)
+
+
+def locked_out(request: HttpRequest, response: Any = None, credentials: Any = None, *_: Any) -> HttpResponse:
+    """429: too many wrong passwords."""
+    minutes = the_clinic().limits.wait_minutes
+    sentence = (
+        f"Too many wrong passwords for this name. Wait {minutes} minutes, or ask the administrator to let you in."
+    )
+    return _page(request, 429, "Locked out for a while", sentence)
+
+
+def person_of(request: HttpRequest) -> Person:
+    """The person who is logged in. Routes with roles let in nobody else."""
+    assert isinstance(request.user, Person)
+    return request.user
+
+
+def token(request: HttpRequest) -> JsonResponse:
+    """Token for the next request of a page's script, and who is logged in: None after the session's end."""
+    person = request.user.get_username() if request.user.is_authenticated else None
+    return JsonResponse({"token": get_token(request), "person": person})

@@ -1,0 +1,346 @@
+"""A visit's result: report, 3D view, boundaries to draw or confirm. And two dates side by side."""
+
+import hashlib
+import logging
+import uuid
+from collections import OrderedDict
+from collections.abc import Callable
+from pathlib import Path
+from threading import Lock
+from typing import Any
+
+from django.contrib import messages
+from django.http import Http404, HttpRequest, HttpResponse, HttpResponseBase, JsonResponse
+from django.shortcuts import get_object_or_404, redirect, render
+from django.urls import reverse
+from pydantic import ValidationError
+
+from mammometry.base.errors import MammometryError, StorageError
+from mammometry.clinic.jobs import queue
+from mammometry.clinic.jobs.events import table_of
+from mammometry.clinic.models import Comparison, Confirmation, Drawing, Job, Patient, Upload, Visit
+from mammometry.clinic.records import comparing, confirmations
+from mammometry.clinic.records.results import readable, rendered_report, report_file, scene_of
+from mammometry.clinic.rig_history import may_queue
+from mammometry.clinic.site import the_clinic
+from mammometry.clinic.templatetags.pages import queued
+from mammometry.clinic.views.responses import download, not_now, person_of, sealed_page, visit_or_404
+from mammometry.editor.messages import Base, Breast, Message
+from mammometry.editor.page import EditorPage, read, refusal
+from mammometry.editor.session import Drawable
+from mammometry.io.drawn_changes import Group, drawn_entries, entry_digest
+from mammometry.job.inputs import SubjectKind
+from mammometry.report.scene import json_in_page
+
+_LOG = logging.getLogger(__name__)
+_KEPT = 4  # surfaces in memory, about 300 MB each
+
+
+class ShownItems(Message):
+    """Versions of all that the page shows.
+
+    Name → digest (`entry_digest`), or None where nothing stands in the session.
+    """
+
+    boundaries: dict[Breast, Base]
+    landmarks: dict[str, Base]
+
+
+class FinishMessage(Message):
+    """Confirmation of everything that the page shows, in one step."""
+
+    curves: dict[Breast, str]
+    """Breast → digest of the measured curve that was looked at."""
+    base: ShownItems
+    author: str = ""
+    """Not used: who is logged in confirms."""
+
+
+class _Desks:
+    """Surfaces that are drawn on, the last few. A new measurement makes a new one."""
+
+    def __init__(self) -> None:
+        self._held: OrderedDict[tuple[uuid.UUID, str], EditorPage] = OrderedDict()
+        self._lock = Lock()
+
+    def of(self, visit: Visit) -> EditorPage:
+        """The visit's surface to draw on, opened once.
+
+        Raises:
+            MammometryError: the session cannot be opened, or has nothing to draw on.
+        """
+        measurement = visit.measurements.first()
+        whose = f"{visit.patient.pseudonym} {visit.taken_at.isoformat()}"  # both can be corrected
+        key = visit.pk, f"{whose} {'' if measurement is None else measurement.digest}"
+        with self._lock:
+            page = self._held.pop(key, None) or EditorPage(_opened(visit))
+            self._held[key] = page
+            while len(self._held) > _KEPT:
+                self._held.popitem(last=False)
+        return page
+
+
+_DESKS = _Desks()
+
+
+def _opened(visit: Visit) -> Drawable:
+    from mammometry.api.job import open_session
+    from mammometry.api.mesh import drawable_scan
+
+    settings = the_clinic().measuring()
+    if visit.is_scan:
+        return drawable_scan(visit.folder, settings)
+    return open_session(visit.folder, settings)
+
+
+def report(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
+    """The report with names, confirmation and conclusion. Sealed off from the clinic's pages."""
+    try:
+        return sealed_page(rendered_report(_measured(visit)).html)
+    except MammometryError as error:
+        return not_now(request, error)
+
+
+def report_pdf(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
+    """The visit's report as PDF."""
+    shown = _measured(visit)
+    try:
+        document = rendered_report(shown).pdf
+    except MammometryError as error:
+        return not_now(request, error)
+    return download(document, f"{shown.patient.pseudonym}_{shown.taken_at:%Y-%m-%d}.pdf", "application/pdf")
+
+
+def scene(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
+    """The surface for the 3D view."""
+    content = scene_of(visit_or_404(visit))
+    if content is None:
+        raise Http404
+    return HttpResponse(content, content_type="application/json")
+
+
+def draw(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
+    """The page on which boundaries and landmarks are drawn. While a visit is measured, nobody draws."""
+    shown = visit_or_404(visit)
+    if shown.jobs.filter(state__in=queue.OPEN).exists() or not shown.measurements.exists():
+        busy = shown.state == Visit.State.QUEUED
+        messages.info(
+            request, "This visit is being measured. Its boundaries are shown when that is done."
+            if busy else "This visit is not measured yet, so it has no boundaries.",
+        )  # fmt: skip
+        return redirect("visit", visit=shown.pk)
+    drawings = shown.drawings.select_related("by")[:20]
+    return render(request, "clinic/draw.html", {"visit": shown, "patient": shown.patient, "drawings": drawings})
+
+
+def drawing(request: HttpRequest, visit: uuid.UUID) -> HttpResponseBase:
+    """Everything the page needs."""
+    return _session_response(visit, lambda shown, page, job: _with_visit(shown, page.drawing(str(request.user)), job))
+
+
+def items(request: HttpRequest, visit: uuid.UUID) -> HttpResponseBase:
+    """State of all boundaries and landmarks."""
+    return _session_response(visit, lambda shown, page, job: _with_visit(shown, page.items(), job))
+
+
+def measure(request: HttpRequest, visit: uuid.UUID) -> HttpResponseBase:
+    """Volumes of what is drawn, not kept."""
+    return _session_response(visit, lambda shown, page, job: page.measure(request.body))
+
+
+def save(request: HttpRequest, visit: uuid.UUID) -> HttpResponseBase:
+    """Keep what was drawn, with name and time, and measure it."""
+
+    def saved(shown: Visit, page: EditorPage, _: Job | None) -> dict[str, Any]:
+        # A measurement that ends at this moment waits for this, and then sees that it is of an earlier drawing.
+        locked = Visit.objects.select_for_update().get(pk=shown.pk)
+        sent, changed = page.save(request.body, str(request.user))
+        if changed:
+            for breast, drawn in sent.boundaries.items():
+                _note(request, shown, f"boundary {breast}", removed=drawn.sketch is None)
+            for mark, place in sent.landmarks.items():
+                _note(request, shown, f"landmark {mark}", removed=place.points is None)
+            _set_state(locked, Visit.State.CHANGED)
+            if may_queue(locked, anyway=True) is None:
+                try:
+                    queue.enqueue(locked, person_of(request))
+                    _set_state(locked, Visit.State.QUEUED)
+                except StorageError as error:  # it is saved, and stays to be measured
+                    _LOG.error("%s", error)
+        return {"saved": len(changed), **_with_visit(locked, page.items(), _newest_job(locked))}
+
+    return _session_response(visit, saved)
+
+
+def finish(request: HttpRequest, visit: uuid.UUID) -> HttpResponseBase:
+    """Confirm all boundaries and landmarks in one step, and lead to the next visit."""
+    locked = get_object_or_404(Visit.objects.select_for_update(), pk=visit)
+    kind: SubjectKind = "model" if locked.subject_kind == Visit.Subject.MODEL else "torso"
+    try:
+        sent = read(FinishMessage, request.body)
+        entries = drawn_entries(locked.folder, kind)
+    except (MammometryError, ValidationError) as error:
+        status, words = refusal(error)
+        return JsonResponse(words, status=status)
+    groups: dict[Group, Any] = {"boundaries": sent.base.boundaries, "landmarks": sent.base.landmarks}
+    on_page = {(group, name): base for group, items in groups.items() for name, base in items.items() if base}
+    why = confirmations.refusal(locked, {str(name): digest for name, digest in sent.curves.items()})
+    if why is None and on_page != {item: entry_digest(entry) for item, entry in entries.items()}:
+        why = "Somebody else changed a boundary or landmark meanwhile. Load the page again and look at it."
+    if why is not None:
+        return JsonResponse({"error": why}, status=409)
+    confirmations.confirm(locked, person_of(request))
+    following = confirmations.next_to_confirm(locked)
+    return JsonResponse({"next": reverse("home") if following is None else reverse("draw", args=[following.pk])})
+
+
+def _newest_job(visit: Visit) -> Job | None:
+    return visit.jobs.filter(kind=Job.Kind.MEASURE).order_by("-created").first()
+
+
+def _with_visit(visit: Visit, state: dict[str, Any], job: Job | None) -> dict[str, Any]:
+    """A page's state with what was measured of it and who confirmed it.
+
+    ``visit`` has the visit's state, whether its newest drawing is not measured yet (``changed``), and the digests of
+    the measured boundaries (``curves``); ``job`` is its newest one, as it was before the state was read.
+    """
+    measurement = visit.measurements.first()
+    confirmation = Confirmation.objects.filter(measurement__visit=visit).select_related("by").first()
+    for name, boundary in state["boundaries"].items():
+        if confirmation is not None and "of" in boundary:
+            holds = confirmation.curves.get(name) == boundary["of"]
+            at = confirmation.at.isoformat(timespec="seconds")
+            boundary["confirmed"] = {"by": str(confirmation.by or ""), "at": at, "holds": holds}
+    curves = {} if measurement is None else measurement.curves
+    return {
+        **state,
+        "job": None if job is None else table_of(job, queue.place(job)),
+        "visit": {"state": visit.state, "changed": visit.is_changed, "curves": curves},
+    }
+
+
+def _set_state(visit: Visit, state: Visit.State) -> None:
+    visit.state = state
+    visit.save(update_fields=["state"])
+
+
+def _note(request: HttpRequest, visit: Visit, item: str, *, removed: bool) -> None:
+    action = Drawing.Action.REMOVED if removed else Drawing.Action.DRAWN
+    name = "boundaries.json" if item.startswith("boundary") else "landmarks.json"
+    Drawing.objects.create(
+        visit=visit, item=item, action=action, by=person_of(request), digest=_digest(visit.folder / name)
+    )
+
+
+def _digest(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else ""
+
+
+def _session_response(
+    visit: uuid.UUID, answer: Callable[[Visit, EditorPage, Job | None], dict[str, Any]]
+) -> HttpResponseBase:
+    """Answer as JSON. The sentence of a refusal is passed on."""
+    shown = visit_or_404(visit)
+    job = _newest_job(shown)  # first: a page that hears of a job's end hears its numbers too, and asks no more
+    try:
+        return JsonResponse(answer(shown, _DESKS.of(shown), job))
+    except (MammometryError, ValidationError) as error:
+        status, words = refusal(error)
+        words["error"] = words["error"].replace(f"{the_clinic().folder}/", "")  # where it lies is nobody's business
+        return JsonResponse(words, status=status)
+
+
+def _measured(visit: uuid.UUID) -> Visit:
+    """A visit that has a report."""
+    shown = visit_or_404(visit)
+    if report_file(shown, "report.html") is None:
+        raise Http404
+    return shown
+
+
+Pair = tuple[Upload | None, Upload | None]
+
+
+def compare(request: HttpRequest, patient: uuid.UUID) -> HttpResponse:
+    """Choose two dates, and see what changed."""
+    person = get_object_or_404(Patient, pk=patient)
+    visits = comparing.comparable(person.visits.select_related("rig").prefetch_related("measurements__volumes"))
+    context: dict[str, object] = {"patient": person, "visits": visits}
+    chosen = (
+        sorted((_of(visits, request.GET.get(name)) for name in ("before", "after")), key=visits.index)
+        if {"before", "after"} <= set(request.GET)
+        else visits[-2:]
+    )
+    busy = False
+    if len(chosen) == 2:
+        before, after = chosen
+        context |= {"before": before, "after": after}
+        if before.pk != after.pk:
+            request.shown = [before.pk, after.pk]  # type: ignore[attr-defined]
+            verdict = queued(comparing.verdict(before, after))
+            row = Comparison.objects.filter(before=before, after=after).first()
+            busy = verdict.state == "busy"
+            context |= {
+                "found": verdict,
+                "table": row.table if row is not None and verdict.state == "done" else None,
+                "job": None if row is None else row.jobs.order_by("-created").first(),
+                "photographs": photographs(before, after),
+                "unconfirmed": [visit for visit in chosen if visit.state != Visit.State.CONFIRMED],
+            }
+    if request.headers.get("HX-Request") == "true":
+        response = render(request, "clinic/compare_busy.html", context)
+        if not busy:
+            response["HX-Refresh"] = "true"  # the viewer comes with the page
+        return response
+    return render(request, "clinic/compare.html", context)
+
+
+def photographs(before: Visit, after: Visit) -> list[tuple[str, Pair]]:
+    """Camera → its photograph at both dates, for the cameras that have one at either."""
+    of_visits = [
+        {upload.camera: upload for upload in visit.uploads.filter(state=Upload.State.PLACED)}
+        for visit in (before, after)
+    ]
+    cameras = sorted(of_visits[0].keys() | of_visits[1].keys())
+    return [(camera, (of_visits[0].get(camera), of_visits[1].get(camera))) for camera in cameras]
+
+
+def compare_page(request: HttpRequest, patient: uuid.UUID, before: uuid.UUID, after: uuid.UUID) -> HttpResponse:
+    """The full page of a comparison, with its pictures."""
+    return sealed_page(_page(patient, before, after).read_bytes())
+
+
+def compare_scene(request: HttpRequest, patient: uuid.UUID, before: uuid.UUID, after: uuid.UUID) -> HttpResponse:
+    """Both surfaces for the 3D view, laid onto one another."""
+    scene = json_in_page(_page(patient, before, after).read_text(encoding="utf-8"))
+    if scene is None:
+        raise Http404
+    return HttpResponse(scene, content_type="application/json")
+
+
+def _page(patient: uuid.UUID, before: uuid.UUID, after: uuid.UUID) -> Path:
+    """The page that a comparison of the newest measurements wrote."""
+    row = get_object_or_404(
+        Comparison.objects.select_related("before", "after"), before=before, after=after, after__patient=patient
+    )
+    path = readable(comparing.comparison_folder(row.before, row.after) / "compare.html")
+    if path is None or row.state != Comparison.State.DONE or not comparing.is_current(row):
+        raise Http404
+    return path
+
+
+def visit_verdict(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
+    """The verdict against the visit before, as a part of the visit's page."""
+    return render(request, "clinic/visit_verdict.html", {"visit": get_object_or_404(Visit, pk=visit)})
+
+
+def patient_changes(request: HttpRequest, patient: uuid.UUID) -> HttpResponse:
+    """The verdicts from visit to visit, as a part of the patient's page."""
+    return render(request, "clinic/patient_changes.html", {"patient": get_object_or_404(Patient, pk=patient)})
+
+
+def _of(visits: list[Visit], key: str | None) -> Visit:
+    visit = next((visit for visit in visits if str(visit.pk) == key), None)
+    if visit is None:
+        raise Http404
+    return visit

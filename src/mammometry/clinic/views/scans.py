@@ -1,0 +1,130 @@
+"""Visits with a scan of another device, without photographs."""
+
+import re
+from dataclasses import replace
+from typing import Any
+
+from django import forms
+from django.db import transaction
+from django.http import HttpRequest, HttpResponse
+from django.shortcuts import redirect, render
+from django.utils import timezone
+
+from mammometry.base.errors import MammometryError
+from mammometry.clinic.forms import DAY_AND_TIME, ask_about_day
+from mammometry.clinic.intake.scans import taken_in
+from mammometry.clinic.jobs import queue
+from mammometry.clinic.models import Patient, Scan, Visit
+from mammometry.clinic.site import the_clinic
+from mammometry.clinic.templatetags.pages import on_pages
+from mammometry.clinic.views.patients import chosen_patient, is_part, search_context
+from mammometry.clinic.views.responses import person_of
+from mammometry.io.meshes.foreign import MM_PER_UNIT
+from mammometry.io.meshes.scans import ABOUT, AXES, MTL, read_scan
+from mammometry.io.meshes.scans import Scan as ScanFacts
+from mammometry.io.outputs import write_outputs
+
+BODY_BYTES = 520 * 10**6
+"""Largest request: the largest `scan_mb` that a clinic may set, and the form."""
+_SCRATCH = re.compile(r"uploads/scan-[^/]+/")  # into which the sent files are unpacked
+_UNITS = {"mm": "Millimetres", "cm": "Centimetres", "m": "Metres"}
+_AXIS_WORDS = {axis: f"{'minus ' if axis.startswith('-') else ''}{axis.strip('-').upper()}" for axis in AXES}
+
+
+class _Files(forms.ClearableFileInput):
+    allow_multiple_selected = True
+
+
+class _FilesField(forms.FileField):
+    """A field of several files."""
+
+    widget = _Files
+
+    def clean(self, data: Any, initial: Any = None) -> Any:
+        """Check every file."""
+        every = (data if isinstance(data, list | tuple) else [data]) or [None]
+        return [super(_FilesField, self).clean(file, initial) for file in every]
+
+
+class ScanForm(forms.ModelForm):  # type: ignore[type-arg]
+    """Whose scan, of which device, in which unit."""
+
+    scanner = forms.CharField(max_length=100, label="Device", help_text="Such as Vectra M5, 3dMD or Artec Leo.")
+    sent = _FilesField(
+        label="Files of the scan",
+        help_text="All together: OBJ, MTL and picture. Or one ZIP. GLB and USDZ hold pictures; PLY and STL none.",
+    )
+    units = forms.ChoiceField(
+        label="Unit of the mesh", required=False, help_text="The device’s export settings say it.",
+        choices=[("", "As the body’s size shows"), *((unit, _UNITS[unit]) for unit in MM_PER_UNIT)],
+    )  # fmt: skip
+    head = forms.ChoiceField(
+        label="Axis towards the head", required=False, help_text="Y with nearly all devices.",
+        choices=[("", "Y, or Z where the mesh faces along Y"), *_AXIS_WORDS.items()],
+    )  # fmt: skip
+    ahead = forms.ChoiceField(
+        label="Axis straight ahead", required=False, help_text="Needed where the whole body was scanned all around.",
+        choices=[("", "Where the open mesh faces"), *_AXIS_WORDS.items()],
+    )  # fmt: skip
+    shape_alone = forms.BooleanField(label="Without the picture of the skin", required=False)
+
+    class Meta:
+        model = Visit
+        fields = ("patient", "taken_at", "note")
+        labels = {"taken_at": "Day and time"}  # noqa: RUF012
+        widgets = {  # noqa: RUF012
+            "patient": forms.HiddenInput(),
+            "taken_at": DAY_AND_TIME,
+            "note": forms.Textarea(attrs={"rows": 2}),
+        }
+
+    field_order = ("patient", "scanner", "sent", "units", "head", "ahead", "shape_alone", "taken_at", "note")
+
+    questions: tuple[str, ...] = ()
+
+    def clean(self) -> dict[str, Any]:
+        """Ask whether a day in the future is right."""
+        values: dict[str, Any] = super().clean() or self.cleaned_data
+        ask_about_day(self, None)
+        return values
+
+
+def scan_new(request: HttpRequest) -> HttpResponse:
+    """Begin a visit with a scan of a patient, who is searched for first, and have it measured."""
+    patient = chosen_patient(request)
+    if patient is None:
+        page = "clinic/patients_rows.html" if is_part(request) else "clinic/scan_new.html"
+        return render(request, page, search_context(request, choosing=True))
+    first = {"taken_at": timezone.localtime(), "patient": patient}
+    form = ScanForm(request.POST or None, request.FILES or None, initial=first)
+    if request.method == "POST" and form.is_valid():
+        given = form.cleaned_data
+        about = ScanFacts(scanner=given["scanner"], units="", head=given["head"], ahead=given["ahead"])
+        try:
+            visit = _entered(request, form, about)
+        except MammometryError as error:
+            form.add_error("sent", on_pages(_SCRATCH.sub("", str(error).replace(f"{the_clinic().folder}/", ""))))
+        else:
+            return redirect("visit", visit=visit.pk)
+    context = {"form": form, "chosen": patient, "limit_mb": the_clinic().limits.scan_mb}
+    return render(request, "clinic/scan_new.html", context)
+
+
+def _entered(request: HttpRequest, form: ScanForm, about: ScanFacts) -> Visit:
+    given = form.cleaned_data
+    patient: Patient = given["patient"]
+    about = replace(about, subject=patient.pseudonym)
+    made = taken_in(given["sent"], about, units=given["units"] or None, texture=not given["shape_alone"])
+    visit: Visit = form.save(commit=False)
+    visit.created_by, visit.state = person_of(request), Visit.State.READY
+    visit.folder.mkdir(mode=0o700, parents=True)
+    write_outputs(visit.folder, made, command="import mesh")  # files first: a row without them would mislead
+    facts = read_scan(visit.folder)
+    with transaction.atomic():
+        visit.save()
+        Scan.objects.create(
+            visit=visit, scanner=facts.scanner, units=facts.units, textured=MTL in made, sha256=facts.sha256
+        )
+        queue.enqueue(visit, person_of(request))
+    assert ABOUT in made
+    return visit
