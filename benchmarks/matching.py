@@ -29,7 +29,7 @@ import cv2
 import numpy as np
 
 from benchmarks.pairs import Capture, calibrated, captures, cases
-from mammometry.base.machine.memory import return_freed_arrays
+from mammometry.base.machine.system import return_freed_arrays
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.transform import Transform
 from mammometry.matching.dense.match import DisparityMap, match

@@ -41,9 +41,8 @@ from mammometry.job import products
 from mammometry.job.products import Key, Product
 from mammometry.job.stages.measure import measurements
 from mammometry.settings import Settings, names
-from mammometry.simulate.recipe import SessionRecipe
+from mammometry.simulate.recipe import SessionRecipe, parse_situation
 from mammometry.simulate.session import write_session
-from mammometry.simulate.situation import parse_situation
 
 SOURCE = Path(mammometry.__file__).parent
 STAGES = ("calibration", "matching", "surface", "measure", "geometry", "job")

@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from mammometry.io.results.formats.rasters import read_raster
+from mammometry.io.results.rasters import read_raster
 from mammometry.io.results.tree import to_tree
 
 _IMAGEJ = Path("/usr/share/java/ij.jar")

@@ -12,7 +12,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import pytest
 from jaxtyping import install_import_hook
 from tests.record_seconds import Recorder
-from tests.rota import RECORDED, chosen, function_of, longest_first, turn
+from tests.rota import RECORDED, chosen, function_of, longest_first, not_run, turn
 
 # Numba compiles kernel modules and the lens, and cannot see through a checking wrapper; the command line has no arrays.
 _CHECKED = ("base.photograph", "matching.match", "matching.rectify", "surface.range_image")
@@ -44,6 +44,19 @@ def pytest_sessionstart(session: pytest.Session) -> None:
     """Compile every kernel before workers start: they would all compile the same ones at the same time."""
     if session.config.getoption("numprocesses", None):
         subprocess.run([sys.executable, "-m", "mammometry.cli.compile_cache"], check=True)
+
+
+@pytest.hookimpl(tryfirst=True)  # before the terminal's own, which shows what was set here
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    """Let a rota fail in which a test was skipped that should have run: else it would never run anywhere."""
+    reporter = session.config.pluginmanager.get_plugin("terminalreporter")
+    if session.config.getoption("--rota") is None or hasattr(session.config, "workerinput") or reporter is None:
+        return
+    reports = [report for report in reporter.stats.get("skipped", ()) if isinstance(report.longrepr, tuple)]
+    reporter.ensure_newline()
+    for line in not_run((report.nodeid, report.longrepr[2]) for report in reports):
+        reporter.write_line(f"ERROR not run: {line}", red=True)
+        session.exitstatus = session.exitstatus or pytest.ExitCode.TESTS_FAILED
 
 
 @pytest.hookimpl(trylast=True)  # after -m and -k have chosen

@@ -14,6 +14,24 @@ UNRECORDED_S = 3.0
 """Of a slow test that the table does not name: the median of those that it names."""
 
 
+MAY_SKIP = (
+    "third-party captures are not beside",
+    "the clinic was tested with SQLite alone",  # a slow test runs all of it with PostgreSQL
+    "this is that run",
+    "SQLite has no TRUNCATE",
+    "mounting",  # needs rights that containers lack; the same is tested with injected errors
+    "this gphoto2 has no simulated camera",
+)
+"""Beginnings of the reasons for which a test may be skipped although all is installed that .ci/run installs."""
+
+
+def not_run(skipped: Iterable[tuple[str, str]]) -> list[str]:
+    """Tests that were skipped for another reason, with it, from names and reasons."""
+    return [
+        f"{name}: {reason}" for name, reason in skipped if not reason.removeprefix("Skipped: ").startswith(MAY_SKIP)
+    ]
+
+
 def turn(text: str) -> tuple[int, int]:
     """Read "RUN/SHARES": the number of this run, any, and how many runs take all."""
     run, _, shares = text.partition("/")

@@ -35,10 +35,9 @@ from mammometry.matching.settings import MatchSettings
 from mammometry.report.figures.drawing.canvas import Caption, Sheet
 from mammometry.report.figures.drawing.shading import Scene, front_frame, picture_wh, standard_views
 from mammometry.report.figures.surface import show
-from mammometry.simulate.arrangement import Arrangement
 from mammometry.simulate.rigs.build import flashes
-from mammometry.simulate.rigs.rig import make_rig
-from mammometry.simulate.studio import Studio, photograph
+from mammometry.simulate.rigs.rig_file import make_rig
+from mammometry.simulate.studio import Arrangement, Studio, photograph
 from mammometry.simulate.subjects.plaster import PlasterShape, plaster
 from mammometry.simulate.subjects.solid import rig_from_solid
 from mammometry.study.accuracy import compare_surfaces

@@ -42,11 +42,10 @@ from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.settings import Settings
 from mammometry.simulate.disturbances.draw import draw, is_held_out
 from mammometry.simulate.disturbances.registry import DISTURBANCES
-from mammometry.simulate.recipe import SessionRecipe
+from mammometry.simulate.recipe import SessionRecipe, Situation, parse_situation
 from mammometry.simulate.rendering.objects.skin import make_skin
-from mammometry.simulate.rigs.plan import FULL_SIZE_WH
+from mammometry.simulate.rigs.build import FULL_SIZE_WH
 from mammometry.simulate.session import write_session
-from mammometry.simulate.situation import Situation, parse_situation
 from mammometry.simulate.studio import Studio
 from mammometry.study.accuracy import SurfaceAccuracy, compare_surfaces
 from mammometry.study.rays import RayScene, seen_by_pairs

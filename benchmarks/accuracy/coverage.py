@@ -41,9 +41,9 @@ from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.measure.volume.uncertainty import EarlierErrors, Evidence
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.open_breast import OpenBreast, open_breasts
-from mammometry.simulate.rigs.plan import FULL_SIZE_WH
+from mammometry.simulate.rigs.build import FULL_SIZE_WH
 from mammometry.simulate.subjects.registry import make_subject
-from mammometry.simulate.subjects.waves import waves
+from mammometry.simulate.subjects.solid import waves
 
 _SINK_MM = 3.0
 _AS_DEFINED, _TO_MUSCLE, _SIDES = ", as defined", ", to the muscle", "left less right"

@@ -25,7 +25,7 @@ from benchmarks.pairs import Capture
 from mammometry.api.job import open_session
 from mammometry.geometry.arrays import Array, Bool
 from mammometry.io.truth import read_truth
-from mammometry.report.figures.dents import draw_dent_grid
+from mammometry.report.figures.paper import draw_dent_grid
 from mammometry.simulate.recipe import SessionRecipe
 from mammometry.simulate.session import write_session
 from mammometry.study.rays import RayScene

@@ -29,11 +29,10 @@ from mammometry.io.manifest import read_manifest
 from mammometry.io.photographs.images import read_photograph
 from mammometry.io.truth import read_true_cameras
 from mammometry.simulate.disturbances.draw import draw
-from mammometry.simulate.recipe import SessionRecipe
+from mammometry.simulate.recipe import SessionRecipe, parse_situation
 from mammometry.simulate.rendering.film import Film
 from mammometry.simulate.rendering.objects.skin import make_skin
 from mammometry.simulate.session import write_session
-from mammometry.simulate.situation import parse_situation
 from mammometry.simulate.studio import Studio
 
 _RIGS = Path(__file__).parent / "rigs"

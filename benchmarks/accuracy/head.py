@@ -30,9 +30,8 @@ from mammometry.measure.trunk.head import HEAD_NOT_SHOWN
 from mammometry.simulate.disturbances.draw import draw, is_held_out
 from mammometry.simulate.disturbances.exposure import turned, with_cameras
 from mammometry.simulate.disturbances.registry import disturbed
-from mammometry.simulate.rigs.build import build_rig
-from mammometry.simulate.rigs.plan import REFERENCE
-from mammometry.simulate.situation import Disturbance, Situation
+from mammometry.simulate.recipe import Disturbance, Situation
+from mammometry.simulate.rigs.build import REFERENCE, build_rig
 from mammometry.simulate.subjects.registry import make_subject
 from mammometry.simulate.subjects.solid import rig_from_solid
 from mammometry.simulate.subjects.torso import SIDES, TorsoShape

@@ -27,7 +27,7 @@ from mammometry.simulate.rendering.objects.skin import Skin
 from mammometry.simulate.rendering.render import render_subject
 from mammometry.simulate.rendering.scene import Room, Scene, light_scene
 from mammometry.simulate.rigs.build import build_rig, flashes
-from mammometry.simulate.rigs.rig import find_plan
+from mammometry.simulate.rigs.rig_file import find_plan
 from mammometry.simulate.subjects.solid import Solid, rig_from_solid, rounded_mesh
 from mammometry.surface.repair.repair import Provenance, RepairedSurface
 

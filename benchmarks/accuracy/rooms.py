@@ -30,10 +30,9 @@ from mammometry.io.truth import read_truth
 from mammometry.job.stages import match
 from mammometry.settings import Settings
 from mammometry.simulate.disturbances.draw import is_held_out
-from mammometry.simulate.recipe import SessionRecipe
+from mammometry.simulate.recipe import SessionRecipe, parse_situation
 from mammometry.simulate.rendering.objects.skin import make_skin
 from mammometry.simulate.session import write_session
-from mammometry.simulate.situation import parse_situation
 from mammometry.simulate.studio import Studio
 from mammometry.study.rays import RayScene, seen_by_pairs
 from mammometry.surface.repair.repair import Provenance

@@ -35,7 +35,7 @@ from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.open_breast import open_breasts
 from mammometry.simulate.disturbances.draw import is_held_out
 from mammometry.simulate.disturbances.registry import disturbed
-from mammometry.simulate.situation import parse_situation
+from mammometry.simulate.recipe import parse_situation
 from mammometry.simulate.subjects.registry import make_subject
 from mammometry.simulate.subjects.solid import rig_from_solid
 from mammometry.simulate.subjects.torso import BreastShape, TorsoShape, torso, torso_shape

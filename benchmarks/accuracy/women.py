@@ -70,7 +70,16 @@ def _measured(front: TriangleMesh, boundaries: tuple[Boundary, ...], walls: list
         yield from _walls(breast, walls)
 
 
-WALLS = ["cylinder-membrane", "thorax-fit", "tangent-continuous", "membrane", "thin-plate", "coons", "plane"]
+WALLS = [
+    "rounded-membrane",
+    "cylinder-membrane",
+    "thorax-fit",
+    "tangent-continuous",
+    "membrane",
+    "thin-plate",
+    "coons",
+    "plane",
+]
 
 
 def _walls(breast: OpenBreast, walls: list[str]) -> Iterator[dict[str, object]]:
@@ -130,7 +139,7 @@ def _automatic(rows: list[dict[str, object]]) -> Iterator[str]:
         return {
             (str(row["woman"]), str(row["side"])): row
             for row in rows
-            if row["boundary"] == boundary and row.get("wall") == "cylinder-membrane" and "volume_cc" in row
+            if row["boundary"] == boundary and row.get("wall") == WALLS[0] and "volume_cc" in row
         }
 
     true, found = default("true"), default("automatic")

@@ -31,7 +31,7 @@ from mammometry.base.child_process import Call
 from mammometry.batch import engine
 from mammometry.batch.cluster import machines
 from mammometry.batch.engine import Ended, Engine, Task
-from mammometry.batch.entry import CORES, MEMORY
+from mammometry.batch.record import CORES, MEMORY
 from mammometry.batch.supervise import TOPIC
 
 _SESSION_MPX = 108.0  # eight photographs of 13.5 megapixels: the reference rig

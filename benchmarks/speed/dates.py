@@ -1,4 +1,4 @@
-"""How long one comparison of two measured sessions takes.
+"""How long one comparison of two measured sessions takes, and the first drawing page of the later one.
 
     python -m benchmarks.speed.dates BEFORE AFTER [settings.toml]
 
@@ -9,12 +9,14 @@ of all threads; they differ less than seconds do on a machine that has other wor
 from __future__ import annotations
 
 import argparse
+import json
 import tempfile
 import time
 from pathlib import Path
 
 from mammometry.api.dates import compare
 from mammometry.api.job import open_session
+from mammometry.editor.page import EditorPage
 from mammometry.settings import Settings
 
 
@@ -32,6 +34,13 @@ def main() -> None:
         begun, cpu = time.monotonic(), time.process_time()
         compared = compare(given.before, given.after, settings, out=Path(folder) / "compare")
         print(f"{time.monotonic() - begun:.1f} s, {time.process_time() - cpu:.1f} CPU s")
+    begun, cpu = time.monotonic(), time.process_time()
+    page = EditorPage(open_session(given.after, settings), author="A")
+    size = len(json.dumps(page.drawing()))
+    assert len(page.desk.board.surface.mesh.faces)  # a volume can follow from here on
+    print(
+        f"drawing page of {size / 1e6:.1f} MB: {time.monotonic() - begun:.1f} s, {time.process_time() - cpu:.1f} CPU s"
+    )
     for name, breast in compared.table["breasts"].items():
         print(name, breast["change_cc"], breast["change_interval_cc"])
 

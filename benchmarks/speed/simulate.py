@@ -14,12 +14,11 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from mammometry.simulate.arrangement import Arrangement
 from mammometry.simulate.recipe import SessionRecipe
 from mammometry.simulate.rigs.build import flashes
-from mammometry.simulate.rigs.rig import make_rig
+from mammometry.simulate.rigs.rig_file import make_rig
 from mammometry.simulate.session import write_session
-from mammometry.simulate.studio import Studio, photograph
+from mammometry.simulate.studio import Arrangement, Studio, photograph
 from mammometry.simulate.subjects.registry import make_subject
 from mammometry.simulate.subjects.solid import rig_from_solid
 

@@ -14,8 +14,7 @@ from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
 
 from mammometry.base.errors import MammometryError, SettingsError
-from mammometry.base.limits import LimitSettings
-from mammometry.base.parse import read_text, shown, toml_table
+from mammometry.base.parse import LimitSettings, read_text, shown, toml_table
 from mammometry.calibration.settings import CalibrateSettings
 from mammometry.matching.settings import MatchSettings
 from mammometry.measure.settings import CompareSettings, MeasureSettings

@@ -21,18 +21,15 @@ from mammometry.calibration.detection.finders import find
 from mammometry.calibration.features.found_points import FoundPoints
 from mammometry.calibration.targets.table import target_from_table
 from mammometry.calibration.targets.target import TARGETS
-from mammometry.capture.camera import Devices
-from mammometry.capture.registry import BACKENDS
-from mammometry.capture.shots import Shot
-from mammometry.capture.take import take
+from mammometry.capture.camera import BACKENDS, Devices
+from mammometry.capture.shots import Shot, take
 from mammometry.geometry.transform import Transform
-from mammometry.io.results.formats.registry import FORMATS
+from mammometry.io.results.arrays import FORMATS
 from mammometry.io.results.store import Store
 from mammometry.job.graph import Plan
-from mammometry.job.inputs import Inputs
+from mammometry.job.inputs import CameraSet, Inputs
 from mammometry.job.products import DEFINITIONS, at_hand
 from mammometry.job.stages import surface
-from mammometry.job.values import CameraSet
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.open_breast import OpenBreast
@@ -44,7 +41,7 @@ from mammometry.report.figures.product_graph import product_graph
 from mammometry.settings import Settings
 from mammometry.simulate.disturbances.about import Surroundings
 from mammometry.simulate.disturbances.registry import DISTURBANCES, check, disturbed
-from mammometry.simulate.recipe import SessionRecipe
+from mammometry.simulate.recipe import SessionRecipe, parse_situation
 from mammometry.simulate.rendering.develop import develop
 from mammometry.simulate.rendering.film import Film
 from mammometry.simulate.rendering.objects.skin import Skin
@@ -52,9 +49,8 @@ from mammometry.simulate.rendering.objects.solid_target import render_target
 from mammometry.simulate.rendering.registry import RENDERERS
 from mammometry.simulate.rigs.build import flashes
 from mammometry.simulate.rigs.poses import draw_poses
-from mammometry.simulate.rigs.rig import make_rig
+from mammometry.simulate.rigs.rig_file import make_rig
 from mammometry.simulate.session import SimulatedSession, write_session
-from mammometry.simulate.situation import parse_situation
 from mammometry.simulate.studio import Studio
 from mammometry.simulate.subjects.registry import SUBJECTS, make_subject
 

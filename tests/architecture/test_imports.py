@@ -185,10 +185,9 @@ def test_only_what_serves_pages_exports_and_batches_speaks_to_the_network(reposi
         # To the archive that a command or the clinic's administrator names:
         "hospital/dicom/association.py imports pynetdicom",
         "hospital/dicom/association.py imports pynetdicom.sop_class",
-        "hospital/dicom/commitment.py imports pynetdicom",
-        "hospital/dicom/commitment.py imports pynetdicom.sop_class",
-        "hospital/dicom/commitment.py imports ssl",
+        "hospital/dicom/store.py imports pynetdicom",
         "hospital/dicom/store.py imports pynetdicom.sop_class",
+        "hospital/dicom/store.py imports ssl",
         "hospital/dicom/stow.py imports ssl",
         "hospital/dicom/stow.py imports urllib.request",
         "hospital/dicom/worklist.py imports pynetdicom.sop_class",
@@ -267,8 +266,8 @@ def test_truth_is_read_by_evaluation_alone(repository: Path) -> None:
         "simulate/session.py",
         "io/truth.py",
         "api/truth.py",
-        "api/phantoms.py",
-        "cli/comparison.py",
+        "api/truth.py",
+        "cli/study.py",
         "study/*.py",
     )
     readers = {"mammometry.io.truth"}

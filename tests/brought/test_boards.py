@@ -30,7 +30,7 @@ from mammometry.simulate.rendering.develop import develop
 from mammometry.simulate.rendering.film import Film
 from mammometry.simulate.rendering.objects.solid_target import render_target
 from mammometry.simulate.rigs.build import flashes
-from mammometry.simulate.rigs.rig import reference_rig
+from mammometry.simulate.rigs.rig_file import reference_rig
 
 NEW = CharucoTarget(squares=(10, 8), square_mm=28.0, marker_mm=20.0, dictionary="DICT_5X5_250")
 OLD = replace(NEW, legacy_pattern=True)

@@ -13,14 +13,14 @@ from tests.unit.hospital.exports import ANNA, exported
 
 from mammometry.base.errors import ArchiveError, SettingsError
 from mammometry.cli import main
+from mammometry.hospital.codes import text_fault
 from mammometry.hospital.dicom.frame import encoded
 from mammometry.hospital.dicom.objects import objects
 from mammometry.hospital.dicom.worklist import only_entry, read_answers
 from mammometry.hospital.exported import Exported, Order, Patient
 from mammometry.hospital.fhir import bundle
 from mammometry.hospital.peers import Peer
-from mammometry.hospital.representations import text_fault
-from mammometry.report.clinical import Clinical, Signed
+from mammometry.report.content import Clinical, Signed
 
 LATIN_1 = b"M\xfcller".decode("utf-8", "surrogateescape")
 """As Python hands over an argument whose bytes are not UTF-8."""

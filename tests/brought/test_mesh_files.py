@@ -13,7 +13,7 @@ from PIL import Image
 from tests.unit.measure.solids import dome
 
 from mammometry.base.errors import MeasureError, SessionError
-from mammometry.base.limits import LimitSettings
+from mammometry.base.parse import LimitSettings
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.mesh_files.mesh_file import read_triangles
 from mammometry.io.meshes.foreign import read_foreign

@@ -18,8 +18,7 @@ from mammometry.calibration.targets.table import target_from_table
 from mammometry.cli import main
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.transform import Transform
-from mammometry.io.cameras.formats import CameraFormat, camera_texts
-from mammometry.io.cameras.rig import require_rig
+from mammometry.io.cameras.formats import CameraFormat, camera_texts, require_rig
 from mammometry.io.meshes.foreign import read_foreign
 from mammometry.io.meshes.own_ply import write_ply
 from mammometry.job.stages import calibrate

@@ -13,10 +13,9 @@ from mammometry.base.errors import SessionError
 from mammometry.io.meshes.own_ply import read_ply
 from mammometry.io.truth import read_true_cameras, read_truth
 from mammometry.simulate import studio
-from mammometry.simulate.recipe import SessionRecipe
+from mammometry.simulate.recipe import SessionRecipe, parse_situation
 from mammometry.simulate.rendering.film import Film
 from mammometry.simulate.session import write_session
-from mammometry.simulate.situation import parse_situation
 
 _CLEAN = SessionRecipe(rig="reference:front,left", subject="plaster_2", scale=0.06, seed=4, poses=1)
 _TEXT = "pale-wall,drift=0.05,asynchronous=100"

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from benchmarks.accuracy.dents import CASES, dented, judge, photographed
 
-from mammometry.report.figures.dents import draw_dent_grid
+from mammometry.report.figures.paper import draw_dent_grid
 from mammometry.surface.ranges.dents import dent_grid
 
 

@@ -1,7 +1,10 @@
 """README's commands, run one after another in one folder as they stand there, with a small session."""
 
+import os
 import re
 import shlex
+import shutil
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -23,11 +26,8 @@ ELSEWHERE = {
     "make demo": ".ci/run",
     "make test": ".ci/run",
     "make clinic": ".ci/run",  # and test_a_demo_clinic_is_made_and_served_by_one_command
-    "measure scan.ply --automatic": "tests/unit/api/test_mesh_job.py",
-    "demo --scan": "tests/scenes/test_demo.py",
     "capture SESSION --rig rig.toml": "tests/scenes/test_capture_measured.py",
-    "edit SESSION": "tests/unit/editor/test_server.py",
-    "clinic serve my-clinic": "tests/unit/clinic/test_clinic_server.py",
+    "clinic serve my-clinic": "tests/unit/clinic/test_clinic_server.py",  # and below, at another address
     "study observers curves --mesh front.ply": "tests/unit/cli/test_study.py",
     "study phantoms STUDY": "tests/unit/cli/test_study.py",
 }
@@ -56,20 +56,41 @@ def test_the_commands_of_the_readme_work_as_they_stand(repository: Path, tmp_pat
         + "".join(f"s{n},{100 + 30 * n},{101 + 30 * n + n % 3}\n" for n in range(8))
     )
     commands = [command for command in readme_commands(repository) if command not in ELSEWHERE]
-    # The session is simulated first: the others look at it.
-    commands.sort(key=lambda command: not command.startswith("simulate"))
-    for command in commands:
+    # The others look at the simulated session, and measure the demo's scan.
+    first = [command for command in commands if command.startswith(("simulate", "demo --scan"))]
+    for command in dict.fromkeys((*first, *commands)):
         words = shlex.split(f"{command} {OPTIONS.get(command, '')}".replace("DIR", "SESSION/calibration/01"))
         if words[0] == "new":
             words[1] = "ANOTHER"
+        if words[0] == "edit":
+            edited_and_stopped(words, tmp_path)
+            continue
         done = subprocess.run(
             [sys.executable, "-m", "mammometry", *words],
             cwd=tmp_path, capture_output=True, text=True, timeout=1200, check=False,
         )  # fmt: skip
         assert done.returncode == 0, (command, done.stdout[-500:], done.stderr[-2000:])
+        if command == "demo --scan":
+            shutil.copy(tmp_path / "demo-scan/scan.ply", tmp_path / "scan.ply")
     assert (tmp_path / "SESSION/results/report/report.html").is_file()
     with served(tmp_path / "my-clinic"):
         pass
+
+
+def edited_and_stopped(words: list[str], folder: Path) -> None:
+    """Open the editor, without a browser, and press Ctrl-C when its page can be opened."""
+    with subprocess.Popen(
+        [sys.executable, "-m", "mammometry", *words],
+        cwd=folder, stderr=subprocess.PIPE, text=True, env=os.environ | {"BROWSER": "true"},
+    ) as running:  # fmt: skip
+        assert running.stderr is not None
+        printed = []
+        for line in running.stderr:
+            printed.append(line)
+            if "Ctrl-C stops" in line:
+                running.send_signal(signal.SIGINT)
+        assert running.wait(60) == 0, printed
+    assert any("Ctrl-C stops" in line for line in printed)
 
 
 @pytest.mark.slow

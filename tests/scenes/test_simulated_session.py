@@ -24,13 +24,12 @@ from mammometry.geometry.nearest import closest_on_mesh
 from mammometry.geometry.transform import Transform
 from mammometry.io.photographs.images import read_photograph
 from mammometry.simulate import studio
-from mammometry.simulate.atomic_folder import made_whole
 from mammometry.simulate.recipe import SessionRecipe
 from mammometry.simulate.rendering.film import Film
 from mammometry.simulate.rendering.objects.skin import make_skin
 from mammometry.simulate.rendering.render import subject_coverage
 from mammometry.simulate.rigs.targets import make_target
-from mammometry.simulate.session import SimulatedSession, true_volumes_cc, write_session
+from mammometry.simulate.session import SimulatedSession, made_whole, true_volumes_cc, write_session
 from mammometry.simulate.studio import Studio
 from mammometry.simulate.subjects.user_mesh import MeshFile
 

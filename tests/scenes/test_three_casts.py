@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from mammometry.api.phantoms import measure_phantoms
+from mammometry.api.truth import measure_phantoms
 
 
 @pytest.mark.slow

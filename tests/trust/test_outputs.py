@@ -23,10 +23,8 @@ from tests.unit.io.scan_files import scanned
 from tests.unit.measure.solids import dome
 from typer.main import get_command
 
-from mammometry.api import dates, phantoms
-from mammometry.api import mesh as mesh_job
+from mammometry.api import dates, mesh, truth
 from mammometry.api import observers as drawn_alike
-from mammometry.api import truth as proof
 from mammometry.api.job import Job
 from mammometry.base.progress import map_in_sequence
 from mammometry.batch import batch as batches
@@ -35,8 +33,7 @@ from mammometry.calibration.detection import detect as detecting
 from mammometry.calibration.judge import check as checking
 from mammometry.calibration.judge.check import RigCheck
 from mammometry.calibration.targets import pdf as sheets
-from mammometry.cli import comparison, main
-from mammometry.cli import study as study_commands
+from mammometry.cli import main, study
 from mammometry.geometry.camera import Camera
 from mammometry.geometry.transform import Transform
 from mammometry.hospital import gather as gathering
@@ -142,9 +139,9 @@ def nine_models(place: Path, patch: pytest.MonkeyPatch) -> Case:
         )
         return SimpleNamespace(run=lambda report: SimpleNamespace(measurements={"model": measured}))
 
-    patch.setattr(phantoms, "write_session", write_session)
-    patch.setattr(phantoms, "open_session", open_session)
-    patch.setattr(study_commands, "_tasks_side_by_side", lambda bars, count, scale: nullcontext(map_in_sequence))
+    patch.setattr(truth, "write_session", write_session)
+    patch.setattr(truth, "open_session", open_session)
+    patch.setattr(study, "_tasks_side_by_side", lambda bars, count, scale: nullcontext(map_in_sequence))
     out = place / "study"
     (place / "settings.toml").write_text("")
     return Case(
@@ -159,10 +156,10 @@ def evaluate(place: Path, patch: pytest.MonkeyPatch) -> Case:
     session = _session(place / "session")
     (session / "evaluation" / "truth").mkdir(parents=True)
     found = SimpleNamespace(as_table=dict, error_map=None, frame="the target")
-    patch.setattr(proof, "read_truth", lambda *_: None)
-    patch.setattr(proof, "current_results", lambda job: None)
-    patch.setattr(proof, "evaluate", lambda *_, **__: found)
-    for module in (proof, evaluation_tables):
+    patch.setattr(truth, "read_truth", lambda *_: None)
+    patch.setattr(truth, "current_results", lambda job: None)
+    patch.setattr(truth, "evaluate", lambda *_, **__: found)
+    for module in (truth, evaluation_tables):
         patch.setattr(module, "evaluation_tables", lambda found: [])
     return Case(
         ["evaluate", session],
@@ -184,7 +181,7 @@ def compare(place: Path, patch: pytest.MonkeyPatch) -> Case:
     patch.setattr(change, "compare", lambda *_, **__: nothing)
     patch.setattr(change_page, "change_files", lambda report: dict.fromkeys(change_page.FILES, b"page"))
     patch.setattr(change_page, "as_table", lambda report: {})
-    patch.setattr(comparison, "_lines", lambda found: [])
+    patch.setattr(study, "_lines", lambda found: [])
     command: list[object] = ["compare", *sessions, "--out"]
     inside = [sessions[0], place, sessions[0] / "capture", sessions[1] / "capture" / "new"]
     return Case([*command, place / "out"], place / "out", change_page.FILES, [[*command, out] for out in inside])
@@ -290,7 +287,7 @@ def measure(place: Path, patch: pytest.MonkeyPatch) -> Case:
     rim = 60 * np.stack([np.cos(angles), np.sin(angles), 0 * angles], axis=1)
     boundary = place / "data" / "b.json"
     boundary.write_text(json.dumps({"boundaries": {"model": {"points": rim.tolist()}}}))
-    patch.setattr(mesh_job.MeshJob, "_write_report", lambda self, gathered: None)
+    patch.setattr(mesh.MeshJob, "_write_report", lambda self, gathered: None)
     command: list[object] = ["measure", scan, "--units", "mm", "--boundary", boundary, "--out"]
     return Case(
         [*command, place / "out"], place / "out", (), [[*command, out] for out in (scan.parent, place, boundary)]
@@ -397,7 +394,7 @@ NEW_FOLDERS = {"new": ["new"], "simulate": ["simulate"], "demo": ["demo"], "stud
 """Commands that only write into a folder that is new or empty, or go on with the one that they made."""
 ONLY_IN_THE_SESSION = {"capture", "skew", "run", "calibrate", "match", "surface", "edit"}
 """They write SESSION/results, and what is drawn, by the memo's and the editor's own rules; no place is named."""
-READ_ONLY = {"info", "settings", "verify"}
+READ_ONLY = {"doctor", "info", "settings", "verify"}
 IN_THE_CLINIC = {
     f"clinic {name}"
     for name in (
@@ -447,11 +444,11 @@ def computing_is_a_mistake(patch: pytest.MonkeyPatch) -> None:
 
     for owner, name in (
         (Job, "ensure"),
-        (phantoms, "write_session"),
+        (truth, "write_session"),
         (detecting, "detect"),
         (change, "compare"),
-        (proof, "evaluate"),
-        (mesh_job, "read_foreign"),
+        (truth, "evaluate"),
+        (mesh, "read_foreign"),
         (scan_files, "read_foreign"),
         (simulated, "build_rig"),
         (batches, "measure_batch"),

@@ -4,7 +4,7 @@ import ast
 from pathlib import Path
 
 import pytest
-from tests.rota import chosen, longest_first, recorded, turn
+from tests.rota import MAY_SKIP, chosen, longest_first, not_run, recorded, turn
 
 SECONDS = recorded()
 KNOWN = [(name, [name]) for name in SECONDS if "::" in name]
@@ -39,6 +39,13 @@ def test_cases_of_a_group_take_their_turn_together() -> None:
 def test_nonsense_is_refused(text: str) -> None:
     with pytest.raises(ValueError, match="expected RUN/SHARES"):
         turn(text)
+
+
+def test_what_was_skipped_and_should_have_run_is_named(repository: Path) -> None:
+    reasons = [f"Skipped: {MAY_SKIP[0]} (shared/data)", "Skipped: no Chromium"]
+    assert not_run(zip(("a", "b"), reasons, strict=True)) == ["b: Skipped: no Chromium"]
+    texts = [path.read_text(encoding="utf-8") for path in (repository / "tests").rglob("*.py") if path.stem != "rota"]
+    assert [reason for reason in MAY_SKIP if not any(f'"{reason}' in text for text in texts)] == []
 
 
 def test_long_files_begin_and_others_keep_their_order() -> None:

@@ -1,8 +1,12 @@
 """Settings from TOML and from the command line: strict, and helpful about it."""
 
+import ast
 import hashlib
 import json
 import re
+import tomllib
+from collections.abc import Iterator
+from contextlib import suppress
 from importlib.resources import files
 from pathlib import Path
 
@@ -69,7 +73,7 @@ def test_later_assignments_win_and_the_rest_stays() -> None:
         ("surface.repair.reach_mm=5", r"reach_mm: found 5, expected 4\.0, since it is no setting any more\. Remove"),
         ("surface.texture=5", r"surface\.texture: found 5"),
         ("surface.texture.colour=5", r"surface\.texture\.colour: found an unknown setting"),
-        ("measure.wall=nope", r"'default', 'cylinder-membrane', .*'membrane'"),
+        ("measure.wall=nope", r"'default', 'rounded-membrane', .*'membrane'"),
     ],
 )
 def test_mistakes_are_named(assignment: str, said: str) -> None:
@@ -101,6 +105,51 @@ def test_keys_of_stored_results_hold_what_they_held_when_there_were_168_settings
     assert hashlib.sha256(text.encode()).hexdigest()[:16] == "1e68454a8839feab"
     parts = (table["surface"]["texture"], former_settings("surface", "texture"))
     assert parts[0] == parts[1] != {}
+
+
+RENAMED = {
+    "matching.agreement_px": "DIRECTIONS_APART_PX",
+    "measure.breast.reach_mm": "FARTHEST_BORDER_MM",
+    "measure.nipple.tip_mm": "LEAST_TIP_MM",
+    "measure.layer.fewest": "FEWEST_LAYERS",
+    "measure.layer.mean_mm": "MEAN_LAYER_MM",
+    "measure.layer.u95_mm": "LAYER_U95_MM",
+    "measure.layer.measured_u95_mm": "MEASURED_LAYER_U95_MM",
+    "measure.layer.missing_u95_mm": "MISSING_LAYER_U95_MM",
+}
+"""Former setting → its constant, where that is not called after it."""
+ASSIGNED = re.compile(r"^_?([A-Z]\w*)(?:: [\w\[\], .]+)? = ([-\d.(][^#\n]*)", re.MULTILINE)
+"""A constant of a module: its name and its value."""
+NO_CONSTANTS = {
+    "surface.repair.k_ext", "surface.repair.k_int", "measure.wall_u95_mm", "measure.base_rim.seed", "compare.doubt_deg",
+}  # fmt: skip
+"""A default of `Stiffness` twice, what follows each wall's base now, a seed, and what nothing asks any more."""
+
+
+def test_constants_that_were_settings_have_the_values_that_keys_hold(repository: Path) -> None:
+    package = repository / "src" / "mammometry"
+    constants: dict[tuple[str, str], list[object]] = {}
+    for path in package.rglob("*.py"):
+        stage = path.relative_to(package).parts[0]
+        for name, value in re.findall(
+            r"^_?([A-Z]\w*)(?:: [\w\[\], .]+)? = ([-\d.(][^#\n]*)", path.read_text("utf-8"), re.M
+        ):
+            with suppress(ValueError, SyntaxError):
+                constants.setdefault((stage, name), []).append(ast.literal_eval(value))
+
+    def wrong(table: dict[str, object], *path: str) -> Iterator[str]:
+        for name, value in table.items():
+            dotted = ".".join((*path, name))
+            if isinstance(value, dict):
+                yield from wrong(value, *path, name)
+            elif dotted not in NO_CONSTANTS:
+                stage = "measure" if path[0] == "compare" else path[0]
+                known = constants.get((stage, RENAMED.get(dotted, name.upper())), [])
+                if (tuple(value) if isinstance(value, list) else value) not in known:
+                    yield f"{dotted} = {value}, found {known}"
+
+    former = files("mammometry").joinpath("former_settings.toml").read_text(encoding="utf-8")
+    assert list(wrong(tomllib.loads(former))) == []
 
 
 def test_every_setting_has_a_name_and_a_place_in_the_table() -> None:

@@ -11,14 +11,13 @@ from typing import TYPE_CHECKING
 from mammometry.api.job import open_session
 from mammometry.base.errors import SessionError
 from mammometry.base.identity import Identity
-from mammometry.base.posture import NOT_TO_BE_COMPARED
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.io.meshes.scans import is_scan
 from mammometry.io.results.store import Store, Watch
 from mammometry.job.graph import Plan
-from mammometry.job.inputs import Inputs
+from mammometry.job.inputs import FinishedSurface, Inputs
 from mammometry.job.stages import calibrate, measure, surface
-from mammometry.job.values import FinishedSurface
+from mammometry.measure.settings import NOT_TO_BE_COMPARED
 from mammometry.settings import Settings
 
 if TYPE_CHECKING:
@@ -117,7 +116,7 @@ def measured_keys(path: Path | str, settings: Settings) -> tuple[str, ...]:
     folder = Path(path)
     if not is_scan(folder):
         return tuple(key.digest for key in open_session(folder, settings).keys("measure"))
-    from mammometry.api.scans import open_scan
+    from mammometry.api.mesh import open_scan
 
     return tuple(product.key.digest for product in open_scan(folder, settings).plan.products())
 
@@ -142,7 +141,7 @@ def _session(folder: Path, settings: Settings, watch: Watch) -> Dated:
 
 
 def _scan(folder: Path, settings: Settings, watch: Watch) -> Dated:
-    from mammometry.api.scans import open_scan
+    from mammometry.api.mesh import open_scan
 
     job = open_scan(folder, settings, watch=watch)
     return Dated(

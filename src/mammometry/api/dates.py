@@ -231,12 +231,9 @@ def _check(jobs: list[Dated]) -> None:
     for job in jobs:
         kind = job.inputs.subject_kind
         if kind != "torso":
-            raise SessionError(
-                f"{job.path}: subject.kind",
-                found=repr(kind),
-                expected="'torso' in both sessions: dates are registered on the body beside the breasts",
-                remedy="Compare casts by their volumes: `mammometry run` on each",
-            )
+            remedy = "Compare casts by their volumes: `mammometry run` on each"
+            expected = "'torso' in both sessions: dates are registered on the body beside the breasts"
+            raise SessionError(f"{job.path}: subject.kind", found=repr(kind), expected=expected, remedy=remedy)
     first, second = jobs
     same = first.path.resolve() == second.path.resolve()
     if same or first.pictures & second.pictures:
@@ -264,9 +261,9 @@ def _one_protocol(jobs: list[Dated], progress: Progress) -> tuple[list[tuple[Vol
     from mammometry.measure.wall.registry import TORSO_WALLS, in_order
 
     warnings: list[str] = []
-    found = [{measurement.name: measurement for measurement in _measurements(job)} for job in jobs]
+    by_name = [{measurement.name: measurement for measurement in _measurements(job)} for job in jobs]
     boundaries = [_boundaries(job) for job in jobs]
-    both = found[0].keys() & found[1].keys()
+    both = by_name[0].keys() & by_name[1].keys()
     drawn = [frozenset(job.inputs.boundaries) & both for job in jobs]
     replaced: list[frozenset[str]] = [frozenset(), frozenset()]
     if drawn[0] != drawn[1]:
@@ -288,14 +285,14 @@ def _one_protocol(jobs: list[Dated], progress: Progress) -> tuple[list[tuple[Vol
                 "measured again within automatic boundaries. For a better comparison, draw both with `mammometry edit`."
             )
     wall: str | None = None
-    if any(found[0][name].wall_kind != found[1][name].wall_kind for name in both):
+    if any(by_name[0][name].wall_kind != by_name[1][name].wall_kind for name in both):
         wall = in_order(TORSO_WALLS)[0]
-        names = " and ".join(dict.fromkeys(volume.wall_kind for volumes in found for volume in volumes.values()))
+        names = " and ".join(dict.fromkeys(volume.wall_kind for volumes in by_name for volume in volumes.values()))
         warnings.append(
             f"The dates used different chest walls ({names}). Both were measured again with the wall “{wall}”."
         )
     if wall is None and not any(replaced):
-        return [tuple(volumes.values()) for volumes in found], warnings
+        return [tuple(volumes.values()) for volumes in by_name], warnings
     backs = [job.inputs.wall for job in jobs]
     if None in backs:
         backs = [None, None]
@@ -303,7 +300,7 @@ def _one_protocol(jobs: list[Dated], progress: Progress) -> tuple[list[tuple[Vol
     for number, (job, own, back) in enumerate(zip(jobs, boundaries, backs, strict=True)):
         kept = {
             name: measured
-            for name, measured in found[number].items()
+            for name, measured in by_name[number].items()
             if name not in replaced[number] and wall in (None, measured.wall_kind)
         }
         again = [boundary for boundary in own if boundary.name in both and boundary.name not in kept]
@@ -409,8 +406,8 @@ def _unconfirmed(change: Change) -> list[str]:
 
     warnings = []
     for number, which in enumerate(_WHICH):
-        found = [(breast.before, breast.after)[number] for breast in change.breasts]
-        if any(TO_BE_CONFIRMED in measurement.boundary_method for measurement in found):
+        boundaries = [(breast.before, breast.after)[number] for breast in change.breasts]
+        if any(TO_BE_CONFIRMED in measurement.boundary_method for measurement in boundaries):
             warnings.append(
                 f"Nobody has confirmed the automatic boundaries of the {which} date. Look at them with "
                 "`mammometry edit`, and confirm them or draw better ones."
@@ -435,7 +432,7 @@ def _report(
     privacy: Privacy,
 ) -> ChangeReport:
     from mammometry.report.documents.change_page import ChangeReport
-    from mammometry.report.figures.studies.change import Dated
+    from mammometry.report.figures.change import Dated
     from mammometry.report.privacy import guard
     from mammometry.report.words.describe import settings_facts
 

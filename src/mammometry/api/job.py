@@ -21,8 +21,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from mammometry.api.previews import Drawing, Previews
-from mammometry.api.refused import seen, show_refusal, withdraw_refusal
-from mammometry.api.results import Results
+from mammometry.api.results import Results, seen, show_refusal, withdraw_refusal
 from mammometry.api.stored_report import Reported
 from mammometry.base.errors import (
     CalibrationError,
@@ -33,18 +32,17 @@ from mammometry.base.errors import (
     SurfaceError,
 )
 from mammometry.base.machine.cores import one_blas_thread
-from mammometry.base.machine.memory import return_freed_arrays
-from mammometry.base.machine.system import peak_memory_mb
+from mammometry.base.machine.system import peak_memory_mb, return_freed_arrays
 from mammometry.base.progress import Progress, no_progress
 from mammometry.geometry.camera import Rig
 from mammometry.io.outputs import require_apart, require_free, write_output
 from mammometry.io.results.store import State, Store, Watch, unwatched
 from mammometry.io.session import Session
 from mammometry.job.graph import Background, Plan
+from mammometry.job.inputs import CameraSet, FinishedSurface
 from mammometry.job.products import STAGES, Key, Stage
 from mammometry.job.stages import calibrate, match, measure, surface
 from mammometry.job.stages.report import PageInputs, previews_key
-from mammometry.job.values import CameraSet, FinishedSurface
 from mammometry.settings import Settings
 
 if TYPE_CHECKING:
@@ -153,7 +151,7 @@ class Job(Reported):
         from mammometry.calibration.detection.detect import detect
         from mammometry.calibration.judge import check
         from mammometry.io import drift
-        from mammometry.report.figures.drift import drift as drawn
+        from mammometry.report.figures.calibration import drift as drawn
 
         folder = self.session.path / drift.FOLDER
         require_apart(folder, [Path(image_set)])
@@ -161,12 +159,9 @@ class Job(Reported):
         photographs, measured = self.session.image_set(Path(image_set))
         target = self.inputs.target
         if target is None:
-            raise SessionError(
-                "session.toml",
-                found="no [target]",
-                expected="a description of the target of that exposure",
-                remedy="Describe it as `mammometry new` shows",
-            )
+            remedy = "Describe it as `mammometry new` shows"
+            expected = "a description of the target of that exposure"
+            raise SessionError("session.toml", found="no [target]", expected=expected, remedy=remedy)
         self.ensure("calibrate")
         calibration = self.calibration()
         reference = (
@@ -254,10 +249,10 @@ class Job(Reported):
         """Pages in results/ for others or of two dates → whether current."""
         folder = self.session.results
         here = {self.page_digest(deidentify=deidentify) for deidentify in (False, True)}
-        found = sorted([*folder.glob("*/report.html"), *folder.glob("compare/*/compare.html")])
+        paths = sorted([*folder.glob("*/report.html"), *folder.glob("compare/*/compare.html")])
         return {
             page.relative_to(folder).as_posix(): "current" if here & _keys_in(page) else "stale"
-            for page in found
+            for page in paths
             if page != self.page
         }
 
@@ -374,5 +369,5 @@ def open_session(path: Path | str, settings: Settings | None = None, *, watch: W
 def _keys_in(page: Path) -> set[str]:
     """Digests in a page's head. None if an earlier version made it."""
     with page.open(encoding="utf-8", errors="replace") as file:
-        found = _PAGE_KEY.search(file.read(_HEAD))
-    return set(found[1].split(",")) if found else set()
+        match = _PAGE_KEY.search(file.read(_HEAD))
+    return set(match[1].split(",")) if match else set()

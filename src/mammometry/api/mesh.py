@@ -22,8 +22,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
-from mammometry.api.refused import show_refusal, withdraw_refusal
-from mammometry.api.results import Results
+from mammometry.api.results import Results, show_refusal, withdraw_refusal
 from mammometry.api.stored_report import Reported
 from mammometry.base.errors import MeasureError, SessionError
 from mammometry.base.identity import Identity
@@ -34,6 +33,8 @@ from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.nearest import barycentric, closest_on_mesh
 from mammometry.io.drawn import (
+    BOUNDARIES,
+    LANDMARK_FILE,
     DrawnBoundaries,
     boundaries_digest,
     boundaries_in,
@@ -41,16 +42,15 @@ from mammometry.io.drawn import (
     landmarks_in,
 )
 from mammometry.io.meshes.foreign import ForeignMesh, read_foreign
-from mammometry.io.meshes.scans import Scan, skin_colours
+from mammometry.io.meshes.scans import MESH, RESULTS, Scan, is_scan, read_scan, skin_colours
 from mammometry.io.outputs import require_apart, require_own_folder, take_folder
 from mammometry.io.results.store import Store, Watch, unwatched
 from mammometry.io.subject import check_mesh
 from mammometry.job.graph import Plan
-from mammometry.job.inputs import Inputs, SubjectKind
+from mammometry.job.inputs import CameraSet, FinishedSurface, Inputs, SubjectKind
 from mammometry.job.products import Key, at_hand
 from mammometry.job.stages import calibrate, measure, surface
 from mammometry.job.stages.report import PageInputs
-from mammometry.job.values import CameraSet, FinishedSurface
 from mammometry.measure.landmarks.landmarks import PICKED_SIGMA_MM
 from mammometry.settings import Settings
 
@@ -58,6 +58,7 @@ if TYPE_CHECKING:
     from mammometry.report.content import ReportContent
     from mammometry.report.privacy import Privacy
     from mammometry.surface.repair.repair import RepairedSurface
+
 
 T = TypeVar("T")
 SCALE_STD = 0.001
@@ -113,7 +114,7 @@ class MeshJob(Reported):
     def __init__(
         self, files: MeshFiles, folder: Path, settings: Settings | None = None, *, watch: Watch = unwatched
     ) -> None:
-        """Read the files.
+        """Read the mesh and the files that belong to it.
 
         Args:
             files: the mesh and what was drawn on it.
@@ -146,18 +147,16 @@ class MeshJob(Reported):
         drawn = DrawnBoundaries() if files.boundary is None else boundaries_in(files.boundary, _NAMES)
         foreign = read_foreign(files.mesh, files.units, of_torso="model" not in drawn.curves)
         if files.boundary is None and files.landmarks is None and not files.automatic:
+            remedy = "Add --boundary b.json, or --landmarks l.json with the protocol's landmarks, or --automatic"
+            expected = "where the breast ends on this mesh"
             raise SessionError(
-                str(files.mesh),
-                found="neither a boundary nor landmarks",
-                expected="where the breast ends on this mesh",
-                remedy="Add --boundary b.json, or --landmarks l.json with the protocol's landmarks, or --automatic",
+                str(files.mesh), found="neither a boundary nor landmarks", expected=expected, remedy=remedy
             )
         if files.boundary is not None and files.automatic and files.scan is None:
+            remedy = "Leave out --boundary or --automatic"
+            expected = "one of the two"
             raise SessionError(
-                str(files.boundary),
-                found="a boundary file together with --automatic",
-                expected="one of the two",
-                remedy="Leave out --boundary or --automatic",
+                str(files.boundary), found="a boundary file together with --automatic", expected=expected, remedy=remedy
             )
         own = replace(settings.measure, surface_sigma_mm=files.surface_std_mm)
         if files.boundary is None and not files.automatic:
@@ -179,11 +178,10 @@ class MeshJob(Reported):
             )
         curves = drawn.curves
         if "model" in curves and len(curves) > 1:
+            remedy = "Name the patient's own sides"
+            expected = "model alone, or left and right"
             raise SessionError(
-                str(files.boundary),
-                found=f"boundaries {', '.join(curves)}",
-                expected="model alone, or left and right",
-                remedy="Name the patient's own sides",
+                str(files.boundary), found=f"boundaries {', '.join(curves)}", expected=expected, remedy=remedy
             )
         self.kind: SubjectKind = "model" if "model" in curves else "torso"
         places = {} if files.landmarks is None else landmarks_in(files.landmarks, self.kind)
@@ -389,8 +387,64 @@ class _StoreOfMesh(Store):
     """Results of a mesh. What its measurement refuses is said in words of a mesh."""
 
     def recall(self, key: Key, prepare: Callable[[], Callable[[Progress], T]]) -> T:
-        """As `Store.recall`."""
+        """Recall a product, as `Store.recall` does."""
         try:
             return super().recall(key, prepare)
         except MeasureError as error:
             raise error.of_mesh() from None
+
+
+def scan_files(folder: Path, *, subject: str | None = None, drawn: bool = True) -> MeshFiles:
+    """An imported scan's mesh, with what was drawn on it. Other boundaries are found automatically.
+
+    Args:
+        folder: made by ``mammometry import mesh``. What was drawn lies in it, as in a session.
+        subject: a pseudonym. None: the one that the folder names.
+        drawn: whether drawn boundaries and landmarks count.
+
+    Raises:
+        SessionError: the folder's description is not as documented.
+    """
+    scan = read_scan(folder)
+    boundary, landmarks = (
+        path if drawn and path.is_file() else None for path in (folder / BOUNDARIES, folder / LANDMARK_FILE)
+    )
+    return MeshFiles(
+        mesh=folder / MESH, units="mm", boundary=boundary, landmarks=landmarks, automatic=True,
+        head=scan.head or None, ahead=scan.ahead or None, subject=subject or scan.subject, scan=scan,
+    )  # fmt: skip
+
+
+def open_scan(folder: Path, settings: Settings | None = None, *, watch: Watch = unwatched) -> MeshJob:
+    """Open an imported scan.
+
+    Args:
+        folder: made by ``mammometry import mesh``.
+        settings: of the measurement; None for the recommended ones.
+        watch: called for every product that is made.
+
+    Raises:
+        MammometryError: the scan cannot be opened.
+    """
+    return MeshJob(scan_files(folder), folder / RESULTS, settings, watch=watch)
+
+
+def drawable_scan(folder: Path, settings: Settings | None = None) -> MeshJob:
+    """Open an imported scan for drawing on it.
+
+    A drawing that the measurement refuses does not count. It can so be corrected.
+
+    Raises:
+        MammometryError: the scan cannot be opened.
+    """
+    try:
+        return open_scan(folder, settings)
+    except MeasureError:
+        return MeshJob(scan_files(folder, drawn=False), folder / RESULTS, settings)
+
+
+def folder_for(mesh: Path) -> Path:
+    """Default folder for a mesh's results: an imported scan's own, else beside the mesh with its name."""
+    if mesh.name == MESH and is_scan(mesh.parent):
+        return mesh.parent / RESULTS
+    return mesh.with_name(f"{mesh.stem}-measured")

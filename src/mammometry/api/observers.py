@@ -3,7 +3,7 @@
 ::
 
     from mammometry.api.observers import measure_drawings
-    from mammometry.io.drawn_by import read_drawn_by
+    from mammometry.api.observers import read_drawn_by
     from mammometry.study.observers import observer_study
 
     drawn = measure_drawings(read_drawn_by(Path("curves"), Path("front.ply")), units="mm")
@@ -18,13 +18,13 @@ from pathlib import Path
 
 import numpy as np
 
-from mammometry.base.errors import SessionError
+from mammometry.base.errors import SessionError, TableError
 from mammometry.base.identity import shown_name
 from mammometry.base.progress import Progress, no_progress
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.io.drawn import boundaries_in
-from mammometry.io.drawn_by import DrawnBy
 from mammometry.io.meshes.foreign import read_foreign
+from mammometry.io.parsing.csv_tables import read_table
 from mammometry.measure import scanned
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.boundary.trace import check_curve
@@ -35,6 +35,86 @@ from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.open_breast import open_breasts
 from mammometry.study.observers import Drawing, DrawnSurface
 from mammometry.surface.repair.repair import RepairedSurface
+
+_SUFFIX = ".json"
+_COLUMNS = "columns mesh, boundary and observer, and repeat where somebody drew twice"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DrawnBy:
+    """One file of boundaries that one person drew."""
+
+    mesh: Path
+    """The surface that it was drawn on."""
+    boundary: Path
+    """The boundaries.json."""
+    observer: str
+    """Who drew."""
+    repeat: str
+    """Which of that person's drawings of this surface."""
+
+
+def read_drawn_by(curves: Path, mesh: Path | None = None) -> tuple[DrawnBy, ...]:
+    """Read a table, or list a folder's drawings of one mesh.
+
+    In a folder, ``anna-2.json`` is Anna's second drawing, and ``ben.json`` Ben's first. A table's paths are relative to
+    it; without a mesh column all drawings are of `mesh`.
+
+    Raises:
+        SessionError: the folder holds fewer than two drawings, or nobody says the mesh.
+        TableError: the table cannot be read, has no such columns, an empty cell, or one drawing twice.
+    """
+    drawn = _of_folder(curves, mesh) if curves.is_dir() else _of_table(curves, mesh)
+    if len(drawn) < 2:
+        remedy = "Let another person draw, or draw again"
+        expected = "two or more of one surface"
+        raise SessionError(str(curves), found=f"{len(drawn)} drawings", expected=expected, remedy=remedy)
+    return drawn
+
+
+def _of_folder(folder: Path, mesh: Path | None) -> tuple[DrawnBy, ...]:
+    if mesh is None:
+        raise _no_mesh(folder)
+    drawn = []
+    for path in sorted(folder.glob(f"*{_SUFFIX}")):
+        name, _, number = path.stem.rpartition("-")
+        named = (name, number) if name and number.isdecimal() else (path.stem, "1")
+        drawn.append(DrawnBy(mesh=mesh, boundary=path, observer=named[0], repeat=named[1]))
+    return tuple(drawn)
+
+
+def _of_table(path: Path, mesh: Path | None) -> tuple[DrawnBy, ...]:
+    table = read_table(path, str(path), _COLUMNS, refusal=TableError)
+    if "mesh" not in table.columns and mesh is None:
+        raise _no_mesh(path)
+    count = len(table.rows)
+    meshes = table.texts("mesh") if "mesh" in table.columns else (str(mesh and mesh.resolve()),) * count
+    repeats = table.texts("repeat") if "repeat" in table.columns else ("1",) * count
+    drawn: list[DrawnBy] = []
+    for line, *cells in zip(
+        table.lines, meshes, table.texts("boundary"), table.texts("observer"), repeats, strict=True
+    ):
+        if not all(cells):
+            remedy = "Fill it in, or leave the row out"
+            raise TableError(f"{path}, row {line}", found="an empty cell", expected=_COLUMNS, remedy=remedy)
+        on, boundary, observer, repeat = cells
+        drawing = DrawnBy(mesh=path.parent / on, boundary=path.parent / boundary, observer=observer, repeat=repeat)
+        if any((drawing.mesh, observer, repeat) == (other.mesh, other.observer, other.repeat) for other in drawn):
+            raise TableError(
+                f"{path}, row {line}",
+                found=f"a second drawing {repeat} of {on} by {observer}",
+                expected="each drawing once",
+                remedy="Number the drawings of one person in the column repeat",
+            )
+        drawn.append(drawing)
+    return tuple(drawn)
+
+
+def _no_mesh(curves: Path) -> SessionError:
+    remedy = "Add --mesh front.ply, or a column mesh to the table"
+    expected = "the mesh that they were drawn on"
+    return SessionError(str(curves), found="drawings without a surface", expected=expected, remedy=remedy)
+
 
 _SIDES = ("left", "right")
 
@@ -79,9 +159,9 @@ def measure_drawings(
         def part(fraction: float, done: int = done, count: int = len(own)) -> None:
             progress((done + count * fraction) / len(drawn))
 
-        surface, found = _on_one(mesh, own, units, (head, ahead), settings or MeasureSettings(), part)
+        surface, alike = _on_one(mesh, own, units, (head, ahead), settings or MeasureSettings(), part)
         surfaces.append(surface)
-        drawings += found
+        drawings += alike
         done += len(own)
     return MeasuredDrawings(surfaces=tuple(surfaces), drawings=tuple(drawings))
 
@@ -100,17 +180,14 @@ def _on_one(
     for drawing in drawn:
         curves = boundaries_in(drawing.boundary, _SIDES).curves
         if not curves:
-            raise SessionError(
-                str(drawing.boundary),
-                found="no points",
-                expected="a curve around a breast, left or right",
-                remedy="Let this person draw, or take the file out",
-            )
+            remedy = "Let this person draw, or take the file out"
+            expected = "a curve around a breast, left or right"
+            raise SessionError(str(drawing.boundary), found="no points", expected=expected, remedy=remedy)
         files.append({name: scanned.in_mesh_unit(one, scan.mesh, foreign.mm_per_unit) for name, one in curves.items()})
     scan = scanned.finer_scan(scan, [one for curves in files for one in curves.values()])
     surface, fine = scanned.as_scanned(scan.mesh, scan.invented), scan.mesh
     frame = _frame(surface, files, axes)
-    found = []
+    drawings = []
     for number, (drawing, curves) in enumerate(zip(drawn, files, strict=True)):
         for name, one in curves.items():
             check_curve(f"{name} of {shown_name(drawing.boundary)}", one, fine)
@@ -120,7 +197,7 @@ def _on_one(
             side = breast.boundary.name
             wall = chest_wall.fit(breast)
             axes_world = np.stack([frame[0] if side == "left" else -frame[0], frame[1], frame[2]])
-            found.append(
+            drawings.append(
                 Drawing(
                     breast=f"{shown_name(path.with_suffix(''))}, {side}",
                     observer=drawing.observer,
@@ -133,7 +210,7 @@ def _on_one(
         progress((number + 1) / len(drawn))
     flat = [(drawing.observer, one) for drawing, curves in zip(drawn, files, strict=True) for one in curves.values()]
     name = shown_name(path.with_suffix(""))
-    return DrawnSurface(name=name, mesh=foreign.mesh, frame=frame, curves=tuple(flat)), found
+    return DrawnSurface(name=name, mesh=foreign.mesh, frame=frame, curves=tuple(flat)), drawings
 
 
 def _frame(

@@ -1,11 +1,21 @@
-"""What a run came to."""
+"""What a run came to, and the page of a refused run."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import logging
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from mammometry.base.errors import MammometryError
+from mammometry.base.identity import Identity
+from mammometry.base.parse import error_text
+from mammometry.io.outputs import write_outputs
+from mammometry.job.graph import Plan
+from mammometry.job.inputs import Inputs
+from mammometry.job.products import Stage
+from mammometry.job.stages import calibrate, match, measure, surface
 
 if TYPE_CHECKING:
     from mammometry.measure.volume.measurement import VolumeDeficit, VolumeMeasurement
@@ -78,10 +88,10 @@ class Results:
             },
             "no_breast": dict(self.no_breast),
             "notes": list(self.notes),
-            "lacking_cc": {name: round(found.volume_cc, 3) for name, found in self.lacking.items()},
+            "lacking_cc": {name: round(deficit.volume_cc, 3) for name, deficit in self.lacking.items()},
             "lacking_interval_cc": {
-                name: None if found.interval_cc is None else [round(bound, 3) for bound in found.interval_cc]
-                for name, found in self.lacking.items()
+                name: None if deficit.interval_cc is None else [round(bound, 3) for bound in deficit.interval_cc]
+                for name, deficit in self.lacking.items()
             },
             "watertight": self.watertight,
             "seconds": round(self.seconds, 3),
@@ -93,3 +103,78 @@ class Results:
             "made": list(self.made),
             "made_at": self.made_at,
         }
+
+
+_LOG = logging.getLogger(__name__)
+FOLDER, PAGE = "refused", "refused.html"
+"""Where the page lies, in the results. Its pictures lie beside it, for the clinic."""
+Pictures = Mapping[str, bytes]
+"""Name → PNG with its caption."""
+
+
+def show_refusal(results: Path, identity: Identity, error: MammometryError, draw: Callable[[], Pictures]) -> None:
+    """Write a page of what was seen and its pictures, and set `error.page`.
+
+    If the page fails, the refusal itself is still reported.
+
+    Args:
+        results: folder of the session's results.
+        identity: whose photographs they are.
+        error: the refusal; its `page` is set.
+        draw: makes the pictures.
+    """
+    from mammometry.report.documents.pages import refusal_page
+
+    try:
+        pictures = draw()
+        files = {PAGE: refusal_page(identity, error, pictures).encode()}
+        write_outputs(results / FOLDER, files | {f"{name}.png": png for name, png in pictures.items()}, command="run")
+        error.page = results / FOLDER / PAGE
+    except Exception as trouble:  # whatever hinders the page must not hide why there is no volume
+        _LOG.warning("what was seen could not be drawn: %s", error_text(trouble))
+
+
+def withdraw_refusal(results: Path) -> None:
+    """Remove the page of an earlier refusal after a successful measurement."""
+    if (results / FOLDER / PAGE).is_file():
+        write_outputs(results / FOLDER, {}, command="run")
+
+
+def seen(
+    stage: Stage,
+    error: MammometryError,
+    plan: Plan,
+    inputs: Inputs,
+    previews: Callable[[Stage], Pictures],
+) -> Pictures:
+    """Pictures of a refused stage: its inputs and what it found.
+
+    Args:
+        stage: that refused: calibrate, match, surface or measure.
+        error: the refusal.
+        plan: the whole job.
+        inputs: what the session brought.
+        previews: pictures of a stage that was made.
+    """
+    from mammometry.calibration.judge.suspects import SuspectPhotographsError
+    from mammometry.report.figures import refused
+    from mammometry.report.figures.drawing.shading import front_frame
+
+    if stage == "calibrate":
+        looked = {pose: made() for pose, made in plan[calibrate.observation].items() if not made.missing}
+        suspects = error.suspects.reasons if isinstance(error, SuspectPhotographsError) else ()
+        return {"targets": refused.targets_seen(inputs.calibration_photographs, looked, suspects)} if looked else {}
+    if stage == "match":
+        subjects = plan.current(match.subjects)
+        outlines = None if subjects is None else subjects.blocks
+        return {"photographs": refused.photographs_seen(inputs.photographs, outlines)}
+    if stage == "surface":
+        return previews("match")
+    body, boundaries = plan.current(measure.body), plan.current(measure.boundaries)
+    drawn = refused.surface_seen(
+        plan[surface.mesh](),
+        front_frame(plan[calibrate.cameras]().rig, mounting=inputs.mounting) if body is None else body.frame,
+        boundaries or (),
+        of_patient=inputs.subject_kind == "torso",
+    )
+    return {"surface": drawn, **{name: png for name, png in previews("match").items() if name == "foreground"}}

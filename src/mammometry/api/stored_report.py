@@ -1,14 +1,18 @@
-"""The report in a results folder: its content, and what is rendered of it."""
+"""The report in a results folder: its content as one file, and what is rendered of it."""
 
 from __future__ import annotations
 
+import io
 import json
+import zipfile
+import zlib
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from mammometry.base.errors import StorageError
 from mammometry.base.identity import NAMELESS, Identity
 from mammometry.base.machine.cores import one_blas_thread
 from mammometry.base.progress import Progress
@@ -16,18 +20,20 @@ from mammometry.io.drawn import read_boundaries
 from mammometry.io.outputs import require_apart, require_free, write_outputs
 from mammometry.io.results.store import Store
 from mammometry.job.graph import Plan
-from mammometry.job.inputs import Inputs
+from mammometry.job.inputs import FinishedSurface, Inputs
 from mammometry.job.products import Key, Product
 from mammometry.job.stages import surface
 from mammometry.job.stages.report import PageInputs, report_key
-from mammometry.job.values import FinishedSurface
+from mammometry.report.content import Picture, ReportContent
 from mammometry.settings import Settings
 
 if TYPE_CHECKING:
-    from mammometry.report.clinical import Clinical
-    from mammometry.report.content import ReportContent
+    from pydantic import TypeAdapter
+
+    from mammometry.report.content import Clinical, ReportContent
     from mammometry.report.documents.rendering import RenderedReport
     from mammometry.report.privacy import Privacy
+
 
 WARNINGS = "warnings.json"
 """The report's warnings, for programs: a list of sentences."""
@@ -118,7 +124,6 @@ class Reported(ABC):
         """
 
         def content() -> Callable[[Path, Progress], None]:
-            from mammometry.report.stored_content import CONTENT, packed
 
             return lambda folder, progress: _write(folder, {CONTENT: packed(gather(progress))})
 
@@ -174,7 +179,6 @@ class Reported(ABC):
             StorageError: the content is not as it was written.
         """
         from mammometry.report.documents.rendering import render
-        from mammometry.report.stored_content import CONTENT, unpacked
 
         with one_blas_thread():
             content = unpacked(self.store.files(self.content_key)[CONTENT])
@@ -184,3 +188,75 @@ class Reported(ABC):
 def _write(folder: Path, files: Mapping[str, bytes]) -> None:
     for name, data in files.items():
         (folder / name).write_bytes(data)
+
+
+CONTENT = "content.zip"
+_WORDS, _SCENE = "content.json", "scene.json"
+_LARGEST = 256 << 20  # bytes of all members; ours have a few MB
+_ALWAYS = (1980, 1, 1, 0, 0, 0)  # time of every member: the same content gives the same bytes
+
+
+def packed(content: ReportContent) -> bytes:
+    """The content as a ZIP: words and captions as JSON, the viewer's scene, pictures as they are shown."""
+    bare = {
+        stage: {name: replace(picture, webp=b"", jpeg=b"") for name, picture in drawn.items()}
+        for stage, drawn in content.pictures.items()
+    }
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_STORED) as archive:
+
+        def add(name: str, data: bytes) -> None:
+            archive.writestr(zipfile.ZipInfo(name, _ALWAYS), data)
+
+        add(_WORDS, _adapter().dump_json(replace(content, pictures=bare, scene="")))
+        add(_SCENE, content.scene.encode())
+        for name, data in _files(content.pictures):
+            add(name, data)
+    return buffer.getvalue()
+
+
+def unpacked(data: bytes) -> ReportContent:
+    """The content of such a ZIP.
+
+    Raises:
+        StorageError: it is not as it was written.
+    """
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            if sum(member.file_size for member in archive.infolist()) > _LARGEST:
+                raise ValueError(f"more than {_LARGEST >> 20} MB")
+            members = set(archive.namelist())
+            content = _adapter().validate_json(archive.read(_WORDS))
+            pictures = {
+                stage: {
+                    name: replace(
+                        picture,
+                        webp=archive.read(f"{stage}/{name}.webp"),
+                        jpeg=archive.read(f"{stage}/{name}.jpg") if f"{stage}/{name}.jpg" in members else b"",
+                    )
+                    for name, picture in drawn.items()
+                }
+                for stage, drawn in content.pictures.items()
+            }
+            scene = archive.read(_SCENE).decode().replace("<", "\\u003c")  # safe inside a page, whoever wrote it
+    except (OSError, ValueError, LookupError, EOFError, zipfile.BadZipFile, zlib.error, NotImplementedError) as error:
+        remedy = "Run the command again: it will be made again"
+        expected = "the file as it was written"
+        raise StorageError(
+            CONTENT, found=f"a result that cannot be read back ({error})", expected=expected, remedy=remedy
+        ) from None
+    return replace(content, pictures=pictures, scene=scene)
+
+
+def _files(pictures: Mapping[str, Mapping[str, Picture]]) -> Iterator[tuple[str, bytes]]:
+    for stage, drawn in pictures.items():
+        for name, picture in drawn.items():
+            yield f"{stage}/{name}.webp", picture.webp
+            if picture.jpeg:
+                yield f"{stage}/{name}.jpg", picture.jpeg
+
+
+def _adapter() -> TypeAdapter[ReportContent]:
+    from pydantic import TypeAdapter
+
+    return TypeAdapter(ReportContent)

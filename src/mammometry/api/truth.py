@@ -1,24 +1,37 @@
-"""Compare a session's results with its truth. Only this module and studies may read both."""
+"""Compare results with the truth of virtual sessions and plaster models (paper 2.7, Table 1)."""
 
 from __future__ import annotations
 
 import json
+import shutil
+import tempfile
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
+import numpy as np
+
+from mammometry.api.job import open_session
+from mammometry.base.csv_cells import csv_text
 from mammometry.base.errors import SessionError
-from mammometry.base.progress import Progress, no_progress, part
+from mammometry.base.progress import MapTasks, Progress, StageProgress, map_in_sequence, no_progress, part
 from mammometry.io.outputs import require_apart, require_free, write_outputs
 from mammometry.io.results.stamp import stamped
-from mammometry.io.truth import read_truth
+from mammometry.io.truth import read_truth, read_volumes
+from mammometry.io.write import write_text
 from mammometry.job.stages import calibrate, match, measure, surface
+from mammometry.settings import Settings
+from mammometry.simulate.recipe import SessionRecipe
+from mammometry.simulate.session import write_session
+from mammometry.study.agreement import PairedMeasurements
 from mammometry.study.evaluation import Evaluation, SessionResults, evaluate
 from mammometry.study.evaluation_tables import evaluation_tables
 
 if TYPE_CHECKING:
     from mammometry.api.job import Job
     from mammometry.job.products import Product
+
 
 FOLDER = "evaluation"
 FILES = ("evaluation.json", "evaluation.md", "error-map.png")
@@ -51,24 +64,24 @@ def evaluate_session(
     require_free(folder, FILES, command="evaluate")
     truth = read_truth(truth_folder, job.inputs.pair_names)
     results = current_results(job)
-    found = evaluate(results, truth, progress=part(progress, 0.0, 0.95))
-    tables = evaluation_tables(found)
+    differences = evaluate(results, truth, progress=part(progress, 0.0, 0.95))
+    tables = evaluation_tables(differences)
     files: dict[str, bytes] = {
-        "evaluation.json": (json.dumps(found.as_table(), indent=1, ensure_ascii=False) + "\n").encode(),
+        "evaluation.json": (json.dumps(differences.as_table(), indent=1, ensure_ascii=False) + "\n").encode(),
         "evaluation.md": "\n".join(table.as_markdown() for table in tables).encode(),
     }
-    if found.error_map is not None:
-        from mammometry.report.figures.studies.accuracy import error_map
+    if differences.error_map is not None:
+        from mammometry.report.figures.surface import error_map
 
         mesh = list(results.surfaces.values())[-1]
         body = job.plan.current(measure.body)
         left = None if body is None else body.left
-        files["error-map.png"] = error_map(results.rig, mesh, found.error_map, patient_left_world=left)
+        files["error-map.png"] = error_map(results.rig, mesh, differences.error_map, patient_left_world=left)
     subject = job.identity.subject
     files = {name: stamped(name, data, subject) for name, data in files.items()}
     write_outputs(folder, files, command="evaluate")
     progress(1.0)
-    return found, folder
+    return differences, folder
 
 
 def current_results(job: Job) -> SessionResults:
@@ -101,7 +114,162 @@ def current_results(job: Job) -> SessionResults:
         disparities=all_current(plan[match.disparity]),
         ranges=all_current(plan[surface.range_image]),
         surfaces={name: mesh for name, mesh in surfaces.items() if mesh is not None},
+        claimed=None if repaired is None else repaired.claimed,
         boundaries=plan.current(measure.boundaries) or (),
         measurements=plan.current(measure.measurements) or (),
         absent=tuple(side.name for side in plan.current(measure.absent) or ()),
     )
+
+
+MODELS = tuple(f"plaster_{number}" for number in range(1, 10))
+"""Volumes within 3 % of the paper's Table 1. Even ones have a curved back."""
+_RECORD = "study.json"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PhantomResult:
+    """A plaster model's measured and exact volume."""
+
+    name: str
+    true_cc: float
+    measured_cc: float
+    interval_cc: tuple[float, float] | None
+    """95 %."""
+
+    @property
+    def holds(self) -> bool | None:
+        """Whether the interval contains the truth. None without an interval."""
+        return None if self.interval_cc is None else self.interval_cc[0] <= self.true_cc <= self.interval_cc[1]
+
+
+def measure_phantoms(
+    out: Path,
+    *,
+    scale: float = 0.25,
+    seed: int = 1,
+    models: tuple[str, ...] = MODELS,
+    settings: Settings | None = None,
+    map_tasks: MapTasks = map_in_sequence,
+) -> tuple[PhantomResult, ...]:
+    """Simulate, calibrate and measure each model. What is there already is not made again.
+
+    Args:
+        out: folder of the study, with one session a model.
+        scale: of the reference rig's 4504 × 3000 pixels.
+        seed: of the rig, its calibration poses and the models' shapes.
+        models: which ones; the first one's calibration serves all.
+        settings: of all stages; None for the recommended ones.
+        map_tasks: how to go through the models.
+
+    Raises:
+        SessionError: the folder holds a study with another scale or seed, or something else.
+        MammometryError: whatever stands in a measurement's way.
+    """
+    _take(out, {"scale": scale, "seed": seed})
+    text = (settings or Settings()).to_toml()
+    arguments = {
+        model: (out / model, SessionRecipe(subject=model, scale=scale, seed=seed), text, out / models[0])
+        for model in models
+    }
+    results: dict[str, Any] = {}
+    for some in (models[:1], models[1:]):
+        results |= map_tasks(measure_model, {model: arguments[model] for model in some})
+    return tuple(
+        PhantomResult(
+            name=model,
+            true_cc=results[model]["true_cc"],
+            measured_cc=results[model]["measured_cc"],
+            interval_cc=None if results[model]["interval_cc"] is None else tuple(results[model]["interval_cc"]),
+        )
+        for model in models
+    )
+
+
+def measure_model(
+    progress: StageProgress, session: Path, recipe: SessionRecipe, settings: str, first: Path
+) -> dict[str, Any]:
+    """Simulate one model if it is not there, and measure it.
+
+    Args:
+        progress: called with the stage and how far it is.
+        session: of this model.
+        recipe: of its photographs.
+        settings: of all stages, TOML.
+        first: session whose calibration is taken over if its photographs of the target are the same.
+
+    Returns:
+        ``true_cc``, ``measured_cc`` and ``interval_cc``.
+
+    Raises:
+        MammometryError: whatever stands in the way.
+    """
+    if not (session / "session.toml").is_file():
+        write_session(session, recipe, progress=lambda fraction: progress("simulate", fraction))
+    _share_calibration(first, session)
+    progress("measure", 0.0)
+    measured = open_session(session, Settings.from_toml(settings)).run(report=False).measurements["model"]
+    return {
+        "true_cc": read_volumes(session / "truth")["model"],
+        "measured_cc": measured.volume_cc,
+        "interval_cc": measured.interval_cc,
+    }
+
+
+def paired(results: tuple[PhantomResult, ...]) -> PairedMeasurements:
+    """The results as a table of an agreement study. The reference is the exact volume, cc."""
+    return PairedMeasurements(
+        names=tuple(result.name for result in results),
+        reference=np.array([result.true_cc for result in results]),
+        measured=np.array([result.measured_cc for result in results]),
+        reference_name="exact volume",
+        measured_name="photographs",
+        unit="cc",
+    )
+
+
+def as_csv(results: list[PhantomResult] | tuple[PhantomResult, ...]) -> str:
+    """A table that `mammometry study agreement` reads."""
+    rows = []
+    for result in results:
+        low, high = ("", "") if result.interval_cc is None else (f"{bound:.4f}" for bound in result.interval_cc)
+        rows.append((result.name, f"{result.true_cc:.4f}", f"{result.measured_cc:.4f}", low, high))
+    return csv_text(("model", "reference_cc", "measured_cc", "low_cc", "high_cc"), rows)
+
+
+def _take(out: Path, wanted: dict[str, float]) -> None:
+    """Take the folder for a new study, or resume its study."""
+    record = out / _RECORD
+    if record.is_file():
+        try:
+            volumes = {
+                str(name): float(value) for name, value in json.loads(record.read_text(encoding="utf-8")).items()
+            }
+        except (ValueError, TypeError, AttributeError, OverflowError, RecursionError):
+            volumes = {}
+        if volumes != wanted:
+            raise SessionError(
+                str(out),
+                found=f"a study with {_worded(volumes)}" if volumes else f"a {_RECORD} of something else",
+                expected=_worded(wanted),
+                remedy="Go on with those, or choose another folder",
+            )
+        return
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        expected = "a new folder, or one of an earlier run of this study"
+        raise SessionError(str(out), found="something else there", expected=expected, remedy="Choose another folder")
+    out.mkdir(parents=True, exist_ok=True)
+    write_text(record, json.dumps(wanted) + "\n")
+
+
+def _worded(values: dict[str, float]) -> str:
+    return ", ".join(f"{name} {value:g}" for name, value in values.items())
+
+
+def _share_calibration(first: Path, session: Path) -> None:
+    """Copy the first session's calibration. The memo takes it only if the photographs are the very same."""
+    made, wanted = first / "results" / "calibrate", session / "results" / "calibrate"
+    if session == first or wanted.exists() or not made.is_dir():
+        return
+    wanted.parent.mkdir(exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix=".handed-on-", dir=wanted.parent) as folder:
+        shutil.copytree(made, Path(folder) / wanted.name).rename(wanted)

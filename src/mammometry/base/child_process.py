@@ -23,8 +23,7 @@ from typing import IO, Any, Self, TypeVar
 
 from mammometry.base.errors import MammometryError
 from mammometry.base.machine.cores import CORES
-from mammometry.base.machine.memory import return_freed_arrays
-from mammometry.base.machine.system import own_group, peak_memory_mb
+from mammometry.base.machine.system import own_group, peak_memory_mb, return_freed_arrays
 from mammometry.base.progress import StageProgress
 
 _R = TypeVar("_R")

@@ -33,10 +33,7 @@ class MammometryError(Exception):
 
 
 def _on_one_line(text: str) -> str:
-    """Make text one line and remove control characters.
-
-    Names from files may hold characters that control a terminal.
-    """
+    """Make text one line without characters that control a terminal, as names of files may hold."""
     text = text if len(text) <= 2 * _LONGEST else text[:_LONGEST] + text[-_LONGEST:]
     plain = "".join(letter if letter.isprintable() else " " if letter.isspace() else "�" for letter in text)
     if len(plain) <= _LONGEST:
@@ -111,17 +108,11 @@ class MeasureError(MammometryError):
 
 
 class CrossingError(MeasureError):
-    """A drawn boundary crosses itself or runs back along itself.
-
-    It may do so as drawn, or once it lies on the surface.
-    """
+    """A drawn boundary crosses itself or runs back along itself, as drawn or laid onto the surface."""
 
 
 class StorageError(MammometryError):
-    """Results could not be written or read back.
-
-    The disk is full, permission is missing, or the result is damaged.
-    """
+    """Results could not be written (full disk, missing permission) or read back (damaged)."""
 
     exit_code = 9
     is_full = False

@@ -51,9 +51,6 @@ class Photograph:
 
 
 def linear_of(kind: np.dtype) -> Float32[np.ndarray, " levels"]:
-    """Linear light, 0…1, of every level of an unsigned integer type.
-
-    The sRGB curve is that of IEC 61966-2-1.
-    """
+    """Linear light, 0…1, of every level of an unsigned integer type (sRGB, IEC 61966-2-1)."""
     levels = np.linspace(0, 1, np.iinfo(kind).max + 1)
     return np.where(levels <= 0.04045, levels / 12.92, ((levels + 0.055) / 1.055) ** 2.4).astype(np.float32)

@@ -1,21 +1,18 @@
 """Batch of sessions: skip current ones, measure the others, report each."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 from mammometry.base.child_process import Call
-from mammometry.base.errors import MammometryError
-from mammometry.base.progress import Progress, no_progress
+from mammometry.base.errors import BatchError, MammometryError
+from mammometry.base.progress import MapTasks, Progress, no_progress
 from mammometry.batch import record, storage
 from mammometry.batch.cluster import Machines
 from mammometry.batch.engine import Began, Ended, Engine, StopRequest, Task
-from mammometry.batch.entry import Entry
-from mammometry.batch.record import Row, key_of
+from mammometry.batch.record import Entry, Row, key_of
 from mammometry.batch.session import measure_entry
 from mammometry.io.photographs.images import megapixels_of
 from mammometry.settings import Settings
@@ -156,15 +153,15 @@ def _line(entry: Entry, event: Ended) -> Line:
             **about,  # type: ignore[arg-type]
         )
     try:
-        found = storage.record_of(entry) if entry.remote else _record_at(Path(entry.address))
+        record = storage.record_of(entry) if entry.remote else _record_at(Path(entry.address))
     except MammometryError as error:
         return Line(entry=entry, state="failed", failed=str(error), kind="StorageError", exit_code=error.exit_code)
-    if found is None or found.digest != event.value["digest"]:
+    if record is None or record.digest != event.value["digest"]:
         refusal = (
             "Its results are not those that were measured: somebody changed them, or this machine sees other storage."
         )
         return Line(entry=entry, state="failed", failed=refusal, kind="StorageError", exit_code=9)
-    return Line(entry=entry, state="measured", row=found.row, **about)  # type: ignore[arg-type]
+    return Line(entry=entry, state="measured", row=record.row, **about)  # type: ignore[arg-type]
 
 
 def _record_at(session: Path) -> record.Record | None:
@@ -172,3 +169,44 @@ def _record_at(session: Path) -> record.Record | None:
         return record.read_record((session / "results" / record.RECORD).read_bytes())
     except OSError:
         return None
+
+
+def map_tasks_on(
+    machines: Machines,
+    *,
+    megapixels: float | None = None,
+    watch: Callable[[Began | Ended], None] = lambda event: None,
+) -> MapTasks:
+    """Make a loop that runs each turn as a Dask task. Each task has its own process.
+
+    Args:
+        machines: the workers.
+        megapixels: of the photographs in each turn, by which memory is learned.
+        watch: called for all that happens.
+    """
+    known: list[tuple[float, float]] = []
+
+    def map_tasks(function: Callable[..., Any], arguments: Mapping[str, tuple[Any, ...]]) -> dict[str, Any]:
+        tasks = [
+            Task(name=name, call=Call(function=function, arguments=given), megapixels=megapixels)
+            for name, given in arguments.items()
+        ]
+        done: dict[str, Any] = {}
+        for event in Engine(machines, known=known).run(tasks):
+            watch(event)
+            if isinstance(event, Ended):
+                if event.failed:
+                    raise BatchError(
+                        event.name,
+                        found=f"a task that failed ({event.failed.rstrip('.')})",
+                        expected="results of all of them",
+                        remedy="Remove what stands in the way and run the same command again: what is done is kept",
+                    )
+                done[event.name] = event.value
+                if megapixels and event.memory_mb:
+                    known.append((megapixels, event.memory_mb))
+        if len(done) < len(tasks):
+            raise KeyboardInterrupt
+        return done
+
+    return map_tasks

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from mammometry.base.errors import BatchError
 from mammometry.base.extras import require
 from mammometry.base.machine.cores import available_cores
-from mammometry.batch.entry import CORES, MEMORY
+from mammometry.batch.record import CORES, MEMORY
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -116,11 +116,10 @@ def _connected(scheduler: str) -> Iterator[Client]:
         client = Client(scheduler, timeout=_ANSWER_S, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:
         reason = str(error).partition("\n")[0]
+        remedy = "Start one with `dask scheduler`, or leave --scheduler out to use this machine"
+        expected = "the address of a Dask scheduler, such as tcp://host:8786"
         raise BatchError(
-            scheduler,
-            found=f"no scheduler that answers ({reason})",
-            expected="the address of a Dask scheduler, such as tcp://host:8786",
-            remedy="Start one with `dask scheduler`, or leave --scheduler out to use this machine",
+            scheduler, found=f"no scheduler that answers ({reason})", expected=expected, remedy=remedy
         ) from None
     try:
         yield client
@@ -133,12 +132,9 @@ def _require_same(client: Client, scheduler: str) -> None:
     try:
         client.wait_for_workers(1, timeout=_ANSWER_S)
     except TimeoutError:
-        raise BatchError(
-            scheduler,
-            found="a scheduler without any worker",
-            expected="at least one worker",
-            remedy=f"Start some with `dask worker {scheduler} --nthreads N`, N being the machine's cores",
-        ) from None
+        remedy = f"Start some with `dask worker {scheduler} --nthreads N`, N being the machine's cores"
+        expected = "at least one worker"
+        raise BatchError(scheduler, found="a scheduler without any worker", expected=expected, remedy=remedy) from None
     ours = importlib.metadata.version("mammometry")
     # A function of the standard library: a worker without mammometry can run no other.
     versions = client.run(importlib.metadata.version, "mammometry", on_error="return")

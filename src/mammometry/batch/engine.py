@@ -4,8 +4,6 @@ Nothing of a scheduler is ours: every task is given to Dask at once, with the co
 Dask finds the worker that has them free. What is ours is what becomes of a task that took a worker down.
 """
 
-from __future__ import annotations
-
 import queue
 import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
@@ -17,10 +15,9 @@ from uuid import uuid4
 
 from mammometry.base.child_process import Call
 from mammometry.base.errors import BatchError
-from mammometry.batch import memory
+from mammometry.batch import record
 from mammometry.batch.cluster import Machines, other_version
-from mammometry.batch.entry import CORES, MEMORY
-from mammometry.batch.record import software
+from mammometry.batch.record import CORES, MEMORY, software
 from mammometry.batch.supervise import TOPIC, Limits, stop, stop_all, supervise
 
 _KIND = "mammometry"  # first word of all keys: Dask learns by it how long tasks take, and spreads them evenly
@@ -32,7 +29,7 @@ _LOOK_S = 0.25  # between two looks at what the user wants
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Task:
-    """One piece of work."""
+    """A call for a worker, with what it needs."""
 
     name: str
     """Of its own in the batch."""
@@ -81,7 +78,7 @@ class StopRequest(Enum):
 
 @dataclass(slots=True)
 class _Tried:
-    """Where a task stands."""
+    """State of a task: its tries and their outcome."""
 
     task: Task
     alone: bool = False
@@ -120,7 +117,7 @@ class Engine:
         )
 
     def run(self, tasks: Iterable[Task]) -> Iterator[Event]:
-        """Do all tasks.
+        """Run all tasks to their end.
 
         Yield what happens, as it happens. Where no task of the kind was ever measured, one goes first with a worker
         for itself: how much memory the others need is learned from it, not guessed.
@@ -222,7 +219,7 @@ class Engine:
 
     def _submit(self, tried: _Tried) -> None:
         largest = self._largest_mb
-        need = largest if tried.alone else min(largest, memory.need_mb(tried.task.megapixels, self._known) or largest)
+        need = largest if tried.alone else min(largest, record.need_mb(tried.task.megapixels, self._known) or largest)
         future = self._machines.client.submit(
             supervise,
             tried.task.name,
@@ -315,12 +312,9 @@ class Engine:
 
 
 def _lost() -> BatchError:
-    return BatchError(
-        "the scheduler",
-        found="no answer any more",
-        expected="a scheduler that lives as long as the batch",
-        remedy="Start it and its workers again, and run the same command again: finished sessions are kept",
-    )
+    remedy = "Start it and its workers again, and run the same command again: finished sessions are kept"
+    expected = "a scheduler that lives as long as the batch"
+    return BatchError("the scheduler", found="no answer any more", expected=expected, remedy=remedy)
 
 
 def _blame(why: str, taken_mb: float | None) -> str:

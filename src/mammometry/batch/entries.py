@@ -1,7 +1,5 @@
 """Sessions that a batch measures, from folders, patterns and tables."""
 
-from __future__ import annotations
-
 import glob
 import math
 import os
@@ -12,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from mammometry.base.errors import SessionError, TableError
-from mammometry.batch.entry import Entry, is_address
+from mammometry.batch.record import Entry, is_address
 from mammometry.batch.storage import sessions_at
 from mammometry.io.manifest import MANIFEST
 from mammometry.io.parsing.csv_tables import Table, read_table
@@ -36,28 +34,26 @@ def find_entries(wanted: Sequence[str], results: str | None = None) -> tuple[Ent
         SessionError: there is no session where one is asked for, or the same one twice with other settings.
         TableError: a table is not as said.
     """
-    found: dict[str, Entry] = {}
+    entries: dict[str, Entry] = {}
     for text in wanted:
         for entry in _entries(text):
-            before = found.setdefault(entry.address, entry)
+            before = entries.setdefault(entry.address, entry)
             if before.assignments != entry.assignments:
+                remedy = "Remove one of the two lines, or copy the session"
+                expected = "each session once"
                 raise SessionError(
-                    entry.address,
-                    found="the same session twice, with other settings",
-                    expected="each session once",
-                    remedy="Remove one of the two lines, or copy the session",
+                    entry.address, found="the same session twice, with other settings", expected=expected, remedy=remedy
                 )
     if results is None:
-        return tuple(found.values())
+        return tuple(entries.values())
     base = results.rstrip("/") if is_address(results) else str(Path(results).resolve())
     named: dict[str, str] = {}
-    for entry in found.values():
+    for entry in entries.values():
         if (other := named.setdefault(entry.name, entry.address)) != entry.address:
+            remedy = "Rename one of them, or measure them in two batches"
+            expected = "sessions whose folders have different names, since --results holds one folder each"
             raise SessionError(
-                entry.address,
-                found=f"another session of the same name, {other}",
-                expected="sessions whose folders have different names, since --results holds one folder each",
-                remedy="Rename one of them, or measure them in two batches",
+                entry.address, found=f"another session of the same name, {other}", expected=expected, remedy=remedy
             )
     return tuple(
         Entry(
@@ -66,7 +62,7 @@ def find_entries(wanted: Sequence[str], results: str | None = None) -> tuple[Ent
             reference_cc=entry.reference_cc,
             results=f"{base}/{entry.name}",
         )
-        for entry in found.values()
+        for entry in entries.values()
     )
 
 
@@ -80,12 +76,9 @@ def _entries(text: str) -> Iterator[Entry]:
     paths = [Path(text)] if os.path.lexists(text) else [Path(path) for path in sorted(glob.glob(text, recursive=True))]
     sessions = [session for path in paths for session in _sessions_in(path)]
     if not sessions:
-        raise SessionError(
-            text,
-            found="no session" if paths else "no such folder",
-            expected=f"a folder with a {MANIFEST}, or of such folders; a pattern; a .csv; or an address",
-            remedy="Check the name; `mammometry new SESSION` makes a session",
-        )
+        remedy = "Check the name; `mammometry new SESSION` makes a session"
+        expected = f"a folder with a {MANIFEST}, or of such folders; a pattern; a .csv; or an address"
+        raise SessionError(text, found="no session" if paths else "no such folder", expected=expected, remedy=remedy)
     yield from (Entry(address=str(session)) for session in sessions)
 
 
@@ -113,12 +106,8 @@ def _of_table(path: Path) -> Iterator[Entry]:
     wrong = [column for column, name in references.items() if name not in _NAMES]
     wrong += [column for column in columns if column.startswith("reference") and column not in references]
     if wrong:
-        raise TableError(
-            str(path),
-            found=f"a column {wrong[0]}",
-            expected="reference_cc, reference_left_cc or reference_right_cc",
-            remedy="Rename the column",
-        )
+        expected = "reference_cc, reference_left_cc or reference_right_cc"
+        raise TableError(str(path), found=f"a column {wrong[0]}", expected=expected, remedy="Rename the column")
     volumes = _volumes(table, list(references))
     for place, (text, given) in enumerate(zip(addresses, assignments, strict=True)):
         known = {

@@ -1,27 +1,85 @@
-"""A batch's record of a finished session, kept beside its results.
-
-``results/batch.json`` has the outcome, and size and change time of every file of the session. While these are the
-same, and also the settings and the software, the session is current and nothing of it is opened. Otherwise `mammometry
-run` decides by content and makes only what has changed.
-"""
+"""One session of a batch: what its task takes of a worker, and its record beside its results."""
 
 from __future__ import annotations
 
 import hashlib
 import json
 import os
-from collections.abc import Iterator, Mapping
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal, TypeAlias
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 import mammometry
-from mammometry.base.limits import LimitSettings
 from mammometry.io.write import write_text
 from mammometry.job.products import versions
 from mammometry.job.stages.report import VERSIONS
 from mammometry.settings import Settings
+
+MEMORY = "mammometry_mb"
+"""Resource of a worker: memory that its tasks may take together, MB."""
+CORES = "mammometry_cores"
+"""Resource of a worker: cores that its tasks may take together."""
+_ADDRESS = re.compile(r"[a-z][a-z0-9+]*://")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Entry:
+    """One session of a batch."""
+
+    address: str
+    """Folder, absolute. Or address of a folder on other storage, as ``s3://bucket/patients/17``."""
+    assignments: tuple[str, ...] = ()
+    """Settings of this session alone, ``NAME=VALUE``."""
+    reference_cc: Mapping[str, float] = field(default_factory=dict)
+    """``model``, ``left`` or ``right`` → volume by another method, cc."""
+    results: str | None = None
+    """Address of the folder that holds its results. None: in the session."""
+
+    @property
+    def remote(self) -> bool:
+        """Whether photographs are fetched and results sent back. Workers cannot see such a folder."""
+        return is_address(self.address) or self.results is not None
+
+    @property
+    def name(self) -> str:
+        """The last part of its address."""
+        return self.address.rstrip("/").rpartition("/")[2]
+
+
+def is_address(text: str) -> bool:
+    """Whether this is storage by fsspec, not a folder."""
+    return _ADDRESS.match(text) is not None
+
+
+_MARGIN = 1.15
+"""Sessions of one size differ in memory: casts of the reference rig by ± 10 %."""
+
+
+def need_mb(megapixels: float | None, known: Sequence[tuple[float, float]]) -> float | None:
+    """Memory to keep free for a session, MB.
+
+    None where no session is known. Memory grows with the pixels at most in proportion, so a session needs no more than
+    the next larger one, or the largest one times its own size over that one's.
+
+    Args:
+        megapixels: of its photographs of the subject; None where that is not known: it may be as large as any.
+        known: (megapixels, peak memory in MB) of others.
+    """
+    if not known:
+        return None
+    if megapixels is None:
+        return _MARGIN * max(peak for _, peak in known)
+    larger = [(size, peak) for size, peak in known if size >= megapixels]
+    if larger:
+        nearest = min(size for size, _ in larger)
+        return _MARGIN * max(peak for size, peak in larger if size <= 1.05 * nearest)
+    size = max(size for size, _ in known)
+    return _MARGIN * max(peak for other, peak in known if other == size) * megapixels / size
+
 
 RECORD = "batch.json"
 _MOST_BYTES = 1 << 24  # 16 MiB: a larger file is no record of ours and is not read
@@ -33,7 +91,7 @@ Stat: TypeAlias = tuple[int, int | float | str]
 
 
 class Measured(BaseModel):
-    """One volume."""
+    """A measured volume, as the record keeps it."""
 
     model_config = _STRICT
 
@@ -72,7 +130,7 @@ class Row(BaseModel):
 
 
 class Record(BaseModel):
-    """A finished session."""
+    """Record of a finished session."""
 
     model_config = _STRICT
 
@@ -95,14 +153,9 @@ def software() -> dict[str, str]:
     return {"mammometry": mammometry.__version__, "results": hashlib.sha256(numbers).hexdigest()[:12]}
 
 
-def key_of(settings: Settings, limits: LimitSettings | None = None) -> str:
-    """Digest of settings and software.
-
-    Args:
-        settings: of all stages.
-        limits: other sizes of photographs than those of the settings.
-    """
-    text = json.dumps([settings.to_toml(), repr(limits or settings.limits), software()], sort_keys=True)
+def key_of(settings: Settings) -> str:
+    """Digest of settings and software."""
+    text = json.dumps([settings.to_toml(), repr(settings.limits), software()], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
 
 

@@ -1,7 +1,5 @@
 """A batch's work on one session: fetch, measure, record the result."""
 
-from __future__ import annotations
-
 import base64
 import io
 import json
@@ -23,8 +21,7 @@ from mammometry.base.errors import StorageError
 from mammometry.base.machine.system import peak_memory_mb
 from mammometry.base.progress import Progress, StageProgress
 from mammometry.batch import storage
-from mammometry.batch.entry import Entry
-from mammometry.batch.record import RECORD, Measured, Record, Row, key_of, read_record, stats_of, write_record
+from mammometry.batch.record import RECORD, Entry, Measured, Record, Row, key_of, read_record, stats_of, write_record
 from mammometry.io.photographs.images import megapixels_of
 from mammometry.io.write import disk_errors
 from mammometry.job.products import STAGES, Key
@@ -123,8 +120,8 @@ def _row_of(job: Job, peak_mb: float | None) -> Row:
         subject=job.identity.subject,
         date=job.identity.date or None,
         measured=tuple(
-            Measured(name=name, volume_cc=found.volume_cc, interval_cc=found.interval_cc)  # type: ignore[arg-type]
-            for name, found in job.measure().items()
+            Measured(name=name, volume_cc=measured.volume_cc, interval_cc=measured.interval_cc)  # type: ignore[arg-type]
+            for name, measured in job.measure().items()
         ),
         no_breast=job.no_breast(),
         warnings=tuple(warnings),

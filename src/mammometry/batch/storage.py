@@ -13,8 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mammometry.base.errors import SessionError, StorageError
-from mammometry.batch.entry import Entry, is_address
-from mammometry.batch.record import RECORD, Record, Row, Stat, read_record
+from mammometry.batch.record import RECORD, Entry, Record, Row, Stat, is_address, read_record
 from mammometry.io.manifest import MANIFEST
 
 if TYPE_CHECKING:
@@ -37,15 +36,11 @@ def sessions_at(address: str) -> list[str]:
         if system.isfile(f"{root}/{MANIFEST}"):
             return [address.rstrip("/")]
         below = sorted(folder.rstrip("/") for folder in system.ls(root, detail=False)) if system.isdir(root) else []
-        found = [folder for folder in below if system.isfile(f"{folder}/{MANIFEST}")]
-    if not found:
-        raise SessionError(
-            address,
-            found="no session",
-            expected=f"a folder with a {MANIFEST}, or of such folders",
-            remedy="Check the address",
-        )
-    return [f"{address.rstrip('/')}/{folder.rpartition('/')[2]}" for folder in found]
+        sessions = [folder for folder in below if system.isfile(f"{folder}/{MANIFEST}")]
+    if not sessions:
+        expected = f"a folder with a {MANIFEST}, or of such folders"
+        raise SessionError(address, found="no session", expected=expected, remedy="Check the address")
+    return [f"{address.rstrip('/')}/{folder.rpartition('/')[2]}" for folder in sessions]
 
 
 def fetch(entry: Entry, folder: Path) -> dict[str, Stat]:
@@ -63,12 +58,8 @@ def fetch(entry: Entry, folder: Path) -> dict[str, Stat]:
         for name in remote:
             target = folder / name
             if not target.resolve().is_relative_to(folder.resolve()):
-                raise SessionError(
-                    entry.address,
-                    found=f"a file named {name}",
-                    expected="files inside the session",
-                    remedy="Remove it",
-                )
+                expected = "files inside the session"
+                raise SessionError(entry.address, found=f"a file named {name}", expected=expected, remedy="Remove it")
             target.parent.mkdir(parents=True, exist_ok=True)
             system.get_file(f"{root}/{name}", str(target))
     if (former := _pointed(entry)) is not None:
@@ -157,9 +148,9 @@ def stats(entry: Entry) -> dict[str, Stat]:
     with _answers(entry.address):
         system, root = _opened(entry.address)
         system.invalidate_cache()
-        found: Mapping[str, Mapping[str, Any]] = system.find(root, detail=True)
+        files: Mapping[str, Mapping[str, Any]] = system.find(root, detail=True)
     remote = {}
-    for path, about in found.items():
+    for path, about in files.items():
         name = path[len(root) :].lstrip("/")
         first = name.partition("/")[0]
         if first in (_RESULTS, POINTER) or first.startswith((f"{_RESULTS}-", ".")) or "/." in name:
@@ -180,11 +171,10 @@ def _opened(address: str) -> tuple[AbstractFileSystem, str]:
     try:
         system, path = url_to_fs(address if is_address(address) else f"file://{address}")
     except (ImportError, ValueError) as error:
+        remedy = "Install that package on every machine, or correct the address"
+        expected = "an address that fsspec knows and its package (s3fs for s3://, sshfs for sftp://)"
         raise StorageError(
-            address,
-            found=f"storage that cannot be opened ({error})",
-            expected="an address that fsspec knows and its package (s3fs for s3://, sshfs for sftp://)",
-            remedy="Install that package on every machine, or correct the address",
+            address, found=f"storage that cannot be opened ({error})", expected=expected, remedy=remedy
         ) from None
     return system, path.rstrip("/")
 
@@ -219,9 +209,8 @@ def _answers(address: str) -> Iterator[None]:
         raise
     except Exception as error:
         reason = str(error).partition("\n")[0] or type(error).__name__
+        remedy = "Check the address, the credentials and the network, and run the same command again"
+        expected = "to read the session and to write its results"
         raise StorageError(
-            address,
-            found=f"storage that does not answer as it should ({reason})",
-            expected="to read the session and to write its results",
-            remedy="Check the address, the credentials and the network, and run the same command again",
+            address, found=f"storage that does not answer as it should ({reason})", expected=expected, remedy=remedy
         ) from None

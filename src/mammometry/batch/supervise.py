@@ -3,8 +3,6 @@
 A process that grows too large is ended.
 """
 
-from __future__ import annotations
-
 import os
 import platform
 import subprocess
@@ -16,8 +14,7 @@ from typing import Any
 
 from mammometry.base.child_process import Call, ChildProcess, NotDone
 from mammometry.base.value import value
-from mammometry.batch.entry import MEMORY
-from mammometry.batch.record import software
+from mammometry.batch.record import MEMORY, software
 
 TOPIC = "mammometry"
 """Of the events by which workers say how far their tasks are."""

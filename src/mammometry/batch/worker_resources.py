@@ -3,13 +3,11 @@
 Dask installs it on every worker, also on later ones, whoever started them.
 """
 
-from __future__ import annotations
-
 import psutil
 from distributed import Status, Worker, WorkerPlugin
 from distributed.system import MEMORY_LIMIT
 
-from mammometry.batch.entry import CORES, MEMORY
+from mammometry.batch.record import CORES, MEMORY
 
 _SHARE = 0.85
 """Share of a machine's memory for the tasks. The rest is for the system and the disk."""

@@ -15,13 +15,11 @@ class BundleSettings:
     terms (paper 2.2), which leaves 0.03–0.17 px where real lenses are decentred."""
     k3: Literal["auto", "zero", "free"] = "auto"
     """Whether ``brown``'s sixth-order radial term is adjusted too. ``auto``: for cameras whose photographs agree that
-    it is not zero. It adds nothing to ordinary lenses.
-    """
+    it is not zero. It adds nothing to ordinary lenses."""
     free_target: Literal["auto", "never", "always"] = "auto"
     """Whether a target's points are adjusted too, held by the priors below. No printed board is quite flat: a bow of .5
-    mm costs .19 mm in 3D if it is ignored. ``auto``: boards with at least 6 placements. Surveyed
-    targets are never adjusted.
-    """
+    mm costs .19 mm in 3D if it is ignored. ``auto``: boards with at least 6 placements. Surveyed targets are never
+    adjusted."""
     target_prior_mm: tuple[float, float, float] = (0.1, 0.1, 0.3)
     """Standard deviation of the target's points in its own x, y, z, mm, if adjusted: print and bow."""
 
@@ -34,25 +32,14 @@ class BundleSettings:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class QualitySettings:
-    """Limits above which a calibration is refused."""
+    """Limit above which a calibration is refused, beside the constants of `judge.findings`."""
 
-    bias_refuse: float = 20.0
-    """Bias statistic above which the cameras cannot have stood still."""
     focal_std_refuse: float = 5e-4
     """Relative standard deviation of a focal length that is refused: at its place, the camera's depths would be off by
     0.4 mm at 0.8 m. Three poses with corners measured to 0.05 px reach 3–5e-4, blurred ones (0.2 px) 7e-4 and more.
     Points of a photograph err together, so the focal length itself is then off by up to three times as much. Mostly the
     camera is also placed farther away by as much as its focal length is too long, and points stay in place. The
-    expected error contains both effects.
-    """
-    geometry_refuse_mm: float = 0.5
-    """The paper's depth error on a flat plate (Results). With a larger one, measuring is not worthwhile."""
-    scale_refuse_ppm: float = 1500.0
-    """Scale error of a pair above which volumes are off by half a percent from it alone."""
-    expected_refuse_mm: float = 0.5
-    """Expected error no better than the paper's on a flat plate. Measuring is then not worthwhile."""
-    moved_refuse_mm: float = 0.05
-    """Displacement of measured points by a movement between poses above which the poses must not be used together."""
+    expected error contains both effects."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,8 +48,7 @@ class CheckSettings:
 
     refuse_mm: float = 0.1
     """RMS displacement of measured points above which the calibration must not be used. Over the 300 cm² that a pair
-    sees, 0.1 mm is 3 cc.
-    """
+    sees, 0.1 mm is 3 cc."""
 
     def __post_init__(self) -> None:
         if not self.refuse_mm > 0:

@@ -1,13 +1,23 @@
-"""What a back-end gives: pictures, states, and one interface for all."""
+"""What a back-end gives: pictures, states, and one interface for all kinds of cameras."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import getpass
+import hashlib
+import importlib
+import tempfile
+import warnings
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
 from typing import Any, Literal, Protocol, TypeAlias
 
-from mammometry.base.errors import CaptureError
+from filelock import FileLock, Timeout
+
+from mammometry.base.errors import CaptureError, SettingsError
 from mammometry.base.photograph import Photograph
+from mammometry.base.registry import Registry
 
 Clock: TypeAlias = Literal["ptp", "host", "exif", "none"]
 """Whose time a picture carries: one clock shared by all cameras, this computer's when the picture came, each camera's
@@ -59,7 +69,7 @@ class Health:
     temperature_c: float | None = None
 
     def as_table(self) -> dict[str, Any]:
-        """As JSON."""
+        """The state as JSON."""
         return {
             "fault": self.fault,
             "model": self.model,
@@ -120,12 +130,74 @@ class Backend(Protocol):
         """
 
     def health(self, camera: str) -> Health:
-        """How the camera is."""
+        """State of a camera."""
 
     def close(self) -> None:
-        """Let the cameras go."""
+        """Release the cameras."""
 
 
 def failed(camera: str, found: str, remedy: str, *, expected: str = "one picture of this firing") -> CaptureError:
     """The error of one camera."""
     return CaptureError(camera, found=found, expected=expected, remedy=remedy)
+
+
+class Holds:
+    """The cameras that a rig holds. Until `release`, or the end of the process."""
+
+    def __init__(self, rig: str, backend: str, ids: Mapping[str, str]) -> None:
+        """Lock all cameras, or none.
+
+        Args:
+            rig: its name, for whoever wants the same camera.
+            backend: kind of cameras.
+            ids: camera → serial number, address or port.
+
+        Raises:
+            CaptureError: another rig holds one of them.
+        """
+        self._locks: list[FileLock] = []
+        folder = Path(tempfile.gettempdir()) / f"mammometry-cameras-{getpass.getuser()}"
+        folder.mkdir(mode=0o700, exist_ok=True)
+        for camera, device in ids.items():
+            name = hashlib.sha256(f"{backend}\n{device}".encode()).hexdigest()[:24]
+            lock, about = FileLock(folder / f"{name}.lock"), folder / f"{name}.txt"
+            try:
+                lock.acquire(timeout=0)
+            except Timeout:
+                self.release()
+                holder = about.read_text(encoding="utf-8") if about.is_file() else "another program"
+                raise CaptureError(
+                    camera, found=f"a camera ({device}) that {holder} holds: two rigs on one bus",
+                    expected="a camera of this rig alone",
+                    remedy="Close the other rig's page or command, or correct the serial numbers in the rigs' files",
+                ) from None  # fmt: skip
+            about.write_text(f"rig {rig} as camera {camera}", encoding="utf-8")
+            self._locks.append(lock)
+
+    def release(self) -> None:
+        """Release the locks."""
+        for lock in self._locks:
+            lock.release()
+        self._locks.clear()
+
+
+Opener: TypeAlias = Callable[[Devices], Backend]
+BACKENDS: Registry[Opener] = Registry("back-end", package="mammometry.capture.backends")
+
+
+def library(name: str) -> ModuleType:
+    """Import a maker's library.
+
+    Those that SWIG made warn when they are imported, and end the whole program where warnings are errors.
+
+    Raises:
+        ImportError: it is not installed.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return importlib.import_module(name)
+
+
+def missing(backend: str, what: str, remedy: str) -> SettingsError:
+    """The error of a back-end whose program or package is not installed."""
+    return SettingsError(f"back-end {backend}", found=f"no {what}", expected="it installed", remedy=remedy)

@@ -81,13 +81,8 @@ def progress(calibration: Calibration) -> Progress:
     )
 
 
-def suggest(calibration: Calibration, *, seed: int = 0) -> Suggestion | None:
-    """Where to hold the board next. None where no place is seen by two cameras.
-
-    Args:
-        calibration: of the poses so far.
-        seed: of the places that are compared.
-    """
+def suggest(calibration: Calibration) -> Suggestion | None:
+    """Where to hold the board next, by the poses so far. None where no place is seen by two cameras."""
     shifts = shape_shifts(calibration)
     own = np.ix_(shifts.columns, shifts.columns)
     information = np.linalg.pinv(calibration.covariance.independent[own], hermitian=True)
@@ -105,7 +100,7 @@ def suggest(calibration: Calibration, *, seed: int = 0) -> Suggestion | None:
     shared = worst_mm(calibration.covariance.matrix[own]) / worst_mm(calibration.covariance.independent[own])
     weight = 1.0 / _variance_px2(calibration)
     best: tuple[float, Transform] | None = None
-    for placed in _places(calibration, np.random.default_rng([seed, len(calibration.world_from_target)])):
+    for placed in _places(calibration, np.random.default_rng([0, len(calibration.world_from_target)])):
         gain = _information_of(calibration, placed, shifts.names, weight)
         if gain is None:
             continue
@@ -158,7 +153,7 @@ def _places(calibration: Calibration, rng: np.random.Generator) -> list[Transfor
     grid, middle = volume.grid_world, volume.middle_world
     reach = _REACH * 0.5 * float(np.ptp(grid[..., 0]))
     axes = _pair_axes(rig)
-    found = []
+    places = []
     for _ in range(_CANDIDATES):
         facing = rng.dirichlet(np.ones(len(axes))) @ axes + rng.normal(0.0, _TILT_STD, 3)
         z = -facing / np.linalg.norm(facing)  # into the board
@@ -168,8 +163,8 @@ def _places(calibration: Calibration, rng: np.random.Generator) -> list[Transfor
         x = np.cos(turn) * a + np.sin(turn) * np.cross(z, a)
         rotation = np.stack([x, np.cross(z, x), z], axis=1)
         at = middle + rng.uniform() * rng.uniform(-reach, reach, 3)  # near the middle more often: more is seen there
-        found.append(Transform(rotation=rotation, translation_mm=at - rotation @ target.body.middle_mm))
-    return found
+        places.append(Transform(rotation=rotation, translation_mm=at - rotation @ target.body.middle_mm))
+    return places
 
 
 def _pair_axes(rig: Rig) -> Float64[Array, "p 3"]:
@@ -179,7 +174,7 @@ def _pair_axes(rig: Rig) -> Float64[Array, "p 3"]:
 
 
 def _variance_px2(calibration: Calibration) -> float:
-    """Of one coordinate of a point, as the calibration found it."""
+    """Variance of one coordinate of a point, as the calibration estimated it."""
     variances = [
         np.trace(detection.covariance_px2, axis1=1, axis2=2) / 2 for detection in calibration.observations.detections
     ]

@@ -16,8 +16,7 @@ from mammometry.base.photograph import LUMA, Photograph
 from mammometry.calibration.detection.detect import detect_in
 from mammometry.calibration.targets.target import Target
 from mammometry.capture.camera import Backend
-from mammometry.capture.checks.found import Found
-from mammometry.capture.checks.pixels import Seen, judge
+from mammometry.capture.checks import Found, Seen, judge
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int64, UInt8
 from mammometry.matching.foreground.block_segmentation import segment
 
@@ -57,7 +56,7 @@ class Aids:
     """Regions in which the target has been seen, now or before."""
 
     def as_table(self) -> dict[str, Any]:
-        """As JSON, without the picture."""
+        """The aids as JSON, without the picture."""
         return {
             "camera": self.camera,
             "sharpness": np.round(self.sharpness, 3).tolist(),
@@ -98,9 +97,9 @@ class LiveView:
             except MammometryError as error:
                 return str(error)
             target = self._target if calibrating else None
-            found = aids(photograph, camera, subject_kind or self._kind, target=target, covered=self._covered[camera])
-            self._covered[camera] = found.covered
-            return found
+            aid = aids(photograph, camera, subject_kind or self._kind, target=target, covered=self._covered[camera])
+            self._covered[camera] = aid.covered
+            return aid
 
         return dict(zip(self._cameras, self._pool.map(one, self._cameras), strict=True))
 
@@ -109,7 +108,7 @@ class LiveView:
         return {name: int((~covered).sum()) for name, covered in self._covered.items()}
 
     def close(self) -> None:
-        """End the threads."""
+        """End the threads of the live view."""
         self._pool.shutdown()
 
 
@@ -192,13 +191,13 @@ def _target_in(
     photograph: Photograph, camera: str, target: Target, before: Bool[Array, "4 6"]
 ) -> tuple[int, Bool[Array, "4 6"]]:
     """How many points of the target are seen, and the regions in which it has been seen."""
-    found = detect_in(photograph, target, camera=camera, pose="", search_width_px=_SEARCH_PX)
-    if found is None:
+    points = detect_in(photograph, target, camera=camera, pose="", search_width_px=_SEARCH_PX)
+    if points is None:
         return 0, before
     width, height = photograph.size_wh
     rows, columns = REGIONS
-    row = np.clip(found.uv[:, 1] * rows / height, 0, rows - 1).astype(int)
-    column = np.clip(found.uv[:, 0] * columns / width, 0, columns - 1).astype(int)
+    row = np.clip(points.uv[:, 1] * rows / height, 0, rows - 1).astype(int)
+    column = np.clip(points.uv[:, 0] * columns / width, 0, columns - 1).astype(int)
     now = before.copy()
     now[row, column] = True
-    return len(found.ids), now
+    return len(points.ids), now

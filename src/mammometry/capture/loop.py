@@ -16,16 +16,12 @@ from mammometry.calibration.detection.detect import Detection, detect_in
 from mammometry.calibration.judge.cameras.names import check_board_names
 from mammometry.calibration.targets.board import Board
 from mammometry.calibration.targets.table import target_from_table
-from mammometry.capture.camera import Backend
-from mammometry.capture.camera_locks import Holds
+from mammometry.capture.camera import BACKENDS, Backend, Holds
 from mammometry.capture.guide import Progress, Suggestion, opening, progress, suggest
-from mammometry.capture.registry import BACKENDS
 from mammometry.capture.rig_file import RigFile, read_rig_file
 from mammometry.capture.sessions import definition_of, make_session, manifest_text, share_calibration
-from mammometry.capture.shots import Shot, accept, add_pose, last_record, require_replaceable
-from mammometry.capture.skew.measured import Skew, read_skew, write_skew
-from mammometry.capture.skew.read import read_moment, skew_of
-from mammometry.capture.take import Firing, take
+from mammometry.capture.shots import Firing, Shot, accept, add_pose, last_record, require_replaceable, take
+from mammometry.capture.skew import Skew, read_moment, read_skew, skew_of, write_skew
 from mammometry.capture.verdict import Expected, Verdict, judge
 from mammometry.geometry.camera import Rig
 from mammometry.io.manifest import MANIFEST, read_manifest
@@ -129,7 +125,7 @@ class OpenRig:
         self.close()
 
     def close(self) -> None:
-        """Let the cameras go."""
+        """Release the cameras."""
         self.backend.close()
         self._holds.release()
 
@@ -216,9 +212,9 @@ class OpenRig:
             return detect_in(photograph, target, camera=camera, pose="", search_width_px=_SEARCH_PX)
 
         with ThreadPoolExecutor(available_cores()) as pool:
-            found = dict(zip(taken.frames, pool.map(detected, taken.frames), strict=True))
+            points = dict(zip(taken.frames, pool.map(detected, taken.frames), strict=True))
         swapped = check_board_names(
-            known, {name: detection for name, detection in found.items() if detection is not None}
+            known, {name: detection for name, detection in points.items() if detection is not None}
         )
         if swapped is not None:
             raise CaptureError(
@@ -334,7 +330,7 @@ def prepare(session: Path, file: RigFile, calibration: Path | None, *, subject_i
 
 
 def record_of(taken: Firing, verdict: Verdict, backend: str) -> dict[str, object]:
-    """A firing's shot.json."""
+    """Content of a firing's shot.json."""
     when = datetime.datetime.fromtimestamp(taken.fired_s, datetime.UTC).isoformat(timespec="milliseconds")
     return {
         "format": 1,

@@ -80,12 +80,8 @@ def read_rig_file(path: Path) -> RigFile:
             shown(value) if isinstance(value, str | int | float | bool) else "an unfit value"
         )  # fmt: skip
         wanted = "only known keys" if unknown else first["msg"].removeprefix("Value error, ")
-        raise SessionError(
-            f"{path}: {where}",
-            found=found,
-            expected=wanted,
-            remedy="Correct it; docs/how-to/capture.md has a whole one",
-        ) from None
+        remedy = "Correct it; docs/how-to/capture.md has a whole one"
+        raise SessionError(f"{path}: {where}", found=found, expected=wanted, remedy=remedy) from None
     strangers = [name for name in file.capture.cameras if name not in file.camera_names]
     if strangers:
         raise SessionError(

@@ -154,9 +154,8 @@ def _value(value: object) -> str:
         return "[" + ", ".join(map(_value, value)) + "]"
     if isinstance(value, (bool, int, float, str)):
         return json.dumps(value)
+    remedy = "Correct the rig"
+    expected = "texts, numbers, lists and tables"
     raise SessionError(
-        "the rig's definition",
-        found=f"a value of kind {type(value).__name__}",
-        expected="texts, numbers, lists and tables",
-        remedy="Correct the rig",
+        "the rig's definition", found=f"a value of kind {type(value).__name__}", expected=expected, remedy=remedy
     )

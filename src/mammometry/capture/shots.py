@@ -1,31 +1,28 @@
-"""Pictures of each firing, written whole or not at all.
-
-``SESSION/shots/001/`` holds what the first firing gave, with ``shot.json`` beside the pictures: also when a camera
-failed, so that the others' pictures are kept. A firing that may be measured is then also ``SESSION/capture``, by links
-to the same files. Pictures come in a hidden folder that is renamed at the end; ``capture`` is put in place of another
-firing's by two renames, which the next firing completes if a power cut came between.
-"""
-
-from __future__ import annotations
+"""Fire all cameras once, and write their pictures whole or not at all."""
 
 import io
 import json
 import os
 import re
 import shutil
+import time
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import tifffile
 from PIL import Image
 
-from mammometry.base.errors import SessionError
+from mammometry.base.errors import CaptureError, MammometryError, SessionError
 from mammometry.base.photograph import Photograph
-from mammometry.capture.camera import Frame
-from mammometry.io.durable import sync_folder, sync_tree, write_new
-from mammometry.io.photographs.images import EXTENSIONS
-from mammometry.io.write import disk_errors, file_digest
+from mammometry.base.value import value
+from mammometry.calibration.features.keypoints import Keypoints, keypoints
+from mammometry.capture.camera import Backend, Frame
+from mammometry.capture.checks import QUICK_PX, Seen, look
+from mammometry.io.photographs.images import EXTENSIONS, read_photograph
+from mammometry.io.write import disk_errors, file_digest, sync_folder, sync_tree, write_new
 
 _SHOTS, _CAPTURE, _RECORD = "shots", "capture", "shot.json"
 _TAKING, _NEW, _OLD, _POSE = ".taking", ".capture-new", ".capture-old", ".pose-new"
@@ -38,7 +35,7 @@ class Shot:
     """One firing that is being written."""
 
     def __init__(self, session: Path, *, suffix: str = "jpg") -> None:
-        """Begin.
+        """Begin a firing's folder.
 
         Raises:
             StorageError: the disk is full or refuses.
@@ -195,3 +192,95 @@ def _encoded(content: bytes | Photograph, suffix: str) -> tuple[bytes, str]:
         pixels = content.pixels if content.pixels.dtype == "uint8" else (content.pixels >> 8).astype("uint8")
         Image.fromarray(pixels).save(file, format="JPEG", quality=_QUALITY, subsampling=0)
     return file.getvalue(), f".{suffix}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Delivered:
+    """One camera's picture, on the disk, and what it shows."""
+
+    path: Path
+    size_wh: tuple[int, int]
+    sha256: str
+    taken_s: float | None
+    clock: str
+    number: int | None
+    serial: str
+    seen: Seen
+    features: Keypoints | None
+    """None where no calibration is there to compare them with."""
+    seconds: float
+    """From the pulse until it was on the disk."""
+
+
+@value(eq=False)
+class Firing:
+    """A firing: the pictures of all cameras, and what failed."""
+
+    fired_s: float
+    """By ``time.time()``."""
+    frames: Mapping[str, Delivered]
+    """Camera → what it gave. Read-only."""
+    faults: Mapping[str, MammometryError]
+    """Camera → why it gave nothing. Read-only."""
+    seconds: float
+    """From the pulse until all were on the disk and looked at."""
+
+
+def take(backend: Backend, cameras: tuple[str, ...], shot: Shot, *, timeout_s: float, features: bool = True) -> Firing:
+    """Arm, fire and fetch all cameras.
+
+    One camera's failure, or the disk's, is its own fault: the others' pictures are written.
+
+    Args:
+        backend: open.
+        cameras: of the rig.
+        shot: where the pictures are written.
+        timeout_s: for one picture from the pulse to this computer.
+        features: whether to find what pairs are compared by.
+    """
+    backend.arm()
+    fired_s = backend.fire()
+    begun = time.monotonic()
+
+    def one(camera: str) -> Delivered | MammometryError:
+        try:
+            frame = backend.fetch(camera, timeout_s)
+            path = shot.keep(frame)
+            seconds = time.monotonic() - begun
+            return _looked_at(frame, path, seconds, features)
+        except MammometryError as error:
+            return error
+
+    # Waiting for a slow camera holds a thread, and must hold nobody else up.
+    with ThreadPoolExecutor(max(1, len(cameras))) as pool:
+        got = dict(zip(cameras, pool.map(one, cameras), strict=True))
+    return Firing(
+        fired_s=fired_s,
+        frames={name: outcome for name, outcome in got.items() if isinstance(outcome, Delivered)},
+        faults={name: outcome for name, outcome in got.items() if isinstance(outcome, MammometryError)},
+        seconds=time.monotonic() - begun,
+    )
+
+
+def _looked_at(frame: Frame, path: Path, seconds: float, features: bool) -> Delivered:
+    photograph = frame.content
+    if isinstance(photograph, bytes):
+        try:
+            photograph = read_photograph(path, frame.camera)
+        except MammometryError as error:
+            path.unlink(missing_ok=True)
+            raise CaptureError(
+                frame.camera, found=error.found, expected="a whole photograph", remedy="Fire again; change the cable"
+            ) from None
+    return Delivered(
+        path=path,
+        size_wh=photograph.size_wh,
+        sha256=file_digest(path),
+        taken_s=frame.taken_s,
+        clock=frame.clock,
+        number=frame.number,
+        serial=frame.serial,
+        seen=look(photograph, looked_at_px=QUICK_PX),
+        features=keypoints(photograph) if features else None,
+        seconds=seconds,
+    )

@@ -4,8 +4,6 @@ All cameras delivered, each its own picture of this moment, all together, sharp,
 that is whole in every view. Each sentence says what to do.
 """
 
-from __future__ import annotations
-
 import statistics
 import time
 from collections.abc import Iterator, Mapping
@@ -15,11 +13,10 @@ from typing import Any
 import numpy as np
 
 from mammometry.calibration.judge.cameras.names import Names, check_names, wrong_photographs
-from mammometry.capture.checks import cameras, pixels
-from mammometry.capture.checks.cameras import KnownCamera
-from mammometry.capture.checks.found import Found, refuses
-from mammometry.capture.skew.measured import Skew
-from mammometry.capture.take import Firing
+from mammometry.capture import checks
+from mammometry.capture.checks import Found, KnownCamera, refuses
+from mammometry.capture.shots import Firing
+from mammometry.capture.skew import Skew
 from mammometry.geometry.camera import Rig
 
 _OLD_S = 2.0  # before the pulse: clocks that are shared differ by far less
@@ -29,7 +26,7 @@ _OLD_S = 2.0  # before the pulse: clocks that are shared differ by far less
 class Verdict:
     """All that was found, the gravest first."""
 
-    found: tuple[tuple[str, Found], ...]
+    findings: tuple[tuple[str, Found], ...]
     """Camera, or empty for all together; what was found."""
     seconds: float
     """From the pulse to this."""
@@ -37,26 +34,26 @@ class Verdict:
     @property
     def may_be_measured(self) -> bool:
         """Whether nothing refuses."""
-        return not refuses(finding for _, finding in self.found)
+        return not refuses(finding for _, finding in self.findings)
 
     @property
     def sentences(self) -> tuple[str, ...]:
         """Sentences for the technician, the gravest first. What was good is said once a kind."""
-        bad = [(who, finding) for who, finding in self.found if finding.level in ("refuse", "warn")]
+        bad = [(who, finding) for who, finding in self.findings if finding.level in ("refuse", "warn")]
         lines = [f"{who}: {finding.sentence}" if who else finding.sentence for who, finding in bad]
-        for check in dict.fromkeys(finding.check for _, finding in self.found):
-            alike = [finding for _, finding in self.found if finding.check == check]
+        for check in dict.fromkeys(finding.check for _, finding in self.findings):
+            alike = [finding for _, finding in self.findings if finding.check == check]
             if all(finding.level == "ok" for finding in alike):
                 lines.append(_WELL.get(check, alike[0].sentence))
             lines += [finding.sentence for finding in alike if finding.level == "unknown"][:1]
         return tuple(lines)
 
     def as_table(self) -> dict[str, Any]:
-        """As JSON."""
+        """The verdict as JSON."""
         return {
             "may_be_measured": self.may_be_measured,
             "seconds": round(self.seconds, 3),
-            "checks": [{"camera": who, **finding.as_table()} for who, finding in self.found],
+            "checks": [{"camera": who, **finding.as_table()} for who, finding in self.findings],
         }
 
 
@@ -96,7 +93,7 @@ def judge(taken: Firing, expected: Expected) -> Verdict:
         expected: the rig, and what is known of it.
     """
     begun = time.monotonic()
-    found = [
+    findings = [
         *_delivered(taken, expected),
         *_sizes(taken, expected),
         *_serials(taken, expected),
@@ -106,10 +103,10 @@ def judge(taken: Firing, expected: Expected) -> Verdict:
         *_names_and_stillness(taken, expected),
     ]
     for name, frame in taken.frames.items():
-        found += [(name, finding) for finding in pixels.judge(frame.seen, expected.subject_kind)]
+        findings += [(name, finding) for finding in checks.judge(frame.seen, expected.subject_kind)]
     order = {"refuse": 0, "warn": 1, "unknown": 2, "ok": 3}
-    found.sort(key=lambda named: order[named[1].level])
-    return Verdict(found=tuple(found), seconds=taken.seconds + time.monotonic() - begun)
+    findings.sort(key=lambda named: order[named[1].level])
+    return Verdict(findings=tuple(findings), seconds=taken.seconds + time.monotonic() - begun)
 
 
 def _delivered(taken: Firing, expected: Expected) -> Iterator[tuple[str, Found]]:
@@ -119,9 +116,7 @@ def _delivered(taken: Firing, expected: Expected) -> Iterator[tuple[str, Found]]
             yield name, _refuse("delivered", f"No picture: {fault.found}. {fault.remedy.rstrip('.')}.")
         elif name in taken.frames:
             yield name, Found(check="delivered", level="ok", sentence="Delivered.")
-    yield from (
-        ("", finding) for finding in cameras.twice({name: frame.sha256 for name, frame in taken.frames.items()})
-    )
+    yield from (("", finding) for finding in checks.twice({name: frame.sha256 for name, frame in taken.frames.items()}))
 
 
 def _sizes(taken: Firing, expected: Expected) -> Iterator[tuple[str, Found]]:
@@ -129,7 +124,7 @@ def _sizes(taken: Firing, expected: Expected) -> Iterator[tuple[str, Found]]:
         name: KnownCamera(stored_wh=camera.size_wh) for name, camera in expected.rig.cameras.items()
     }  # fmt: skip
     for name, frame in taken.frames.items():
-        yield name, cameras.right_size(name, frame.size_wh, 1, known)
+        yield name, checks.right_size(name, frame.size_wh, 1, known)
 
 
 def _serials(taken: Firing, expected: Expected) -> Iterator[tuple[str, Found]]:
@@ -179,7 +174,7 @@ def _together(taken: Firing, expected: Expected) -> Found:
             check="times", level="unknown", sentence="The cameras do not say when they exposed. Measure their skew."
         )  # fmt: skip
     if clocks != {"ptp"}:
-        return cameras.together(times, {})
+        return checks.together(times, {})
     middle = statistics.median(times.values())
     worst = max(times, key=lambda name: abs(times[name] - middle))
     spread_ms = 1e3 * (max(times.values()) - min(times.values()))

@@ -83,7 +83,7 @@ def batch(
     from mammometry.batch.batch import look, measure_batch
     from mammometry.batch.cluster import machines
     from mammometry.batch.entries import find_entries
-    from mammometry.batch.entry import is_address
+    from mammometry.batch.record import is_address
     from mammometry.io.outputs import require_apart, require_free, write_outputs
     from mammometry.report.documents.batch_page import FILES, batch_files, counted
 
@@ -225,7 +225,7 @@ class _Show:
         self._refresh: Callable[[], None] = lambda: None
 
     def begin(self, dashboard: str | None) -> None:
-        """Say what is to be done."""
+        """Show what is to be done."""
         self._begun, self._dashboard = time.monotonic(), dashboard
         current = self._count - self._todo
         self._tell({"event": "begin", "sessions": self._count, "current": current, "dashboard": dashboard})
@@ -246,7 +246,7 @@ class _Show:
             yield
 
     def happened(self, event: Began | Ended) -> None:
-        """Take notice."""
+        """Show what has happened."""
         from mammometry.batch.engine import Began
 
         name = event.name

@@ -111,11 +111,11 @@ def work(options: JsonOptions, folder: Folder) -> Answer:
     For a second machine, or beside `serve --no-jobs`. It must see the clinic's folder under the same path.
     """
     config = opened(folder)
-    from mammometry.clinic.jobs.runner import run_here
     from mammometry.clinic.web.server import require_current
+    from mammometry.clinic.web.server import work as serve_queue
 
     require_current(config)
-    run_here(config)
+    serve_queue(config.folder)
     return Answer({"clinic": str(folder)})
 
 
@@ -130,8 +130,8 @@ def demo(
 
     Each was there at two dates. A demo that is there already is opened as it is.
     """
-    from mammometry.clinic.jobs.runner import beside
-    from mammometry.clinic.web.server import require_free
+    from mammometry.clinic.demo import finish_beside, make_demo
+    from mammometry.clinic.web.server import beside, require_free
     from mammometry.clinic.web.server import serve as run
 
     if serve:
@@ -142,8 +142,6 @@ def demo(
         lines.append(f"{folder} is there already; its passwords were shown when it was made.")
         config = opened(folder, address=address)
     else:
-        from mammometry.clinic.demo import make_demo
-
         with Bars(options.silent) as bars, ExitStack() as shown:
 
             def say(what: str) -> Progress:
@@ -169,7 +167,7 @@ def demo(
         return Answer(table, [*lines])
     for line in (*lines, f"http://{config.address}/ (Ctrl-C stops)"):
         print(line, file=sys.stderr, flush=True)  # noqa: T201
-    with beside(config, "mammometry.clinic.demo", again=False):
+    with beside(finish_beside, config.folder, again=False):
         run(config)
     return Answer(table)
 
@@ -245,9 +243,9 @@ def export(options: JsonOptions, folder: Folder, patient: Who, to: Target = None
     config = opened(folder)
     from mammometry.clinic.maintenance.patient import export_patient, find_patient
 
-    found = find_patient(patient)
-    target = to or Path(f"{found.pseudonym}.zip")
-    number = export_patient(config, found, target)
+    found_patient = find_patient(patient)
+    target = to or Path(f"{found_patient.pseudonym}.zip")
+    number = export_patient(config, found_patient, target)
     return Answer({"export": str(target), "files": number}, [f"{target}: {number} files. It holds the name."])
 
 
@@ -267,17 +265,17 @@ def erase(
     from mammometry.clinic.maintenance.patient import erase_bin, erase_patient, find_patient
     from mammometry.clinic.models import Visit
 
-    found = find_patient(patient)
-    name = found.pseudonym
+    found_patient = find_patient(patient)
+    name = found_patient.pseudonym
     if not yes:
-        visits = Visit.everything.filter(patient=found)
+        visits = Visit.everything.filter(patient=found_patient)
         words = (
             f"the {visits.exclude(binned_at=None).count()} visits of {name} in the bin"
             if binned
             else f"{name} with {visits.count()} visits"
         )
         typer.confirm(f"Erase {words}? It cannot be undone.", abort=True, err=True)
-    number = erase_bin(found) if binned else erase_patient(config, found)
+    number = erase_bin(found_patient) if binned else erase_patient(config, found_patient)
     older = sorted(path.name for path in config.backups.glob("*.tar"))
     lines = [f"{number} visits of {name} are erased." if binned else f"{name} is erased, with {number} visits."]
     lines += [f"Still in the backups: {', '.join(older)}"] if older else []

@@ -5,8 +5,6 @@ of the job is called. A second process compiles them in the order of the stages 
 job finds them on disk, and compiles itself what it does not find.
 """
 
-from __future__ import annotations
-
 import importlib
 import subprocess
 import sys

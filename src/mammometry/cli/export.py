@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+from collections.abc import Callable, Sequence
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -111,8 +112,8 @@ def dicom(
     already is not sent again.
     """
     from mammometry.base.extras import require
+    from mammometry.hospital.codes import require_text
     from mammometry.hospital.peers import Peer, Tls, web_address
-    from mammometry.hospital.representations import require_text
     from mammometry.io.outputs import require_apart, require_free, write_outputs
 
     if out is None and send is None and stow is None:
@@ -164,7 +165,7 @@ def dicom(
         before = f", {what.stored} were there before" if what.stored else ""
         lines.append(f"{where}: {what.sent} objects sent{before}")
     if commitment and peer is not None:
-        from mammometry.hospital.dicom.commitment import committed
+        from mammometry.hospital.dicom.store import committed
 
         kept = committed(made, peer, own_title=own_title, tls=chosen, listen=listen)
         table["committed"] = kept
@@ -214,9 +215,9 @@ def redcap(
 
     One row a visit. Importing the same again changes nothing.
     """
-    from mammometry.hospital import redcap as redcap_tables
+    from mammometry.hospital import tables
 
-    return _tables("export redcap", redcap_tables, sessions, out, deidentify, options)
+    return _tables("export redcap", tables.redcap_tables, tables.REDCAP_FILES, sessions, out, deidentify, options)
 
 
 @command(app, "mammometry export table SESSION... --out table")
@@ -230,9 +231,9 @@ def table(
 
     CSV, and Parquet where pyarrow is installed. One row a number.
     """
-    from mammometry.hospital import tables as plain_tables
+    from mammometry.hospital import tables
 
-    return _tables("export table", plain_tables, sessions, out, deidentify, options)
+    return _tables("export table", tables.tables, tables.FILES, sessions, out, deidentify, options)
 
 
 _PARTS = {"pdf": Part.report, "models": Part.models, "photographs": Part.photographs}
@@ -240,7 +241,8 @@ _PARTS = {"pdf": Part.report, "models": Part.models, "photographs": Part.photogr
 
 def _tables(
     command: str,
-    kind: Any,
+    make: Callable[[Sequence[Exported]], dict[str, bytes]],
+    names: Sequence[str],
     sessions: list[Path],
     out: Path,
     deidentify: bool,
@@ -249,9 +251,9 @@ def _tables(
     from mammometry.io.outputs import require_apart, require_free, write_outputs
 
     require_apart(out, [*sessions, options.file])
-    require_free(out, kind.FILES, command=command)
+    require_free(out, names, command=command)
     gathered = [_gathered(session, options, deidentify=deidentify) for session in sessions]
-    written = kind.tables(gathered)
+    written = make(gathered)
     write_outputs(out, written, command=command)
     return Answer(
         {"folder": str(out), "files": sorted(written), "sessions": len(gathered)},
@@ -271,7 +273,7 @@ def _gathered(
 
     with Bars(options.silent) as bars:
         if is_scan(session):
-            from mammometry.api.scans import open_scan
+            from mammometry.api.mesh import open_scan
 
             job = open_scan(session, options.settings(), watch=bars.watch)
             return gather_scan(job, deidentify=deidentify, parts=parts or ())
@@ -300,6 +302,6 @@ def _from_worklist(peer: Any, patient: Patient, order: Order, own_title: str, tl
 
     if not (order.accession or patient.id):
         raise typer.BadParameter("--worklist needs --accession or --patient-id, to know which entry is meant")
-    found = entries(peer, accession=order.accession, patient_id=patient.id, own_title=own_title, tls=tls)
-    entry = only_entry(found, peer, " and ".join(filter(None, (order.accession, patient.id))))
+    answer = entries(peer, accession=order.accession, patient_id=patient.id, own_title=own_title, tls=tls)
+    entry = only_entry(answer, peer, " and ".join(filter(None, (order.accession, patient.id))))
     return entry.patient, entry.order

@@ -14,19 +14,7 @@ from typing import Annotated, Any
 import typer
 
 from mammometry.base.errors import MammometryError, StorageError
-from mammometry.cli import (
-    batch,
-    capturing,
-    clinic,
-    comparison,
-    export,
-    importing,
-    rig,
-    sessions,
-    simulation,
-    stages,
-    study,
-)
+from mammometry.cli import batch, clinic, doctor, export, mesh, rig, sessions, simulation, stages, study
 from mammometry.cli.common import Answer, silently, start_logging
 
 _DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
@@ -45,25 +33,26 @@ app = typer.Typer(
     epilog="Start with `mammometry demo`, then `mammometry new SESSION`. Exit codes: 0 success, 2 usage, "
     "3 session, settings or table, 4 photograph, 5 calibration, 6 matching, 7 surface, 8 measurement, 9 storage, "
     "10 a camera moved (check), 11 a session of a batch failed, "
-    "12 a camera failed or the pictures are refused (capture), 130 interrupted.",
+    "12 a camera failed or the pictures are refused (capture), 13 the machine or the clinic is unwell (doctor), "
+    "130 interrupted.",
     no_args_is_help=True,
     add_completion=False,
     context_settings={"help_option_names": ["-h", "--help"]},
     pretty_exceptions_enable=False,
 )
-for group in (stages, batch, comparison, sessions, rig, capturing, simulation):
-    app.registered_commands += group.app.registered_commands
+for group in (stages.app, batch.app, study.dates_app, sessions.app, rig.app, simulation.app, doctor.app):
+    app.registered_commands += group.registered_commands
 app.add_typer(study.app, no_args_is_help=True)
 app.add_typer(clinic.app, no_args_is_help=True)
 app.add_typer(export.app, no_args_is_help=True)
-app.add_typer(importing.app, no_args_is_help=True)
+app.add_typer(mesh.app, no_args_is_help=True)
 
 
 def _show_version(wanted: bool) -> None:
     if wanted:
-        from importlib.metadata import version
+        from mammometry.cli.doctor import program
 
-        typer.echo(f"mammometry {version('mammometry')}")
+        typer.echo(program())
         raise typer.Exit
 
 

@@ -1,19 +1,21 @@
-"""`measure MESH`: its options, and a measurement of another scanner's mesh."""
+"""`measure MESH` and `import mesh`: meshes and scans of other devices."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mammometry.base.posture import POSTURES
 from mammometry.base.value import value
-from mammometry.cli.common import Bars, Options
+from mammometry.cli.common import Answer, Bars, Options, OutputOptions, command
+from mammometry.measure.settings import POSTURES
 
 if TYPE_CHECKING:
     from mammometry.api.results import Results
+
 
 MESHES = (".ply", ".obj", ".stl", ".glb", ".usdz")
 """Names of meshes end so."""
@@ -80,8 +82,7 @@ def measure_mesh(
         typer.BadParameter: an option is not what it says.
         MammometryError: the mesh cannot be measured.
     """
-    from mammometry.api.mesh import SCALE_STD, SURFACE_STD_MM, MeshFiles, MeshJob
-    from mammometry.api.scans import folder_for, scan_files
+    from mammometry.api.mesh import SCALE_STD, SURFACE_STD_MM, MeshFiles, MeshJob, folder_for, scan_files
     from mammometry.io.meshes.scans import MESH, is_scan, read_scan
     from mammometry.io.outputs import require_apart
 
@@ -134,3 +135,62 @@ def named_subject(text: str | None) -> str | None:
         return None if text is None else subject_id(text)
     except ValueError as error:
         raise typer.BadParameter(f"--subject: expected {error}") from None
+
+
+app = typer.Typer(name="import", help="Take over what other devices made: a scanner's mesh with its texture.")
+_COMMAND = "import mesh"
+
+
+class Units(StrEnum):
+    """Units of mesh files."""
+
+    mm = "mm"
+    cm = "cm"
+    m = "m"
+
+
+@command(
+    app,
+    "mammometry import mesh scan.obj --scanner 'Vectra M5' --units mm --out anna",
+    "mammometry measure anna/scan.ply --automatic",
+)
+def mesh(
+    options: OutputOptions,
+    file: Annotated[
+        Path, typer.Argument(metavar="MESH", help="OBJ with MTL and pictures beside it, or PLY, STL, GLB, USDZ.")
+    ],
+    scanner: Annotated[str, typer.Option(help="Name of the device, such as 'Vectra M5'.", show_default=False)],
+    out: Annotated[Path, typer.Option(metavar="FOLDER", help="Folder for the scan.", show_default=False)],
+    units: Annotated[
+        Units | None, typer.Option(help="Unit of the file.", show_default="as the file states, else required")
+    ] = None,
+    head: Annotated[
+        str, typer.Option(help="The file's axis towards the head: y, -z and so on.", show_default="y, or z")
+    ] = "",
+    ahead: Annotated[str, typer.Option(help="The axis straight ahead.", show_default="where an open mesh faces")] = "",
+    subject: Annotated[
+        str | None, typer.Option(help="Identifier of the subject, a pseudonym.", show_default=False)
+    ] = None,
+    posture: Annotated[
+        str, typer.Option(help="How the patient held herself: standing, leaning or lying.", show_default="not said")
+    ] = "",
+    without_texture: Annotated[
+        bool, typer.Option("--without-texture", help="Take the shape alone, without material file and pictures.")
+    ] = False,
+) -> Answer:
+    """Take over another scanner's mesh with its texture.
+
+    Writes scan.ply (mm, with colours), scan.toml with the scanner's name and unit, and the OBJ with its material and
+    pictures. Their own names are not kept: they may hold a patient's name.
+    """
+    from mammometry.io.meshes.scans import FILES, MESH, Scan, import_scan
+    from mammometry.io.outputs import require_apart, require_free, write_outputs
+
+    require_apart(out, [file])
+    require_free(out, FILES, command=_COMMAND)
+    about = Scan(scanner=scanner, units="", head=head, ahead=ahead, subject=named_subject(subject), posture=posture)
+    made = import_scan(file, about, units=None if units is None else units.value, texture=not without_texture)
+    write_outputs(out, made, command=_COMMAND)
+    pictures = sum(name.startswith("texture-") for name in made)
+    sentence = f"{out / MESH}: with {pictures} pictures" if pictures else f"{out / MESH}: without pictures"
+    return Answer({"folder": str(out), "mesh": str(out / MESH), "files": sorted(made)}, [sentence])

@@ -2,42 +2,29 @@
 
 from __future__ import annotations
 
+import sys
+import webbrowser
 from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import asdict
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mammometry.cli.common import Answer, Options, OutputOptions, SessionFolder, SessionOrScan, command
+from mammometry.cli.common import Answer, Bars, Options, OutputOptions, SessionFolder, SessionOrScan, command
+from mammometry.cli.stages import opened
 
 if TYPE_CHECKING:
     from mammometry.api.job import Job
+    from mammometry.editor.session import Drawable
     from mammometry.io.results.store import Store
+    from mammometry.io.results.verify import Findings
     from mammometry.job.graph import Plan
     from mammometry.job.inputs import Inputs
     from mammometry.job.products import Key
     from mammometry.settings import Settings
-
-
-from dataclasses import asdict
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from mammometry.io.results.verify import Findings
-
-
-import sys
-import webbrowser
-from contextlib import suppress
-from typing import TYPE_CHECKING
-
-from mammometry.cli.common import Bars
-from mammometry.cli.stages import opened
-
-if TYPE_CHECKING:
-    from mammometry.editor.session import Drawable
-
 
 app = typer.Typer()
 
@@ -94,11 +81,10 @@ def new(
         text = manifest_template(rig=rig.value, target=target.value, subject=subject.value)
         write_text(session / MANIFEST, text)
     except OSError as error:
+        remedy = "Choose another place"
+        expected = "permission and room to write"
         raise StorageError(
-            str(session),
-            found=f"a folder that cannot be made ({error.strerror})",
-            expected="permission and room to write",
-            remedy="Choose another place",
+            str(session), found=f"a folder that cannot be made ({error.strerror})", expected=expected, remedy=remedy
         ) from None
     lines: list[Any] = [
         f"{session / MANIFEST}: describe your rig and target here",
@@ -149,7 +135,7 @@ def info(options: Options, session: SessionOrScan) -> Answer:
 
 def _scan_info(folder: Path, settings: Settings, *, every_product: bool) -> Answer:
     """What an imported scan holds, which results are current, and what to do next."""
-    from mammometry.api.scans import open_scan
+    from mammometry.api.mesh import open_scan
 
     scan = open_scan(folder, settings)
     keys = [product.key for product in scan.plan.products()]
@@ -199,8 +185,8 @@ def _drawn_words(plan: Plan, inputs: Inputs) -> dict[str, str]:
     from mammometry.job.stages.measure import boundaries
     from mammometry.measure.volume.attribution import confirmed_words, curve_digest
 
-    found = (plan.current(boundaries) if inputs.attributions else None) or ()
-    curves = {boundary.name: boundary.points_world for boundary in found} | dict(inputs.boundaries)
+    outlines = (plan.current(boundaries) if inputs.attributions else None) or ()
+    curves = {boundary.name: boundary.points_world for boundary in outlines} | dict(inputs.boundaries)
     words = {}
     for name, attribution in inputs.attributions.items():
         how = attribution.origin or ("given" if name in inputs.boundaries else "automatic")
@@ -239,7 +225,7 @@ _STATES = {
 
 
 def _stages_table(stages: dict[str, Any]) -> Any:
-    """A line a stage."""
+    """Table with a line for every stage."""
     from rich.table import Table
 
     shown = Table.grid(padding=(0, 3))
@@ -254,7 +240,7 @@ def _stages_table(stages: dict[str, Any]) -> Any:
 
 
 def _products_table(stages: dict[str, Any]) -> Any:
-    """A line a product."""
+    """Table with a line for every product."""
     from rich.table import Table
 
     shown = Table("stage", "product", "state", "made", "seconds", box=None, pad_edge=False)
@@ -406,7 +392,7 @@ def edit(
 
     def drawable() -> Drawable:
         from mammometry.api.job import open_session
-        from mammometry.api.scans import drawable_scan
+        from mammometry.api.mesh import drawable_scan
 
         chosen = options.settings()
         return drawable_scan(session, chosen) if scan else open_session(session, chosen)

@@ -3,24 +3,94 @@
 from __future__ import annotations
 
 import json as json_module
+import tempfile
 import time
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from mammometry.base.errors import SettingsError
-from mammometry.cli import scan_demo
 from mammometry.cli.common import Answer, Bars, Options, OutputOptions, command
 from mammometry.cli.compile_cache import compiled_ahead
 from mammometry.cli.stages import opened, volume_lines
-from mammometry.simulate.recipe import SessionRecipe
+from mammometry.simulate.recipe import SessionRecipe, parse_situation
 from mammometry.simulate.rendering.film import Film
-from mammometry.simulate.situation import parse_situation
 
 if TYPE_CHECKING:
+    from mammometry.simulate.subjects.solid import Solid
     from mammometry.simulate.subjects.user_mesh import MeshFile
+
+
+FOLDER = Path("demo-scan")
+_COMMAND = "demo"
+_SCANNER, _UNITS = "Virtual telephone", "mm"
+_WOMAN, _SITUATION, _QUALITY, _SEED = "torso_2", "posture=standing", "telephone", 0
+_EDGE_MM = 2.0  # of the woman's triangles, on the breasts
+
+
+def scan_demo(folder: Path, options: Options) -> Answer:
+    """Scan and measure a virtual standing woman, and compare with her volumes.
+
+    Raises:
+        MammometryError: the folder holds something else, or the scan cannot be measured.
+    """
+    from mammometry.api.mesh import open_scan
+    from mammometry.io.meshes.scans import FILES, is_scan, read_scan
+    from mammometry.io.outputs import require_free, write_outputs
+
+    chosen = options.settings()
+    present = is_scan(folder)
+    if not present or read_scan(folder).scanner != _SCANNER:
+        require_free(folder, FILES, command=_COMMAND)
+    begun = time.monotonic()
+    with Bars(options.silent) as bars:
+        with bars.task("simulate", "depth pictures") as progress:
+            woman = _woman()
+            progress(0.6)
+            if not present:
+                write_outputs(folder, _scanned(woman), command=_COMMAND)
+        simulated = time.monotonic() - begun
+        with bars.task("measure", "mesh"):
+            job = open_scan(folder, chosen, watch=bars.watch)
+        results = job.run()
+    table = results.as_table()
+    table["seconds"] = round(time.monotonic() - begun, 3)
+    table["stage_seconds"] = {"simulate": round(simulated, 3), **table["stage_seconds"]}
+    truth = woman.volumes_cc
+    table |= {"scan": str(folder), "true_volumes_cc": {name: round(value, 3) for name, value in truth.items()}}
+    lines: list[Any] = []
+    for name, true_cc in truth.items():
+        measured_cc = results.volumes_cc.get(name)
+        result = "not measured" if measured_cc is None else f"measured {measured_cc:.0f} cc"
+        off = "" if measured_cc is None else f" ({100 * (measured_cc / true_cc - 1):+.0f} %)"
+        lines.append(f"{name}: {result}, true {true_cc:.0f} cc{off}")
+    return Answer(table, [*lines, *volume_lines(results)])
+
+
+def _woman() -> Solid:
+    from mammometry.simulate.disturbances.registry import disturbed
+    from mammometry.simulate.recipe import parse_situation
+    from mammometry.simulate.subjects.registry import make_subject
+
+    reshape = partial(disturbed, stage="patient", situation=parse_situation(_SITUATION), seed=_SEED)
+    return make_subject(_WOMAN, 0, edge_mm=_EDGE_MM, reshape=reshape)
+
+
+def _scanned(woman: Solid) -> dict[str, bytes]:
+    """Files of the scan's folder, as if a telephone's mesh were imported."""
+    from mammometry.io.meshes.own_ply import write_ply
+    from mammometry.io.meshes.scans import Scan, import_scan
+    from mammometry.simulate.scanning.scan import QUALITIES, scan
+
+    made = scan(woman, QUALITIES[_QUALITY], _SEED)
+    with tempfile.TemporaryDirectory(prefix="mammometry-") as place:
+        path = Path(place) / "scan.ply"
+        write_ply(path, made.mesh, made.ply_colours, comments=())
+        return import_scan(path, Scan(scanner=_SCANNER, units="", posture="standing"), units=_UNITS)
+
 
 app = typer.Typer()
 _DEMO = Path("demo-session")
@@ -36,7 +106,7 @@ def demo(
         typer.Argument(
             metavar="[FOLDER]",
             help="Folder for the virtual session or scan.",
-            show_default=f"{_DEMO}, or {scan_demo.FOLDER}",
+            show_default=f"{_DEMO}, or {FOLDER}",
         ),
     ] = None,
     scan: Annotated[
@@ -47,8 +117,8 @@ def demo(
     from mammometry.simulate.session import true_volumes_cc
 
     if scan:
-        chosen = folder or scan_demo.FOLDER
-        return scan_demo.scan_demo(chosen, options)
+        chosen = folder or FOLDER
+        return scan_demo(chosen, options)
     options.settings()  # a wrong name shows at once, not after a minute
     folder = folder or _DEMO
     begun = time.monotonic()
@@ -220,9 +290,9 @@ def target(
     if session is not None:
         # Drawn as designed: what was measured belongs to an earlier print.
         measured = ("edge_mm", "edge_std_mm", "flatness_mm")
-        found = Session.open(session)
-        require_apart(out, found.brought)
-        described = found.manifest.target or {}
+        opened_session = Session.open(session)
+        require_apart(out, opened_session.brought)
+        described = opened_session.manifest.target or {}
         table = {key: value for key, value in described.items() if key not in measured}
     write_output(out, target_pdf(target_from_table(table), page=page), command="target")
     lines = [f"{name} = {json_module.dumps(value)}" for name, value in table.items()]

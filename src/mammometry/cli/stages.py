@@ -220,7 +220,7 @@ def report(
     if privacy.guarded:
         require_apart(folder, [options.file])
     if is_scan(session):
-        from mammometry.api.scans import open_scan
+        from mammometry.api.mesh import open_scan
 
         with Bars(options.silent) as bars:
             scan = open_scan(session, options.settings(), watch=bars.watch)
@@ -241,7 +241,7 @@ def report(
 
 def volume_lines(results: Results) -> list[Any]:
     """Volumes in words, and where the report is."""
-    from mammometry.report.words.volume_words import MEANINGS, definition_words, interval_words, volume_words
+    from mammometry.report.words.volumes import MEANINGS, definition_words, interval_words, volume_words
 
     lines: list[Any] = []
     for name, measured in results.measurements.items():
@@ -251,10 +251,10 @@ def volume_lines(results: Results) -> list[Any]:
             lines.append(f"    {MEANINGS[defined.meaning]}: {definition_words(defined)}")
     for name, why in results.no_breast.items():
         lines.append(f"{name}: no breast measured. {why}.")
-    for name, found in results.lacking.items():
+    for name, deficit in results.lacking.items():
         lines.append(
-            f"    {name} lacks {volume_words(found.volume_cc, found.interval_cc)} to the other side, mirrored "
-            f"{interval_words(found.interval_cc)}"
+            f"    {name} lacks {volume_words(deficit.volume_cc, deficit.interval_cc)} to the other side, mirrored "
+            f"{interval_words(deficit.interval_cc)}"
         )
     lines += [f"note: {note}" for note in results.notes]
     if not lines:

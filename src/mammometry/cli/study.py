@@ -1,4 +1,4 @@
-"""The commands `study agreement`, `study observers` and `study phantoms`."""
+"""Commands `compare`, `evaluate` and `study …`: dates, truth, agreement, observers, phantoms."""
 
 from __future__ import annotations
 
@@ -12,16 +12,118 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mammometry.cli.common import Answer, Bars, Options, OutputOptions, command
-from mammometry.cli.comparison import table_lines
+from mammometry.cli.common import Answer, Bars, Options, OutputOptions, SessionFolder, command
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from mammometry.api.phantoms import PhantomResult
+    from mammometry.api.dates import Comparison
+    from mammometry.api.truth import PhantomResult
     from mammometry.base.progress import MapTasks
     from mammometry.study.agreement import Agreement, CheckedFigure, PairedMeasurements
     from mammometry.study.tables import Table
+
+
+dates_app = typer.Typer()
+
+
+@command(dates_app, "mammometry compare BEFORE AFTER", "mammometry compare BEFORE AFTER --deidentify --out for-others")
+def compare(
+    options: Options,
+    before: Annotated[Path, typer.Argument(metavar="BEFORE", help="The earlier session.", show_default=False)],
+    after: Annotated[Path, typer.Argument(metavar="AFTER", help="The later session.", show_default=False)],
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="FOLDER", help="Folder for the page.", show_default="AFTER/results/compare/BEFORE"),
+    ] = None,
+    deidentify: Annotated[
+        bool,
+        typer.Option("--deidentify", help="For others: no names, no dates, no colours above the sternal notch."),
+    ] = False,
+    geometry_only: Annotated[
+        bool, typer.Option("--geometry-only", help="For others: no photographic colours.")
+    ] = False,
+) -> Answer:
+    """Compare two dates of one patient on one page.
+
+    The page shows the change of volume with its interval and verdict, a map of the change, and the lengths.
+    """
+    from mammometry.api.dates import compare as compare_sessions
+    from mammometry.io.outputs import require_apart
+    from mammometry.report.privacy import Privacy
+
+    chosen = options.settings()
+    if out is not None:
+        require_apart(out, [options.file])
+    with Bars(options.silent) as bars:
+        watches = tuple(bars.watch_as(number) for number in (1, 2))
+        with bars.task("compare", "") as progress:
+            comparison = compare_sessions(
+                before,
+                after,
+                chosen,
+                out=out,
+                privacy=Privacy(deidentify=deidentify, geometry_only=geometry_only),
+                watches=(watches[0], watches[1]),
+                progress=progress,
+            )
+    table = {
+        "before": str(comparison.before),
+        "after": str(comparison.after),
+        "page": str(comparison.page),
+        **comparison.table,
+    }
+    return Answer(table, _lines(comparison))
+
+
+def _lines(comparison: Comparison) -> list[Any]:
+    lines: list[Any] = [f"Warning: {warning}" for warning in comparison.warnings]
+    lines += [breast["verdict"] for breast in comparison.table["breasts"].values()]
+    fit = comparison.change.fit
+    lines.append(f"80 % of the trunk fits within {fit.within_mm:.1f} mm. The lean differs by {fit.turned_deg:.0f}°.")
+    return [*lines, *comparison.remarks, f"Page: {comparison.page}"]
+
+
+_IN_WORDS = ("meaning", "remark")
+
+
+@command(dates_app, "mammometry evaluate SESSION", "mammometry evaluate SESSION --truth ELSEWHERE/truth --json")
+def evaluate(
+    options: Options,
+    session: SessionFolder,
+    truth: Annotated[
+        Path | None,
+        typer.Option(metavar="FOLDER", help="Folder of the truth. Without it, SESSION/truth.", show_default=False),
+    ] = None,
+) -> Answer:
+    """Compare the results of a virtual session with its truth.
+
+    Every stage is compared. Writes SESSION/evaluation.
+    """
+    from mammometry.api.job import open_session
+    from mammometry.api.truth import evaluate_session
+    from mammometry.study.evaluation_tables import evaluation_tables
+
+    job = open_session(session, options.settings())
+    with Bars(options.silent) as bars, bars.task("evaluate", "results against truth") as progress:
+        differences, folder = evaluate_session(job, truth, progress=progress)
+    table = {"session": str(session), "evaluation": str(folder), **differences.as_table()}
+    lines: list[Any] = [part for shown in evaluation_tables(differences) for part in (*table_lines(shown), "")]
+    return Answer(table, [*lines, f"World and truth were aligned by {differences.frame}.", f"Evaluation: {folder}"])
+
+
+def table_lines(table: Table) -> list[Any]:
+    """A table for the terminal, under its title. Columns of words are left to the page."""
+    from rich.table import Table as RichTable
+
+    shown = RichTable(box=None, pad_edge=False)
+    kept = [index for index, name in enumerate(table.columns) if name not in _IN_WORDS]
+    for index in kept:
+        shown.add_column(table.columns[index], justify="left" if index == 0 else "right")
+    for row in table.rows:
+        shown.add_row(*(row[index] for index in kept))
+    return [table.title, shown]
+
 
 app = typer.Typer(name="study", help="Studies of accuracy: two methods, several observers, and nine virtual models.")
 _OUT = Path("agreement")
@@ -57,8 +159,8 @@ def agreement(
     """
     from mammometry.base.identity import shown_name
     from mammometry.io.outputs import require_apart, require_free, write_outputs
-    from mammometry.io.parsing.paired_tables import read_pairs, read_published
-    from mammometry.report.documents.agreement_page import FILES, agreement_files
+    from mammometry.io.parsing.csv_tables import read_pairs, read_published
+    from mammometry.report.documents.study_pages import FILES, agreement_files
     from mammometry.study.agreement import agreement as agree
     from mammometry.study.agreement import check_published
 
@@ -74,14 +176,14 @@ def agreement(
         data = read_pairs(table, reference=reference, measured=measured)
         stated = () if published is None else read_published(published)
         title = shown_name(table.with_suffix(""))
-    found = agree(data)
+    study_figures = agree(data)
     try:
-        checked = check_published(found, stated)
+        checked = check_published(study_figures, stated)
     except ValueError as error:
         raise typer.BadParameter(f"--published: {error}") from None
     with Bars(options.silent) as bars, bars.task("agreement", "figures"):
-        write_outputs(out, agreement_files(title, data, found, checked), command="study agreement")
-    return _answer(out, data, found, checked)
+        write_outputs(out, agreement_files(title, data, study_figures, checked), command="study agreement")
+    return _answer(out, data, study_figures, checked)
 
 
 @command(
@@ -121,13 +223,11 @@ def observers(
     Gives the scatter of the volume, its intraclass correlation and minimal detectable change, and the distance between
     curves by region.
     """
-    from mammometry.api.observers import measure_drawings
+    from mammometry.api.observers import measure_drawings, read_drawn_by
     from mammometry.base.identity import shown_name
-    from mammometry.io.drawn_by import read_drawn_by
     from mammometry.io.outputs import require_apart, require_free, write_outputs
-    from mammometry.report.documents.observers_page import observers_files, observers_names
-    from mammometry.study.observers import observer_study
-    from mammometry.study.observers_tables import observers_json, observers_summary, observers_tables
+    from mammometry.report.documents.study_pages import observers_files, observers_names
+    from mammometry.study.observers import observer_study, observers_json, observers_summary, observers_tables
 
     chosen = options.settings()
     drawn = read_drawn_by(curves, mesh)
@@ -140,17 +240,17 @@ def observers(
                 drawn, units=units, head=head, ahead=ahead, settings=chosen.measure, progress=progress
             )
         try:
-            found = observer_study(measured.drawings)
+            study = observer_study(measured.drawings)
         except ValueError as error:
             raise typer.BadParameter(f"CURVES: {error}") from None
         title = f"{shown_name(curves.with_suffix(''))}: {len(measured.drawings)} curves"
         with bars.task("observers", "figures"):
-            files = observers_files(title, measured.surfaces, measured.drawings, found)
+            files = observers_files(title, measured.surfaces, measured.drawings, study)
             write_outputs(out, files, command="study observers")
     page = out / "report.html"
-    lines: list[Any] = [*observers_summary(found), ""]
-    lines += [part for table in observers_tables(found, measured.drawings) for part in (*table_lines(table), "")]
-    return Answer({"report": str(page), **observers_json(found, measured.drawings)}, [*lines, f"Report: {page}"])
+    lines: list[Any] = [*observers_summary(study), ""]
+    lines += [part for table in observers_tables(study, measured.drawings) for part in (*table_lines(table), "")]
+    return Answer({"report": str(page), **observers_json(study, measured.drawings)}, [*lines, f"Report: {page}"])
 
 
 @command(app, "mammometry study phantoms OUT", "mammometry study phantoms OUT --scale 0.5 --seed 3 --json")
@@ -168,9 +268,9 @@ def phantoms(
 
     An interrupted study continues where it stopped.
     """
-    from mammometry.api.phantoms import MODELS, as_csv, measure_phantoms, paired
+    from mammometry.api.truth import MODELS, as_csv, measure_phantoms, paired
     from mammometry.io.outputs import require_apart, require_free, write_outputs
-    from mammometry.report.documents.agreement_page import FILES, agreement_files
+    from mammometry.report.documents.study_pages import FILES, agreement_files
     from mammometry.study.agreement import agreement as agree
 
     chosen = options.settings()
@@ -179,26 +279,26 @@ def phantoms(
     with Bars(options.silent) as bars, _tasks_side_by_side(bars, len(MODELS), scale) as map_tasks:
         results = measure_phantoms(out, scale=scale, seed=seed, settings=chosen, map_tasks=map_tasks)
     data = paired(results)
-    found = agree(data)
+    figures = agree(data)
     intervals = interval_table(results)
     remark = (
         "These are virtual models, photographed by our own renderer. A real rig is harder: boards bend, cameras move, "
         "and there is stray light. The sessions give the rim radius of the models as 0 mm. The paper measured nine "
         "plaster models: 11.12 ± 23.23 cc, slope 0.078."
     )
-    written = agreement_files("Nine virtual plaster models", data, found, more=(intervals,), remarks=(remark,))
+    written = agreement_files("Nine virtual plaster models", data, figures, more=(intervals,), remarks=(remark,))
     written |= {"table.csv": as_csv(results).encode()}
     write_outputs(out / "report", written, command="study phantoms")
-    return _answer(out / "report", data, found, (), intervals)
+    return _answer(out / "report", data, figures, (), intervals)
 
 
 @contextmanager
 def _tasks_side_by_side(bars: Bars, count: int, scale: float) -> Iterator[MapTasks]:
     """Measure on all cores, each model in its own process. The workers start with the first model."""
+    from mammometry.batch.batch import map_tasks_on
     from mammometry.batch.cluster import machines
     from mammometry.batch.engine import Began, Ended
-    from mammometry.batch.map_tasks import map_tasks_on
-    from mammometry.simulate.rigs.plan import FULL_SIZE_WH
+    from mammometry.simulate.rigs.build import FULL_SIZE_WH
 
     width, height = FULL_SIZE_WH
     megapixels, done = _CAMERAS * width * height * scale**2 / 1e6, Counter[str]()
@@ -237,14 +337,14 @@ def interval_table(results: Sequence[PhantomResult]) -> Table:
 def _answer(
     folder: Path,
     data: PairedMeasurements,
-    found: Agreement,
+    figures: Agreement,
     checked: Sequence[CheckedFigure],
     *more: Table,
 ) -> Answer:
-    from mammometry.study.agreement_tables import agreement_json, agreement_tables, summary
+    from mammometry.study.agreement import agreement_json, agreement_tables, summary
 
-    tables = (*agreement_tables(data, found, checked), *more)
-    lines: list[Any] = [*summary(data, found), ""]
+    tables = (*agreement_tables(data, figures, checked), *more)
+    lines: list[Any] = [*summary(data, figures), ""]
     lines += [part for table in tables for part in (*table_lines(table), "")]
     page = folder / "report.html"
-    return Answer({"report": str(page), **agreement_json(data, found, checked)}, [*lines, f"Report: {page}"])
+    return Answer({"report": str(page), **agreement_json(data, figures, checked)}, [*lines, f"Report: {page}"])

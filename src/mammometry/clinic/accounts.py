@@ -1,12 +1,10 @@
 """How people come in: entry by an administrator, passwords, second factor, the hospital's own login."""
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import time
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 from allauth.account import forms as account
 from allauth.account.adapter import DefaultAccountAdapter
@@ -14,7 +12,6 @@ from allauth.core import context
 from allauth.mfa.adapter import DefaultMFAAdapter
 from allauth.mfa.base import forms as mfa
 from allauth.mfa.totp import forms as totp
-from allauth.socialaccount.adapter import DefaultSocialAccountAdapter
 from cryptography.fernet import Fernet
 from django import forms
 from django.conf import settings
@@ -26,8 +23,8 @@ from mammometry.clinic.audit import record_wrong_code
 from mammometry.clinic.config import ClinicError
 from mammometry.clinic.models import Person
 from mammometry.clinic.roles import Role
+from mammometry.hospital.codes import require_text
 from mammometry.hospital.exported import person_name
-from mammometry.hospital.representations import require_text
 
 
 def add_person(username: str, roles: Sequence[Role], *, full_name: str = "", email: str = "") -> Person:
@@ -96,7 +93,7 @@ class Accounts(DefaultAccountAdapter):
     }
 
     def is_open_for_signup(self, request: HttpRequest) -> bool:
-        """No."""
+        """Refuse: accounts are made by an administrator."""
         return False
 
     def add_message(
@@ -117,17 +114,6 @@ class Accounts(DefaultAccountAdapter):
         if app == "allauth.mfa" and fresh and request.user.lacks_second_factor(request):
             return False
         return bool(super().is_reauthentication_required(app=app, **kwargs))
-
-
-class HospitalLogin(DefaultSocialAccountAdapter):
-    """Logins by the hospital.
-
-    It lets in whom an administrator has entered with the same, verified e-mail address.
-    """
-
-    def is_open_for_signup(self, request: HttpRequest, sociallogin: Any) -> bool:
-        """No."""
-        return False
 
 
 class SecondFactor(DefaultMFAAdapter):
@@ -154,58 +140,51 @@ def _cipher() -> Fernet:
 
 
 _PASSWORD = "At least 12 characters. A few words in a row are good; your name or a common password is refused."
+_AGAIN = ("The same again", "")
 _CODE = "Six digits, as the application on your telephone shows them now. A code for a lost telephone works, too."
 
 
-def _write_labels(form: forms.Form, **labels: tuple[str, str]) -> None:
-    """Give each named field its label and hint."""
-    for name, (label, hint) in labels.items():
-        field = form.fields[name]
-        field.label, field.help_text = label, hint
-        field.widget.attrs.pop("placeholder", None)  # it would say the label again
+class _Labelled:
+    """A form of allauth whose fields have our labels and hints."""
+
+    words: ClassVar[dict[str, tuple[str, str]]] = {}
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        for name, (label, hint) in self.words.items():
+            field = self.fields[name]  # type: ignore[attr-defined]
+            field.label, field.help_text = label, hint
+            field.widget.attrs.pop("placeholder", None)  # it would say the label again
 
 
-class LoginForm(account.LoginForm):
+class LoginForm(_Labelled, account.LoginForm):
     """Name and password."""
 
-    def __init__(self, *args: Any, **kwargs: Any) -> None:
-        super().__init__(*args, **kwargs)
-        _write_labels(self, login=("Name", ""), password=("Password", ""))
+    words: ClassVar = {"login": ("Name", ""), "password": ("Password", "")}
 
 
-class FirstPasswordForm(account.ResetPasswordKeyForm):
+class FirstPasswordForm(_Labelled, account.ResetPasswordKeyForm):
     """A new password, through a link."""
 
-    def __init__(self, *args: Any, **kwargs: Any) -> None:
-        super().__init__(*args, **kwargs)
-        _write_labels(self, password1=("New password", _PASSWORD), password2=("The same again", ""))
+    words: ClassVar = {"password1": ("New password", _PASSWORD), "password2": _AGAIN}
 
 
-class ChangePasswordForm(account.ChangePasswordForm):
+class ChangePasswordForm(_Labelled, account.ChangePasswordForm):
     """The password now, and the new one."""
 
-    def __init__(self, *args: Any, **kwargs: Any) -> None:
-        super().__init__(*args, **kwargs)
-        _write_labels(
-            self, oldpassword=("Password now", ""), password1=("New password", _PASSWORD),
-            password2=("The same again", ""),
-        )  # fmt: skip
+    words: ClassVar = {"oldpassword": ("Password now", ""), **FirstPasswordForm.words}
 
 
-class PasswordAgainForm(account.ReauthenticateForm):
+class PasswordAgainForm(_Labelled, account.ReauthenticateForm):
     """The password, before something that needs it."""
 
-    def __init__(self, *args: Any, **kwargs: Any) -> None:
-        super().__init__(*args, **kwargs)
-        _write_labels(self, password=("Password", ""))
+    words: ClassVar = {"password": ("Password", "")}
 
 
-class CodeForm(mfa.AuthenticateForm):
+class CodeForm(_Labelled, mfa.AuthenticateForm):
     """The second factor's code, at the login."""
 
-    def __init__(self, *args: Any, **kwargs: Any) -> None:
-        super().__init__(*args, **kwargs)
-        _write_labels(self, code=("Code", _CODE))
+    words: ClassVar = {"code": ("Code", _CODE)}
 
     def clean_code(self) -> Any:
         """Enter a wrong code into the audit, and refuse it."""
@@ -216,17 +195,13 @@ class CodeForm(mfa.AuthenticateForm):
             raise
 
 
-class CodeAgainForm(mfa.ReauthenticateForm):
+class CodeAgainForm(_Labelled, mfa.ReauthenticateForm):
     """The second factor's code, before something that needs it."""
 
-    def __init__(self, *args: Any, **kwargs: Any) -> None:
-        super().__init__(*args, **kwargs)
-        _write_labels(self, code=("Code", _CODE))
+    words: ClassVar = CodeForm.words
 
 
-class SetUpForm(totp.ActivateTOTPForm):
+class SetUpForm(_Labelled, totp.ActivateTOTPForm):
     """The first code of a new authenticator."""
 
-    def __init__(self, *args: Any, **kwargs: Any) -> None:
-        super().__init__(*args, **kwargs)
-        _write_labels(self, code=("Code", "Six digits, as the application shows them now."))
+    words: ClassVar = {"code": ("Code", "Six digits, as the application shows them now.")}

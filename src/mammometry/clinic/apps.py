@@ -1,7 +1,5 @@
 """The one Django application."""
 
-from __future__ import annotations
-
 from django.apps import AppConfig
 from django.db.models.signals import post_migrate
 

@@ -6,8 +6,6 @@ name a patient by pseudonym, and hold no names: what is entered of `MASKED` fiel
 reads them.
 """
 
-from __future__ import annotations
-
 import getpass
 from collections.abc import Mapping
 from typing import Any

@@ -1,7 +1,5 @@
 """The audit, to read: filters, pages of entries, and their CSV."""
 
-from __future__ import annotations
-
 import datetime
 import io
 from collections.abc import Iterator, Mapping
@@ -103,7 +101,7 @@ class AuditFilter:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Entry:
-    """One entry in words."""
+    """An entry of the audit as the page shows it, in words."""
 
     number: int
     at: datetime.datetime
@@ -142,30 +140,30 @@ class _Kind(Func):
     output_field = TextField()
 
     def as_sqlite(self, compiler: Any, connection: Any, **context: Any) -> Any:
-        """SQLite's JSON."""
+        """Extract the kind as SQLite reads JSON."""
         return super().as_sql(compiler, connection, template=KIND_SQLITE % "%(expressions)s", **context)
 
     def as_postgresql(self, compiler: Any, connection: Any, **context: Any) -> Any:
-        """PostgreSQL's JSON."""
+        """Extract the kind as PostgreSQL reads JSON."""
         return super().as_sql(compiler, connection, template=f"({KIND_POSTGRESQL % '%(expressions)s'})", **context)
 
 
 def entries(chosen: AuditFilter) -> QuerySet[LogEntry]:
     """Entries that a filter lets through, the newest first."""
-    found = LogEntry.objects.alias(kind=_Kind("additional_data")).order_by("-pk")
+    rows = LogEntry.objects.alias(kind=_Kind("additional_data")).order_by("-pk")
     if chosen.person is not None:
-        found = found.filter(actor_id=chosen.person)
+        rows = rows.filter(actor_id=chosen.person)
     if chosen.since is not None:
-        found = found.filter(timestamp__gte=_midnight(chosen.since))
+        rows = rows.filter(timestamp__gte=_midnight(chosen.since))
     if chosen.until is not None:
-        found = found.filter(timestamp__lt=_midnight(chosen.until + datetime.timedelta(days=1)))
+        rows = rows.filter(timestamp__lt=_midnight(chosen.until + datetime.timedelta(days=1)))
     if chosen.patient:
-        found = _about_patient(found, chosen.patient)
+        rows = _about_patient(rows, chosen.patient)
     if chosen.kind == CHANGED:
-        found = found.filter(kind__isnull=True)
+        rows = rows.filter(kind__isnull=True)
     elif chosen.kind:
-        found = found.filter(kind=chosen.kind)
-    return found
+        rows = rows.filter(kind=chosen.kind)
+    return rows
 
 
 def entry_page(chosen: AuditFilter, before: int | None = None) -> tuple[list[Entry], int | None]:
@@ -175,11 +173,11 @@ def entry_page(chosen: AuditFilter, before: int | None = None) -> tuple[list[Ent
         chosen: which entries.
         before: number of the last entry of the page before; None: begin with the newest.
     """
-    found = entries(chosen)
+    matching = entries(chosen)
     if before is not None:
-        found = found.filter(pk__lt=before)
+        matching = matching.filter(pk__lt=before)
     names = {person.pk: str(person) for person in Person.objects.all()}
-    rows = [in_words(row, names) for row in found[: SHOWN + 1]]
+    rows = [in_words(row, names) for row in matching[: SHOWN + 1]]
     return rows[:SHOWN], rows[SHOWN - 1].number if len(rows) > SHOWN else None
 
 
@@ -237,7 +235,7 @@ def audit_csv(chosen: AuditFilter) -> str:
     return file.getvalue()
 
 
-def _about_patient(found: QuerySet[LogEntry], pseudonym: str) -> QuerySet[LogEntry]:
+def _about_patient(rows: QuerySet[LogEntry], pseudonym: str) -> QuerySet[LogEntry]:
     """Entries about a patient's rows, and pages on which the patient was one of several.
 
     Those of an erased patient are found by the pseudonym alone.
@@ -249,10 +247,10 @@ def _about_patient(found: QuerySet[LogEntry], pseudonym: str) -> QuerySet[LogEnt
     if patient is not None:
         wanted |= Q(object_pk__in=[str(row.pk) for row in rows_of(patient)])
         listed = [patient.pk, *Visit.everything.filter(patient=patient).values_list("pk", flat=True)]
-        found = found.annotate(additional_text=Cast("additional_data", TextField()))
+        rows = rows.annotate(additional_text=Cast("additional_data", TextField()))
         for key in listed:
             wanted |= Q(additional_text__contains=str(key))
-    return found.filter(wanted)
+    return rows.filter(wanted)
 
 
 def _field_changes(changes: Any) -> Iterator[tuple[str, str, str]]:

@@ -4,8 +4,6 @@ clinic.toml names a rig.toml for each rig whose cables end here. Cameras are ope
 and let go when no page has asked for a while, so that other programs can have them.
 """
 
-from __future__ import annotations
-
 import atexit
 import threading
 import time
@@ -14,7 +12,7 @@ from pathlib import Path
 
 from mammometry.base.errors import CaptureError
 from mammometry.capture.loop import OpenRig
-from mammometry.capture.page_service import Stand
+from mammometry.capture.page import Stand
 from mammometry.capture.rig_file import read_rig_file
 from mammometry.capture.sessions import definition_of
 from mammometry.clinic.models import Calibration, Rig
@@ -57,10 +55,9 @@ def stand_of(rig: Rig, calibration: Calibration | None) -> Stand:
     """
     path = rig_file(rig)
     if path is None:
-        raise CaptureError(
-            rig.name, found="no cameras that this computer drives", expected="its rig.toml in clinic.toml",
-            remedy="Ask the administrator; until then, upload the photographs",
-        )  # fmt: skip
+        remedy = "Ask the administrator; until then, upload the photographs"
+        expected = "its rig.toml in clinic.toml"
+        raise CaptureError(rig.name, found="no cameras that this computer drives", expected=expected, remedy=remedy)
     folder = None if calibration is None else the_clinic().folder / calibration.folder
     with _one:
         file = read_rig_file(path)

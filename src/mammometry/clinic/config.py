@@ -16,7 +16,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstra
 
 from mammometry.base.errors import MammometryError, SettingsError
 from mammometry.base.parse import read_text, toml_table
-from mammometry.hospital.representations import require_text, text_fault
+from mammometry.hospital.codes import require_text, text_fault
 
 if TYPE_CHECKING:
     from mammometry.settings import Settings
@@ -195,7 +195,7 @@ class ClinicConfig(BaseModel):
 
 
 def host_and_port(address: str) -> tuple[str, int]:
-    """Parts of an address.
+    """Host and port of an address.
 
     Raises:
         ClinicError: it is not of the form host:port.

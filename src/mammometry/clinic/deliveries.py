@@ -1,7 +1,5 @@
 """Results to archives. A queue whose rows are tried again, later each time."""
 
-from __future__ import annotations
-
 import datetime
 import logging
 import threading
@@ -21,7 +19,7 @@ from mammometry.clinic.records.results import measured_job
 from mammometry.hospital.exported import Exported, Operation, Order, plain_name
 from mammometry.hospital.exported import Patient as PatientModule
 from mammometry.hospital.peers import Peer, Tls
-from mammometry.report.clinical import Clinical
+from mammometry.report.content import Clinical
 
 MOST_TRIES = 8  # with the waits below, for four hours
 _FIRST_WAIT = datetime.timedelta(minutes=1)
@@ -94,7 +92,7 @@ def claim() -> Delivery | None:
 
 
 def deliver(config: ClinicConfig, delivery: Delivery) -> None:
-    """Send one, and write down what came of it."""
+    """Send a claimed delivery, and write down what came of it."""
     lease = delivery.next_try
     mine = Delivery.objects.filter(pk=delivery.pk, state=Delivery.State.SENDING, next_try=lease)
     try:
@@ -183,12 +181,12 @@ def study_of(config: ClinicConfig, visit: Visit, *, deidentify: bool = False) ->
 
 def order_of(visit: Visit) -> Order:
     """What was ordered. Empty where the visit did not come from a worklist."""
-    found = VisitOrder.objects.filter(visit=visit).first()
-    if found is None:
+    order = VisitOrder.objects.filter(visit=visit).first()
+    if order is None:
         return Order()
     return Order(
-        accession=found.accession, study_uid=found.study_uid, referring=found.referring,
-        procedure_id=found.procedure_id, procedure=found.procedure,
+        accession=order.accession, study_uid=order.study_uid, referring=order.referring,
+        procedure_id=order.procedure_id, procedure=order.procedure,
     )  # fmt: skip
 
 
@@ -228,9 +226,8 @@ def connection(destination: Destination) -> tuple[Peer, Tls | None]:
 def _send(config: ClinicConfig, delivery: Delivery) -> tuple[int, bool | None]:
     """Objects that were sent; whether the archive promised to keep all."""
     require_libraries(*_LIBRARIES)
-    from mammometry.hospital.dicom.commitment import committed
     from mammometry.hospital.dicom.objects import objects
-    from mammometry.hospital.dicom.store import send
+    from mammometry.hospital.dicom.store import committed, send
     from mammometry.hospital.dicom.stow import stow
 
     visit, destination = delivery.visit, delivery.destination

@@ -13,7 +13,6 @@ from __future__ import annotations
 import datetime
 import secrets
 import shutil
-import sys
 import tempfile
 import threading
 import time
@@ -191,16 +190,13 @@ def finish(say: Callable[[str], Progress]) -> None:
                 shutil.rmtree(made)
 
 
-def main() -> None:
-    """Finish a demo beside its server, until standard input ends."""
+def finish_beside(folder: Path) -> None:
+    """Finish a demo beside its server."""
     from mammometry.base.progress import no_progress
-    from mammometry.clinic.config import read_config
-    from mammometry.clinic.jobs.runner import end_with_input
     from mammometry.clinic.site import configure
 
-    end_with_input()
     lower_priority()  # pages and measurements come first
-    configure(read_config(Path(sys.argv[1])))
+    configure(read_config(folder))
     finish(lambda _: no_progress)
 
 
@@ -351,10 +347,8 @@ def _wait_for_jobs(folder: Path, progress: Progress) -> None:
     until = time.monotonic() + _WAIT_S
     while left := Job.objects.filter(state__in=(Job.State.QUEUED, Job.State.RUNNING)).count():
         if time.monotonic() > until:
-            raise BatchError(
-                "the demo's jobs", found=f"{left} that have not ended", expected="none",
-                remedy=f"Look at {folder / 'logs'}",
-            )  # fmt: skip
+            remedy = f"Look at {folder / 'logs'}"
+            raise BatchError("the demo's jobs", found=f"{left} that have not ended", expected="none", remedy=remedy)
         progress(1.0 - left / Job.objects.count())
         time.sleep(_LOOK_S)
 
@@ -376,9 +370,8 @@ def _wait_for_calibration(rig: Rig) -> None:
 def render(folder: Path, subject: str, other: str, poses: int, progress: Progress) -> Path:
     """Photographs of the target or of a subject, by one rig."""
     from mammometry.calibration.targets.kinds.charuco import CharucoTarget
-    from mammometry.simulate.recipe import SessionRecipe
+    from mammometry.simulate.recipe import SessionRecipe, parse_situation
     from mammometry.simulate.session import write_session
-    from mammometry.simulate.situation import parse_situation
     from mammometry.simulate.studio import Studio
 
     recipe = SessionRecipe(
@@ -402,7 +395,3 @@ def _send(target: object, path: Path, pose: str = "") -> None:
     )
     upload = uploads.begin(target, None, file)
     uploads.append(upload, 0, data)
-
-
-if __name__ == "__main__":
-    main()

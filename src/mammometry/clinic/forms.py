@@ -1,7 +1,5 @@
 """Forms of the clinic's pages."""
 
-from __future__ import annotations
-
 import datetime
 import tomllib
 from collections.abc import Mapping
@@ -16,8 +14,8 @@ from mammometry.capture.sessions import manifest_text
 from mammometry.clinic.models import Conclusion, Consent, Operation, Patient, Person, Rig, Visit
 from mammometry.clinic.records.search import Duplicates, date_questions, duplicates
 from mammometry.clinic.roles import Role
+from mammometry.hospital.codes import Representation, text_fault
 from mammometry.hospital.exported import person_name
-from mammometry.hospital.representations import Representation, text_fault
 
 _RIG_BYTES = 100_000  # a session.toml has a few kB
 _RIG_TABLES = ("rig", "target", "intrinsics")
@@ -64,14 +62,14 @@ class PatientForm(forms.ModelForm):  # type: ignore[type-arg]
         """
         if self.errors:
             return
-        found, changed = duplicates(self.instance), set(self.changed_data)
-        if found.same_number is not None and "record_number" in changed:
+        similar, changed = duplicates(self.instance), set(self.changed_data)
+        if similar.same_number is not None and "record_number" in changed:
             self.add_error("record_number", "There is a patient with this record number.")
-        elif found.same_person and changed & {"family_name", "given_name", "born"} and "anyway" not in self.data:
+        elif similar.same_person and changed & {"family_name", "given_name", "born"} and "anyway" not in self.data:
             self.add_error(None, "There is a patient of this name and birthday. Is it the same one?")
         else:
             return
-        self.duplicates = found
+        self.duplicates = similar
 
     def clean_record_number(self) -> str:
         """Refuse what no other system takes as a patient's id."""

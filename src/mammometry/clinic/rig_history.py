@@ -32,7 +32,7 @@ class Today:
     """What to do first; empty where nothing is to be done."""
 
     def as_table(self) -> dict[str, Any]:
-        """As JSON."""
+        """The verdict as JSON."""
         return {
             "verdict": self.verdict, "sentence": self.sentence, "reasons": list(self.reasons), "remedy": self.remedy,
         }  # fmt: skip
@@ -63,7 +63,7 @@ class Checked:
 
     @classmethod
     def of(cls, on: datetime.date, figures: Mapping[str, Any]) -> Checked:
-        """Of a check's stored figures."""
+        """Build the facts from a check's stored figures."""
         return cls(
             on=on,
             verdict=figures.get("verdict"),
@@ -74,7 +74,7 @@ class Checked:
 
 
 def judge(day: datetime.date, calibrated: Calibrated | None, checked: Checked | None) -> Today:
-    """Decide.
+    """Decide whether a rig may be measured with today.
 
     Args:
         day: today, where the clinic is.
@@ -166,12 +166,12 @@ def today(rig: Rig) -> Today:
 
 def entries(rig: Rig) -> list[Entry]:
     """The newest judged checks, the oldest first. As the drift chart takes them."""
-    found = rig.checks.exclude(figures={}).select_related("calibration").order_by("-taken_at")[:_SHOWN]
-    return [_entry(check) for check in reversed(found)]
+    checks = rig.checks.exclude(figures={}).select_related("calibration").order_by("-taken_at")[:_SHOWN]
+    return [_entry(check) for check in reversed(checks)]
 
 
 def drift_rows(rig: Rig) -> Iterator[dict[str, Any]]:
-    """The same as a table: a row a check, the newest first."""
+    """The newest judged checks as a table: a row a check, the newest first."""
     for entry in reversed(entries(rig)):
         yield {
             "when": entry.when,

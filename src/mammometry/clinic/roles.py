@@ -1,7 +1,5 @@
 """The four roles of a clinic's people."""
 
-from __future__ import annotations
-
 from django.db.models import TextChoices
 
 

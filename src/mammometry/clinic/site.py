@@ -1,7 +1,5 @@
 """Django's settings, made of a clinic's. A process opens one clinic."""
 
-from __future__ import annotations
-
 import logging
 import os
 import re
@@ -256,7 +254,6 @@ def _logins(config: ClinicConfig) -> dict[str, Any]:
         },
         "MFA_SUPPORTED_TYPES": ["totp", "recovery_codes"],
         "MFA_TOTP_ISSUER": config.name,
-        "SOCIALACCOUNT_ADAPTER": f"{_PACKAGE}.accounts.HospitalLogin",
         "SOCIALACCOUNT_EMAIL_AUTHENTICATION": True,
         "SOCIALACCOUNT_EMAIL_AUTHENTICATION_AUTO_CONNECT": True,
         "SOCIALACCOUNT_PROVIDERS": {},
@@ -320,7 +317,7 @@ class Plain(logging.Formatter):
     """
 
     def format(self, record: logging.LogRecord) -> str:
-        """One record as text."""
+        """Format a log record as one line of text."""
         message = record.getMessage() if record.name.startswith("mammometry.") else str(record.msg)
         request = getattr(record, "request", None)
         if request is not None:

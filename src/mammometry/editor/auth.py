@@ -3,8 +3,6 @@
 The key is not in any address with which a program is started, because other users of the computer can read those.
 """
 
-from __future__ import annotations
-
 import os
 import secrets
 import tempfile

@@ -85,12 +85,12 @@ class DrawingBoard:
             automatic: boundaries that were found automatically. A curve equal to one of them is measured as automatic.
             wanted: breasts whose volume is wanted; None: all of them.
         """
-        found = {name: boundary for name, boundary in (automatic or {}).items() if name in curves_world}
+        kept = {name: boundary for name, boundary in (automatic or {}).items() if name in curves_world}
         drawn: dict[str, Boundary] = {}
         problems: dict[str, str] = {}
         for name, curve in curves_world.items():
-            if name in found and np.array_equal(found[name].points_world, curve):
-                drawn[name] = found[name]
+            if name in kept and np.array_equal(kept[name].points_world, curve):
+                drawn[name] = kept[name]
                 continue
             try:
                 drawn[name] = given_boundary(_breast(name), curve, self.surface, rim_sigma_mm=DRAWN_RIM_SIGMA_MM)
@@ -211,13 +211,13 @@ def drawing_board(
     return DrawingBoard(surface=small, frame=frame, settings=settings)
 
 
-def handle_indices(curve_world: Float64[Array, "n 3"], spacing_mm: float = _HANDLE_MM) -> Int64[Array, " k"]:
+def handle_indices(curve_world: Float64[Array, "n 3"]) -> Int64[Array, " k"]:
     """Indices of a closed curve's handles.
 
     Evenly spaced, eight or more if there are so many points, else three.
     """
     along = _along(np.concatenate([curve_world, curve_world[:1]]))
-    count = max(int(along[-1] / spacing_mm), _FEWEST_HANDLES)
+    count = max(int(along[-1] / _HANDLE_MM), _FEWEST_HANDLES)
     if len(curve_world) <= count:
         return np.arange(len(curve_world))
     wanted = np.linspace(0.0, along[-1], count, endpoint=False)

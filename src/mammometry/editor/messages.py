@@ -1,7 +1,5 @@
 """Messages from the page, checked as far as possible without the session. Lengths in mm, world frame."""
 
-from __future__ import annotations
-
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field

@@ -3,8 +3,6 @@
 It listens only on 127.0.0.1, and answers only those who entered with a key (`door`).
 """
 
-from __future__ import annotations
-
 import io
 import socket
 from collections.abc import Awaitable, Callable

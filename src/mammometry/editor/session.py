@@ -23,10 +23,9 @@ from mammometry.io.drawn import BREASTS, DrawnBoundaries, origin_words, read_bou
 from mammometry.io.drawn_changes import Change, Entry, Item, change_drawn, drawn_entries, drawn_entry, entry_digest
 from mammometry.io.results.store import Store
 from mammometry.job.graph import Plan
-from mammometry.job.inputs import Inputs
+from mammometry.job.inputs import FinishedSurface, Inputs
 from mammometry.job.products import Key, Product
 from mammometry.job.stages import measure
-from mammometry.job.values import FinishedSurface
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.landmarks.names import LANDMARKS
 from mammometry.measure.trunk.body import rig_frame
@@ -52,7 +51,7 @@ class Drawable(Protocol):
 
     @property
     def identity(self) -> Identity:
-        """Whose it is."""
+        """Whose breasts are drawn on."""
         ...
 
     @property
@@ -103,12 +102,9 @@ class Desk:
         """
         self.kind = job.inputs.subject_kind
         if not BREASTS[self.kind]:
-            raise SessionError(
-                "session.toml",
-                found="an open surface",
-                expected="a model or a torso, which have boundaries",
-                remedy="Correct [subject] kind",
-            )
+            remedy = "Correct [subject] kind"
+            expected = "a model or a torso, which have boundaries"
+            raise SessionError("session.toml", found="an open surface", expected=expected, remedy=remedy)
         surface = job.surface().repaired
         self.job = job
         self.folder = job.folder
@@ -226,11 +222,10 @@ class Desk:
             entries = drawn_entries(self.folder, self.kind, self.subject)
             curves = self._shown(read_boundaries(self.folder, self.kind, self.subject))
             if {name: curve_digest(curve) for name, curve in curves.items()} != sent.curves:
+                remedy = "Load the page again and look at them"
+                expected = "the curves in the session"
                 raise SessionError(
-                    "the boundaries",
-                    found="others than those on the page",
-                    expected="the curves in the session",
-                    remedy="Load the page again and look at them",
+                    "the boundaries", found="others than those on the page", expected=expected, remedy=remedy
                 )
             moment = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
             changes: dict[Item, Change] = {}
@@ -277,7 +272,7 @@ class Desk:
                 with one_blas_thread():
                     sides = plan.value(measure.sides)
                     boundaries = plan[measure.boundaries]() if sides is None else sides.boundaries
-                found: dict[str, Boundary] = {
+                automatic: dict[str, Boundary] = {
                     boundary.name: boundary for boundary in boundaries if boundary.name not in given
                 }
                 self._remark = ""
@@ -286,8 +281,8 @@ class Desk:
                 return {}
             except MammometryError as error:
                 self._remark = f"No automatic boundary: {error}"
-                found = {}
-            self._automatic = found
+                automatic = {}
+            self._automatic = automatic
         return self._automatic
 
     def _boundary_state(
@@ -350,11 +345,10 @@ class Desk:
         places = np.array(list(points), dtype=np.float64)
         away = np.maximum(self.low - places, places - self.high).max()
         if away > _FARTHEST_MM:
+            remedy = "Draw it again"
+            expected = f"one on it, at most {_FARTHEST_MM / 1000:.0f} m away"
             raise SessionError(
-                name,
-                found=f"a point {away / 1000:.3g} m away from the surface",
-                expected=f"one on it, at most {_FARTHEST_MM / 1000:.0f} m away",
-                remedy="Draw it again",
+                name, found=f"a point {away / 1000:.3g} m away from the surface", expected=expected, remedy=remedy
             )
         return places
 
@@ -367,12 +361,9 @@ def _known(name: str, names: Iterable[str]) -> None:
 
 def _count(name: str, count: int, *, line: bool) -> None:
     if (line and count < 2) or (not line and count != 1):
-        raise SessionError(
-            name,
-            found=f"{count} point{'' if count == 1 else 's'}",
-            expected="two or more along the line" if line else "one point",
-            remedy="Draw it again",
-        )
+        remedy = "Draw it again"
+        expected = "two or more along the line" if line else "one point"
+        raise SessionError(name, found=f"{count} point{'' if count == 1 else 's'}", expected=expected, remedy=remedy)
 
 
 def _measured_live(measurement: VolumeMeasurement) -> LiveVolume:

@@ -1,4 +1,24 @@
-"""Basic values: arrays, rigid transforms, lenses, cameras, meshes.
+"""Basic values: arrays, rigid transforms, cameras, meshes. NumPy only: what is compiled is imported by its own module."""
 
-NumPy and SciPy only, but for the kernels.
-"""
+from mammometry.geometry.arrays import (
+    Array,
+    Bool,
+    Float32,
+    Float64,
+    Int32,
+    Int64,
+    Integer,
+    Shaped,
+    UInt8,
+    UInt16,
+    bounds,
+    read_only,
+)  # fmt: skip
+from mammometry.geometry.camera import Camera, Rig, StereoPair
+from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry.transform import Transform
+
+__all__ = [
+    "Array", "Bool", "Camera", "Float32", "Float64", "Int32", "Int64", "Integer", "Rig", "Shaped", "StereoPair",
+    "Transform", "TriangleMesh", "UInt8", "UInt16", "bounds", "read_only",
+]  # fmt: skip

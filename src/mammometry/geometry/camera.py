@@ -110,9 +110,8 @@ class Rig:
     pair_names: Mapping[str, tuple[str, str]]
     """Pair name → names of its left and right camera. Read-only."""
     target_middle_world: Float64[Array, 3] | None = None
-    """Middle of the places where the calibration target was held: the subject stands about there. World frame, mm.
-    None where no target was seen.
-    """
+    """Middle of the places where the calibration target was held: the subject stands about there. World frame, mm. None
+    where no target was seen."""
 
     def __post_init__(self) -> None:
         for pair, (left, right) in self.pair_names.items():

@@ -24,8 +24,7 @@ Value: TypeAlias = Any
 
 NEWTON_STEPS = 20
 """Largest number of Newton steps. Each doubles the digits. Beyond a fold there is no solution, and iteration would
-never end.
-"""
+never end."""
 _NEWTON_TOLERANCE = 1e-13  # 1e-9 px at a focal length of 10,000 px: rounding, for coordinates of about 1
 _NO_TERM = 1e-12  # a coefficient below moves no pixel, and its roots would overflow
 _REAL = 1e-9  # imaginary part of a real root over its size: rounding of `np.roots`

@@ -43,10 +43,7 @@ def vertex_normals(n: int, faces: Int32[Array, "m 3"], vectors: Float64[Array, "
 
 @kernel
 def angle_defects(vertices: Float64[Array, "n 3"], faces: Int32[Array, "m 3"]) -> Float64[Array, " n"]:
-    """Angle defect of each vertex, rad: its curvature (Gauss and Bonnet).
-
-    2π less the sum of the faces' angles at the vertex.
-    """
+    """Angle defect of each vertex, 2π less its faces' angles, rad: its curvature (Gauss and Bonnet)."""
     defects = np.full(len(vertices), 2 * np.pi)
     for face in range(len(faces)):
         for corner in range(3):
@@ -92,10 +89,7 @@ def _scrambled(number):  # type: ignore[no-untyped-def]
 
 @kernel
 def parts(n: int, faces: Int32[Array, "m 3"]) -> tuple[int, Int32[Array, " n"]]:
-    """Number of connected parts, and the part of each of n vertices.
-
-    Parts are numbered in the order of their first vertices.
-    """
+    """Number of connected parts, and the part of each of n vertices, in the order of first vertices."""
     root = np.arange(n).astype(np.int32)
     for face in range(len(faces)):
         a = _root(root, faces[face, 0])

@@ -1,7 +1,4 @@
-"""Many points projected at once, by compiled code in threads.
-
-`Camera.project` is its plain twin.
-"""
+"""Many points projected at once, by compiled code in threads. `Camera.project` is its plain twin."""
 
 from __future__ import annotations
 

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Literal, TypeAlias
 
 from mammometry.base.photograph import Photograph
-from mammometry.hospital.representations import require_text
-from mammometry.report.clinical import Clinical
+from mammometry.hospital.codes import require_text
+from mammometry.report.content import Clinical
 
 Side: TypeAlias = Literal["left", "right", "model", ""]
 """The patient's left or right breast, a model, or neither."""
@@ -236,7 +236,7 @@ class Exported:
 
     @property
     def digest(self) -> str:
-        """SHA-256 of the numbers."""
+        """SHA-256 digest of the exported numbers."""
         rows = [
             [quantity.name, quantity.value, quantity.interval_95, quantity.sigma, quantity.wall]
             for quantity in self.quantities

@@ -5,18 +5,15 @@ concluded. The report is final once both are there. The bundle is a transaction 
 derived from content: sent twice, it changes nothing.
 """
 
-from __future__ import annotations
-
 import importlib
 import json
 from collections.abc import Iterator
 from typing import Any, Literal
 
 from mammometry.hospital import codes
-from mammometry.hospital.codes import Coded
+from mammometry.hospital.codes import Coded, identifier
 from mammometry.hospital.exported import Absent, Exported, Operation, Patient, Quantity, Side, as_patient_id
-from mammometry.hospital.identifiers import identifier
-from mammometry.report.clinical import Signed
+from mammometry.report.content import Signed
 
 Release = Literal["R4", "R5"]
 _PACKAGES = {"R4": "fhir.resources.R4B", "R5": "fhir.resources"}

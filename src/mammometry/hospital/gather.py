@@ -16,7 +16,7 @@ from mammometry.hospital.exported import Absent, CoveredModel, CoveredModels, Ex
 from mammometry.io.photographs.images import EXTENSIONS
 from mammometry.job.stages import measure, surface
 from mammometry.measure.volume.attribution import Attribution
-from mammometry.report.clinical import Clinical, Signed
+from mammometry.report.content import Clinical, Signed
 from mammometry.report.words.lengths import quantities_of
 
 if TYPE_CHECKING:
@@ -81,13 +81,13 @@ def gather(
 
 def confirmed(attributions: Mapping[str, Attribution], measured: Sequence[VolumeMeasurement]) -> Signed | None:
     """The newest confirmation, if every measured boundary has one that holds."""
-    found = {
+    signed = {
         measurement.name: attributions.get(measurement.name, Attribution()).confirmation for measurement in measured
     }
     holding = [
         confirmation
         for measurement in measured
-        if (confirmation := found[measurement.name]) is not None and confirmation.holds(measurement.boundary_world)
+        if (confirmation := signed[measurement.name]) is not None and confirmation.holds(measurement.boundary_world)
     ]
     if not measured or len(holding) < len(measured):
         return None
@@ -257,5 +257,7 @@ def _models(measured: Sequence[VolumeMeasurement], surface: TriangleMesh) -> Ite
 
 def _photograph_files(job: Job) -> dict[str, Path]:
     files = sorted((job.session.path / "capture").iterdir())
-    found = {path.stem: path for path in files if path.suffix.lower() in EXTENSIONS and not path.name.startswith(".")}
-    return {camera: found[camera] for camera in job.inputs.photographs if camera in found}
+    by_camera = {
+        path.stem: path for path in files if path.suffix.lower() in EXTENSIONS and not path.name.startswith(".")
+    }
+    return {camera: by_camera[camera] for camera in job.inputs.photographs if camera in by_camera}

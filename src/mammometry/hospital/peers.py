@@ -9,7 +9,7 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 from mammometry.base.errors import SettingsError
-from mammometry.hospital.representations import text_fault
+from mammometry.hospital.codes import text_fault
 
 AUTHORIZATION = "MAMMOMETRY_STOW_AUTHORIZATION"
 """Variable of the environment with the header Authorization. An address would show it to everybody."""
@@ -31,15 +31,14 @@ class Peer:
         Raises:
             SettingsError: it is written otherwise.
         """
-        found = _PEER.match(text)
-        if found is None or text_fault(found["title"], "AE") is not None or not 0 < int(found["port"]) < 65536:
+        match = _PEER.match(text)
+        if match is None or text_fault(match["title"], "AE") is not None or not 0 < int(match["port"]) < 65536:
+            remedy = "Ask the archive's administrator for them"
+            expected = "AE@host:port, such as PACS@10.0.0.5:104"
             raise SettingsError(
-                text or "the archive's address",
-                found="no AE title, host and port",
-                expected="AE@host:port, such as PACS@10.0.0.5:104",
-                remedy="Ask the archive's administrator for them",
+                text or "the archive's address", found="no AE title, host and port", expected=expected, remedy=remedy
             )
-        return cls(title=found["title"].strip(), host=found["host"].strip("[]"), port=int(found["port"]))
+        return cls(title=match["title"].strip(), host=match["host"].strip("[]"), port=int(match["port"]))
 
     def __str__(self) -> str:
         return f"{self.title}@{self.host}:{self.port}"
@@ -68,11 +67,10 @@ class Tls:
                 made.load_cert_chain(self.certificate, self.key)
         except OSError as error:  # SSLError is one
             files = ", ".join(str(path) for path in (self.authorities, self.certificate, self.key) if path is not None)
+            remedy = "Check the files of --tls-ca, --tls-certificate and --tls-key"
+            expected = "certificates and a key as PEM"
             raise SettingsError(
-                files or "TLS",
-                found=f"no certificate that can be read ({error})",
-                expected="certificates and a key as PEM",
-                remedy="Check the files of --tls-ca, --tls-certificate and --tls-key",
+                files or "TLS", found=f"no certificate that can be read ({error})", expected=expected, remedy=remedy
             ) from None
         return made
 
@@ -85,17 +83,11 @@ def web_address(url: str) -> str:
     """
     parts = urlsplit(url)
     if parts.scheme not in ("http", "https") or not parts.hostname or parts.query or parts.fragment:
-        raise SettingsError(
-            url,
-            found="no address of a DICOMweb service",
-            expected="such as https://pacs.example.org/dicom-web",
-            remedy="Ask the archive's administrator for it",
-        )
+        remedy = "Ask the archive's administrator for it"
+        expected = "such as https://pacs.example.org/dicom-web"
+        raise SettingsError(url, found="no address of a DICOMweb service", expected=expected, remedy=remedy)
     if parts.username or parts.password:
-        raise SettingsError(
-            parts.hostname,
-            found="a name or password in the address",
-            expected=f"the variable {AUTHORIZATION} in the environment, such as 'Basic …' or 'Bearer …'",
-            remedy="Addresses are shown and logged: leave it out of the address",
-        )
+        remedy = "Addresses are shown and logged: leave it out of the address"
+        expected = f"the variable {AUTHORIZATION} in the environment, such as 'Basic …' or 'Bearer …'"
+        raise SettingsError(parts.hostname, found="a name or password in the address", expected=expected, remedy=remedy)
     return url.rstrip("/")

@@ -94,13 +94,13 @@ def drawn_entries(session: Path, kind: SubjectKind, subject: str | None = None) 
     Raises:
         SessionError: a file is not as documented.
     """
-    found: dict[Item, Entry] = {}
+    drawn: dict[Item, Entry] = {}
     for group, file in _FILES.items():
         path = session / file
         if path.is_file():
             _check(path, group, kind, subject)
-            found |= {(group, name): entry for name, entry in read_table(path, group, subject)[group].items()}
-    return found
+            drawn |= {(group, name): entry for name, entry in read_table(path, group, subject)[group].items()}
+    return drawn
 
 
 def change_drawn(

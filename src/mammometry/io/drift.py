@@ -3,8 +3,6 @@
 The file only ever grows. A line that cannot be read costs itself alone, and stays where it is.
 """
 
-from __future__ import annotations
-
 import json
 import logging
 import math
@@ -20,8 +18,7 @@ from filelock import FileLock
 from mammometry.base.errors import SessionError
 from mammometry.base.parse import json_value
 from mammometry.calibration.judge.check import CameraCheck, RigCheck
-from mammometry.io.durable import sync_folder
-from mammometry.io.write import disk_errors
+from mammometry.io.write import disk_errors, sync_folder
 
 FOLDER = "checks"
 HISTORY = "history.jsonl"
@@ -45,7 +42,7 @@ class CameraDrift:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Entry:
-    """One check of a rig."""
+    """A check of a rig, as a line of its history."""
 
     when: str
     """Moment of the check, ISO 8601, local time."""

@@ -13,9 +13,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mammometry.base.errors import StorageError
-from mammometry.io.durable import write_new
 from mammometry.io.results.records import is_plain
-from mammometry.io.write import disk_errors
+from mammometry.io.write import disk_errors, write_new
 
 if TYPE_CHECKING:
     from filelock import BaseFileLock
@@ -49,12 +48,9 @@ class RunLock:
         marker = SoftFileLock(self._folder / MARKER, timeout=_MARKER_TIMEOUT_S, thread_local=False)
         for path in (self._folder / LOCK, self._folder / MARKER):
             if os.path.lexists(path) and not is_plain(path):
-                raise StorageError(
-                    str(path),
-                    found="a link or a folder",
-                    expected="a lock file, or nothing",
-                    remedy="Remove it and run the same command again",
-                )
+                remedy = "Remove it and run the same command again"
+                expected = "a lock file, or nothing"
+                raise StorageError(str(path), found="a link or a folder", expected=expected, remedy=remedy)
         with disk_errors(self._folder):
             try:
                 self._lock = native
@@ -84,11 +80,9 @@ class RunLock:
         remedy = "Wait for it to end, or stop it"
         if Path(lock.lock_file).name == MARKER:
             remedy += f"; if it is gone, remove {MARKER} there"
+        expected = "one run at a time in a session"
         return StorageError(
-            str(self._folder),
-            found=f"another run at work there{self._holder()}",
-            expected="one run at a time in a session",
-            remedy=remedy,
+            str(self._folder), found=f"another run at work there{self._holder()}", expected=expected, remedy=remedy
         )
 
     def _holder(self) -> str:

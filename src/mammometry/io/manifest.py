@@ -12,7 +12,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstra
 from mammometry.base.errors import SessionError
 from mammometry.base.identity import subject_id
 from mammometry.base.parse import read_text, shown, toml_table
-from mammometry.base.posture import Posture
+from mammometry.measure.settings import Posture
 
 MANIFEST = "session.toml"
 _NAME = re.compile(r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")
@@ -156,7 +156,8 @@ def read_manifest(path: Path) -> Manifest:
             str(path.parent),
             found="no session.toml" if path.parent.is_dir() else "a file" if path.parent.exists() else "no such folder",
             expected="a session folder with a session.toml",
-            remedy="Check the path, or make an empty session with `mammometry new`",
+            remedy="Check the path. Photographs: make an empty session with `mammometry new`. "
+            "A scan of another device: take it over with `mammometry import mesh`",
         )
     text = read_text(path, str(path), "TOML", most_mib=1)
     return parse_manifest(text)

@@ -5,8 +5,6 @@ run of the same command may replace a file whose content is still that; any othe
 possible before anything is computed. What is not in the way is never touched.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os
@@ -17,8 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from mammometry.base.errors import StorageError
-from mammometry.io.durable import sync_folder
-from mammometry.io.write import disk_errors, file_digest, staged, write_text
+from mammometry.io.write import disk_errors, file_digest, staged, sync_folder, write_text
 
 RECORD = ".mammometry.json"
 _FORMAT = 1  # version of the record of outputs; another one is not read
@@ -63,12 +60,8 @@ def require_apart(out: Path, inputs: Iterable[Path | None]) -> None:
             found = f"a place in {path}, which this command reads"
         else:
             continue
-        raise StorageError(
-            str(out),
-            found=found,
-            expected="a place apart from what is read",
-            remedy="Choose another place for the results",
-        )
+        remedy = "Choose another place for the results"
+        raise StorageError(str(out), found=found, expected="a place apart from what is read", remedy=remedy)
 
 
 def require_free(folder: Path, names: Iterable[str], *, command: str) -> None:
@@ -87,12 +80,9 @@ def require_free(folder: Path, names: Iterable[str], *, command: str) -> None:
         written = _read(folder).files
         for name in names:
             if (found := _in_the_way(folder / name, written.get(name), command)) is not None:
-                raise StorageError(
-                    str(folder / name),
-                    found=found,
-                    expected=f"no such file, or one that `mammometry {command}` wrote and nobody changed",
-                    remedy="Move it away, or choose another place for the results",
-                )
+                remedy = "Move it away, or choose another place for the results"
+                expected = f"no such file, or one that `mammometry {command}` wrote and nobody changed"
+                raise StorageError(str(folder / name), found=found, expected=expected, remedy=remedy)
 
 
 def write_output(path: Path, data: bytes, *, command: str) -> None:
@@ -152,12 +142,9 @@ def require_own_folder(folder: Path, *, command: str) -> None:
     with disk_errors(folder):
         _require_folder(folder)
         if folder.exists() and any(folder.iterdir()) and _read(folder).command != command:
-            raise StorageError(
-                str(folder),
-                found="a folder with other files",
-                expected=f"a new or empty folder, or one that `mammometry {command}` made",
-                remedy="Choose another place for the results",
-            )
+            remedy = "Choose another place for the results"
+            expected = f"a new or empty folder, or one that `mammometry {command}` made"
+            raise StorageError(str(folder), found="a folder with other files", expected=expected, remedy=remedy)
 
 
 def take_folder(folder: Path, *, command: str) -> None:
@@ -204,12 +191,8 @@ def _put(fresh: Path, path: Path) -> None:
 
 def _require_folder(folder: Path) -> None:
     if os.path.lexists(folder) and not folder.is_dir():
-        raise StorageError(
-            str(folder),
-            found="a file",
-            expected="a folder, or nothing yet",
-            remedy="Choose another place for the results",
-        )
+        remedy = "Choose another place for the results"
+        raise StorageError(str(folder), found="a file", expected="a folder, or nothing yet", remedy=remedy)
 
 
 def _same(one: Path, other: Path) -> bool:
@@ -241,11 +224,10 @@ def _read(folder: Path) -> _Record:
         files = {_plain(name): _written(entry) for name, entry in table["files"].items()}
         command = table.get("folder_of")
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        remedy = "Move it away, or choose another place for the results"
+        expected = "the file as mammometry left it"
         raise StorageError(
-            str(path),
-            found=f"no record of what was written here ({error})",
-            expected="the file as mammometry left it",
-            remedy="Move it away, or choose another place for the results",
+            str(path), found=f"no record of what was written here ({error})", expected=expected, remedy=remedy
         ) from None
     return _Record(command=None if command is None else str(command), files=files)
 

@@ -31,7 +31,7 @@ import numpy as np
 
 from mammometry.base.errors import ImageError, SessionError
 from mammometry.base.identity import Identity
-from mammometry.base.limits import LimitSettings
+from mammometry.base.parse import LimitSettings
 from mammometry.base.photograph import Photograph
 from mammometry.geometry.arrays import Array
 from mammometry.geometry.camera import Camera
@@ -167,11 +167,10 @@ class Session:
             )
         for (_, camera), path in files.items():
             if camera not in self.cameras:
+                remedy = _perhaps(camera, list(self.cameras)) or "Rename or remove it"
+                expected = f"one of {', '.join(self.cameras)}"
                 raise SessionError(
-                    str(path),
-                    found="a photograph by an unknown camera",
-                    expected=f"one of {', '.join(self.cameras)}",
-                    remedy=_perhaps(camera, list(self.cameras)) or "Rename or remove it",
+                    str(path), found="a photograph by an unknown camera", expected=expected, remedy=remedy
                 )
         tables = {shot: path.with_suffix(".csv") for shot, path in files.items() if path.with_suffix(".csv").is_file()}
         points = {shot: _read_points(path, str(path)) for shot, path in tables.items()}
@@ -204,11 +203,9 @@ class Session:
         intrinsics = self._intrinsics_files() if cameras is None else {}
         manifest = self.manifest
         if manifest.target is None and cameras is None:
+            remedy = "Describe the calibration target, or import cameras with `mammometry import-cameras`"
             raise SessionError(
-                MANIFEST,
-                found="neither a [target] nor a cameras.json beside it",
-                expected="one of them",
-                remedy="Describe the calibration target, or import cameras with `mammometry import-cameras`",
+                MANIFEST, found="neither a [target] nor a cameras.json beside it", expected="one of them", remedy=remedy
             )
         present = {camera: path for camera, path in capture.items() if path.exists()}
         self._check_headers(present, calibration if cameras is None else {}, intrinsics, cameras)
@@ -274,38 +271,38 @@ class Session:
 
     def _images(self, folder: Path) -> dict[str, Path]:
         """Stem → image file, by name. Other files are ignored."""
-        found: dict[str, Path] = {}
+        files: dict[str, Path] = {}
         for path in sorted(folder.iterdir()) if folder.is_dir() else ():
             if path.suffix.lower() not in EXTENSIONS or path.name.startswith(".") or not path.is_file():
                 continue
-            if path.stem in found:
+            if path.stem in files:
                 raise SessionError(
                     self._name(path),
-                    found=f"a second photograph beside {found[path.stem].name}",
+                    found=f"a second photograph beside {files[path.stem].name}",
                     expected="one a camera",
                     remedy="Remove one of them",
                 )
-            found[path.stem] = path
-        return found
+            files[path.stem] = path
+        return files
 
     def _capture_files(self) -> dict[str, Path]:
-        found = self._images(self.path / "capture")
+        files = self._images(self.path / "capture")
         for camera in self.cameras:
-            if camera not in found:
+            if camera not in files:
                 raise SessionError(
                     f"capture/{camera}",
-                    found="no photograph" + (f" (but {', '.join(found)})" if found else ", the folder is empty"),
+                    found="no photograph" + (f" (but {', '.join(files)})" if files else ", the folder is empty"),
                     expected="one of every camera that a pair names",
-                    remedy=_perhaps(camera, [name for name in found if name not in self.cameras])
+                    remedy=_perhaps(camera, [name for name in files if name not in self.cameras])
                     or "Add the photograph, or take the pair out of session.toml",
                 )
-        others = [name for name in found if name not in self.cameras]
-        return {name: found[name] for name in (*self.cameras, *others)}
+        others = [name for name in files if name not in self.cameras]
+        return {name: files[name] for name in (*self.cameras, *others)}
 
     def _all_capture_files(self) -> dict[str, Path]:
         """Capture files of the pairs' cameras, present or missing."""
-        found = self._images(self.path / "capture")
-        return {camera: found.get(camera, self.path / "capture" / camera) for camera in (*self.cameras, *found)}
+        files = self._images(self.path / "capture")
+        return {camera: files.get(camera, self.path / "capture" / camera) for camera in (*self.cameras, *files)}
 
     def _calibration_files(self) -> dict[tuple[str, str], Path]:
         folder = self.path / "calibration"
@@ -324,31 +321,27 @@ class Session:
     def _intrinsics_files(self) -> dict[str, dict[tuple[str, str], Path]]:
         if self.manifest.intrinsics is None:
             return {}
-        found = {
+        files = {
             camera: {(shot, camera): path for shot, path in self._images(self.path / "intrinsics" / camera).items()}
             for camera in self.cameras
         }
-        for camera, shots in found.items():
+        for camera, shots in files.items():
             if not shots:
-                raise SessionError(
-                    f"intrinsics/{camera}",
-                    found="no photograph",
-                    expected="photographs of the [intrinsics] target by every camera",
-                    remedy="Add them, or take [intrinsics] out of session.toml",
-                )
-        return found
+                remedy = "Add them, or take [intrinsics] out of session.toml"
+                expected = "photographs of the [intrinsics] target by every camera"
+                raise SessionError(f"intrinsics/{camera}", found="no photograph", expected=expected, remedy=remedy)
+        return files
 
     def _mask_files(self, capture: Mapping[str, Path]) -> dict[str, Path]:
-        found = self._images(self.path / "masks")
-        for camera, path in found.items():
+        files = self._images(self.path / "masks")
+        for camera, path in files.items():
             if camera not in capture:
+                remedy = _perhaps(camera, list(capture)) or "Rename or remove it"
+                expected = f"one of {', '.join(capture)}"
                 raise SessionError(
-                    self._name(path),
-                    found="a mask without a photograph",
-                    expected=f"one of {', '.join(capture)}",
-                    remedy=_perhaps(camera, list(capture)) or "Rename or remove it",
+                    self._name(path), found="a mask without a photograph", expected=expected, remedy=remedy
                 )
-        return found
+        return files
 
     def _ready_cameras(self) -> dict[str, Camera] | None:
         path = self.path / "cameras.json"
@@ -407,13 +400,12 @@ class Session:
 
     def _checked_mask(self, camera: str, path: Path, photograph: Path) -> Array:
         width, height = self._header(photograph).size_wh
-        found = self._header(path).size_wh
-        if found != (width, height):
+        size_wh = self._header(path).size_wh
+        if size_wh != (width, height):
+            remedy = "Export the mask at the photograph's size"
+            expected = f"{width} × {height} pixels, as the photograph of camera {camera}"
             raise ImageError(
-                self._name(path),
-                found=f"{found[0]} × {found[1]} pixels",
-                expected=f"{width} × {height} pixels, as the photograph of camera {camera}",
-                remedy="Export the mask at the photograph's size",
+                self._name(path), found=f"{size_wh[0]} × {size_wh[1]} pixels", expected=expected, remedy=remedy
             )
         return read_mask(path, self._name(path), self.limits)
 
@@ -430,12 +422,9 @@ def _read_points(path: Path, name: str) -> MeasuredPoints:
     values = table.numbers("id", "u", "v")
     for line, value in zip(table.lines, values[:, 0], strict=True):
         if value != round(value):
-            raise SessionError(
-                f"{name}, row {line}, column id",
-                found=f"{value:g}",
-                expected="a whole number, the point's place in the target's list",
-                remedy="Correct the table",
-            )
+            remedy = "Correct the table"
+            expected = "a whole number, the point's place in the target's list"
+            raise SessionError(f"{name}, row {line}, column id", found=f"{value:g}", expected=expected, remedy=remedy)
     return MeasuredPoints(name=name, ids=values[:, 0].astype(np.int64), uv=values[:, 1:].copy())
 
 
@@ -478,11 +467,9 @@ def _file_digest(path: Path) -> str:
         status = path.stat()
         return _hashed(path, status.st_size, status.st_mtime_ns)
     except OSError as error:
+        remedy = "Check it and its permissions"
         raise ImageError(
-            str(path),
-            found=f"a file that cannot be read ({error.strerror})",
-            expected="a readable file",
-            remedy="Check it and its permissions",
+            str(path), found=f"a file that cannot be read ({error.strerror})", expected="a readable file", remedy=remedy
         ) from None
 
 

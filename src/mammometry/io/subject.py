@@ -3,8 +3,6 @@
 Two different subjects are refused. A session that was entered under a wrong one can be given another.
 """
 
-from __future__ import annotations
-
 import datetime
 import json
 import re
@@ -37,7 +35,7 @@ def check_session(session: Path, subject: str | None) -> None:
     """
     files = [*(session / name for name in _DRAWN), *sorted((session / "history").glob("*.json"))]
     sources = [*_drawn(files), *_in_results(session / "results")]
-    named = [(path.relative_to(session).as_posix(), found) for path, found in sources]
+    named = [(path.relative_to(session).as_posix(), name) for path, name in sources]
     one_subject(
         [(MANIFEST, subject), *named],
         remedy="If these are new photographs, delete results/ and what was drawn on the earlier subject, and run "
@@ -53,7 +51,7 @@ def check_mesh(mesh: Path, files: Iterable[Path | None], folder: Path, subject: 
     """
     sources = [(mesh, subject_of_mesh(mesh)), *_drawn(filter(None, files)), *_in_results(folder)]
     one_subject(
-        [("--subject", subject), *((str(path), found) for path, found in sources)],
+        [("--subject", subject), *((str(path), name) for path, name in sources)],
         remedy="If this is another subject's mesh, give its own drawings and another --out; if not, correct --subject",
     )
 
@@ -122,5 +120,5 @@ def _table(path: Path) -> dict[str, Any]:
 
 
 def _subject(table: object) -> str | None:
-    found = table.get("subject") if isinstance(table, dict) else None
-    return found if isinstance(found, str) else None
+    subject = table.get("subject") if isinstance(table, dict) else None
+    return subject if isinstance(subject, str) else None

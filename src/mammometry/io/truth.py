@@ -43,11 +43,10 @@ def read_truth(folder: Path, pair_names: Mapping[str, tuple[str, str]]) -> Truth
         targets = {pose: Transform.from_matrix(np.array(matrix)) for pose, matrix in placed.items()}
         volumes, boundaries = _volumes(facts), _boundaries(folder)
     except FileNotFoundError as error:
+        remedy = "Evaluate a session of `mammometry simulate`, or name its truth with --truth"
+        expected = "the truth of a virtual capture: truth.json, mesh.ply and cameras.json"
         raise SessionError(
-            str(folder),
-            found=f"no {Path(error.filename).name}",
-            expected="the truth of a virtual capture: truth.json, mesh.ply and cameras.json",
-            remedy="Evaluate a session of `mammometry simulate`, or name its truth with --truth",
+            str(folder), found=f"no {Path(error.filename).name}", expected=expected, remedy=remedy
         ) from None
     except (OSError, ValueError, KeyError, TypeError, AttributeError, IndexError) as error:
         raise SessionError(
@@ -59,11 +58,10 @@ def read_truth(folder: Path, pair_names: Mapping[str, tuple[str, str]]) -> Truth
     mesh = folder / "mesh.ply"
     missing = sorted({name for pair in pair_names.values() for name in pair} - set(cameras))
     if missing:
+        remedy = "Name the truth of this session with --truth"
+        expected = f"also {', '.join(missing)}, which the session's pairs name"
         raise SessionError(
-            str(common / "cameras.json"),
-            found=f"cameras {', '.join(cameras)}",
-            expected=f"also {', '.join(missing)}, which the session's pairs name",
-            remedy="Name the truth of this session with --truth",
+            str(common / "cameras.json"), found=f"cameras {', '.join(cameras)}", expected=expected, remedy=remedy
         )
     return Truth(
         rig=Rig(name="truth", cameras=cameras, pair_names=pair_names),
@@ -109,11 +107,13 @@ def _json(path: Path) -> Any:
 def _volumes(facts: Mapping[str, Any]) -> dict[str, float]:
     """Breast → true volume, cc, with the truth's primary wall."""
     if "breasts" in facts:
-        found = {
+        volumes = {
             name.removeprefix(_PATIENT): float(breast["volume_cc"][breast["primary"]])
             for name, breast in facts["breasts"].items()
         }
-        return found if "model" in found else {"left": 0.0, "right": 0.0} | found  # a side that is not named has none
+        return (
+            volumes if "model" in volumes else {"left": 0.0, "right": 0.0} | volumes
+        )  # a side that is not named has none
     if "volumes_cc" in facts:
         return {name: float(value) for name, value in facts["volumes_cc"].items()}
     return {"model": float(facts["volume_cc"])}
@@ -121,8 +121,8 @@ def _volumes(facts: Mapping[str, Any]) -> dict[str, float]:
 
 def _boundaries(folder: Path) -> dict[str, Float64[Array, "n 3"]]:
     """Breast → closed curve, of boundary_base.xyz, boundary_patient_left.xyz and boundary_patient_right.xyz."""
-    found = {}
+    boundaries = {}
     for path in sorted(folder.glob("boundary_*.xyz")):
         name = path.stem.removeprefix("boundary_").removeprefix(_PATIENT)
-        found["model" if name == "base" else name] = numbers(np.loadtxt(path, dtype=np.float64, ndmin=2), -1, 3)
-    return found
+        boundaries["model" if name == "base" else name] = numbers(np.loadtxt(path, dtype=np.float64, ndmin=2), -1, 3)
+    return boundaries

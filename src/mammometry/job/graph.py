@@ -4,8 +4,6 @@ It computes nothing by itself: each product knows its key and is made, or read b
 one plan runs a job, resumes it, and knows what is stale.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
@@ -57,7 +55,7 @@ class Background:
             self._begun.append(self._pool.submit(product.ensure))
 
     def wait(self) -> None:
-        """Wait for all of them. Raises what stood in the way of one."""
+        """Wait for all background products. Raises what stood in the way of one."""
         while self._begun:
             self._begun.pop().result()
 

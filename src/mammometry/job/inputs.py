@@ -1,4 +1,4 @@
-"""Inputs of the job as values: photographs and prior knowledge about them."""
+"""Inputs of the job as values, and what stages hand on to one another."""
 
 from __future__ import annotations
 
@@ -9,15 +9,20 @@ from typing import TYPE_CHECKING, Literal, TypeAlias
 from mammometry.base.errors import CalibrationError
 from mammometry.base.photograph import Photograph
 from mammometry.geometry.arrays import Array, Bool, Float64
-from mammometry.geometry.camera import Camera
+from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.mesh import TriangleMesh
 
 if TYPE_CHECKING:
+    from mammometry.calibration.adjust.calibrated import Calibration
     from mammometry.calibration.adjust.projection import CameraPrior
     from mammometry.calibration.detection.measured_points import MeasuredPoints
     from mammometry.calibration.targets.target import Target
     from mammometry.measure.trunk.body import Mounting
     from mammometry.measure.volume.attribution import Attribution
+    from mammometry.measure.volume.uncertainty import EarlierErrors
+    from mammometry.surface.repair.repair import RepairedSurface
+    from mammometry.surface.texture.texture import TexturedMesh
+
 
 SubjectKind: TypeAlias = Literal["model", "torso", "surface"]
 ItemKind: TypeAlias = Literal["pose", "lens", "camera", "pair"]
@@ -96,11 +101,9 @@ class Inputs:
             CalibrationError: there is neither a target nor a camera.
         """
         if self.cameras is None and self.target is None:
+            remedy = "Describe the calibration target, or import cameras with `mammometry import-cameras`"
             raise CalibrationError(
-                "session.toml",
-                found="neither a [target] nor ready-made cameras",
-                expected="one of them",
-                remedy="Describe the calibration target, or import cameras with `mammometry import-cameras`",
+                "session.toml", found="neither a [target] nor ready-made cameras", expected="one of them", remedy=remedy
             )
         return self.cameras is None
 
@@ -147,3 +150,43 @@ class Inputs:
     def upside_down(self) -> tuple[str, ...]:
         """Cameras that are mounted with their tops down."""
         return tuple(name for name, mounting in self.mounting.items() if mounting == "upside-down")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CameraSet:
+    """A rig calibrated here or read from a file, with its quality."""
+
+    rig: Rig
+    std: Mapping[str, Mapping[str, float]]
+    """Camera → parameter → standard deviation. Empty where the cameras came ready-made."""
+    world: str
+    """One sentence that says what the world frame is."""
+    rms_px: float | None
+    """Root mean square reprojection error, pixels. None where the cameras came ready-made."""
+    verdict: str | None = None
+    """``pass`` or ``warn``, by `judge.quality`. None for a given rig. A refused calibration makes no cameras."""
+    reasons: tuple[str, ...] = ()
+    """Why, one sentence each, the gravest first. For a given rig, what makes its lengths doubtful."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class FinishedSurface:
+    """The repaired surface with its photographic colours."""
+
+    repaired: RepairedSurface
+    textured: TexturedMesh
+
+
+def earlier_errors(calibration: Calibration | None) -> EarlierErrors:
+    """A calibration's own errors. Empty if there is none."""
+    import numpy as np
+
+    from mammometry.calibration.judge.expected_error import expected_error
+    from mammometry.measure.volume.uncertainty import EarlierErrors
+
+    if calibration is None:
+        return EarlierErrors()
+    expected = np.concatenate(list(expected_error(calibration).std_mm.values()))
+    seen = np.isfinite(expected)
+    point_std_mm = float(np.sqrt(np.mean(expected[seen] ** 2))) if seen.any() else None
+    return EarlierErrors(scale_std=calibration.scale_std, point_std_mm=point_std_mm)

@@ -51,7 +51,7 @@ class Key:
 
     @property
     def digest(self) -> str:
-        """SHA-256 of all of it, hexadecimal."""
+        """SHA-256 digest of the whole key, hexadecimal."""
         members = [self.stage, self.product, self.version, dict(self.settings), dict(self.inputs)]
         return hashlib.sha256(json.dumps(members, sort_keys=True).encode()).hexdigest()
 
@@ -254,7 +254,7 @@ class Product(Generic[T]):
 
     @property
     def made_from(self) -> tuple[Product[Any], ...]:
-        """All its parents."""
+        """All parents of the product."""
         return tuple(_flat(self.parents.values()))
 
     def __call__(self) -> T:
@@ -273,7 +273,7 @@ class Product(Generic[T]):
 
     @property
     def missing(self) -> bool:
-        """Whether it is neither in memory nor remembered."""
+        """Whether the product is neither in memory nor remembered."""
         return not self._value and not (self._memo is not None and self._memo.has(self.key))
 
     def ensure(self) -> None:

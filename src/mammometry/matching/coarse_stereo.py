@@ -15,14 +15,13 @@ from scipy import ndimage
 
 from mammometry.base.errors import MatchingError
 from mammometry.base.photograph import Photograph
-from mammometry.geometry.arrays import Array, Bool, Float32, Float64, read_only
-from mammometry.geometry.camera import Camera, Rig
+from mammometry.geometry import Array, Bool, Camera, Float32, Float64, Rig, read_only
 from mammometry.matching.foreground.foreground import Foreground
 from mammometry.matching.foreground.seeded_segmentation import DepthSeeds
 from mammometry.matching.foreground.silhouette import block_means
 from mammometry.matching.pyramid import Level
 from mammometry.matching.rectify import RectifiedPair, rectify
-from mammometry.matching.semiglobal.semiglobal_start import both_ways
+from mammometry.matching.semiglobal import both_ways
 
 # Where no other source is named: chosen on the simulated captures of docs/decisions/0028.
 _SPAN_PX = 270  # longer side of the small photographs, about: a trunk is a hundred pixels wide

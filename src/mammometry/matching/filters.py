@@ -21,10 +21,7 @@ def gaussian_taps(sigma_px: float) -> Float32[Array, " taps"]:
 
 @fast_kernel
 def blur(image: Float32[Array, "h w"], taps: Float32[Array, " taps"]) -> Float32[Array, "h w"]:
-    """Convolve rows and columns with symmetric taps.
-
-    Their number is odd. Beyond the borders the image goes on as there.
-    """
+    """Convolve rows and columns with an odd number of symmetric taps, the borders continued."""
     height, width = image.shape
     radius = taps.shape[0] // 2
     out = np.empty((height, width), dtype=np.float32)
@@ -111,10 +108,7 @@ def continue_outside(
 
 @fast_kernel
 def halve(image: Float32[Array, "h w"], taps: Float32[Array, " taps"]) -> Float32[Array, "H W"]:
-    """Filter, and keep every other row and column.
-
-    The number of taps is even: new pixels lie between two old ones.
-    """
+    """Filter with an even number of taps, and keep every other row and column."""
     height, width = image.shape
     reach = taps.shape[0] // 2 - 1
     rows, columns = (height + 1) // 2, (width + 1) // 2
@@ -174,10 +168,7 @@ def double(field: Float32[Array, "h w"], height: int, width: int, steepest: floa
 def pull(
     values: Float32[Array, "h w"], weights: Float32[Array, "h w"]
 ) -> tuple[Float32[Array, "H W"], Float32[Array, "H W"]]:
-    """Weighted means of blocks of 2 × 2 pixels.
-
-    0 where nothing has weight. Also returns the blocks' weights.
-    """
+    """Weighted means of blocks of 2 × 2 pixels, 0 where nothing has weight, and the blocks' weights."""
     height, width = values.shape
     rows, columns = (height + 1) // 2, (width + 1) // 2
     means = np.empty((rows, columns), dtype=np.float32)
@@ -234,10 +225,7 @@ def from_blocks(means: Float32[Array, "h w"], height: int, width: int, steepest:
 def push(
     values: Float32[Array, "h w"], weights: Float32[Array, "h w"], coarse: Float32[Array, "H W"]
 ) -> Float32[Array, "h w"]:
-    """Fill values without weight from the coarser level.
-
-    There each pixel is the mean over 3 × 3 of the coarse ones, each repeated.
-    """
+    """Fill values without weight from the coarser level, each the mean over 3 × 3 of its pixels."""
     height, width = values.shape
     columns = coarse.shape[1]
     out = np.empty((height, width), dtype=np.float32)
@@ -276,10 +264,7 @@ def squared_slope(field: Float32[Array, "h w"]) -> Float32[Array, "h w"]:
 
 @fast_kernel
 def rim(values: Float32[Array, "h w"], level: float) -> Int32[Array, "n 2"]:
-    """Column and row of the outermost pixels at or above a level.
-
-    One of their four neighbours is below it, or outside.
-    """
+    """Column and row of the outermost pixels at or above a level, by their four neighbours."""
     height, width = values.shape
     limit = np.float32(level)
     found = np.empty((64, 2), dtype=np.int32)

@@ -1,12 +1,63 @@
-"""How much noise a picture holds, measured in the picture itself."""
+"""Noise, sharpness and texture of a picture, measured in the picture itself.
+
+Sharpness: on a level that holds details the picture changes from pixel to pixel about as much as on the next coarser
+one. Where it is blurred it changes half as much, and its power a quarter. Noise hides that on the finest level, so that
+each level is judged by the two that follow it, where most noise is gone.
+
+Such places are reported; nothing is invented there.
+"""
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
+from scipy import ndimage
 
-from mammometry.geometry.arrays import Array, Float32
+from mammometry.geometry.arrays import Array, Bool, Float32
+from mammometry.matching.dense.least_squares_step import Estimate
 from mammometry.matching.filters import blur, gaussian_taps, pull
-from mammometry.matching.pyramid import Level
+from mammometry.matching.pyramid import Level, build, decimation
+
+_PART_PX = 768  # side of the square in the subject's middle that is looked at
+_MOST = 3  # levels that may be empty
+_RIM_PX = 3  # off the subject's rim, where the picture is continued
+_FEWEST_PX = 400  # of a level; fewer tell nothing
+_SOFT = 0.5
+"""Power of the steps between pixels, on the level after the one judged over that on the next, below which a level is
+empty: sharp plaster has .73 to .80, torsos .85, a head .58; with a blur of .8, 1.4 and 3.6 px .46, .36 and .32
+(docs/decisions/0015)."""
+
+
+def empty_levels(image: Float32[Array, "h w"], mask: Bool[Array, "h w"]) -> int:
+    """Number of the finest levels in which a picture holds no details of the subject.
+
+    Args:
+        image: luma, 0…1, of the rectified picture.
+        mask: the subject's pixels.
+    """
+    rows, columns = np.nonzero(mask)
+    if len(rows) == 0:
+        return 0
+    corner = [max(0, int(np.median(place)) - _PART_PX // 2) for place in (rows, columns)]
+    part = tuple(slice(start, start + _PART_PX) for start in corner)
+    noise, steps = 0.0, []
+    for number, level in enumerate(build(image[part].copy(), mask[part].copy(), 0, _MOST + 1)):
+        inner = ndimage.binary_erosion(level.mask, iterations=_RIM_PX)
+        if np.count_nonzero(inner) < _FEWEST_PX:
+            break
+        if number == 0:
+            noise = float(np.mean(checkerboard_residual(level.image)[inner] ** 2))
+        else:
+            noise *= float(np.sum(decimation(number).astype(np.float64) ** 2) ** 2)
+        along = np.diff(level.image, axis=1)[inner[:, 1:] & inner[:, :-1]]
+        steps.append(max(float(np.mean(along**2)) - 2 * noise, 0.0))
+    empty = 0
+    for finer, coarser in pairwise(steps[1:]):
+        if finer >= _SOFT * coarser:
+            break
+        empty += 1
+    return empty
+
 
 _AROUND_PX = 4.0  # Gaussian σ over which noise is averaged, pixels of the level it is wanted on; chosen by eye
 _FAR_WEIGHT = 1e-3  # of the subject's mean, where nothing of it is near; any small number
@@ -53,3 +104,71 @@ def noise_variance(finest: Level, decimations: Sequence[Float32[Array, " _"]]) -
     mass += wide
     variance /= mass
     return variance
+
+
+_FEWEST_MATCHES = 100  # that tell the noise; chosen by eye
+_SOUND_CORRELATION = 0.5  # of a match that tells the noise; chosen by eye
+_MOST_DOUBT = 4.0  # times its variance: twice its standard deviation (docs/decisions/0015)
+_LONG_WAVES = 4.0  # times the window's σ: slower shading is no texture; chosen by eye
+_LOWEST_NOISE = 1e-4  # of luma 0…1: a tenth of an 8-bit step's rounding
+
+
+def unexplained(level: Level, matches: Estimate, sigma_px: float) -> Float32[Array, "h w"]:
+    """Factor on a match's variance, 1 … 4.
+
+    1 where noise explains what gain and offset leave over. In weak texture a match is uncertain and yet right, and its
+    variance says so. Where much more is left over than the noise of both pictures, they show different things: a
+    surface half hidden, a gleam, a match that is off.
+
+    Args:
+        level: the finest one matched.
+        matches: made on it.
+        sigma_px: of the Gaussian window.
+    """
+    # In place: at full size each array takes a quarter of a picture's memory.
+    ratio = np.square(np.minimum(matches.correlation, np.float32(1)))
+    np.subtract(np.float32(1), ratio, out=ratio)
+    ratio *= _spread(_high_passed(level, sigma_px), sigma_px)
+    ratio /= 2 * np.maximum(noise_variance(level, []), np.float32(_LOWEST_NOISE**2))
+    return np.clip(ratio, 1, _MOST_DOUBT, out=ratio)
+
+
+def weak_texture(level: Level, matches: Estimate, sigma_px: float, limit_px: float) -> Bool[Array, "h w"]:
+    """Subject pixels whose texture is too weak.
+
+    A correct match around them would be less certain than `limit_px`, or holds only noise. A window's shift has the
+    variance noise² Σw² / Σw·slope² (Cramér and Rao). The noise of both pictures together is the median, over the
+    matches, of what the correlation leaves unexplained; the slope is the picture's own.
+
+    Args:
+        level: the finest one matched.
+        matches: made on it.
+        sigma_px: of the Gaussian window.
+        limit_px: standard deviation, pixels of the level.
+    """
+    image = _high_passed(level, sigma_px)
+    spread = _spread(image, sigma_px)
+    sound = matches.plausible & (matches.correlation > _SOUND_CORRELATION)
+    if np.count_nonzero(sound) < _FEWEST_MATCHES:
+        return level.mask
+    noise = max(float(np.median(spread[sound] * (1 - matches.correlation[sound] ** 2))), _LOWEST_NOISE**2)
+    # Of the measured slope² a part is noise: that of central differences, one picture's.
+    steep = np.zeros_like(image)
+    np.subtract(image[:, 2:], image[:, :-2], out=steep[:, 1:-1])
+    slope = blur(np.square(steep), gaussian_taps(sigma_px)) / 4 - np.float32(noise / 4)
+    concentration = 1 / (4 * np.pi * sigma_px**2)
+    by_chance = noise * np.sqrt(concentration)  # four standard deviations of slope² in a window of noise
+    return np.asarray(level.mask & (slope < noise * concentration / limit_px**2 + by_chance))
+
+
+def _high_passed(level: Level, sigma_px: float) -> Float32[Array, "h w"]:
+    slow = blur(level.image, gaussian_taps(_LONG_WAVES * sigma_px))
+    return np.subtract(level.image, slow, out=slow)
+
+
+def _spread(image: Float32[Array, "h w"], sigma_px: float) -> Float32[Array, "h w"]:
+    """Variance within the window around each pixel."""
+    taps = gaussian_taps(sigma_px)
+    spread = blur(np.square(image), taps)
+    spread -= np.square(blur(image, taps))
+    return spread

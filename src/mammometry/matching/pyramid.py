@@ -8,8 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mammometry.geometry.arrays import Array, Bool, Float32, Float64, read_only
-from mammometry.geometry.camera import Camera
+from mammometry.geometry import Array, Bool, Camera, Float32, Float64, read_only
 from mammometry.matching.filters import continue_outside, double, gaussian_taps, halve
 
 _JUMP_PX = 0.5  # from a pixel's centre to its quarter: a change of that size, a slope of 2, is no skin's
@@ -94,18 +93,12 @@ def continued(image: Float32[Array, "h w"], mask: Bool[Array, "h w"]) -> Float32
 
 
 def finer_field(field: Float32[Array, "h w"], shape_hw: tuple[int, int]) -> Float32[Array, "H W"]:
-    """A field on the next finer level.
-
-    Linear interpolation; its values are not scaled.
-    """
+    """A field on the next finer level, linearly interpolated, its values not scaled."""
     return double(np.ascontiguousarray(field, dtype=np.float32), shape_hw[0], shape_hw[1], np.inf)
 
 
 def finer_shift(shift: Float32[Array, "h w"], shape_hw: tuple[int, int]) -> Float32[Array, "H W"]:
-    """A field of shifts in the next finer level's pixels.
-
-    Doubled; linear, but not across jumps of depth.
-    """
+    """Shifts in the next finer level's pixels: doubled, linear, but not across jumps of depth."""
     return double(2 * shift, shape_hw[0], shape_hw[1], 2 * _JUMP_PX)
 
 

@@ -10,8 +10,7 @@ from mammometry.matching.dense.match import DisparityMap
 
 ALARMING_D_V_PX = 0.3
 """Smooth vertical disparity above which calibration and photographs do not fit, px. Chosen by eye: a right calibration
-leaves less than 0.1 (docs/decisions/0011).
-"""
+leaves less than 0.1 (docs/decisions/0011)."""
 _CERTAIN_SIGMAS = 3.0  # of the smooth part, before it is called one: single pixels scatter where texture is poor
 _BLOCKS = 6  # down and across the map, whose medians show the smooth part
 _LEAST_PIXELS = 20  # matched in a block, so that its median counts
@@ -43,10 +42,7 @@ class MatchQuality:
 
     @property
     def calibration_alarm(self) -> bool:
-        """Whether the vertical disparity says that the cameras are others.
-
-        A camera moved, or the photographs are another rig's.
-        """
+        """Whether the vertical disparity says that a camera moved, or that the rig is another one."""
         return self.d_v_smooth_px > max(ALARMING_D_V_PX, _CERTAIN_SIGMAS * self.d_v_smooth_std_px)
 
 

@@ -10,10 +10,8 @@ from scipy.interpolate import BSpline, make_interp_spline
 from mammometry.base.errors import ImageError, MatchingError
 from mammometry.base.photograph import LUMA, Photograph
 from mammometry.base.value import value
-from mammometry.geometry.arrays import Array, Bool, Float32, Float64
-from mammometry.geometry.camera import Camera, StereoPair
+from mammometry.geometry import Array, Bool, Camera, Float32, Float64, StereoPair, Transform
 from mammometry.geometry.lens import fold_radius
-from mammometry.geometry.transform import Transform
 from mammometry.matching.correlation_kernels import sample_spline, spline_along_rows, weighted_channels
 from mammometry.matching.filters import blur, rim
 from mammometry.matching.foreground.foreground import Foreground
@@ -41,16 +39,12 @@ _MAP_STEP_PX = 8  # the resampling map is smooth: exact on this grid, cubic in b
 
 @value(eq=False)
 class RectifiedPair:
-    """Two images of one size with corresponding rows.
-
-    They are seen by ideal cameras at the original perspective centres.
-    """
+    """Two images of one size with corresponding rows, from ideal cameras at the original centres."""
 
     name: str
     left: Camera
     """Ideal (no distortion). `right` has the same orientation, focal length and principal row, but another principal
-    column.
-    """
+    column."""
     right: Camera
     left_image: Float32[Array, "h w"]
     """Luma, 0…1. Cubic B-spline resampling at the photographs' own resolution. 0 where no subject is near."""
@@ -186,10 +180,7 @@ def _ideal_cameras(
     outlines: list[Float64[Array, "_ 2"]],
     shift_px: float | None,
 ) -> tuple[Camera, Camera]:
-    """Both rectified cameras, cropped to the subject's region.
-
-    They have common rows, and a column range each.
-    """
+    """Both rectified cameras, cropped to the subject, with common rows and a column range each."""
     low = np.array([outline.min(axis=0) for outline in outlines])
     high = np.array([outline.max(axis=0) for outline in outlines])
     top, bottom = low[:, 1].max(), high[:, 1].min()
@@ -274,20 +265,14 @@ def _resample(
 
 
 def _read_part(positions: Float32[Array, "h w"], size: int) -> slice:
-    """Rows or columns of the photograph needed for the positions.
-
-    They include room for the spline's reach.
-    """
+    """Rows or columns of the photograph needed for the positions, with room for the spline's reach."""
     start = int(np.clip(positions.min() - _SPLINE_REACH_PX, 0, size - 2 * _SPLINE_REACH_PX))
     stop = int(np.clip(positions.max() + _SPLINE_REACH_PX, start + 2 * _SPLINE_REACH_PX, size))
     return slice(start, stop)
 
 
 class _SourceMap:
-    """Place in the photograph of each rectified pixel.
-
-    Exact on a coarse grid, with a cubic spline in between.
-    """
+    """Place in the photograph of each rectified pixel: exact on a coarse grid, with a cubic between."""
 
     def __init__(self, camera: Camera, ideal: Camera) -> None:
         height, width = ideal.shape_hw

@@ -17,9 +17,8 @@ from mammometry.base.errors import MeasureError
 from mammometry.base.value import value
 from mammometry.geometry import mesh_kernels
 from mammometry.geometry.arrays import Array, Bool, Float64, Int32, Int64
-from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry.mesh import TriangleMesh, edge_table, split_edges
 from mammometry.geometry.nearest import point_tree
-from mammometry.geometry.refine import edge_table, split_edges
 from mammometry.measure.solid.cut import opening_loops
 from mammometry.measure.solid.patch import fill, harmonic
 

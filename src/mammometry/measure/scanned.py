@@ -14,13 +14,13 @@ import numpy as np
 from mammometry.base.errors import MeasureError
 from mammometry.geometry.arrays import Array, Bool, Float64
 from mammometry.geometry.camera import Camera, Rig
-from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry.mesh import TriangleMesh, edge_table, split_edges
 from mammometry.geometry.nearest import point_tree
-from mammometry.geometry.refine import edge_table, split_edges
 from mammometry.geometry.transform import Transform
 from mammometry.measure.boundary.boundary import Boundary
+from mammometry.measure.boundary.breasts import roundest_side_per_mm
 from mammometry.measure.boundary.trace import check_beside_holes, edge_loop
-from mammometry.measure.scan_front import ahead_by_feet
+from mammometry.measure.scan_front import ahead_by_feet, front_of_body
 from mammometry.measure.scan_repair import RepairedScan
 from mammometry.measure.solid.cut import check_whole, inside_curve
 from mammometry.measure.trunk.thorax import frame_from_sides, orthonormal, seen_skin
@@ -32,6 +32,7 @@ _FACES_AT_MOST = 4_000_000  # of a refined mesh; chosen for memory
 _VIEWER_MM, _EYES_MM = 1500.0, 200.0  # distance and eye distance of the viewer; only directions matter
 _VIEWER_PX = 1000  # size and focal length of the viewer's pictures; they are never rendered
 _ONE_SIDED = 0.05  # mean of the normals of a mesh that shows one side; chosen by eye
+_ROUNDER = 2.0  # times that a torso's front is as round as its back at least, to be told from it; chosen by eye
 _ALONG_AXIS = np.cos(np.deg2rad(20.0))  # a front that looks this near to an axis stands along it; chosen by eye
 _SQUARE = 1e-6  # cosine of the angle between head and straight ahead
 _ON_MESH_MM = 15.0  # median distance from the vertices at which a curve lies on a mesh, however coarse; chosen by eye
@@ -197,6 +198,8 @@ def frame_from_axes(mesh: TriangleMesh, head: str | None = None, ahead: str | No
         if np.linalg.norm(looks) < _ONE_SIDED * mesh.area_mm2():
             up = _axis(head or ("z" if np.argmin(np.ptp(mesh.vertices, axis=0)) == 1 else "y"), "--head")
             forward = ahead_by_feet(mesh, up)
+            if forward is None:
+                forward = _ahead_by_breasts(mesh, up)
             if forward is not None:
                 return orthonormal(up, _along_axis(forward))
             raise MeasureError(
@@ -219,6 +222,28 @@ def frame_from_axes(mesh: TriangleMesh, head: str | None = None, ahead: str | No
             remedy="Correct --head or --ahead",
         )
     return orthonormal(up, forward)
+
+
+def _ahead_by_breasts(mesh: TriangleMesh, up: Float64[Array, 3]) -> Float64[Array, 3] | None:
+    """Straight ahead of a closed torso: across its width, where it is as round as breasts are. None if both sides are.
+
+    Args:
+        mesh: mm.
+        up: towards the head.
+    """
+    level = mesh.vertices - np.outer(mesh.vertices @ up, up)
+    across = np.linalg.eigh(np.cov(level.T) + np.outer(up, up) * np.ptp(level) ** 2)[1][:, 0]
+    whole = RepairedScan(mesh=mesh, invented=np.zeros(len(mesh.vertices), dtype=bool), notes=())
+    roundness = []
+    for forward in (across, -across):
+        frame = orthonormal(up, forward)
+        try:
+            roundness.append(roundest_side_per_mm(as_scanned(front_of_body(whole, frame).mesh), frame))
+        except MeasureError:
+            roundness.append(0.0)
+    if max(roundness) < _ROUNDER * min(roundness) or max(roundness) == 0:
+        return None
+    return across if roundness[0] > roundness[1] else -across
 
 
 def _along_axis(direction: Float64[Array, 3]) -> Float64[Array, 3]:

@@ -1,7 +1,15 @@
-"""Settings of the measurement: boundary, wall and uncertainty."""
+"""Settings of the measurement: boundary, wall and uncertainty. Postures of the patient."""
+
+from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, TypeAlias, get_args
+
+Posture: TypeAlias = Literal["leaning", "standing", "lying"]
+"""As a clinic's visit names them."""
+POSTURES: tuple[Posture, ...] = get_args(Posture)
+NOT_TO_BE_COMPARED = "Volumes of different postures are not to be compared"
+
 
 ProtocolJoin = Literal["arc", "geodesic"]
 """How a boundary runs between landmarks. See `protocol`."""
@@ -107,7 +115,7 @@ class MeasureSettings:
 
     wall: str = "default"
     """Name of the wall that closes the breast. default: the measured wall if the session has a wall.ply. Otherwise a
-    cast gets its own base, plane or convex cylinder as its rim shows, and a torso the cylinder membrane. (A flat wall
+    cast gets its own base, plane or convex cylinder as its rim shows, and a torso the rounded membrane. (A flat wall
     overestimates a breast by a quarter to three quarters.)"""
     boundary: Literal["default", "landmarks"] = "default"
     """Source of a torso breast's boundary, unless drawn. default: its crease. landmarks: the named protocol, from

@@ -1,1 +1,1 @@
-"""What is said and shown."""
+"""The report: its words, figures and documents."""

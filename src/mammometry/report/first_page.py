@@ -1,16 +1,13 @@
 """The first page of a report, for a surgeon in thirty seconds: in the browser and on paper."""
 
-from __future__ import annotations
-
 import datetime
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from mammometry.measure.volume.attribution import Attribution, Confirmation
-from mammometry.report.clinical import Clinical, Signed
-from mammometry.report.content import BreastReport, LargeNumber, Picture, ReportContent
+from mammometry.measure.volume.attribution import Attribution
+from mammometry.report.content import BreastReport, Clinical, LargeNumber, Picture, ReportContent, Signed
 from mammometry.report.figures.drawing.canvas import CYCLE
-from mammometry.report.words.change_words import date_words
+from mammometry.report.words.volumes import date_words
 
 NOT_CONFIRMED = "not confirmed"
 FIRST_PICTURES = ("front", "from_right", "from_left")
@@ -113,14 +110,12 @@ def _confirmation(
     for breast in measured:
         seen = attributions.get(breast.name, Attribution()).confirmation
         holds = seen is not None and seen.curve == breast.curve
-        words[breast.number.title] = _confirmed_words(seen, named=named) if seen and holds else NOT_CONFIRMED
+        words[breast.number.title] = (
+            (f"confirmed by {seen.by}, {seen.at[:10]}" if named else "confirmed") if seen and holds else NOT_CONFIRMED
+        )
     if len(set(words.values())) == 1:
         return next(iter(words.values()))
     return "; ".join(f"{title[0].lower()}{title[1:]} {how}" for title, how in words.items())
-
-
-def _confirmed_words(seen: Confirmation, *, named: bool) -> str:
-    return f"confirmed by {seen.by}, {seen.at[:10]}" if named else "confirmed"
 
 
 def _volumes(breasts: Sequence[BreastReport]) -> list[LargeNumber]:
@@ -140,9 +135,9 @@ def _cautions(measured: Sequence[BreastReport]) -> tuple[str, ...]:
 
 def _pictures(content: ReportContent) -> tuple[Picture, ...]:
     drawn = content.pictures.get("measure", {})
-    found = tuple(drawn[name] for name in FIRST_PICTURES if name in drawn)
+    pictures = tuple(drawn[name] for name in FIRST_PICTURES if name in drawn)
     surface = content.pictures.get("surface", {})
-    return found or tuple(surface[name] for name in (_WITHOUT_A_BREAST,) if name in surface)
+    return pictures or tuple(surface[name] for name in (_WITHOUT_A_BREAST,) if name in surface)
 
 
 def _joined(*words: str | None, between: str = " · ") -> str:

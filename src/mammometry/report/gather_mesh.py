@@ -1,7 +1,5 @@
 """Report of a scanner's mesh, without cameras or photographs."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -9,16 +7,14 @@ from mammometry.base.identity import NAMELESS
 from mammometry.base.progress import Progress, no_progress
 from mammometry.geometry.camera import Rig
 from mammometry.job.graph import Plan
-from mammometry.job.inputs import SubjectKind
+from mammometry.job.inputs import FinishedSurface, SubjectKind
 from mammometry.job.stages import measure
 from mammometry.job.stages.report import PageInputs
-from mammometry.job.values import FinishedSurface
 from mammometry.measure.trunk.body import Body
 from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.report.content import Fact, ReportContent, StageReport
 from mammometry.report.figures import previews
-from mammometry.report.figures.drawing.shading import front_of
-from mammometry.report.figures.drawing.sides import NAMES
+from mammometry.report.figures.drawing.shading import NAMES, front_of
 from mammometry.report.figures.stage_results import MeasureResult
 from mammometry.report.models import viewer_scene, with_lengths
 from mammometry.report.pictures import all_encoded

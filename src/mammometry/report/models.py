@@ -19,11 +19,10 @@ from mammometry.geometry.transform import Transform
 from mammometry.measure.shape.lengths import LinearMeasure
 from mammometry.measure.shape.symmetry import Symmetry
 from mammometry.measure.volume.measurement import VolumeMeasurement
-from mammometry.report.figures.drawing.shading import even_curve
-from mammometry.report.figures.drawing.sides import NAMES
-from mammometry.report.figures.studies.change import Dated
+from mammometry.report.figures.change import Dated
+from mammometry.report.figures.drawing.shading import NAMES, even_curve
+from mammometry.report.figures.measure import reach_mm
 from mammometry.report.figures.surface import PROVENANCE_COLOURS
-from mammometry.report.figures.symmetry import reach_mm
 from mammometry.report.scene import Layer, Model, Texture, ViewerScene
 from mammometry.surface.repair.repair import Provenance, RepairedSurface
 from mammometry.surface.texture import simplify as thinning
@@ -91,9 +90,7 @@ def viewer_scene(
     )
 
 
-def change_scene(
-    frame: Float64[Array, "3 3"], dates: tuple[Dated, Dated], limit_mm: float, *, triangles: int = TRIANGLES
-) -> ViewerScene:
+def change_scene(frame: Float64[Array, "3 3"], dates: tuple[Dated, Dated], limit_mm: float) -> ViewerScene:
     """Two dates of one patient, aligned and side by side.
 
     The trunks are aligned. The later one can be coloured by the change.
@@ -102,7 +99,6 @@ def change_scene(
         frame: rows right, up and towards the viewer of the front view, world frame of the earlier date.
         dates: the earlier one first.
         limit_mm: end of the change's colour scale in both directions.
-        triangles: of both surfaces together at most.
     """
     centre = dates[0].repaired.mesh.vertices.mean(axis=0)
     world_from_view = Transform(rotation=frame.T, translation_mm=centre)
@@ -122,7 +118,7 @@ def change_scene(
                 view_from_world.apply,
                 own=date.world_from_own.apply,
                 first=layers,
-                triangles=triangles // 2,
+                triangles=TRIANGLES // 2,
             )
         )
     title = "Both dates side by side"
@@ -260,8 +256,8 @@ def _layers(repaired: RepairedSurface, origin: Array) -> tuple[Layer, ...]:
         Layer(
             name="provenance",
             title="Where it comes from",
-            help="Measured parts were drawn to range data; repaired ones were carried along by their neighbours; "
-            "invented ones were seen by no pair of cameras.",
+            help="Measured parts were drawn to range data, repaired ones lie right beside them, bridged ones were "
+            "closed between or beyond them, and invented ones were seen by no pair of cameras.",
             values=repaired.provenance[origin].astype(np.float32),
             kind="category",
             categories=tuple((meaning, colour) for colour, meaning in colours),

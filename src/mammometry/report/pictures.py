@@ -1,7 +1,5 @@
 """Pictures of a report as its page and its paper show them, each encoded once."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Mapping
 

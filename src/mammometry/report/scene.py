@@ -111,8 +111,8 @@ class ViewerScene:
 
 def json_in_page(page: str) -> str | None:
     """The scene of a report's page, as `to_json` made it. None if there is none."""
-    found = _IN_PAGE.search(page)
-    return None if found is None else found[1]
+    match = _IN_PAGE.search(page)
+    return None if match is None else match[1]
 
 
 def to_json(scene: ViewerScene) -> str:

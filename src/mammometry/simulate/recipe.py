@@ -1,4 +1,9 @@
-"""What a virtual session is made from."""
+"""What a virtual session is made from, and its disturbances as written on the command line.
+
+A disturbance has a name and may have a size. ``rail,drift=0.02,removed=right`` is a rail in front of the body, every
+camera turned by 0.02° after the calibration, and the right breast removed. The names are those of
+`disturbances.registry.DISTURBANCES`.
+"""
 
 from __future__ import annotations
 
@@ -7,10 +12,56 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from mammometry.simulate.situation import Situation
-
 if TYPE_CHECKING:  # The command line takes its defaults from here, and must not wait for NumPy.
     from mammometry.simulate.subjects.user_mesh import MeshFile
+
+
+from collections.abc import Collection
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Disturbance:
+    """One disturbance."""
+
+    name: str
+    """In the registry."""
+    size: str = ""
+    """Size or kind: a number or a word. Empty for the usual one."""
+
+    def __str__(self) -> str:
+        return f"{self.name}={self.size}" if self.size else self.name
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Situation:
+    """All that disturbs one capture."""
+
+    disturbances: tuple[Disturbance, ...] = ()
+    """Each name once. The order changes nothing that is drawn."""
+
+    def __str__(self) -> str:
+        return ",".join(map(str, self.disturbances))
+
+    def without(self, names: Collection[str]) -> Situation:
+        """Return the same situation without some disturbances, to compare bodies with and without them."""
+        return Situation(
+            disturbances=tuple(disturbance for disturbance in self.disturbances if disturbance.name not in names)
+        )
+
+
+def parse_situation(text: str) -> Situation:
+    """Read ``rail,drift=0.02``.
+
+    Raises:
+        ValueError: a part has no name, or a name stands there twice.
+    """
+    found: dict[str, Disturbance] = {}
+    for part in filter(None, (part.strip() for part in text.split(","))):
+        name, _, size = (word.strip() for word in part.partition("="))
+        if not name or name in found:
+            raise ValueError(f"disturbances are written as rail,drift=0.02, each once, found {text!r}")
+        found[name] = Disturbance(name=name, size=size)
+    return Situation(disturbances=tuple(found.values()))
 
 
 _UNDISTURBED = Situation()
@@ -22,8 +73,7 @@ class SessionRecipe:
 
     rig: str = "reference"
     """``reference`` (eight cameras, four pairs), or a rig's TOML file. ``reference:front,floor`` keeps only these
-    pairs.
-    """
+    pairs."""
     subject: str = "plaster_5"
     """A name in `subjects.registry.SUBJECTS`, or the path of a PLY, OBJ or STL."""
     scale: float = 0.25

@@ -8,21 +8,23 @@ number of threads.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
+from filelock import FileLock, Timeout
 
 from mammometry.base.errors import SessionError, StorageError
 from mammometry.base.progress import Progress, no_progress, part
 from mammometry.calibration.targets.target import Target
-from mammometry.geometry.camera import Rig
-from mammometry.geometry.transform import Transform
-from mammometry.simulate.arrangement import Arrangement
-from mammometry.simulate.atomic_folder import made_whole
+from mammometry.geometry import Rig, Transform
 from mammometry.simulate.disturbances.about import Surroundings
 from mammometry.simulate.disturbances.exposure import Exposure, plain_exposure
 from mammometry.simulate.disturbances.registry import DISTURBANCES, disturbed
@@ -30,12 +32,67 @@ from mammometry.simulate.recipe import SessionRecipe
 from mammometry.simulate.rendering.scene import Scene
 from mammometry.simulate.rigs.build import build_rig, flashes, pairs_of
 from mammometry.simulate.rigs.poses import draw_poses
-from mammometry.simulate.rigs.rig import find_plan
+from mammometry.simulate.rigs.rig_file import find_plan
 from mammometry.simulate.rigs.targets import described, sees_target
-from mammometry.simulate.studio import Studio, photograph, refusing
+from mammometry.simulate.studio import Arrangement, Studio, photograph, refusing
 from mammometry.simulate.subjects.registry import make_subject
 from mammometry.simulate.subjects.solid import Solid, rig_from_solid
 from mammometry.simulate.truth import write_truth
+
+_MAKER = "maker.json"
+_LOCK = ".lock"
+
+
+@contextmanager
+def made_whole(out: Path) -> Iterator[Path]:
+    """Yield a hidden folder that becomes `out` on success.
+
+    Otherwise it is removed. It is in a workplace beside `out` that names its owner and is locked while it is filled.
+    The system lifts the lock however its maker ends: a workplace of the same `out` without a lock was left by a killed
+    maker, and is removed first. A folder without the marker of a workplace is left alone, whatever its name.
+
+    Raises:
+        OSError: the disk is full or may not be written, or something else has taken the place of `out`.
+    """
+    out.parent.mkdir(parents=True, exist_ok=True)
+    prefix = f".{out.name}.simulate-"
+    for left in sorted(out.parent.iterdir()):
+        if left.name.startswith(prefix) and _is_workplace(left, out):
+            _remove_unlocked(left)
+    workplace = Path(tempfile.mkdtemp(prefix=prefix, dir=out.parent))
+    try:
+        with FileLock(workplace / _LOCK):
+            (workplace / _MAKER).write_text(json.dumps(_claim(workplace, out)), encoding="utf-8")
+            made = workplace / "made"
+            made.mkdir()
+            yield made
+            if os.path.lexists(out):
+                out.rmdir()  # fails unless it is an empty folder
+            made.replace(out)
+    finally:
+        shutil.rmtree(workplace, ignore_errors=True)
+
+
+def _claim(workplace: Path, out: Path) -> dict[str, str]:
+    return {"workplace of mammometry": workplace.name, "for": out.name}
+
+
+def _is_workplace(folder: Path, out: Path) -> bool:
+    """Whether a folder is marked as a workplace for `out`. A copied or renamed one is not."""
+    try:
+        record = json.loads((folder / _MAKER).read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return False
+    return not folder.is_symlink() and record == _claim(folder, out)
+
+
+def _remove_unlocked(workplace: Path) -> None:
+    try:
+        with FileLock(workplace / _LOCK, blocking=False):
+            shutil.rmtree(workplace, ignore_errors=True)
+    except (Timeout, OSError):
+        return  # somebody is still filling it
+
 
 _POSES_ENOUGH = 5
 """Number of poses from which each camera must see the target in one. Fewer are for quick looks. Chosen by eye."""
@@ -189,10 +246,7 @@ def _check_cameras_see_target(rig: Rig, target: Target, poses: Mapping[str, Tran
 
 
 def _manifest(rig: Rig, target: Target, solid: Solid, made_by: str) -> str:
-    """session.toml of this rig, its target and the subject.
-
-    `made_by` is its recipe.
-    """
+    """session.toml of this rig, its target and the subject. `made_by` is its recipe."""
     pairs = ",\n".join(
         f'  {{ name = "{name}", left = "{left}", right = "{right}" }}' for name, (left, right) in rig.pair_names.items()
     )

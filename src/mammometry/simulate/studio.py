@@ -1,8 +1,8 @@
-"""Take all pictures of a virtual session, on all cores. The target in its poses, and the subject."""
+"""Take all pictures of a virtual session, on all cores: the target in its poses, and the subject."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -17,18 +17,40 @@ from mammometry.base.errors import MammometryError
 from mammometry.base.machine.cores import available_cores
 from mammometry.base.progress import Progress, no_progress
 from mammometry.calibration.targets.target import Target
-from mammometry.geometry.arrays import Array, Float32
-from mammometry.geometry.camera import Camera
-from mammometry.geometry.transform import Transform
-from mammometry.simulate.arrangement import Arrangement
+from mammometry.geometry import Array, Camera, Float32, Float64, Rig, Transform
 from mammometry.simulate.disturbances.exposure import Exposure
 from mammometry.simulate.rendering.develop import develop
 from mammometry.simulate.rendering.film import Film
 from mammometry.simulate.rendering.objects.skin import Skin
 from mammometry.simulate.rendering.objects.solid_target import render_target
 from mammometry.simulate.rendering.registry import BUILT_IN, RENDERERS
-from mammometry.simulate.rendering.scene import Room, Scene, light_scene, moved
+from mammometry.simulate.rendering.scene import Room, Scene, Thing, light_scene, moved
 from mammometry.simulate.rigs.targets import BOARD, sees_target, visible_points
+from mammometry.simulate.subjects.solid import Solid
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Arrangement:
+    """What stands where in a virtual session. Rig frame, mm."""
+
+    exposure: Exposure
+    """Cameras, then and now. Films, flashes and moments."""
+    lights: Float64[Array, "l 4"]
+    """Each calibration flash: position, and irradiance × mm² at distance 1."""
+    rig_from_target: Mapping[str, Transform]
+    """Pose → where the calibration target is held."""
+    solid: Solid
+    """The subject, in its own frame."""
+    rig_from_solid: Transform
+    """Where the subject stands."""
+    things: tuple[Thing, ...] = ()
+    """What else stands about."""
+
+    @property
+    def rig(self) -> Rig:
+        """The true cameras at the calibration."""
+        return self.exposure.rig
+
 
 _SKIN, _FILM = Skin(), Film()
 _BACKGROUNDS = ("dark", "clutter")

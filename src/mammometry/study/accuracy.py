@@ -11,10 +11,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from mammometry.base.value import value
-from mammometry.geometry.arrays import Array, Bool, Float64, Int64
-from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry import Array, Bool, Float64, Int64, Transform, TriangleMesh
 from mammometry.geometry.nearest import closest_on_mesh
-from mammometry.geometry.transform import Transform
 
 COMPLETE_MM = 0.5
 """A true point with measured surface nearer than this counts as measured."""
@@ -44,6 +42,8 @@ class SurfaceAccuracy:
     """Volume between the two surfaces, the signed distance integrated over the judged area, cc."""
     points: int
     """Number of true points compared."""
+    claimed_percent: float = 100.0
+    """Share of the true area that the measurement claims to know. The other figures are of this part."""
 
 
 @value(eq=False)
@@ -91,6 +91,7 @@ def compare_surfaces(
     *,
     at: Int64[Array, " k"] | None = None,
     truth_from_measured: Transform | None = None,
+    claimed: Bool[Array, " n"] | None = None,
 ) -> SurfaceAccuracy:
     """Judge a measured surface at points of the true one.
 
@@ -99,6 +100,7 @@ def compare_surfaces(
         truth: the true surface, its faces counter-clockwise seen from outside.
         at: vertices of `truth` that ought to be there (for example those that two cameras see); None for all.
         truth_from_measured: where the measured surface belongs; None if both are in one frame.
+        claimed: vertices of the measured surface that are said to be skin. True points nearest to others are left out.
 
     Raises:
         ValueError: nothing is left to compare.
@@ -111,10 +113,13 @@ def compare_surfaces(
         back = truth_from_measured.inverse()
         points, normals = back.apply(points), back.rotate(normals)
     area = vertex_areas_mm2(truth)
-    weight = area[chosen] / area[chosen].sum()
     found = closest_on_mesh(points, measured)
-    outwards = np.einsum("ij,ij->i", found.points - points, normals)
-    distance = found.distances_mm
+    kept = np.ones(len(points), bool) if claimed is None else claimed[measured.faces[found.faces]].sum(axis=1) >= 2
+    if not kept.any():
+        raise ValueError("nothing to compare: the measured surface claims no skin there")
+    weight = area[chosen][kept] / area[chosen][kept].sum()
+    outwards = np.einsum("ij,ij->i", found.points - points, normals)[kept]
+    distance = found.distances_mm[kept]
     bias_mm = float(weight @ np.where(outwards > 0, distance, -distance))
     order = np.argsort(distance)
     cumulated = np.cumsum(weight[order])
@@ -126,15 +131,14 @@ def compare_surfaces(
         p95_mm=p95,
         bias_mm=bias_mm,
         complete_percent=float(100 * weight @ (distance <= COMPLETE_MM)),
-        volume_bias_cc=bias_mm * float(area[chosen].sum()) / 1000,
-        points=len(chosen),
+        volume_bias_cc=bias_mm * float(area[chosen][kept].sum()) / 1000,
+        points=len(distance),
+        claimed_percent=float(100 * area[chosen][kept].sum() / area[chosen].sum()),
     )
 
 
 def align_surfaces(measured: TriangleMesh, truth: TriangleMesh, at: Int64[Array, " k"]) -> Transform:
-    """Move a measured surface rigidly onto the truth.
-
-    Iterated closest points, point to plane, Huber's weights.
+    """Move a measured surface rigidly onto the truth: closest points, point to plane, Huber's weights.
 
     Args:
         measured: the surface under test, mm, within a few mm of its place.
@@ -191,9 +195,6 @@ def map_errors(
 def compare_volumes(
     measured_cc: float, true_cc: float, interval_cc: tuple[float, float] | None = None
 ) -> VolumeAccuracy:
-    """Compare a measured volume and its interval with the true one.
-
-    All in cc. The 95 % interval may be absent.
-    """
+    """Compare a measured volume and its 95 % interval, if any, with the true one, all in cc."""
     covered = None if interval_cc is None else bool(interval_cc[0] <= true_cc <= interval_cc[1])
     return VolumeAccuracy(measured_cc=measured_cc, true_cc=true_cc, covered=covered)

@@ -13,10 +13,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from mammometry.base.value import value
-from mammometry.geometry.arrays import Array, Float64
-from mammometry.geometry.camera import Camera, Rig, StereoPair
-from mammometry.geometry.mesh import TriangleMesh
-from mammometry.geometry.transform import Transform
+from mammometry.geometry import Array, Camera, Float64, Rig, StereoPair, Transform, TriangleMesh
 from mammometry.study.rays import inside
 
 _GRID = 7  # points along each side of the working volume
@@ -66,10 +63,7 @@ class RigAccuracy:
 
 
 def working_volume(mesh: TriangleMesh) -> Float64[Array, "n 3"]:
-    """A grid of 7³ points around the subject, mesh frame, mm.
-
-    It covers the bounding box, grown by a fifth.
-    """
+    """A grid of 7³ points over the subject's bounding box grown by a fifth, mesh frame, mm."""
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     middle, half = (low + high) / 2, _MARGIN * (high - low) / 2
     axes = [np.linspace(centre - reach, centre + reach, _GRID) for centre, reach in zip(middle, half, strict=True)]

@@ -16,8 +16,7 @@ from scipy.spatial import cKDTree
 from skimage.measure import find_contours
 
 from mammometry.base.value import value
-from mammometry.geometry.arrays import Array, Bool, Float64
-from mammometry.geometry.camera import Camera, StereoPair
+from mammometry.geometry import Array, Bool, Camera, Float64, StereoPair
 from mammometry.matching.dense.match import DisparityMap
 from mammometry.matching.foreground.foreground import Foreground
 from mammometry.study.rays import RayScene, inside, pixel_grid

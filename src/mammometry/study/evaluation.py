@@ -12,10 +12,7 @@ from scipy.spatial import cKDTree
 from mammometry.base.errors import SessionError
 from mammometry.base.progress import Progress, no_progress, part
 from mammometry.base.value import value
-from mammometry.geometry.arrays import Array, Bool, Float64
-from mammometry.geometry.camera import Rig
-from mammometry.geometry.mesh import TriangleMesh
-from mammometry.geometry.transform import Transform
+from mammometry.geometry import Array, Bool, Float64, Rig, Transform, TriangleMesh
 from mammometry.matching.dense.match import DisparityMap
 from mammometry.matching.foreground.foreground import Foreground
 from mammometry.measure.boundary.boundary import Boundary
@@ -117,6 +114,8 @@ class SessionResults:
     """Pair → its range image."""
     surfaces: Mapping[str, TriangleMesh]
     """``first`` and ``repaired``, in this order."""
+    claimed: Bool[Array, " n"] | None
+    """Vertices of the last surface that it claims to be skin. None where none is repaired."""
     boundaries: Sequence[Boundary]
     measurements: Sequence[VolumeMeasurement]
     absent: Sequence[str] = ()
@@ -128,6 +127,8 @@ class SurfaceJudgement:
     """One surface as measured, and aligned with the truth."""
 
     unaligned: SurfaceAccuracy
+    claimed: SurfaceAccuracy | None
+    """As measured, where the surface claims to be skin. None of the first surface, which does not say."""
     aligned: SurfaceAccuracy
     """After iterated closest points: shape alone, without where it lies."""
     aligned_by_mm: float
@@ -223,7 +224,8 @@ def evaluate(results: SessionResults, truth: Truth, *, progress: Progress = no_p
         begun, size = 0.55 + 0.4 * number / len(results.surfaces), 0.4 / len(results.surfaces)
         error_map = map_errors(mesh, truth.mesh, seen, truth_from_measured=rig_from_world)
         progress(begun + 0.3 * size)
-        surfaces[name] = _judge_surface(mesh, truth.mesh, seen, rig_from_world, error_map)
+        claimed = results.claimed if name == "repaired" else None
+        surfaces[name] = _judge_surface(mesh, truth.mesh, seen, rig_from_world, error_map, claimed)
         progress(begun + size)
     _require_same_subject(results, truth, scene, foregrounds, surfaces)
 
@@ -299,7 +301,12 @@ def _truths_place(results: SessionResults, truth: Truth, cameras: RigAccuracy) -
 
 
 def _judge_surface(
-    mesh: TriangleMesh, truth: TriangleMesh, seen: Bool[Array, " n"], rig_from_world: Transform, errors: ErrorMap
+    mesh: TriangleMesh,
+    truth: TriangleMesh,
+    seen: Bool[Array, " n"],
+    rig_from_world: Transform,
+    errors: ErrorMap,
+    claimed: Bool[Array, " m"] | None,
 ) -> SurfaceJudgement:
     at = np.flatnonzero(seen)
     at = at[:: max(1, len(at) // _POINTS)]
@@ -309,6 +316,9 @@ def _judge_surface(
     middle = truth.vertices[at].mean(axis=0)
     return SurfaceJudgement(
         unaligned=unaligned,
+        claimed=None
+        if claimed is None
+        else compare_surfaces(mesh, truth, at=at, truth_from_measured=rig_from_world, claimed=claimed),
         aligned=compare_surfaces(placed, truth, at=at, truth_from_measured=truth_from_placed),
         aligned_by_mm=float(np.linalg.norm(truth_from_placed.apply(middle) - middle)),
         aligned_by_deg=float(np.degrees(np.linalg.norm(truth_from_placed.rotation_vector_rad))),

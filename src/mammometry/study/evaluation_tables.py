@@ -71,7 +71,17 @@ def evaluation_tables(found: Evaluation) -> list[Table]:
         ),
         Table(
             title="Surface: where at least one pair sees the skin; positive outside",
-            columns=("surface", "mean mm", "median mm", "RMS mm", "95 % mm", "bias mm", "complete %", "stray %"),
+            columns=(
+                "surface",
+                "mean mm",
+                "median mm",
+                "RMS mm",
+                "95 % mm",
+                "bias mm",
+                "complete %",
+                "claimed %",
+                "stray %",
+            ),
             rows=tuple(
                 (
                     f"{name}, {how}",
@@ -81,10 +91,16 @@ def evaluation_tables(found: Evaluation) -> list[Table]:
                     ),
                     number(accuracy.bias_mm, "+.3f"),
                     number(accuracy.complete_percent, ".2f"),
+                    number(accuracy.claimed_percent, ".2f") if how == "where claimed" else "",
                     number(judged.stray_percent, ".2f") if how == "unaligned" else "",
                 )
                 for name, judged in found.surfaces.items()
-                for how, accuracy in (("unaligned", judged.unaligned), ("ICP-aligned", judged.aligned))
+                for how, accuracy in (
+                    ("unaligned", judged.unaligned),
+                    ("where claimed", judged.claimed),
+                    ("ICP-aligned", judged.aligned),
+                )
+                if accuracy is not None
             ),
         ),
         _table(

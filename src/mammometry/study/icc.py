@@ -76,9 +76,7 @@ def mean_squares(ratings: Float64[Array, "n k"]) -> MeanSquares:
 def intraclass_correlations(
     ratings: Float64[Array, "n k"], *, confidence: float = 0.95
 ) -> tuple[IntraclassCorrelation, ...]:
-    """All six forms of the intraclass correlation.
-
-    (1,1), (2,1), (3,1), (1,k), (2,k), (3,k) after Shrout and Fleiss.
+    """All six forms of the intraclass correlation after Shrout and Fleiss: (1,1) … (3,k).
 
     Args:
         ratings: one row a subject, one column a method; complete.

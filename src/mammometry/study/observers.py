@@ -10,17 +10,18 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 import scipy  # it imports scipy.stats, which takes half a second, when that is used
 from scipy.spatial import cKDTree
 
 from mammometry.base.value import value
-from mammometry.geometry.arrays import Array, Float64, Int64
-from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry import Array, Float64, Int64, TriangleMesh
 from mammometry.study.agreement import Estimate
 from mammometry.study.icc import IntraclassCorrelation, intraclass_correlations
+from mammometry.study.tables import Table, number, plain
 
 REGIONS = ("lateral", "upper", "medial", "lower")
 WHOLE = "whole curve"
@@ -74,10 +75,7 @@ class Scatter:
 
     @property
     def mdc(self) -> Estimate:
-        """Minimal detectable change at 95 %, cc.
-
-        1.96 √2 times the standard error.
-        """
+        """Minimal detectable change at 95 %, cc. 1.96 √2 times the standard error."""
         low, high = self.sem.interval
         return Estimate(value=_DETECTABLE_95 * self.sem.value, interval=(_DETECTABLE_95 * low, _DETECTABLE_95 * high))
 
@@ -254,16 +252,13 @@ def distances_by_region_mm(first: Drawing, second: Drawing) -> dict[str, Float64
     for own, other in (curves, curves[::-1]):
         away = np.asarray(cKDTree(other).query(own)[0])
         which = regions_of(own - middle)
-        for number, region in enumerate(REGIONS):
-            taken[region].append(away[which == number])
+        for index, region in enumerate(REGIONS):
+            taken[region].append(away[which == index])
     return {region: np.concatenate(arrays) for region, arrays in taken.items()}
 
 
 def regions_of(from_middle_mm: Float64[Array, "n 3"]) -> Int64[Array, " n"]:
-    """Index into `REGIONS` of directions from a breast's middle.
-
-    Quarters around lateral, up, medial and down.
-    """
+    """Index into `REGIONS` of directions from a breast's middle, by quarters."""
     turn = np.arctan2(from_middle_mm[:, 1], from_middle_mm[:, 0])
     return np.asarray(np.round(turn / (np.pi / 2)).astype(np.int64) % 4)
 
@@ -274,3 +269,147 @@ def evenly(curve: Float64[Array, "n 3"]) -> Float64[Array, "m 3"]:
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(loop, axis=0), axis=1))])
     at = np.arange(0.0, along[-1], _STEP_MM)
     return np.stack([np.interp(at, along, loop[:, k]) for k in range(3)], axis=1)
+
+
+_KINDS = (("within", "one person again"), ("between", "whoever draws"))
+
+
+def observers_summary(found: ObserverStudy) -> list[str]:
+    """What a reader wants to know first, in sentences."""
+    breasts, persons = (_counted(len(count), word) for count, word in
+                        ((found.breasts, "breast"), (found.observers, "person")))  # fmt: skip
+    lines = [f"{found.drawings} curves around {breasts} by {persons}; mean volume {number(found.mean_cc, '.0f')} cc."]
+    for scatter, who in ((found.within, "One person who draws again"), (found.between, "Whoever draws")):
+        if scatter is not None:
+            lines.append(
+                f"{who}: one volume scatters by {number(scatter.sem.value, '.1f')} cc "
+                f"({number(scatter.percent, '.1f')} %). "
+                f"A change of less than {number(scatter.mdc.value, '.0f')} cc may be drawing alone."
+            )
+    worst = max(
+        (
+            (region, distances)
+            for region, distances in (found.apart_between or found.apart_within).items()
+            if region != "whole curve"
+        ),
+        key=lambda pair: pair[1].mean_mm,
+    )
+    lines.append(
+        f"The curves lie furthest apart at the {worst[0]} border: {number(worst[1].mean_mm, '.1f')} mm on average."
+    )
+    if found.icc_between is None and found.between is not None:
+        lines.append(
+            "There is no intraclass correlation between persons: it compares breasts, and takes two that the same two "
+            "persons drew."
+        )
+    if found.between is not None and found.between.df < 5:
+        lines.append("So few drawings tell little: see the intervals.")
+    return lines
+
+
+def observers_tables(found: ObserverStudy, drawings: Sequence[Drawing]) -> list[Table]:
+    """Volumes, intraclass correlations, distances by region, and all drawings."""
+    scatters = {"within": found.within, "between": found.between}
+    tables = [
+        Table(
+            title="Volume",
+            columns=("who draws", "standard error of measurement (SEM), cc", "95 % interval", "%",
+                     "minimal detectable change (MDC) 95 %, cc", "95 % interval", "degrees of freedom"),
+            rows=tuple(_scatter_row(words, scatter) for key, words in _KINDS if (scatter := scatters[key]) is not None),
+        )
+    ]  # fmt: skip
+    correlations = [("between persons", found.icc_between)] if found.icc_between is not None else []
+    correlations += [(f"repeats by {name}", correlation) for name, correlation in found.icc_within.items()]
+    if correlations:
+        tables.append(
+            Table(
+                title="Intraclass correlation of volumes",
+                columns=("of", "form", "value", "95 % interval"),
+                rows=tuple(_icc_row(words, correlation) for words, correlation in correlations),
+            )
+        )
+    for title, apart in (
+        ("Two curves of one person", found.apart_within),
+        ("Curves of two persons", found.apart_between),
+    ):
+        if apart:
+            tables.append(_apart_table(title, apart))
+    tables.append(
+        Table(
+            title="Drawings",
+            columns=("breast", "person", "drawing", "volume cc", "base cm²"),
+            rows=tuple(
+                (
+                    drawing.breast,
+                    drawing.observer,
+                    drawing.repeat,
+                    number(drawing.volume_cc, ".1f"),
+                    number(drawing.base_cm2, ".1f"),
+                )
+                for drawing in drawings
+            ),
+        )
+    )
+    return tables
+
+
+def observers_json(found: ObserverStudy, drawings: Sequence[Drawing]) -> dict[str, Any]:
+    """Everything as plain JSON-ready data. What is not known is null."""
+
+    def scatter(spread: Scatter | None) -> dict[str, Any] | None:
+        return None if spread is None else {**asdict(spread), "mdc": asdict(spread.mdc)}
+
+    table: dict[str, Any] = plain(
+        {
+            "breasts": found.breasts,
+            "observers": found.observers,
+            "mean_cc": found.mean_cc,
+            "within": scatter(found.within),
+            "between": scatter(found.between),
+            "icc_between": None if found.icc_between is None else asdict(found.icc_between),
+            "icc_within": {name: asdict(correlation) for name, correlation in found.icc_within.items()},
+            "apart_within_mm": {region: asdict(distances) for region, distances in found.apart_within.items()},
+            "apart_between_mm": {region: asdict(distances) for region, distances in found.apart_between.items()},
+            "drawings": [
+                {
+                    "breast": drawing.breast,
+                    "observer": drawing.observer,
+                    "repeat": drawing.repeat,
+                    "volume_cc": drawing.volume_cc,
+                    "base_cm2": drawing.base_cm2,
+                }
+                for drawing in drawings
+            ],
+        }
+    )
+    return table
+
+
+def _scatter_row(words: str, scatter: Scatter) -> tuple[str, ...]:
+    spans = [
+        f"{number(estimate.interval[0], '.1f')} … {number(estimate.interval[1], '.1f')}"
+        for estimate in (scatter.sem, scatter.mdc)
+    ]
+    return (words, number(scatter.sem.value, ".2f"), spans[0], number(scatter.percent, ".2f"),
+            number(scatter.mdc.value, ".1f"), spans[1], number(scatter.df, ".1f"))  # fmt: skip
+
+
+def _icc_row(words: str, correlation: IntraclassCorrelation) -> tuple[str, ...]:
+    span = f"{number(correlation.interval[0], '.4f')} … {number(correlation.interval[1], '.4f')}"
+    return (words, correlation.shrout_fleiss, number(correlation.value, ".5f"), span)
+
+
+def _apart_table(title: str, apart: Mapping[str, Apart]) -> Table:
+    return Table(
+        title=f"{title}: distance, mm",
+        columns=("region", "mean", "95 % are less", "standard uncertainty of one curve", "pairs of curves"),
+        rows=tuple(
+            (region, number(distances.mean_mm, ".2f"), number(distances.q95_mm, ".1f"),
+             number(distances.across_mm, ".2f"), str(distances.pairs))
+            for region, distances in apart.items()
+        ),
+    )  # fmt: skip
+
+
+def _counted(count: int, word: str) -> str:
+    return f"{count} {word}{'' if count == 1 else 's'}"

@@ -8,9 +8,7 @@ from typing import Any
 import numpy as np
 
 from mammometry.base.value import value
-from mammometry.geometry.arrays import Array, Bool, Float64, Int64
-from mammometry.geometry.camera import Camera, Rig
-from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry import Array, Bool, Camera, Float64, Int64, Rig, TriangleMesh
 
 _AT_ONCE = 1_000_000  # rays, so that memory stays small
 _SEEN_MM = 0.3  # a ray that meets the mesh this near to a point has met the point
@@ -106,9 +104,7 @@ def inside(camera: Camera, uv: Float64[Array, "*n 2"]) -> Bool[Array, "*n"]:
 
 
 def seen_by_pairs(scene: RayScene, rig: Rig, *, every: int = 1) -> tuple[Int64[Array, " k"], Mapping[str, Array]]:
-    """Find which true vertices each pair sees.
-
-    Both cameras, in frame, not hidden, at less than 75° of incidence.
+    """Find which true vertices both cameras of each pair see at less than 75° of incidence.
 
     Args:
         scene: the true surface.

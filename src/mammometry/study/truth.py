@@ -5,10 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from mammometry.base.value import value
-from mammometry.geometry.arrays import Array, Float64
-from mammometry.geometry.camera import Rig
-from mammometry.geometry.mesh import TriangleMesh
-from mammometry.geometry.transform import Transform
+from mammometry.geometry import Array, Float64, Rig, Transform, TriangleMesh
 
 
 @value(eq=False)

@@ -16,10 +16,11 @@ from mammometry.geometry.transform import Transform
 from mammometry.io.cameras.own import cameras_table
 from mammometry.io.drawn_changes import Change, change_drawn, drawn_entry
 from mammometry.io.meshes.own_ply import write_ply
+from mammometry.job.inputs import FinishedSurface
 from mammometry.job.stages import calibrate, measure
 from mammometry.job.stages.surface import corrected_cameras, mesh
-from mammometry.job.values import FinishedSurface
-from mammometry.measure.boundary.boundary import TO_BE_CONFIRMED, Boundary
+from mammometry.measure.boundary.boundary import Boundary
+from mammometry.measure.boundary.confirming import TO_BE_CONFIRMED
 from mammometry.measure.shape.anthropometry import dimensions, find_landmarks
 from mammometry.measure.trunk.body import find_body, rig_frame
 from mammometry.measure.volume import volume

@@ -232,9 +232,9 @@ def test_walls_of_two_kinds_are_named_and_made_one(
     later = write_session(tmp_path / "measured-wall", true, 11, back=both)
     put_results(later, true)
     found = compare(folders[0], later)
-    assert any("different chest walls (cylinder-membrane and measured)" in warning for warning in found.warnings)
+    assert any("different chest walls (rounded-membrane and measured)" in warning for warning in found.warnings)
     kinds = {wall for pair in found.change.breasts for wall in (pair.before.wall_kind, pair.after.wall_kind)}
-    assert kinds == {"cylinder-membrane"}
+    assert kinds == {"rounded-membrane"}
 
 
 def scan_of(folder: Path, how: tuple[int, float], posture: str = "") -> Path:

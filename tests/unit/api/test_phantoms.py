@@ -8,10 +8,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from mammometry.api import phantoms
-from mammometry.api.phantoms import PhantomResult, as_csv, measure_phantoms, paired
+from mammometry.api import truth
+from mammometry.api.truth import PhantomResult, as_csv, measure_phantoms, paired
 from mammometry.base.errors import SessionError
-from mammometry.io.parsing.paired_tables import read_pairs
+from mammometry.io.parsing.csv_tables import read_pairs
 from mammometry.simulate.recipe import SessionRecipe
 
 MODELS = ("plaster_1", "plaster_2", "plaster_3")
@@ -50,8 +50,8 @@ def bench(monkeypatch: pytest.MonkeyPatch) -> Bench:
 
         return SimpleNamespace(run=run)
 
-    monkeypatch.setattr(phantoms, "write_session", write_session)
-    monkeypatch.setattr(phantoms, "open_session", open_session)
+    monkeypatch.setattr(truth, "write_session", write_session)
+    monkeypatch.setattr(truth, "open_session", open_session)
     return did
 
 

@@ -5,8 +5,7 @@ import time
 
 import pytest
 
-from mammometry.batch import memory
-from mammometry.batch.record import Measured, Record, Row, key_of, look_up, read_record, stats_of, write_record
+from mammometry.batch.record import Measured, Record, Row, key_of, look_up, need_mb, read_record, stats_of, write_record
 from mammometry.settings import Settings
 
 ROW = Row(
@@ -103,10 +102,10 @@ def test_thousands_are_looked_at_in_seconds(session):
 
 def test_memory_is_that_of_the_next_larger_or_grows_with_the_pixels():
     known = [(1.0, 300.0), (8.0, 900.0), (8.1, 1000.0), (100.0, 2800.0)]
-    margin = memory.need_mb(100.0, known) / 2800.0
+    margin = need_mb(100.0, known) / 2800.0
     assert 1.0 < margin < 1.3
-    assert memory.need_mb(2.0, known) == pytest.approx(margin * 1000.0)
-    assert memory.need_mb(0.5, known) == pytest.approx(margin * 300.0)
-    assert memory.need_mb(200.0, known) == pytest.approx(margin * 5600.0)
-    assert memory.need_mb(None, known) == pytest.approx(margin * 2800.0)
-    assert memory.need_mb(5.0, []) is None
+    assert need_mb(2.0, known) == pytest.approx(margin * 1000.0)
+    assert need_mb(0.5, known) == pytest.approx(margin * 300.0)
+    assert need_mb(200.0, known) == pytest.approx(margin * 5600.0)
+    assert need_mb(None, known) == pytest.approx(margin * 2800.0)
+    assert need_mb(5.0, []) is None

@@ -13,8 +13,7 @@ import pytest
 
 from mammometry.base.errors import SessionError, StorageError
 from mammometry.batch import storage
-from mammometry.batch.entry import Entry
-from mammometry.batch.record import Record, Row
+from mammometry.batch.record import Entry, Record, Row
 
 ROW = Row(
     session="one",

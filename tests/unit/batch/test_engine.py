@@ -15,9 +15,9 @@ from mammometry.base.errors import BatchError
 from mammometry.base.machine.cores import CORES, available_cores
 from mammometry.batch import cluster
 from mammometry.batch import engine as engine_module
+from mammometry.batch.batch import map_tasks_on
 from mammometry.batch.cluster import machines
 from mammometry.batch.engine import Began, Ended, Engine, StopRequest, Task
-from mammometry.batch.map_tasks import map_tasks_on
 
 KNOWN = [(1.0, 100.0)]  # memory of such tasks is known: none goes first alone
 

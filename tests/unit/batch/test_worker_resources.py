@@ -4,7 +4,7 @@ import dask
 import pytest
 from distributed import Client, LocalCluster
 
-from mammometry.batch.entry import CORES, MEMORY
+from mammometry.batch.record import CORES, MEMORY
 from mammometry.batch.worker_resources import WorkerResources, memory_mb
 
 

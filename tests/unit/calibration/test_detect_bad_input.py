@@ -16,7 +16,7 @@ from mammometry.simulate.rendering.develop import develop
 from mammometry.simulate.rendering.film import Film
 from mammometry.simulate.rendering.objects.solid_target import render_target
 from mammometry.simulate.rigs.build import flashes
-from mammometry.simulate.rigs.rig import reference_rig
+from mammometry.simulate.rigs.rig_file import reference_rig
 
 BOARD = CharucoTarget(squares=(14, 10), square_mm=25.0, marker_mm=18.0, dictionary="DICT_5X5_250")
 CHESS = ChessboardTarget(squares=(14, 9), square_mm=25.0)

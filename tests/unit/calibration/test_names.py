@@ -9,8 +9,7 @@ from mammometry.calibration.features.keypoints import Keypoints
 from mammometry.calibration.judge.cameras.names import check_names, wrong_photographs
 from mammometry.calibration.judge.expected_error import meeting_point
 from mammometry.geometry.camera import Rig
-from mammometry.simulate.rigs.build import build_rig
-from mammometry.simulate.rigs.plan import REFERENCE
+from mammometry.simulate.rigs.build import REFERENCE, build_rig
 
 POINTS, NOISE_PX = 250, 0.3  # of a subject; of a feature's place
 

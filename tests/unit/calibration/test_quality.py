@@ -12,7 +12,6 @@ from mammometry.calibration.adjust.calibrated import Calibration, SetAside
 from mammometry.calibration.detection.detect import Detection, MissedView, Observations
 from mammometry.calibration.judge.quality import CalibrationQuality, assess
 from mammometry.calibration.judge.reconstruction import reconstruct, triangulate
-from mammometry.calibration.settings import QualitySettings
 from mammometry.geometry.camera import Rig
 from mammometry.geometry.transform import Transform
 
@@ -169,10 +168,14 @@ def test_pair_without_a_common_pose_is_a_warning() -> None:
 
 
 @pytest.mark.slow
-def test_limits_are_settings_and_unsettled_adjustments_are_said(clean: Calibration) -> None:
-    strict = QualitySettings(geometry_refuse_mm=0.002)
-    assert assess(clean, strict).verdict == "refuse"
-    uncertain = assess(clean, QualitySettings(expected_refuse_mm=2e-4))
+def test_limits_refuse_and_unsettled_adjustments_are_said(clean: Calibration) -> None:
+    findings = "mammometry.calibration.judge.findings."
+    with pytest.MonkeyPatch.context() as strict:
+        strict.setattr(findings + "_GEOMETRY_REFUSE_MM", 0.002)
+        assert assess(clean).verdict == "refuse"
+    with pytest.MonkeyPatch.context() as strict:
+        strict.setattr(findings + "_EXPECTED_REFUSE_MM", 2e-4)
+        uncertain = assess(clean)
     assert uncertain.verdict == "refuse"
     assert uncertain.reasons[0].startswith("the cameras' uncertainty moves measured points by")
     assert "refused above 0.0002 mm. Add poses" in uncertain.reasons[0]

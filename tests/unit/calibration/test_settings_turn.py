@@ -1,6 +1,6 @@
 """Every limit does what its docstring says: turned, it changes the finding or the adjustment that it belongs to."""
 
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -17,7 +17,6 @@ from mammometry.calibration.judge.check import Reference, check
 from mammometry.calibration.judge.quality import assess
 from mammometry.calibration.settings import BundleSettings, CalibrateSettings, CheckSettings, QualitySettings
 from mammometry.geometry.transform import Transform
-from mammometry.settings import Settings
 
 CAMERAS = cameras_in_rig()
 POSES = placements(7)
@@ -26,11 +25,11 @@ NEVER = 1e-12
 """A limit that everything exceeds."""
 
 LIMITS = {
-    "bias": ("_BIAS_WARN", "calibration.quality.bias_refuse", "are shifted together"),
-    "focal length": ("_FOCAL_STD_WARN", "calibration.quality.focal_std_refuse", "the focal length of"),
-    "geometry": ("_GEOMETRY_WARN_MM", "calibration.quality.geometry_refuse_mm", "reconstructs the target to"),
-    "scale": ("_SCALE_WARN_PPM", "calibration.quality.scale_refuse_ppm", "% in volume"),
-    "expected": ("_EXPECTED_WARN_MM", "calibration.quality.expected_refuse_mm", "moves measured points by"),
+    "bias": ("_BIAS_WARN", "BIAS_REFUSE", "are shifted together"),
+    "focal length": ("_FOCAL_STD_WARN", "focal_std_refuse", "the focal length of"),
+    "geometry": ("_GEOMETRY_WARN_MM", "_GEOMETRY_REFUSE_MM", "reconstructs the target to"),
+    "scale": ("_SCALE_WARN_PPM", "_SCALE_REFUSE_PPM", "% in volume"),
+    "expected": ("_EXPECTED_WARN_MM", "_EXPECTED_REFUSE_MM", "moves measured points by"),
     "coverage": ("_COVERAGE_WARN", "", "of the photographs of"),
     "volume coverage": ("_VOLUME_COVERAGE_WARN", "", "of the space that the pairs see"),
     "poses left out": ("_LEFT_OUT_WARN", "", "poses were left out"),
@@ -38,9 +37,9 @@ LIMITS = {
     "outliers": ("_REJECTED_WARN", "", "were left out as outliers"),
     "residuals": ("_RESIDUAL_WARN_MM", "", "which is"),
 }
-"""What is judged: the constant that warns, the setting that refuses, and the words that they bring."""
+"""What is judged: the constant that warns, the constant or setting that refuses, and the words that they bring."""
 FINDINGS = "mammometry.calibration.judge.findings."
-REFUSING_NOTHING = QualitySettings(**dict.fromkeys((field.name for field in fields(QualitySettings)), 1e9))
+REFUSING_NOTHING = QualitySettings(focal_std_refuse=1e9)
 
 
 @pytest.fixture(scope="module")
@@ -53,8 +52,10 @@ def calibration() -> Calibration:
 
 @pytest.fixture
 def warning_of_nothing(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
-    for warn, _, _ in LIMITS.values():
+    for warn, refuse, _ in LIMITS.values():
         monkeypatch.setattr(FINDINGS + warn, 0.0 if "COVERAGE" in warn else 1e9)
+        if refuse.isupper():
+            monkeypatch.setattr(FINDINGS + refuse, 1e9)
     monkeypatch.setattr(FINDINGS + "RESIDUAL_GOOD_MM", 1e9)
     monkeypatch.setattr("mammometry.calibration.judge.quality._MOVED_SIGMA", 1e9)
     return monkeypatch
@@ -71,8 +72,13 @@ def test_a_limit_of_the_judge_brings_its_finding(
 ) -> None:
     warn, refuse, words = LIMITS[name]
     warning_of_nothing.setattr(FINDINGS + "RESIDUAL_GOOD_MM", NEVER)
-    if refuse:  # also where it lies below the limit that warns
-        refused = assess(calibration, Settings().overridden([f"{refuse}={NEVER}"]).calibration.quality)
+    if refuse:
+        with pytest.MonkeyPatch.context() as strict:
+            if refuse.isupper():
+                strict.setattr(FINDINGS + refuse, NEVER)
+                strict.setattr(FINDINGS + warn, NEVER)
+            settings = REFUSING_NOTHING if refuse.isupper() else QualitySettings(focal_std_refuse=NEVER)
+            refused = assess(calibration, settings)
         assert refused.verdict == "refuse"
         assert any(words in reason for reason in refused.reasons), refused.reasons
     warning_of_nothing.setattr(FINDINGS + warn, 1.1 if "COVERAGE" in warn else 0.5 if name == "blur" else NEVER)
@@ -86,7 +92,8 @@ def test_a_movement_between_poses_is_named_and_refused(
     calibration: Calibration, most_mm: float, verdict: str, warning_of_nothing: pytest.MonkeyPatch
 ) -> None:
     warning_of_nothing.setattr("mammometry.calibration.judge.quality._MOVED_SIGMA", NEVER)
-    quality = assess(calibration, QualitySettings(moved_refuse_mm=most_mm))
+    warning_of_nothing.setattr(FINDINGS + "_MOVED_REFUSE_MM", most_mm)
+    quality = assess(calibration, REFUSING_NOTHING)
     assert quality.verdict == verdict
     assert any("standard errors)" in reason for reason in quality.reasons)
 

@@ -14,10 +14,8 @@ import pytest
 from PIL import Image
 
 from mammometry.base.errors import CaptureError, SettingsError
-from mammometry.capture.camera import CameraSettings, Devices
-from mammometry.capture.registry import BACKENDS
-from mammometry.capture.shots import Shot
-from mammometry.capture.take import take
+from mammometry.capture.camera import BACKENDS, CameraSettings, Devices
+from mammometry.capture.shots import Shot, take
 from mammometry.io.photographs.images import demosaiced, read_photograph
 
 SOFTWARE = CameraSettings(exposure_ms=1.0, trigger="software")

@@ -8,8 +8,7 @@ import pytest
 from mammometry.calibration.detection.detect import Detection
 from mammometry.calibration.judge.cameras.names import check_board_names
 from mammometry.calibration.targets.kinds.charuco import CharucoTarget
-from mammometry.simulate.rigs.build import build_rig
-from mammometry.simulate.rigs.plan import REFERENCE
+from mammometry.simulate.rigs.build import REFERENCE, build_rig
 from mammometry.simulate.rigs.poses import draw_poses
 from mammometry.simulate.rigs.targets import sees_target, visible_points
 

@@ -12,8 +12,7 @@ from mammometry.capture.loop import OpenRig
 from mammometry.simulate.rendering.develop import develop
 from mammometry.simulate.rendering.film import Film
 from mammometry.simulate.rendering.objects.solid_target import render_target
-from mammometry.simulate.rigs.build import build_rig, flashes
-from mammometry.simulate.rigs.plan import REFERENCE
+from mammometry.simulate.rigs.build import REFERENCE, build_rig, flashes
 from mammometry.simulate.rigs.poses import draw_poses
 
 BOARD = CharucoTarget(squares=(14, 10), square_mm=25.0, marker_mm=18.0, dictionary="DICT_5X5_250")

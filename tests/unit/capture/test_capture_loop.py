@@ -13,7 +13,7 @@ from mammometry.base.errors import CaptureError, SessionError, StorageError
 from mammometry.capture import shots
 from mammometry.capture.camera import Frame
 from mammometry.capture.loop import OpenRig
-from mammometry.capture.skew.measured import Skew, write_skew
+from mammometry.capture.skew import Skew, write_skew
 from mammometry.cli.main import run
 from mammometry.io.session import Session
 
@@ -27,14 +27,14 @@ def fire(place, session="s", **how):
 
 def levels(fired):
     """(camera, check) of all that is not well; the skew is measured in its own tests."""
-    return {(who, one.check, one.level) for who, one in fired.verdict.found if one.level not in ("ok", "unknown")}
+    return {(who, one.check, one.level) for who, one in fired.verdict.findings if one.level not in ("ok", "unknown")}
 
 
 def test_a_faultless_firing_becomes_the_session_s_capture(place):
     fired = fire(place)
     assert fired.accepted
     assert levels(fired) == set()
-    assert {one.check for _, one in fired.verdict.found} >= {
+    assert {one.check for _, one in fired.verdict.findings} >= {
         "delivered", "size", "fresh", "times", "names", "moved", "sharpness", "exposure", "whole",
     }  # fmt: skip
     session = Session.open(place / "s")
@@ -144,7 +144,7 @@ def test_a_full_disk_is_named_and_what_fits_is_kept(place, monkeypatch):
     fired = fire(place)
     assert not fired.accepted
     assert len(list(fired.shot.glob("*.jpg"))) == 3
-    missing = [one.sentence for _, one in fired.verdict.found if one.check == "delivered" and one.level == "refuse"]
+    missing = [one.sentence for _, one in fired.verdict.findings if one.check == "delivered" and one.level == "refuse"]
     assert len(missing) == CAMERAS - 3
     assert all("no room" in sentence for sentence in missing)
 
@@ -185,7 +185,7 @@ def test_a_measured_skew_over_the_limit_refuses_a_patient(place, spread_ms, acce
     write_skew(place / "calibrated", Skew(offset_ms=offsets, std_ms=0.05, measured="2026-01-01", exposure_ms=1.0))
     fired = fire(place, subject="torso")
     assert fired.accepted is accepted
-    assert any("left_left" in one.sentence for _, one in fired.verdict.found if one.check == "skew") is not accepted
+    assert any("left_left" in one.sentence for _, one in fired.verdict.findings if one.check == "skew") is not accepted
     assert (place / "s/skew.json").exists() is accepted
 
 

@@ -11,8 +11,7 @@ from tests.unit.capture.virtual_capture import rig_file
 
 from mammometry.base.errors import SessionError
 from mammometry.capture.loop import OpenRig
-from mammometry.capture.page import Goal, capture_app, serve
-from mammometry.capture.page_service import Stand, firing_table
+from mammometry.capture.page import Goal, Stand, capture_app, firing_table, serve
 from mammometry.editor.auth import Door
 
 CHROMIUM = shutil.which("chromium")

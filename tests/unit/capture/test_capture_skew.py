@@ -10,13 +10,11 @@ from tests.unit.capture.virtual_capture import rig_file
 from mammometry.base.errors import CaptureError, SessionError
 from mammometry.calibration.targets.kinds.charuco import CharucoTarget
 from mammometry.calibration.targets.lamps import LAMPS
-from mammometry.capture.skew.measured import read_skew, write_skew
-from mammometry.capture.skew.read import Moment, moment_of, read_moment, skew_of
+from mammometry.capture.skew import Moment, moment_of, read_moment, read_skew, skew_of, write_skew
 from mammometry.cli.main import run
 from mammometry.geometry.transform import Transform
 from mammometry.simulate.rendering.objects.lamps import LampScene, hold_lamps, render_lamps
-from mammometry.simulate.rigs.build import build_rig, flashes
-from mammometry.simulate.rigs.plan import REFERENCE
+from mammometry.simulate.rigs.build import REFERENCE, build_rig, flashes
 
 BOARD = CharucoTarget(squares=(14, 10), square_mm=25.0, marker_mm=18.0, dictionary="DICT_5X5_250")
 SCENE = LampScene(board=BOARD, lights=flashes(0.4))

@@ -9,8 +9,7 @@ from scipy.ndimage import map_coordinates
 
 from mammometry.geometry.camera import Rig
 from mammometry.io.cameras.own import cameras_table
-from mammometry.simulate.rigs.build import build_rig
-from mammometry.simulate.rigs.plan import REFERENCE
+from mammometry.simulate.rigs.build import REFERENCE, build_rig
 
 RADIUS_MM = 130.0
 RIG_TOML = """\

@@ -31,8 +31,8 @@ from mammometry.clinic.models import Consent, Delivery, Destination, Visit
 from mammometry.clinic.roles import Role
 from mammometry.clinic.views import hospital, study
 from mammometry.hospital.exported import Exported
-from mammometry.hospital.redcap import FILES as REDCAP
 from mammometry.hospital.tables import FILES as TABLES
+from mammometry.hospital.tables import REDCAP_FILES as REDCAP
 
 pytestmark = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 

@@ -8,20 +8,25 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from django.core.files.uploadedfile import SimpleUploadedFile
 from django.http import HttpResponse
 from django.test import Client
 from django.urls import reverse
 from django.utils import timezone
+from mammometry.api.results import show_refusal
 from pytest_django import Settings
 from tests.unit.io.scan_files import scanned, texture
 
+from mammometry.base.errors import MeasureError
+from mammometry.base.identity import Identity
 from mammometry.clinic.config import ClinicConfig
 from mammometry.clinic.jobs import queue, work
 from mammometry.clinic.models import Consent, Job, Patient, Scan, Visit
 from mammometry.clinic.roles import Role
 from mammometry.clinic.templatetags.pages import on_pages
+from mammometry.report.figures.drawing.canvas import Caption, encode
 
 
 @pytest.fixture(scope="module")
@@ -247,6 +252,29 @@ def test_only_care_sends_scans(client_of: Callable[..., Client], patient: Patien
     for role in (Role.RESEARCHER, Role.ADMINISTRATOR):
         assert send(client_of(role), patient, files).status_code == 403
     assert not Visit.objects.exists()
+
+
+def test_a_refused_scans_page_shows_what_was_seen(
+    client_of: Callable[..., Client], patient: Patient, files: dict[str, bytes]
+) -> None:
+    client = client_of(Role.TECHNICIAN)
+    send(client, patient, files)
+    (visit,) = Visit.objects.all()
+    (job,) = queue.claim("me", 1)
+    picture = encode(np.zeros((4, 4, 3), dtype=np.uint8), Caption(title="The surface", text="Standard views."))
+    show_refusal(
+        visit.folder / "results",
+        Identity(name="scan"),
+        MeasureError("torso", found="no breast", expected="one", remedy="Draw it"),
+        lambda: {"surface": picture},
+    )
+    assert queue.failed(job.pk, "me", "torso: found no breast, expected one. Draw it.", 8)
+    page = client.get(reverse("visit", args=[visit.pk])).content.decode()
+    address = reverse("refused-picture", args=[visit.pk, "surface"])
+    assert f'src="{address}"' in page
+    assert "Standard views." in page
+    assert client.get(address).content == picture
+    assert client.get(reverse("refused-picture", args=[visit.pk, "other"])).status_code == 404
 
 
 @pytest.mark.slow

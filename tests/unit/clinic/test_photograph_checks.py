@@ -9,11 +9,10 @@ from PIL import Image
 from scipy import ndimage
 
 from mammometry.base.photograph import Photograph
-from mammometry.capture.checks import cameras, pixels
-from mammometry.capture.checks.cameras import KnownCamera
-from mammometry.capture.checks.content import not_only_a_photograph
+from mammometry.capture import checks
+from mammometry.capture.checks import KnownCamera, not_only_a_photograph
 from mammometry.clinic.rig_history import Calibrated, Checked, judge
-from mammometry.io.photographs.exposure import Exposure, read_exposure
+from mammometry.io.photographs.tags import Exposure, read_exposure
 
 SIZE_WH = (900, 600)
 
@@ -31,7 +30,7 @@ def subject(centre=(0.5, 0.5), radius=0.3, value=0.6, blur_px=0.6, seed=3):
 
 
 def levels(photograph, kind="model"):
-    return {each.check: each.level for each in pixels.judge(pixels.look(photograph), kind)}
+    return {each.check: each.level for each in checks.judge(checks.look(photograph), kind)}
 
 
 ALL_WELL = {"sharpness": "ok", "exposure": "ok", "whole": "ok"}
@@ -59,25 +58,25 @@ def test_a_fault_is_found_and_no_other(fault, check):
 def test_a_torso_may_go_on_beyond_the_picture_and_a_cast_may_not():
     cut = subject(centre=(0.5, 0.75))
     assert levels(cut, "torso")["whole"] == "ok"
-    found = next(each for each in pixels.judge(pixels.look(cut), "model") if each.check == "whole")
+    found = next(each for each in checks.judge(checks.look(cut), "model") if each.check == "whole")
     assert "cut off below" in found.sentence
 
 
 def test_blur_grows_with_the_lens():
-    blurs = [pixels.look(subject(blur_px=sigma)).blur for sigma in (0.6, 1.5, 2.5, 4.0)]
+    blurs = [checks.look(subject(blur_px=sigma)).blur for sigma in (0.6, 1.5, 2.5, 4.0)]
     assert blurs == sorted(blurs)
 
 
 def test_nothing_before_the_wall_is_said():
     empty = Photograph(name="it", pixels=np.full((600, 900, 3), 9, dtype=np.uint8))
-    found = {each.check: each for each in pixels.judge(pixels.look(empty), "torso")}
+    found = {each.check: each for each in checks.judge(checks.look(empty), "torso")}
     assert "No subject" in found["whole"].sentence
 
 
 def test_a_16_bit_photograph_is_judged_as_its_8_bit_twin():
     plain = subject()
     deep = Photograph(name="it", pixels=plain.pixels.astype(np.uint16) * 257)
-    ours, theirs = pixels.look(plain), pixels.look(deep)
+    ours, theirs = checks.look(plain), checks.look(deep)
     assert theirs.cover == pytest.approx(ours.cover, abs=1e-3)
     assert theirs.median == pytest.approx(ours.median, abs=1e-3)
     assert theirs.blur == pytest.approx(ours.blur, abs=1e-3)
@@ -92,7 +91,7 @@ KNOWN = {
 
 
 def camera_of(camera, serial="", named=None, known=KNOWN):
-    return cameras.right_camera(camera, Exposure(serial=serial), named, known)
+    return checks.right_camera(camera, Exposure(serial=serial), named, known)
 
 
 def test_the_serial_number_decides_and_the_name_only_without_one():
@@ -120,36 +119,36 @@ def test_the_serial_number_decides_and_the_name_only_without_one():
     ],
 )
 def test_a_name_names_one_camera_as_a_whole_word(name, camera):
-    assert cameras.camera_of_name(name, ["front", "front_left", "front_right"]) == camera
+    assert checks.camera_of_name(name, ["front", "front_left", "front_right"]) == camera
 
 
 def test_size_and_turn_are_those_of_the_calibration():
-    assert cameras.right_size("front_left", (4504, 3000), 1, KNOWN).level == "ok"
-    assert "4504 × 3000" in cameras.right_size("front_left", (2252, 1500), 1, KNOWN).sentence
-    assert "turned" in cameras.right_size("front_left", (4504, 3000), 6, KNOWN).sentence
-    assert cameras.right_size("front_left", (1, 1), 1, {}).level == "unknown"
+    assert checks.right_size("front_left", (4504, 3000), 1, KNOWN).level == "ok"
+    assert "4504 × 3000" in checks.right_size("front_left", (2252, 1500), 1, KNOWN).sentence
+    assert "turned" in checks.right_size("front_left", (4504, 3000), 6, KNOWN).sentence
+    assert checks.right_size("front_left", (1, 1), 1, {}).level == "unknown"
 
 
 def test_clocks_that_differ_are_no_fault_where_the_calibration_tells_by_how_much():
     ahead = {name: about.clock_s for name, about in KNOWN.items()}
-    assert cameras.together({"front_left": 99.0, "front_right": 161.0}, ahead).level == "ok"
-    assert cameras.together({"front_left": 99.0, "front_right": 161.0}, {}).level == "warn"
-    late = cameras.together({"front_left": 99.0, "front_right": 161.0 + 60.0}, ahead)
+    assert checks.together({"front_left": 99.0, "front_right": 161.0}, ahead).level == "ok"
+    assert checks.together({"front_left": 99.0, "front_right": 161.0}, {}).level == "warn"
+    late = checks.together({"front_left": 99.0, "front_right": 161.0 + 60.0}, ahead)
     assert late.level == "warn"
-    assert cameras.together({"front_left": 99.0}, ahead).level == "unknown"
+    assert checks.together({"front_left": 99.0}, ahead).level == "unknown"
 
 
 def test_clocks_are_told_by_exposures_made_together():
     taken = {(pose, "a"): 1000.0 * i for i, pose in enumerate(("01", "02", "03"))}
     taken |= {(pose, "b"): moment + 7.0 for (pose, _), moment in taken.items()}
     taken |= {(pose, "c"): moment + 3.0 for (pose, camera), moment in list(taken.items()) if camera == "a"}
-    found = cameras.clocks(taken)
+    found = checks.clocks(taken)
     assert found["b"] - found["a"] == pytest.approx(7.0)
     assert found["c"] == pytest.approx(0.0)
 
 
 def test_one_file_in_two_places_is_refused():
-    (found,) = cameras.twice({"front_left": "aa", "front_right": "bb", "left_left": "aa"})
+    (found,) = checks.twice({"front_left": "aa", "front_right": "bb", "left_left": "aa"})
     assert found.level == "refuse"
     assert "front_left and left_left" in found.sentence
 

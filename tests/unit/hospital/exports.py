@@ -21,7 +21,7 @@ from mammometry.hospital.exported import (
     Patient,
     Quantity,
 )
-from mammometry.report.clinical import Clinical, Signed
+from mammometry.report.content import Clinical, Signed
 
 ANNA = Patient(id="KIS-4711", name="Zypernkatze^Quirina", born=datetime.date(1980, 2, 29), sex="F")
 ORDER = Order(accession="A123", study_uid="1.2.826.0.1.3680043.8.498.1", referring="House^Gregory", procedure_id="P7")

@@ -19,10 +19,9 @@ from tests.unit.hospital.exports import ANNA, ORDER, exported
 
 from mammometry.base.errors import ArchiveError, SettingsError
 from mammometry.hospital.dicom.association import echo
-from mammometry.hospital.dicom.commitment import committed
 from mammometry.hospital.dicom.frame import encoded
 from mammometry.hospital.dicom.objects import objects
-from mammometry.hospital.dicom.store import send
+from mammometry.hospital.dicom.store import committed, send
 from mammometry.hospital.dicom.stow import stow
 from mammometry.hospital.dicom.worklist import entries, only_entry
 from mammometry.hospital.peers import Peer, Tls, web_address

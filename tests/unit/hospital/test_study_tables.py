@@ -13,7 +13,7 @@ from tests.unit.hospital.exports import ANNA, NAMES, deidentified, exported, one
 
 from mammometry.base.errors import StorageError, TableError
 from mammometry.base.extras import require
-from mammometry.hospital import redcap, tables
+from mammometry.hospital import tables
 from mammometry.hospital.fhir import Release, bundle
 from mammometry.hospital.gather import confirmed
 from mammometry.measure.volume.attribution import Attribution, Confirmation, curve_digest
@@ -91,8 +91,8 @@ def test_codes_that_are_not_ours_are_in_pydicoms_dictionary(tmp_path: Path) -> N
 def test_records_do_not_depend_on_the_order_of_sessions(tmp_path: Path) -> None:
     one, other = exported(tmp_path / "one"), one_sided(tmp_path / "two")
     object.__setattr__(other, "source", "cd" * 32)
-    assert redcap.tables([one, other]) == redcap.tables([other, one])
-    found = rows(redcap.records([one, other]))
+    assert tables.redcap_tables([one, other]) == tables.redcap_tables([other, one])
+    found = rows(tables.records([one, other]))
     assert [each["record_id"] for each in found] == ["abababababab", "cdcdcdcdcdcd"]
     assert found[0]["volume_left"] == "354.25"
     assert found[0]["nipple_below_fold_left"] == "-38.5"
@@ -100,16 +100,16 @@ def test_records_do_not_depend_on_the_order_of_sessions(tmp_path: Path) -> None:
 
 
 def test_every_measured_number_has_its_field_in_the_dictionary(tmp_path: Path) -> None:
-    fields = [each["Variable / Field Name"] for each in rows(redcap.dictionary())]
+    fields = [each["Variable / Field Name"] for each in rows(tables.dictionary())]
     assert len(set(fields)) == len(fields)
-    assert fields == list(rows(redcap.records([exported(tmp_path)]))[0])
+    assert fields == list(rows(tables.records([exported(tmp_path)]))[0])
     assert {each.name for each in quantities()} <= set(fields)
     assert all(name.replace("_", "").isalnum() and name.islower() and len(name) <= 100 for name in fields)
 
 
 def test_the_same_visit_twice_is_refused(tmp_path: Path) -> None:
     with pytest.raises(TableError, match="two sessions of the same photographs"):
-        redcap.records([exported(tmp_path), exported(tmp_path)])
+        tables.records([exported(tmp_path), exported(tmp_path)])
 
 
 # --- tables ---
@@ -195,8 +195,8 @@ def test_operations_are_coded_only_where_a_code_is_known(tmp_path: Path, release
 
 def test_tables_say_whether_and_when_it_was_confirmed_and_not_by_whom(tmp_path: Path) -> None:
     for session, told in ((signed(tmp_path), ("yes", "2026-03-02")), (exported(tmp_path), ("no", ""))):
-        made = tables.tables([session]) | redcap.tables([session])
-        for name in (tables.TABLE, redcap.RECORDS):
+        made = tables.tables([session]) | tables.redcap_tables([session])
+        for name in (tables.TABLE, tables.RECORDS):
             assert {(row["confirmed"], row["confirmed_on"]) for row in rows(made[name])} == {told}
         assert not [name for name in (b"Luchs", b"Dachs", b"Larger on") if name in b"".join(made.values())]
 

@@ -21,12 +21,11 @@ from mammometry.calibration.targets.kinds.charuco import CharucoTarget
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
+from mammometry.io.results.arrays import write_arrays
 from mammometry.io.results.codecs import decode, encode
-from mammometry.io.results.formats.arrays import write_arrays
-from mammometry.io.results.formats.deflate import deflated, inflated
-from mammometry.io.results.formats.rasters import read_raster, write_raster
+from mammometry.io.results.rasters import deflated, inflated, read_raster, write_raster
 from mammometry.io.results.tree import STORED_FIELDS, STORED_TYPES, from_tree, to_tree
-from mammometry.job.values import CameraSet, FinishedSurface
+from mammometry.job.inputs import CameraSet, FinishedSurface
 from mammometry.matching.dense.match import DisparityMap
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.surface.ranges.dents import KeepMasks

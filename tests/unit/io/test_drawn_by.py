@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
+from mammometry.api.observers import read_drawn_by
 from mammometry.base.errors import SessionError, TableError
-from mammometry.io.drawn_by import read_drawn_by
 
 
 def test_a_folder_names_persons_and_their_drawings(tmp_path: Path) -> None:

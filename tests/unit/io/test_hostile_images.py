@@ -15,7 +15,7 @@ from PIL import EpsImagePlugin, Image
 
 import mammometry as mm
 from mammometry.base.errors import ImageError, SettingsError
-from mammometry.base.limits import LimitSettings
+from mammometry.base.parse import LimitSettings
 from mammometry.io.photographs.images import read_header, read_mask, read_photograph
 from mammometry.io.session import Session
 from mammometry.settings import Settings

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from mammometry.io.photographs.jpeg import without_tags
+from mammometry.io.photographs.tags import without_tags
 
 
 def coded(mode: str = "RGB", **how: object) -> bytes:

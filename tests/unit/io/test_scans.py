@@ -11,7 +11,7 @@ from PIL.PngImagePlugin import PngInfo
 from tests.unit.io.scan_files import DARK, SKIN, scanned, texture
 
 from mammometry.base.errors import ImageError, MammometryError, SessionError
-from mammometry.base.limits import LimitSettings
+from mammometry.base.parse import LimitSettings
 from mammometry.cli import main
 from mammometry.geometry.mesh_files.mesh_file import read_triangles
 from mammometry.io.meshes.foreign import read_foreign

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from mammometry.matching.dense.consistency_kernels import agreeing, compete, smoothing_weights
+from mammometry.matching.dense.least_squares_step import agreeing, compete, smoothing_weights
 
 RNG = np.random.default_rng(5)
 

@@ -16,10 +16,10 @@ from mammometry.matching.correlation_kernels import (
     warp_rows,
     weighted_channels,
 )
-from mammometry.matching.dense.plane_kernels import choose_windows, evaluate_planes, plane_fit
+from mammometry.matching.dense.plane_smoothing import choose_windows, evaluate_planes, plane_fit
 from mammometry.matching.filters import blur, gaussian_taps
 from mammometry.matching.rectify import SPLINE_TAPS
-from mammometry.matching.semiglobal.semiglobal_kernels import COSTS_TO_ONE, aggregate, cheapest, matching_costs
+from mammometry.matching.semiglobal import COSTS_TO_ONE, aggregate, cheapest, matching_costs
 
 RNG = np.random.default_rng(0)
 SHAPE = (24, 31)

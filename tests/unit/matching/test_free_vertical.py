@@ -7,7 +7,7 @@ from textured_pair import make_pair
 
 from mammometry.matching.dense.least_squares_step import Side, prepare
 from mammometry.matching.dense.match import DisparityMap, match
-from mammometry.matching.dense.vertical_free import FreeVertical, nothing_yet, vertical_step
+from mammometry.matching.dense.vertical_disparity import FreeVertical, nothing_yet, vertical_step
 from mammometry.matching.pyramid import Level
 from mammometry.matching.rectify import RectifiedPair
 from mammometry.matching.settings import MatchSettings

@@ -8,7 +8,7 @@ from ball_scene import RADIUS_MM, rig
 
 from mammometry.geometry.camera import Rig
 from mammometry.geometry.transform import Transform
-from mammometry.matching.foreground.mask_agreement import check_masks
+from mammometry.matching.foreground.all_cameras import check_masks
 
 MIDDLE = np.zeros(3)
 

@@ -5,10 +5,9 @@ from scipy import ndimage
 from textured_pair import Texture
 
 from mammometry.matching.dense.least_squares_step import Estimate
-from mammometry.matching.dense.texture_strength import unexplained
-from mammometry.matching.noise import checkerboard_residual, noise_variance
+from mammometry.matching.noise import checkerboard_residual, noise_variance, unexplained
 from mammometry.matching.pyramid import Level, build, decimation
-from mammometry.matching.semiglobal.semiglobal_start import start
+from mammometry.matching.semiglobal import start
 
 SHAPE = (160, 220)
 V, U = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(np.float64)

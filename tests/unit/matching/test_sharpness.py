@@ -5,7 +5,7 @@ import pytest
 from scipy import ndimage
 
 from mammometry.matching.dense.levels import choose_levels
-from mammometry.matching.sharpness import empty_levels
+from mammometry.matching.noise import empty_levels
 
 WHOLE = np.ones((512, 512), dtype=bool)
 

@@ -1,8 +1,7 @@
 import numpy as np
 import pytest
 
-from mammometry.matching.dense.plane_kernels import plane_fit
-from mammometry.matching.dense.plane_smoothing import adaptively_smooth, difference_noise, fill, smooth
+from mammometry.matching.dense.plane_smoothing import adaptively_smooth, difference_noise, fill, plane_fit, smooth
 from mammometry.matching.filters import gaussian_taps
 
 V, U = np.mgrid[:60, :70].astype(np.float32)

@@ -8,9 +8,9 @@ import trimesh
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
+from mammometry.job.inputs import CameraSet
 from mammometry.job.products import Single, at_hand
 from mammometry.job.stages import surface
-from mammometry.job.values import CameraSet
 from mammometry.matching.foreground.foreground import Foreground
 from mammometry.surface.repair.repair import Provenance, RepairedSurface
 

@@ -44,6 +44,13 @@ def test_the_curve_runs_where_curved_skin_joins_straight_skin(reach: float, top:
     assert found.seen.all()
 
 
+def test_the_curve_moves_as_little_as_the_edge_does() -> None:
+    """A sawtooth of half a millimetre was on it where the path was rounded to whole steps."""
+    caps = [cap(60.0 + moved_mm, 45.0) for moved_mm in (0.0, 0.1, 0.2, 0.3, 0.4)]
+    away = np.array([np.linalg.norm(follow_crease(relief_of(bulge), np.zeros(2)).flat, axis=1) for bulge in caps])
+    assert np.abs(np.diff(away, axis=0) - 0.1).max() < 0.1
+
+
 def test_a_step_is_followed_as_a_fold_is() -> None:
     """A breast that hangs over its fold is a step of the innermost layer there."""
     bulge = np.where(AXES[:, None] > -40, cap(70.0, 60.0), 0.0)

@@ -5,8 +5,7 @@ import pytest
 from scipy.spatial import Delaunay
 
 from mammometry.geometry.mesh import TriangleMesh
-from mammometry.measure.landmarks.ends import EndSigmas, propose_ends
-from mammometry.measure.landmarks.hollows import propose_on_midline
+from mammometry.measure.landmarks.hollows import EndSigmas, propose_ends, propose_on_midline
 from mammometry.measure.landmarks.landmarks import Landmark
 
 NOTCH, NAVEL = np.array([0.0, 170.0]), np.array([0.0, -190.0])
@@ -87,3 +86,15 @@ def test_a_flat_fold_has_an_unsure_lowest_point():
     curve = np.concatenate([np.linspace(corners[k], corners[(k + 1) % 4], 50, endpoint=False) for k in range(4)])
     fold = next(mark for mark in propose_ends("left", curve, np.eye(3), SIGMAS) if mark.name.startswith("infra"))
     assert fold.sigma_mm > 20.0
+
+
+def test_ends_of_a_border_that_the_skin_hardly_shows_are_as_unsure_as_it_is():
+    turn = np.linspace(0, 2 * np.pi, 200, endpoint=False)
+    curve = np.stack([80 + 60 * np.cos(turn), 70 * np.sin(turn), 5 * np.cos(2 * turn)], axis=1)
+    vague = np.where(np.cos(turn) < 0, 12.0, 0.0)  # towards the midline
+    unsure = EndSigmas(lower_mm=2.0, medial_mm=2.0, lateral_mm=3.8, across_mm=vague)
+    sure, own = (
+        {mark.name: mark.sigma_mm for mark in propose_ends("left", curve, np.eye(3), s)} for s in (SIGMAS, unsure)
+    )
+    assert own["medial_left"] > np.hypot(12.0, sure["medial_left"]) > 1.5 * sure["medial_left"]
+    assert own["lateral_left"] == pytest.approx(sure["lateral_left"], rel=0.01)

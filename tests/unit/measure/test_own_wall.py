@@ -16,7 +16,7 @@ from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.heights import TrunkChart, through
 from mammometry.measure.wall.open_breast import OpenBreast
 from mammometry.measure.wall.registry import CAST_WALLS, TORSO_WALLS, add_wall, in_order
-from mammometry.report.figures import measure as figures
+from mammometry.report.figures import measure
 from mammometry.report.figures.stage_results import MeasureResult
 from mammometry.report.words.describe import breast_report
 from mammometry.settings import Settings
@@ -71,22 +71,22 @@ def test_a_wall_of_ones_own_is_chosen_measured_drawn_and_named() -> None:
         measurements=[found],
         textured=TexturedMesh(mesh=found.closed, colours=np.zeros((len(found.closed.vertices), 3), np.uint8)),
     )
-    assert figures.closed(shown, found).startswith(b"\x89PNG")
+    assert measure.closed(shown, found).startswith(b"\x89PNG")
     assert breast_report(found).wall.startswith("Dented: a cylinder with a dent")
 
 
 def test_a_wall_that_nobody_added_is_an_error_at_once() -> None:
-    with pytest.raises(SettingsError, match=r"measure\.wall: found 'dented', expected one of 'default', 'cylinder"):
+    with pytest.raises(SettingsError, match=r"measure\.wall: found 'dented', expected one of 'default', 'rounded"):
         Settings().overridden(["measure.wall=dented"])
-    with pytest.raises(MeasureError, match=r"measure\.wall: found dented, expected one of default, cylinder"):
+    with pytest.raises(MeasureError, match=r"measure\.wall: found dented, expected one of default, rounded"):
         chest_wall.fit(breast(Settings()), "dented")
 
 
 def test_walls_stand_in_the_order_in_which_results_name_them() -> None:
     """The first is the default; results are lists in this order, so that it must not change."""
     assert in_order(TORSO_WALLS) == [
-        "cylinder-membrane", "thorax-fit", "tangent-continuous", "mirrored", "measured", "membrane", "thin-plate",
-        "coons", "plane",
+        "rounded-membrane", "cylinder-membrane", "thorax-fit", "tangent-continuous", "mirrored", "measured", "membrane",
+        "thin-plate", "coons", "plane",
     ]  # fmt: skip
     assert in_order(CAST_WALLS) == ["plane", "convex-cylinder", "measured", "membrane", "thin-plate", "coons"]
     assert {name for name in TORSO_WALLS if not TORSO_WALLS[name].sees_the_chest} == {"plane", "membrane", "coons"}

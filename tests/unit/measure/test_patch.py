@@ -47,7 +47,8 @@ def test_a_curve_that_crosses_itself_is_filled_with_its_signed_area(seed: int, s
         for order, wave in enumerate(waves, start=2)
     )
     loop = 70 * np.stack([np.cos(angle), np.sin(angle)], axis=1) + around + FAR
-    assert len(self_crossings(loop)) and signed_area_mm2(loop) > 0
+    assert len(self_crossings(loop))
+    assert signed_area_mm2(loop) > 0
     patch = fill((loop,), spacing_mm)
     assert patch.area_mm2() == pytest.approx(signed_area_mm2(loop), rel=1e-9)
     assert np.abs(patch.points[: patch.n_loop] - loop).max() < 1e-9
@@ -71,7 +72,8 @@ def test_a_curve_that_comes_to_cross_itself_changes_its_filling_little() -> None
         a, b, c = np.moveaxis(patch.points[patch.faces], 1, 0)
         area = np.cross(np.c_[b - a, 0 * a[:, 0]], np.c_[c - a, 0 * a[:, 0]])[:, 2] / 2
         volumes.append(float(area @ height[patch.faces].mean(axis=1)) / 1000)
-    assert not len(crossings[0]) and len(crossings[-1])
+    assert not len(crossings[0])
+    assert len(crossings[-1])
     steps = np.diff(volumes)
     assert np.abs(steps - steps.mean()).max() < 0.3  # cc, of some 500
 

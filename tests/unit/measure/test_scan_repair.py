@@ -86,13 +86,13 @@ def test_a_boundary_over_a_hole_is_refused_and_not_led_around_it() -> None:
     turn = np.linspace(0, 2 * np.pi, 120, endpoint=False)
     curve = 60 * np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=1)
 
-    def with_hole(middle_mm: float, radius_mm: float) -> TriangleMesh:
-        return sheet.submesh(np.linalg.norm(sheet.corners().mean(axis=1) - [middle_mm, 0, 0], axis=1) > radius_mm)
+    def with_hole(middle_mm: float, reach_mm: float) -> TriangleMesh:
+        return sheet.submesh(np.linalg.norm(sheet.corners().mean(axis=1) - [middle_mm, 0, 0], axis=1) > reach_mm)
 
     check_cut("left", curve, with_hole(60, 8))
-    for middle_mm, radius_mm in ((60, 20), (42, 20)):  # the second reaches the curve from inside
+    for middle_mm in (60, 42):  # the second reaches the curve from inside
         with pytest.raises(MeasureError, match="a hole of the mesh under it"):
-            check_cut("left", curve, with_hole(middle_mm, radius_mm))
+            check_cut("left", curve, with_hole(middle_mm, 20))
 
 
 def test_a_casts_hole_is_refused_too() -> None:

@@ -13,6 +13,7 @@ from mammometry.measure.scanned import (
     check_cut,
     check_mesh,
     finer_along,
+    frame_from_axes,
     viewer,
     viewing_frame,
 )
@@ -137,3 +138,15 @@ def test_a_cast_is_looked_at_from_where_it_stands_out() -> None:
     rim = 60 * np.stack([np.cos(t := np.linspace(0, 2 * np.pi, 90, endpoint=False)), np.sin(t), 0 * t], axis=1)
     frame = viewing_frame(as_scanned(dome()), {"model": rim}, {})
     assert np.allclose(frame, np.eye(3), atol=1e-9)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_closed_torso_looks_where_it_is_round_as_breasts_are(sign: float) -> None:
+    trunk = trunk_mesh(4.0)
+    flat = TriangleMesh(vertices=trunk.vertices * (sign, 1.0, 0.7 * sign), faces=trunk.faces)
+    frame = frame_from_axes(flat)
+    assert np.allclose(frame, np.diag([sign, 1.0, sign]))
+    plain = TriangleMesh(vertices=ball(150.0, 4).vertices * (1.0, 2.0, 0.7), faces=ball(150.0, 4).faces)
+    with pytest.raises(MeasureError, match="looks to all sides alike"):
+        frame_from_axes(plain)

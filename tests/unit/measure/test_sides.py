@@ -138,6 +138,25 @@ def test_two_boundaries_show_which_way_a_low_front_lies() -> None:
         find_body(surface, np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), boundaries=curves)
 
 
+@pytest.mark.slow
+def test_noise_of_a_tenth_of_the_expected_moves_a_volume_by_less_than_a_tenth_of_its_interval() -> None:
+    """Skin is expected to be off by .15 mm; the interval is that before the named wall, the narrower one."""
+    clean = torso_with(LEFT, TWIN, flat=FLAT, step_mm=3.5)
+    rng, normals = np.random.default_rng(17), clean.mesh.vertex_normals()
+    measured = []
+    for scale_mm in (0.0, 0.015, 0.015, 0.015):
+        noise = normals * rng.normal(0.0, scale_mm, (len(normals), 1))
+        surface = replace(clean, mesh=TriangleMesh(vertices=clean.mesh.vertices + noise, faces=clean.mesh.faces))
+        edges = outline_torso(surface, np.eye(3)).boundaries
+        frame = find_body(surface, np.eye(3), boundaries=[edge.points_world for edge in edges]).frame
+        measured.append(measure_volumes(open_breasts(edges, surface, frame=frame)))
+    for side in range(2):
+        volumes = [both[side].volume_cc for both in measured]
+        interval = measured[0][side].as_defined_cc
+        assert interval is not None
+        assert np.ptp(volumes) < (interval[1] - interval[0]) / 10
+
+
 @pytest.mark.parametrize(
     ("mounting", "roll_deg"), [("upright", 0.0), ("left", -90.0), ("right", 90.0), ("upside-down", 180.0)]
 )

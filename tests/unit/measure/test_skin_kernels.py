@@ -3,7 +3,7 @@
 import numpy as np
 
 from mammometry.geometry.mesh import TriangleMesh
-from mammometry.measure.trunk import skin_kernels
+from mammometry.measure.trunk import skin_map
 from mammometry.measure.trunk.skin_map import PIXEL_MM, dense_samples, lay_flat
 from mammometry.measure.trunk.thorax import HEIGHT_WINDOW_MM, WIDEST_DEG, Thorax, Trunk, on_trunk
 
@@ -31,7 +31,7 @@ def test_each_pixel_has_the_bulge_of_its_innermost_skin():
     np.minimum.at(inner, (row, column), bulge)
     limits = np.array([trunk.half_width_mm, width, height, 1.15 * trunk.half_width_mm])
     radius = coefficients.reshape(3, 9)
-    found = skin_kernels.innermost(
+    found = skin_map.innermost(
         points, trunk.frame, trunk.origin, radius, limits, PIXEL_MM, np.array(relief.bulge_mm.shape)
     )
     np.testing.assert_array_equal(np.isfinite(found), np.isfinite(inner))

@@ -14,7 +14,15 @@ from mammometry.geometry.mesh import TriangleMesh
 from mammometry.measure.boundary.boundary import Boundary, find_boundaries, given_boundary, outline_torso
 from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.trunk.body import rig_frame
-from mammometry.measure.trunk.thorax import ASSUMED_DEPTH_MM, find_trunk, fit_thorax, frame_from_sides, seen_skin
+from mammometry.measure.trunk.thorax import (
+    ASSUMED_DEPTH_MM,
+    Thorax,
+    Trunk,
+    find_trunk,
+    fit_thorax,
+    frame_from_sides,
+    seen_skin,
+)
 from mammometry.measure.volume import volume
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.open_breast import OpenBreast
@@ -63,6 +71,22 @@ def test_flat_walls_overestimate(kind: str) -> None:
     assert wall.closed.volume_mm3() / 1000 == pytest.approx(volume_cc(LEFT) + extra_cc, rel=0.02)
 
 
+def test_the_rounded_wall_stands_out_by_a_third_of_a_usual_chest_where_the_skin_is_straight() -> None:
+    """A membrane of curvature κ over a disc of radius a lies κa²/8 before a flat one, on average."""
+    rounded, straight = (
+        walls("left")[kind].closed.volume_mm3() / 1000 for kind in ("rounded-membrane", "cylinder-membrane")
+    )
+    assert straight - rounded == pytest.approx(0.0033 / 3 * LEFT[2] ** 2 / 8 * np.pi * LEFT[2] ** 2 / 1000, rel=0.15)
+
+
+def test_a_trunks_curvature_along_the_body_is_that_of_its_radius() -> None:
+    trunk = Trunk(frame=np.eye(3), origin=np.zeros(3), half_width_mm=150.0)
+    thorax = Thorax(trunk=trunk, coefficients=np.random.default_rng(4).normal(size=27), rms_mm=1.0)
+    places, up = np.array([[20.0, -30.0], [-90.0, 55.0]]), np.array([0.0, 5.0])
+    below, here, above = (thorax.radius_mm(places + step * up) for step in (-1, 0, 1))
+    np.testing.assert_allclose(thorax.bend_per_mm(places), (2 * here - below - above) / 25, rtol=1e-6)
+
+
 def test_the_plane_has_a_skirt_and_an_exact_volume() -> None:
     """A curve that dips symmetrically about its plane: the volume over the plane is that of the lid's height field."""
     wall = walls("right")["plane"]
@@ -91,7 +115,7 @@ def test_both_breasts_are_found_each_on_its_side() -> None:
         assert np.median(np.abs(reach - breast[2])) < 3
         assert np.abs(reach - breast[2]).max() < 8
         assert "to be confirmed by eye" in found.method
-        wall = chest_wall.fit(breast_of(found, boundaries=(left, right)))
+        wall = chest_wall.fit(breast_of(found, boundaries=(left, right)), "cylinder-membrane")
         measured = volume.measure(found, wall, alternatives=())
         assert measured.volume_cc == pytest.approx(volume_cc(breast), rel=0.04)
         assert measured.interval_cc is not None
@@ -211,12 +235,12 @@ def test_a_given_curve_is_kept() -> None:
 
 def test_the_default_wall_of_a_torso_is_named_in_the_result() -> None:
     found = volume.measure(
-        EDGES[0], walls("left")["cylinder-membrane"], MeasureSettings(), alternatives=list(walls("left").values())[1:]
+        EDGES[0], walls("left")["rounded-membrane"], MeasureSettings(), alternatives=list(walls("left").values())[1:]
     )
-    assert found.wall_kind == "cylinder-membrane"
-    assert set(found.alternatives_cc) == set(TORSO_WALLS) - {"cylinder-membrane", "mirrored", "measured"}
+    assert found.wall_kind == "rounded-membrane"
+    assert set(found.alternatives_cc) == set(TORSO_WALLS) - {"rounded-membrane", "mirrored", "measured"}
     assert found.interval_terms_cc["chest wall"] == pytest.approx(
-        0.45 * np.sqrt(found.base_area_cm2 / 170) * found.base_area_cm2
+        0.38 * np.sqrt(found.base_area_cm2 / 170) * found.base_area_cm2
     )
     assert found.projection_mm == pytest.approx(LEFT[3], abs=12)
 

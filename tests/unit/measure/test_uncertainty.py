@@ -13,6 +13,7 @@ from mammometry.geometry.transform import Transform
 from mammometry.matching.foreground.foreground import Foreground
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.settings import MeasureSettings, ObserverSettings
+from mammometry.measure.volume import boundary_jitter
 from mammometry.measure.volume.boundary_jitter import boundary_std_cc, displacements_mm, drawn_sigma_mm
 from mammometry.measure.volume.uncertainty import WALL_FIT_U95_MM, EarlierErrors, Evidence, interval
 from mammometry.measure.volume.unseen_space import bounds
@@ -245,3 +246,28 @@ def test_a_boundary_on_unseen_skin_jitters_with_the_distance_from_measured_skin(
     found = boundary_std_cc(replace(breast, surface=unseen), wall)
     wider = replace(settings, observers=alike(float(np.hypot(3.0, 5.0))))
     assert found == pytest.approx(boundary_std_cc(replace(breast, settings=wider), wall), rel=0.15)  # edges of 1.1 mm
+
+
+def test_a_displacement_that_cannot_be_followed_is_taken_smaller_or_to_the_other_side(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """So the interval does not jump where one of seven redrawn curves meets an edge of the skin."""
+    t = 2 * np.pi * np.arange(120) / 120
+    edge = np.stack([43.3 * np.cos(t), 43.3 * np.sin(t), np.full(120, 25.0)], axis=1)
+    boundary = Boundary(name="left", points_world=edge, method="")
+    breast = OpenBreast(
+        boundary=boundary, surface=as_surface(ball(50.0, 4)), settings=MeasureSettings(observers=alike(4.0))
+    )
+    wall = fit(breast, "plane")
+    volume_cc = wall.closed.volume_mm3() / 1000
+    found = []
+    for farthest_mm in (np.inf, 1.5, 0.5):
+        monkeypatch.setattr(
+            boundary_jitter,
+            "_redrawn_cc",
+            lambda *given, most=farthest_mm: None if given[-1][0] > most else volume_cc + given[-1] @ np.arange(120),
+        )
+        found.append(boundary_std_cc(breast, wall))
+    assert found[1:] == pytest.approx(found[:1] * 2)
+    monkeypatch.setattr(boundary_jitter, "_redrawn_cc", lambda *_: None)
+    assert boundary_std_cc(breast, wall) is None

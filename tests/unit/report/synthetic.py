@@ -152,10 +152,12 @@ def ball(subdivisions: int = 4) -> TriangleMesh:
 
 
 def repaired(mesh: TriangleMesh) -> RepairedSurface:
-    """Measured towards the cameras (negative z), repaired in a ring, invented behind."""
+    """Measured towards the cameras (negative z), repaired and bridged in rings, invented behind."""
     z = mesh.vertices[:, 2]
     provenance = np.select(
-        [z < 0, z < 0.5 * RADIUS_MM], [Provenance.MEASURED, Provenance.REPAIRED], Provenance.INVENTED
+        [z < 0, z < 0.25 * RADIUS_MM, z < 0.5 * RADIUS_MM],
+        [Provenance.MEASURED, Provenance.REPAIRED, Provenance.BRIDGED],
+        Provenance.INVENTED,
     ).astype(np.uint8)
     measured = provenance == Provenance.MEASURED
     return RepairedSurface(

@@ -4,7 +4,7 @@ import datetime
 
 import pytest
 
-from mammometry.report.words.change_words import change_sentence
+from mammometry.report.words.volumes import change_sentence
 
 MARCH = datetime.date(2026, 3, 12)
 

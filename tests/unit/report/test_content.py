@@ -12,11 +12,10 @@ from mammometry.calibration.judge.quality import assess
 from mammometry.measure.trunk.head import HEAD_NOT_SHOWN
 from mammometry.measure.volume.definitions import DefinedVolume, Meaning
 from mammometry.report.figures.drawing.thinning import thinned_ranges
+from mammometry.report.gather import RunResults, run_cautions, run_concerns, warnings
 from mammometry.report.words import describe
 from mammometry.report.words.anthropometry import comparison
-from mammometry.report.words.cautions import skin_shares
-from mammometry.report.words.volume_words import MEANINGS, interval_words, meaning_sentences, volume_words
-from mammometry.report.words.warnings import RunResults, run_cautions, run_concerns, warnings
+from mammometry.report.words.volumes import MEANINGS, interval_words, meaning_sentences, skin_shares, volume_words
 from mammometry.settings import Settings
 from mammometry.surface.occlusion.occlusion import Occlusion
 from mammometry.surface.repair.repair import Provenance

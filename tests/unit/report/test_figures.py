@@ -20,10 +20,8 @@ from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
 from mammometry.measure.shape.symmetry import Symmetry
 from mammometry.measure.trunk.body import Body
-from mammometry.report.figures import previews
-from mammometry.report.figures import surface as surface_figures
-from mammometry.report.figures.drawing import canvas
-from mammometry.report.figures.drawing import sides as breasts
+from mammometry.report.figures import previews, surface
+from mammometry.report.figures.drawing import canvas, shading
 from mammometry.report.figures.drawing.canvas import Caption
 from mammometry.report.figures.drawing.shading import front_frame, front_of
 from mammometry.report.figures.drawing.thinning import matched_shares, thinned_ranges
@@ -203,16 +201,17 @@ def test_all_of_the_silhouette_is_matched_or_half_of_it(rig) -> None:
 
 
 def test_provenance_shares_of_a_ball_are_those_of_its_zones() -> None:
-    """Archimedes: a zone's area goes with its height; ½ measured, ¼ repaired, ¼ invented."""
-    shares = surface_figures.provenance_shares(synthetic.repaired(synthetic.ball(5)))
+    """Archimedes: a zone's area goes with its height; ½ measured, ⅛ repaired, ⅛ bridged, ¼ invented."""
+    shares = surface.provenance_shares(synthetic.repaired(synthetic.ball(5)))
     assert shares[Provenance.MEASURED] == pytest.approx(0.5, abs=0.01)
-    assert shares[Provenance.REPAIRED] == pytest.approx(0.25, abs=0.01)
+    assert shares[Provenance.REPAIRED] == pytest.approx(0.125, abs=0.01)
+    assert shares[Provenance.BRIDGED] == pytest.approx(0.125, abs=0.01)
     assert sum(shares.values()) == pytest.approx(1.0)
 
 
 def test_the_wall_is_told_from_the_skin() -> None:
     measured = synthetic.measurement()
-    wall = breasts.wall_faces(measured)
+    wall = shading.wall_faces(measured)
     normals = measured.closed.face_vectors()
     assert (normals[wall, 2] > 0).all()  # away from the cameras
     np.testing.assert_allclose(np.linalg.norm(normals[wall], axis=1).sum(), 100 * measured.base_area_cm2)

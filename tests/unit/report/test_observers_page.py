@@ -5,7 +5,7 @@ import json
 import numpy as np
 from tests.unit.measure.solids import dome
 
-from mammometry.report.documents.observers_page import observers_files, observers_names
+from mammometry.report.documents.study_pages import observers_files, observers_names
 from mammometry.report.figures.drawing.canvas import caption_of
 from mammometry.study.observers import Drawing, DrawnSurface, observer_study
 

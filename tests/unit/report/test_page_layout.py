@@ -16,12 +16,12 @@ from mammometry.report.figures import previews
 from mammometry.report.figures.drawing.shading import front_frame
 from mammometry.report.figures.drawing.thinning import thinned_ranges
 from mammometry.report.first_page import first_page
+from mammometry.report.gather import RunResults, warnings
 from mammometry.report.models import viewer_scene
 from mammometry.report.pictures import all_encoded
 from mammometry.report.scene import to_json
 from mammometry.report.words import describe
 from mammometry.report.words.anthropometry import comparison
-from mammometry.report.words.warnings import RunResults, warnings
 from mammometry.settings import Settings
 
 CHROMIUM = shutil.which("chromium")

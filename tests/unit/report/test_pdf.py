@@ -12,8 +12,7 @@ import synthetic
 
 from mammometry.base.identity import Identity
 from mammometry.report import content
-from mammometry.report.clinical import Clinical, Signed
-from mammometry.report.content import ReportContent
+from mammometry.report.content import Clinical, ReportContent, Signed
 from mammometry.report.documents import pdf
 from mammometry.report.figures import previews
 from mammometry.report.figures.catalogue import PREVIEWS

@@ -9,7 +9,7 @@ from PIL import Image
 from mammometry.base.errors import MatchingError
 from mammometry.base.identity import Identity
 from mammometry.base.photograph import Photograph
-from mammometry.report.documents.refusal_page import refusal_page
+from mammometry.report.documents.pages import refusal_page
 from mammometry.report.figures.refused import photographs_seen
 
 

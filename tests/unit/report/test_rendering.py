@@ -7,14 +7,13 @@ from dataclasses import asdict, replace
 import pytest
 import test_pdf
 
+from mammometry.api.stored_report import packed, unpacked
 from mammometry.base.errors import StorageError
 from mammometry.measure.boundary.confirming import TO_BE_CONFIRMED
 from mammometry.measure.volume.attribution import Attribution, Confirmation
-from mammometry.report.clinical import Clinical, Signed
-from mammometry.report.content import ReportContent
+from mammometry.report.content import Clinical, ReportContent, Signed
 from mammometry.report.documents.rendering import attributed_content, render
 from mammometry.report.first_page import first_page
-from mammometry.report.stored_content import packed, unpacked
 
 SEEN = datetime.datetime(2026, 11, 22, 10, 0, tzinfo=datetime.UTC)
 

@@ -8,7 +8,6 @@ from mammometry.geometry.mesh import TriangleMesh
 from mammometry.report.figures.drawing.shading import front_frame
 from mammometry.report.models import viewer_scene
 from mammometry.report.words.describe import surface_report
-from mammometry.surface.repair.repair import Provenance
 from mammometry.surface.texture.texture_atlas import Atlas
 from mammometry.surface.texture.unmeasured import GREY, faded, faded_atlas, shown_colours
 
@@ -16,13 +15,13 @@ SKIN = np.array([205, 160, 140], dtype=np.uint8)
 
 
 @pytest.mark.requirement("R-VOL-5")
-def test_measured_skin_keeps_its_colour_and_no_other_does() -> None:
+def test_skin_that_is_not_claimed_is_greyed_and_no_other() -> None:
     ball = synthetic.ball(3)
     repaired, colours = synthetic.repaired(ball), synthetic.textured(ball).colours
     shown = shown_colours(colours, repaired).astype(int)
-    measured = repaired.provenance == Provenance.MEASURED
-    assert (shown[measured] == SKIN).all()
-    towards_grey = np.abs(shown[~measured] - GREY).max(axis=0) / np.abs(SKIN.astype(int) - GREY)
+    claimed = repaired.claimed
+    assert (shown[claimed] == SKIN).all()
+    towards_grey = np.abs(shown[~claimed] - GREY).max(axis=0) / np.abs(SKIN.astype(int) - GREY)
     assert (towards_grey < 0.5).all()
     whole = viewer_scene(front_frame(synthetic.rig()), repaired, synthetic.textured(ball)).models[0]
     assert whole.colours is not None
@@ -49,12 +48,12 @@ def test_the_photographs_are_faded_under_unmeasured_faces_alone() -> None:
     assert (faded_atlas(unseen, repaired).picture == SKIN).all()
 
 
-def test_the_area_that_nobody_measured_is_one_number() -> None:
+def test_the_area_that_is_closed_and_what_of_it_is_bridged_are_said() -> None:
     ball = synthetic.ball(4)
     said = surface_report((), synthetic.repaired(ball))
     (fact,) = [each.value for each in said.facts if each.label == "Closed without having been measured"]
-    # By Archimedes, a sphere's zone has 2πRh: half of it is behind, half of that within half the radius.
+    # By Archimedes, a sphere's zone has 2πRh: half of it is behind; a quarter of that is repaired, a quarter bridged.
     half_cm2 = 2 * np.pi * synthetic.RADIUS_MM**2 / 100
-    closed, beside = (float(word) for word in fact.split() if word.isdigit())
-    assert abs(closed - half_cm2) < 0.03 * half_cm2  # a row of triangles of 5 mm
-    assert abs(beside - half_cm2 / 2) < 0.05 * half_cm2
+    closed, bridged = (float(word) for word in fact.split() if word.isdigit())
+    assert abs(closed - 0.75 * half_cm2) < 0.03 * half_cm2  # a row of triangles of 5 mm
+    assert abs(bridged - 0.25 * half_cm2) < 0.05 * half_cm2

@@ -13,15 +13,14 @@ from mammometry.simulate.disturbances.draw import OF_OTHER_CAPTURES, draw, is_he
 from mammometry.simulate.disturbances.exposure import Exposure, plain_exposure, shifted
 from mammometry.simulate.disturbances.registry import DISTURBANCES, Word, check, disturbed
 from mammometry.simulate.disturbances.surfaces import ball, bar, box, merged, straight
+from mammometry.simulate.recipe import parse_situation
+from mammometry.simulate.rendering.develop import magnified
 from mammometry.simulate.rendering.film import Film
-from mammometry.simulate.rendering.in_camera import magnified
-from mammometry.simulate.rendering.motion import Motion
 from mammometry.simulate.rendering.objects.skin import SKINS, Skin
 from mammometry.simulate.rendering.render import render_subject
-from mammometry.simulate.rendering.scene import Room, light_scene, moved
+from mammometry.simulate.rendering.scene import Motion, Room, light_scene, moved
 from mammometry.simulate.rigs.build import flashes
-from mammometry.simulate.rigs.rig import make_rig
-from mammometry.simulate.situation import parse_situation
+from mammometry.simulate.rigs.rig_file import make_rig
 from mammometry.simulate.subjects.body import Body
 from mammometry.simulate.subjects.registry import make_subject
 from mammometry.simulate.subjects.shapes import sphere

@@ -6,9 +6,16 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from mammometry.simulate.rendering.develop import develop, srgb_encoded
+from mammometry.simulate.rendering.develop import (
+    arriving,
+    demosaicked,
+    develop,
+    magnified,
+    mosaicked,
+    processed,
+    srgb_encoded,
+)
 from mammometry.simulate.rendering.film import Film
-from mammometry.simulate.rendering.in_camera import arriving, demosaicked, magnified, mosaicked, processed
 
 _QUIET = Film(blur_px=0.0, vignetting=0.0).with_noise(0.0)
 

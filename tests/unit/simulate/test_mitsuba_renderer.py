@@ -14,7 +14,7 @@ from mammometry.simulate.rendering.objects.skin import Skin
 from mammometry.simulate.rendering.render import render_subject
 from mammometry.simulate.rendering.scene import light_scene
 from mammometry.simulate.rigs.build import flashes
-from mammometry.simulate.rigs.rig import make_rig
+from mammometry.simulate.rigs.rig_file import make_rig
 from mammometry.simulate.studio import Studio
 from mammometry.simulate.subjects.shapes import sphere
 

@@ -11,7 +11,7 @@ from mammometry.simulate.rendering.film import Film
 from mammometry.simulate.rendering.objects.skin import SKINS, Skin, make_skin
 from mammometry.simulate.rendering.render import render_subject
 from mammometry.simulate.rendering.scene import LIGHTS, SCATTER, Room, light_scene
-from mammometry.simulate.rigs.rig import make_rig
+from mammometry.simulate.rigs.rig_file import make_rig
 from mammometry.simulate.subjects.shapes import sphere
 
 _PLAIN = Skin(contrast=0.0, colour_contrast=0.0, specular=0.0)

@@ -16,7 +16,7 @@ from mammometry.simulate.rendering.render import blocks, render_subject, subject
 from mammometry.simulate.rendering.sampling import PINHOLE, lens_parameters, net_offsets
 from mammometry.simulate.rendering.scene import Room, Scene, light_scene
 from mammometry.simulate.rigs.build import flashes
-from mammometry.simulate.rigs.rig import make_rig
+from mammometry.simulate.rigs.rig_file import make_rig
 from mammometry.simulate.subjects.plaster import PlasterShape, plaster
 from mammometry.simulate.subjects.shapes import sphere
 from mammometry.simulate.subjects.solid import Solid

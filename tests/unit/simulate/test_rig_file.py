@@ -10,8 +10,7 @@ import pytest
 from mammometry.base.errors import SessionError
 from mammometry.simulate.rigs.build import build_rig, flashes
 from mammometry.simulate.rigs.poses import draw_poses
-from mammometry.simulate.rigs.rig import find_plan, make_rig
-from mammometry.simulate.rigs.rig_file import read_rig_plan
+from mammometry.simulate.rigs.rig_file import find_plan, make_rig, read_rig_plan
 from mammometry.simulate.rigs.targets import BOARD, sees_target
 
 EXACT = """

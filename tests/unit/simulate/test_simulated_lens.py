@@ -21,7 +21,7 @@ from mammometry.simulate.rendering.objects.solid_target import render_target
 from mammometry.simulate.rendering.render import render_subject, subject_coverage
 from mammometry.simulate.rendering.sampling import PINHOLE, Aperture, disc_offsets, lens_rays, net_offsets
 from mammometry.simulate.rendering.scene import light_scene
-from mammometry.simulate.rigs.rig import make_rig
+from mammometry.simulate.rigs.rig_file import make_rig
 from mammometry.simulate.subjects.shapes import sphere
 
 _LIGHT = np.array([[60.0, 40.0, -800.0, 800.0**2]])

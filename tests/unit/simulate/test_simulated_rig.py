@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from mammometry.calibration.targets.kinds.charuco import CharucoTarget
-from mammometry.simulate.rigs.build import flashes
-from mammometry.simulate.rigs.plan import DISTANCE_MM
+from mammometry.simulate.rigs.build import DISTANCE_MM, flashes
 from mammometry.simulate.rigs.poses import draw_poses
-from mammometry.simulate.rigs.rig import make_rig, reference_rig
+from mammometry.simulate.rigs.rig_file import make_rig, reference_rig
 from mammometry.simulate.rigs.targets import sees_target
 
 _BOARD = CharucoTarget(squares=(14, 10), square_mm=25.0, marker_mm=18.0, dictionary="DICT_5X5_250")

@@ -7,7 +7,8 @@ from spheres import camera_towards, rig_of, sphere_mesh
 
 from mammometry.base.photograph import Photograph
 from mammometry.io.meshes.models import write_glb, write_obj
-from mammometry.surface.texture.texture_atlas import Atlas, best_views, cover, thinned
+from mammometry.surface.texture.simplify import thinned
+from mammometry.surface.texture.texture_atlas import Atlas, best_views, cover
 
 SIZE = 240
 RADIUS = 30.0

@@ -83,7 +83,7 @@ def test_a_hole_as_big_as_the_subject_is_closed_and_called_invented(monkeypatch)
     with np.errstate(invalid="ignore"):
         rims = [image.keeping(np.abs(image.points_world()[..., 2]) < 8.0) for image in images]
     valid = remove_dents(rims, decompose(rims), DentSettings(rule="none"))
-    monkeypatch.setattr("mammometry.surface.repair.repair.REPAIRED_REACH_MM", 8.0)
+    monkeypatch.setattr("mammometry.surface.repair.repair.BRIDGED_REACH_MM", 8.0)
     result = repair(extract(valid.range_images, foregrounds, rig, COARSE), valid)
     assert is_closed_ball(result.mesh)
     assert result.crossings == 0

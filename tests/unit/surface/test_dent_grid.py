@@ -9,7 +9,7 @@ from PIL import Image
 from spheres import camera_towards, ellipsoid_range, range_image
 
 from mammometry.base.errors import SurfaceError
-from mammometry.report.figures.dents import draw_dent_grid
+from mammometry.report.figures.paper import draw_dent_grid
 from mammometry.surface.ranges.decompose import decompose
 from mammometry.surface.ranges.dents import dent_grid, remove_dents
 from mammometry.surface.ranges.visibility import Label

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 from spheres import camera_towards, ellipsoid_range, range_image, sphere_mesh
 
 from mammometry.base.errors import SurfaceError
@@ -70,7 +71,7 @@ def test_what_is_invented_far_from_data_is_left_out_without_a_trace(monkeypatch)
     # displacements that fade over 1 mm do not reach the far side; with a reach of 90 mm nothing is left out
     results = []
     for reach in (8.0, 90.0):
-        monkeypatch.setattr("mammometry.surface.repair.repair.REPAIRED_REACH_MM", reach)
+        monkeypatch.setattr("mammometry.surface.repair.repair.BRIDGED_REACH_MM", reach)
         results.append(repair(first, valid))
     near, whole = results
     # the solver stops at a thousandth of displacements of up to 1.5 mm
@@ -82,10 +83,9 @@ def test_what_is_invented_far_from_data_is_left_out_without_a_trace(monkeypatch)
     assert (near.provenance[far] == Provenance.INVENTED).all()
 
 
-def test_provenance_and_pair_bits_say_who_saw_what(monkeypatch):
+def test_provenance_and_pair_bits_say_who_saw_what():
     first = sphere_mesh(RADIUS, rings=60)
     valid = valid_views([(0, 0, 1), (1, 0, 1)])
-    monkeypatch.setattr("mammometry.surface.repair.repair.REPAIRED_REACH_MM", 8.0)
     result = repair(first, valid)
     z, x = first.vertices[:, 2], first.vertices[:, 0]
     top = z > 0.9 * RADIUS
@@ -103,7 +103,11 @@ def test_provenance_and_pair_bits_say_who_saw_what(monkeypatch):
     assert (seen_once > 0.05).all()
     assert (seen_once < 0.071).all()
     assert seen_twice.max() < 0.051
-    assert (result.provenance == Provenance.REPAIRED).any()
+    measured, beside = (
+        first.vertices[result.provenance == kind] for kind in (Provenance.MEASURED, Provenance.REPAIRED)
+    )
+    assert len(beside)
+    assert cKDTree(measured).query(beside)[0].max() <= 2.0  # nothing further away is claimed
 
 
 def test_a_hole_in_the_data_keeps_the_shape_between():
@@ -112,7 +116,7 @@ def test_a_hole_in_the_data_keeps_the_shape_between():
     filled = repair(first, valid_views(AROUND, hole), RepairSettings(fade_mm=0.0))
     # The paper's propagation carries the displacement of the hole's rim (−.4 mm) over the hole.
     inside = np.linalg.norm(first.vertices - [0, 0, RADIUS], axis=1) < 5.0
-    assert (filled.provenance[inside] == Provenance.REPAIRED).all()
+    assert (filled.provenance[inside] != Provenance.MEASURED).all()
     # What is left is the sagitta of the data's own spacing and the rim's weaker weights: a quarter of the way.
     assert np.abs(radial_error(filled.mesh)[inside]).max() < 0.12
     faded = repair(first, valid_views(AROUND, hole), RepairSettings(fade_mm=1.0))

@@ -227,7 +227,7 @@ def test_texture_clearance_ignores_what_lies_closer(monkeypatch):
 
 
 def test_texture_triangles_are_the_most_of_the_viewing_mesh():
-    from mammometry.surface.texture.texture_atlas import thinned
+    from mammometry.surface.texture.simplify import thinned
 
     mesh = sphere_mesh(RADIUS)
     assert len(mesh.faces) > 2000

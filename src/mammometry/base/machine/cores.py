@@ -22,10 +22,7 @@ _BANDS_PER_CORE = 4  # so that the cores end together where some bands take long
 
 
 def available_cores() -> int:
-    """Number of cores that this process may use.
-
-    All that the system allows, or fewer if ``MAMMOMETRY_CORES`` says so.
-    """
+    """Number of cores that this process may use, fewer if ``MAMMOMETRY_CORES`` says so."""
     count = allowed_cores()
     wanted = os.environ.get(CORES, "")
     return min(count, max(1, int(wanted))) if wanted.isdecimal() else count

@@ -43,10 +43,7 @@ def choose_cpu() -> None:
 
 @cache
 def source_stamp(path: Path) -> str:
-    """Digest of a module's text and of what it imports.
-
-    Modules of this package count, imported directly or not.
-    """
+    """Digest of a module's text and of the modules of this package that it imports."""
     found: dict[Path, bytes] = {}
     waiting = [path]
     while waiting:

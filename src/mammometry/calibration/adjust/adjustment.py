@@ -32,10 +32,7 @@ class LinearView:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Adjustment:
-    """The least-squares problem of a network.
-
-    The free points are the normal equations' triples. Implements `least_squares.Problem`.
-    """
+    """The least-squares problem of a network. The free points are the normal equations' triples."""
 
     network: Network
     active: Bool[Array, " n"]
@@ -105,10 +102,7 @@ class Adjustment:
         )
 
     def whitened_lengths(self, state: State) -> Float64[Array, " n"]:
-        """Length of every residual in its group's standard deviations.
-
-        Residuals left out are included. Infinite if behind the camera.
-        """
+        """Length of every residual in its group's standard deviations. Infinite if behind the camera."""
         residual_px, depth = residuals(self.network, state)
         length = np.linalg.norm(self._whitened(residual_px), axis=1)
         return np.where(depth > 0, length, np.inf)
@@ -139,10 +133,7 @@ class Adjustment:
     def _linearised(
         self, state: State, part: slice
     ) -> tuple[Float64[Array, "n 2"], Float64[Array, "n 2 k"], Float64[Array, "n 2 3"]]:
-        """Weighted residuals and derivatives of part of the points.
-
-        Derivatives are by camera and station, and by the points.
-        """
+        """Weighted residuals of part of the points, and derivatives by camera and station, and by points."""
         network, active = self.network, self.active[part]
         view = network.view[part]
         camera, station = network.view_camera[view], network.view_station[view]

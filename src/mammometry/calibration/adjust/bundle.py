@@ -1,7 +1,4 @@
-"""Bundle adjustment of the whole rig, with covariance (paper 2.2).
-
-All cameras and all target placements are adjusted at once.
-"""
+"""Bundle adjustment of all cameras and target placements at once, with covariance (paper 2.2)."""
 
 from __future__ import annotations
 
@@ -29,16 +26,13 @@ from mammometry.calibration.adjust.robust import (
 )
 from mammometry.calibration.detection.detect import Observations
 from mammometry.calibration.settings import BundleSettings, CalibrateSettings
-from mammometry.geometry.arrays import Array, Float64
-from mammometry.geometry.camera import Camera, Rig
-from mammometry.geometry.transform import Transform
+from mammometry.geometry import Array, Camera, Float64, Rig, Transform
 
 K3_SIGMA = 4.0
 """Standard deviations (for errors that a photograph's points share) above which ``auto`` accepts k3."""
 VIEW_RATIO = 50.0
-"""Ratio to all views' median residual above which a whole view is set aside and named. Only a picture of another
-pose, swapped cameras or a mirrored target reach it.
-"""
+"""Ratio to all views' median residual above which a whole view is set aside and named. Only a picture of another pose,
+swapped cameras or a mirrored target reach it."""
 
 __all__ = ["BundleSettings", "Calibration", "ParameterCovariance", "SetAside", "calibrate"]
 
@@ -48,8 +42,7 @@ _LEAST_VIEW_ERROR_PX = 1.0
 """Median residual below which a view is never set aside, px."""
 _FIRST_VIEW_ERROR_WIDTHS = 0.02
 """The same before the first adjustment, in picture widths. First values are good to a pixel or so, pictures of another
-pose are much farther off.
-"""
+pose are much farther off."""
 
 
 @one_blas_thread()

@@ -8,9 +8,7 @@ from dataclasses import dataclass
 from mammometry.base.value import value
 from mammometry.calibration.adjust.left_out import LeftOut
 from mammometry.calibration.detection.detect import Observations
-from mammometry.geometry.arrays import Array, Float64
-from mammometry.geometry.camera import Rig
-from mammometry.geometry.transform import Transform
+from mammometry.geometry import Array, Float64, Rig, Transform
 
 
 @value(eq=False)
@@ -19,9 +17,8 @@ class ParameterCovariance:
 
     names: tuple[str, ...]
     """One a parameter: ``front_left.fx_px``, ``front_left.centre_x_mm``, ``pose 01.rotation_x_rad``. px, mm and rad.
-    Rotations are small ones applied from the left: about the camera's axes, or the world's for poses. What was held,
-    as the first pose, has none.
-    """
+    Rotations are small ones applied from the left: about the camera's axes, or the world's for poses. What was held, as
+    the first pose, has none."""
     matrix: Float64[Array, "p p"]
     """Covariance for errors that the points of a photograph share, estimated from the photographs' own pulls."""
     independent: Float64[Array, "p p"]
@@ -63,15 +60,13 @@ class Calibration:
     """Standard deviation of the rig's residuals in units of the detections' own: 1 if those are right."""
     parameter_std: Mapping[str, Mapping[str, float]]
     """Camera → parameter (``fx_px`` … ``k3``, ``rotation_x_rad`` …, ``centre_x_mm`` …) → standard deviation, for errors
-    that a photograph's points share. Zero if held.
-    """
+    that a photograph's points share. Zero if held."""
     independent_std: Mapping[str, Mapping[str, float]]
     """The same for independent residuals: the effect of the arrangement of cameras and poses alone."""
     covariance: ParameterCovariance
     scale_std: float | None
     """Relative standard uncertainty of every length, from the measurement of the target. No residual shows it, and
-    volumes are off by three times as much. None: the print was not measured.
-    """
+    volumes are off by three times as much. None: the print was not measured."""
     left_out: LeftOut | None
     """Fit of poses that took no part. None if no pose could be spared."""
     set_aside: tuple[SetAside, ...]

@@ -1,7 +1,4 @@
-"""First values for the adjustment, without guesses.
-
-Each camera's intrinsics come first, then all cameras' and targets' poses.
-"""
+"""First values for the adjustment: each camera's intrinsics, then the poses of cameras and targets."""
 
 from __future__ import annotations
 
@@ -19,9 +16,8 @@ from mammometry.base.value import value
 from mammometry.calibration.adjust.projection import CameraPrior
 from mammometry.calibration.detection.detect import Detection, Observations
 from mammometry.calibration.targets.target import Target
-from mammometry.geometry.arrays import Array, Bool, Float64
+from mammometry.geometry import Array, Bool, Float64, Transform
 from mammometry.geometry.lens import undistort
-from mammometry.geometry.transform import Transform
 
 _SWEEPS = 5
 """Sweeps of medians over poses and cameras. Chosen by eye."""
@@ -44,10 +40,7 @@ def median_transform(transforms: Sequence[Transform]) -> Transform:
 
 
 def components(views: Sequence[tuple[str, str]]) -> list[tuple[set[str], set[str]]]:
-    """Group cameras and poses that are connected by views (camera, pose).
-
-    The group with most cameras first.
-    """
+    """Group cameras and poses that are connected by views (camera, pose), the largest group first."""
     groups: list[tuple[set[str], set[str]]] = []
     for camera, pose in views:
         touched = [group for group in groups if camera in group[0] or pose in group[1]]
@@ -98,10 +91,7 @@ def average_network(
 def _spanning_tree(
     cameras: Sequence[str], camera_from_target: Mapping[tuple[str, str], Transform]
 ) -> dict[str, Transform]:
-    """Find camera → camera_from_rig, the rig's frame being one camera's.
-
-    By what most poses agree on first (Prim).
-    """
+    """Find camera → camera_from_rig from one camera, by what most poses agree on first (Prim)."""
     edges: dict[tuple[str, str], tuple[int, Transform]] = {}
     for camera_pair, other in combinations(cameras, 2):
         relative = [

@@ -26,10 +26,7 @@ _DAMPING_MOST = 1e12
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class NormalEquations:
-    """Gauss–Newton matrix and gradient with eliminated points.
-
-    There are p coupled parameters, and k triples that are not coupled among themselves.
-    """
+    """Gauss–Newton matrix and gradient of p coupled parameters and k triples, which are eliminated."""
 
     matrix: Float64[Array, "p p"]
     cross: Float64[Array, "p k 3"]
@@ -186,10 +183,7 @@ def inverse(equations: NormalEquations) -> Float64[Array, "p p"]:
 
 
 def damped_step(equations: NormalEquations, damping: float) -> Float64[Array, " q"] | None:
-    """The step that Marquardt's damping leaves, Newton's for none.
-
-    None where the matrix is not positive definite.
-    """
+    """The step that Marquardt's damping leaves. None where the matrix is not positive definite."""
     scale = np.maximum(equations.scale, np.finfo(np.float64).tiny)
     size = len(equations.matrix)
     scaled = equations.scaled(scale).damped(damping)

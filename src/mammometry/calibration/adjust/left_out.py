@@ -42,19 +42,14 @@ class LeftOut:
     """RMS length of these poses' residuals in the adjustment of all."""
     left_out_px: float
     """The same with each pose left out in turn: everything else is adjusted without it, then only its target's
-    placement is found, with the points from the other poses.
-    """
+    placement is found, with the points from the other poses."""
     chance_ratio: float
     """`ratio` for errors of the same size that are independent between points: the effect of the number of unknowns
-    alone.
-    """
+    alone."""
 
     @property
     def ratio(self) -> float:
-        """Left out over fitted residuals.
-
-        1 if the cameras fit unseen poses as well as seen ones.
-        """
+        """Left out over fitted residuals. 1 if the cameras fit unseen poses as well as seen ones."""
         return self.left_out_px / self.fitted_px
 
     @property
@@ -90,10 +85,7 @@ def _with_drawn_signs(solved: Solved) -> Solved:
 
 
 def _left_out(solved: Solved, group: int) -> tuple[int, float, float] | None:
-    """Number of a group's poses that could be left out.
-
-    RMS lengths of their residuals fitted and left out, px.
-    """
+    """Number of a group's poses that could be left out, and their RMS residuals fitted and left out, px."""
     problem, state = solved.problem, solved.state
     network = problem.network
     fitted_px, _ = residuals(network, state)

@@ -31,8 +31,7 @@ class Network:
     view_station: Int64[Array, " v"]
     view_group: Int64[Array, " v"]
     """Group of each view: 0 the rig's target, 1 the intrinsics'. A group shares one factor on its detections'
-    covariances.
-    """
+    covariances."""
     view_start: Int64[Array, " v1"]
     """Index of each view's first point. One more at the end."""
     point: Int64[Array, " n"]
@@ -130,20 +129,14 @@ class State:
 
 
 def tie_of(names: Sequence[str]) -> Float64[Array, "10 m"]:
-    """Matrix from adjusted parameters to the ten intrinsic values.
-
-    Each acts on its own value. ``f_px`` acts on both focal lengths.
-    """
+    """Matrix from adjusted parameters to the ten intrinsic values. ``f_px`` is both focal lengths."""
     unit = dict(zip(INTRINSIC_NAMES, np.eye(len(INTRINSIC_NAMES)), strict=True))
     unit["f_px"] = unit["fx_px"] + unit["fy_px"]
     return np.stack([unit[name] for name in names], axis=1)
 
 
 def residuals(network: Network, state: State) -> tuple[Float64[Array, "n 2"], Float64[Array, " n"]]:
-    """Reprojection errors and depths of all points.
-
-    Errors are projected − measured, px. Depths are in the cameras' frames, mm.
-    """
+    """Reprojection errors, projected − measured, px, and depths in the cameras' frames, mm."""
     everything = slice(0, len(network.uv))
     _, points_camera = into_camera(network, state, everything)
     depth = points_camera[:, 2].copy()
@@ -152,10 +145,7 @@ def residuals(network: Network, state: State) -> tuple[Float64[Array, "n 2"], Fl
 
 
 def into_camera(network: Network, state: State, part: slice) -> tuple[Float64[Array, "n 3"], Float64[Array, "n 3"]]:
-    """Points turned to the world's directions, and in the camera's frame, mm.
-
-    The former are not yet translated.
-    """
+    """Points turned to the world's directions but not yet moved, and in the camera's frame, mm."""
     view = network.view[part]
     camera, station = network.view_camera[view], network.view_station[view]
     turned = np.einsum("nij,nj->ni", state.station_rotation[station], state.points[network.point[part]])

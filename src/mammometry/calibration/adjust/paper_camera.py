@@ -11,9 +11,7 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from mammometry.geometry.arrays import Array, Float64
-from mammometry.geometry.camera import Camera
-from mammometry.geometry.transform import Transform
+from mammometry.geometry import Array, Camera, Float64, Transform
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,4 +1,4 @@
-"""Camera with analytic derivatives, many points and cameras at once.
+"""Camera with analytic derivatives, many points and cameras at once, and what is known of a lens beforehand.
 
 The same model as `geometry.camera.Camera`, its oracle in the tests, and a skew. The lens is `geometry.lens`.
 """
@@ -11,14 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from mammometry.base.value import value
-from mammometry.geometry import lens
-from mammometry.geometry.arrays import Array, Float64
-from mammometry.geometry.camera import Camera
+from mammometry.geometry import Array, Camera, Float64, lens
 
 INTRINSIC_NAMES = ("fx_px", "fy_px", "cx_px", "cy_px", *lens.COEFFICIENTS, "skew_px")
 """Order of a camera's ten intrinsic values everywhere in the adjustment. The skew, u's change with the distorted y, is
-zero in every camera that we return. Only published calibrations of older cameras have one.
-"""
+zero in every camera that we return. Only published calibrations of older cameras have one."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

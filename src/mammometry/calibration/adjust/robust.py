@@ -21,10 +21,9 @@ from mammometry.geometry.arrays import Array, Bool, Float64
 HUBER_MAD = 3.0
 """Residuals up to this many robust standard deviations count in full, larger ones linearly."""
 REJECT_SIGMA = 10.0
-"""Robust standard deviations beyond which points are left out of the last adjustment. Photographs of one capture
-differ twofold in noise, so ten of all photographs' are five of the worst one's. Nearer points do no harm, since they
-count linearly only.
-"""
+"""Robust standard deviations beyond which points are left out of the last adjustment. Photographs of one capture differ
+twofold in noise, so ten of all photographs' are five of the worst one's. Nearer points do no harm, since they count
+linearly only."""
 _MAX_ITERATIONS = 50
 """Levenberg–Marquardt steps of one adjustment. 5–15 are usual."""
 

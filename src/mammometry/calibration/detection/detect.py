@@ -1,8 +1,4 @@
-"""Find the target in photographs and measure its points.
-
-They are measured to hundredths of a pixel. This module holds the values common to all kinds of target. Each kind's own
-module finds it.
-"""
+"""Find the target in photographs, measure its points to hundredths of a pixel, say why it was not found."""
 
 from __future__ import annotations
 
@@ -34,8 +30,7 @@ _DARK = 40
 """Brightest grey level of a picture that is nearly black. Chosen by eye."""
 _MIN_STEP = 0.16
 """Share of the picture's contrast that a sharp edge climbs from one reduced pixel to the next. A smeared one climbs
-less.
-"""
+less."""
 _MIN_CONTRAST = 50
 """Grey levels between dark and bright above which a picture without edges is called blurred. Chosen by eye."""
 
@@ -67,8 +62,7 @@ def _about_exposure(small: UInt8[Array, "h w"]) -> Cause | None:
 
 SEARCH_WIDTH_PX = 1100
 """Width of the reduced picture in which the target is searched. Only its scale matters for finding. The final
-measurement uses the original pixels.
-"""
+measurement uses the original pixels."""
 _FLOOR_PX = 0.01
 """Standard deviation added to every point's own, px: what no fit of one point can show (print, pixel grid)."""
 MIN_POINTS = 8
@@ -275,8 +269,7 @@ def _require_size(name: str, camera: str, size_wh: tuple[int, int], expected_wh:
 
 _SAME_PX = 0.1
 """Median distance of the same points, px. Different cameras are never so near. One camera that stands still is, but
-then all cameras of the pose are.
-"""
+then all cameras of the pose are."""
 _COPIED_PX = 1e-3
 """Noise alone moves corners by more than this between exposures, px."""
 _COMMON = 0.9

@@ -1,7 +1,4 @@
-"""Image points measured elsewhere, by hand or other software.
-
-They serve targets that cannot be identified here.
-"""
+"""Image points measured elsewhere, for targets that cannot be identified here."""
 
 from __future__ import annotations
 

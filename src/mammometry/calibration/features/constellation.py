@@ -31,8 +31,7 @@ _LOOSE, _TIGHT = 0.35, 0.12
 """Largest distance of a dot from its expected place, in distances of neighbouring dots: at first, and at last."""
 _FITTING = 0.015
 """Largest median distance of a reading's dots from its camera's, in distances of neighbouring dots. A target with its
-relief turned inside out would fit to about a twentieth.
-"""
+relief turned inside out would fit to about a twentieth."""
 _ROUNDS = 5
 """Rounds of growing. Each matches twice as many points around the start as the one before. The last is strict."""
 _STEPS = 12
@@ -45,8 +44,7 @@ _LEAST_SHARE = 0.65
 """Least share of dots to explain where the target is seen."""
 _FLAT = 0.03
 """Points this thin are in a plane. One plane of a spatial target is not enough: a mirrored picture of it is the same
-plane seen from behind.
-"""
+plane seen from behind."""
 _RIVAL_SHARE = 0.8
 """Share of the best reading's dots at which a second reading leaves doubt."""
 
@@ -205,10 +203,7 @@ def _grow(
     tree: cKDTree,
     size_wh: tuple[int, int],
 ) -> Iterator[Reading]:
-    """Perspective cameras grown from an orthographic one.
-
-    They match around the triple, adjust, and match farther.
-    """
+    """Perspective cameras grown from an orthographic one: match around the triple, adjust, match farther."""
     scale = float(np.linalg.norm(start[0, :3]))
     u, _, vt = np.linalg.svd(start[:, :3])
     rotation = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt

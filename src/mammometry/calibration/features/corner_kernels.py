@@ -20,8 +20,7 @@ STRIDES = 20
 """
 STEEPEST = 2.0
 """Largest change of a pixel's distance from an edge between neighbours, px: 1 at the corner. So far from both edges
-pixels are passed over without being looked at.
-"""
+pixels are passed over without being looked at."""
 STEPS = 16
 """Gauss–Newton steps, at most."""
 CONVERGED_PX = 3e-4
@@ -34,8 +33,7 @@ SIGMA_RANGE_PX = (0.25, 8.0)
 """Blur that is believed, px."""
 RESULTS = 16
 """Columns of the kernel's result: shift (u, v), σ, six photometric terms, covariance of the shift (uu, uv, vv),
-residual, then 1 if converged, 1 if there were enough pixels, and the number of pixels.
-"""
+residual, then 1 if converged, 1 if there were enough pixels, and the number of pixels."""
 
 _TERMS = 9  # unknowns of the fit: shift (u, v), σ and six photometric terms
 _BLOCK = 128  # pixels whose terms are computed and summed at a time: they stay in the first cache
@@ -194,10 +192,7 @@ def _fit(pixels, used, sigma_px, out):  # type: ignore[no-untyped-def]
 
 @kernel
 def _invert(matrix, ridge, inverse):  # type: ignore[no-untyped-def]
-    """Inverse of a positive definite matrix with `ridge` added to its diagonal.
-
-    By sweeping one pivot after the other.
-    """
+    """Inverse of a positive definite matrix plus `ridge` on its diagonal, one pivot after the other."""
     for i in range(_TERMS):
         for j in range(_TERMS):
             inverse[i, j] = matrix[i, j]

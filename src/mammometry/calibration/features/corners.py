@@ -1,4 +1,4 @@
-"""Measure a board's corners by two passes of the model fit. Gates reject false corners."""
+"""Measure a board's corners by two passes of a model of four blurred squares. Gates reject false corners."""
 
 from __future__ import annotations
 
@@ -17,10 +17,7 @@ _GRID = np.linspace(-1.0, 1.0, 7)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MarkerArea:
-    """Middles of the squares that meet in a corner.
-
-    The bright ones hold markers there, so they are left out.
-    """
+    """Middles of the squares that meet in a corner, left out since the bright ones hold markers."""
 
     square_mm: float
     marker_mm: float
@@ -38,8 +35,7 @@ class CornerFits:
     """From the residuals and the normal equations, px²."""
     amplitude: Float64[Array, " n"]
     """a: half the step from dark to bright, linear light. Positive if the square before the corner in both directions
-    (and the one after it) is the brighter.
-    """
+    (and the one after it) is the brighter."""
     background: Float64[Array, " n"]
     """b: mean of dark and bright, linear light."""
     residual: Float64[Array, " n"]
@@ -120,10 +116,7 @@ def _radii(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Windows:
-    """Square windows around corners, with the board's coordinates.
-
-    In each, they are a cubic of the pixel offset.
-    """
+    """Square windows around corners, with the board's coordinates as a cubic of the pixel offset."""
 
     centre: Int64[Array, "n 2"]
     radius: Int64[Array, " n"]
@@ -163,8 +156,7 @@ def _cut(
 
 _WINDOW_SQUARES = 0.48
 """Half-width of the fitted window around a corner, in sides of a square: nearly all of the four squares that meet
-there, without the neighbouring corners' blurred edges.
-"""
+there, without the neighbouring corners' blurred edges."""
 _FIRST_WINDOW = 0.5
 """Half-width of the first, robust pass as a share of the final window."""
 _REACH_SQUARES = 1.2
@@ -246,10 +238,7 @@ def _predictable(
     square_mm: float,
     shape_hw: tuple[int, ...],
 ) -> Int64[Array, " k"]:
-    """Ids of corners that are predictable and measurable.
-
-    They are near what was seen, inside the frame, in squares large enough.
-    """
+    """Ids of corners near what was seen, inside the frame, in squares large enough."""
     distance = np.linalg.norm(corners_mm[:, None] - seen_mm[None], axis=2).min(axis=1)
     uv = board_map.image(corners_mm)
     inside = ((uv > 2.0) & (uv < np.array(shape_hw[::-1]) - 3.0)).all(axis=1)

@@ -1,12 +1,12 @@
-"""Sub-pixel centre of a dark dot.
+"""Sub-pixel centre and size of dark dots and other printed marks.
 
-The centroid of its darkness, corrected for perspective and curvature. Darkness is the share of a pixel that the dot
-covers, between the background's light and the dot's own, each a plane. A plain difference to the background would
-weigh the lit side of a dot more, and move the centroid of a disc of radius r by r²/4 times the relative slope of the
-light: 0.25 px for a dot of 20 px in light that falls by 1 % a pixel. The dot's own plane, from its middle,
-distinguishes light that falls off from gloss and haze, which add to dot and background alike. The centroid of a dot's
-picture is not the picture of its centre. With a smooth map from the surface to the picture the difference is known: it
-is computed from the map over the dot's area, and taken off.
+The centre is the centroid of its darkness, corrected for perspective and curvature. Darkness is the share of a pixel
+that the dot covers, between the background's light and the dot's own, each a plane. A plain difference to the
+background would weigh the lit side of a dot more, and move the centroid of a disc of radius r by r²/4 times the
+relative slope of the light: 0.25 px for a dot of 20 px in light that falls by 1 % a pixel. The dot's own plane, from
+its middle, distinguishes light that falls off from gloss and haze, which add to dot and background alike. The centroid
+of a dot's picture is not the picture of its centre. With a smooth map from the surface to the picture the difference is
+known: it is computed from the map over the dot's area, and taken off.
 """
 
 from __future__ import annotations
@@ -204,8 +204,7 @@ _DARKER = 0.6
 """Largest share of the bright light that the dark has. Chosen by eye."""
 _DOUBT_PX, _DOUBT_BLURS = 0.5, 0.5
 """What a step may be off without meaning anything, px and standard deviations of the blur: where a bright gap is
-narrower than two of these, half the height is no longer where the step is.
-"""
+narrower than two of these, half the height is no longer where the step is."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

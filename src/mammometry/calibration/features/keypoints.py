@@ -54,10 +54,7 @@ def keypoints(photograph: Photograph, *, width_px: int = WIDTH_PX) -> Keypoints:
 
 
 def matched(one: Keypoints, other: Keypoints) -> tuple[Float64[Array, "m 2"], Float64[Array, "m 2"]]:
-    """Find the places, px, of the features that both have.
-
-    Each is nearest to the other, and clearly nearer than any second.
-    """
+    """Find the places, px, of features that are each other's nearest, clearly before any second."""
     if min(len(one.uv), len(other.uv)) < 2:
         return np.empty((0, 2)), np.empty((0, 2))
     likeness = one.descriptors @ other.descriptors.T

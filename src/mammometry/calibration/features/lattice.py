@@ -1,7 +1,4 @@
-"""Find dark dots and index them on a bent lattice.
-
-The lattice has rows and columns. The surface is bright.
-"""
+"""Find dark dots on a bright surface and index them by row and column of a bent lattice."""
 
 from __future__ import annotations
 

@@ -33,18 +33,14 @@ from mammometry.calibration.judge.sighting import (
 )
 from mammometry.calibration.settings import CheckSettings
 from mammometry.calibration.targets.target import Target
-from mammometry.geometry.arrays import Array, Float64
-from mammometry.geometry.camera import Camera, Rig
-from mammometry.geometry.transform import Transform
+from mammometry.geometry import Array, Camera, Float64, Rig, Transform
 
 _CHANCE = 1e-6
-"""Probability, in a rig that did not move, below which a disagreement is called a motion. It is very small because
-real noise has longer tails than the normal distribution.
-"""
+"""Probability, in a rig that did not move, below which a disagreement is called a motion. It is very small because real
+noise has longer tails than the normal distribution."""
 _LEAST_INFLATION = 1.5
-"""Least factor on the exposure's noise: neighbouring corners have common errors. Larger if the calibration's own
-views show more.
-"""
+"""Least factor on the exposure's noise: neighbouring corners have common errors. Larger if the calibration's own views
+show more."""
 _LENS_RATIO = 3.0
 """A camera's residual over that of its calibration above which its lens, or the target, must have changed."""
 

@@ -1,7 +1,4 @@
-"""Expected error of points that the pairs reconstruct, mm.
-
-It comes from the calibration's uncertainty.
-"""
+"""Working volume of the rig, and expected error, mm, of points that its pairs reconstruct there."""
 
 from __future__ import annotations
 
@@ -15,8 +12,7 @@ from mammometry.base.value import value
 from mammometry.calibration.adjust.calibrated import Calibration
 from mammometry.calibration.adjust.network import POSE_NAMES_CAMERA, tie_of
 from mammometry.calibration.adjust.projection import intrinsics_of, project_with_derivatives
-from mammometry.geometry.arrays import Array, Bool, Float64, Int64
-from mammometry.geometry.camera import Camera, Rig
+from mammometry.geometry import Array, Bool, Camera, Float64, Int64, Rig
 
 
 @value(eq=False)
@@ -102,8 +98,7 @@ class ExpectedError:
     volume: WorkingVolume
     std_mm: Mapping[str, Float64[Array, "n n n"]]
     """Pair → standard deviation of a reconstructed point's distance from the true one (root of the covariance's trace)
-    on the volume's grid. NaN where one camera does not see it.
-    """
+    on the volume's grid. NaN where one camera does not see it."""
 
     @property
     def rms_mm(self) -> Mapping[str, float]:
@@ -120,10 +115,7 @@ class ExpectedError:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ShapeShifts:
-    """How reconstructed points shift with the cameras' parameters.
-
-    A motion, turn and scale of all is taken off.
-    """
+    """Shifts of reconstructed points with the cameras' parameters, less their common motion and scale."""
 
     volume: WorkingVolume
     names: tuple[str, ...]
@@ -188,10 +180,7 @@ def shape_shifts(calibration: Calibration) -> ShapeShifts:
 def derivatives(
     camera: Camera, points: Float64[Array, "n 3"], names: tuple[str, ...]
 ) -> tuple[Float64[Array, "n 2 3"], Float64[Array, "n 2 p"]]:
-    """Derivatives of a camera's projection by points and parameters.
-
-    Points are in the world frame. Parameters are named. Those of other things are zero.
-    """
+    """Derivatives of a camera's projection by points in the world frame and by named parameters."""
     rotation = camera.camera_from_world.rotation
     points_camera = camera.camera_from_world.apply(points)
     projection = project_with_derivatives(points_camera, np.tile(intrinsics_of(camera), (len(points), 1)))

@@ -50,19 +50,27 @@ def true_shot(calibration: Calibration, detection: Detection) -> Shot | None:
 
 
 _BIAS_WARN = 8.0
-"""Bias of a view (its median residual in standard errors) that gives a warning. Clean ones reach 4–5, a camera moved
-by 0.01 mm 7–9 at a quarter of the size, 36–46 at full size.
-"""
+"""Bias of a view (its median residual in standard errors) that gives a warning. Clean ones reach 4–5, a camera moved by
+0.01 mm 7–9 at a quarter of the size, 36–46 at full size."""
+BIAS_REFUSE = 20.0
+"""Bias above which the cameras cannot have stood still."""
 _FOCAL_STD_WARN = 2.5e-4
 """Relative standard deviation of a focal length that gives a warning: 0.2 mm of depth at 0.8 m."""
 _GEOMETRY_WARN_MM = 0.1
 """RMS of the target's points, reconstructed from a pair, about their nominal shape that gives a warning."""
+_GEOMETRY_REFUSE_MM = 0.5
+"""The paper's depth error on a flat plate (Results). With a larger one, measuring is not worthwhile."""
 _SCALE_WARN_PPM = 300.0
 """Scale error of a pair on the target that gives a warning, millionths of a length. Three times that in volume."""
+_SCALE_REFUSE_PPM = 1500.0
+"""Scale error of a pair above which volumes are off by half a percent from it alone."""
 _EXPECTED_WARN_MM = 0.1
 """Expected error of reconstructed points in the working volume, from the cameras' uncertainty, that gives a warning.
-Over the 300 cm² that a pair sees, 0.1 mm is 3 cc.
-"""
+Over the 300 cm² that a pair sees, 0.1 mm is 3 cc."""
+_EXPECTED_REFUSE_MM = 0.5
+"""Expected error no better than the paper's on a flat plate. Measuring is then not worthwhile."""
+_MOVED_REFUSE_MM = 0.05
+"""Displacement of measured points by a movement between poses above which the poses must not be used together."""
 _COVERAGE_WARN = 0.4
 """Share of a photograph, in cells of an 8 × 6 grid, in which the target was seen. Below it the lens is untested."""
 _VOLUME_COVERAGE_WARN = 0.25
@@ -72,16 +80,14 @@ RESIDUAL_GOOD_MM = 0.05
 _RESIDUAL_WARN_MM = 0.2
 """RMS residual at the target's distance above which the pictures or the target are wrong."""
 _LEFT_OUT_WARN = 1.2
-"""Residuals of poses left out over those of the same poses fitted, corrected for the number of unknowns. Above it,
-the cameras are not trusted elsewhere. 1.0 if points err independently, 1.05–1.1 if a photograph's points err
-together, 1.25 and more with three such poses.
-"""
+"""Residuals of poses left out over those of the same poses fitted, corrected for the number of unknowns. Above it, the
+cameras are not trusted elsewhere. 1.0 if points err independently, 1.05–1.1 if a photograph's points err together, 1.25
+and more with three such poses."""
 _BLURRED_RATIO = 5.0
 """RMS of a view over that of the others above which it is called blurred."""
 _REJECTED_WARN = 0.15
 """Share of a view's points left out as outliers that gives a warning. Clean views lose up to a tenth: corners at the
-board's rim, or out of focus, err more than their σ.
-"""
+board's rim, or out of focus, err more than their σ."""
 
 Verdict: TypeAlias = Literal["pass", "warn", "refuse"]
 Finding: TypeAlias = tuple[Verdict, str]
@@ -90,8 +96,7 @@ _PRINT_SCALE = 1e-3
 
 _SQUARE_PIXELS, _SURE_SIGMA = 0.01, 5.0
 """Share by which pixels may differ from squares, and standard deviations by which they then must. Real cameras are
-below .001; prints are stretched by up to .005.
-"""
+below .001; prints are stretched by up to .005."""
 
 
 def about_names(calibration: Calibration) -> Iterator[Finding]:
@@ -132,7 +137,7 @@ def about_missed(calibration: Calibration) -> Iterator[Finding]:
             yield "warn", str(view)
 
 
-def about_movements(movements: Sequence[Movement], settings: QualitySettings) -> Iterator[Finding]:
+def about_movements(movements: Sequence[Movement]) -> Iterator[Finding]:
     """Report cameras that moved during the calibration."""
     for movement in movements:
         size = f"{np.linalg.norm(movement.shift_mm):.3f} mm and {np.degrees(np.linalg.norm(movement.turn_rad)):.4f}°"
@@ -148,14 +153,11 @@ def about_movements(movements: Sequence[Movement], settings: QualitySettings) ->
             sentence += (
                 f"Poses before and after do not belong together. Points would be {movement.effect_mm:.2f} mm off"
             )
-        yield "refuse" if movement.effect_mm > settings.moved_refuse_mm else "warn", sentence
+        yield "refuse" if movement.effect_mm > _MOVED_REFUSE_MM else "warn", sentence
 
 
 def about_fit(calibration: Calibration, views: Sequence[ViewQuality]) -> Iterator[Finding]:
-    """Findings about an adjustment that did not settle.
-
-    Also about views that lost many points or fit badly.
-    """
+    """Findings about an adjustment that did not settle, and views that fit badly or lost many points."""
     if not calibration.converged:
         yield "warn", f"the adjustment had not settled after {calibration.iterations} steps"
     aside = {(view.camera, view.pose) for view in calibration.set_aside}
@@ -175,15 +177,15 @@ def about_fit(calibration: Calibration, views: Sequence[ViewQuality]) -> Iterato
             )
 
 
-def about_bias(calibration: Calibration, views: Sequence[ViewQuality], settings: QualitySettings) -> Iterator[Finding]:
+def about_bias(calibration: Calibration, views: Sequence[ViewQuality]) -> Iterator[Finding]:
     """Findings about views with one-sided residuals without a rigid movement."""
     aside = {(view.camera, view.pose) for view in calibration.set_aside}
     for view in sorted(views, key=lambda view: -view.bias):
-        if view.bias > min(_BIAS_WARN, settings.bias_refuse) and (view.camera, view.pose) not in aside:
+        if view.bias > _BIAS_WARN and (view.camera, view.pose) not in aside:
             yield (
-                "refuse" if view.bias > settings.bias_refuse else "warn",
+                "refuse" if view.bias > BIAS_REFUSE else "warn",
                 f"pose {view.pose}: all points that {view.camera} saw are shifted together by {view.bias:.0f} standard "
-                f"errors (limit {settings.bias_refuse:.0f}). A camera or the target moved, or the target bent",
+                f"errors (limit {BIAS_REFUSE:.0f}). A camera or the target moved, or the target bent",
             )
 
 
@@ -235,36 +237,36 @@ def about_pixels(calibration: Calibration) -> Iterator[Finding]:
             )
 
 
-def about_pairs(pairs: Sequence[PairQuality], settings: QualitySettings) -> Iterator[Finding]:
+def about_pairs(pairs: Sequence[PairQuality]) -> Iterator[Finding]:
     """Report how each pair reconstructs the target."""
     for pair in pairs:
         if not pair.poses:
             yield "warn", f"pair {pair.pair}: both cameras never saw the target in the same pose"
             continue
-        if pair.geometry_mm > min(_GEOMETRY_WARN_MM, settings.geometry_refuse_mm):
+        if pair.geometry_mm > _GEOMETRY_WARN_MM:
             yield (
-                "refuse" if pair.geometry_mm > settings.geometry_refuse_mm else "warn",
+                "refuse" if pair.geometry_mm > _GEOMETRY_REFUSE_MM else "warn",
                 f"pair {pair.pair} reconstructs the target to {pair.geometry_mm:.2f} mm RMS (limit "
-                f"{settings.geometry_refuse_mm} mm)",
+                f"{_GEOMETRY_REFUSE_MM} mm)",
             )
-        if abs(pair.scale_ppm) > min(_SCALE_WARN_PPM, settings.scale_refuse_ppm):
+        if abs(pair.scale_ppm) > _SCALE_WARN_PPM:
             yield (
-                "refuse" if abs(pair.scale_ppm) > settings.scale_refuse_ppm else "warn",
+                "refuse" if abs(pair.scale_ppm) > _SCALE_REFUSE_PPM else "warn",
                 f"pair {pair.pair} reconstructs the target {pair.scale_ppm / 1e4:+.3f} % too large, "
                 f"{3 * pair.scale_ppm / 1e4:+.2f} % in volume",
             )
 
 
-def about_expected(expected_mm: Mapping[str, float], settings: QualitySettings) -> Iterator[Finding]:
+def about_expected(expected_mm: Mapping[str, float]) -> Iterator[Finding]:
     """Report the error of measured points by the cameras' uncertainty."""
     known = {pair: error_mm for pair, error_mm in expected_mm.items() if np.isfinite(error_mm)}
     if known:
         pair = max(known, key=lambda name: known[name])
         error_mm = known[pair]
         verdict: Verdict = "pass"
-        if error_mm > min(_EXPECTED_WARN_MM, settings.expected_refuse_mm):
-            verdict = "refuse" if error_mm > settings.expected_refuse_mm else "warn"
-        advice = "" if verdict == "pass" else f", refused above {settings.expected_refuse_mm} mm. Add poses"
+        if error_mm > _EXPECTED_WARN_MM:
+            verdict = "refuse" if error_mm > _EXPECTED_REFUSE_MM else "warn"
+        advice = "" if verdict == "pass" else f", refused above {_EXPECTED_REFUSE_MM} mm. Add poses"
         yield (
             verdict,
             f"the cameras' uncertainty moves measured points by {error_mm:.3f} mm RMS (worst pair: {pair}, good up to "

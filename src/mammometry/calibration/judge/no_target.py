@@ -30,9 +30,7 @@ class _Reading:
 
 
 def no_target(target: Target, parts: Sequence[Observations], photographs: Photographs) -> CalibrationError:
-    """Return the error that no photograph shows the target.
-
-    It says what they show instead, and what to do.
+    """Return the error that no photograph shows the target, with what they show instead.
 
     Args:
         target: as described.

@@ -72,8 +72,7 @@ class CalibrationQuality:
     """Share of the working volume within an eighth of its width of a target position. NaN if there is none."""
     expected_mm: Mapping[str, float]
     """Pair → standard deviation of its reconstructed points, from the cameras' own, over the part of the working volume
-    in which the target was shown. NaN if that is empty.
-    """
+    in which the target was shown. NaN if that is empty."""
     focal_std: Mapping[str, float]
     """Camera → relative standard deviation of its focal length."""
     views: tuple[ViewQuality, ...]
@@ -103,13 +102,13 @@ def assess(calibration: Calibration, settings: QualitySettings = QualitySettings
         *about_names(calibration),
         *about_missed(calibration),
         *about_target(calibration),
-        *about_movements(moved, settings),
-        *(() if moved else about_bias(calibration, views, settings)),
+        *about_movements(moved),
+        *(() if moved else about_bias(calibration, views)),
         *about_fit(calibration, views),
         *about_cameras(calibration, focal_std, coverage, expected.volume.coverage, settings),
         *about_pixels(calibration),
-        *about_pairs(pairs, settings),
-        *about_expected(expected.rms_mm, settings),
+        *about_pairs(pairs),
+        *about_expected(expected.rms_mm),
         about_residuals(calibration.rms_px, rms_mm),
         *about_left_out(calibration),
         *about_scale(calibration),

@@ -1,4 +1,4 @@
-"""The target as a pair reconstructs it, mm. This is an independent check of a calibration."""
+"""Residuals of single views, and the target as each pair reconstructs it: an independent check."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ import numpy as np
 
 from mammometry.calibration.adjust.calibrated import Calibration
 from mammometry.calibration.detection.detect import Detection
-from mammometry.geometry.arrays import Array, Float64
-from mammometry.geometry.camera import Camera, StereoPair
+from mammometry.geometry import Array, Camera, Float64, StereoPair
 
 _FLAT = 1e-6
 """Points thinner than this share of their extent are flat: rounding only."""
@@ -150,8 +149,7 @@ class ViewQuality:
     """Of the points that took part. NaN where none did."""
     bias: float
     """Length of the median residual in its own standard errors, all points included: 1–5 by chance, more if something
-    moved.
-    """
+    moved."""
 
 
 def view_qualities(calibration: Calibration) -> tuple[ViewQuality, ...]:

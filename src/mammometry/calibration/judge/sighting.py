@@ -18,9 +18,7 @@ from mammometry.base.value import value
 from mammometry.calibration.adjust.calibrated import Calibration, ParameterCovariance
 from mammometry.calibration.adjust.projection import INTRINSIC_NAMES, intrinsics_of, project_with_derivatives
 from mammometry.calibration.detection.detect import Detection
-from mammometry.geometry.arrays import Array, Bool, Float64
-from mammometry.geometry.camera import Camera
-from mammometry.geometry.transform import Transform
+from mammometry.geometry import Array, Bool, Camera, Float64, Transform
 
 _STEPS = 10
 """Gauss–Newton steps, at most."""

@@ -17,7 +17,7 @@ from mammometry.base.errors import CalibrationError
 from mammometry.calibration.adjust.calibrated import Calibration
 from mammometry.calibration.detection.detect import Observations
 from mammometry.calibration.features.found_points import Cause
-from mammometry.calibration.judge.findings import board_faults
+from mammometry.calibration.judge.findings import BIAS_REFUSE, board_faults
 from mammometry.calibration.judge.quality import CalibrationQuality, assess
 from mammometry.calibration.settings import QualitySettings
 
@@ -160,7 +160,7 @@ def find_suspects(
     for _ in range(_ROUNDS):
         if rest is None or rest.verdict != "refuse":
             break
-        new = dict(_suspicious(calibration, rest, settings))
+        new = dict(_suspicious(calibration, rest))
         if not new or len(reasons) + len(new) > most:
             break
         reasons |= new
@@ -180,9 +180,7 @@ def find_suspects(
     return Suspects(reasons=dict(sorted(reasons.items())), rest=rest, views=kept)
 
 
-def _suspicious(
-    calibration: Calibration, quality: CalibrationQuality, settings: QualitySettings
-) -> Iterator[tuple[Shot, str]]:
+def _suspicious(calibration: Calibration, quality: CalibrationQuality) -> Iterator[tuple[Shot, str]]:
     shots = [(seen.pose, seen.camera) for seen in calibration.observations.detections]
     for movement in quality.movements:
         size = f"{movement.shift_px:.2f} px, {movement.sigma:.0f} standard errors"
@@ -197,7 +195,7 @@ def _suspicious(
                 yield shot, f"taken before {shot[1]} moved ({size})"
     if quality.movements:
         return
-    limit = max(settings.bias_refuse, _WORST * max((view.bias for view in quality.views), default=0.0))
+    limit = max(BIAS_REFUSE, _WORST * max((view.bias for view in quality.views), default=0.0))
     for view in quality.views:
         if view.bias > limit:
             yield (view.pose, view.camera), f"all points shifted together by {view.bias:.0f} standard errors"

@@ -1,4 +1,4 @@
-"""Flat boards: what all printed boards share, and boards of squares."""
+"""Flat boards: what all printed boards share, boards of squares, and their solid for the simulation."""
 
 from __future__ import annotations
 
@@ -121,10 +121,7 @@ class Board(Target):
 
     @property
     def looks_alike_turned(self) -> bool:
-        """Whether half a turn in its plane gives the same board.
-
-        Then only its direction in the picture decides.
-        """
+        """Whether half a turn in its plane gives the same board, so that only its direction decides."""
         return False
 
     @property

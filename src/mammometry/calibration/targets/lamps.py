@@ -19,10 +19,7 @@ from mammometry.geometry.arrays import Array, Float64
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LampStrip:
-    """The strip, clamped below the lower edge of a board.
-
-    The design is that of docs/how-to/counting-lamps.ino.
-    """
+    """The strip, clamped below the lower edge of a board (docs/how-to/counting-lamps.ino)."""
 
     bits: int = 12
     """Lamps that count."""

@@ -1,7 +1,4 @@
-"""A calibration target as a PDF at true scale, with a ruler.
-
-The ruler checks that the printer kept the scale.
-"""
+"""A calibration target as a PDF at true scale, with a ruler that shows whether the printer kept it."""
 
 from __future__ import annotations
 
@@ -138,10 +135,7 @@ def _ruler(axes: Axes, left_mm: float, foot_mm: float) -> None:
 
 
 def _cuts(axes: Axes, sheet: Sheet, corner_mm: Corner) -> None:
-    """Marks where to cut: left and right edge of the sheet.
-
-    They meet where the columns go all the way round.
-    """
+    """Marks where to cut: left and right edge of the sheet, which meet where columns go all round."""
     width_mm, height_mm = sheet.extent_mm[1] - sheet.extent_mm[0]
     for x in (corner_mm[0], corner_mm[0] + width_mm):
         for y in (corner_mm[1], corner_mm[1] + height_mm - _CUT_MM):

@@ -1,7 +1,4 @@
-"""What is printed: dark shapes on white paper, as numbers.
-
-The PDF and the virtual pictures are drawn from it.
-"""
+"""What is printed, as dark shapes on white paper: PDF and virtual pictures are drawn from it."""
 
 from __future__ import annotations
 
@@ -58,8 +55,7 @@ class Pattern:
     """Side of a marker in the middle of its square, or radius of a circle."""
     cells: UInt8[Array, "rows columns c c"]
     """Content of each square: [j, i, 0, 0] is `DARK`, `WHITE` or `MARKER`. A marker's cells start at [1, 1], 0 for
-    black. Empty (0, 0, 1, 1) for circles.
-    """
+    black. Empty (0, 0, 1, 1) for circles."""
 
     def rectangles(self) -> Float64[Array, "n 4"]:
         """Dark squares and dark marker cells: x, y, width and height, mm."""

@@ -16,8 +16,7 @@ from mammometry.calibration.targets.target import TARGETS, Target
 
 _MAX_PRINT_SCALE = 0.1
 """Largest relative scale error of a print. Chosen by eye: printers err by a few per cent at most, so a larger
-difference is a typing error.
-"""
+difference is a typing error."""
 _TARGET_MM, _USUAL_TARGET_MM = (20.0, 2500.0), (60.0, 1500.0)
 """Possible and usual longest side of what a target's points span. A cast of 40 mm is no smaller than its target."""
 

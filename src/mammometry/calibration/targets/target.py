@@ -1,7 +1,6 @@
-"""Calibration targets of any kind, as the stages see them.
+"""Calibration targets of any kind, as the stages see them, and the registry of the kinds.
 
-A target lists its points in its own frame, mm. A detection's ids index that list. The kinds are listed in `registry`,
-each in a file of its own. What needs OpenCV is in further modules, which the methods import when they are called.
+A target lists its points in its own frame, mm. A detection's ids index that list. Each kind is a file in `kinds`.
 """
 
 from __future__ import annotations

@@ -1,1 +1,1 @@
-"""What fires cameras: a file a kind, entered in `capture.registry`."""
+"""What fires cameras: a file a kind, entered in `capture.camera`."""

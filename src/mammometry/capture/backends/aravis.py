@@ -6,8 +6,6 @@ Extra ``genicam``, or Debian's ``gir1.2-aravis-0.8`` and ``python3-gi``.
 pulse (``Line1``). ``ptp = true`` switches the cameras' common clock on.
 """
 
-from __future__ import annotations
-
 import sys
 import time
 from pathlib import Path
@@ -16,8 +14,7 @@ from typing import Any
 import numpy as np
 
 from mammometry.base.photograph import Photograph
-from mammometry.capture.camera import CameraSettings, Devices, Frame, Health, failed
-from mammometry.capture.registry import BACKENDS, library, missing
+from mammometry.capture.camera import BACKENDS, CameraSettings, Devices, Frame, Health, failed, library, missing
 from mammometry.io.photographs.images import demosaiced
 
 _DEBIAN = Path("/usr/lib/python3/dist-packages")  # where python3-gi is; a virtual environment does not look there
@@ -44,6 +41,17 @@ def _library() -> Any:
             "aravis", "Aravis", "apt-get install gir1.2-aravis-0.8 python3-gi, with the system's own Python version"
         ) from None
     return aravis
+
+
+def attached() -> list[str]:
+    """Identifiers of the cameras that can be reached.
+
+    Raises:
+        SettingsError: Aravis is not installed.
+    """
+    aravis = _library()
+    aravis.update_device_list()
+    return [aravis.get_device_id(number) for number in range(aravis.get_n_devices())]
 
 
 @BACKENDS.add("aravis")
@@ -143,7 +151,7 @@ class AravisRig:
             return Health(fault=f"It does not answer ({_words(error)}).")
 
     def close(self) -> None:
-        """Let them go."""
+        """Release the cameras."""
         for name in list(self._cameras):
             self._stop(name)
         self._streams.clear()

@@ -4,8 +4,6 @@ Tethering programs write each camera's photographs into a folder. It is watched,
 new file of every camera, by its name or its serial number, all of one exposure by their EXIF times.
 """
 
-from __future__ import annotations
-
 import threading
 import time
 from dataclasses import dataclass
@@ -13,14 +11,13 @@ from pathlib import Path
 
 from mammometry.base.errors import MammometryError, SettingsError
 from mammometry.base.photograph import Photograph
-from mammometry.capture.camera import CameraSettings, Clock, Devices, Frame, Health, failed
-from mammometry.capture.checks.cameras import camera_of_name
-from mammometry.capture.registry import BACKENDS
-from mammometry.io.photographs.exposure import read_exposure
+from mammometry.capture.camera import BACKENDS, CameraSettings, Clock, Devices, Frame, Health, failed
+from mammometry.capture.checks import camera_of_name
 from mammometry.io.photographs.images import EXTENSIONS, read_header, read_photograph
+from mammometry.io.photographs.tags import read_exposure
 
 _TOGETHER_S = 20.0
-"""Clocks that nobody set to one another differ by seconds: `capture.checks.cameras` has the same limit."""
+"""Clocks that nobody set to one another differ by seconds: `capture.checks` has the same limit."""
 _LOOK_S = 0.05  # between two looks at the folder
 _STILL_S = 0.2  # a file that did not grow for so long is whole
 
@@ -104,7 +101,7 @@ class WatchedFolder:
         return Health(fault=fault, model="a watched folder", serial=self._ids.get(camera, ""))
 
     def close(self) -> None:
-        """Nothing is held."""
+        """Release nothing: a folder holds no cameras."""
 
     def _files(self) -> list[Path]:
         try:
@@ -118,7 +115,7 @@ class WatchedFolder:
 
     def _all(self) -> list[_File]:
         """Whole files whose camera is known."""
-        found = []
+        files = []
         for path in self._files():
             try:
                 stamp = _stamp(path)
@@ -127,10 +124,10 @@ class WatchedFolder:
                 key = (path, stamp[1])
                 if key not in self._read:
                     self._read[key] = self._about(path)
-                found.append(self._read[key])
+                files.append(self._read[key])
             except OSError:
                 continue  # it was removed meanwhile
-        return [name for name in found if name is not None]
+        return [name for name in files if name is not None]
 
     def _about(self, path: Path) -> _File | None:
         exposure = read_exposure(path)

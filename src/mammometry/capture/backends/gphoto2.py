@@ -4,8 +4,6 @@
 library blocks while a file comes, and a camera that hangs must not hold the others.
 """
 
-from __future__ import annotations
-
 import io
 import multiprocessing
 import time
@@ -17,8 +15,7 @@ from PIL import Image
 
 from mammometry.base.errors import CaptureError
 from mammometry.base.photograph import Photograph
-from mammometry.capture.camera import CameraSettings, Devices, Frame, Health, failed
-from mammometry.capture.registry import BACKENDS, library, missing
+from mammometry.capture.camera import BACKENDS, CameraSettings, Devices, Frame, Health, failed, library, missing
 from mammometry.io.photographs.images import FORMATS
 
 _OPEN_S = 20.0  # a camera that sleeps takes some seconds to answer
@@ -29,15 +26,28 @@ _EXPOSURES = ("shutterspeed", "shutterspeed2")  # what makers call it
 _SPOOL = "capturetarget"  # where pictures go: memory in the camera, so that no full card is in the way
 
 
+def _library() -> Any:
+    try:
+        return library("gphoto2")
+    except ImportError:
+        raise missing("gphoto2", "python package gphoto2", "python -m pip install 'mammometry[tethered]'") from None
+
+
+def attached() -> list[str]:
+    """Ports of the cameras that can be reached.
+
+    Raises:
+        SettingsError: gphoto2 is not installed.
+    """
+    return [port for _, port in _library().Camera.autodetect()]
+
+
 @BACKENDS.add("gphoto2")
 class TetheredRig:
     """Reflex cameras on USB."""
 
     def __init__(self, devices: Devices) -> None:
-        try:
-            library("gphoto2")
-        except ImportError:
-            raise missing("gphoto2", "python package gphoto2", "python -m pip install 'mammometry[tethered]'") from None
+        _library()
         self._workers = {name: _Worker(name, devices.ids.get(name, "")) for name in devices.cameras}
         for worker in self._workers.values():
             worker.wait_open()
@@ -94,7 +104,7 @@ class TetheredRig:
         return Health(fault="The memory card is full." if free_kb == 0 else "", model=model, serial=serial)
 
     def close(self) -> None:
-        """End the processes."""
+        """End the cameras' processes."""
         for worker in self._workers.values():
             worker.close()
 
@@ -123,7 +133,7 @@ class _Worker:
             self.fault = error.found
 
     def ask(self, what: str, *arguments: Any, within_s: float) -> Any:
-        """Send and receive.
+        """Send a request to the camera's process, and receive its answer.
 
         Raises:
             CaptureError: it failed, hung or went.
@@ -132,7 +142,7 @@ class _Worker:
         return self.receive(within_s)
 
     def send(self, what: str, *arguments: Any) -> None:
-        """Ask for something."""
+        """Send a request to the camera's process."""
         self._require_well()
         try:
             self._ours.send((what, *arguments))
@@ -140,7 +150,7 @@ class _Worker:
             raise self._gone() from None
 
     def receive(self, within_s: float) -> Any:
-        """The next answer."""
+        """Receive the next answer of the camera's process."""
         self._require_well()
         try:
             if not self._ours.poll(within_s):

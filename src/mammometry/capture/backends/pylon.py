@@ -4,8 +4,6 @@
 PTP stamps its pictures with a time that all share.
 """
 
-from __future__ import annotations
-
 import time
 from typing import Any
 
@@ -13,8 +11,7 @@ import numpy as np
 
 from mammometry.base.errors import SettingsError
 from mammometry.base.photograph import Photograph
-from mammometry.capture.camera import CameraSettings, Devices, Frame, Health, failed
-from mammometry.capture.registry import BACKENDS, library, missing
+from mammometry.capture.camera import BACKENDS, CameraSettings, Devices, Frame, Health, failed, library, missing
 
 _READY_MS = 1000  # for a camera to wait for its pulse; it takes some ms
 _LIVE_MS = 1000  # for a live picture; slower is of no use for aiming
@@ -22,15 +19,28 @@ _QUEUE = 4  # pictures that may wait; one is wanted, more are dropped by `arm`
 _INSTALL = "python -m pip install 'mammometry[basler]'"
 
 
+def _library() -> Any:
+    try:
+        return library("pypylon.pylon")
+    except ImportError:
+        raise missing("pylon", "pypylon", _INSTALL) from None
+
+
+def attached() -> list[str]:
+    """Serial numbers of the cameras that can be reached.
+
+    Raises:
+        SettingsError: pypylon is not installed.
+    """
+    return [info.GetSerialNumber() for info in _library().TlFactory.GetInstance().EnumerateDevices()]
+
+
 @BACKENDS.add("pylon")
 class PylonRig:
     """Basler cameras, by cable or on one network."""
 
     def __init__(self, devices: Devices) -> None:
-        try:
-            pylon: Any = library("pypylon.pylon")
-        except ImportError:
-            raise missing("pylon", "pypylon", _INSTALL) from None
+        pylon = _library()
         self._pylon, self._devices = pylon, devices
         self._line = str(devices.options.get("line", "Line1"))
         self._cameras: dict[str, Any] = {}
@@ -39,12 +49,9 @@ class PylonRig:
         factory = pylon.TlFactory.GetInstance()
         attached = {info.GetSerialNumber(): info for info in factory.EnumerateDevices()}
         if not attached:
-            raise SettingsError(
-                "back-end pylon",
-                found="no camera on any bus",
-                expected="the cameras of the rig's file",
-                remedy="Check power and cables; pylon's own IP Configurator shows cameras with a wrong address",
-            )
+            remedy = "Check power and cables; pylon's own IP Configurator shows cameras with a wrong address"
+            expected = "the cameras of the rig's file"
+            raise SettingsError("back-end pylon", found="no camera on any bus", expected=expected, remedy=remedy)
         for name in devices.cameras:
             serial = devices.ids.get(name, "")
             if serial not in attached:
@@ -144,7 +151,7 @@ class PylonRig:
         )
 
     def close(self) -> None:
-        """Let them go."""
+        """Release the cameras."""
         for camera in self._cameras.values():
             camera.StopGrabbing()
             camera.Close()

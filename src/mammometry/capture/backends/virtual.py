@@ -23,8 +23,7 @@ from mammometry.base.errors import SettingsError
 from mammometry.base.photograph import Photograph
 from mammometry.calibration.judge.expected_error import middle_world
 from mammometry.calibration.targets.lamps import LAMPS
-from mammometry.capture.camera import CameraSettings, Devices, Frame, Health, failed
-from mammometry.capture.registry import BACKENDS
+from mammometry.capture.camera import BACKENDS, CameraSettings, Devices, Frame, Health, failed
 from mammometry.geometry.camera import Rig
 from mammometry.geometry.transform import Transform
 from mammometry.io.photographs.images import EXTENSIONS, read_photograph
@@ -55,11 +54,10 @@ class _Fault:
     def of(cls, camera: str, text: str) -> _Fault:
         kind, _, size = text.partition("=")
         if kind not in FAULTS:
+            remedy = "Name a fault, or remove the line"
+            expected = f"one of {', '.join(FAULTS)}"
             raise SettingsError(
-                f"[capture.options.faults] {camera}",
-                found=repr(text),
-                expected=f"one of {', '.join(FAULTS)}",
-                remedy="Name a fault, or remove the line",
+                f"[capture.options.faults] {camera}", found=repr(text), expected=expected, remedy=remedy
             )
         return cls(kind=kind, size=size)
 
@@ -119,7 +117,7 @@ class VirtualRig:
         return tuple(sorted(path.name for path in folder.iterdir() if path.is_dir())) if folder.is_dir() else ()
 
     def arm(self) -> None:
-        """Wait for `fire`."""
+        """Make the cameras wait for `fire`."""
         self._armed, self._fired_s = True, None
 
     def fire(self) -> float:
@@ -168,7 +166,7 @@ class VirtualRig:
         return self._picture(camera)
 
     def health(self, camera: str) -> Health:
-        """Its fault in words."""
+        """A camera's fault in words."""
         words = {"unplugged": "No camera answers at this cable.", "card-full": "The memory card is full."}
         fault = words.get(self._faults.get(camera, _Fault(kind="")).kind, "")
         size_wh = None if fault else self._picture(camera).size_wh
@@ -214,13 +212,13 @@ class VirtualRig:
         if scene == "lamps":
             return {}
         folder = self._folder / ("capture" if scene == "capture" else f"calibration/{scene}")
-        found = {p.stem: p for p in sorted(folder.iterdir()) if p.suffix in EXTENSIONS} if folder.is_dir() else {}
-        if scene == "capture" and (missing := [name for name in self._cameras if name not in found]):
+        files = {p.stem: p for p in sorted(folder.iterdir()) if p.suffix in EXTENSIONS} if folder.is_dir() else {}
+        if scene == "capture" and (missing := [name for name in self._cameras if name not in files]):
             raise SettingsError(
                 str(folder), found="no photograph by " + ", ".join(missing), expected="one of every camera of the rig",
                 remedy="Name a session of this rig in [capture.options] session, or its own rig",
             )  # fmt: skip
-        return {name: found[name] for name in self._cameras if name in found}
+        return {name: files[name] for name in self._cameras if name in files}
 
     def _rendered(self, options: Mapping[str, Any]) -> Path:
         recipe = SessionRecipe(**{name: options[name] for name in _RECIPE if name in options})

@@ -1,7 +1,5 @@
 """Photographs as they come in: what each shows, its smaller pictures, its camera, those set aside."""
 
-from __future__ import annotations
-
 import io
 import json
 import os
@@ -17,23 +15,20 @@ from PIL import Image
 
 from mammometry.api.job import open_session
 from mammometry.base.errors import CalibrationError, ImageError, MammometryError
-from mammometry.base.limits import LimitSettings
+from mammometry.base.parse import LimitSettings
 from mammometry.base.photograph import Photograph
 from mammometry.calibration.adjust.initialise import least_views
 from mammometry.calibration.features.keypoints import Keypoints, keypoints
 from mammometry.calibration.judge.cameras.names import check_names, wrong_photographs
 from mammometry.calibration.targets.table import target_from_table
-from mammometry.capture.checks import cameras, pixels
-from mammometry.capture.checks.cameras import KnownCamera
-from mammometry.capture.checks.content import not_only_a_photograph
-from mammometry.capture.checks.found import Found
+from mammometry.capture import checks
+from mammometry.capture.checks import Found, KnownCamera, not_only_a_photograph
 from mammometry.clinic.models import Calibration, DailyCheck, Upload, Visit
 from mammometry.clinic.site import the_clinic
 from mammometry.geometry.camera import Rig
-from mammometry.io.durable import sync_folder
-from mammometry.io.photographs.exposure import read_exposure
 from mammometry.io.photographs.images import read_header, read_photograph
-from mammometry.io.write import disk_errors
+from mammometry.io.photographs.tags import read_exposure
+from mammometry.io.write import disk_errors, sync_folder
 from mammometry.job.stages import calibrate
 
 _LONGEST_PX, _QUALITY = 480, 75  # of a picture of about 20 kB; chosen by eye
@@ -43,11 +38,6 @@ _SCREEN_PX, _SCREEN_QUALITY = 1600, 85  # of a picture that fills a screen, abou
 def thumbnail_path(upload: Upload) -> Path:
     """Where the small picture of an upload lies."""
     return upload.path.with_suffix(".webp")
-
-
-def write_thumbnail(photograph: Photograph, path: Path) -> None:
-    """Write it as WebP."""
-    small_picture(_roughly(photograph, _LONGEST_PX), path)
 
 
 def screen_picture(photograph: Photograph) -> bytes:
@@ -108,15 +98,15 @@ def _checked(calibration: str, photographs: tuple[tuple[str, str, Path], ...]) -
         return ()
     names = check_names(rig, seen)
     wrong = wrong_photographs(names, rig.pair_names)
-    found = [
+    findings = [
         Found(check="names", level="refuse", sentence=f"{mismatch.listed}: {mismatch.found}. {mismatch.remedy}.")
         for mismatch in wrong
     ]
-    if names.unknown and not found:
+    if names.unknown and not findings:
         pairs = ", ".join(names.unknown)
         sentence = f"Too little texture to tell whether the photographs of pair {pairs} belong to their cameras."
-        found.append(Found(check="names", level="unknown", sentence=sentence))
-    return tuple(found)
+        findings.append(Found(check="names", level="unknown", sentence=sentence))
+    return tuple(findings)
 
 
 @lru_cache(maxsize=8)
@@ -157,20 +147,20 @@ def look(upload: Upload, target: Target) -> tuple[list[Found], dict[str, Any]]:
     known = known_cameras(target)
     named = next((check.get("named") for check in upload.checks if check.get("named")), None)
     if not upload.camera:
-        upload.camera = cameras.camera_of_serial(exposure.serial, known) or ""
+        upload.camera = checks.camera_of_serial(exposure.serial, known) or ""
     megapixels = header.stored_wh[0] * header.stored_wh[1] / 1e6
-    found = [Found(check="format", level="ok", sentence=f"A photograph of {megapixels:.1f} megapixels.")]
+    findings = [Found(check="format", level="ok", sentence=f"A photograph of {megapixels:.1f} megapixels.")]
     if upload.camera:
-        found.append(cameras.right_camera(upload.camera, exposure, named, known))
-        found.append(cameras.right_size(upload.camera, header.stored_wh, header.orientation, known))
+        findings.append(checks.right_camera(upload.camera, exposure, named, known))
+        findings.append(checks.right_size(upload.camera, header.stored_wh, header.orientation, known))
     else:
         sentence = "Neither the file's name nor its EXIF says which camera took it. Choose the camera."
-        found.append(Found(check="camera", level="unknown", sentence=sentence))
+        findings.append(Found(check="camera", level="unknown", sentence=sentence))
     if isinstance(target, Visit):
-        found += pixels.judge(pixels.look(photograph), target.subject_kind)
+        findings += checks.judge(checks.look(photograph), target.subject_kind)
         note(upload.sha256, photograph)
-    write_thumbnail(photograph, thumbnail_path(upload))
-    return found, {"serial": exposure.serial, "taken_s": exposure.taken_s, "named": named}
+    small_picture(_roughly(photograph, _LONGEST_PX), thumbnail_path(upload))
+    return findings, {"serial": exposure.serial, "taken_s": exposure.taken_s, "named": named}
 
 
 def known_cameras(target: Target) -> dict[str, KnownCamera]:

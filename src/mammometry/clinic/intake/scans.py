@@ -17,8 +17,8 @@ from typing import Any
 
 from django.core.files.uploadedfile import UploadedFile
 
-from mammometry.base.limits import LimitSettings
-from mammometry.capture.checks.content import not_only_a_photograph
+from mammometry.base.parse import LimitSettings
+from mammometry.capture.checks import not_only_a_photograph
 from mammometry.clinic.intake.uploads import UploadError
 from mammometry.clinic.site import the_clinic
 from mammometry.geometry.mesh_files.mesh_file import KINDS, SUFFIXES
@@ -109,10 +109,10 @@ def _new(folder: Path, name: str) -> Path:
 
 
 def _meshes(folder: Path) -> list[Path]:
-    found = [path for path in sorted(folder.iterdir()) if path.suffix.lower() in SUFFIXES]
-    if len(found) != 1:
-        raise UploadError(f"There are {len(found)} meshes. Choose one ({KINDS}) and its files.", 400)
-    return found
+    meshes = [path for path in sorted(folder.iterdir()) if path.suffix.lower() in SUFFIXES]
+    if len(meshes) != 1:
+        raise UploadError(f"There are {len(meshes)} meshes. Choose one ({KINDS}) and its files.", 400)
+    return meshes
 
 
 def _check_pictures(folder: Path) -> None:

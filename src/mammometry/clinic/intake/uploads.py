@@ -5,15 +5,12 @@ kill. The whole file is checked against the digest that the sender gave, looked 
 session in one step: a session never holds half a photograph, or one that was refused.
 """
 
-from __future__ import annotations
-
 import re
 import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-from uuid import UUID
 
 from django.db import transaction
 from django.db.models import QuerySet
@@ -21,8 +18,8 @@ from django.utils import timezone
 from filelock import FileLock, Timeout
 
 from mammometry.base.errors import MammometryError
-from mammometry.capture.checks import cameras
-from mammometry.capture.checks.found import Found, refuses
+from mammometry.capture import checks
+from mammometry.capture.checks import Found, refuses
 from mammometry.capture.sessions import cameras_of, make_session, manifest_text
 from mammometry.clinic.intake import photographs
 from mammometry.clinic.intake.photographs import (
@@ -38,8 +35,7 @@ from mammometry.clinic.intake.photographs import (
 from mammometry.clinic.jobs import queue
 from mammometry.clinic.models import Calibration, DailyCheck, Job, Person, Rig, Upload, Visit
 from mammometry.clinic.site import the_clinic
-from mammometry.io.durable import sync_folder
-from mammometry.io.write import disk_errors, file_digest
+from mammometry.io.write import disk_errors, file_digest, sync_folder
 
 CHUNK_BYTES = 4 << 20
 """Largest piece: a second on a slow line, and little enough to hold in memory."""
@@ -109,7 +105,7 @@ def begin(target: Target, by: Person | None, file: Announced, *, replace: bool =
         raise UploadError(
             f"The file has {size_bytes / 1e6:.0f} MB. A photograph has 1 byte to {most / 1e6:.0f} MB.", 413
         )
-    named = cameras.camera_of_name(file.name, known)
+    named = checks.camera_of_name(file.name, known)
     place = _place(target, pose, camera or named or "")
     of_pose = pose if isinstance(target, Calibration) else ""
     if sha256:
@@ -121,7 +117,7 @@ def begin(target: Target, by: Person | None, file: Announced, *, replace: bool =
         raise OccupiedError(
             f"{f'Pose {pose}' if of_pose else 'This'} has another photograph of {camera or named} already."
         )
-    checks = [Found(check="name", level="ok", sentence=f"The file is called {named}.").as_table()] if named else []
+    named_by = [Found(check="name", level="ok", sentence=f"The file is called {named}.").as_table()] if named else []
     with transaction.atomic():
         upload = Upload.objects.create(
             **{_field(target): target},
@@ -129,7 +125,7 @@ def begin(target: Target, by: Person | None, file: Announced, *, replace: bool =
             name=place,
             size_bytes=size_bytes,
             sha256=sha256,
-            checks=[{**check, "named": named} for check in checks],
+            checks=[{**check, "named": named} for check in named_by],
             created_by=by,
         )
         if isinstance(target, Visit) and target.state == Visit.State.NEW:
@@ -250,9 +246,9 @@ def bring_back(upload: Upload) -> None:
 
 def target_of(upload: Upload) -> Target:
     """What an upload is for."""
-    found = upload.visit or upload.calibration or upload.check_of_day
-    assert found is not None
-    return found
+    target = upload.visit or upload.calibration or upload.check_of_day
+    assert target is not None
+    return target
 
 
 def rig_of(target: Target) -> Rig:
@@ -359,15 +355,15 @@ def _judge_and_place(upload: Upload) -> None:
     target = target_of(upload)
     with _DECODED_AT_ONCE:
         by_serial = not upload.camera
-        found, seen = look(upload, target)
-    if refuses(found):
-        _refuse(upload, found)
+        findings, seen = look(upload, target)
+    if refuses(findings):
+        _refuse(upload, findings)
         return
     if by_serial and upload.camera and _has_photograph(target, _pose(upload), upload.camera):
         sentence = f"By its serial number {upload.camera} took it, which has another photograph. Choose the camera."
-        found.append(Found(check="camera", level="warn", sentence=sentence))
+        findings.append(Found(check="camera", level="warn", sentence=sentence))
         upload.camera = ""
-    upload.checks = [{**finding.as_table(), **seen} for finding in found]
+    upload.checks = [{**finding.as_table(), **seen} for finding in findings]
     upload.state = Upload.State.PLACED if upload.camera else Upload.State.CHECKED
     if not upload.camera:
         upload.save()
@@ -420,17 +416,17 @@ def _together(target: Target, placed: Sequence[Upload]) -> list[Found]:
     taken = {camera: table["taken_s"] for camera, table in facts.items() if table.get("taken_s") is not None}
     known = known_cameras(target)
     clock_s = {camera: about.clock_s for camera, about in known.items() if about.clock_s is not None}
-    found = [cameras.together(taken, clock_s), *cameras.twice({upload.camera: upload.sha256 for upload in placed})]
-    if isinstance(target, Visit) and not refuses(found):
+    findings = [checks.together(taken, clock_s), *checks.twice({upload.camera: upload.sha256 for upload in placed})]
+    if isinstance(target, Visit) and not refuses(findings):
         folder = folder_of(target)
-        found += photographs.check(
+        findings += photographs.check(
             target, tuple((upload.camera, upload.sha256, folder / upload.name) for upload in placed)
         )
-    return found
+    return findings
 
 
-def _refuse(upload: Upload, found: Sequence[Found]) -> None:
-    upload.checks = [finding.as_table() for finding in found]
+def _refuse(upload: Upload, findings: Sequence[Found]) -> None:
+    upload.checks = [finding.as_table() for finding in findings]
     upload.state = Upload.State.REFUSED
     upload.path.unlink(missing_ok=True)
     upload.save()
@@ -482,9 +478,3 @@ def _pose(upload: Upload) -> str:
 
 def _files(upload: Upload) -> list[Path]:
     return [upload.path, Path(f"{upload.path}.lock"), thumbnail_path(upload)]
-
-
-def find(key: UUID) -> Upload | None:
-    """An upload by its key."""
-    related = ("visit__rig", "visit__calibration", "visit__patient", "calibration__rig", "check_of_day__rig")
-    return Upload.objects.select_related(*related, "check_of_day__calibration").filter(pk=key).first()

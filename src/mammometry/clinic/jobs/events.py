@@ -3,8 +3,6 @@
 One poll of the database serves all who listen: the rows are the truth, whichever process changes them.
 """
 
-from __future__ import annotations
-
 import asyncio
 import json
 from collections.abc import AsyncIterator, Mapping
@@ -63,12 +61,12 @@ def tables(jobs: list[Job]) -> list[dict[str, Any]]:
 def newest() -> dict[str, dict[str, Any]]:
     """Key → JSON of open and just ended jobs, oldest first."""
     since = timezone.now() - timedelta(seconds=_ENDED_S)
-    found = (
+    jobs = (
         Job.objects.filter(Q(state__in=queue.OPEN) | Q(ended__gt=since))
         .select_related("visit__patient", "comparison__after__patient", "calibration", "check_of_day")
         .order_by("created", "pk")
     )
-    return {table["id"]: table for table in tables(list(found))}
+    return {table["id"]: table for table in tables(list(jobs))}
 
 
 class Board:
@@ -117,10 +115,10 @@ _boards: dict[int, Board] = {}
 def board() -> Board:
     """The board of this event loop."""
     loop = asyncio.get_running_loop()
-    if (found := _boards.get(id(loop))) is None:
+    if (known := _boards.get(id(loop))) is None:
         _boards.clear()  # a loop that has ended is no longer listened to
-        found = _boards[id(loop)] = Board()
-    return found
+        known = _boards[id(loop)] = Board()
+    return known
 
 
 async def stream(about: Mapping[str, str], *, visits: bool = True) -> AsyncIterator[bytes]:

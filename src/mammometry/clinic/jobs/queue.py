@@ -5,12 +5,10 @@ renews its lease while it lives. When it dies, the lease ends, and the job is qu
 entered in the same transaction that ends it, and only by the runner that still holds it.
 """
 
-from __future__ import annotations
-
 import datetime
 import os
 import platform
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import Any
 from uuid import UUID
 
@@ -35,6 +33,10 @@ _KINDS: Mapping[type, tuple[str, str]] = {
     DailyCheck: (Job.Kind.CHECK, "check_of_day"),
     Comparison: (Job.Kind.COMPARE, "comparison"),
 }
+_AGAIN: dict[str, Any] = {
+    "state": Job.State.QUEUED, "lease_owner": "", "lease_until": None, "stage": "", "fraction": 0.0,
+}  # fmt: skip
+"""A job that waits again."""
 _WORDS = {
     "": "Waiting",
     "wait": "Waiting for a free place",
@@ -57,9 +59,9 @@ def stage_words(stage: str) -> str:
 
 def target_of(job: Job) -> Target:
     """What a job is about."""
-    found = job.visit or job.calibration or job.check_of_day or job.comparison
-    assert found is not None
-    return found
+    target = job.visit or job.calibration or job.check_of_day or job.comparison
+    assert target is not None
+    return target
 
 
 def enqueue(target: Target, by: Person | None) -> Job:
@@ -128,11 +130,6 @@ def of_visits_in_use() -> QuerySet[Job]:
     )
 
 
-def open_jobs() -> list[Job]:
-    """All that are queued or at work, the oldest first."""
-    return list(Job.objects.filter(state__in=OPEN).select_related("visit__patient").order_by("created", "pk"))
-
-
 def place(job: Job) -> int | None:
     """How many are before it in the queue, with itself. None where it does not wait."""
     if job.state != Job.State.QUEUED:
@@ -145,7 +142,7 @@ def place(job: Job) -> int | None:
 
 
 def anything() -> bool:
-    """Whether a job waits."""
+    """Whether any job waits in the queue."""
     return Job.objects.filter(state=Job.State.QUEUED).exists()
 
 
@@ -199,23 +196,15 @@ def requeue_abandoned() -> int:
                 ):
                     results.failed(target_of(job), "The machine stopped while it worked on this.")
         else:
-            held.update(state=Job.State.QUEUED, lease_owner="", lease_until=None, stage="", fraction=0.0)
+            held.update(**_AGAIN)
         count += 1
     return count
 
 
-def release(owner: str) -> int:
-    """Queue again what a runner holds that ends of its own will. That was no attempt."""
-    return Job.objects.filter(lease_owner=owner, state=Job.State.RUNNING).update(
-        state=Job.State.QUEUED, lease_owner="", lease_until=None, stage="", fraction=0.0, attempt=F("attempt") - 1
-    )
-
-
-def put_back(key: UUID, owner: str) -> None:
-    """Queue one job again. That was no attempt."""
-    Job.objects.filter(pk=key, lease_owner=owner, state=Job.State.RUNNING).update(
-        state=Job.State.QUEUED, lease_owner="", lease_until=None, stage="", fraction=0.0, attempt=F("attempt") - 1
-    )
+def release(owner: str, key: UUID | None = None) -> int:
+    """Queue again what a runner holds, or one job of it. That was no attempt. Return how many there were."""
+    held = Job.objects.filter(lease_owner=owner, state=Job.State.RUNNING)
+    return (held if key is None else held.filter(pk=key)).update(**_AGAIN, attempt=F("attempt") - 1)
 
 
 def progressed(key: UUID, owner: str, stage: str, fraction: float) -> None:
@@ -270,15 +259,15 @@ def _compare_after(job: Job) -> None:
 def unwanted(owner: str) -> list[str]:
     """Keys of a runner's jobs that were cancelled just now."""
     since = timezone.now() - datetime.timedelta(seconds=_STOPPED_S)
-    found = Job.objects.filter(lease_owner=owner, state=Job.State.CANCELLED, ended__gt=since)
-    return [str(key) for key in found.values_list("pk", flat=True)]
+    cancelled = Job.objects.filter(lease_owner=owner, state=Job.State.CANCELLED, ended__gt=since)
+    return [str(key) for key in cancelled.values_list("pk", flat=True)]
 
 
-def new_owner(names: Iterable[str] = ()) -> str:
+def new_owner() -> str:
     """A runner's name: its machine, its process, and a random part."""
     from uuid import uuid4
 
-    return ":".join((platform.node(), str(os.getpid()), uuid4().hex[:12], *names))
+    return ":".join((platform.node(), str(os.getpid()), uuid4().hex[:12]))
 
 
 def _is_dead(owner: str) -> bool:

@@ -3,8 +3,6 @@
 Called within the transaction that changes the job's row.
 """
 
-from __future__ import annotations
-
 import datetime
 from collections.abc import Mapping
 from typing import Any
@@ -27,7 +25,7 @@ _LONGEST = 500  # characters of a verdict
 
 
 def queued(target: Target) -> None:
-    """A job of it waits."""
+    """Note at a job's target that the job waits."""
     if isinstance(target, Visit):
         target.state = Visit.State.QUEUED
         target.save(update_fields=["state"])
@@ -40,7 +38,7 @@ def queued(target: Target) -> None:
 
 
 def begun(target: Target) -> None:
-    """A job of it is at work."""
+    """Note at a job's target that the job is at work."""
     if isinstance(target, Calibration):
         target.state = Calibration.State.RUNNING
         target.save(update_fields=["state"])
@@ -50,7 +48,7 @@ def begun(target: Target) -> None:
 
 
 def cancelled(target: Target) -> None:
-    """Its job was cancelled: it is as before."""
+    """Set a cancelled job's target back to what it was."""
     if isinstance(target, Visit):
         target.state = settled_state(target)
         target.save(update_fields=["state"])
@@ -62,7 +60,7 @@ def cancelled(target: Target) -> None:
 
 
 def failed(target: Target, message: str) -> None:
-    """Its job failed."""
+    """Note at a job's target that the job failed, and why."""
     if isinstance(target, Visit):
         target.state = Visit.State.CHANGED if target.has_unmeasured_drawing else Visit.State.REFUSED
         target.save(update_fields=["state"])

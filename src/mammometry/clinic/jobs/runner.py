@@ -1,27 +1,19 @@
-"""The runner. Takes jobs from the queue and has them done by Dask's workers, in a process of its own."""
-
-from __future__ import annotations
+"""The runner. Takes jobs from the queue and has them done by Dask's workers."""
 
 import logging
-import os
-import signal
-import subprocess
-import sys
 import threading
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager
-from pathlib import Path
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from uuid import UUID
 
 from django.db import DatabaseError, close_old_connections
 
 from mammometry.base.child_process import Call
 from mammometry.base.errors import MammometryError
-from mammometry.base.machine.system import own_group
 from mammometry.batch.cluster import Machines, machines
 from mammometry.batch.engine import Began, Ended, Engine, StopRequest, Task
 from mammometry.batch.record import RECORD, read_record
-from mammometry.clinic.config import ClinicConfig, read_config
+from mammometry.clinic.config import ClinicConfig
 from mammometry.clinic.jobs import queue, work
 from mammometry.clinic.models import Job, Visit
 from mammometry.clinic.records.comparing import comparison_folder
@@ -110,10 +102,10 @@ class Runner:
         if not event.failed:
             held = queue.done(key, self.owner, event.value)
         elif _BUSY in event.failed:
-            queue.put_back(key, self.owner)
+            queue.release(self.owner, key)
             return
         else:
-            held = queue.failed(key, self.owner, _without_paths(event.failed, self._config.folder), event.exit_code)
+            held = queue.failed(key, self.owner, event.failed.replace(f"{self._config.folder}/", ""), event.exit_code)
         if not held:
             _LOG.info("Job %s is no longer ours; what it made stays on the disk.", key)
 
@@ -172,89 +164,3 @@ def _megapixels(visit: Visit) -> float | None:
         return megapixels_of(visit.folder / "capture")
     except (OSError, MammometryError):  # its own task will say what is wrong with it
         return None
-
-
-def _without_paths(message: str, folder: Path) -> str:
-    """A sentence for a page. What lies where on this machine is nobody's business."""
-    return message.replace(f"{folder}/", "")
-
-
-_END_S = 15.0  # for a runner to give its jobs back
-
-
-def run_here(config: ClinicConfig) -> None:
-    """Serve the queue in this process until a signal ends it."""
-    from mammometry.clinic.site import configure
-
-    configure(config)
-    from mammometry.clinic.deliveries import Deliverer
-    from mammometry.clinic.maintenance.backups import DailyBackup
-
-    Deliverer(config).start()
-    DailyBackup(config).start()
-    runner = Runner(config)
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda *_: runner.stop())
-    runner.run()
-
-
-@contextmanager
-def beside(config: ClinicConfig, module: str = __spec__.name, *, again: bool = True) -> Iterator[None]:
-    """Keep a process at work beside the server, by default a runner.
-
-    Args:
-        config: the clinic's.
-        module: what it runs, with the clinic's folder as its argument. It calls `end_with_input`.
-        again: start it again when it has ended.
-    """
-    ended = threading.Event()
-    processes: list[subprocess.Popen[bytes]] = []
-
-    def keep() -> None:
-        while not ended.is_set():
-            process = subprocess.Popen(
-                [sys.executable, "-m", module, str(config.folder)],
-                stdin=subprocess.PIPE,
-                **own_group(),  # Ctrl-C at the terminal is the server's to answer
-            )
-            processes[:] = [process]
-            process.wait()
-            if not again:
-                return
-            if not ended.is_set():
-                _LOG.warning("The runner ended with code %s and is started again.", process.returncode)
-                ended.wait(_AGAIN_S)
-
-    keeper = threading.Thread(target=keep, daemon=True)
-    keeper.start()
-    try:
-        yield
-    finally:
-        ended.set()
-        for process in processes:
-            process.terminate()
-            try:
-                process.wait(_END_S)
-            except subprocess.TimeoutExpired:
-                process.kill()
-        keeper.join(_END_S)
-
-
-def main() -> None:
-    """Serve one clinic's queue until standard input ends."""
-    end_with_input()
-    run_here(read_config(Path(sys.argv[1])))
-
-
-def end_with_input() -> None:
-    """End this process, by force, when its standard input ends."""
-    threading.Thread(target=_wait_for_end, daemon=True).start()
-
-
-def _wait_for_end() -> None:
-    sys.stdin.buffer.read()
-    os._exit(1)  # the server is gone: leases end by themselves, and this process's are seen to be a dead one's
-
-
-if __name__ == "__main__":
-    main()

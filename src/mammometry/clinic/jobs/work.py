@@ -20,15 +20,15 @@ import mammometry
 from mammometry.api.job import open_session
 from mammometry.base.errors import SessionError
 from mammometry.base.progress import Progress, StageProgress
-from mammometry.batch.entry import Entry
+from mammometry.batch.record import Entry
 from mammometry.batch.session import measure_entry
 from mammometry.calibration.judge.quality import assess
-from mammometry.capture.checks.cameras import KnownCamera, clocks
+from mammometry.capture.checks import KnownCamera, clocks
 from mammometry.capture.sessions import share_calibration, take_over
 from mammometry.hospital.gather import quantities
 from mammometry.io import drift
-from mammometry.io.photographs.exposure import read_exposure
 from mammometry.io.photographs.images import EXTENSIONS, read_header
+from mammometry.io.photographs.tags import read_exposure
 from mammometry.job.products import Key
 from mammometry.job.stages.calibrate import cameras as cameras_product
 from mammometry.job.stages.measure import boundaries
@@ -97,7 +97,7 @@ def measure_scan(progress: StageProgress, folder: str, settings: str) -> dict[st
     Raises:
         MammometryError: whatever stands in the way, in one sentence.
     """
-    from mammometry.api.scans import open_scan
+    from mammometry.api.mesh import open_scan
 
     progress("prepare", 0.0)
     job = open_scan(Path(folder), Settings.from_toml(settings), watch=lambda key: _watched(key, progress))
@@ -133,10 +133,10 @@ def volume_rows(measured: Mapping[str, VolumeMeasurement], no_breast: Mapping[st
     A row for each side and meaning of the word, and for each side without.
     """
     rows = []
-    for side, found in measured.items():
-        if not found.definitions:
-            rows.append(_row(side, _WHOLE, found.volume_cc, found.interval_cc))
-        for definition in found.definitions:
+    for side, measurement in measured.items():
+        if not measurement.definitions:
+            rows.append(_row(side, _WHOLE, measurement.volume_cc, measurement.interval_cc))
+        for definition in measurement.definitions:
             rows.append(_row(side, definition.meaning, definition.volume_cc, definition.interval_cc))
     for side, why in no_breast.items():
         rows.append({**_row(side, _REFUSED, None, None), "refused": why})
@@ -168,10 +168,10 @@ def calibrate(progress: StageProgress, session: str, settings: str) -> dict[str,
     progress("calibrate", 0.0)
     cameras = job.calibrate()
     progress("calibrate", 0.9)
-    found = job.calibration()
+    result = job.calibration()
     figures: dict[str, Any] = {"verdict": cameras.verdict, "reasons": list(cameras.reasons), "rms_px": cameras.rms_px}
-    if found is not None:
-        quality = assess(found, job.settings.calibration.quality)
+    if result is not None:
+        quality = assess(result, job.settings.calibration.quality)
         figures |= {
             "rms_mm": quality.rms_mm,
             "rms_px_of": dict(quality.rms_px_per_camera),
@@ -281,7 +281,7 @@ def _digest(value: object) -> str:
 
 
 def _finite(value: Any) -> Any:
-    """The same without what JSON in a database cannot hold. Numbers that are none."""
+    """JSON-ready values, without infinite numbers and NaN, which the database cannot hold."""
     if isinstance(value, Mapping):
         return {str(name): _finite(item) for name, item in value.items()}
     if isinstance(value, (list, tuple)):

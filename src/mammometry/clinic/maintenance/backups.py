@@ -1,7 +1,5 @@
 """Backups: how one is made, which are kept, when the next is made, what became of the last."""
 
-from __future__ import annotations
-
 import datetime
 import hashlib
 import io
@@ -59,7 +57,7 @@ class Outcome:
 
     @property
     def moment(self) -> datetime.datetime:
-        """When it ended."""
+        """When the backup or test ended."""
         return datetime.datetime.fromisoformat(self.at)
 
 
@@ -90,7 +88,7 @@ class BackupState:
 
 
 def state_of(config: ClinicConfig) -> BackupState:
-    """The backups now."""
+    """State of the backups now: which there are, which is due, what became of the last."""
     outcomes = _outcomes(config)
     files = backup_files(config)
     return BackupState(
@@ -155,10 +153,8 @@ def exclusive(config: ClinicConfig) -> Iterator[None]:
     try:
         lock.acquire()
     except Timeout:
-        raise ClinicError(
-            "backups", found="one that is being made or tested", expected="none",
-            remedy="Wait until it ends",
-        ) from None  # fmt: skip
+        remedy = "Wait until it ends"
+        raise ClinicError("backups", found="one that is being made or tested", expected="none", remedy=remedy) from None
     try:
         yield
     finally:
@@ -363,7 +359,7 @@ class _Hashed:
         self._file, self._see = file, see
 
     def read(self, size: int = -1) -> bytes:
-        """Read on."""
+        """Read the next bytes, and add them to the digest."""
         content = self._file.read(size)
         self._see(content)
         return content

@@ -1,7 +1,5 @@
 """What a clinic's files take of the disk, and how long the rest will last."""
 
-from __future__ import annotations
-
 import datetime
 import os
 import shutil
@@ -24,7 +22,7 @@ _CACHED_S = 600  # seconds; a walk over some hundred thousand files takes second
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DiskUsage:
-    """Bytes by what they are."""
+    """Bytes of the clinic's files, by kind."""
 
     photographs: int
     """Of visits, of other devices' scans, of boards, and what is coming in."""

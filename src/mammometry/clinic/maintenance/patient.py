@@ -1,7 +1,5 @@
 """One patient's data: found, exported, erased."""
 
-from __future__ import annotations
-
 import io
 import json
 import os
@@ -49,11 +47,11 @@ def find_patient(word: str) -> Patient:
         ClinicError: there is none.
     """
     rows = Patient.everything.select_related("merged_into")
-    found = rows.filter(Q(pseudonym=word) | Q(record_number=word)).first()
-    if found is None:
+    patient = rows.filter(Q(pseudonym=word) | Q(record_number=word)).first()
+    if patient is None:
         remedy = "Look for the patient in the clinic; the page says the pseudonym"
         raise ClinicError("patient", found="none of this word", expected="a pseudonym or record number", remedy=remedy)
-    return found.merged_into or found
+    return patient.merged_into or patient
 
 
 def rows_of(patient: Patient) -> list[Model]:

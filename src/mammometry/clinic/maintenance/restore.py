@@ -1,7 +1,5 @@
 """A clinic out of a backup, whole or not at all, and the test of that."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import re
@@ -132,7 +130,7 @@ class RestoreTest:
 
     @property
     def sentence(self) -> str:
-        """In one sentence."""
+        """The outcome of the restore test in one sentence."""
         return f"{self.backup}: {self.rows} rows and {self.files} files came back the same, in {self.seconds:.0f} s."
 
 

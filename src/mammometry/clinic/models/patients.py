@@ -20,10 +20,7 @@ ALPHABET = "ACDEFGHJKLMNPQRTUVWXY34679"
 
 
 def new_pseudonym() -> str:
-    """P- and six random letters.
-
-    26^6 = 309 million, drawn again where one is taken.
-    """
+    """P- and six random letters. 26^6 = 309 million, drawn again where one is taken."""
     while True:
         drawn = "P-" + "".join(secrets.choice(ALPHABET) for _ in range(6))
         if not Patient.everything.filter(pseudonym=drawn).exists():
@@ -240,7 +237,7 @@ class Visit(Keyed):
 
     @property
     def folder(self) -> Path:
-        """Its session folder, named by this row's key."""
+        """The visit's session folder, named by the row's key."""
         return the_clinic().folder / "sessions" / str(self.id)
 
     @property
@@ -253,7 +250,7 @@ class Visit(Keyed):
 
     @property
     def shown_state(self) -> str:
-        """Its state, as pages say it."""
+        """The visit's state, as pages say it."""
         return Visit.State.CHANGED if self.is_changed else self.state
 
     @property

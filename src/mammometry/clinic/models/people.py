@@ -1,7 +1,5 @@
 """Tables of what a clinic has before its first patient: people, rigs, calibrations and daily checks."""
 
-from __future__ import annotations
-
 import uuid
 from typing import Any, ClassVar, TypeVar
 
@@ -34,7 +32,7 @@ class InUse(models.Manager[Row]):
     """
 
     def get_queryset(self) -> models.QuerySet[Row]:
-        """Leave out the bin."""
+        """Rows that are not in the bin."""
         return super().get_queryset().filter(binned_at=None)
 
 

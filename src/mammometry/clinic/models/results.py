@@ -1,7 +1,5 @@
 """Tables of what becomes of visits: jobs, results, comparisons, corrections, deliveries."""
 
-from __future__ import annotations
-
 from django.conf import settings
 from django.db import models
 

@@ -1,7 +1,5 @@
 """Charts of the clinic's pages. Places of points and lines, which a template draws as SVG."""
 
-from __future__ import annotations
-
 import datetime
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -45,12 +43,12 @@ class Spot:
 
     @property
     def corner_x(self) -> float:
-        """Of the square that marks it, px."""
+        """Corner of the square that marks the event, px."""
         return self.x - _HALF_PX
 
     @property
     def corner_y(self) -> float:
-        """Of the square that marks it, px."""
+        """Corner of the square that marks the event, px."""
         return self.y - _HALF_PX
 
 

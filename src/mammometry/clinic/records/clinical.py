@@ -10,7 +10,7 @@ from django.utils import timezone
 from mammometry.clinic.models import Consent, Operation, Patient, Visit
 from mammometry.clinic.records.comparing import verdicts
 from mammometry.clinic.records.confirmations import valid_confirmation
-from mammometry.report.clinical import Clinical, Signed
+from mammometry.report.content import Clinical, Signed
 
 if TYPE_CHECKING:
     from mammometry.clinic.models import Conclusion, Confirmation

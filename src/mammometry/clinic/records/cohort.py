@@ -128,7 +128,7 @@ def visits_between(begin: datetime.date | None, end: datetime.date | None, *, co
 
 
 def measured_visits(visits: QuerySet[Visit]) -> QuerySet[Visit]:
-    """Those that have a measurement, of patients whose consent to research holds."""
+    """Visits with a measurement, of patients whose consent to research holds."""
     return visits.filter(_is_measured(), research_consent())
 
 
@@ -215,7 +215,7 @@ def _leading_volumes(measurements: list[str]) -> dict[tuple[str, str], _Values]:
 
 
 def _leading() -> QuerySet[Volume]:
-    """Of each breast and measurement the volume in the meaning that leads."""
+    """For every breast and measurement, the volume in the leading meaning."""
     return Volume.objects.filter(leads=True, side__in=SIDES).order_by()
 
 

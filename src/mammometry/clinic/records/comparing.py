@@ -1,7 +1,5 @@
 """Comparison of two visits of one patient and its verdict in words."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -10,9 +8,9 @@ from pathlib import Path
 from django.utils import timezone
 
 import mammometry
-from mammometry.base.posture import NOT_TO_BE_COMPARED
 from mammometry.clinic.models import Comparison, Measurement, Visit
-from mammometry.report.words.change_words import change_sentence, date_words
+from mammometry.measure.settings import NOT_TO_BE_COMPARED
+from mammometry.report.words.volumes import change_sentence, date_words
 
 _MEASURED = (Visit.State.MEASURED, Visit.State.CONFIRMED)
 """States in which a visit's newest measurement is of all that was drawn."""
@@ -44,14 +42,9 @@ def comparable(visits: Iterable[Visit]) -> list[Visit]:
     return sorted(chosen, key=lambda visit: (visit.taken_at, visit.created))
 
 
-def visits_to_compare(visit: Visit) -> list[Visit]:
-    """All comparable visits of a visit's patient, the earliest first."""
-    return comparable(Visit.objects.filter(patient=visit.patient_id).prefetch_related("measurements__volumes"))
-
-
 def neighbours(visit: Visit) -> list[tuple[Visit, Visit]]:
     """Pairs of a visit with the comparable visit before it, and with the one after it."""
-    visits = visits_to_compare(visit)
+    visits = comparable(Visit.objects.filter(patient=visit.patient_id).prefetch_related("measurements__volumes"))
     return [pair for pair in itertools.pairwise(visits) if visit in pair]
 
 
@@ -67,7 +60,7 @@ def refusal_of(digests: str) -> str:
 
 
 def is_current(comparison: Comparison) -> bool:
-    """Whether it is of both newest measurements."""
+    """Whether a comparison is of both visits' newest measurements."""
     digests = measured_digests(comparison.before, comparison.after)
     if comparison.state == Comparison.State.DONE:
         return comparison.of == digests
@@ -118,8 +111,8 @@ def verdicts(visit: Visit) -> tuple[str, ...]:
     pair = next((pair for pair in neighbours(visit) if pair[1] == visit), None)
     if pair is None:
         return ()
-    found = verdict(*pair)
-    return (*found.sentences, *found.cautions)
+    change = verdict(*pair)
+    return (*change.sentences, *change.cautions)
 
 
 def _sentences(comparison: Comparison) -> tuple[str, ...]:

@@ -1,7 +1,5 @@
 """Confirmations of measured results, and the one thing to do next with a visit."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

@@ -5,8 +5,6 @@ without visits goes into the bin. Nothing is destroyed. A visit whose patient or
 no report carries another patient's pseudonym.
 """
 
-from __future__ import annotations
-
 import datetime
 import shutil
 from typing import Any
@@ -115,7 +113,7 @@ def merge(kept: Patient, other: Patient, number_of: Patient, reason: str, by: Pe
     }
     for visit in rows["visits"]:
         _require_idle(visit)
-    before: dict[str, Any] = {name: [str(row.pk) for row in found] for name, found in rows.items()}
+    before: dict[str, Any] = {name: [str(row.pk) for row in related] for name, related in rows.items()}
     before |= {"numbers": [kept.record_number, other.record_number], "note": kept.note}
     for visit in rows["visits"]:
         _give(visit, kept, by)

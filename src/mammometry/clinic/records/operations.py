@@ -1,7 +1,5 @@
 """Operations of a patient on the time line, and what stayed of a fat graft."""
 
-from __future__ import annotations
-
 import datetime
 import math
 from collections.abc import Sequence

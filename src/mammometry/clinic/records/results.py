@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from mammometry.api.results import FOLDER
 from mammometry.base.errors import SessionError
 from mammometry.clinic.models import Measurement, Visit, Volume
 from mammometry.clinic.records.charts import Reading
@@ -16,12 +17,13 @@ from mammometry.clinic.records.clinical import clinical_of
 from mammometry.clinic.records.confirmations import CHANGED
 from mammometry.clinic.site import the_clinic
 from mammometry.report.scene import json_in_page
-from mammometry.report.words.volume_words import MEANINGS
+from mammometry.report.words.volumes import MEANINGS
 
 if TYPE_CHECKING:
     from mammometry.api.job import Job
     from mammometry.api.mesh import MeshJob
     from mammometry.report.documents.rendering import RenderedReport
+    from mammometry.report.figures.drawing.canvas import Caption
 
 
 Interval = tuple[float, float]
@@ -61,12 +63,12 @@ class VisitResult:
 
 def latest(visits: Iterable[Visit]) -> list[VisitResult]:
     """Newest measurement of each visit, in the order of the visits. Visits without one are left out."""
-    found = []
+    results = []
     for visit in visits:
         measurement = next(iter(visit.measurements.all()), None)  # the newest first
         if measurement is not None:
-            found.append(visit_result(visit, measurement))
-    return found
+            results.append(visit_result(visit, measurement))
+    return results
 
 
 def add_volumes(measurement: Measurement, volumes: Iterable[Volume]) -> None:
@@ -113,7 +115,7 @@ def readings(results: Iterable[VisitResult]) -> list[Reading]:
 
 
 def age(born: datetime.date | None, at: datetime.date) -> int | None:
-    """Full years."""
+    """Age at a day, in full years."""
     if born is None:
         return None
     return at.year - born.year - ((at.month, at.day) < (born.month, born.day))
@@ -165,6 +167,20 @@ def readable(path: Path) -> Path | None:
     return path if path.is_file() and not path.is_symlink() and path.stat().st_size <= _LARGEST else None
 
 
+def refusal_pictures(visit: Visit) -> dict[str, Caption]:
+    """What the visit's refused measurement saw: name of each picture → its caption."""
+    from mammometry.report.figures.drawing.canvas import caption_of
+
+    paths = sorted((visit.folder / "results" / FOLDER).glob("*.png"))
+    return {path.stem: caption_of(path.read_bytes()) for path in paths if readable(path)}
+
+
+def refusal_picture(visit: Visit, name: str) -> bytes | None:
+    """One of those pictures, as PNG. None if there is none."""
+    path = readable(visit.folder / "results" / FOLDER / f"{name}.png")
+    return None if path is None else path.read_bytes()
+
+
 def facts(visit: Visit) -> Facts:
     """Warnings of the report, without what the visit's state says."""
     path = report_file(visit, "warnings.json")
@@ -194,20 +210,18 @@ def measured_job(visit: Visit) -> Job | MeshJob:
         MammometryError: its folder cannot be opened.
     """
     from mammometry.api.job import open_session
-    from mammometry.api.scans import open_scan
+    from mammometry.api.mesh import open_scan
 
     if visit.is_changed:
-        raise SessionError(
-            str(visit), found=CHANGED, expected="a visit whose newest boundaries and landmarks are measured",
-            remedy="Wait until it is measured, or measure it",
-        )  # fmt: skip
+        remedy = "Wait until it is measured, or measure it"
+        expected = "a visit whose newest boundaries and landmarks are measured"
+        raise SessionError(str(visit), found=CHANGED, expected=expected, remedy=remedy)
     settings = the_clinic().measuring()
     job: Job | MeshJob = open_scan(visit.folder, settings) if visit.is_scan else open_session(visit.folder, settings)
     if not job.store.has(job.content_key):
-        raise SessionError(
-            str(visit), found="a visit whose report is not current", expected="a measured visit",
-            remedy="Measure it again",
-        )  # fmt: skip
+        remedy = "Measure it again"
+        expected = "a measured visit"
+        raise SessionError(str(visit), found="a visit whose report is not current", expected=expected, remedy=remedy)
     return job
 
 

@@ -1,7 +1,5 @@
 """The one search for patients, and what may be in the clinic already."""
 
-from __future__ import annotations
-
 import datetime
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -94,7 +92,7 @@ class Duplicates:
     """Have this name, and this birthday or none."""
 
     def __bool__(self) -> bool:
-        """Whether there are any."""
+        """Whether there are any duplicates."""
         return self.same_number is not None or bool(self.same_person)
 
 
@@ -127,11 +125,11 @@ def same_photographs(visit: Visit) -> list[tuple[Visit, list[str]]]:
     """Other visits that hold the same files, with the cameras of this one."""
     own = {row.sha256: row.camera for row in visit.uploads.filter(state=Upload.State.PLACED).exclude(sha256="")}
     rows = Upload.objects.filter(sha256__in=own, state=Upload.State.PLACED, visit__binned_at=None)
-    found: dict[Visit, list[str]] = {}
+    cameras_of: dict[Visit, list[str]] = {}
     for row in rows.exclude(visit=None).exclude(visit=visit).select_related("visit__patient"):
         assert row.visit is not None
-        found.setdefault(row.visit, []).append(own[row.sha256])
-    return list(found.items())
+        cameras_of.setdefault(row.visit, []).append(own[row.sha256])
+    return list(cameras_of.items())
 
 
 def elsewhere(other: Visit, cameras: Sequence[str]) -> str:

@@ -1,7 +1,5 @@
 """Names, numbers and days as a search compares them."""
 
-from __future__ import annotations
-
 import datetime
 import re
 import unicodedata
@@ -84,15 +82,15 @@ def read_query(text: str) -> Query:
 def _meanings(day: str, month: str, year: str) -> frozenset[datetime.date]:
     number = int(month) if month.isdecimal() else _MONTHS.get(plain(month), 0)
     years = [int(year)] if len(year) == 4 else [1900 + int(year), 2000 + int(year)]
-    found = set()
+    days = set()
     for full_year in years:
         for month_number, other in ((number, int(day)), (int(day), number)):  # 05/14/1979 has its month first
             try:
-                found.add(datetime.date(full_year, month_number, other))
+                days.add(datetime.date(full_year, month_number, other))
                 break
             except ValueError:
                 continue
-    return frozenset(found)
+    return frozenset(days)
 
 
 def _without_accents(text: str) -> str:

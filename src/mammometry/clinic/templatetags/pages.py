@@ -1,7 +1,5 @@
 """What pages of the clinic show: their ways, who they are about, numbers and verdicts in words."""
 
-from __future__ import annotations
-
 import datetime
 import re
 from dataclasses import dataclass, replace
@@ -103,7 +101,7 @@ def length_change(length: dict[str, Any]) -> SafeString:
 
 
 def queued(verdict: Verdict) -> Verdict:
-    """The same verdict, with its comparison in the queue where it is due."""
+    """Queue a verdict's comparison where it is due, and return the verdict."""
     if verdict.state != "busy":
         return verdict
     queue.compare(verdict.before, verdict.after, None)
@@ -121,6 +119,7 @@ _INSTEAD = (
 )
 
 
+@register.filter
 def on_pages(sentence: str) -> str:
     """A sentence with the clinic's pages and fields in place of commands and their options."""
     for pattern, words in _INSTEAD:
@@ -174,7 +173,7 @@ _CHIPS = {
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """A way on every page."""
+    """An entry of the menu on every page."""
 
     title: str
     address: str
@@ -225,13 +224,13 @@ def cc(value: float | None) -> str:
 
 @register.filter
 def signed_cc(value: float | None) -> str:
-    """A change of a volume."""
+    """A change of a volume in cc, with its sign."""
     return "–" if value is None else f"{value:+.0f} cc".replace("-", "−")
 
 
 @register.filter
 def span_cc(interval: tuple[float, float] | None) -> str:
-    """An interval of volumes."""
+    """An interval of volumes in cc."""
     if not interval or interval[0] is None or interval[1] is None:
         return "not known"
     return f"{interval[0]:.0f} to {interval[1]:.0f} cc".replace("-", "−")
@@ -239,7 +238,7 @@ def span_cc(interval: tuple[float, float] | None) -> str:
 
 @register.filter
 def mm(value: float | None) -> str:
-    """A length."""
+    """A length in mm."""
     return "–" if value is None else f"{value:.1f} mm".replace("-", "−")
 
 

@@ -1,7 +1,5 @@
 """Administrators' pages: what needs them now, people, the audit, backups, the disk, erasure."""
 
-from __future__ import annotations
-
 import datetime
 import subprocess
 import sys
@@ -27,13 +25,12 @@ from mammometry.clinic.accounts import invitation
 from mammometry.clinic.audit import FAILED_LOGIN, REFUSED
 from mammometry.clinic.audit_entries import KINDS, AuditFilter, entries
 from mammometry.clinic.forms import PersonForm
-from mammometry.clinic.maintenance import backups
 from mammometry.clinic.maintenance.backups import backup_files, state_of
 from mammometry.clinic.maintenance.disk import cached_usage, folder_bytes
 from mammometry.clinic.maintenance.patient import erase_patient, rows_of
 from mammometry.clinic.models import Patient, Person, Upload, Visit
 from mammometry.clinic.site import the_clinic
-from mammometry.clinic.views.responses import person_of
+from mammometry.clinic.views.responses import download, person_of
 from mammometry.clinic.views.today import first_day_of
 
 _DAYS = 7  # of failed logins and refused pages
@@ -47,7 +44,7 @@ def overview(request: HttpRequest) -> HttpResponse:
         "first_day": first_day_of(person_of(request)),
         "people": len(people),
         "without_password": [person for person in people if person.waits_for_password],
-        "backups": backups.state_of(the_clinic()),
+        "backups": state_of(the_clinic()),
         "disk": cached_usage(the_clinic()),
         "failed_logins": entries(AuditFilter(kind=FAILED_LOGIN, since=since)).count(),
         "refused": entries(AuditFilter(kind=REFUSED, since=since)).count(),
@@ -77,10 +74,7 @@ class AuditForm(forms.Form):
 
     def chosen(self) -> AuditFilter:
         """Return the filter. A form that cannot be read filters nothing."""
-        if not self.is_valid():
-            values: dict[str, Any] = {}
-        else:
-            values = self.cleaned_data
+        values: dict[str, Any] = self.cleaned_data if self.is_valid() else {}
         person = values.get("person")
         return AuditFilter(
             person=None if person is None else person.pk,
@@ -111,8 +105,7 @@ def audit(request: HttpRequest) -> HttpResponse:
 def audit_csv(request: HttpRequest) -> HttpResponse:
     """What is filtered, as CSV."""
     text = audit_entries.audit_csv(AuditForm(request.GET).chosen())
-    headers = {"Content-Disposition": 'attachment; filename="audit.csv"'}
-    return HttpResponse(text, content_type="text/csv; charset=utf-8", headers=headers)
+    return download(text, "audit.csv", "text/csv; charset=utf-8")
 
 
 def audit_entry(request: HttpRequest, entry: int) -> HttpResponse:

@@ -1,7 +1,5 @@
 """Pages that put records right, and the page that undoes it."""
 
-from __future__ import annotations
-
 import uuid
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -21,7 +19,7 @@ from mammometry.clinic.records import corrections as records
 from mammometry.clinic.roles import CARE, Role
 from mammometry.clinic.templatetags.pages import day, moment
 from mammometry.clinic.views.patients import chosen_patient, is_part, search_context
-from mammometry.clinic.views.responses import person_of
+from mammometry.clinic.views.responses import person_of, visit_or_404
 
 _NOTHING_LOST = f"Nothing is lost: for {records.DAYS} days it can be undone under “Corrections and bin”."
 
@@ -71,7 +69,7 @@ class MergeForm(ReasonForm):
 
 def visit_move(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
     """Move a visit to another patient, who is searched for."""
-    row = _visit(visit)
+    row = visit_or_404(visit)
     patient = chosen_patient(request, leave_out=row.patient)
     context = {**_of_visit(row), "heading": "Move this visit to another patient"}
     if patient is None:
@@ -101,7 +99,7 @@ def visit_move(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
 
 def visit_date(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
     """Correct a visit's day, time and note."""
-    row, unchanged = _visit(visit), _visit(visit)
+    row, unchanged = visit_or_404(visit), visit_or_404(visit)
     form = DateForm(request.POST or None, instance=row)
     facts = ["With another day the report is made again. The numbers stay.", _NOTHING_LOST]
     context = {**_of_visit(unchanged), "heading": "Correct date and note", "facts": facts, "act": "Save"}
@@ -115,7 +113,7 @@ def visit_date(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
 
 def visit_bin(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
     """Put a visit into the bin."""
-    row = _visit(visit)
+    row = visit_or_404(visit)
     form = ReasonForm(request.POST or None)
     facts = ["The visit is then on no other page, in no table and in no export.", _NOTHING_LOST]
     context = {
@@ -249,14 +247,9 @@ def _carried_out(
 
 
 def _search(request: HttpRequest, context: dict[str, Any], question: str, *, leave_out: Patient) -> HttpResponse:
-    found = search_context(request, choosing=True, leave_out=leave_out)
+    search = search_context(request, choosing=True, leave_out=leave_out)
     page = "clinic/patients_rows.html" if is_part(request) else "clinic/correction.html"
-    return render(request, page, {**context, **found, "question": question})
-
-
-def _visit(key: uuid.UUID) -> Visit:
-    found: Visit = get_object_or_404(Visit.objects.select_related("patient", "rig"), pk=key)
-    return found
+    return render(request, page, {**context, **search, "question": question})
 
 
 def _of_visit(visit: Visit) -> dict[str, Any]:

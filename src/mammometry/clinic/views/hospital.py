@@ -23,7 +23,7 @@ from mammometry.clinic.records.confirmations import CHANGED_SENTENCE
 from mammometry.clinic.records.results import report_file
 from mammometry.clinic.records.search import duplicates
 from mammometry.clinic.records.search_words import plain_name
-from mammometry.clinic.views.responses import person_of
+from mammometry.clinic.views.responses import form_page, person_of
 from mammometry.hospital.peers import Peer, web_address
 
 if TYPE_CHECKING:
@@ -88,18 +88,16 @@ class DestinationForm(forms.ModelForm):  # type: ignore[type-arg]
 
 
 def destinations(request: HttpRequest) -> HttpResponse:
-    """All archives."""
+    """Page of all archives."""
     return render(request, "clinic/destinations.html", {"destinations": Destination.objects.all()})
 
 
-def destination_new(request: HttpRequest) -> HttpResponse:
-    """Enter an archive."""
-    return _edited(request, None)
-
-
-def destination_edit(request: HttpRequest, destination: uuid.UUID) -> HttpResponse:
-    """Change an archive's entry."""
-    return _edited(request, get_object_or_404(Destination, pk=destination))
+def destination_form(request: HttpRequest, destination: uuid.UUID | None = None) -> HttpResponse:
+    """Enter an archive, or change its entry."""
+    shown = None if destination is None else get_object_or_404(Destination, pk=destination)
+    form = DestinationForm(request.POST or None, instance=shown)
+    kept, page = "The entry is kept. Test whether the archive answers.", "clinic/destination_form.html"
+    return form_page(request, page, form, kept, lambda _: redirect("destinations"), destination=shown)
 
 
 def destination_test(request: HttpRequest, destination: uuid.UUID) -> HttpResponse:
@@ -148,15 +146,6 @@ def delivery_retry(request: HttpRequest, delivery: uuid.UUID) -> HttpResponse:
     return redirect("visit-send", visit=shown.visit_id)
 
 
-def _edited(request: HttpRequest, shown: Destination | None) -> HttpResponse:
-    form = DestinationForm(request.POST or None, instance=shown)
-    if request.method == "POST" and form.is_valid():
-        form.save()
-        messages.success(request, "The entry is kept. Test whether the archive answers.")
-        return redirect("destinations")
-    return render(request, "clinic/destination_form.html", {"form": form, "destination": shown})
-
-
 def _key(text: str) -> uuid.UUID:
     try:
         return uuid.UUID(text)
@@ -181,13 +170,13 @@ def worklist(request: HttpRequest) -> HttpResponse:
     lines = []
     for source in _sources():
         try:
-            found = _asked(source, day=timezone.localdate())
+            answer = _asked(source, day=timezone.localdate())
         except MammometryError as error:
             messages.error(request, str(error))
             continue
-        for refusal in found.refused:
+        for refusal in answer.refused:
             messages.error(request, str(refusal))
-        lines += [Line(source, entry, ", ".join(_names(entry))) for entry in found.entries]
+        lines += [Line(source, entry, ", ".join(_names(entry))) for entry in answer.entries]
     context = {"lines": lines, "sources": _sources(), "rigs": Rig.objects.filter(active=True)}
     return render(request, "clinic/worklist.html", context)
 
@@ -200,18 +189,18 @@ def _begun(request: HttpRequest) -> HttpResponse:
     if not number:
         raise Http404
     try:
-        found = [
+        begun = [
             entry
             for entry in _asked(source, accession=accession, patient_id=number).entries
             if (entry.order.accession, entry.patient.id) == (accession, number)
         ]
-        if len(found) != 1:
-            messages.error(request, f"The worklist has {len(found)} such entries now. Choose again.")
+        if len(begun) != 1:
+            messages.error(request, f"The worklist has {len(begun)} such entries now. Choose again.")
             return redirect("worklist")
     except MammometryError as error:
         messages.error(request, str(error))
         return redirect("worklist")
-    (entry,) = found
+    (entry,) = begun
     patient = _patient(entry)
     alike = duplicates(patient)
     if alike.same_number is not None:

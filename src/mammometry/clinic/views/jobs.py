@@ -1,18 +1,17 @@
 """Jobs: queue, cancel, try again, and follow them."""
 
-from __future__ import annotations
-
 from collections.abc import AsyncIterator
 from uuid import UUID
 
 from django.http import HttpRequest, HttpResponseBase, JsonResponse, StreamingHttpResponse
+from django.shortcuts import get_object_or_404
 
 from mammometry.clinic.jobs import events, queue
 from mammometry.clinic.jobs.results import Target
-from mammometry.clinic.models import Calibration, DailyCheck, Job, Person, Visit
+from mammometry.clinic.models import Calibration, DailyCheck, Job, Person
 from mammometry.clinic.rig_history import may_queue
 from mammometry.clinic.roles import CARE
-from mammometry.clinic.views.responses import Refused, get_or_404, json_body, json_view, require_care
+from mammometry.clinic.views.responses import Refused, json_body, json_view, require_care, visit_or_404
 
 _MOST = 200  # jobs on one page
 
@@ -20,22 +19,19 @@ _MOST = 200  # jobs on one page
 @json_view("POST")
 def measure(request: HttpRequest, visit: UUID) -> HttpResponseBase:
     """Measure a visit."""
-    row = Visit.objects.select_related("rig", "calibration", "patient").filter(pk=visit).first()
-    return _queued(request, get_or_404(row), anyway=json_body(request).get("anyway") is True)
+    return _queued(request, visit_or_404(visit), anyway=json_body(request).get("anyway") is True)
 
 
 @json_view("POST")
 def calibrate(request: HttpRequest, calibration: UUID) -> HttpResponseBase:
     """Calibrate a rig."""
-    return _queued(request, get_or_404(Calibration.objects.select_related("rig").filter(pk=calibration).first()))
+    return _queued(request, get_object_or_404(Calibration.objects.select_related("rig"), pk=calibration))
 
 
 @json_view("POST")
 def check(request: HttpRequest, check: UUID) -> HttpResponseBase:
     """Judge a daily check."""
-    return _queued(
-        request, get_or_404(DailyCheck.objects.select_related("rig", "calibration").filter(pk=check).first())
-    )
+    return _queued(request, get_object_or_404(DailyCheck.objects.select_related("rig", "calibration"), pk=check))
 
 
 @json_view("GET")
@@ -55,7 +51,7 @@ def many(request: HttpRequest) -> HttpResponseBase:
 
 @json_view("GET")
 def one(request: HttpRequest, job: UUID) -> HttpResponseBase:
-    """One job."""
+    """A job as JSON."""
     return _job_response(_find(request, job))
 
 
@@ -95,7 +91,7 @@ async def stream(request: HttpRequest) -> HttpResponseBase:
 
 def _find(request: HttpRequest, key: UUID) -> Job:
     rows = Job.objects.select_related("visit__patient", "visit__rig", "visit__calibration", "calibration__rig")
-    row = get_or_404(rows.filter(pk=key).first())
+    row: Job = get_object_or_404(rows, pk=key)
     require_care(request, queue.target_of(row))
     return row
 

@@ -1,7 +1,5 @@
 """Patients: search, who they are, all their visits, and what people enter beside photographs."""
 
-from __future__ import annotations
-
 import uuid
 from collections.abc import Callable
 from functools import wraps
@@ -22,7 +20,7 @@ from mammometry.clinic.models import Consent, Operation, Patient
 from mammometry.clinic.records import comparing, results, search
 from mammometry.clinic.records.clinical import holds, operation_details
 from mammometry.clinic.records.operations import events, phase_of, retentions
-from mammometry.clinic.views.responses import person_of
+from mammometry.clinic.views.responses import form_page, person_of
 
 
 def is_part(request: HttpRequest) -> bool:
@@ -96,41 +94,32 @@ def patient(request: HttpRequest, patient: uuid.UUID) -> HttpResponse:
     person = get_object_or_404(Patient, pk=patient)
     visits = list(person.visits.select_related("rig").prefetch_related("measurements__volumes"))
     operations = list(person.operations.select_related("entered_by"))
-    found = results.latest(visits)
-    by_visit = {result.visit.id: result for result in found}
+    shown_results = results.latest(visits)
+    by_visit = {result.visit.id: result for result in shown_results}
     context = {
         "patient": person,
         "visits": [(visit, by_visit.get(visit.id), phase_of(visit, operations)) for visit in visits],
         "measured": comparing.comparable(visits)[::-1],
-        "readings": results.readings(found),
+        "readings": results.readings(shown_results),
         "events": events(operations),
         "operations": [(operation, ", ".join(operation_details(operation))) for operation in operations],
-        "retentions": retentions(operations, found),
+        "retentions": retentions(operations, shown_results),
         "consents": person.consents.select_related("entered_by"),
         "lacking": [purpose for purpose in Consent.Purpose if not holds(person, purpose)],
     }
     return render(request, "clinic/patient.html", context)
 
 
-def patient_new(request: HttpRequest) -> HttpResponse:
-    """Enter a patient."""
-    form = PatientForm(request.POST or None)
-    if request.method == "POST" and form.is_valid():
-        made = form.save()
-        messages.success(request, "The patient is entered.")
-        return redirect("patient", patient=made.pk)
-    return render(request, "clinic/patient_form.html", {"form": form})
-
-
-def patient_edit(request: HttpRequest, patient: uuid.UUID) -> HttpResponse:
-    """Correct who somebody is."""
-    person = get_object_or_404(Patient, pk=patient)
+def patient_form(request: HttpRequest, patient: uuid.UUID | None = None) -> HttpResponse:
+    """Enter a patient, or correct who somebody is."""
+    person = None if patient is None else get_object_or_404(Patient, pk=patient)
     form = PatientForm(request.POST or None, instance=person)
-    if request.method == "POST" and form.is_valid():
-        form.save()
-        messages.success(request, "The patient's entry is changed.")
-        return redirect("patient", patient=person.pk)
-    return render(request, "clinic/patient_form.html", {"form": form, "patient": person})
+    done = "The patient is entered." if person is None else "The patient's entry is changed."
+    return form_page(request, "clinic/patient_form.html", form, done, _to_patient, patient=person)
+
+
+def _to_patient(row: Patient | Operation | Consent) -> HttpResponse:
+    return redirect("patient", patient=row.pk if isinstance(row, Patient) else row.patient_id)
 
 
 _HELP = {
@@ -144,7 +133,7 @@ def operation_new(request: HttpRequest, patient: uuid.UUID) -> HttpResponse:
     person = get_object_or_404(Patient, pk=patient)
     operation = Operation(patient=person, entered_by=person_of(request))
     form = OperationForm(request.POST or None, instance=operation)
-    return _edited(request, form, person, heading="New operation", about="operation", done="The operation is entered.")
+    return _clinical_form(request, form, "operation", "The operation is entered.", heading="New operation")
 
 
 def operation_edit(request: HttpRequest, operation: uuid.UUID) -> HttpResponse:
@@ -152,7 +141,7 @@ def operation_edit(request: HttpRequest, operation: uuid.UUID) -> HttpResponse:
     row = get_object_or_404(Operation.objects.select_related("patient"), pk=operation)
     form = OperationForm(request.POST or None, instance=row)
     heading, done = "Change the operation", "The operation is changed."
-    return _edited(request, form, row.patient, heading=heading, about="operation", done=done, operation=row)
+    return _clinical_form(request, form, "operation", done, heading=heading, operation=row)
 
 
 def operation_remove(request: HttpRequest, operation: uuid.UUID) -> HttpResponse:
@@ -171,7 +160,7 @@ def consent_new(request: HttpRequest, patient: uuid.UUID) -> HttpResponse:
     consent = Consent(patient=person, entered_by=person_of(request))
     first = {"purpose": request.GET.get("purpose"), "given_on": timezone.localdate()}
     form = ConsentForm(request.POST or None, instance=consent, initial=first)
-    return _edited(request, form, person, heading="New consent", about="consent", done="The consent is entered.")
+    return _clinical_form(request, form, "consent", "The consent is entered.", heading="New consent")
 
 
 def consent_edit(request: HttpRequest, consent: uuid.UUID) -> HttpResponse:
@@ -179,23 +168,12 @@ def consent_edit(request: HttpRequest, consent: uuid.UUID) -> HttpResponse:
     row = get_object_or_404(Consent.objects.select_related("patient"), pk=consent)
     form = WithdrawalForm(request.POST or None, instance=row)
     heading = f"Consent: {row.get_purpose_display().lower()}"
-    return _edited(request, form, row.patient, heading=heading, about="consent", done="The consent is changed.")
+    return _clinical_form(request, form, "consent", "The consent is changed.", heading=heading)
 
 
-def _edited(
-    request: HttpRequest,
-    form: OperationForm | ConsentForm | WithdrawalForm,
-    patient: Patient,
-    *,
-    heading: str,
-    about: str,
-    done: str,
-    **more: object,
+def _clinical_form(
+    request: HttpRequest, form: OperationForm | ConsentForm | WithdrawalForm, about: str, done: str, **context: object
 ) -> HttpResponse:
     """A page with one form about a patient."""
-    if request.method == "POST" and form.is_valid():
-        form.save()
-        messages.success(request, done)
-        return redirect("patient", patient=patient.pk)
-    context = {"form": form, "patient": patient, "heading": heading, "help": _HELP[about], **more}
-    return render(request, "clinic/clinical_form.html", context)
+    context |= {"patient": form.instance.patient, "help": _HELP[about]}
+    return form_page(request, "clinic/clinical_form.html", form, done, _to_patient, **context)

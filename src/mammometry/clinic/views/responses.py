@@ -1,17 +1,17 @@
 """What views share: who asks, JSON for programs of a page, pages for what is refused or missing."""
 
-from __future__ import annotations
-
 import json
 import logging
 from collections.abc import Callable
 from functools import wraps
-from typing import Any, TypeVar
+from typing import Any
+from uuid import UUID
 
+from django.contrib import messages
 from django.core.exceptions import PermissionDenied
 from django.http import Http404, HttpRequest, HttpResponse, HttpResponseBase, JsonResponse
 from django.middleware.csrf import get_token
-from django.shortcuts import render
+from django.shortcuts import get_object_or_404, render
 from django.template.loader import render_to_string
 
 from mammometry.base.errors import MammometryError, StorageError
@@ -19,12 +19,10 @@ from mammometry.base.extras import MissingLibraryError
 from mammometry.clinic.audit import record_refusal
 from mammometry.clinic.intake.uploads import UploadError
 from mammometry.clinic.models import Comparison, Person, Visit
-from mammometry.clinic.models.people import Keyed
 from mammometry.clinic.roles import CARE
 from mammometry.clinic.site import the_clinic
 from mammometry.clinic.web.access import is_program
-
-Row = TypeVar("Row", bound=Keyed)
+from mammometry.clinic.web.security import report_policy
 
 
 class Refused(Exception):
@@ -101,11 +99,38 @@ def require_care(request: HttpRequest, target: object) -> None:
         raise Http404
 
 
-def get_or_404(row: Row | None) -> Row:
-    """A row, or the page that says that there is none."""
-    if row is None:
-        raise Http404
-    return row
+def visit_or_404(key: UUID) -> Visit:
+    """A visit that is not in the bin, with its patient, rig and calibration."""
+    visit: Visit = get_object_or_404(Visit.objects.select_related("patient", "rig", "calibration"), pk=key)
+    return visit
+
+
+def form_page(
+    request: HttpRequest,
+    template: str,
+    form: Any,
+    done: str,
+    goes_on: Callable[[Any], HttpResponse],
+    **context: object,
+) -> HttpResponse:
+    """A page with the form of one row. A row that is filled in is saved, and leads on."""
+    if request.method == "POST" and form.is_valid():
+        row = form.save()
+        messages.success(request, done)
+        return goes_on(row)
+    return render(request, template, {"form": form, **context})
+
+
+def download(content: bytes | str, name: str, content_type: str) -> HttpResponse:
+    """Response with a file to download."""
+    headers = {"Content-Disposition": f'attachment; filename="{name}"'}
+    return HttpResponse(content, content_type=content_type, headers=headers)
+
+
+def sealed_page(page: bytes) -> HttpResponse:
+    """A report's page, sealed off from the clinic's."""
+    headers = {"Content-Security-Policy": report_policy(page)}
+    return HttpResponse(page, content_type="text/html; charset=utf-8", headers=headers)
 
 
 _LOG = logging.getLogger(__name__)
@@ -118,7 +143,7 @@ def _page(request: HttpRequest, status: int, title: str, sentence: str) -> HttpR
 
 
 def bad_request(request: HttpRequest, exception: Exception | None = None) -> HttpResponse:
-    """400."""
+    """Page for 400: the request cannot be read."""
     return _page(request, 400, "This request cannot be read", "Go back and try again.")
 
 
@@ -130,7 +155,7 @@ def forbidden(request: HttpRequest, exception: Exception | None = None) -> HttpR
 
 
 def missing(request: HttpRequest, exception: Exception | None = None) -> HttpResponse:
-    """404."""
+    """Page for 404: there is nothing at this address."""
     return _page(request, 404, "Not here", "There is no such page. It may have been erased.")
 
 

@@ -1,7 +1,5 @@
 """A visit's result: report, 3D view, boundaries to draw or confirm. And two dates side by side."""
 
-from __future__ import annotations
-
 import hashlib
 import logging
 import uuid
@@ -26,8 +24,7 @@ from mammometry.clinic.records.results import readable, rendered_report, report_
 from mammometry.clinic.rig_history import may_queue
 from mammometry.clinic.site import the_clinic
 from mammometry.clinic.templatetags.pages import queued
-from mammometry.clinic.views.responses import not_now, person_of
-from mammometry.clinic.web.security import report_policy
+from mammometry.clinic.views.responses import download, not_now, person_of, sealed_page, visit_or_404
 from mammometry.editor.messages import Base, Breast, Message
 from mammometry.editor.page import EditorPage, read, refusal
 from mammometry.editor.session import Drawable
@@ -67,7 +64,7 @@ class _Desks:
         self._lock = Lock()
 
     def of(self, visit: Visit) -> EditorPage:
-        """The visit's surface.
+        """The visit's surface to draw on, opened once.
 
         Raises:
             MammometryError: the session cannot be opened, or has nothing to draw on.
@@ -88,7 +85,7 @@ _DESKS = _Desks()
 
 def _opened(visit: Visit) -> Drawable:
     from mammometry.api.job import open_session
-    from mammometry.api.scans import drawable_scan
+    from mammometry.api.mesh import drawable_scan
 
     settings = the_clinic().measuring()
     if visit.is_scan:
@@ -99,37 +96,32 @@ def _opened(visit: Visit) -> Drawable:
 def report(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
     """The report with names, confirmation and conclusion. Sealed off from the clinic's pages."""
     try:
-        page = rendered_report(_measured(visit)).html
+        return sealed_page(rendered_report(_measured(visit)).html)
     except MammometryError as error:
         return not_now(request, error)
-    response = HttpResponse(page, content_type="text/html; charset=utf-8")
-    response["Content-Security-Policy"] = report_policy(page)
-    return response
 
 
 def report_pdf(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
-    """The same report on paper."""
+    """The visit's report as PDF."""
     shown = _measured(visit)
     try:
         document = rendered_report(shown).pdf
     except MammometryError as error:
         return not_now(request, error)
-    response = HttpResponse(document, content_type="application/pdf")
-    response["Content-Disposition"] = f'attachment; filename="{shown.patient.pseudonym}_{shown.taken_at:%Y-%m-%d}.pdf"'
-    return response
+    return download(document, f"{shown.patient.pseudonym}_{shown.taken_at:%Y-%m-%d}.pdf", "application/pdf")
 
 
 def scene(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
     """The surface for the 3D view."""
-    found = scene_of(_visit(visit))
-    if found is None:
+    content = scene_of(visit_or_404(visit))
+    if content is None:
         raise Http404
-    return HttpResponse(found, content_type="application/json")
+    return HttpResponse(content, content_type="application/json")
 
 
 def draw(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
     """The page on which boundaries and landmarks are drawn. While a visit is measured, nobody draws."""
-    shown = _visit(visit)
+    shown = visit_or_404(visit)
     if shown.jobs.filter(state__in=queue.OPEN).exists() or not shown.measurements.exists():
         busy = shown.state == Visit.State.QUEUED
         messages.info(
@@ -248,7 +240,7 @@ def _session_response(
     visit: uuid.UUID, answer: Callable[[Visit, EditorPage, Job | None], dict[str, Any]]
 ) -> HttpResponseBase:
     """Answer as JSON. The sentence of a refusal is passed on."""
-    shown = _visit(visit)
+    shown = visit_or_404(visit)
     job = _newest_job(shown)  # first: a page that hears of a job's end hears its numbers too, and asks no more
     try:
         return JsonResponse(answer(shown, _DESKS.of(shown), job))
@@ -260,15 +252,10 @@ def _session_response(
 
 def _measured(visit: uuid.UUID) -> Visit:
     """A visit that has a report."""
-    shown = _visit(visit)
+    shown = visit_or_404(visit)
     if report_file(shown, "report.html") is None:
         raise Http404
     return shown
-
-
-def _visit(visit: uuid.UUID) -> Visit:
-    found: Visit = get_object_or_404(Visit.objects.select_related("patient", "rig"), pk=visit)
-    return found
 
 
 Pair = tuple[Upload | None, Upload | None]
@@ -320,10 +307,7 @@ def photographs(before: Visit, after: Visit) -> list[tuple[str, Pair]]:
 
 def compare_page(request: HttpRequest, patient: uuid.UUID, before: uuid.UUID, after: uuid.UUID) -> HttpResponse:
     """The full page of a comparison, with its pictures."""
-    page = _page(patient, before, after).read_bytes()
-    response = HttpResponse(page, content_type="text/html; charset=utf-8")
-    response["Content-Security-Policy"] = report_policy(page)
-    return response
+    return sealed_page(_page(patient, before, after).read_bytes())
 
 
 def compare_scene(request: HttpRequest, patient: uuid.UUID, before: uuid.UUID, after: uuid.UUID) -> HttpResponse:

@@ -1,7 +1,5 @@
 """Pages of rigs. May we measure today, calibrations and their history, drift, the daily check."""
 
-from __future__ import annotations
-
 import uuid
 from typing import Any
 from uuid import UUID
@@ -20,7 +18,7 @@ from mammometry.clinic.models import Calibration, DailyCheck, Rig
 from mammometry.clinic.rig_history import drift_rows
 from mammometry.clinic.rig_history import today as verdict_of
 from mammometry.clinic.site import the_clinic
-from mammometry.clinic.views.responses import Refused, get_or_404, json_view
+from mammometry.clinic.views.responses import Refused, form_page, json_view
 
 
 def rigs(request: HttpRequest) -> HttpResponse:
@@ -43,14 +41,12 @@ def rig(request: HttpRequest, rig: uuid.UUID) -> HttpResponse:
     return render(request, "clinic/rig.html", context)
 
 
-def rig_new(request: HttpRequest) -> HttpResponse:
-    """Enter a rig."""
-    return _edited(request, None)
-
-
-def rig_edit(request: HttpRequest, rig: uuid.UUID) -> HttpResponse:
-    """Change a rig's name, note or description."""
-    return _edited(request, get_object_or_404(Rig, pk=rig))
+def rig_form(request: HttpRequest, rig: uuid.UUID | None = None) -> HttpResponse:
+    """Enter a rig, or change its name, note or description."""
+    shown = None if rig is None else get_object_or_404(Rig, pk=rig)
+    form = RigForm(request.POST or None, request.FILES or None, instance=shown)
+    saved = "The rig is saved."
+    return form_page(request, "clinic/rig_form.html", form, saved, lambda row: redirect("rig", rig=row.pk), rig=shown)
 
 
 def calibration(request: HttpRequest, calibration: uuid.UUID) -> HttpResponse:
@@ -66,7 +62,7 @@ def calibration(request: HttpRequest, calibration: uuid.UUID) -> HttpResponse:
 
 
 def check(request: HttpRequest, check: uuid.UUID) -> HttpResponse:
-    """One daily check."""
+    """Page of a daily check."""
     shown = get_object_or_404(DailyCheck.objects.select_related("rig", "by"), pk=check)
     context = {
         "check": shown,
@@ -75,15 +71,6 @@ def check(request: HttpRequest, check: uuid.UUID) -> HttpResponse:
         **_figures(shown.figures),
     }
     return render(request, "clinic/check.html", context)
-
-
-def _edited(request: HttpRequest, rig: Rig | None) -> HttpResponse:
-    form = RigForm(request.POST or None, request.FILES or None, instance=rig)
-    if request.method == "POST" and form.is_valid():
-        made = form.save()
-        messages.success(request, "The rig is saved.")
-        return redirect("rig", rig=made.pk)
-    return render(request, "clinic/rig_form.html", {"form": form, "rig": rig})
 
 
 _SINGLE = (
@@ -122,16 +109,16 @@ def _figures(figures: dict[str, Any]) -> dict[str, Any]:
 
 @json_view("GET")
 def today(request: HttpRequest, rig: UUID) -> HttpResponseBase:
-    """May we measure today?"""
-    return JsonResponse(rig_history.today(_find(rig)).as_table())
+    """Whether a rig may be measured with today, as JSON."""
+    return JsonResponse(rig_history.today(get_object_or_404(Rig, pk=rig)).as_table())
 
 
 @json_view("GET")
 def drift(request: HttpRequest, rig: UUID) -> HttpResponseBase:
     """The chart of the rig's checks, PNG."""
-    from mammometry.report.figures.drift import drift as drawn
+    from mammometry.report.figures.calibration import drift as drawn
 
-    entries = rig_history.entries(_find(rig))
+    entries = rig_history.entries(get_object_or_404(Rig, pk=rig))
     if not entries:
         raise Http404
     picture = drawn(entries, the_clinic().measuring().calibration.check.refuse_mm)
@@ -141,7 +128,7 @@ def drift(request: HttpRequest, rig: UUID) -> HttpResponseBase:
 @json_view("POST")
 def new_calibration(request: HttpRequest, rig: UUID) -> HttpResponseBase:
     """A calibration to upload to."""
-    made = rig_history.new_calibration(_find(rig), request.user)
+    made = rig_history.new_calibration(get_object_or_404(Rig, pk=rig), request.user)
     return JsonResponse(
         {"id": str(made.pk), "url": reverse("calibration-uploads", kwargs={"calibration": made.pk})}, status=201
     )
@@ -150,14 +137,10 @@ def new_calibration(request: HttpRequest, rig: UUID) -> HttpResponseBase:
 @json_view("POST")
 def new_check(request: HttpRequest, rig: UUID) -> HttpResponseBase:
     """A daily check to upload to."""
-    made = rig_history.new_check(_find(rig), request.user)
+    made = rig_history.new_check(get_object_or_404(Rig, pk=rig), request.user)
     if made is None:
         raise Refused("This rig is not calibrated. Calibrate it first.")
     return JsonResponse({"id": str(made.pk), "url": reverse("check-uploads", kwargs={"check": made.pk})}, status=201)
-
-
-def _find(key: UUID) -> Rig:
-    return get_or_404(Rig.objects.filter(pk=key).first())
 
 
 _MEASURED = ("edge_mm", "edge_std_mm", "flatness_mm")

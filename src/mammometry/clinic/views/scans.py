@@ -1,7 +1,5 @@
 """Visits with a scan of another device, without photographs."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from typing import Any
@@ -38,12 +36,12 @@ class _Files(forms.ClearableFileInput):
 
 
 class _FilesField(forms.FileField):
-    """Several files."""
+    """A field of several files."""
 
     widget = _Files
 
     def clean(self, data: Any, initial: Any = None) -> Any:
-        """Check each of them."""
+        """Check every file."""
         every = (data if isinstance(data, list | tuple) else [data]) or [None]
         return [super(_FilesField, self).clean(file, initial) for file in every]
 

@@ -25,7 +25,7 @@ from mammometry.clinic.models import Visit
 from mammometry.clinic.records.cohort import left_out, measured_visits, pooled, study_rows, visits_between
 from mammometry.clinic.records.results import report_file
 from mammometry.clinic.site import the_clinic
-from mammometry.clinic.views.responses import not_installed
+from mammometry.clinic.views.responses import download, not_installed
 from mammometry.study.agreement import LEAST_SUBJECTS, PairedMeasurements, agreement
 
 if TYPE_CHECKING:
@@ -52,15 +52,15 @@ _COLUMNS = (
 
 
 def study(request: HttpRequest) -> HttpResponse:
-    """Cohort and agreement."""
+    """Page of the cohort and of the agreement between repeated visits."""
     visits = _asked(request)
     everything = pooled(visits)
     within_days = _whole(request.GET.get("within", ""), 1, 365)
     pairs = everything.repeated(within_days)
-    found = None
+    figures = None
     if len({name for name, *_ in pairs}) >= LEAST_SUBJECTS:
         names, first, second = zip(*pairs, strict=True)
-        found = agreement(
+        figures = agreement(
             PairedMeasurements(
                 names=names, reference=np.array(first), measured=np.array(second),
                 reference_name="first", measured_name="second", unit="cc",
@@ -77,7 +77,7 @@ def study(request: HttpRequest) -> HttpResponse:
         "refused": len(everything.day) - len(volumes_cc),
         "median_cc": float(np.median(volumes_cc)) if len(volumes_cc) else None,
         "quartiles_cc": tuple(map(float, np.quantile(volumes_cc, [0.25, 0.75]))) if len(volumes_cc) else None,
-        "agreement": found,
+        "agreement": figures,
         "pairs": len(pairs),
         "least": LEAST_SUBJECTS,
         "within": within_days,
@@ -91,23 +91,12 @@ def study(request: HttpRequest) -> HttpResponse:
 
 def study_csv(request: HttpRequest) -> HttpResponse:
     """The cohort as a table. Pseudonyms only."""
-    response = HttpResponse(content_type="text/csv; charset=utf-8")
-    response["Content-Disposition"] = f'attachment; filename="cohort_{timezone.localdate():%Y-%m-%d}.csv"'
+    response = download("", f"cohort_{timezone.localdate():%Y-%m-%d}.csv", "text/csv; charset=utf-8")
     writer = CsvWriter(response)
     writer.row(_COLUMNS)
     for row in study_rows(_asked(request)):
         writer.row(_cell(getattr(row, name)) for name in _COLUMNS)
     return response
-
-
-def asked_visits(request: HttpRequest) -> QuerySet[Visit]:
-    """Measured visits of the asked time whose patients consent to research, by pseudonym and day."""
-    return measured_visits(_asked(request)).select_related("patient", "rig")
-
-
-def visits_left_out(request: HttpRequest) -> tuple[int, int]:
-    """Numbers of measured visits of the asked time, and of their patients, without a consent to research."""
-    return left_out(_asked(request))
 
 
 def _asked(request: HttpRequest) -> QuerySet[Visit]:
@@ -132,15 +121,12 @@ def _whole(text: str, low: int, high: int) -> int:
 
 
 _RELEASES: Mapping[str, Release] = {"r4": "R4", "r5": "R5"}
-_LEFT_OUT = "left-out.csv"
+_LEFT_OUT, _ZIP = "left-out.csv", "application/zip"
 _ZIP_EPOCH = (1980, 1, 1, 0, 0, 0)  # the earliest a zip can hold: the same results are the same bytes
 
 
 def visit_dicom(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
-    """The visit's DICOM objects as a zip.
-
-    ``?deidentify`` makes them for others.
-    """
+    """The visit's DICOM objects as a zip. ``?deidentify`` makes them for others."""
     deidentify = "deidentify" in request.GET
     shown = _measured(visit)
     try:
@@ -151,7 +137,7 @@ def visit_dicom(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
         messages.error(request, str(error))
         return redirect("visit-send", visit=visit)
     # What is for others says neither pseudonym nor day in its name.
-    return _download(_zipped(made), "dicom-deidentified.zip" if deidentify else _named(shown, "dicom.zip"))
+    return download(_zipped(made), "dicom-deidentified.zip" if deidentify else _named(shown, "dicom.zip"), _ZIP)
 
 
 def visit_fhir(request: HttpRequest, visit: uuid.UUID, release: str) -> HttpResponse:
@@ -170,14 +156,14 @@ def visit_fhir(request: HttpRequest, visit: uuid.UUID, release: str) -> HttpResp
     except MammometryError as error:
         messages.error(request, str(error))
         return redirect("visit-send", visit=visit)
-    return _download(made, _named(shown, f"fhir-{release}.json"), content_type="application/fhir+json")
+    return download(made, _named(shown, f"fhir-{release}.json"), "application/fhir+json")
 
 
 def study_redcap(request: HttpRequest) -> HttpResponse:
     """The study for REDCap: data dictionary and records, by pseudonym."""
-    from mammometry.hospital import redcap
+    from mammometry.hospital import tables
 
-    return _study(request, redcap.tables, "redcap")
+    return _study(request, tables.redcap_tables, "redcap")
 
 
 def study_table(request: HttpRequest) -> HttpResponse:
@@ -189,24 +175,24 @@ def study_table(request: HttpRequest) -> HttpResponse:
 
 def _study(request: HttpRequest, tables: Callable[[Any], dict[str, bytes]], kind: str) -> HttpResponse:
     """Numbers of all visits that were asked for. Which are left out, and why, stands beside them."""
-    config, sessions, left_out = the_clinic(), [], []
-    for visit in asked_visits(request):
+    config, sessions, omitted = the_clinic(), [], []
+    for visit in measured_visits(_asked(request)).select_related("patient", "rig"):
         try:
             sessions.append(deliveries.gathered(config, visit, whole=False))
         except MammometryError as error:
             day = timezone.localtime(visit.taken_at).date().isoformat()
-            left_out.append((visit.patient.pseudonym, day, error.found))
-    visits, patients = visits_left_out(request)
+            omitted.append((visit.patient.pseudonym, day, error.found))
+    visits, patients = left_out(_asked(request))
     if visits:
-        left_out.append(("", "", f"no consent to research holds: {visits} visits of {patients} patients"))
+        omitted.append(("", "", f"no consent to research holds: {visits} visits of {patients} patients"))
     try:
         made = tables(sessions)
     except MammometryError as error:
         messages.error(request, str(error))
         return redirect("study")
-    if left_out:
-        made[_LEFT_OUT] = csv_text(("pseudonym", "day", "why"), left_out).encode()
-    return _download(_zipped(made), f"study-{kind}_{timezone.localdate():%Y-%m-%d}.zip")
+    if omitted:
+        made[_LEFT_OUT] = csv_text(("pseudonym", "day", "why"), omitted).encode()
+    return download(_zipped(made), f"study-{kind}_{timezone.localdate():%Y-%m-%d}.zip", _ZIP)
 
 
 def _measured(visit: uuid.UUID) -> Visit:
@@ -227,9 +213,3 @@ def _zipped(files: Mapping[str, bytes]) -> bytes:
         for name, content in sorted(files.items()):
             archive.writestr(zipfile.ZipInfo(name, _ZIP_EPOCH), content)
     return made.getvalue()
-
-
-def _download(content: bytes | str, name: str, *, content_type: str = "application/zip") -> HttpResponse:
-    response = HttpResponse(content, content_type=content_type)
-    response["Content-Disposition"] = f'attachment; filename="{name}"'
-    return response

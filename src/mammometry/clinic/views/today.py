@@ -1,9 +1,8 @@
 """The first page: what there is to do today, the first day of a fresh clinic, help."""
 
-from __future__ import annotations
-
 import datetime
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from auditlog.models import LogEntry
 from django.http import HttpRequest, HttpResponse
@@ -14,12 +13,11 @@ from django.utils import timezone
 from mammometry.clinic.models import Calibration, Job, Patient, Person, Rig, Visit
 from mammometry.clinic.records.results import latest
 from mammometry.clinic.rig_history import today as verdict_of
-from mammometry.clinic.roles import CARE, RIGS, Role
+from mammometry.clinic.roles import ADMINISTRATOR, CARE, RIGS, Role
 from mammometry.clinic.views.responses import person_of
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Step:
+class Step(NamedTuple):
     """One step of the first day."""
 
     title: str
@@ -49,46 +47,27 @@ def steps() -> list[Step]:
     rig_page = reverse("rigs") if rig is None else reverse("rig", args=[rig.pk])
     return [
         Step(
-            title="People",
-            sentence="Enter at least one technician or clinician, and hand over the link to set a password.",
-            done=staff,
-            button="Enter somebody",
-            address=reverse("person-new"),
-            roles=frozenset({Role.ADMINISTRATOR}),
+            "People", "Enter at least one technician or clinician, and hand over the link to set a password.",
+            staff, "Enter somebody", reverse("person-new"), ADMINISTRATOR,
         ),
         Step(
-            title="Rig",
-            sentence="Enter the cameras that stand together, and the board they are calibrated with.",
-            done=rig is not None,
-            button="Enter the rig",
-            address=reverse("rig-new"),
-            roles=RIGS,
+            "Rig", "Enter the cameras that stand together, and the board they are calibrated with.",
+            rig is not None, "Enter the rig", reverse("rig-new"), RIGS,
         ),
         Step(
-            title="Board to print",
-            sentence="Print it at 100 %, fix it on something flat and stiff, and measure the ruler below it.",
-            done=rig is not None and printed,
-            button="Open the board as PDF",
-            address=rig_page if rig is None else reverse("rig-target", args=[rig.pk]),
-            roles=RIGS,
+            "Board to print", "Print it at 100 %, fix it on something flat and stiff, and measure the ruler below it.",
+            rig is not None and printed, "Open the board as PDF",
+            rig_page if rig is None else reverse("rig-target", args=[rig.pk]), RIGS,
         ),
         Step(
-            title="Calibration",
-            sentence="Photograph the board in about twelve poses with all cameras, and let them be calibrated.",
-            done=calibrated,
-            button="To the rig",
-            address=rig_page,
-            roles=RIGS,
+            "Calibration", "Photograph the board in about twelve poses with all cameras, and let them be calibrated.",
+            calibrated, "To the rig", rig_page, RIGS,
         ),
         Step(
-            title="First patient",
-            sentence="Enter a patient, begin a visit, and add its photographs.",
-            done=has_patient,
-            button="Enter a patient",
-            address=reverse("patient-new"),
-            roles=CARE,
+            "First patient", "Enter a patient, begin a visit, and add its photographs.",
+            has_patient, "Enter a patient", reverse("patient-new"), CARE,
         ),
-    ]
+    ]  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,11 +1,10 @@
 """Uploads: begin, go on, place, set aside, bring back, look."""
 
-from __future__ import annotations
-
 from typing import Any
 from uuid import UUID
 
 from django.http import Http404, HttpRequest, HttpResponse, HttpResponseBase, JsonResponse
+from django.shortcuts import get_object_or_404
 from django.urls import reverse
 
 from mammometry.base.errors import MammometryError
@@ -15,11 +14,11 @@ from mammometry.clinic.models import Calibration, DailyCheck, Upload, Visit
 from mammometry.clinic.records.search import elsewhere, same_photographs
 from mammometry.clinic.views.responses import (
     Refused,
-    get_or_404,
     json_body,
     json_view,
     require_care,
     text_of,
+    visit_or_404,
 )
 from mammometry.io.photographs.images import read_photograph
 
@@ -46,7 +45,7 @@ def new(request: HttpRequest) -> HttpResponseBase:
         model = None
     if model is None:
         raise Refused("Say what it is for: visit, calibration or check, and its id.", 400)
-    target = get_or_404(model.objects.filter(pk=key).first())
+    target = get_object_or_404(model, pk=key)
     require_care(request, target)
     size = table.get("size_bytes")
     if not isinstance(size, int) or isinstance(size, bool):
@@ -108,7 +107,7 @@ def back(request: HttpRequest, upload: UUID) -> HttpResponseBase:
 
 @json_view("GET")
 def thumbnail(request: HttpRequest, upload: UUID) -> HttpResponseBase:
-    """A small picture of it."""
+    """A small picture of an uploaded photograph."""
     path = thumbnail_path(_find(request, upload))
     if not path.is_file():
         raise Http404
@@ -132,23 +131,25 @@ def screen(request: HttpRequest, upload: UUID) -> HttpResponseBase:
 @json_view("GET")
 def of_visit(request: HttpRequest, visit: UUID) -> HttpResponseBase:
     """All photographs of a visit."""
-    return _state(get_or_404(Visit.objects.select_related("rig", "calibration", "patient").filter(pk=visit).first()))
+    return _state(visit_or_404(visit))
 
 
 @json_view("GET")
 def of_calibration(request: HttpRequest, calibration: UUID) -> HttpResponseBase:
     """All photographs of a calibration."""
-    return _state(get_or_404(Calibration.objects.select_related("rig").filter(pk=calibration).first()))
+    return _state(get_object_or_404(Calibration.objects.select_related("rig"), pk=calibration))
 
 
 @json_view("GET")
 def of_check(request: HttpRequest, check: UUID) -> HttpResponseBase:
     """All photographs of a daily check."""
-    return _state(get_or_404(DailyCheck.objects.select_related("rig", "calibration").filter(pk=check).first()))
+    return _state(get_object_or_404(DailyCheck.objects.select_related("rig", "calibration"), pk=check))
 
 
 def _find(request: HttpRequest, key: UUID) -> Upload:
-    row = get_or_404(uploads.find(key))
+    related = ("visit__rig", "visit__calibration", "visit__patient", "calibration__rig", "check_of_day__rig")
+    rows = Upload.objects.select_related(*related, "check_of_day__calibration")
+    row: Upload = get_object_or_404(rows, pk=key)
     require_care(request, uploads.target_of(row))
     return row
 

@@ -1,23 +1,21 @@
 """Visits: begun, photographed by the rig's cameras, and looked at."""
 
-from __future__ import annotations
-
 import uuid
 from typing import Any
 from uuid import UUID
 
 from django.contrib import messages
 from django.db import transaction
-from django.http import HttpRequest, HttpResponse, HttpResponseBase, JsonResponse
+from django.http import Http404, HttpRequest, HttpResponse, HttpResponseBase, JsonResponse
 from django.shortcuts import get_object_or_404, redirect, render
 from django.urls import reverse
 from django.utils import timezone
 from PIL import Image
 
 from mammometry.base.errors import SessionError
-from mammometry.capture.checks.found import Found
+from mammometry.capture.checks import Found
 from mammometry.capture.loop import CaptureResult
-from mammometry.capture.page_service import firing_table
+from mammometry.capture.page import firing_table
 from mammometry.capture.shots import last_record, require_replaceable
 from mammometry.clinic import cameras
 from mammometry.clinic.forms import CircumstancesForm, ConclusionForm, VisitForm
@@ -28,16 +26,16 @@ from mammometry.clinic.models import Calibration, Conclusion, Person, Scan, Uplo
 from mammometry.clinic.records.clinical import pictures_caution
 from mammometry.clinic.records.confirmations import CHANGED_SENTENCE, next_step
 from mammometry.clinic.records.operations import phase_of
-from mammometry.clinic.records.results import facts, report_file, visit_result
+from mammometry.clinic.records.results import facts, refusal_picture, refusal_pictures, report_file, visit_result
 from mammometry.clinic.rig_history import today
 from mammometry.clinic.roles import Role
 from mammometry.clinic.site import the_clinic
 from mammometry.clinic.views.patients import chosen_patient, is_part, search_context
 from mammometry.clinic.views.responses import (
     Refused,
-    get_or_404,
     json_view,
     person_of,
+    visit_or_404,
 )
 from mammometry.io.photographs.images import FORMATS
 from mammometry.report.words.lengths import length_table
@@ -70,17 +68,19 @@ def visit_page(request: HttpRequest, visit: uuid.UUID, draft: str | None = None)
         visit: its key.
         draft: a conclusion that could not be signed, to be shown again.
     """
-    shown = get_object_or_404(Visit.objects.select_related("patient", "rig", "calibration"), pk=visit)
+    shown = visit_or_404(visit)
     job = shown.jobs.order_by("-created").first()
     measurement = shown.measurements.prefetch_related("volumes").first()
     busy = job is not None and job.state in OPEN
     person = person_of(request)
+    failed = job if job is not None and job.state in ("failed", "cancelled") and not busy else None
     context = {
         "visit": shown,
         "patient": shown.patient,
         "job": job,
         "busy": busy,
-        "failed": job if job is not None and job.state in ("failed", "cancelled") and not busy else None,
+        "failed": failed,
+        "refusal_pictures": {} if failed is None else refusal_pictures(shown),
         "step": next_step(shown, job, measurement, person),
         "result": None if measurement is None or busy else visit_result(shown, measurement),
         "lengths": None if measurement is None or shown.is_changed else length_table(measurement.quantities),
@@ -100,6 +100,14 @@ def visit_page(request: HttpRequest, visit: uuid.UUID, draft: str | None = None)
         "limit_mb": the_clinic().limits.photograph_mb,
     }
     return render(request, "clinic/visit.html", context)
+
+
+def refused_picture(request: HttpRequest, visit: uuid.UUID, name: str) -> HttpResponse:
+    """A picture of what a refused measurement saw."""
+    picture = refusal_picture(get_object_or_404(Visit, pk=visit), name)
+    if picture is None:
+        raise Http404
+    return HttpResponse(picture, content_type="image/png", headers={"Cache-Control": "private, no-store"})
 
 
 def circumstances(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
@@ -191,7 +199,7 @@ def take_in(visit: Visit, fired: CaptureResult, by: Person | None) -> None:
 
 
 def _checks(fired: CaptureResult, camera: str, about: dict[str, Any]) -> list[dict[str, Any]]:
-    own = [finding for who, finding in fired.verdict.found if who == camera]
+    own = [finding for who, finding in fired.verdict.findings if who == camera]
     fact = Found(check="camera", level="ok", sentence="Taken by the rig, from this page.")
     # Times are the verdict's matter, whose clocks are better than EXIF's.
     shared = {"serial": about["serial"], "taken_s": None, "named": None}
@@ -210,7 +218,7 @@ def visit_capture(request: HttpRequest, visit: UUID) -> HttpResponse:
 @json_view("GET")
 def visit_state(request: HttpRequest, visit: UUID) -> HttpResponseBase:
     """The rig before anything is fired."""
-    row = _visit(visit)
+    row = visit_or_404(visit)
     rig = uploads.rig_of(row)
     return JsonResponse(cameras.stand_of(rig, row.calibration).state(rig.name, row.folder))
 
@@ -218,7 +226,7 @@ def visit_state(request: HttpRequest, visit: UUID) -> HttpResponseBase:
 @json_view("POST")
 def visit_look(request: HttpRequest, visit: UUID) -> HttpResponseBase:
     """A live picture of every camera, with its aids."""
-    row = _visit(visit)
+    row = visit_or_404(visit)
     stand = cameras.stand_of(uploads.rig_of(row), row.calibration)
     return JsonResponse(stand.look(request.body, subject_kind=row.subject_kind))
 
@@ -226,7 +234,7 @@ def visit_look(request: HttpRequest, visit: UUID) -> HttpResponseBase:
 @json_view("POST")
 def visit_fire(request: HttpRequest, visit: UUID) -> HttpResponseBase:
     """Fire. Pictures that may be measured are the visit's from then on."""
-    row = _visit(visit)
+    row = visit_or_404(visit)
     uploads.require_open(row)
     stand = cameras.stand_of(uploads.rig_of(row), row.calibration)
     uploads.ready_folder(row)
@@ -239,7 +247,3 @@ def visit_fire(request: HttpRequest, visit: UUID) -> HttpResponseBase:
         take_in(row, fired, person_of(request))
     where = reverse("visit", kwargs={"visit": row.pk})
     return JsonResponse({**firing_table(fired, "Press “Measure”, or fire again."), "visit": where})
-
-
-def _visit(key: UUID) -> Visit:
-    return get_or_404(Visit.objects.select_related("patient", "rig", "calibration").filter(pk=key).first())

@@ -4,8 +4,6 @@
 transaction, and enters into the audit who saw which patient's, visit's or rig's page.
 """
 
-from __future__ import annotations
-
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from functools import wraps
@@ -60,10 +58,7 @@ def route(where: str, view: View, name: str, roles: frozenset[Role] | None, **ot
 
 
 def guarded(view: View, access: Access) -> View:
-    """A view that refuses whoever may not open it.
-
-    ``view.access`` says who may.
-    """
+    """A view that refuses whoever may not open it. ``view.access`` says who may."""
     from mammometry.clinic.audit import record_view
 
     if iscoroutinefunction(view):

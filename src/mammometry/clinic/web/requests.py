@@ -1,7 +1,5 @@
 """Requests: their limits, and the thread in which each is answered."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import time
@@ -61,7 +59,7 @@ class Limited:
         self._spent: dict[str, tuple[float, float]] = {}
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer one request."""
+        """Answer an ASGI request."""
         if scope["type"] != "http":
             return  # neither web sockets nor anything else
         scope["headers"] = [(name, value) for name, value in scope["headers"] if name not in _PROXY_HEADERS]
@@ -252,7 +250,7 @@ class Dispatcher:
         signals.request_finished.connect(_close_all, sender=ASGIHandler)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer one request."""
+        """Answer an ASGI request."""
         try:
             streams = iscoroutinefunction(resolve(scope["path"]).func)
         except Resolver404:

@@ -1,7 +1,5 @@
 """The one table of routes. Each line says who may open it: `access.route`."""
 
-from __future__ import annotations
-
 from allauth.account import views as account
 from allauth.mfa.base import views as mfa
 from allauth.mfa.recovery_codes import views as recovery
@@ -36,9 +34,9 @@ PAGES = [
     route("", today.today, "home", EVERYBODY),
     route("help/", today.guide, "help", EVERYBODY, audited=False),
     route("patients/", patients.patients, "patients", CARE),
-    route("patients/new/", patients.patient_new, "patient-new", CARE),
+    route("patients/new/", patients.patient_form, "patient-new", CARE),
     route("patients/<uuid:patient>/", leads_on(patients.patient), "patient", CARE),
-    route("patients/<uuid:patient>/edit/", leads_on(patients.patient_edit), "patient-edit", CARE),
+    route("patients/<uuid:patient>/edit/", leads_on(patients.patient_form), "patient-edit", CARE),
     route("patients/<uuid:patient>/merge/", corrections.patient_merge, "patient-merge", CARE),
     route("patients/<uuid:patient>/bin/", corrections.patient_bin, "patient-bin", CARE),
     route("patients/<uuid:patient>/compare/", leads_on(results.compare), "compare", CLINICIAN),
@@ -62,6 +60,7 @@ PAGES = [
     route("visits/scan/", scans.scan_new, "scan-new", CARE, body_bytes=scans.BODY_BYTES, atomic=False),
     route("worklist/", hospital.worklist, "worklist", CARE),
     route("visits/<uuid:visit>/", visits.visit_page, "visit", CARE),
+    route("visits/<uuid:visit>/refused/<str:name>.png", visits.refused_picture, "refused-picture", CARE, audited=False),
     route("visits/<uuid:visit>/move/", corrections.visit_move, "visit-move", CARE),
     route("visits/<uuid:visit>/date/", corrections.visit_date, "visit-date", CARE),
     route("visits/<uuid:visit>/bin/", corrections.visit_bin, "visit-bin", CARE),
@@ -93,9 +92,9 @@ PAGES = [
     route("visits/<uuid:visit>/draw/finish", results.finish, "draw-finish", CLINICIAN),
     route("jobs/page/", visits.jobs, "jobs-page", CARE),
     route("rigs/", rigs.rigs, "rigs", _SEES_RIGS),
-    route("rigs/new/", rigs.rig_new, "rig-new", RIGS),
+    route("rigs/new/", rigs.rig_form, "rig-new", RIGS),
     route("rigs/<uuid:rig>/", rigs.rig, "rig", _SEES_RIGS),
-    route("rigs/<uuid:rig>/edit/", rigs.rig_edit, "rig-edit", RIGS),
+    route("rigs/<uuid:rig>/edit/", rigs.rig_form, "rig-edit", RIGS),
     route("calibrations/<uuid:calibration>/", rigs.calibration, "calibration", _SEES_RIGS),
     route("checks/<uuid:check>/", rigs.check, "check", _SEES_RIGS),
     route("study/", study.study, "study", STUDY),
@@ -122,8 +121,8 @@ ADMINISTRATION = [
     route("disk/", administration.disk, "disk", ADMINISTRATOR),
     route("erase/", administration.erase, "erase", ADMINISTRATOR, atomic=False),
     route("archives/", hospital.destinations, "destinations", ADMINISTRATOR),
-    route("archives/new/", hospital.destination_new, "destination-new", ADMINISTRATOR),
-    route("archives/<uuid:destination>/", hospital.destination_edit, "destination-edit", ADMINISTRATOR),
+    route("archives/new/", hospital.destination_form, "destination-new", ADMINISTRATOR),
+    route("archives/<uuid:destination>/", hospital.destination_form, "destination-edit", ADMINISTRATOR),
     route(
         "archives/<uuid:destination>/test/", hospital.destination_test, "destination-test", ADMINISTRATOR, atomic=False
     ),  # it waits for the archive

@@ -3,8 +3,6 @@
 Headers of every answer, sessions that end, and nothing open that the table does not name.
 """
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import re
@@ -113,7 +111,7 @@ class DeniedByDefault:
         self._get_response = get_response
 
     def __call__(self, request: HttpRequest) -> HttpResponseBase:
-        """Pass on."""
+        """Pass a request on to the next middleware."""
         return self._get_response(request)
 
     def process_view(self, request: HttpRequest, view: Any, args: Any, kwargs: Any) -> HttpResponse | None:

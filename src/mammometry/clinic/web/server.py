@@ -1,20 +1,28 @@
-"""The server process: uvicorn in front of the clinic's application."""
-
-from __future__ import annotations
+"""The server's process, uvicorn in front of the application, and the runner's beside it."""
 
 import asyncio
 import errno
 import ipaddress
+import logging
+import signal
 import socket
-from contextlib import nullcontext
+import subprocess
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 import mammometry
-from mammometry.clinic.config import ClinicConfig, ClinicError, host_and_port
-from mammometry.clinic.jobs.runner import beside
+from mammometry.base.child_process import ChildProcess, NotDone
+from mammometry.base.machine.cores import available_cores
+from mammometry.clinic.config import ClinicConfig, ClinicError, host_and_port, read_config
 from mammometry.clinic.site import application
+
+_AGAIN_S = 5.0  # until a process beside the server that has ended is started again
+_END_S = 15.0  # for a runner to give its jobs back
+_LOG = logging.getLogger(__name__)
 
 
 def closing_silent(seconds: float) -> type[asyncio.Protocol]:
@@ -112,10 +120,9 @@ def require_current(config: ClinicConfig) -> None:
             remedy="Serve the clinic with the version that served it last",
         )  # fmt: skip
     if executor.migration_plan(executor.loader.graph.leaf_nodes()):
-        raise ClinicError(
-            "the database", found="tables of an older version", expected="those of this version",
-            remedy=f"Run `mammometry clinic upgrade {config.folder}`, which makes a backup first",
-        )  # fmt: skip
+        remedy = f"Make a backup with that version, then run `mammometry clinic upgrade {config.folder}`"
+        expected = "those of this version"
+        raise ClinicError("the database", found="tables of an older version", expected=expected, remedy=remedy)
     if not audit.is_sealed():
         raise ClinicError(
             "the audit", found="no triggers that keep it from being changed", expected="them in the database",
@@ -139,16 +146,15 @@ def serve(config: ClinicConfig, *, jobs: bool = True) -> None:
     host, port = host_and_port(config.address)
     tls = config.tls
     if not tls.certificate and not _is_loopback(host):
-        raise ClinicError(
-            f"address {config.address}", found="no certificate", expected="encryption, as other machines can call it",
-            remedy="Give --tls-certificate and --tls-key, or listen on 127.0.0.1 behind a proxy that speaks TLS",
-        )  # fmt: skip
+        remedy = "Give --tls-certificate and --tls-key, or listen on 127.0.0.1 behind a proxy that speaks TLS"
+        expected = "encryption, as other machines can call it"
+        raise ClinicError(f"address {config.address}", found="no certificate", expected=expected, remedy=remedy)
     for name in filter(None, (tls.certificate, tls.key)):
         if not Path(name).is_file():
             raise ClinicError(name, found="no file", expected="a PEM file", remedy="Correct [tls] in clinic.toml")
     require_current(config)
     call_command("clearsessions")  # those that have ended
-    with beside(config) if jobs else nullcontext():
+    with beside(work, config.folder) if jobs else nullcontext():
         uvicorn.run(
             application(config),
             host=host,
@@ -169,6 +175,60 @@ def serve(config: ClinicConfig, *, jobs: bool = True) -> None:
             limit_concurrency=1000,
             ws="none",
         )
+
+
+def work(folder: Path) -> None:
+    """Serve a clinic's queue in this process until a signal ends it."""
+    from mammometry.clinic.site import configure
+
+    config = read_config(folder)
+    configure(config)
+    from mammometry.clinic.deliveries import Deliverer
+    from mammometry.clinic.jobs.runner import Runner
+    from mammometry.clinic.maintenance.backups import DailyBackup
+
+    Deliverer(config).start()
+    DailyBackup(config).start()
+    runner = Runner(config)
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: runner.stop())
+    runner.run()
+
+
+@contextmanager
+def beside(task: Callable[[Path], None], folder: Path, *, again: bool = True) -> Iterator[None]:
+    """Keep a process at work beside the server.
+
+    Args:
+        task: what it runs.
+        folder: the clinic's, its argument.
+        again: start it again when it has ended.
+    """
+    ended = threading.Event()
+    processes: list[subprocess.Popen[bytes]] = []
+
+    def keep() -> None:
+        while not ended.is_set():
+            with ChildProcess(cores=available_cores()) as child, suppress(NotDone):
+                processes[:] = [child.process]
+                child.call(task, folder)
+            if not again:
+                return
+            if not ended.is_set():
+                _LOG.warning("The runner ended and is started again.")
+                ended.wait(_AGAIN_S)
+
+    keeper = threading.Thread(target=keep, daemon=True)
+    keeper.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        for process in processes:
+            process.terminate()  # a runner gives its jobs back
+        keeper.join(_END_S)
+        for process in processes:
+            process.kill()
 
 
 def require_free(address: str) -> None:
@@ -193,10 +253,8 @@ def require_free(address: str) -> None:
             remedy = f"Stop that program, perhaps another server of this clinic. Or: {remedy[0].lower()}{remedy[1:]}"
         elif error.errno == errno.EACCES:
             found = "a port that only the system may use"
-        raise ClinicError(
-            f"address {address}", found=found, expected="an address on which the clinic can listen",
-            remedy=remedy,
-        ) from None  # fmt: skip
+        expected = "an address on which the clinic can listen"
+        raise ClinicError(f"address {address}", found=found, expected=expected, remedy=remedy) from None
 
 
 def _is_loopback(host: str) -> bool:

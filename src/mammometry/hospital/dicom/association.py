@@ -1,7 +1,5 @@
 """A connection to another DICOM application."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
@@ -47,20 +45,20 @@ def associated(
             ae.add_requested_context(sop_class)
         else:
             ae.add_requested_context(sop_class, list(syntaxes))
-    found = ae.associate(
+    association = ae.associate(
         peer.host,
         peer.port,
         ae_title=peer.title,
         tls_args=None if tls is None else (tls.context(), peer.host),
         evt_handlers=list(handlers),
     )
-    if not found.is_established:
-        raise _refused(peer, found, own_title, encrypted=tls is not None)
+    if not association.is_established:
+        raise _refused(peer, association, own_title, encrypted=tls is not None)
     try:
-        yield found
+        yield association
     finally:
-        if found.is_established:
-            found.release()
+        if association.is_established:
+            association.release()
 
 
 def accepts(association: Any, sop_class: str) -> bool:
@@ -93,12 +91,8 @@ def found_by(association: Any, query: Dataset, model: str, peer: Peer) -> list[D
 
 def lost(peer: Peer, when: str) -> ArchiveError:
     """The error for a connection that ended too soon."""
-    return ArchiveError(
-        str(peer),
-        found=f"a connection that ended {when}",
-        expected="an answer",
-        remedy="Run the same command again: what has arrived is not sent again",
-    )
+    remedy = "Run the same command again: what has arrived is not sent again"
+    return ArchiveError(str(peer), found=f"a connection that ended {when}", expected="an answer", remedy=remedy)
 
 
 def echo(peer: Peer, *, own_title: str = OWN_TITLE, tls: Tls | None = None) -> None:
@@ -125,11 +119,9 @@ def _refused(peer: Peer, association: Any, own_title: str, *, encrypted: bool) -
     if association.is_rejected:
         answer = association.acceptor.primitive
         why = "" if answer is None else f" ({answer.reason_str})"
+        remedy = "Ask its administrator to enter our AE title, and check its own"
         return ArchiveError(
-            str(peer),
-            found=f"an application that refuses {own_title}{why}",
-            expected="to be accepted",
-            remedy="Ask its administrator to enter our AE title, and check its own",
+            str(peer), found=f"an application that refuses {own_title}{why}", expected="to be accepted", remedy=remedy
         )
     if association.acceptor.primitive is not None:
         return ArchiveError(
@@ -138,9 +130,6 @@ def _refused(peer: Peer, association: Any, own_title: str, *, encrypted: bool) -
             expected="storage, or the search that was asked for",
             remedy="Ask its administrator which services it allows us",
         )
-    return ArchiveError(
-        str(peer),
-        found="nobody who answers",
-        expected="a DICOM application" + (", with TLS" if encrypted else ""),
-        remedy="Check host and port, whether it runs, and whether it wants TLS. Then run the same command again",
-    )
+    remedy = "Check host and port, whether it runs, and whether it wants TLS. Then run the same command again"
+    expected = "a DICOM application" + (", with TLS" if encrypted else "")
+    return ArchiveError(str(peer), found="nobody who answers", expected=expected, remedy=remedy)

@@ -1,7 +1,5 @@
 """What all objects of a study share: patient, study, series, equipment."""
 
-from __future__ import annotations
-
 import datetime
 import hashlib
 from dataclasses import dataclass
@@ -12,9 +10,8 @@ from pydicom.dataset import FileMetaDataset
 from pydicom.sequence import Sequence
 from pydicom.uid import UID, ExplicitVRLittleEndian
 
-from mammometry.hospital.codes import Coded
+from mammometry.hospital.codes import Coded, uid
 from mammometry.hospital.exported import Exported, Order, Patient
-from mammometry.hospital.identifiers import uid
 
 _IMPLEMENTATION = uid("mammometry", "implementation")
 _NO_DAY = "19000101"  # where DICOM requires a date and none may be told

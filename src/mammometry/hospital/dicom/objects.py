@@ -1,12 +1,137 @@
-"""All objects of a session's study."""
+"""All objects of a session's study, report and models among them as encapsulated documents."""
 
-from __future__ import annotations
+from dataclasses import dataclass
 
 from pydicom import Dataset
+from pydicom.sequence import Sequence
+from pydicom.uid import (
+    UID,
+    EncapsulatedMTLStorage,
+    EncapsulatedOBJStorage,
+    EncapsulatedPDFStorage,
+    EncapsulatedSTLStorage,
+)
 
-from mammometry.hospital.dicom import documents, photographs, structured
-from mammometry.hospital.dicom.frame import Study, encoded
-from mammometry.hospital.exported import Exported, Order, Patient, as_patient_id, person_name
+from mammometry.hospital.codes import UNITS, Coded, uid
+from mammometry.hospital.dicom import photographs, structured
+from mammometry.hospital.dicom.frame import Study, begun, coded, encoded, finished
+from mammometry.hospital.exported import Exported, Order, Patient, Side, as_patient_id, person_name
+
+_MODEL = Coded(value="129020", scheme="DCM", meaning="Photogrammetric Imaging 3D CAM model")  # CID 7061
+_REPORT = Coded(value="126000", scheme="DCM", meaning="Imaging Measurement Report")  # CID 7021
+_LATERALITY = {"left": "L", "right": "R"}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Kind:
+    """One kind of encapsulated document."""
+
+    sop_class: UID
+    mime: str
+    modality: str
+    concept: Coded
+
+
+_PDF = _Kind(sop_class=EncapsulatedPDFStorage, mime="application/pdf", modality="DOC", concept=_REPORT)
+_STL = _Kind(sop_class=EncapsulatedSTLStorage, mime="model/stl", modality="M3D", concept=_MODEL)
+_OBJ = _Kind(sop_class=EncapsulatedOBJStorage, mime="model/obj", modality="M3D", concept=_MODEL)
+_MTL = _Kind(sop_class=EncapsulatedMTLStorage, mime="model/mtl", modality="M3D", concept=_MODEL)
+
+
+def report(study: Study, *, series: int) -> list[Dataset]:
+    """The report as Encapsulated PDF. Empty without one."""
+    pdf = study.exported.report_pdf
+    if pdf is None:
+        return []
+    made = _document(study, _PDF, pdf, series=("report", series, "Report"), instance=1, title="mammometry report")
+    return [finished(made)]
+
+
+def models(study: Study, *, series: int) -> list[Dataset]:
+    """Closed breasts and surface as Encapsulated STL."""
+    made = []
+    for number, solid in enumerate(study.exported.models, 1):
+        model = _document(
+            study, _STL, solid.stl, series=("models", series, "Models, STL"), instance=number, title=solid.title
+        )
+        _of_side(model, solid.side)
+        _manufacturing(model, study, solid.title)
+        made.append(finished(model))
+    return made
+
+
+def covered(study: Study, texture: Dataset, *, series: int) -> list[Dataset]:
+    """Covered models as Encapsulated OBJ, and their MTL. The MTL names the texture."""
+    files = study.exported.covered
+    if files is None:
+        return []
+    place = ("covered", series, "Models with photographs, OBJ")
+    mtl = _document(
+        study, _MTL, files.mtl, series=place, instance=len(files.models) + 1, title="Material of the models"
+    )
+    mtl.ReferencedInstanceSequence = Sequence([_named(texture, "model.jpg")])
+    mtl = finished(mtl)
+    made = []
+    for number, coloured in enumerate(files.models, 1):
+        title = f"{coloured.title}, with photographs"
+        obj = _document(study, _OBJ, coloured.obj, series=place, instance=number, title=title)
+        obj.ReferencedInstanceSequence = Sequence([_named(mtl, "model.mtl")])
+        _of_side(obj, coloured.side)
+        _manufacturing(obj, study, title)
+        made.append(finished(obj))
+    return [*made, mtl]
+
+
+def _document(
+    study: Study, kind: _Kind, content: bytes, *, series: tuple[str, int, str], instance: int, title: str
+) -> Dataset:
+    name, number, series_title = series
+    made = begun(
+        study,
+        sop_class=kind.sop_class,
+        modality=kind.modality,
+        kind=name,
+        number=number,
+        title=series_title,
+        instance=instance,
+    )
+    if kind is _PDF:
+        made.ConversionType = "WSD"  # by a workstation
+    made.AcquisitionDateTime = study.day
+    made.BurnedInAnnotation = "YES" if kind is _PDF and not study.exported.deidentified else "NO"
+    # A naked trunk may be recognised without a face, and so may its shape.
+    made.RecognizableVisualFeatures = "YES"
+    made.DocumentTitle = title
+    made.ConceptNameCodeSequence = Sequence([coded(kind.concept)])
+    made.MIMETypeOfEncapsulatedDocument = kind.mime
+    made.EncapsulatedDocumentLength = len(content)
+    made.EncapsulatedDocument = content + b"\0" * (len(content) % 2)
+    return made
+
+
+def _of_side(made: Dataset, side: Side) -> None:
+    if side in _LATERALITY:
+        made.ImageLaterality = _LATERALITY[side]
+
+
+def _manufacturing(made: Dataset, study: Study, title: str) -> None:
+    """Frame of Reference and Manufacturing 3D Model modules (PS3.3, C.35.1)."""
+    made.FrameOfReferenceUID = study.frame_uid
+    made.PositionReferenceIndicator = ""
+    made.MeasurementUnitsCodeSequence = Sequence([coded(UNITS["mm"])])
+    made.ModelModification = "NO"
+    made.ModelMirroring = "NO"
+    made.ContentDescription = title
+    made.ModelGroupUID = uid("models", study.uid)
+
+
+def _named(target: Dataset, name: str) -> Dataset:
+    """A reference from a document to another object, by the name that the document uses."""
+    item = Dataset()
+    item.ReferencedSOPClassUID = target.SOPClassUID
+    item.ReferencedSOPInstanceUID = target.SOPInstanceUID
+    item.RelativeURIReferenceWithinEncapsulatedDocument = name
+    return item
 
 
 def objects(exported: Exported, patient: Patient = Patient(), order: Order = Order()) -> list[Dataset]:
@@ -29,13 +154,12 @@ def objects(exported: Exported, patient: Patient = Patient(), order: Order = Ord
             sex=patient.sex,
         )
     study = Study(exported=exported, patient=patient, order=order)
-    report = documents.report(study, series=1)
-    models = documents.models(study, series=3)
+    pages, solids = report(study, series=1), models(study, series=3)
     texture = photographs.texture(study, series=5)
-    covered = [] if texture is None else [*documents.covered(study, texture, series=4), texture]
+    skins = [] if texture is None else [*covered(study, texture, series=4), texture]
     pictures = photographs.photographs(study, series=6)
-    measured = structured.report(study, pictures or models or report, series=2)
-    return [*report, *measured, *models, *covered, *pictures]
+    measured = structured.report(study, pictures or solids or pages, series=2)
+    return [*pages, *measured, *solids, *skins, *pictures]
 
 
 def possible_names(photographs: int) -> list[str]:

@@ -3,8 +3,6 @@
 A baseline JPEG is taken over as it is, without its tags. Others are written as plain 8-bit RGB.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +14,7 @@ from pydicom.uid import ExplicitVRLittleEndian, JPEGBaseline8Bit, VLPhotographic
 from mammometry.base.photograph import Photograph
 from mammometry.hospital.codes import BREAST
 from mammometry.hospital.dicom.frame import Study, begun, coded, finished
-from mammometry.io.photographs.jpeg import Jpeg, without_tags
+from mammometry.io.photographs.tags import Jpeg, without_tags
 
 
 def photographs(study: Study, *, series: int) -> list[Dataset]:

@@ -1,7 +1,5 @@
 """Send a study by STOW-RS (PS3.18), nothing twice."""
 
-from __future__ import annotations
-
 import json
 import os
 import ssl
@@ -14,9 +12,9 @@ from pydicom import Dataset
 
 from mammometry.base.errors import ArchiveError
 from mammometry.base.progress import Progress, no_progress
+from mammometry.hospital.codes import uid
 from mammometry.hospital.dicom.frame import encoded
 from mammometry.hospital.dicom.store import Sent
-from mammometry.hospital.identifiers import uid
 from mammometry.hospital.peers import AUTHORIZATION, Tls, web_address
 
 _ANSWER_S = 120.0  # wait for an answer, s; chosen for archives that index before they answer
@@ -71,15 +69,12 @@ def _there(base: str, study: str, context: ssl.SSLContext | None) -> set[str]:
     if not answer.strip():
         return set()
     try:
-        found = json.loads(answer)
-        return {str(instance["00080018"]["Value"][0]) for instance in found}
+        listed = json.loads(answer)
+        return {str(instance["00080018"]["Value"][0]) for instance in listed}
     except (ValueError, KeyError, TypeError, IndexError):
-        raise ArchiveError(
-            base,
-            found="an answer that is no DICOM JSON",
-            expected="a DICOMweb service",
-            remedy="Check the address: it ends before /studies",
-        ) from None
+        remedy = "Check the address: it ends before /studies"
+        expected = "a DICOMweb service"
+        raise ArchiveError(base, found="an answer that is no DICOM JSON", expected=expected, remedy=remedy) from None
 
 
 def _store(base: str, made: Dataset, context: ssl.SSLContext | None, when: str) -> None:
@@ -123,8 +118,8 @@ def _listed(answer: bytes, made: Dataset) -> bool:
 def _items(answer: bytes, sequence: str) -> list[dict[str, Any]]:
     """Items of a sequence of an answer. Empty for an answer that is no DICOM JSON."""
     try:
-        found = json.loads(answer)[sequence].get("Value") or []
-        return [instance for instance in found if isinstance(instance, dict)]
+        items = json.loads(answer)[sequence].get("Value") or []
+        return [instance for instance in items if isinstance(instance, dict)]
     except (ValueError, AttributeError, TypeError, KeyError):
         return []
 

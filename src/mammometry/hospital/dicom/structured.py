@@ -10,11 +10,10 @@ from typing import TYPE_CHECKING, Any
 from pydicom import Dataset
 
 from mammometry.hospital import codes
-from mammometry.hospital.codes import Coded
+from mammometry.hospital.codes import Coded, uid
 from mammometry.hospital.dicom.frame import Study, coded, describe, finished
 from mammometry.hospital.exported import Quantity, Side, person_name
-from mammometry.hospital.identifiers import uid
-from mammometry.report.clinical import Signed
+from mammometry.report.content import Signed
 
 if TYPE_CHECKING:
     from highdicom.sr import CodedConcept

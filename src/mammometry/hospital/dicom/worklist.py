@@ -1,7 +1,5 @@
 """Modality worklist: who is to be photographed, and what was ordered (C-FIND)."""
 
-from __future__ import annotations
-
 import datetime
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,10 +11,10 @@ from pydicom.sequence import Sequence as DicomSequence
 from pynetdicom.sop_class import ModalityWorklistInformationFind  # type: ignore[attr-defined]  # made at run time
 
 from mammometry.base.errors import ArchiveError, SettingsError
+from mammometry.hospital.codes import text_fault
 from mammometry.hospital.dicom.association import OWN_TITLE, associated, found_by
 from mammometry.hospital.exported import Order, Patient, Sex
 from mammometry.hospital.peers import Peer, Tls
-from mammometry.hospital.representations import text_fault
 
 _DESCRIPTION = 64  # letters of a procedure's words that DICOM allows; the rest is cut off
 _SEXES: dict[str, Sex] = {"F": "F", "M": "M", "O": "O"}
@@ -99,7 +97,7 @@ def read_answers(answers: Sequence[Dataset], peer: Peer) -> Worklist:
 
 
 def only_entry(worklist: Worklist, peer: Peer, query: str) -> Entry:
-    """Return the one entry.
+    """Return the only entry of a worklist's answer.
 
     Raises:
         ArchiveError: there is none, or more than one, or it cannot be used.

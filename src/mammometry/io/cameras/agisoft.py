@@ -18,7 +18,7 @@ from mammometry.base.parse import number, numbers, parsing, whole
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.camera import Camera
 from mammometry.io.cameras.own import camera_from_entry, camera_name, unfit
-from mammometry.io.parsing.xml_text import read_xml
+from mammometry.io.parsing.foreign_text import read_xml
 
 _EXPECTED = "cameras as Agisoft exports them (Export Cameras, Agisoft XML)"
 _MM_PER_M = 1000.0  # Agisoft's world is in metres
@@ -67,9 +67,10 @@ def read_agisoft(path: Path, known: Collection[str]) -> dict[str, Camera]:
 
 
 def _lens(subject: str, sensor: ElementTree.Element) -> dict[str, Any]:
-    found = sensor.findall("calibration")
+    calibrations = sensor.findall("calibration")
     calibration = next(
-        (element for element in found if element.get("class") == "adjusted"), found[0] if found else None
+        (element for element in calibrations if element.get("class") == "adjusted"),
+        calibrations[0] if calibrations else None,
     )
     if calibration is None:
         raise unfit(subject, "no calibration of its sensor", "<calibration> with f, cx and cy")

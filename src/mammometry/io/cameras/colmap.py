@@ -4,8 +4,6 @@ COLMAP puts the first pixel's centre at (0.5, 0.5), we (as OpenCV) at (0, 0). It
 R as a quaternion, w first.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path, PurePosixPath

@@ -1,13 +1,16 @@
 """Cameras from and for other programs, and our cameras.json."""
 
-from __future__ import annotations
-
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from itertools import combinations
 from pathlib import Path
 from typing import Literal, TypeAlias
 
-from mammometry.geometry.camera import Camera
+import numpy as np
+
+from mammometry.base.errors import SessionError
+from mammometry.calibration.judge.scale import require_camera_scale, require_sides
+from mammometry.geometry.camera import Camera, Rig
 from mammometry.io.cameras.agisoft import read_agisoft
 from mammometry.io.cameras.colmap import colmap_texts, read_colmap
 from mammometry.io.cameras.halcon import read_halcon
@@ -37,12 +40,12 @@ def import_cameras(paths: Sequence[Path], pair_names: Mapping[str, tuple[str, st
     """
     cameras: dict[str, Camera] = {}
 
-    def add(file: str, found: Mapping[str, Camera]) -> None:
-        for name in found:
+    def add(file: str, by_name: Mapping[str, Camera]) -> None:
+        for name in by_name:
             if name in cameras:
                 raise unfit(file, f"a second camera called {name}", "every camera once")
-        require_plausible(file, found)
-        cameras.update(found)
+        require_plausible(file, by_name)
+        cameras.update(by_name)
 
     known = [name for pair in pair_names.values() for name in pair]
     texts = {path.name: path for path in paths if path.suffix == ".txt"}
@@ -109,3 +112,43 @@ def _read_marked(path: Path, pair_names: Mapping[str, tuple[str, str]], known: S
         return read_agisoft(path, known)
     is_opencv = path.suffix.lower() == ".xml" or start.startswith((b"%YAML", b"<?xml"))
     return read_opencv(path, pair_names) if is_opencv else read_kalibr(path, known)
+
+
+_ONE_PLACE_MM = 1e-6  # cameras nearer to each other stand in one place, but for rounding
+
+
+def require_rig(
+    files: str,
+    cameras: Mapping[str, Camera],
+    pair_names: Mapping[str, tuple[str, str]],
+    subject_kind: str,
+    upside_down: Collection[str] = (),
+) -> tuple[str, ...]:
+    """Refuse imported cameras in one place, on exchanged sides, or in another unit.
+
+    Args:
+        files: names of the cameras' files, for messages.
+        cameras: all cameras of the pairs.
+        pair_names: pair → its left and right camera.
+        subject_kind: ``model``, ``torso`` or ``surface``.
+        upside_down: cameras that are mounted with their tops down.
+
+    Returns:
+        Why their lengths are doubtful, in sentences. Empty if they are usual.
+
+    Raises:
+        SessionError: names the files, what was found, and the unit that would fit.
+        CalibrationError: names the pair whose right camera stands left of the left one.
+    """
+    for camera_pair, other in combinations(dict.fromkeys(name for pair in pair_names.values() for name in pair), 2):
+        distance_mm = np.linalg.norm(cameras[camera_pair].centre_world - cameras[other].centre_world)
+        if distance_mm < _ONE_PLACE_MM:
+            raise SessionError(
+                files,
+                found=f"no R and T by which cameras {camera_pair} and {other} stand in different places",
+                expected="each camera's own R and T, all in one frame, T in millimetres",
+                remedy="Export the cameras with their poses, from a calibration of the whole rig",
+            )
+    rig = Rig(name="imported", cameras=dict(cameras), pair_names=dict(pair_names))
+    require_sides(rig, upside_down)
+    return require_camera_scale(files, rig, subject_kind)

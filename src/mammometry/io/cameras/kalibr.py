@@ -19,7 +19,7 @@ from mammometry.base.parse import numbers, parsing, read_text
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.camera import Camera
 from mammometry.io.cameras.own import camera_from_entry, camera_name, unfit
-from mammometry.io.parsing.yaml_text import yaml_value
+from mammometry.io.parsing.foreign_text import yaml_value
 
 _MM_PER_M = 1000.0  # Kalibr writes metres, we write mm
 _CAMERA = re.compile(r"^cam(\d+)$")
@@ -28,7 +28,7 @@ _ROUNDED = 1e-3  # a matrix this near to a rotation was one before its digits we
 
 
 def read_kalibr(path: Path, known: Collection[str] = ()) -> dict[str, Camera]:
-    """Read a camchain.
+    """Read the cameras of a Kalibr camchain file.
 
     Its first camera is the world. Cameras are named after the part of their ``rostopic`` that the session knows, else
     after its first part.
@@ -89,11 +89,10 @@ def kalibr_text(cameras: Mapping[str, Camera]) -> str:
     before: Camera | None = None
     for number, camera in enumerate(cameras.values()):
         if camera.distortion[4]:
+            remedy = "Export for OpenCV or COLMAP, or calibrate without k3"
+            expected = "k1, k2, p1, p2 only: Kalibr's radtan has no k3"
             raise SessionError(
-                f"camera {camera.name}",
-                found=f"k3 = {camera.distortion[4]:g}",
-                expected="k1, k2, p1, p2 only: Kalibr's radtan has no k3",
-                remedy="Export for OpenCV or COLMAP, or calibrate without k3",
+                f"camera {camera.name}", found=f"k3 = {camera.distortion[4]:g}", expected=expected, remedy=remedy
             )
         entry: dict[str, Any] = {
             "camera_model": "pinhole",

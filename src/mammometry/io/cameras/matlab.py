@@ -4,8 +4,6 @@ MATLAB's objects cannot be read without MATLAB: ``toStruct`` makes structures of
 their centres. Matrices named ``IntrinsicMatrix`` and ``Rotation…`` are for row vectors, the transposes of ours.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

@@ -17,8 +17,7 @@ from mammometry.base.parse import number, numbers, parsing, read_text, whole
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.camera import Camera
 from mammometry.io.cameras.own import camera_from_entry, pair_of_two, unfit
-from mammometry.io.parsing.xml_text import read_xml
-from mammometry.io.parsing.yaml_text import yaml_value
+from mammometry.io.parsing.foreign_text import read_xml, yaml_value
 
 _YAML = "tag:yaml.org,2002:"
 _MATRICES = (f"{_YAML}opencv-matrix", f"{_YAML}opencv-nd-matrix")
@@ -49,10 +48,10 @@ def read_opencv(path: Path, pair_names: Mapping[str, tuple[str, str]]) -> dict[s
         rotation, translation = (_array(storage, *keys) for keys in (("R",), ("T", "t")))
         stereo = "M1" in storage
         if stereo:
-            found = [(_array(storage, "M1"), _array(storage, "D1")), (_array(storage, "M2"), _array(storage, "D2"))]
+            lenses = [(_array(storage, "M1"), _array(storage, "D1")), (_array(storage, "M2"), _array(storage, "D2"))]
         else:
             lens = _array(storage, "distortion_coefficients", "D", "dist")
-            found = [(_array(storage, "camera_matrix", "K", "M"), lens)]
+            lenses = [(_array(storage, "camera_matrix", "K", "M"), lens)]
     if (rotation is None) != (translation is None) or (stereo and rotation is None):
         missing = " and ".join(name for name, value in (("R", rotation), ("T", translation)) if value is None)
         raise unfit(path.name, f"no {missing}", "R and T, the camera's pose in the rig's frame, T in millimetres")
@@ -65,7 +64,7 @@ def read_opencv(path: Path, pair_names: Mapping[str, tuple[str, str]]) -> dict[s
             raise unfit(path.name, f"a stereo rig, and a session of {len(pair_names)} pairs", "a session of one pair")
         names = pair
     cameras = {}
-    for index, (name, (intrinsic, lens)) in enumerate(zip(names, found, strict=True)):
+    for index, (name, (intrinsic, lens)) in enumerate(zip(names, lenses, strict=True)):
         if intrinsic is None:
             raise unfit(path.name, "no camera matrix", "camera_matrix or K")
         posed = not stereo or index == 1

@@ -1,7 +1,5 @@
 """Cameras in our cameras.json, and helpers shared with other formats."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path, PurePosixPath

@@ -89,11 +89,9 @@ def read_ply(path: Path) -> tuple[TriangleMesh, dict[str, Array], tuple[str, ...
             raise ValueError("coordinates that are not finite")
         mesh = TriangleMesh(vertices=positions, faces=np.ascontiguousarray(faces["corners"]))
     except (ValueError, KeyError) as error:
+        remedy = "Export the mesh again"
         raise StorageError(
-            path.name,
-            found=f"a mesh that cannot be read ({error_text(error)})",
-            expected=expected,
-            remedy="Export the mesh again",
+            path.name, found=f"a mesh that cannot be read ({error_text(error)})", expected=expected, remedy=remedy
         ) from None
     others = {name: np.ascontiguousarray(vertices[name]) for name, _ in header.columns if name not in ("x", "y", "z")}
     return mesh, others, header.comments
@@ -146,10 +144,6 @@ def read_wall(path: Path) -> TriangleMesh:
     wall = read_ply(path)[0]
     extent = subject_extent(float(np.ptp(wall.vertices, axis=0).max()))
     if not extent.is_possible:
-        raise SessionError(
-            path.name,
-            found=f"a wall of which {extent}",
-            expected=extent.expected,
-            remedy=f"Export it in millimetres{fitting(extent.mm, [extent])}",
-        )
+        remedy = f"Export it in millimetres{fitting(extent.mm, [extent])}"
+        raise SessionError(path.name, found=f"a wall of which {extent}", expected=extent.expected, remedy=remedy)
     return wall

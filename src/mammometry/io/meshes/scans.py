@@ -22,18 +22,16 @@ from PIL import Image
 
 from mammometry.base.errors import SessionError
 from mammometry.base.identity import subject_id
-from mammometry.base.limits import LimitSettings
-from mammometry.base.parse import read_bytes, read_text, toml_table
-from mammometry.base.posture import POSTURES
+from mammometry.base.parse import LimitSettings, read_bytes, read_text, toml_table
 from mammometry.geometry.arrays import Array, Float64, UInt8
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.mesh_files.obj import parse_obj
 from mammometry.io.meshes.foreign import MM_PER_UNIT, ForeignMesh, read_foreign
-from mammometry.io.meshes.obj_texture import CoveredObj, read_covered_obj, texture_at
 from mammometry.io.meshes.own_ply import read_ply, write_ply
-from mammometry.io.meshes.scene_files import covered_parts
+from mammometry.io.meshes.textures import CoveredObj, covered_parts, read_covered_obj, texture_at
 from mammometry.io.photographs.images import read_photograph, read_plain_picture
-from mammometry.io.photographs.jpeg import without_tags
+from mammometry.io.photographs.tags import without_tags
+from mammometry.measure.settings import POSTURES
 
 ABOUT, MESH = "scan.toml", "scan.ply"
 RESULTS = "results"
@@ -216,10 +214,9 @@ def _check(about: Scan) -> None:
             "the scan's subject", found=f"{about.subject!r:.40}", expected=str(error), remedy="Correct --subject"
         ) from None  # fmt: skip
     if about.posture not in ("", *POSTURES):
-        raise SessionError(
-            "the scan's posture", found=f"{about.posture[:20]!r}", expected=f"one of {', '.join(POSTURES)}",
-            remedy="Correct --posture",
-        )  # fmt: skip
+        remedy = "Correct --posture"
+        expected = f"one of {', '.join(POSTURES)}"
+        raise SessionError("the scan's posture", found=f"{about.posture[:20]!r}", expected=expected, remedy=remedy)
     for axis, given in (("head", about.head), ("ahead", about.ahead)):
         if given not in ("", *AXES):
             raise SessionError(
@@ -274,18 +271,18 @@ def _libraries(mesh: Path, lines: tuple[str, ...]) -> list[Path]:
 def _materials(path: Path) -> dict[str, str]:
     """Material → its picture's file name. Empty for a plain colour."""
     content = read_bytes(path, path.name, "a material file", most_mib=_MOST_MTL_MIB)
-    found: dict[str, str] = {}
+    pictures: dict[str, str] = {}
     current = ""
     for line in re.split("\r\n|\r|\n", content.decode("utf-8-sig", "surrogateescape")):
         word, _, rest = line.strip().replace("\t", " ").partition(" ")
         if word == "newmtl":
             current = rest.strip()
-            found.setdefault(current, "")
-        elif word.lower() == "map_kd" and current in found:
-            found[current] = _picture(rest)
-    if not found:
+            pictures.setdefault(current, "")
+        elif word.lower() == "map_kd" and current in pictures:
+            pictures[current] = _picture(rest)
+    if not pictures:
         raise _refused(path, "no materials", "a material file (MTL)", "Export the scan again as OBJ with its texture")
-    return found
+    return pictures
 
 
 def _picture(rest: str) -> str:

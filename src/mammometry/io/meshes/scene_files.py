@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 
 from mammometry.base.errors import SessionError
-from mammometry.base.limits import LimitSettings
-from mammometry.base.parse import error_text, read_bytes
+from mammometry.base.parse import LimitSettings, error_text, read_bytes
 from mammometry.geometry.arrays import Array, Float64, Int64
 from mammometry.geometry.mesh_files.mesh_file import check_glb
 from mammometry.geometry.mesh_files.usdz import read_usdz

@@ -30,7 +30,7 @@ _ENCODINGS = {1: "utf-8", 2: "latin-1", 4: "utf-16", 16: "utf-8", 17: "utf-16", 
 
 
 def read_variables(content: bytes) -> dict[str, Variable]:
-    """Read all variables.
+    """Read all variables of a MAT-file.
 
     Raises:
         ValueError: it is no such file, or damaged.

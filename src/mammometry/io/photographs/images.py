@@ -12,8 +12,7 @@ import numpy as np
 from PIL import Image, UnidentifiedImageError
 
 from mammometry.base.errors import ImageError, MammometryError
-from mammometry.base.limits import LimitSettings
-from mammometry.base.parse import require_file
+from mammometry.base.parse import LimitSettings, require_file
 from mammometry.base.photograph import Photograph
 from mammometry.geometry.arrays import Array, Bool, UInt8
 from mammometry.io.photographs.tiff import SIGNATURES, UnusualTiffError, tiff_header, tiff_is_truncated, tiff_pixels
@@ -127,12 +126,8 @@ def read_photograph(
     """
     header = read_header(path, name, limits)
     if header.bits not in (8, 16):
-        raise ImageError(
-            name,
-            found=f"{header.bits} bits a channel",
-            expected="8 or 16 bits",
-            remedy="Export it as an ordinary JPEG, PNG or TIFF",
-        )
+        remedy = "Export it as an ordinary JPEG, PNG or TIFF"
+        raise ImageError(name, found=f"{header.bits} bits a channel", expected="8 or 16 bits", remedy=remedy)
     with _reading(path, name):
         _require_complete(path, name)
         if is_tiff(path):
@@ -234,12 +229,9 @@ def check_sizes(headers: Mapping[str, ImageHeader], camera: str, expected_wh: tu
                 else "Export the photographs at one size, without cropping or scaling",
             )
         if header.orientation != first[1].orientation and header.stored_wh == first[1].stored_wh:
-            raise ImageError(
-                name,
-                found=f"EXIF orientation {header.orientation}",
-                expected=f"{first[1].orientation}, as {like} of camera {camera}",
-                remedy="Export all photographs of a camera turned the same way",
-            )
+            remedy = "Export all photographs of a camera turned the same way"
+            expected = f"{first[1].orientation}, as {like} of camera {camera}"
+            raise ImageError(name, found=f"EXIF orientation {header.orientation}", expected=expected, remedy=remedy)
 
 
 def _check_size(size_wh: tuple[int, int], name: str, limits: LimitSettings) -> None:
@@ -373,12 +365,8 @@ def _unreadable(path: Path, name: str, error: BaseException | None) -> ImageErro
     if path.is_file() and path.stat().st_size == 0:
         return ImageError(name, found="an empty file", expected="a photograph", remedy="Copy it again from the camera")
     if isinstance(error, UnusualTiffError):
-        return ImageError(
-            name,
-            found=str(error),
-            expected="a photograph, grey or RGB, of 8 or 16 bits",
-            remedy="Export it as an ordinary JPEG, PNG or TIFF",
-        )
+        remedy = "Export it as an ordinary JPEG, PNG or TIFF"
+        return ImageError(name, found=str(error), expected="a photograph, grey or RGB, of 8 or 16 bits", remedy=remedy)
     if error is not None and "truncated" in str(error).lower():
         return _truncated(name)
     if isinstance(error, OSError) and error.errno is not None:
@@ -387,9 +375,5 @@ def _unreadable(path: Path, name: str, error: BaseException | None) -> ImageErro
     kind = "a damaged image"
     if isinstance(error, UnidentifiedImageError):
         kind = _other_format(path) or "a file that is not an image"
-    return ImageError(
-        name,
-        found=kind,
-        expected="a readable JPEG, PNG or TIFF",
-        remedy="Copy it again from the camera, or export it again",
-    )
+    remedy = "Copy it again from the camera, or export it again"
+    return ImageError(name, found=kind, expected="a readable JPEG, PNG or TIFF", remedy=remedy)

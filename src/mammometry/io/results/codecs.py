@@ -18,8 +18,6 @@ all others            .npz, deflated: arrays, and ``tree``, UTF-8 JSON that says
 ====================  =========================================================================================
 """
 
-from __future__ import annotations
-
 import struct
 import zipfile
 import zlib
@@ -27,8 +25,7 @@ from pathlib import Path
 from typing import Any
 
 from mammometry.base.errors import MammometryError, StorageError
-from mammometry.io.results.formats.arrays import ARRAYS
-from mammometry.io.results.formats.registry import FORMATS, Format
+from mammometry.io.results.arrays import ARRAYS, FORMATS, Format
 
 _DAMAGED = (
     OSError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError, EOFError, RecursionError,
@@ -66,11 +63,10 @@ def decode(folder: Path, product: str) -> Any:
     except MammometryError:
         raise
     except _DAMAGED as error:
+        remedy = "Run the command again: it will be made again"
+        expected = "the file as it was written"
         raise StorageError(
-            path.name,
-            found=f"a result that cannot be read back ({error})",
-            expected="the file as it was written",
-            remedy="Run the command again: it will be made again",
+            path.name, found=f"a result that cannot be read back ({error})", expected=expected, remedy=remedy
         ) from None
 
 

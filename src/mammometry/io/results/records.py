@@ -1,7 +1,5 @@
 """Records in provenance.json, checked strictly: the folder may be foreign."""
 
-from __future__ import annotations
-
 import json
 import os
 import re
@@ -131,22 +129,22 @@ def is_own_folder(folder: Path) -> bool:
 
 
 def is_link(path: Path) -> bool:
-    """Whether it is a symbolic link, or on Windows a junction."""
+    """Whether a path is a symbolic link, or on Windows a junction."""
     return path.is_symlink() or bool(getattr(os.path, "isjunction", lambda _: False)(path))
 
 
 def is_plain(path: Path) -> bool:
-    """Whether it is a file: not a folder, link, pipe or device."""
+    """Whether a path is a plain file: not a folder, link, pipe or device."""
     return status(path) is not None
 
 
 def status(path: Path) -> os.stat_result | None:
     """Size and times of a plain file. None where there is none."""
     try:
-        found = path.lstat()
+        about = path.lstat()
     except (OSError, ValueError):
         return None
-    return found if modes.S_ISREG(found.st_mode) else None
+    return about if modes.S_ISREG(about.st_mode) else None
 
 
 def file_of(results: Path, stage: str, name: str) -> os.stat_result | None:

@@ -4,8 +4,6 @@ The store stamps whatever a stage wrote, so that no writer has to think of it. P
 their headings instead.
 """
 
-from __future__ import annotations
-
 import json
 import re
 import struct
@@ -51,8 +49,8 @@ def subject_of_mesh(path: Path) -> str | None:
             if head[:4] == b"glTF":
                 (length,) = struct.unpack_from("<I", head, 12)
                 file.seek(20)
-                found = json.loads(file.read(length))["asset"]["extras"]["subject"]
-                return found if isinstance(found, str) else None
+                subject = json.loads(file.read(length))["asset"]["extras"]["subject"]
+                return subject if isinstance(subject, str) else None
     except (OSError, ValueError, KeyError, TypeError, RecursionError, struct.error):
         return None
     line = _LINE.search(head.partition(b"end_header")[0])

@@ -8,8 +8,6 @@ results folder may come from elsewhere. What its records say is checked (`record
 is in the way and not ours is set aside, never removed.
 """
 
-from __future__ import annotations
-
 import json
 import logging
 import os
@@ -30,7 +28,6 @@ from typing import Literal, TypeVar, cast
 from mammometry.base.errors import StorageError
 from mammometry.base.machine.cores import available_cores
 from mammometry.base.progress import Progress, no_progress
-from mammometry.io.durable import sync_folder, sync_tree, write_new
 from mammometry.io.lock import RunLock
 from mammometry.io.results.records import (
     READY_RECORD,
@@ -46,7 +43,7 @@ from mammometry.io.results.records import (
     write_records,
 )
 from mammometry.io.results.stamp import stamp_folder
-from mammometry.io.write import disk_errors, file_digest
+from mammometry.io.write import disk_errors, file_digest, sync_folder, sync_tree, write_new
 from mammometry.job.products import Key
 
 T = TypeVar("T")
@@ -62,7 +59,7 @@ _LOG = logging.getLogger(__name__)
 
 
 def unwatched(key: Key) -> AbstractContextManager[Progress]:
-    """Watch nothing."""
+    """Watch a product being made, without showing anything."""
     return nullcontext(no_progress)
 
 
@@ -104,12 +101,9 @@ class Store:
     def _take(self) -> None:
         with disk_errors(self.folder):
             if is_link(self.folder):
-                raise StorageError(
-                    str(self.folder),
-                    found="a link to another folder",
-                    expected="a folder, so that nothing is written elsewhere",
-                    remedy="Replace the link by a folder",
-                )
+                remedy = "Replace the link by a folder"
+                expected = "a folder, so that nothing is written elsewhere"
+                raise StorageError(str(self.folder), found="a link to another folder", expected=expected, remedy=remedy)
             if not self.folder.exists():
                 self.folder.mkdir()
                 sync_folder(self.folder.parent)
@@ -260,10 +254,10 @@ class Store:
         return state == "current"
 
     def _is_as_written(self, results: Path, stage: str, name: str, written: FileRecord) -> bool:
-        found = file_of(results, stage, name)
-        if found is None or found.st_size != written.bytes:
+        file = file_of(results, stage, name)
+        if file is None or file.st_size != written.bytes:
             return False
-        path, identity = results / stage / name, _identity(found)
+        path, identity = results / stage / name, _identity(file)
         if self._digests.get(path, (None, ""))[0] != identity:
             with disk_errors(path):
                 self._digests[path] = identity, file_digest(path)
@@ -380,18 +374,16 @@ class Reader:
         """
 
         def refuse() -> Callable[[Progress], T]:
+            remedy = "Run the session: it will be made"
             raise StorageError(
-                f"{key.stage}/{key.product}",
-                found="no current result",
-                expected="it on the disk",
-                remedy="Run the session: it will be made",
+                f"{key.stage}/{key.product}", found="no current result", expected="it on the disk", remedy=remedy
             )
 
         return self._store.recall(key, refuse)
 
 
-def _identity(found: os.stat_result) -> _Identity:
-    return found.st_size, found.st_mtime_ns, found.st_ino, found.st_ctime_ns
+def _identity(status: os.stat_result) -> _Identity:
+    return status.st_size, status.st_mtime_ns, status.st_ino, status.st_ctime_ns
 
 
 def _names(records: dict[str, Record]) -> set[str]:

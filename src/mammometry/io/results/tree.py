@@ -5,8 +5,6 @@ scalars become JSON. Arrays are set aside under a number, for the caller to stor
 label in `STORED_TYPES`.
 """
 
-from __future__ import annotations
-
 import importlib
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
@@ -135,11 +133,10 @@ def from_tree(tree: Any, arrays: Mapping[str, np.ndarray[Any, Any]]) -> Any:
         members = {now.get(name, str(name)): from_tree(item, arrays) for name, item in tree.items() if name != "$value"}
         return _type(tree["$value"])(**members)
     except (KeyError, TypeError, ValueError, AttributeError, ImportError) as error:
+        remedy = "Delete the results folder and run again"
+        expected = "a result of this version"
         raise StorageError(
-            "a stored result",
-            found=f"one that cannot be rebuilt ({error})",
-            expected="a result of this version",
-            remedy="Delete the results folder and run again",
+            "a stored result", found=f"one that cannot be rebuilt ({error})", expected=expected, remedy=remedy
         ) from None
 
 

@@ -1,7 +1,5 @@
 """Whether every byte of a results folder is as it was written. Changes nothing."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -54,12 +52,9 @@ def results_in(folder: Path) -> Path:
         return folder / RESULTS
     if any((folder / stage).is_dir() for stage in STAGES):
         return folder
-    raise SessionError(
-        str(folder),
-        found="no results",
-        expected="a session, a scan, or the folder of a measured mesh",
-        remedy="Name the folder that `mammometry run` or `mammometry measure` has written to",
-    )
+    remedy = "Name the folder that `mammometry run` or `mammometry measure` has written to"
+    expected = "a session, a scan, or the folder of a measured mesh"
+    raise SessionError(str(folder), found="no results", expected=expected, remedy=remedy)
 
 
 def verify(results: Path) -> Findings:
@@ -83,11 +78,11 @@ def verify(results: Path) -> Findings:
             for name in invalid or ([RECORDS] if set(present) - moving[stage] and not records else [])
         ]
     for stage, product, name, written in files:
-        found = _damage(results, stage, name, written)
-        if found is None:
+        damage = _damage(results, stage, name, written)
+        if damage is None:
             whole += written.bytes
         else:
-            damaged.append(Damage(stage=stage, product=product, file=f"{stage}/{name}", found=found))
+            damaged.append(Damage(stage=stage, product=product, file=f"{stage}/{name}", found=damage))
     return Findings(
         products=sum(len(records) for records, _ in read.values()),
         files=len(files),
@@ -115,11 +110,11 @@ def _no_record(stage: str, name: str) -> Damage:
 
 
 def _damage(results: Path, stage: str, name: str, written: FileRecord) -> str | None:
-    found = file_of(results, stage, name)
-    if found is None:
+    path = file_of(results, stage, name)
+    if path is None:
         return "no such file"
-    if found.st_size != written.bytes:
-        return f"{found.st_size} bytes where {written.bytes} were written"
+    if path.st_size != written.bytes:
+        return f"{path.st_size} bytes where {written.bytes} were written"
     try:
         digest = file_digest(results / stage / name)
     except OSError as error:

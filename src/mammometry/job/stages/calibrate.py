@@ -10,9 +10,8 @@ from mammometry.base.errors import CalibrationError
 from mammometry.base.photograph import Photograph
 from mammometry.base.progress import Progress, no_progress
 from mammometry.geometry.camera import Rig
-from mammometry.job.inputs import Inputs
+from mammometry.job.inputs import CameraSet, Inputs
 from mammometry.job.products import Context, product, product_of_each
-from mammometry.job.values import CameraSet
 
 if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a plan alone need not wait for.
     from mammometry.calibration.adjust.calibrated import Calibration
@@ -133,15 +132,12 @@ def _adjusted(
     )
 
 
-def _quality_settings(job: Context) -> object:
-    return job.settings.calibration.quality if job.inputs.calibrates else None
-
-
-def _camera_inputs(job: Context) -> dict[str, str]:
-    return {} if job.inputs.calibrates else job.inputs.key_part("cameras", "rig", "subject")
-
-
-@product("calibrate", version=6, settings=_quality_settings, inputs=_camera_inputs)
+@product(
+    "calibrate",
+    version=6,
+    settings=lambda job: job.settings.calibration.quality if job.inputs.calibrates else None,
+    inputs=lambda job: {} if job.inputs.calibrates else job.inputs.key_part("cameras", "rig", "subject"),
+)
 def cameras(calibration: Calibration | None, *, job: Context) -> CameraSet:
     """The cameras of a calibration that is fit to measure with, or those that came with the session.
 
@@ -184,11 +180,10 @@ def _imported(inputs: Inputs) -> CameraSet:
     wanted = sorted({name for pair in inputs.pair_names.values() for name in pair} | set(inputs.photographs))
     missing = [name for name in wanted if name not in inputs.cameras]
     if missing:
+        remedy = "Import every camera of the rig, under the names that session.toml uses"
+        expected = f"also {', '.join(missing)}"
         raise CalibrationError(
-            "cameras.json",
-            found=f"cameras {', '.join(inputs.cameras)}",
-            expected=f"also {', '.join(missing)}",
-            remedy="Import every camera of the rig, under the names that session.toml uses",
+            "cameras.json", found=f"cameras {', '.join(inputs.cameras)}", expected=expected, remedy=remedy
         )
     rig = Rig(
         name=inputs.rig_name, cameras={name: inputs.cameras[name] for name in wanted}, pair_names=inputs.pair_names

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 from mammometry.base.errors import MatchingError
 from mammometry.base.machine.cores import available_cores
 from mammometry.base.photograph import Photograph
+from mammometry.job.inputs import CameraSet
 from mammometry.job.products import Context, product, product_of_each
-from mammometry.job.values import CameraSet
 
 if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a plan alone need not wait for.
     from mammometry.calibration.features.keypoints import Keypoints
@@ -48,10 +48,8 @@ def names(cameras: CameraSet, *, job: Context) -> Names:
     fitting = {name: points for name, (size_wh, points) in seen.items() if size_wh == cameras.rig.cameras[name].size_wh}
     compared = check_names(cameras.rig, fitting)
     for wrong in wrong_photographs(compared, job.inputs.pair_names):
-        raise MatchingError(
-            f"capture, {wrong.listed}", found=wrong.found,
-            expected="each camera's own photograph, all of one exposure", remedy=wrong.remedy,
-        )  # fmt: skip
+        expected = "each camera's own photograph, all of one exposure"
+        raise MatchingError(f"capture, {wrong.listed}", found=wrong.found, expected=expected, remedy=wrong.remedy)
     return compared
 
 

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 from mammometry.base.errors import MeasureError
 from mammometry.geometry.arrays import Array, Float64
+from mammometry.job.inputs import CameraSet, FinishedSurface, earlier_errors
 from mammometry.job.products import Context, product
-from mammometry.job.values import CameraSet, FinishedSurface, earlier_errors
 
 if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a plan alone need not wait for.
     from mammometry.calibration.adjust.calibrated import Calibration
@@ -73,7 +73,7 @@ def boundaries(
 ) -> tuple[Boundary, ...]:
     """One closed curve for each breast: drawn, by picked landmarks, or found."""
     from mammometry.measure.boundary import boundary
-    from mammometry.measure.volume.refused import wanted_boundaries
+    from mammometry.measure.volume.volumes import wanted_boundaries
 
     inputs, settings = job.inputs, job.settings.measure
     given = tuple(
@@ -89,14 +89,14 @@ def boundaries(
     if given and not inputs.automatic:
         return given
     if inputs.all_removed:
-        found: tuple[Boundary, ...] = ()
+        curves: tuple[Boundary, ...] = ()
     elif sides is not None:
-        found = wanted_boundaries(sides, inputs.removed, required=not inputs.boundaries)
+        curves = wanted_boundaries(sides, inputs.removed, required=not inputs.boundaries)
     elif _torso(job):
         frame = _frame(corrected_cameras, job)
-        found = boundary.landmark_boundaries(inputs.landmarks, repaired, frame, settings)
+        curves = boundary.landmark_boundaries(inputs.landmarks, repaired, frame, settings)
     else:
-        found = boundary.find_boundaries(
+        curves = boundary.find_boundaries(
             repaired,
             foregrounds,
             corrected_cameras.rig,
@@ -106,12 +106,12 @@ def boundaries(
             progress=job.progress,
         )
     if not given:
-        return found
-    wanted = (curve for curve in found if curve.name in inputs.automatic)
+        return curves
+    wanted = (curve for curve in curves if curve.name in inputs.automatic)
     return tuple(sorted((*given, *wanted), key=lambda curve: curve.name))
 
 
-@product("measure", version=4, settings="measure.thorax", inputs=("mounting",), when=_torso)
+@product("measure", version=5, settings="measure.thorax", inputs=("mounting",), when=_torso)
 def body(
     corrected_cameras: CameraSet, repaired: RepairedSurface, boundaries: tuple[Boundary, ...], *, job: Context
 ) -> Body:
@@ -145,7 +145,7 @@ def evidence(
     )
 
 
-@product("measure", version=18, name="measurement", settings="measure", inputs=("wall", "scale"), when=_has_volume)
+@product("measure", version=19, name="measurement", settings="measure", inputs=("wall", "scale"), when=_has_volume)
 def measurements(
     repaired: RepairedSurface,
     boundaries: tuple[Boundary, ...],
@@ -189,12 +189,12 @@ def absent(
     job: Context,
 ) -> tuple[NoBreast, ...]:
     """Sides that were not measured, with reasons: without a breast, removed, unclear or refused."""
-    from mammometry.measure.volume.refused import refused_side, removed_side
+    from mammometry.measure.volume.volumes import refused_side, removed_side
     from mammometry.measure.wall.open_breast import open_breasts
 
     inputs = job.inputs
-    found = () if sides is None else sides.absent
-    absent = [side for side in found if side.name not in (*inputs.boundaries, *inputs.removed)]
+    sides_without = () if sides is None else sides.absent
+    absent = [side for side in sides_without if side.name not in (*inputs.boundaries, *inputs.removed)]
     absent += [removed_side(name, body, repaired) for name in inputs.removed]
     measured = {measurement.name for measurement in measurements}
     if any(curve.name not in measured for curve in boundaries):
@@ -217,10 +217,11 @@ def lacking(
     return () if deficit is None else (deficit,)
 
 
-@product("measure", version=4, settings="measure", inputs=("landmarks", "mounting"), when=_has_volume, threads=1)
+@product("measure", version=5, settings="measure", inputs=("landmarks", "mounting"), when=_has_volume, threads=1)
 def landmarks(
     corrected_cameras: CameraSet,
     mesh: FinishedSurface,
+    boundaries: tuple[Boundary, ...],
     measurements: tuple[VolumeMeasurement, ...],
     body: Body | None,
     *,
@@ -231,7 +232,9 @@ def landmarks(
 
     textured, picked, settings = mesh.textured, job.inputs.landmarks, job.settings.measure
     frame, plane = _frame(corrected_cameras, job, body), None if body is None else body.plane
-    return find_landmarks(textured.mesh, textured.colours, measurements, picked, frame, settings, plane=plane)
+    return find_landmarks(
+        textured.mesh, textured.colours, measurements, picked, frame, settings, plane=plane, boundaries=boundaries
+    )
 
 
 @product("measure", version=3, when=_has_volume, threads=1)

@@ -3,8 +3,6 @@
 The key of a page holds all that it shows, so that nothing can be shown and forgotten.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from mammometry.job.inputs import CameraSet, FinishedSurface
 from mammometry.job.products import Context, product, product_of_each
-from mammometry.job.values import CameraSet, FinishedSurface
 
 if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a plan alone need not wait for.
     from mammometry.calibration.adjust.calibrated import Calibration
@@ -97,7 +97,7 @@ def valid_patches(
     *,
     job: Context,
 ) -> ValidPatches:
-    """Those data: taken from the range images when they are wanted."""
+    """Range data that survive, taken from the range images when they are wanted."""
     return keep_masks.of([stillness.carry(image, cameras.rig) for image in range_images.values()])
 
 
@@ -150,7 +150,7 @@ def initial_surface(valid_patches: ValidPatches, solid: Solid | None, *, job: Co
     return extract.meshed(solid, extraction, progress=job.progress)
 
 
-@product("surface", version=5, name="repaired", settings="surface.repair")
+@product("surface", version=6, name="repaired", settings="surface.repair")
 def repaired(initial_surface: TriangleMesh, valid_patches: ValidPatches, *, job: Context) -> RepairedSurface:
     """The surface, drawn elastically to the range data. An open one stays as measured. Paper 2.6.3."""
     from mammometry.surface.repair import repair

@@ -26,10 +26,7 @@ def beside_jump(shift: Float32[Array, "h w"], mask: Bool[Array, "h w"], reach_px
 
 @fast_kernel
 def jumps(shift: Float32[Array, "h w"], mask: Bool[Array, "h w"]) -> Bool[Array, "h w"]:
-    """Pixels beside a jump of the shift.
-
-    Their 3 × 3 masked neighbours' shifts are too far apart for one surface.
-    """
+    """Pixels whose 3 × 3 masked neighbours' shifts are too far apart for one surface."""
     height, width = shift.shape
     out = np.zeros((height, width), dtype=np.bool_)
     limit, far = np.float32(_JUMP_PX), np.float32(1e9)

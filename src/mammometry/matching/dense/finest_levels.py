@@ -10,7 +10,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from mammometry.geometry.arrays import Array, Float32
-from mammometry.matching.dense.consistency_kernels import agreeing, smoothing_weights
 from mammometry.matching.dense.least_squares import (
     AGREEMENT_PX,
     LAST_SMOOTHING_PX,
@@ -20,7 +19,15 @@ from mammometry.matching.dense.least_squares import (
     judged,
     upsampled_start,
 )
-from mammometry.matching.dense.least_squares_step import Both, Estimate, Side, prepare, step
+from mammometry.matching.dense.least_squares_step import (
+    Both,
+    Estimate,
+    Side,
+    agreeing,
+    prepare,
+    smoothing_weights,
+    step,
+)
 from mammometry.matching.dense.plane_smoothing import smooth
 from mammometry.matching.dense.vertical_disparity import Vertical, aligned
 from mammometry.matching.pyramid import Level, finer_shift

@@ -14,8 +14,16 @@ from typing import Any, TypeVar
 import numpy as np
 
 from mammometry.geometry.arrays import Array, Bool, Float32
-from mammometry.matching.dense.consistency_kernels import agreeing, compete, smoothing_weights
-from mammometry.matching.dense.least_squares_step import Both, Estimate, Side, prepare, step
+from mammometry.matching.dense.least_squares_step import (
+    Both,
+    Estimate,
+    Side,
+    agreeing,
+    compete,
+    prepare,
+    smoothing_weights,
+    step,
+)
 from mammometry.matching.dense.levels import LevelWork
 from mammometry.matching.dense.plane_smoothing import adaptively_smooth, smooth
 from mammometry.matching.dense.vertical_disparity import LevelState, Vertical, aligned
@@ -23,9 +31,8 @@ from mammometry.matching.pyramid import Level, finer_shift
 from mammometry.matching.settings import MatchSettings
 
 SMOOTHING_PX = (2.5, 4.0, 6.4, 10.2)
-"""Gaussian σ of the final plane fits, pixels of the finest level, fine to coarse. Each pixel takes a finer one as
-far as noise allows.
-"""
+"""Gaussian σ of the final plane fits, pixels of the finest level, fine to coarse. Each pixel takes a finer one as far
+as noise allows."""
 AGREEMENT_PX = 1.0  # between the two directions, for a match to count in the smoothing; chosen by eye
 _START_DEVIATION_PX = 0.5  # of the semi-global start, pixels of its level; chosen by eye
 _YIELDS_AT = 4.0  # times the known match's standard deviation: a finer match less certain is dropped; chosen by eye
@@ -34,8 +41,7 @@ _COARSE_SMOOTHING_PX = 2.5  # σ of the plane fits between the steps: a window's
 LAST_SMOOTHING_PX = 4.5  # … on the last level; 3.5 px was worse on the torso by a twentieth (docs/decisions/0015)
 _DETAIL_FACTOR = 2.75
 """Ratio to the noise variance of its difference from the next one, above which a finer final smoothing is used. 3, 4
-and 6 measured worse (docs/decisions/0015).
-"""
+and 6 measured worse (docs/decisions/0015)."""
 
 _T = TypeVar("_T")
 
@@ -161,10 +167,7 @@ def _stepped(
     *,
     widely: bool,
 ) -> Both[Estimate]:
-    """One least-squares step of both directions.
-
-    From the given fields; what fails yields to what is known.
-    """
+    """One least-squares step of both directions. What fails yields to what is known."""
     sigma = settings.window_sigma_px
 
     def one(here: Side, there: Side, shift: Float32[Array, "h w"]) -> Estimate:

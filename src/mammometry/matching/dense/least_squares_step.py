@@ -1,6 +1,7 @@
-"""One least-squares step of one direction.
+"""One least-squares step of one direction, and kernels that compare both directions.
 
-It works in bands of rows, so that what it needs beyond its result stays small.
+The step works in bands of rows, so that what it needs beyond its result stays small. Both directions must agree, a fine
+match competes with the coarse one, and the smoothing weighs by certainty.
 """
 
 from dataclasses import dataclass
@@ -9,16 +10,110 @@ from typing import Any, TypeAlias, TypeVar
 import numpy as np
 from scipy import ndimage
 
+from mammometry.base.machine.compiled import fast_kernel
 from mammometry.geometry.arrays import Array, Bool, Float32, Int64
 from mammometry.matching.correlation_kernels import least_squares, mean_slope, slope_ratio, warp_rows
 from mammometry.matching.dense.depth_layers import beside_jump, layered_least_squares
 from mammometry.matching.filters import blur, gaussian_taps
 from mammometry.matching.pyramid import Level
 
+_DOUBTED_WEIGHT = np.float32(0.02)  # of a match that failed: it only bridges gaps; chosen by eye
+_LEAST_VARIANCE_PX2 = np.float32(0.01**2)  # keeps one very sure match from outweighing all others; chosen by eye
+_LARGEST_VARIANCE_PX2 = np.float32(1.0)  # a step is never larger than 1 px
+
+
+@fast_kernel
+def agreeing(ours: Float32[Array, "h w"], theirs: Float32[Array, "h w"], limit: float) -> Bool[Array, "h w"]:
+    """Whether both directions agree at each pixel.
+
+    A pixel that goes to the other image and back lands nearer to itself than the limit, pixels.
+    """
+    height, width = ours.shape
+    out = np.zeros((height, width), dtype=np.bool_)
+    largest = np.float32(limit)
+    for i in range(height):
+        back, row, going = theirs[i], out[i], ours[i]
+        for j in range(width):
+            target = np.float32(j) + going[j]
+            if target < 0 or target > width - 1:
+                continue
+            column = min(int(target), width - 2)
+            fraction = target - np.float32(column)
+            returned = (np.float32(1.0) - fraction) * back[column] + fraction * back[column + 1]
+            row[j] = abs(going[j] + returned) < largest
+    return out
+
+
+@fast_kernel
+def _between(values, i, j, halved):  # type: ignore[no-untyped-def]
+    """Interpolate a coarse field, halved 0 or 1 times, linearly at a finer pixel."""
+    if halved == 0:
+        return values[i, j]
+    row, column = i >> 1, j >> 1
+    other_row = min(max(row + 2 * (i & 1) - 1, 0), values.shape[0] - 1)
+    other_column = min(max(column + 2 * (j & 1) - 1, 0), values.shape[1] - 1)
+    near, far = np.float32(0.75), np.float32(0.25)
+    return near * (near * values[row, column] + far * values[row, other_column]) + far * (
+        near * values[other_row, column] + far * values[other_row, other_column]
+    )
+
+
+@fast_kernel
+def compete(
+    fine: tuple[
+        Float32[Array, "h w"], Float32[Array, "h w"], Float32[Array, "h w"], Float32[Array, "h w"], Bool[Array, "h w"]
+    ],
+    shift: Float32[Array, "h w"],
+    correlation: Float32[Array, "H W"],
+    variance: Float32[Array, "H W"],
+    plausible: Bool[Array, "H W"],
+    halved: int,
+    yields_at: float,
+) -> None:
+    """Put the known match where the fine one fails.
+
+    It also takes the place of a fine one whose deviation is `yields_at` times larger. `fine` are shift, step,
+    correlation, variance and whether plausible, changed in place; of the known ones all but the shift lie on a grid
+    that is halved so many times, 0 or 1, between whose pixels they are interpolated.
+    """
+    fine_shift, fine_step, fine_correlation, fine_variance, fine_plausible = fine
+    height, width = shift.shape
+    factor = np.float32(yields_at * yields_at)
+    for i in range(height):
+        row = i >> halved
+        for j in range(width):
+            column = j >> halved
+            if not plausible[row, column]:
+                continue
+            known_variance = _between(variance, i, j, halved)
+            if fine_plausible[i, j] and factor * known_variance >= fine_variance[i, j]:
+                continue
+            fine_shift[i, j] = shift[i, j]
+            fine_step[i, j] = np.float32(0.0)
+            fine_correlation[i, j] = _between(correlation, i, j, halved)
+            fine_variance[i, j] = known_variance
+            fine_plausible[i, j] = True
+
+
+@fast_kernel
+def smoothing_weights(
+    variance: Float32[Array, "h w"], plausible: Bool[Array, "h w"], mask: Bool[Array, "h w"]
+) -> Float32[Array, "h w"]:
+    """Weights in the smoothing: 1/variance, little for failed matches, 0 outside the mask."""
+    height, width = variance.shape
+    out = np.empty((height, width), dtype=np.float32)
+    for i in range(height):
+        row, spread, good, inside = out[i], variance[i], plausible[i], mask[i]
+        for j in range(width):
+            share = _DOUBTED_WEIGHT + np.float32(good[j])
+            weight = share / (min(spread[j], _LARGEST_VARIANCE_PX2) + _LEAST_VARIANCE_PX2)
+            row[j] = weight if inside[j] else np.float32(0.0)
+    return out
+
+
 LEAST_CORRELATION = 0.3
-"""Correlation below which a match is rejected (c of Eq. 1). It shows how much noise there is, not how far the match
-is off: accepted matches must still agree both ways and be certain enough.
-"""
+"""Correlation below which a match is rejected (c of Eq. 1). It shows how much noise there is, not how far the match is
+off: accepted matches must still agree both ways and be certain enough."""
 LEAST_MASS = 0.3  # of the window inside both subjects; chosen by eye
 FLAT_DEVIATION = 0.002  # luma (0…1) within a window: half a step of 8 bit; below, too flat to match
 _BAND_ROWS = 192  # bounds memory: a full-size torso under a gigabyte (docs/decisions/0020)
@@ -164,10 +259,7 @@ def _pixels(where: Bool[Array, "h w"]) -> tuple[Int64[Array, " n"], Int64[Array,
 
 
 def _take_better(found: Estimate, wide: Estimate, where: Any) -> None:
-    """Take the wide window's matches where they are better.
-
-    At the given pixels where the ordinary ones fail or are far less certain.
-    """
+    """Take the wide window's matches at pixels where ordinary ones fail or are far less certain."""
     better = wide.plausible & (~found.plausible[where] | (_WIDE_YIELDS_AT**2 * wide.variance < found.variance[where]))
     chosen = tuple(index[better] for index in where)
     for name in Estimate.__dataclass_fields__:

@@ -7,16 +7,14 @@ import numpy as np
 
 from mammometry.base.errors import MatchingError
 from mammometry.geometry.arrays import Array, Bool
-from mammometry.matching.semiglobal.semiglobal_start import span_px
+from mammometry.matching.semiglobal import span_px
 
 START_SPAN_PX = 400.0
 """Subject size (root of its area, pixels) below which semi-global matching starts: the finest such level. At half of
-it, folds and arms are taken for one surface. Memory grows with its third power.
-"""
+it, folds and arms are taken for one surface. Memory grows with its third power."""
 FINEST_SPAN_PX = 800.0
 """Subject size (root of its area, pixels) above which a level is not matched from both pictures: on the photograph's
-own pixels optics leave little. One level coarser only left matches are made, which coarser right ones check.
-"""
+own pixels optics leave little. One level coarser only left matches are made, which coarser right ones check."""
 
 _FIRST_STEPS, _FURTHER_STEPS, _LAST_STEPS = 5, 4, 2
 """Least-squares steps on the coarsest, the middle and the last level solved from both pictures.

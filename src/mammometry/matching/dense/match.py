@@ -8,10 +8,8 @@ import numpy as np
 from mammometry.base.errors import MatchingError
 from mammometry.base.progress import Progress, no_progress
 from mammometry.base.value import value
-from mammometry.geometry.arrays import Array, Bool, Float32
-from mammometry.geometry.camera import Camera
+from mammometry.geometry import Array, Bool, Camera, Float32
 from mammometry.geometry.rounding import SIGMA_BITS, to_bits, to_step
-from mammometry.matching.dense.consistency_kernels import agreeing
 from mammometry.matching.dense.crop import (
     Window,
     at_level,
@@ -31,18 +29,15 @@ from mammometry.matching.dense.least_squares import (
     solve_level,
     upsampled,
 )
-from mammometry.matching.dense.least_squares_step import LEAST_CORRELATION, Both
+from mammometry.matching.dense.least_squares_step import LEAST_CORRELATION, Both, agreeing
 from mammometry.matching.dense.levels import Levels, choose_levels
-from mammometry.matching.dense.texture_strength import unexplained, weak_texture
-from mammometry.matching.dense.vertical_disparity import Vertical, VerticalField
-from mammometry.matching.dense.vertical_free import nothing_yet
+from mammometry.matching.dense.vertical_disparity import Vertical, VerticalField, nothing_yet
 from mammometry.matching.filters import squared_slope
-from mammometry.matching.noise import noise_variance
+from mammometry.matching.noise import empty_levels, noise_variance, unexplained, weak_texture
 from mammometry.matching.pyramid import Level, build, coarser_camera, decimation, finer_field, finer_mask
 from mammometry.matching.rectify import RectifiedPair
-from mammometry.matching.semiglobal.semiglobal_start import start
+from mammometry.matching.semiglobal import start
 from mammometry.matching.settings import MatchSettings
-from mammometry.matching.sharpness import empty_levels
 
 SEARCH_SHARE = 0.25
 """Range of the search, as a share of the subject's width, to either side of the shift between both silhouettes."""
@@ -50,8 +45,7 @@ ERODE_PX = 2
 """Pixels taken off the silhouette before matching. They are mixed with the backdrop and would spoil the rim."""
 LARGEST_SIGMA_PX = 1.0
 """Standard deviation of one window's match above which it is rejected, pixels of the finest level. Half of it where
-noise does not explain what gain and offset leave over.
-"""
+noise does not explain what gain and offset leave over."""
 _SIGMA_SCALE = 1.8  # expected σ over the smoothing's; captures of two renderers (error / σ in docs/decisions/0015)
 _SIGMA_SLOPE = 1.0  # … and so much more by slope²
 _DOUBT_SLOPE = 4.0  # a window on steep skin is doubted sooner, by 1 + 4·slope²; chosen by eye
@@ -234,10 +228,7 @@ def coarse_to_fine(begun: Start, settings: MatchSettings, pool: Executor, progre
 
 
 def _solve_both(begun: Start, settings: MatchSettings, pool: Executor, progress: Progress) -> SolvedBoth:
-    """Solve all levels of both pictures.
-
-    After the coarsest one a cluttered scene is cut down to the subject.
-    """
+    """Solve all levels of both pictures, a cluttered scene cut to the subject after the coarsest."""
     first, *further = begun.levels.both()
     images = begun.images
     solved = solve_level(images[-1], first, begun.known, begun.vertical, settings, pool)
@@ -315,10 +306,7 @@ def finish(pair: RectifiedPair, found: Finest, settings: MatchSettings, pool: Ex
 
 
 def _accept(name: str, found: Finest, settings: MatchSettings, pool: Executor) -> AcceptedMatches:
-    """Accept matches that correlate, have settled, agree, and are certain.
-
-    They must agree in both directions.
-    """
+    """Accept matches that correlate, have settled, agree in both directions, and are certain."""
     fine, matches, shift, sigma = found.matches, found.matches.matches, found.matches.shift, found.matches.variance
     window = settings.window_sigma_px
     too_weak = pool.submit(weak_texture, found.image, matches, window, LARGEST_SIGMA_PX)

@@ -14,8 +14,7 @@ from mammometry.geometry.arrays import Array, Bool, Float32
 
 BACKGROUND_MARGIN = 1.15
 """Factor by which a subject pixel's red (sRGB-encoded) exceeds the brightest backdrop. A pixel with the subject's
-colour also counts, in pictures where colour separates the two.
-"""
+colour also counts, in pictures where colour separates the two."""
 
 # Where no other source is named: chosen by eye on the captures of docs/decisions/0020.
 _RED = 0  # the channel in which skin and plaster are palest
@@ -84,10 +83,7 @@ def segment(encoded: Float32[Array, "h w channels"], unit: float) -> Bool[Array,
 def _coloured_like(
     light: Float32[Array, "h w channels"], core: Bool[Array, "h w"], unit: float
 ) -> Bool[Array, "h w"] | None:
-    """Blocks whose chromaticity is the core's own.
-
-    It is commoner there than around. None where colour does not tell.
-    """
+    """Blocks whose chromaticity is commoner in the core than around. None where colour does not tell."""
     away = ~_widened(core, 8 * unit)
     if light.shape[2] == 1 or away.mean() < _FEWEST:
         return None
@@ -131,10 +127,7 @@ def _with_inlays(core: Bool[Array, "h w"], bright: Bool[Array, "h w"]) -> Bool[A
 
 
 def _without_thin(subject: Bool[Array, "h w"], core: Bool[Array, "h w"], unit: float) -> Bool[Array, "h w"]:
-    """The subject without what is thin.
-
-    What an opening leaves and is joined to the core: strands and leaks through gaps go.
-    """
+    """The subject without strands and leaks: what an opening leaves and is joined to the core."""
     radius = _THIN_PX * unit
     # Beyond the frame the subject goes on: what it crops is not thin.
     pad = int(np.ceil(radius)) + 2
@@ -149,10 +142,7 @@ def _without_thin(subject: Bool[Array, "h w"], core: Bool[Array, "h w"], unit: f
 def _filled(
     subject: Bool[Array, "h w"], red: Float32[Array, "h w"], backdrop: Bool[Array, "h w"]
 ) -> Bool[Array, "h w"]:
-    """The subject with its holes filled.
-
-    Except those through which the backdrop is seen, between an arm and the trunk.
-    """
+    """The subject with its holes filled, except those that show the backdrop."""
     holes = ndimage.binary_fill_holes(subject) & ~subject
     labels, count = ndimage.label(holes)
     filled = subject | holes
@@ -180,10 +170,7 @@ def _otsu(values: Float32[Array, "h w"]) -> float:
 
 
 def _apart(values: Float32[Array, " n"], threshold: float) -> bool:
-    """Whether a threshold parts two things.
-
-    Not the shades of one: the means are far apart, with hardly any scatter within.
-    """
+    """Whether a threshold parts two things: means far apart, with hardly any scatter within."""
     above = values > threshold
     share = float(above.mean())
     if not _FEWEST < share < 1 - _FEWEST:

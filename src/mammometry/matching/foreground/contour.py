@@ -66,8 +66,7 @@ class Trace:
     """Points of the contour, pixels."""
     lost_px: Float64[Array, " n"]
     """0 where the subject's edge is visible. Where the contour is the border of a shadow on the subject, the edge is
-    farther out and unseen: then the distance to the nearest point with a visible edge, pixels.
-    """
+    farther out and unseen: then the distance to the nearest point with a visible edge, pixels."""
 
 
 def outline(foreground: Foreground) -> Contour:
@@ -122,10 +121,7 @@ def edge_places(profiles: Float64[Array, "n k"], x: Float64[Array, " k"], unit: 
 def _misfit(
     profiles: Float64[Array, "n k"], x: Float64[Array, " k"], unit: float, sigma: float, depth: float
 ) -> Float64[Array, "n m"]:
-    """Sum of squares that the best A and a leave.
-
-    For an edge at each of `_PLACES`; infinite for a nearly black one.
-    """
+    """Sum of squares that the best A and a leave, for an edge at each of `_PLACES`."""
     inside = x - unit * _PLACES[:, None]
     step = ndtr(inside / sigma)
     shade = np.exp(sigma**2 / (2 * depth**2) - inside / depth + log_ndtr(inside / sigma - sigma / depth))
@@ -201,9 +197,6 @@ def _edge_in_px(contour: Contour, foreground: Foreground) -> Float64[Array, " n"
 
 
 def _blur(profiles: Float64[Array, "n k"], step: float) -> float:
-    """Blur that makes a step as steep as the ordinary profile.
-
-    Standard deviation of a Gaussian, for the brightness of that profile.
-    """
+    """Standard deviation of a Gaussian that makes a step as steep as the ordinary profile."""
     steepest, brightest = np.median(np.diff(profiles, axis=1).max(axis=1)), np.median(profiles.max(axis=1))
     return float(step * brightest / (np.sqrt(2 * np.pi) * max(steepest, 1e-2 * step)))

@@ -20,9 +20,8 @@ from mammometry.matching.foreground.seeded_segmentation import DepthSeeds, agree
 from mammometry.matching.foreground.silhouette import block_means, sub_pixel_coverage
 
 CONTOUR_LEVEL = 0.4
-"""Coverage at which the silhouette lies, 0…1. A rim is turned away from the light and darker than the skin beside
-it: .5 was .1 to .3 px inside the true one in eight views of three subjects, .4 within .1 px.
-"""
+"""Coverage at which the silhouette lies, 0…1. A rim is turned away from the light and darker than the skin beside it:
+.5 was .1 to .3 px inside the true one in eight views of three subjects, .4 within .1 px."""
 _REFERENCE_DIAGONAL_PX = 1353.0  # of the 1126 × 750 images, a quarter of the paper's, on which widths were measured
 _BLOCK_PX = 2.0  # pixels a block, at that size, for what needs no sub-pixel position; for speed
 _EVEN = 0.02  # difference of encoded values (sRGB), five of 255, that noise leaves in the blocks of an empty picture

@@ -32,9 +32,7 @@ def sub_pixel_coverage(
     unit: float,
     contour_level: float,
 ) -> Float32[Array, "h w"]:
-    """Share of each pixel that the subject covers.
-
-    Smooth near the contour, 0 or 1 elsewhere, without specks and holes.
+    """Share of each pixel that the subject covers, smooth near the contour, without specks and holes.
 
     Args:
         pixels: sRGB-encoded, 8 or 16 bit.
@@ -96,10 +94,7 @@ def _beside(
 def block_means(
     pixels: Shaped[Array, "h w channels"], value_of: Float32[Array, " levels"], step: int
 ) -> Float32[Array, "H W channels"]:
-    """Means over blocks of step × step pixels.
-
-    Of what each level stands for. The last blocks may be smaller.
-    """
+    """Means over blocks of step × step pixels of what each level stands for. The last may be smaller."""
     height, width, channels = pixels.shape
     rows, columns = (height + step - 1) // step, (width + step - 1) // step
     means = np.zeros((rows, columns, channels), dtype=np.float32)
@@ -120,10 +115,7 @@ def block_means(
 
 @kernel
 def _place(index, step, count):  # type: ignore[no-untyped-def]
-    """The blocks on either side of a pixel's centre.
-
-    And the share of the next one, for linear interpolation.
-    """
+    """The blocks on either side of a pixel's centre, and the next one's share in linear interpolation."""
     position = (np.float32(index) + np.float32(0.5)) / np.float32(step) - np.float32(0.5)
     position = min(max(position, np.float32(0.0)), np.float32(count - 1))
     before = min(int(position), max(count - 2, 0))

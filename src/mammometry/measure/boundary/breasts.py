@@ -137,6 +137,17 @@ def find_breasts(
     return Breasts(left=results["left"], right=results["right"], thorax=thorax, body=body, head=head)
 
 
+def roundest_side_per_mm(surface: RepairedSurface, frame: Float64[Array, "3 3"]) -> float:
+    """Roundness of the dome on either side that is most like a breast, 1/mm. 0 where there is none.
+
+    Raises:
+        MeasureError: the trunk is not seen.
+    """
+    skin = seen_skin(surface)
+    _, _, middles = _trunk_beside(surface, skin, find_body(surface, frame, skin=skin, stated=True))
+    return max(0.0 if middle is None else middle.roundness_per_mm for middle in middles.values())
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Side:
     """What was seen on one side."""

@@ -126,8 +126,7 @@ def follow_crease(
         if last < _CENTRINGS - 1:
             middle = _centroid(middle + rays * (_STEP_MM * (1 + way))[:, None])
     spread = np.sqrt(share @ (paths.spread_steps**2 + (paths.mean_steps - way) ** 2))
-    reach, way = _STEP_MM * (1 + way), np.round(way).astype(np.int64)
-    row = np.arange(DIRECTIONS)
+    reach = _STEP_MM * (1 + way)
     flank_mm = _outer_flank_mm(concavity, allowed, way)
     fine = relief.at(places, relief.concavity_per_mm(_FINE_MM))
     # Each pixel has its innermost skin, which is that of its outer edge: half a pixel too far in.
@@ -138,7 +137,7 @@ def follow_crease(
     flat = middle + rays * reach[:, None]
     return Crease(
         flat=flat,
-        concavity_per_mm=concavity[row, way],
+        concavity_per_mm=_at_steps(concavity, way[:, None])[:, 0],
         seen=relief.at(flat, relief.known.astype(np.float64)) > 0.5,
         sigma_mm=_ERR_ALIKE * _STEP_MM * spread,
     )
@@ -194,14 +193,22 @@ def _own(bulge: Float64[Array, "d s"]) -> Float64[Array, "d s"]:
     return np.clip((np.maximum(fall, 0) + _LEVEL_MM) / (np.maximum(rise, 0) + _LEVEL_MM), 0.0, 1.0)
 
 
+def _at_steps(table: Float64[Array, "d s"], steps: Float64[Array, "d k"]) -> Float64[Array, "d k"]:
+    """Values of each direction between its steps, so that they move as little as the path does."""
+    steps = np.clip(steps, 0, table.shape[1] - 1)
+    before = np.minimum(steps.astype(np.int64), table.shape[1] - 2)
+    lower, upper = (np.take_along_axis(table, before + step, axis=1) for step in (0, 1))
+    return np.asarray(lower + (steps - before) * (upper - lower))
+
+
 def _outer_flank_mm(concavity: Float64[Array, "d s"], allowed: Bool[Array, "d s"], way: Array) -> Float64[Array, " d"]:
     """Distance outside the path at which the concavity has halved, or a breast can no longer end, mm.
 
     0 where there is no crease.
     """
-    count, length = concavity.shape
+    count = len(concavity)
     ahead = way[:, None] + np.arange(int(_SHIFT_MM / _STEP_MM) + 1)
-    along = np.where(allowed, concavity, 0.0)[np.arange(count)[:, None], np.minimum(ahead, length - 1)]
+    along = _at_steps(np.where(allowed, concavity, 0.0), ahead)
     along = gaussian_filter1d(along, _EVEN_DIRECTIONS, axis=0, mode="wrap")
     half = along[:, :1] / 2
     fallen = along < half
@@ -219,11 +226,9 @@ def _smeared_mm(concavity: Float64[Array, "d s"], fine: Float64[Array, "d s"], w
     With the scale σ the concavity of a step in curvature stays, that of a step in slope falls as 1/σ, that of a step in
     height as 1/σ². So two scales tell which it is.
     """
-    count, length = concavity.shape
-    near = np.clip(way[:, None] + np.arange(-_NEAR_STEPS, _NEAR_STEPS + 1), 0, length - 1)
-    row = np.arange(count)[:, None]
-    coarse_peak, fine_peak = (np.clip(each[row, near].max(axis=1), 1e-9, None) for each in (concavity, fine))
+    near = way[:, None] + np.arange(-_NEAR_STEPS, _NEAR_STEPS + 1)
+    coarse_peak, fine_peak = (np.clip(_at_steps(each, near).max(axis=1), 1e-9, None) for each in (concavity, fine))
     order = np.clip(np.log(fine_peak / coarse_peak) / np.log(_SIGMA_MM / _FINE_MM), 0.0, 2.0)
-    order = np.where(coarse_peak > CREASE_PER_MM, order, 0.0)
+    order *= np.clip(coarse_peak / CREASE_PER_MM - 0.5, 0.0, 1.0)  # no leap where there is just no crease
     smeared_mm = _SIGMA_MM * np.interp(order, np.arange(3), _HALVED_SIGMAS)
     return np.asarray(gaussian_filter1d(smeared_mm, _EVEN_DIRECTIONS, mode="wrap"))

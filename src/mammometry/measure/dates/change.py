@@ -15,8 +15,7 @@ import numpy as np
 from mammometry.base.errors import MeasureError
 from mammometry.base.progress import Progress, no_progress
 from mammometry.base.value import value
-from mammometry.geometry.arrays import Array, Float64
-from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry import Array, Float64, TriangleMesh
 from mammometry.geometry.nearest import point_tree
 from mammometry.measure.dates.trunk_fit import TrunkFit, fit_trunks, trunk_of
 from mammometry.measure.settings import CompareSettings
@@ -103,8 +102,7 @@ class Change:
     """Lengths that were measured at both dates."""
     after_mm: Float64[Array, " m"]
     """For each vertex of the later surface, distance by which it stands out of the earlier skin, mm. NaN if a date did
-    not see it.
-    """
+    not see it."""
 
 
 def compare(
@@ -164,7 +162,7 @@ def judged(fit: TrunkFit, settings: CompareSettings = CompareSettings()) -> tupl
             "the trunks of both dates",
             found=f"that a fifth of them lies more than {fit.within_mm:.1f} mm apart",
             expected=f"one body, within {settings.refuse_mm:g} mm beside the breasts",
-            remedy="Check that both sessions show the same patient in about the same pose, arms and breath alike; "
+            remedy="Check that both show the same patient in about the same pose, arms and breath alike; "
             "compare.refuse_mm sets the limit",
         )
     same = fit.within_mm <= SAME_POSE_MM and fit.turned_deg <= SAME_POSE_DEG

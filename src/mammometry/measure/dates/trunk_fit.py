@@ -14,11 +14,10 @@ import numpy as np
 
 from mammometry.base.errors import MeasureError
 from mammometry.base.value import value
-from mammometry.geometry.arrays import Array, Float64
+from mammometry.geometry import Array, Float64, Transform
 from mammometry.geometry.nearest import point_tree
-from mammometry.geometry.transform import Transform
 from mammometry.measure.shape.symmetry import trunk_skin
-from mammometry.measure.trunk.register import Registration, register
+from mammometry.measure.trunk.mirror_plane import Registration, register
 from mammometry.measure.trunk.thorax import HEIGHT_WINDOW_MM, WIDEST_DEG, Trunk, find_trunk, on_trunk, seen_skin
 from mammometry.surface.repair.repair import RepairedSurface
 

@@ -14,19 +14,16 @@ from scipy.sparse.csgraph import dijkstra
 from mammometry.base.errors import MeasureError
 from mammometry.base.value import value
 from mammometry.geometry.arrays import Array, Bool, Float64, Int64
-from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry.mesh import TriangleMesh, edge_table
 from mammometry.geometry.nearest import closest_on_mesh
-from mammometry.geometry.refine import edge_table
 
 _ROUNDS = ((0, 1.16), (1, 1.04), (4, 1.006), (12, 1.0))
 """Points on each edge, and ratio to the shortest length up to which a path stays in the next round's belt. Along edges
-alone a path is up to 2/√3 = 1.155 times too long.
-"""
+alone a path is up to 2/√3 = 1.155 times too long."""
 _BELT = 0.4  # edge lengths by which the belt is wider: on a coarse mesh more than one row of faces; chosen by eye
 _PAIRS = 2_000_000  # of points that see one another, at most in a round; a fine mesh needs fewer points on each edge
 _ROOMS = ((1.12, 10.0), (1.6, 40.0), (np.inf, 0.0))
-"""Lengths up to which a path is looked for, in turn: a factor of the straight distance, plus mm. For speed alone.
-"""
+"""Lengths up to which a path is looked for, in turn: a factor of the straight distance, plus mm. For speed alone."""
 
 
 @value(eq=False)

@@ -12,8 +12,7 @@ import numpy as np
 
 from mammometry.base.errors import MeasureError
 from mammometry.base.value import value
-from mammometry.geometry.arrays import Array, Float64
-from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry import Array, Float64, TriangleMesh
 from mammometry.geometry.nearest import closest_on_mesh
 
 PICKED_SIGMA_MM = 2.0
@@ -44,8 +43,7 @@ class Landmark:
     """Standard uncertainty of its place along the skin, mm."""
     probability: float = 1.0
     """Probability that it exists: 1 if somebody picked it. Results from a landmark are left out if this is too small
-    (`NippleSettings.least_probability`).
-    """
+    (`NippleSettings.least_probability`)."""
 
     def __post_init__(self) -> None:
         if not len(self.points_world) or not np.isfinite(self.points_world).all():

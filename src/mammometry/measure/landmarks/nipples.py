@@ -1,8 +1,8 @@
 """Propose where a nipple lies.
 
-It is between the middle of the areola and the tip within it, or on the breast's tip if no areola is seen. Colour is
-ln R − ln G of linear light, which shading does not change: an areola is redder and darker than the skin around it. A
-tip stands out from the ring of skin around it.
+It is between the middle of the areola and the tip within it, or the tip near the most projecting point if no areola is
+seen. Where neither is seen, nothing is proposed. Colour is ln R − ln G of linear light, which shading does not change:
+an areola is redder and darker than the skin around it. A tip stands out from the ring of skin around it.
 """
 
 from __future__ import annotations
@@ -11,8 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mammometry.geometry.arrays import Array, Bool, Float64, UInt8
-from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry import Array, Bool, Float64, TriangleMesh, UInt8
 from mammometry.geometry.nearest import point_tree
 from mammometry.measure.landmarks.landmarks import Landmark
 
@@ -22,28 +21,21 @@ _AREOLA_CONTRAST = 0.05
 """Least difference of ln(R/G), in linear light, between the areola and the skin around it. Pale areolae have .1."""
 _LEAST_TIP_MM = 1.2
 """Least height of a nipple above the ring of skin 8 to 14 mm around it, beyond that of the skin up to 36 mm away,
-mm. A round breast has up to .5, a nipple 2 to 5.
-"""
+mm. A round breast has up to .5, a mound on a telephone's scan up to .7, a nipple 1.6 to 5."""
 _TIP_SIGMA_MM = 2.5
 """Standard uncertainty of a tip within an areola, mm. It was 2.6 and 3.2 mm off on a virtual torso at .15 of full
-size.
-"""
+size."""
 _AREOLA_SIGMA_MM = 4.0
 """Standard uncertainty of the middle of an areola without a tip, mm."""
 _APEX_TIP_SIGMA_MM = 4.0
 """Standard uncertainty of a tip where no areola is seen, mm."""
 _AREOLA_TIP_PROBABILITY = 0.98
-"""Probability that a tip within an areola's colour is a nipple. This and the next three chosen by eye."""
+"""Probability that a tip within an areola's colour is a nipple. This and the next two chosen by eye."""
 _AREOLA_PROBABILITY = 0.9
 """Of an areola's colour without a tip."""
 _TIP_PROBABILITY = 0.6
 """Probability that a tip without an areola's colour is a nipple: it may be a reconstructed nipple, a scan without
-colours, or a scar.
-"""
-_APEX_PROBABILITY = 0.1
-"""Of the most projecting point, where neither is seen."""
-_APEX_SIGMA_MM = 12.0
-"""Standard uncertainty of the most projecting point as a nipple, mm: little more than a guess."""
+colours, or a scar."""
 
 # All of these were chosen by eye.
 _SAMPLE_MM = 2.5  # one vertex is taken in every cube of this side
@@ -56,8 +48,7 @@ _FEWEST = 60  # samples below which a piece of skin is too small to tell
 _EVERY = 10  # of the samples that a wide ring is computed from, one in so many
 _AREOLA_SCATTERS = 5.0
 """Standard deviations of the colour difference over the breast by which an areola differs, so that mottled skin is not
-taken for one.
-"""
+taken for one."""
 _GAMMA, _BLACK = 2.2, 2e-3  # of sRGB, approximately; added to linear light, so that black has a logarithm
 
 
@@ -97,8 +88,8 @@ def propose_nipple(
         boundary_world: the breast's boundary, mm.
 
     Returns:
-        The proposal near the skin, how it was found, how well, and how probably it is a nipple. None if the piece of
-        skin is too small to tell.
+        The proposal near the skin, how it was found, how well, and how probably it is a nipple. None if neither areola
+        nor tip is seen.
     """
     samples = _sampled(skin, colours, boundary_world)
     inner = samples.edge_mm > _MARGIN_MM
@@ -125,16 +116,10 @@ def propose_nipple(
         near = inner & (height > _HEIGHT * height.max())
         near &= np.linalg.norm(samples.points - apex, axis=1) < _NEAR_APEX_MM
         tip = _tip(samples, protrusion, near, _LEAST_TIP_MM)
-        if tip is not None:
-            how, place = "the tip near the most projecting point; no areola in the colours", tip
-            sigma, probability = _APEX_TIP_SIGMA_MM, _TIP_PROBABILITY
-        else:
-            probability = _APEX_PROBABILITY
-            how, place, sigma = (
-                "the most projecting point; neither areola nor tip is seen",
-                apex,
-                _APEX_SIGMA_MM,
-            )
+        if tip is None:
+            return None
+        how, place = "the tip near the most projecting point; no areola in the colours", tip
+        sigma, probability = _APEX_TIP_SIGMA_MM, _TIP_PROBABILITY
     return Landmark(
         name=name,
         points_world=place[None],
@@ -210,10 +195,7 @@ def _areola(samples: _Samples, inner: Bool[Array, " n"]) -> Float64[Array, 3] | 
 
 
 def _protrusion(samples: _Samples) -> Float64[Array, " n"]:
-    """Height of a small disc over the ring around it, mm.
-
-    Along the normal, less that of the discs around it.
-    """
+    """Height of a small disc over the ring around it along the normal, less its surroundings', mm."""
     tip = _mean(samples, samples.points, _TIP_MM)
     foot = _mean(samples, samples.points, _FOOT_MM[1], _FOOT_MM[0])
     out = np.asarray(((tip - foot) * _mean(samples, samples.normals, _FOOT_MM[1])).sum(axis=1))

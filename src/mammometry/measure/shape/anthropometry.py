@@ -8,11 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from mammometry.base.value import value
-from mammometry.geometry.arrays import Array, Float64, UInt8
-from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry import Array, Float64, TriangleMesh, UInt8
 from mammometry.geometry.nearest import closest_on_mesh, point_tree
-from mammometry.measure.landmarks.ends import EndSigmas, propose_ends
-from mammometry.measure.landmarks.hollows import propose_on_midline
+from mammometry.measure.boundary.boundary import Boundary
+from mammometry.measure.landmarks.hollows import EndSigmas, propose_ends, propose_on_midline
 from mammometry.measure.landmarks.landmarks import PICKED_SIGMA_MM, Landmark, picked_landmarks
 from mammometry.measure.landmarks.nipples import propose_nipple
 from mammometry.measure.settings import MeasureSettings
@@ -42,6 +41,7 @@ def find_landmarks(
     settings: MeasureSettings = MeasureSettings(),
     *,
     plane: MirrorPlane | None = None,
+    boundaries: Sequence[Boundary] = (),
 ) -> tuple[Landmark, ...]:
     """Picked landmarks, and proposed ones where none was picked.
 
@@ -55,6 +55,7 @@ def find_landmarks(
         frame: rows: the patient's left, the head, straight ahead; None if not known.
         settings: how nipples are proposed, and how well a picked landmark is known.
         plane: the mid-sagittal plane. Without it nothing on the midline is proposed.
+        boundaries: of the breasts, with what is known of each of their points.
 
     Raises:
         MeasureError: a picked landmark lies off the surface or on the wrong side.
@@ -74,7 +75,8 @@ def find_landmarks(
             place = closest_on_mesh(proposal.points_world, mesh).points
             found.append(replace(proposal, points_world=place))
     if frame is not None:
-        found += [mark for mark in _of_torso(mesh, measurements, frame, plane, settings) if mark.name not in picked]
+        proposed = _of_torso(mesh, measurements, frame, plane, settings, boundaries)
+        found += [mark for mark in proposed if mark.name not in picked]
     return tuple(found)
 
 
@@ -84,14 +86,21 @@ def _of_torso(
     frame: Float64[Array, "3 3"],
     plane: MirrorPlane | None,
     settings: MeasureSettings,
+    boundaries: Sequence[Boundary],
 ) -> Iterator[Landmark]:
     """Yield the ends of the breasts, and what lies on the midline."""
     scatter = settings.observers
-    sigmas = EndSigmas(lower_mm=scatter.lower_mm, medial_mm=scatter.medial_mm, lateral_mm=scatter.lateral_mm)
     curves = {
         measurement.name: measurement.boundary_world for measurement in measurements if measurement.name != "model"
     }
     for side, curve in curves.items():
+        across = next((boundary.across_mm for boundary in boundaries if boundary.name == side), None)
+        sigmas = EndSigmas(
+            lower_mm=scatter.lower_mm,
+            medial_mm=scatter.medial_mm,
+            lateral_mm=scatter.lateral_mm,
+            across_mm=across,
+        )
         yield from propose_ends(side, curve, frame, sigmas)
     if plane is not None and curves:
         heights = (np.concatenate(list(curves.values())) - plane.point_world) @ frame[1]

@@ -14,8 +14,7 @@ from typing import Literal
 import numpy as np
 from scipy.spatial import cKDTree
 
-from mammometry.geometry.arrays import Array, Float64
-from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry import Array, Float64, TriangleMesh
 from mammometry.geometry.nearest import point_tree
 from mammometry.measure.landmarks.geodesic import geodesic
 from mammometry.measure.landmarks.landmarks import Landmark

@@ -17,10 +17,7 @@ from mammometry.measure.volume.measurement import VolumeMeasurement
 
 @value
 class BreastShape:
-    """Extent of one breast and the distribution of its volume.
-
-    Directions are the patient's: upright as in the photographs, or as the user said.
-    """
+    """Extent of one breast and the distribution of its volume, in the patient's directions."""
 
     name: BreastName
     """"model", or the patient's "left" or "right"."""
@@ -38,8 +35,7 @@ class BreastShape:
     """Standard uncertainty of the projection, from the boundary curve's, mm."""
     quadrants_cc: Mapping[str, float]
     """Volume of each quadrant about the nipple, cc: upper or lower, and medial or lateral (for a model: left or right,
-    as for a patient facing the cameras). They add up to the volume. Empty without a nipple.
-    """
+    as for a patient facing the cameras). They add up to the volume. Empty without a nipple."""
     above_nipple_cc: float | None
     """Volume above the level of the nipple, cc: the upper pole."""
     below_nipple_cc: float | None

@@ -8,13 +8,10 @@ import numpy as np
 
 from mammometry.base.machine.cores import available_cores
 from mammometry.base.value import value
-from mammometry.geometry.arrays import Array, Bool, Float64
-from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry import Array, Bool, Float64, Transform, TriangleMesh
 from mammometry.geometry.nearest import point_tree
-from mammometry.geometry.transform import Transform
 from mammometry.measure.trunk.body import within_boundary
-from mammometry.measure.trunk.mirror_plane import MirrorPlane, mirror
-from mammometry.measure.trunk.register import register
+from mammometry.measure.trunk.mirror_plane import MirrorPlane, mirror, register
 from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.surface.repair.repair import Provenance, RepairedSurface
 
@@ -52,8 +49,7 @@ class Symmetry:
     """Root mean square distance after the rigid motion, mm: shape alone."""
     left_mm: Float64[Array, " n"]
     """For each vertex of the left closed solid, distance by which the left skin stands out of the registered mirrored
-    right one, mm. NaN on the wall and where the other skin has no counterpart.
-    """
+    right one, mm. NaN on the wall and where the other skin has no counterpart."""
     right_mm: Float64[Array, " m"]
     """For each vertex of the right closed solid, distance by which the right skin stands out of the left one, mm."""
 

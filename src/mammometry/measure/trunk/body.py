@@ -14,8 +14,7 @@ import numpy as np
 
 from mammometry.base.errors import MeasureError
 from mammometry.base.value import value
-from mammometry.geometry.arrays import Array, Bool, Float64
-from mammometry.geometry.camera import Camera, Rig
+from mammometry.geometry import Array, Bool, Camera, Float64, Rig
 from mammometry.measure.trunk.mirror_plane import MirrorPlane, mirror_plane
 from mammometry.measure.trunk.thorax import (
     HEIGHT_WINDOW_MM,
@@ -59,8 +58,7 @@ class Body:
     """A point of the mid-sagittal plane, mm."""
     plane_sigma_mm: float | None
     """Standard uncertainty of the plane's place along its normal, mm. None if the trunk shows no plane. The frame is
-    then the cameras'.
-    """
+    then the cameras'."""
     scatter_mm: float | None
     """Robust standard deviation of the trunk from its mirror image, without the breasts, mm. None without a plane."""
     how: str
@@ -97,9 +95,7 @@ def camera_up(camera: Camera, mounting: Mounting = "upright") -> Float64[Array, 
 
 
 def rig_frame(rig: Rig, mounting: Mapping[str, Mounting] | None = None) -> Float64[Array, "3 3"]:
-    """Patient's left, head and straight ahead, from the cameras.
-
-    These are rows. The cameras are upright on average.
+    """Patient's left, head and straight ahead, as rows, from cameras that are upright on average.
 
     Args:
         rig: the calibrated cameras.

@@ -1,12 +1,111 @@
-"""The plane about which skin is most nearly its own mirror image."""
+"""Robust registration of surfaces, and the plane about which skin is most nearly its own mirror image."""
 
 from __future__ import annotations
 
-import numpy as np
+from dataclasses import dataclass
 
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from mammometry.base.errors import MeasureError
 from mammometry.base.value import value
-from mammometry.geometry.arrays import Array, Float64
-from mammometry.measure.trunk.register import register
+from mammometry.geometry import Array, Float64, Transform
+from mammometry.geometry.nearest import point_tree
+
+_SAMPLES = 6000  # points that are moved; chosen for speed
+_ROUNDS = 60  # at most; it ends when a step is below _AT_REST
+_FEWEST = 200  # partners needed; chosen by eye
+_FACING = 0.7  # cosine of the angle between partners' normals at least; chosen by eye
+_TUKEY = 4.0  # scatters at which a partner counts no more; chosen by eye
+_FINEST_MM = 0.15  # least scatter assumed: the skin's own noise
+_RIDGE = 1e-6  # share of the trace by which motions that the surfaces do not determine are held
+_SHARED = 25.0  # points that share one error, since neighbours share a matching window
+_MAD = 1.4826  # standard deviation of a normal distribution over its median absolute deviation
+_NARROWING, _REACH, _LEAST_REACH_MM = 0.8, 6.0, 3.0
+"""Search distance for partners: it shrinks by this factor each round, but not below so many scatters and so many mm.
+Chosen by eye."""
+_AT_REST = 1e-4  # a step below this, mm (turns as mm at the surface's radius), ends the search
+_COUNTS = 0.1  # weight from which a point counts as used
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Registration:
+    """A rigid motion and how well it fits."""
+
+    fixed_from_moving: Transform
+    scatter_mm: float
+    """Robust standard deviation of the distances along the normal, mm."""
+    used: float
+    """Share of the moving points with a partner that are no outliers."""
+    weakest_mm: float
+    """Standard uncertainty of the least certain of the six motions, as displacement at the surface's radius, mm: how
+    far two surfaces can be shifted against each other unnoticed (a round trunk along itself). One in 25 points counts
+    as independent, since neighbours share the errors of their matching windows."""
+
+
+def register(
+    moving: tuple[Float64[Array, "n 3"], Float64[Array, "n 3"]],
+    fixed: tuple[Float64[Array, "m 3"], Float64[Array, "m 3"]],
+    *,
+    start: Transform | None = None,
+    reach_mm: float = 30.0,
+    subject: str = "surfaces",
+) -> Registration:
+    """Register points with normals by iterated closest points.
+
+    Point to plane, with Tukey's weights. Partners are looked for within a reach that shrinks with the scatter, where
+    the normals agree. Motions that the surfaces do not determine are left unchanged (a ridge in the normal equations).
+
+    Args:
+        moving: points and unit normals that are moved, mm.
+        fixed: points and unit normals that they are laid onto, mm, about as dense or denser.
+        start: first guess; None if none is needed.
+        reach_mm: farthest distance at which a partner is looked for, mm.
+        subject: what is registered, for messages.
+
+    Raises:
+        MeasureError: too few partners are found.
+    """
+    points, normals = (array[:: max(1, len(moving[0]) // _SAMPLES)] for array in moving)
+    fixed_points, outward = fixed
+    tree = point_tree(fixed_points)
+    motion = start or Transform.identity()
+    reach, scale = reach_mm, reach_mm
+    weights = np.zeros(len(points))
+    weakest = np.inf
+    for _ in range(_ROUNDS):
+        moved, turned = motion.apply(points), motion.rotate(normals)
+        distance, partner = tree.query(moved, distance_upper_bound=reach)
+        found = np.isfinite(distance)
+        partner = np.where(found, partner, 0)
+        plane = outward[partner]
+        found &= (plane * turned).sum(axis=1) > _FACING
+        if found.sum() < _FEWEST:
+            raise MeasureError(
+                subject,
+                found=f"{int(found.sum())} places of {len(points)} that lie on one another",
+                expected=f"at least {_FEWEST}",
+                remedy="Check that both show the same part of the same patient, in about the same attitude",
+            )
+        away = ((fixed_points[partner] - moved) * plane).sum(axis=1)
+        scale = max(_MAD * float(np.median(np.abs(away[found]))), _FINEST_MM)
+        weights = np.where(found, np.clip(1 - (away / (_TUKEY * scale)) ** 2, 0, None) ** 2, 0.0)
+        middle = moved[found].mean(axis=0)
+        size = float(np.sqrt(((moved[found] - middle) ** 2).sum(axis=1).mean()))
+        rows = np.concatenate([np.cross((moved - middle) / size, plane), plane], axis=1)
+        normal_matrix = (rows * weights[:, None]).T @ rows
+        ridge = _RIDGE * np.trace(normal_matrix) * np.eye(6)
+        step = np.linalg.solve(normal_matrix + ridge, (rows * weights[:, None]).T @ away)
+        turn = Rotation.from_rotvec(step[:3] / size).as_matrix()
+        motion = Transform(rotation=turn, translation_mm=middle + step[3:] - turn @ middle) @ motion
+        weakest = scale / float(np.sqrt(max(np.linalg.eigvalsh(normal_matrix)[0] / _SHARED, 1e-9)))
+        if np.abs(step).max() < _AT_REST and reach <= max(_REACH * scale, _LEAST_REACH_MM):
+            break
+        reach = max(reach * _NARROWING, _REACH * scale, _LEAST_REACH_MM) if reach > _LEAST_REACH_MM else reach
+    return Registration(
+        fixed_from_moving=motion, scatter_mm=scale, used=float((weights > _COUNTS).mean()), weakest_mm=float(weakest)
+    )
+
 
 _PLANE_ROUNDS = 6  # of mirroring and registering; it ends when the plane is at rest
 _AT_REST_RAD = 1e-4  # a plane that turns by less is at rest

@@ -18,12 +18,111 @@ from scipy.ndimage import (
 )
 
 from mammometry.base.errors import MeasureError
+from mammometry.base.machine.compiled import kernel
 from mammometry.base.machine.cores import in_bands
 from mammometry.base.value import value
-from mammometry.geometry.arrays import Array, Bool, Float64
-from mammometry.geometry.mesh import TriangleMesh
-from mammometry.measure.trunk import skin_kernels
+from mammometry.geometry import Array, Bool, Float64, Int32, Int64, TriangleMesh
 from mammometry.measure.trunk.thorax import ARM, AROUND, HEIGHT_WINDOW_MM, WIDEST_DEG, Thorax
+
+
+@kernel
+def innermost(
+    points: Float64[Array, "n 3"],
+    frame: Float64[Array, "3 3"],
+    origin: Float64[Array, " 3"],
+    radius: Float64[Array, "p q"],
+    limits: Float64[Array, " 4"],
+    pixel_mm: float,
+    size: Int64[Array, " 2"],
+) -> Float64[Array, "h w"]:
+    """Least bulge in each pixel, mm. ∞ without a point.
+
+    Args:
+        points: skin, mm, world frame.
+        frame: rows: the patient's left, the head, straight ahead.
+        origin: a point of the trunk's axis.
+        radius: coefficients of the trunk's radius, mm: row d belongs to the d-th power of height over the window's,
+            the columns to 1, cos θ, sin θ, cos 2θ, sin 2θ, …
+        limits: half width of the trunk, half width and half height of the picture, distance aside at which an arm
+            begins; all in mm.
+        pixel_mm: side of a pixel.
+        size: rows and columns of the picture.
+    """
+    half_width, width, height, arm = limits
+    found = np.full((size[0], size[1]), np.inf)
+    for n in range(len(points)):
+        dx, dy, dz = points[n, 0] - origin[0], points[n, 1] - origin[1], points[n, 2] - origin[2]
+        aside = frame[0, 0] * dx + frame[0, 1] * dy + frame[0, 2] * dz
+        up = frame[1, 0] * dx + frame[1, 1] * dy + frame[1, 2] * dz
+        ahead = frame[2, 0] * dx + frame[2, 1] * dy + frame[2, 2] * dz
+        if abs(up) >= height or abs(aside) >= arm:
+            continue
+        arc = half_width * np.arctan2(aside, ahead)
+        if abs(arc) >= width:
+            continue
+        away = np.hypot(aside, ahead)
+        cosine, sine = (ahead / away, aside / away) if away > 0.0 else (1.0, 0.0)
+        trunk, power = 0.0, 1.0
+        for d in range(len(radius)):
+            along, c, s = radius[d, 0], 1.0, 0.0
+            for k in range(1, radius.shape[1], 2):
+                c, s = c * cosine - s * sine, s * cosine + c * sine
+                along += radius[d, k] * c + radius[d, k + 1] * s
+            trunk += power * along
+            power *= up / height
+        row, column = int(np.rint((up + height) / pixel_mm)), int(np.rint((arc + width) / pixel_mm))
+        found[row, column] = min(found[row, column], away - trunk)
+    return found
+
+
+@kernel
+def longest_sides(vertices: Float64[Array, "n 3"], faces: Int32[Array, "m 3"], every: int) -> Float64[Array, " k"]:
+    """Longest side of every so many-th face, mm."""
+    longest = np.zeros((len(faces) + every - 1) // every)
+    for face in range(len(longest)):
+        for corner in range(3):
+            a, b = faces[face * every, corner], faces[face * every, (corner + 1) % 3]
+            dx, dy, dz = (
+                vertices[a, 0] - vertices[b, 0],
+                vertices[a, 1] - vertices[b, 1],
+                vertices[a, 2] - vertices[b, 2],
+            )
+            longest[face] = max(longest[face], np.sqrt(dx * dx + dy * dy + dz * dz))
+    return longest
+
+
+@kernel
+def middles_of_parts(
+    vertices: Float64[Array, "n 3"], faces: Int32[Array, "m 3"], every: int, parts: Int64[Array, " k"]
+) -> Float64[Array, "s 3"]:
+    """Middles of the n² equal parts of every so many-th face.
+
+    Args:
+        vertices: mm.
+        faces: corners.
+        every: step through the faces.
+        parts: n, for each of the faces taken.
+    """
+    count = 0
+    for face in range(len(parts)):
+        count += parts[face] * parts[face]
+    middles = np.empty((count, 3))
+    count = 0
+    for face in range(len(parts)):
+        n = parts[face]
+        a, b, c = faces[face * every, 0], faces[face * every, 1], faces[face * every, 2]
+        for i in range(n):
+            for j in range(n - i):
+                for turned in range(2):
+                    if turned and i + j >= n - 1:
+                        continue
+                    u, v = (i + (1 + turned) / 3) / n, (j + (1 + turned) / 3) / n
+                    for axis in range(3):
+                        start = vertices[a, axis]
+                        middles[count, axis] = start + u * (vertices[b, axis] - start) + v * (vertices[c, axis] - start)
+                    count += 1
+    return middles
+
 
 PIXEL_MM = 2.0  # side of a pixel; half the scale at which creases are looked at
 _SPECK = 3  # pixels; smaller specks of an outer layer are taken out
@@ -42,8 +141,7 @@ class Relief:
     """Position of the first pixel's centre, mm."""
     bulge_mm: Float64[Array, "h w"]
     """Distance by which the skin stands out. Rows go to the head, columns to the patient's left. Gaps are filled with
-    the nearest.
-    """
+    the nearest."""
     known: Bool[Array, "h w"]
     """Whether skin was seen there, or next to it."""
 
@@ -99,13 +197,13 @@ def lay_flat(thorax: Thorax, points_world: Float64[Array, "n 3"]) -> Relief:
     limits = np.array([trunk.half_width_mm, width, height, ARM * trunk.half_width_mm])
     radius = thorax.coefficients.reshape(-1, AROUND)
 
-    def innermost(band: slice) -> Float64[Array, "h w"]:
-        found: Float64[Array, "h w"] = skin_kernels.innermost(
+    def of_band(band: slice) -> Float64[Array, "h w"]:
+        found: Float64[Array, "h w"] = innermost(
             points_world[band], trunk.frame, trunk.origin, radius, limits, PIXEL_MM, size
         )
         return found
 
-    inner = np.min(in_bands(innermost, len(points_world)), axis=0)
+    inner = np.min(in_bands(of_band, len(points_world)), axis=0)
     known = np.isfinite(inner)
     if not known.any():
         raise MeasureError(
@@ -128,8 +226,8 @@ def dense_samples(mesh: TriangleMesh, spacing_mm: float = _FINEST_MM) -> Float64
     gives its middle.
     """
     every = max(1, len(mesh.faces) // _MOST_SAMPLES)  # so many are finer than the spacing
-    longest = skin_kernels.longest_sides(mesh.vertices, mesh.faces, every)
+    longest = longest_sides(mesh.vertices, mesh.faces, every)
     spacing = max(spacing_mm, float(np.sqrt((longest**2).sum() / _MOST_SAMPLES)))
     parts = np.maximum(np.ceil(longest / spacing).astype(np.int64), 1)
-    samples: Float64[Array, "n 3"] = skin_kernels.middles_of_parts(mesh.vertices, mesh.faces, every, parts)
+    samples: Float64[Array, "n 3"] = middles_of_parts(mesh.vertices, mesh.faces, every, parts)
     return samples

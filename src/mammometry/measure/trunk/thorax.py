@@ -1,7 +1,4 @@
-"""The trunk under the breasts: frame, axis and smooth radius r(θ, y).
-
-The radius is fitted to the skin beside the breasts.
-"""
+"""The trunk under the breasts: frame, axis and radius r(θ, y), smooth over the skin beside them."""
 
 from __future__ import annotations
 
@@ -15,17 +12,15 @@ from mammometry.geometry.arrays import Array, Bool, Float64, Int64
 from mammometry.surface.repair.repair import Provenance, RepairedSurface
 
 _CHEST_SCALE_MM = 4.0
-"""Scatter of a chest about the smooth surface that is fitted to it, mm. Once the breasts are left out, skin that
-stands out up to three times as far still describes the trunk (muscle, collar bone).
-"""
+"""Scatter of a chest about the smooth surface that is fitted to it, mm. Once the breasts are left out, skin that stands
+out up to three times as far still describes the trunk (muscle, collar bone)."""
 HEIGHT_WINDOW_MM = 140.0
 """Skin within this height of the breasts describes the trunk, mm."""
 WIDEST_DEG = 115.0
 """Skin up to this far around from straight ahead describes the trunk, degrees."""
 _STEEPEST_LEAN_DEG = 50.0
 """Greatest angle between the trunk's axis and the photographs' upright, degrees. Beyond it the upright serves as the
-axis. Patients lean forward by up to 42° in front of the rig, and the cameras are not quite upright on average.
-"""
+axis. Patients lean forward by up to 42° in front of the rig, and the cameras are not quite upright on average."""
 _HARMONICS = 4  # Fourier order of the radius around the trunk; 4 follows a thorax and not a breast
 AROUND = 2 * _HARMONICS + 1  # Fourier terms
 _HEIGHT_DEGREE = 2  # of the polynomial of each Fourier coefficient along the trunk; chosen by eye
@@ -37,19 +32,16 @@ _FEWEST_SIDE = 50  # samples of side skin needed on either side; chosen by eye
 _BEHIND_FRONT_MM = 30.0
 """Least distance of a trunk's side behind the breastbone's skin, mm. A breast's flank faces aside as steeply, but lies
 further ahead. Chosen by eye: a boundary 121 mm wide that tilts back by 7.7° (real women's means) ends 16 mm behind its
-medial end.
-"""
+medial end."""
 _MIDDLE_MM = 15.0  # skin this near to the middle between both sides shows the breastbone; by eye: 19 moved .1 %
 _HALF_WIDTHS_MM, _DEPTHS_MM = (95.0, 260.0), (50.0, 220.0)
 """Half widths of a trunk, and depths of its axis behind the breastbone, outside which the sides are wrong. Chosen by
-eye, far wider than adults.
-"""
+eye, far wider than adults."""
 _ASKEW = 0.35  # share of the half width by which the axis may lie beside the middle; chosen by eye
 ASSUMED_DEPTH_MM, ASSUMED_HALF_WIDTH_MM = 110.0, 150.0
 """Assumed depth of the axis behind the breastbone, and half width, if no sides were seen: chosen by eye. It matters
 little: from 80 to 170 mm a breast's volume changes by 5 % (145 breasts of real women: +3.5, +5.4, +7.1, +8.6 % at 80,
-110, 140, 170 mm).
-"""
+110, 140, 170 mm)."""
 _AXIS_ROUNDS = 20  # of reweighting the normals at most; it ends when the axis is at rest
 _AXIS_SAMPLES = 60_000  # of the skin from which the axis is found; chosen for speed
 _FIT_SAMPLES = 20_000  # of the skin to which the radius is fitted; chosen for speed
@@ -70,10 +62,7 @@ _MAD = 1.4826  # standard deviation of a normal distribution over its median abs
 
 @value(eq=False)
 class Trunk:
-    """Cylindrical coordinates of a trunk.
-
-    θ from straight ahead towards the patient's left, y to the head, radius r.
-    """
+    """Cylindrical coordinates: θ from straight ahead to the patient's left, y to the head, radius r."""
 
     frame: Float64[Array, "3 3"]
     """Rows: the patient's left, the head, straight ahead. World frame."""
@@ -96,10 +85,7 @@ class Trunk:
         return self.origin + np.stack([r * np.sin(theta), y, r * np.cos(theta)], axis=1) @ self.frame
 
     def facing(self, theta_rad: float) -> Float64[Array, "3 3"]:
-        """The trunk with straight ahead turned to the angle θ.
-
-        θ is in this one's frame. The turn is about the axis.
-        """
+        """The trunk turned about its axis, so that its angle θ is straight ahead."""
         left, up, ahead = self.frame
         sine, cosine = np.sin(theta_rad), np.cos(theta_rad)
         return np.stack([cosine * left - sine * ahead, up, sine * left + cosine * ahead])
@@ -118,6 +104,11 @@ class Thorax:
     def radius_mm(self, arc_y: Float64[Array, "n 2"]) -> Float64[Array, " n"]:
         """Radius of the trunk without breasts at (half width × θ, y). All in mm."""
         return _design(arc_y, self.trunk.half_width_mm) @ self.coefficients
+
+    def bend_per_mm(self, arc_y: Float64[Array, "n 2"]) -> Float64[Array, " n"]:
+        """Curvature along the trunk at (half width × θ, y), mm; 1/mm, positive where it is rounded."""
+        around = _design(arc_y, self.trunk.half_width_mm)[:, :AROUND]
+        return -2 * around @ self.coefficients[2 * AROUND :] / HEIGHT_WINDOW_MM**2
 
     def bulge_mm(self, points_world: Float64[Array, "n 3"]) -> Float64[Array, " n"]:
         """How far points stand out from the trunk without breasts, mm."""
@@ -175,10 +166,7 @@ def _place_on_curve(points: Float64[Array, "n 3"]) -> Int64[Array, " n"]:
 
 
 def frame_from_sides(left: Float64[Array, "n 3"], right: Float64[Array, "m 3"], skin: Skin) -> Float64[Array, "3 3"]:
-    """Patient's left, head and straight ahead, from both boundary curves.
-
-    These are rows. The curves are in mm.
-    """
+    """Patient's left, head and straight ahead, as rows, from both boundary curves, mm."""
     across = left.mean(axis=0) - right.mean(axis=0)
     near = np.linalg.norm(skin.points_world - (left.mean(axis=0) + right.mean(axis=0)) / 2, axis=1)
     ahead = skin.normals_world[near < np.linalg.norm(across)].sum(axis=0)

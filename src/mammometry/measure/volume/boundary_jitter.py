@@ -9,8 +9,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from mammometry.base.errors import MeasureError
 from mammometry.base.progress import Progress, no_progress
-from mammometry.geometry.arrays import Array, Float64
-from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry import Array, Float64, TriangleMesh
 from mammometry.geometry.nearest import point_tree
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.boundary.trace import REACH_MM, edge_loop
@@ -25,9 +24,9 @@ UNSEEN_SLOPE = 0.5
 """Growth of both, mm for each mm of distance from measured skin, or of the distance by which the skin could stand
 further out without being seen, whichever is less. For a ptotic cast photographed by one pair, with its lower pole
 hidden (63 cm², up to 49 mm away), the volume was off by .5 times distance times area. For casts photographed by four
-pairs, at .15 of full size, it was -.2 to .4 times (docs/decisions/0009).
-"""
+pairs, at .15 of full size, it was -.2 to .4 times (docs/decisions/0009)."""
 _ORDERS = 4  # Fourier orders 0 to 3: wider, shifted, oblong, three-lobed (docs/decisions/0009)
+_SHARES = (1.0, 0.5, -1.0, -0.5)  # of a displacement that are tried in turn where the curve meets an edge of the skin
 _SMOOTH = 48
 """A curve's uncertainty is smoothed over this part of its length (standard deviation); chosen by eye."""
 _SKIN_MARGIN_MM = 10.0  # skin around a redrawn curve onto which it is laid; chosen by eye
@@ -55,7 +54,7 @@ def boundary_std_cc(breast: OpenBreast, wall: ChestWall, *, progress: Progress =
         progress: called with the fraction done.
 
     Returns:
-        None where a redrawn curve could not be followed, so that the derivative is not known.
+        None where the curve could not be followed displaced to either side, so that a derivative is not known.
     """
     boundary, surface = breast.boundary, breast.surface
     volume_cc = wall.closed.volume_mm3() / 1000
@@ -68,20 +67,30 @@ def boundary_std_cc(breast: OpenBreast, wall: ChestWall, *, progress: Progress =
     except MeasureError:
         return None
     for number, across_mm in enumerate(modes):
-        redrawn = redraw(boundary, across_mm, band.mesh)
-        boundaries = [redrawn if other.name == boundary.name else other for other in breast.boundaries]
-        try:
-            part = band.inside(edge_loop(redrawn.name, redrawn.points_world, band.mesh))
-            again = replace(breast, boundary=redrawn, boundaries=boundaries, seen=breast.skin, cut=part)
-            moved = chest_wall.fit(again, wall.kind)
-        except MeasureError:
+        for share in _SHARES:
+            moved_cc = _redrawn_cc(breast, wall, band, share * across_mm)
+            if moved_cc is not None:
+                changes_cc.append((moved_cc - volume_cc) / share)
+                break
+        else:
             return None
-        changes_cc.append(moved.closed.volume_mm3() / 1000 - volume_cc)
         progress((number + 1) / len(modes))
     widened, narrowed, *bent = changes_cc
     mean = (widened + narrowed) / 2
     linear = [(widened - narrowed) / 2, *(change - mean / 2 for change in bent)]
     return float(np.sqrt(np.sum(np.square(linear)) + (_ORDERS * mean) ** 2))
+
+
+def _redrawn_cc(breast: OpenBreast, wall: ChestWall, band: Band, across_mm: Float64[Array, " n"]) -> float | None:
+    """Volume within a displaced boundary, cc. None where it could not be followed."""
+    redrawn = redraw(breast.boundary, across_mm, band.mesh)
+    boundaries = [redrawn if other.name == redrawn.name else other for other in breast.boundaries]
+    try:
+        part = band.inside(edge_loop(redrawn.name, redrawn.points_world, band.mesh))
+        again = replace(breast, boundary=redrawn, boundaries=boundaries, seen=breast.skin, cut=part)
+        return chest_wall.fit(again, wall.kind).closed.volume_mm3() / 1000
+    except MeasureError:
+        return None
 
 
 def _sigma_mm(breast: OpenBreast) -> Float64[Array, " n"]:
@@ -122,10 +131,7 @@ def drawn_sigma_mm(
 
 
 def displacements_mm(sigma_mm: Float64[Array, " n"]) -> Float64[Array, "m n"]:
-    """Displacements across a closed curve, one for each Fourier term.
-
-    Their squares add up to each point's σ².
-    """
+    """Displacements across a closed curve, one per Fourier term. Their squares add up to σ²."""
     count = len(sigma_mm)
     around = 2 * np.pi * np.arange(count) / count
     terms = [np.ones(count)]
@@ -135,10 +141,7 @@ def displacements_mm(sigma_mm: Float64[Array, " n"]) -> Float64[Array, "m n"]:
 
 
 def redraw(boundary: Boundary, across_mm: Float64[Array, " n"], mesh: TriangleMesh) -> Boundary:
-    """Displace a boundary outwards along its best plane.
-
-    It is then laid back onto the nearest vertices of the skin.
-    """
+    """Displace a boundary outwards along its best plane, and lay it back onto the skin's vertices."""
     points = boundary.points_world
     centre = points.mean(axis=0)
     normal = np.linalg.svd(points - centre, full_matrices=False)[2][2]

@@ -28,9 +28,8 @@ OVER_LAYER_MM = 0.6
 MEASURED_LAYER_U95_MM = 5.0
 """Half-width with four measured thicknesses, mm: 4.7 on real women, each thickness ± 2 mm."""
 MISSING_LAYER_U95_MM = 3.0
-"""Added for two missing quadrants, mm (root of the sum of squares): quadrants of one breast correlate by .6 to .75
-and their mean has ± 4.5 mm between women.
-"""
+"""Added for two missing quadrants, mm (root of the sum of squares): quadrants of one breast correlate by .6 to .75 and
+their mean has ± 4.5 mm between women."""
 
 Meaning: TypeAlias = Literal["flat chest", "named wall", "muscle", "measured wall"]
 

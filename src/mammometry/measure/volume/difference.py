@@ -52,10 +52,7 @@ class VolumeDifference:
 
     @property
     def beyond_error(self) -> bool | None:
-        """Whether the difference is beyond measurement error.
-
-        Its 95 % interval then leaves out zero. None without an interval.
-        """
+        """Whether the difference's 95 % interval leaves out zero. None without an interval."""
         if self.difference_interval_cc is None:
             return None
         low, high = self.difference_interval_cc

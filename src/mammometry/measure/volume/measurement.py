@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from mammometry.base.value import value
-from mammometry.geometry.arrays import Array, Float64
-from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry import Array, Float64, TriangleMesh
 from mammometry.measure.volume.definitions import DefinedVolume
 
 if TYPE_CHECKING:
@@ -26,8 +25,7 @@ class VolumeMeasurement:
     """Volume between the breast's surface and the wall, cc (1 cc = 1000 mm³)."""
     interval_cc: tuple[float, float] | None
     """95 % interval of the volume, cc. None if it is not known. Never below zero. A torso's interval is about what
-    stands out of a flat chest, one that carries the layer found at the boundary behind the breast too.
-    """
+    stands out of a flat chest, one that carries the layer found at the boundary behind the breast too."""
     as_defined_cc: tuple[float, float] | None = None
     """A torso's 95 % interval of what stands in front of the named wall, wherever the chest is, cc: by how much the
     number itself may be wrong."""

@@ -10,9 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mammometry.geometry.arrays import Array, Float64, Int32
-from mammometry.geometry.camera import Rig
-from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry import Array, Float64, Int32, Rig, TriangleMesh
 from mammometry.geometry.nearest import point_tree
 from mammometry.surface.motion.motion_test import Stillness
 from mammometry.surface.motion.rigid_motion import effects, rigid_motions
@@ -21,8 +19,7 @@ from mammometry.surface.repair.repair import RepairedSurface
 _SAMPLES = 2000  # vertices of the skin at which displacements are computed; chosen for speed
 _ALIKE_MM = 40.0
 """Distance within which the motion that is not rigid is alike, mm: breathing lifts whole parts of a chest. Chosen by
-eye.
-"""
+eye."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mammometry.base.value import value
-from mammometry.geometry.arrays import Array, Bool, Float64
-from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry import Array, Bool, Float64, TriangleMesh
 from mammometry.geometry.nearest import point_tree
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.settings import MeasureSettings
@@ -23,19 +22,16 @@ from mammometry.surface.repair.repair import Provenance, RepairedSurface
 WALL_ACROSS_POSES_U95_MM = 2.5
 """Half-width for the change of one breast between two captures in different poses, mm."""
 WALL_FIT_U95_MM = WALL_ACROSS_POSES_U95_MM / 2**0.5
-"""Half-width by which one fitted wall may lie off the surface that its definition means, mm. Two captures of one
-breast in different poses differ by both walls' shares.
-"""
+"""Half-width by which one fitted wall may lie off the surface that its definition means, mm. Two captures of one breast
+in different poses differ by both walls' shares."""
 COMMON_SHARE = 0.35
-"""Share of the measured skin's expected error that is common to all of it. Weak texture and noise make matching
-flatten convex skin: for casts at .15 of full size the mean error was .1 to .4 of the expected one.
-"""
+"""Share of the measured skin's expected error that is common to all of it. Weak texture and noise make matching flatten
+convex skin: for casts at .15 of full size the mean error was .1 to .4 of the expected one."""
 MATCHING_REACH_MM = 3.0
 """Distance on the skin within which random errors of a matched surface are alike, mm. Half a matching window."""
 REPAIRED_SIGMA_MM = 0.1
-"""Standard uncertainty of repaired skin beside measured skin, along its normal, mm. Common to all of it. Repaired
-casts were off by .08 mm on average and .8 mm at worst (99 %), in both directions.
-"""
+"""Standard uncertainty of repaired skin beside measured skin, along its normal, mm. Common to all of it. Repaired casts
+were off by .08 mm on average and .8 mm at worst (99 %), in both directions."""
 INVENTED_SIGMA_MM = 0.4
 """Standard uncertainty of skin that no camera measured and no neighbour supports, mm. Common to all of it."""
 AXIS_U95_SHARE = 0.025
@@ -43,10 +39,9 @@ AXIS_U95_SHARE = 0.025
 WALL_MEASURED_U95_MM = 1.0
 """Half-width for a separately measured wall (wall.ply), mm: how well two scans can be registered."""
 WALL_SIDES_U95_MM = 1.9
-"""Half-width, mm for each side, of what walls of both sides of one capture do not share. On real women right less
-left over the base was off by less than 2.6 mm in 95 %, which is 1.84 mm for each side. Our torsos have .93. An
-earlier synthetic family had 3.4. docs/decisions/0029.
-"""
+"""Half-width, mm for each side, of what walls of both sides of one capture do not share. On real women right less left
+over the base was off by less than 2.6 mm in 95 %, which is 1.84 mm for each side. Our torsos have .93. An earlier
+synthetic family had 3.4. docs/decisions/0029."""
 WALL_SAME_POSE_U95_MM = 1.2
 """Half-width for the change of one breast between two captures in the same pose, mm."""
 MOVEMENT = "movement"
@@ -62,10 +57,7 @@ _ROOM_SAMPLES = 4000  # unseen vertices whose room is computed; the others take 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EarlierErrors:
-    """The calibration's own errors. None for imported cameras.
-
-    Imported cameras say nothing about their errors.
-    """
+    """The calibration's own errors, which imported cameras do not tell."""
 
     scale_std: float | None = None
     """Relative standard uncertainty of every length, from how well the target was measured."""
@@ -173,7 +165,9 @@ def interval(
     else:
         if torso:
             if boundary_std_cc is None:
-                boundary_std_cc = settings.observers.mean_mm * _BOUNDARY_CC_PER_MM_CM2 * area_cm2
+                across_mm = np.zeros(1) if boundary.across_mm is None else boundary.across_mm
+                sigma_mm = float(np.sqrt(settings.observers.mean_mm**2 + np.mean(across_mm**2)))
+                boundary_std_cc = sigma_mm * _BOUNDARY_CC_PER_MM_CM2 * area_cm2
             terms["boundary"] = _COVERAGE_95 * boundary_std_cc
         height_mm = WALL_MEASURED_U95_MM if model.measured else model.off_u95_mm(area_cm2)
         terms[WALL] = height_mm * area_cm2 / 10
@@ -219,9 +213,8 @@ def _of_skin(
         return _at_95({"matching": settings.surface_sigma_mm * own_mm2.sum()})
     nearest = np.asarray(point_tree(surface.mesh.vertices).query(skin.vertices, workers=1)[1])
     origin = surface.provenance[nearest]
-    seen, repaired, invented = (
-        origin == provenance for provenance in (Provenance.MEASURED, Provenance.REPAIRED, Provenance.INVENTED)
-    )
+    seen, invented = origin == Provenance.MEASURED, origin == Provenance.INVENTED
+    repaired = ~(seen | invented)
     sigma_mm = np.nan_to_num(surface.sigma_mm[nearest[seen]].astype(np.float64))
     # Windows overlap: errors of measured vertices are alike within a patch, and but for a share independent beyond it.
     patch_mm2 = np.pi * MATCHING_REACH_MM**2

@@ -13,9 +13,7 @@ import numpy as np
 
 from mammometry.base.machine.cores import each_at_once
 from mammometry.base.value import value
-from mammometry.geometry import raster_kernels
-from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int64
-from mammometry.geometry.camera import Camera, Rig
+from mammometry.geometry import Array, Bool, Camera, Float32, Float64, Int64, Rig, raster_kernels
 from mammometry.geometry.nearest import point_tree
 from mammometry.matching.foreground.contour import follow
 from mammometry.matching.foreground.foreground import Foreground
@@ -25,12 +23,10 @@ SILHOUETTE_DOUBT_PX = 1.0
 """Distance outside a silhouette at which nothing of the subject is left, pixels."""
 SILHOUETTE_DOUBT_SLOPE = 0.25
 """Growth of that distance, px for each px along an outline that is not an edge but the border of a shadow. In eight
-outlines of a cast whose fold is as dark as the backdrop, such stretches lay up to .2 of it inside the true one.
-"""
+outlines of a cast whose fold is as dark as the backdrop, such stretches lay up to .2 of it inside the true one."""
 SEEN_THROUGH_MM = 0.5
 """Largest distance of the subject in front of skin that a pair measured, mm, beyond three standard deviations of the
-datum.
-"""
+datum."""
 _STEPS = 24  # into which the farthest distance is divided; chosen for speed
 _SIGMAS = 3  # standard deviations of a datum within which nothing is excluded
 
@@ -141,9 +137,7 @@ def outward_room_mm(
     views: Sequence[Bound],
     farthest_mm: Float64[Array, " n"],
 ) -> Float64[Array, " n"]:
-    """Distance that each point may move outwards unseen, mm.
-
-    Along its normal, before some view excludes it.
+    """Distance, mm, that each point may move out along its normal before a view excludes it.
 
     Args:
         points_world: skin, mm, world frame.

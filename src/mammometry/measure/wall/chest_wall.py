@@ -19,8 +19,7 @@ from mammometry.surface.repair.repair import Provenance
 
 _ASTRAY_MM = 40.0
 """Mean distance of a wall from a straight one through the boundary above which it is no chest, mm: 145 breasts of real
-women have 15 ± 4 mm in the middle, and half of it on average.
-"""
+women have 15 ± 4 mm in the middle, and half of it on average."""
 _MUCH_UNSEEN = 0.1  # share of a boundary on unmeasured skin from which its crossing is blamed on that; chosen by eye
 
 

@@ -67,10 +67,7 @@ class PlaneChart:
 
 
 def best_plane(part: OpenPart) -> PlaneChart:
-    """Plane of least squares through the opening.
-
-    Its normal is on the side from which the loops run anticlockwise.
-    """
+    """Plane of least squares through the opening, its loops anticlockwise about its normal."""
     points = part.mesh.vertices[np.concatenate(part.loops)]
     origin = points.mean(axis=0)
     frame = frame_towards(np.linalg.svd(points - origin, full_matrices=False)[2][2])

@@ -10,8 +10,7 @@ import numpy as np
 
 from mammometry.base.errors import MeasureError
 from mammometry.base.registry import Registry
-from mammometry.geometry.arrays import Array, Bool, Float64
-from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry import Array, Bool, Float64, TriangleMesh
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.boundary.breasts import within_outline
 from mammometry.measure.boundary.cast_base import Base, BaseKind, base_through
@@ -46,12 +45,10 @@ class OpenBreast:
     """Which wall, and how a trunk is described."""
     boundaries: Sequence[Boundary] = ()
     """Every breast's boundary, this one's included, to separate the trunk's skin from the breasts'. Empty: this breast
-    is the only one.
-    """
+    is the only one."""
     frame: Float64[Array, "3 3"] | None = None
     """The body's frame (`measure.trunk.body`), rows: the patient's left, the head, straight ahead. Without it, the left
-    and the right boundary must determine it.
-    """
+    and the right boundary must determine it."""
     back: TriangleMesh | None = None
     """The separately measured wall (wall.ply), mm, world frame. It is then the default."""
     seen: Skin | None = None

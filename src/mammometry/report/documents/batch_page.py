@@ -3,8 +3,6 @@
 The page has a sortable line with pictures for each session.
 """
 
-from __future__ import annotations
-
 import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -13,9 +11,8 @@ import numpy as np
 
 from mammometry.base.csv_cells import csv_text
 from mammometry.report.documents.pages import embed, render
-from mammometry.report.figures.studies.agreement import bland_altman, scatter
-from mammometry.study.agreement import PairedMeasurements, agreement
-from mammometry.study.agreement_tables import agreement_tables, summary
+from mammometry.report.figures.observers import bland_altman, scatter
+from mammometry.study.agreement import PairedMeasurements, agreement, agreement_tables, summary
 from mammometry.study.tables import Table, number
 
 FILES = ("batch.html", "batch.csv", "batch.parquet")
@@ -25,7 +22,7 @@ _FEWEST = 3  # pairs that an agreement study takes
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BatchVolume:
-    """One volume."""
+    """A volume of a session, with its interval and reference."""
 
     name: str
     """``model``, ``left`` or ``right``."""
@@ -38,7 +35,7 @@ class BatchVolume:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BatchLine:
-    """One session."""
+    """A session's line on the page."""
 
     session: str
     address: str
@@ -72,20 +69,23 @@ def batch_files(title: str, lines: Sequence[BatchLine]) -> dict[str, bytes]:
         lines: one a session.
     """
     columns = _columns(lines)
-    files = {"batch.html": _page(title, lines).encode(), "batch.csv": _as_csv(columns)}
+    files = {
+        "batch.html": _page(title, lines).encode(),
+        "batch.csv": csv_text(columns, zip(*columns.values(), strict=True)).encode(),
+    }
     parquet = _as_parquet(columns)
     return files if parquet is None else files | {"batch.parquet": parquet}
 
 
 def _page(title: str, lines: Sequence[BatchLine]) -> str:
     paired = _paired(lines)
-    found = None if paired is None else agreement(paired)
+    figures = None if paired is None else agreement(paired)
     pictures: list[object] = []
     tables: list[Table] = []
     paragraphs: list[str] = []
-    if paired is not None and found is not None:
-        pictures = [embed(bland_altman(paired, found)), embed(scatter(paired))]
-        tables, paragraphs = [*agreement_tables(paired, found)], [*summary(paired, found)]
+    if paired is not None and figures is not None:
+        pictures = [embed(bland_altman(paired, figures)), embed(scatter(paired))]
+        tables, paragraphs = [*agreement_tables(paired, figures)], [*summary(paired, figures)]
     return render(
         "batch.html.j2",
         title=title,
@@ -184,10 +184,6 @@ def _columns(lines: Sequence[BatchLine]) -> dict[str, list[str | float | None]]:
             for name, cell in cells.items():
                 columns.setdefault(name, []).append(cell)
     return columns
-
-
-def _as_csv(columns: Mapping[str, Sequence[str | float | None]]) -> bytes:
-    return csv_text(columns, zip(*columns.values(), strict=True)).encode()
 
 
 def _as_parquet(columns: Mapping[str, Sequence[str | float | None]]) -> bytes | None:

@@ -13,15 +13,14 @@ from mammometry.measure.dates.change import BreastChange, Change, LengthChange
 from mammometry.report.content import DISCLAIMER, Fact, sentence
 from mammometry.report.documents import paper
 from mammometry.report.documents.pages import STYLE, embed, render, viewer_program
-from mammometry.report.figures.drawing.sides import NAMES
-from mammometry.report.figures.studies import change as change_figures
-from mammometry.report.figures.studies.change import Dated
+from mammometry.report.figures import change as change_figures
+from mammometry.report.figures.change import Dated
+from mammometry.report.figures.drawing.shading import NAMES
 from mammometry.report.models import change_scene
 from mammometry.report.pictures import encoded
 from mammometry.report.scene import to_json
-from mammometry.report.words.change_words import change_sentence
 from mammometry.report.words.describe import versions
-from mammometry.report.words.volume_words import interval_words, is_coarse, term_words, volume_words
+from mammometry.report.words.volumes import change_sentence, interval_words, is_coarse, term_words, volume_words
 from mammometry.study.tables import Table, signed
 
 PAGE, DOCUMENT, NUMBERS = "compare.html", "compare.pdf", "compare.json"
@@ -243,18 +242,18 @@ def length_tables(lengths: Sequence[LengthChange]) -> tuple[Table, ...]:
 
 def definitions(change: Change) -> tuple[Fact, ...]:
     """The boundaries, the chest wall and the interval that were compared."""
-    found = []
+    rows = []
     for breast in change.breasts:
         name = NAMES[breast.name]
-        found += [
+        rows += [
             Fact(label=f"Boundary before, {name}", value=sentence(breast.before.boundary_method)),
             Fact(label=f"Boundary after, {name}", value=sentence(breast.after.boundary_method)),
         ]
     first = change.breasts[0]
     wall = f"{first.after.wall_kind.capitalize()}: {sentence(first.after.wall_definition, capital=False)}"
-    found.append(Fact(label="Chest wall", value=wall))
-    found.append(Fact(label="95 % interval", value=sentence(first.volume.note)))
-    return tuple(found)
+    rows.append(Fact(label="Chest wall", value=wall))
+    rows.append(Fact(label="95 % interval", value=sentence(first.volume.note)))
+    return tuple(rows)
 
 
 def _story(

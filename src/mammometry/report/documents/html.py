@@ -3,21 +3,19 @@
 Pictures, style and 3D viewer are inside. It needs no network.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 from mammometry.report.content import DISCLAIMER, Picture, ReportContent
 from mammometry.report.documents import pages
-from mammometry.report.documents.arrangement import breast_pictures, stage_pictures, whole_pictures
+from mammometry.report.documents.pages import breast_pictures, stage_pictures, whole_pictures
 from mammometry.report.first_page import FirstPage, signature
-from mammometry.report.words.volume_words import MEANINGS_INTRODUCTION
+from mammometry.report.words.volumes import MEANINGS_INTRODUCTION
 
 PAGE = "report.html"
 
 
 def render(content: ReportContent, first: FirstPage) -> str:
-    """The page's text.
+    """HTML of the report's page.
 
     Args:
         content: what was measured.

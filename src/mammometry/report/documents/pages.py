@@ -1,15 +1,17 @@
-"""Pages from templates: what all of them share."""
-
-from __future__ import annotations
+"""Pages from templates: what all share, the places of a report's pictures, the page of a refused run."""
 
 import base64
 import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 from typing import Any
 
-from mammometry.base.errors import StorageError
-from mammometry.report.content import Picture
+from mammometry.base.errors import MammometryError, StorageError
+from mammometry.base.identity import Identity
+from mammometry.report.content import Fact, Picture, ReportContent, sentence
+from mammometry.report.figures.catalogue import in_order, is_on_paper
+from mammometry.report.first_page import FIRST_PICTURES
 from mammometry.report.pictures import encoded
 
 STYLE = "report.css"
@@ -36,7 +38,7 @@ def resource(name: str) -> str:
 
 
 def render(template: str, *, styles: tuple[str, ...] = (STYLE,), **values: Any) -> str:
-    """A page's text.
+    """HTML of a page, from its template.
 
     It may import macros from other templates, and finds its style under ``style``. Its filter ``commands`` sets what
     stands between `backticks` as code.
@@ -92,9 +94,74 @@ def viewer_program() -> str:
     try:
         return resource("viewer.js").replace("</", "<\\/")
     except FileNotFoundError:
+        remedy = "Install mammometry again: pip install ."
+        expected = "the 3D viewer, which is bundled when the package is installed"
         raise StorageError(
-            "mammometry/report/templates/viewer.js",
-            found="no such file",
-            expected="the 3D viewer, which is bundled when the package is installed",
-            remedy="Install mammometry again: pip install .",
+            "mammometry/report/templates/viewer.js", found="no such file", expected=expected, remedy=remedy
         ) from None
+
+
+_MEASURE = "measure"
+
+
+def whole_pictures(content: ReportContent) -> list[Picture]:
+    """Pictures of the whole measurement, without those of the first page."""
+    of_breasts = {name for breast in content.breasts for name in _of_breast(content, breast.name)}
+    measure = _drawn(content, _MEASURE)
+    left_out = {*of_breasts, *FIRST_PICTURES}
+    return [measure[name] for name in in_order(_MEASURE, measure) if name not in left_out]
+
+
+def breast_pictures(content: ReportContent, breast: str) -> list[Picture]:
+    """Pictures of one breast."""
+    return [_drawn(content, _MEASURE)[name] for name in _of_breast(content, breast)]
+
+
+def stage_pictures(content: ReportContent, stage: str) -> list[Picture]:
+    """Pictures of one stage for the technician. Those of the measurement stand with the breasts."""
+    return [picture for _, picture in _of_stage(content, stage)]
+
+
+def paper_pictures(content: ReportContent, stages: Sequence[str]) -> list[Picture]:
+    """Pictures of these stages that the paper has room for."""
+    return [picture for stage in stages for name, picture in _of_stage(content, stage) if is_on_paper(name)]
+
+
+def _of_stage(content: ReportContent, stage: str) -> list[tuple[str, Picture]]:
+    drawn = {} if stage == _MEASURE else _drawn(content, stage)
+    return [(name, drawn[name]) for name in in_order(stage, drawn)]
+
+
+def _of_breast(content: ReportContent, breast: str) -> list[str]:
+    return in_order(_MEASURE, (name for name in _drawn(content, _MEASURE) if name.endswith(f"-{breast}")))
+
+
+def _drawn(content: ReportContent, stage: str) -> dict[str, Picture]:
+    return dict(content.pictures.get(stage, {}))
+
+
+def refusal_page(identity: Identity, error: MammometryError, pictures: Mapping[str, bytes]) -> str:
+    """The refusal's parts, and the pictures made before it.
+
+    Args:
+        identity: whose photographs they are.
+        error: the refusal.
+        pictures: name → PNG with its caption, the most telling first.
+    """
+    return render(
+        "refused.html.j2",
+        identity=identity,
+        subject=_heading(error.subject),
+        details=(
+            Fact(label="Found", value=error.found),
+            Fact(label="Expected", value=error.expected),
+        ),
+        remedy=sentence(error.remedy),
+        lines=[sentence(line) for line in error.details],
+        pictures=[embed(png) for png in pictures.values()],
+    )
+
+
+def _heading(subject: str) -> str:
+    """The subject with a capital, unless it is the name of a file."""
+    return subject if {"/", "."} & set(subject) else f"{subject[:1].upper()}{subject[1:]}"

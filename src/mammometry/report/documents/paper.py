@@ -1,7 +1,5 @@
 """Parts of our paper documents: paragraphs, facts, tables, pictures on A4."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import lru_cache
@@ -140,39 +138,33 @@ def table(data: Table, width: float, *, size: float = 6.5, first: float | None =
         first: share of the first column. None: all are alike.
     """
     from reportlab.lib.styles import ParagraphStyle
-    from reportlab.platypus import Paragraph, TableStyle
-    from reportlab.platypus import Table as Grid
+    from reportlab.platypus import Paragraph
 
     style = ParagraphStyle("cell", fontName="DejaVu", fontSize=size, leading=1.2 * size, textColor=INK)
     faint = ParagraphStyle("head", parent=style, textColor=FAINT)
     rows = [[Paragraph(escape(name), faint) for name in data.columns]]
     rows += [[Paragraph(escape(cell), style) for cell in row] for row in data.rows]
-    lined = TableStyle(
-        [
-            ("LINEBELOW", (0, 0), (-1, -1), 0.4, _LINE),
-            ("VALIGN", (0, 0), (-1, -1), "TOP"),
-            *((f"{side}PADDING", (0, 0), (-1, -1), 0.18 * size) for side in ("TOP", "BOTTOM", "LEFT", "RIGHT")),
-        ]
-    )
     count = len(data.columns)
     share = 1 / count if first is None else first
     widths = [share * width, *[(1 - share) * width / max(count - 1, 1)] * (count - 1)]
-    return Grid(rows, colWidths=widths, style=lined, spaceBefore=3)
+    below = ("LINEBELOW", (0, 0), (-1, -1), 0.4, _LINE)
+    return _grid(rows, widths, 0.18 * size, below, spaceBefore=3)
 
 
 def columns(cells: Sequence[Sequence[Any]], widths: Sequence[float], *, gap: float = 0.0) -> Any:
     """Cells of given widths in one row, without lines. `gap` points between them."""
+    apart = ("RIGHTPADDING", (0, 0), (-2, -1), gap)
+    return _grid([[list(cell) for cell in cells]], list(widths), 0, apart, hAlign="LEFT")
+
+
+def _grid(rows: list[list[Any]], widths: Sequence[float], padding: float, *commands: Any, **options: Any) -> Any:
+    """A table of the layout, with the same padding on all sides of its cells, and further commands of style."""
     from reportlab.platypus import Table as Grid
     from reportlab.platypus import TableStyle
 
-    style = TableStyle(
-        [
-            ("VALIGN", (0, 0), (-1, -1), "TOP"),
-            *((f"{side}PADDING", (0, 0), (-1, -1), 0) for side in ("TOP", "BOTTOM", "LEFT", "RIGHT")),
-            ("RIGHTPADDING", (0, 0), (-2, -1), gap),
-        ]
-    )
-    return Grid([[list(cell) for cell in cells]], colWidths=list(widths), style=style, hAlign="LEFT")
+    sides = [(f"{side}PADDING", (0, 0), (-1, -1), padding) for side in ("TOP", "BOTTOM", "LEFT", "RIGHT")]
+    style = TableStyle([("VALIGN", (0, 0), (-1, -1), "TOP"), *sides, *commands])
+    return Grid(rows, colWidths=widths, style=style, **options)
 
 
 def line(width: float) -> Any:
@@ -201,53 +193,24 @@ def height_of(flowables: Sequence[Any], width: float) -> float:
 
 def side_by_side(cells: Sequence[Sequence[Any]], width: float) -> Any:
     """Cells of equal width in one row."""
-    from reportlab.platypus import Table as Grid
-    from reportlab.platypus import TableStyle
-
-    style = TableStyle(
-        [
-            ("VALIGN", (0, 0), (-1, -1), "TOP"),
-            ("BOX", (0, 0), (-1, -1), 0.5, _LINE),
-            ("INNERGRID", (0, 0), (-1, -1), 0.5, _LINE),
-            *((f"{side}PADDING", (0, 0), (-1, -1), 6) for side in ("TOP", "BOTTOM", "LEFT", "RIGHT")),
-        ]
-    )
-    return Grid([[list(cell) for cell in cells]], colWidths=[width / len(cells)] * len(cells), style=style)
+    lines = [(kind, (0, 0), (-1, -1), 0.5, _LINE) for kind in ("BOX", "INNERGRID")]
+    return _grid([[list(cell) for cell in cells]], [width / len(cells)] * len(cells), 6, *lines)
 
 
-def box(words: Sequence[Any], width: float, *, ground: str = _WARN_GROUND, edge: str = _EDGE) -> Any:
+def box(words: Sequence[Any], width: float) -> Any:
     """Paragraphs on a coloured ground with a left edge: a warning."""
-    from reportlab.platypus import Table as Grid
-    from reportlab.platypus import TableStyle
-
-    style = TableStyle(
-        [
-            ("BACKGROUND", (0, 0), (-1, -1), ground),
-            ("LINEBEFORE", (0, 0), (0, -1), 3, edge),
-            *((f"{side}PADDING", (0, 0), (-1, -1), 5) for side in ("TOP", "BOTTOM", "RIGHT")),
-            ("LEFTPADDING", (0, 0), (-1, -1), 9),
-        ]
-    )
-    return Grid([[list(words)]], colWidths=[width], style=style)
+    ground, edge = ("BACKGROUND", (0, 0), (-1, -1), _WARN_GROUND), ("LINEBEFORE", (0, 0), (0, -1), 3, _EDGE)
+    return _grid([[list(words)]], [width], 5, ground, edge, ("LEFTPADDING", (0, 0), (-1, -1), 9))
 
 
 def pictures(shown: Sequence[Picture], width: float, height: float) -> Iterator[Any]:
     """Pictures two a row, each under its title."""
-    from reportlab.platypus import Table as Grid
-    from reportlab.platypus import TableStyle
-
     half = 0.5 * width - 4
-    bare = TableStyle(
-        [
-            ("VALIGN", (0, 0), (-1, -1), "TOP"),
-            *((f"{side}PADDING", (0, 0), (-1, -1), 2) for side in ("TOP", "BOTTOM", "LEFT", "RIGHT")),
-        ]
-    )
     for start in range(0, len(shown), 2):
         row = [
             [text(item.title, size=8, bold=True), picture(item.jpeg, half, height)] for item in shown[start : start + 2]
         ]
-        yield Grid([row], colWidths=[0.5 * width] * len(row), style=bare, hAlign="LEFT", spaceBefore=4)
+        yield _grid([row], [0.5 * width] * len(row), 2, hAlign="LEFT", spaceBefore=4)
 
 
 def picture(jpeg: bytes, width: float, height: float) -> Any:

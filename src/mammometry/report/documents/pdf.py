@@ -4,15 +4,13 @@ It shows what the page in the browser shows, from the same values. ReportLab nee
 can be made wherever mammometry runs.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from functools import partial
 from typing import Any
 
 from mammometry.report.content import Fact, LargeNumber, Picture, ReportContent
 from mammometry.report.documents import paper
-from mammometry.report.documents.arrangement import breast_pictures, paper_pictures, whole_pictures
+from mammometry.report.documents.pages import breast_pictures, paper_pictures, whole_pictures
 from mammometry.report.documents.paper import (
     ACCENT,
     FAINT,
@@ -27,7 +25,7 @@ from mammometry.report.documents.paper import (
 )
 from mammometry.report.figures.drawing.canvas import INK
 from mammometry.report.first_page import FirstPage, signature
-from mammometry.report.words.volume_words import MEANINGS_INTRODUCTION
+from mammometry.report.words.volumes import MEANINGS_INTRODUCTION
 from mammometry.study.tables import Table
 
 DOCUMENT = "report.pdf"

@@ -1,15 +1,12 @@
 """Render a report: stored content, whoever drew and confirmed the boundaries, and what a clinic knows."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from mammometry.measure.boundary.confirming import TO_BE_CONFIRMED
 from mammometry.measure.volume.attribution import Attribution, Confirmation, attributed_words
-from mammometry.report.clinical import Clinical
-from mammometry.report.content import BreastReport, ReportContent, sentence
-from mammometry.report.figures.drawing.sides import NAMES
+from mammometry.report.content import BreastReport, Clinical, ReportContent, sentence
+from mammometry.report.figures.drawing.shading import NAMES
 from mammometry.report.first_page import first_page
 
 
@@ -66,11 +63,11 @@ def attributed_content(
             breast = replace(breast, boundary=words)
         breasts.append(breast)
     warnings = (*content.warnings, *_boundary_warnings(breasts, in_clinic=clinical is not None), *content.concerns)
-    return replace(content, breasts=tuple(_with_sentence(breast) for breast in breasts), warnings=warnings)
-
-
-def _with_sentence(breast: BreastReport) -> BreastReport:
-    return replace(breast, boundary=sentence(breast.boundary))
+    return replace(
+        content,
+        breasts=tuple(replace(breast, boundary=sentence(breast.boundary)) for breast in breasts),
+        warnings=warnings,
+    )
 
 
 def _boundary_warnings(breasts: Sequence[BreastReport], *, in_clinic: bool) -> Iterator[str]:

@@ -12,11 +12,14 @@ from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
 from mammometry.base.errors import SettingsError
 from mammometry.base.registry import Registry
+from mammometry.job.graph import Plan
+from mammometry.job.inputs import Inputs
+from mammometry.settings import Settings
 
 if TYPE_CHECKING:
     from mammometry.job.products import Stage
     from mammometry.report.figures.drawing.canvas import Sheet
-    from mammometry.report.figures.drawing.source import Source
+
 
 Draw: TypeAlias = Callable[..., "bytes | None"]
 """Draws a PNG from its stage's result (`stage_results`). A figure of each breast also gets that breast's measurement.
@@ -121,3 +124,7 @@ def shows_photographs(name: str) -> bool:
 def is_on_paper(name: str) -> bool:
     """Whether the PDF's pages for the technician show a picture."""
     return any(preview.on_paper for preview in PREVIEWS.values() if preview.is_called(name))
+
+
+Source: TypeAlias = tuple[Plan, Inputs, Settings]
+"""A session's plan, what it brought, and the settings."""

@@ -62,10 +62,10 @@ def rectified(result: MatchingResult) -> bytes:
     """Both matched pictures of each pair, with lines of corresponding points."""
     rig, disparities = result.rig, result.disparities
     columns, rows = canvas.grid(2 * len(disparities))
-    panel = canvas.fitting([found.valid.shape for found in disparities.values()], _PANEL_PX)
+    panel = canvas.fitting([disparity.valid.shape for disparity in disparities.values()], _PANEL_PX)
     sheet = Sheet(columns, rows, panel)
-    for number, (pair, found) in enumerate(disparities.items()):
-        for side, (name, ideal) in enumerate(zip(rig.pair_names[pair], (found.left, found.right), strict=True)):
+    for number, (pair, disparity) in enumerate(disparities.items()):
+        for side, (name, ideal) in enumerate(zip(rig.pair_names[pair], (disparity.left, disparity.right), strict=True)):
             axes = sheet.panel(2 * number + side, f"{pair}: {name}")
             picture = resampled(result.photographs[name], rig.cameras[name], ideal, 2 * _PANEL_PX)
             axes.imshow(picture, extent=canvas.pixel_extent(ideal.size_wh), interpolation="antialiased")
@@ -85,20 +85,20 @@ def rectified(result: MatchingResult) -> bytes:
 def disparity(result: MatchingResult) -> bytes:
     """Disparities of each pair, and the matched share of the silhouette."""
     disparities, shares = result.disparities, result.shares
-    vertical = np.concatenate([np.abs(found.d_v_px[found.valid]).ravel() for found in disparities.values()])
+    vertical = np.concatenate([np.abs(one_map.d_v_px[one_map.valid]).ravel() for one_map in disparities.values()])
     limit = max(float(np.quantile(vertical, 0.98)) if len(vertical) else 0.0, 0.05)
     return _two_maps(
         disparities,
-        (lambda found: found.d_h_px, "d_H, px", "cividis", None),
-        (lambda found: found.d_v_px, "d_V, px", "PuOr", (-limit, limit)),
+        (lambda one_map: one_map.d_h_px, "d_H, px", "cividis", None),
+        (lambda one_map: one_map.d_v_px, "d_V, px", "PuOr", (-limit, limit)),
         ("d_H", "d_V"),
         (
-            lambda found: (
-                f"matched {100 * shares[found.name]:.0f} % of the left silhouette"
-                if found.name in shares
+            lambda one_map: (
+                f"matched {100 * shares[one_map.name]:.0f} % of the left silhouette"
+                if one_map.name in shares
                 else "no silhouette: everything was matched"
             ),
-            lambda found: f"RMS {_rms(found.d_v_px[found.valid]):.3f} px",
+            lambda one_map: f"RMS {_rms(one_map.d_v_px[one_map.valid]):.3f} px",
         ),
         Caption(
             title="Disparity",
@@ -112,16 +112,16 @@ def disparity(result: MatchingResult) -> bytes:
 def confidence(result: MatchingResult) -> bytes:
     """Correlation and expected standard deviation of each pair."""
     disparities = result.disparities
-    sigma = np.concatenate([found.sigma_px[found.valid].ravel() for found in disparities.values()])
+    sigma = np.concatenate([one_map.sigma_px[one_map.valid].ravel() for one_map in disparities.values()])
     high = max(float(np.quantile(sigma, 0.98)) if len(sigma) else 0.0, 0.01)
     return _two_maps(
         disparities,
-        (lambda found: found.confidence, "correlation c", "viridis", (0.0, 1.0)),
-        (lambda found: found.sigma_px, "σ of d_H, px", "magma_r", (0.0, high)),
+        (lambda one_map: one_map.confidence, "correlation c", "viridis", (0.0, 1.0)),
+        (lambda one_map: one_map.sigma_px, "σ of d_H, px", "magma_r", (0.0, high)),
         ("confidence", "expected error"),
         (
-            lambda found: f"median {_median(found.confidence[found.valid]):.2f}",
-            lambda found: f"median {_median(found.sigma_px[found.valid]):.3f} px",
+            lambda one_map: f"median {_median(one_map.confidence[one_map.valid]):.2f}",
+            lambda one_map: f"median {_median(one_map.sigma_px[one_map.valid]):.3f} px",
         ),
         Caption(
             title="Confidence",
@@ -141,28 +141,28 @@ def _two_maps(
 ) -> bytes:
     columns, bands = canvas.grid(len(disparities))
     sheet = Sheet(
-        columns, 2 * bands, canvas.fitting([found.valid.shape for found in disparities.values()], 260), bars=True
+        columns, 2 * bands, canvas.fitting([one_map.valid.shape for one_map in disparities.values()], 260), bars=True
     )
     for half, (values_of, label, colours, limits) in enumerate((upper, lower)):
         if limits is None:
-            seen = np.concatenate([values_of(found)[found.valid] for found in disparities.values()])
+            seen = np.concatenate([values_of(one_map)[one_map.valid] for one_map in disparities.values()])
             limits = canvas.robust_range(seen, 0.002)
         drawn: Any = None
-        for index, (pair, found) in enumerate(disparities.items()):
+        for index, (pair, one_map) in enumerate(disparities.items()):
             band, column = divmod(index, columns)
             axes = sheet.panel((2 * band + half) * columns + column, f"{pair}: {names[half]}")
-            drawn = _map(axes, found, values_of(found), colours, limits)
-            canvas.note(axes, remarks[half](found))
+            drawn = _map(axes, one_map, values_of(one_map), colours, limits)
+            canvas.note(axes, remarks[half](one_map))
         for band in range(bands):
             sheet.bar(2 * band + half, drawn, label)
     return sheet.png(caption)
 
 
 def _map(
-    axes: Axes, found: DisparityMap, values: Float32[Array, "h w"], colours: str, limits: tuple[float, float]
+    axes: Axes, one_map: DisparityMap, values: Float32[Array, "h w"], colours: str, limits: tuple[float, float]
 ) -> Any:
-    small = canvas.with_gaps(canvas.thinned(values, _MAP_PX), canvas.thinned(found.valid, _MAP_PX))
-    height, width = found.valid.shape
+    small = canvas.with_gaps(canvas.thinned(values, _MAP_PX), canvas.thinned(one_map.valid, _MAP_PX))
+    height, width = one_map.valid.shape
     return axes.imshow(
         small,
         extent=canvas.pixel_extent((width, height)),

@@ -10,10 +10,11 @@ from pathlib import Path
 import numpy as np
 
 from mammometry.base.errors import SessionError
+from mammometry.geometry.arrays import Array, Bool, Float64, UInt8
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.job.graph import Plan
 from mammometry.job.stages import calibrate, match, surface
-from mammometry.report.figures.catalogue import find_paper_figure, paper_figure
+from mammometry.report.figures.catalogue import Source, find_paper_figure, paper_figure
 from mammometry.report.figures.drawing import canvas
 from mammometry.report.figures.drawing.canvas import Sheet
 from mammometry.report.figures.drawing.shading import (
@@ -25,10 +26,11 @@ from mammometry.report.figures.drawing.shading import (
     section,
     views_of,
 )
-from mammometry.report.figures.drawing.source import Source
 from mammometry.report.figures.matching import resampled
 from mammometry.report.figures.surface import show
+from mammometry.surface.ranges.dents import DentGrid
 from mammometry.surface.ranges.range_image import RangeImage
+from mammometry.surface.ranges.visibility import Label
 
 FORMATS = (".pdf", ".svg", ".png")
 _PANEL_PX = 250  # width of a panel, px; chosen by eye
@@ -62,9 +64,11 @@ def stereo_and_matching(source: Source) -> Sheet:
     """Fig. 1: stereo pair, disparities, confidence and range image. One row a pair."""
     plan, inputs, _ = source
     rig = plan[calibrate.cameras]().rig
-    found = {pair: product() for pair, product in plan[match.disparity].items()}
-    sheet = Sheet(6, len(found), canvas.fitting([disparity.valid.shape for disparity in found.values()], _PANEL_PX))
-    for row, (pair, disparity) in enumerate(found.items()):
+    disparities = {pair: product() for pair, product in plan[match.disparity].items()}
+    sheet = Sheet(
+        6, len(disparities), canvas.fitting([disparity.valid.shape for disparity in disparities.values()], _PANEL_PX)
+    )
+    for row, (pair, disparity) in enumerate(disparities.items()):
         ranged = plan[surface.range_image][pair]()
         for side, (name, ideal) in enumerate(zip(rig.pair_names[pair], (disparity.left, disparity.right), strict=True)):
             axes = sheet.panel(6 * row + side, f"{pair}: {('left', 'right')[side]} picture")
@@ -176,7 +180,6 @@ def decompositions(source: Source) -> Sheet:
 
     Shown for several tolerances ε and thresholding angles.
     """
-    from mammometry.report.figures.dents import draw_dent_grid
     from mammometry.surface.ranges.dents import dent_grid
 
     plan, _, _ = source
@@ -200,11 +203,10 @@ def repaired_surface(source: Source) -> Sheet:
 def _at_least_two(plan: Plan, number: int) -> list[RangeImage]:
     images = [product() for product in plan[surface.range_image].values()]
     if len(images) < 2:
+        remedy = "Draw it from a session of a rig with more pairs"
+        expected = "two pairs, whose range images are compared"
         raise SessionError(
-            f"figure {number}",
-            found=f"one pair of cameras, {images[0].name}",
-            expected="two pairs, whose range images are compared",
-            remedy="Draw it from a session of a rig with more pairs",
+            f"figure {number}", found=f"one pair of cameras, {images[0].name}", expected=expected, remedy=remedy
         )
     return images
 
@@ -232,3 +234,47 @@ def _side(mesh: TriangleMesh, image: RangeImage) -> View:
     turn = np.radians(50.0)
     sideways = np.array([[np.cos(turn), 0, np.sin(turn)], [0, 1, 0], [-np.sin(turn), 0, np.cos(turn)]])
     return views_of(mesh, {image.name: sideways @ frame})[0]
+
+
+_dents_PANEL_PX = 210  # width of a panel, px; chosen by eye
+_GREYS = {Label.BEHIND: 0.95, Label.OUTSIDE: 0.78, Label.IN_FRONT: 0.60, Label.OVERLAPPING: 0.38}
+_MEANINGS = {
+    Label.BEHIND: "behind (visible)",
+    Label.OUTSIDE: "not seen by the other",
+    Label.IN_FRONT: "in front (invisible)",
+    Label.OVERLAPPING: "overlapping",
+}
+
+
+def draw_dent_grid(grid: DentGrid) -> Sheet:
+    """Draw angle thresholds as rows and ε as columns (Fig. 5).
+
+    Greys are the paper's. Removed data are black.
+    """
+    rows, columns = np.flatnonzero(grid.valid.any(axis=1)), np.flatnonzero(grid.valid.any(axis=0))
+    window = (slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)) if len(rows) else (slice(None),) * 2
+    shape = grid.valid[window].shape
+    sheet = Sheet(len(grid.epsilons_mm), len(grid.angles_deg), canvas.fitting([shape], _dents_PANEL_PX), header=26)
+    entries = [(canvas.hexadecimal((grey,) * 3), _MEANINGS[label]) for label, grey in _GREYS.items()]
+    sheet.legend([*entries, ("#000000", "removed"), (canvas.hexadecimal(canvas.MISSING), "no datum")])
+    count = max(int(grid.valid.sum()), 1)
+    for row, angle in enumerate(grid.angles_deg):
+        for column, epsilon in enumerate(grid.epsilons_mm):
+            axes = sheet.panel(row * len(grid.epsilons_mm) + column, f"{angle:g}°, ε = {epsilon:g} mm")
+            kept = grid.kept[row, column]
+            axes.imshow(
+                _picture(grid.labels[column][window], grid.valid[window], kept[window]), interpolation="nearest"
+            )
+            canvas.note(axes, f"{100 * (1 - kept.sum() / count):.0f} % removed")
+    return sheet
+
+
+def _picture(
+    labels: UInt8[Array, "h w"], valid: Bool[Array, "h w"], kept: Bool[Array, "h w"]
+) -> Float64[Array, "h2 w2 3"]:
+    labels, valid, kept = (canvas.thinned(array, 640) for array in (labels, valid, kept))
+    grey = np.zeros(labels.shape)
+    for label, value in _GREYS.items():
+        grey[labels == label] = value
+    grey[~kept] = 0.0
+    return np.where(valid[..., None], grey[..., None], np.array(canvas.MISSING))

@@ -4,8 +4,6 @@ Each has its caption inside (`canvas.caption_of`). The names are those of the fi
 shows the same pictures.
 """
 
-from __future__ import annotations
-
 from mammometry.job.graph import Plan
 from mammometry.job.inputs import Inputs
 from mammometry.job.products import Stage

@@ -1,7 +1,5 @@
 """The products of a session as a drawing: what each is made from, its state, and how long it took."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
@@ -63,12 +61,14 @@ Graph = Mapping[Definition[Any], Sequence[Definition[Any]]]
 def _parents(plan: Plan) -> Graph:
     """Definition → those from which its products are made."""
     definitions = {product: known for known, products in plan.bound.items() for product in products.values()}
-    found: dict[Definition[Any], list[Definition[Any]]] = {}
+    parents: dict[Definition[Any], list[Definition[Any]]] = {}
     for definition, products in plan.bound.items():
         if products:
             made_from = (definitions[parent] for product in products.values() for parent in product.made_from)
-            found[definition] = list(dict.fromkeys(made_from))
-    return {definition: found[definition] for definition in sorted(found, key=lambda known: STAGES.index(known.stage))}
+            parents[definition] = list(dict.fromkeys(made_from))
+    return {
+        definition: parents[definition] for definition in sorted(parents, key=lambda known: STAGES.index(known.stage))
+    }
 
 
 def _reduced(parents: Graph) -> Graph:

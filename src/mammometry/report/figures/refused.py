@@ -9,12 +9,11 @@ import numpy as np
 from mammometry.base.photograph import Photograph
 from mammometry.calibration.detection.detect import Observations
 from mammometry.geometry.arrays import Array, Bool, Float64
-from mammometry.job.values import FinishedSurface
+from mammometry.job.inputs import FinishedSurface
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.report.figures.drawing import canvas
 from mammometry.report.figures.drawing.canvas import Caption, Sheet
-from mammometry.report.figures.drawing.shading import Scene, picture_wh, standard_views
-from mammometry.report.figures.drawing.sides import NAMES
+from mammometry.report.figures.drawing.shading import NAMES, Scene, picture_wh, standard_views
 from mammometry.report.figures.measure import curve
 from mammometry.report.figures.surface import show
 from mammometry.surface.texture.unmeasured import WORDS, shown_colours
@@ -65,11 +64,11 @@ def targets_seen(
         looked: pose → what was found there.
         suspects: (pose, camera) of the photographs that the others contradict.
     """
-    found = {
+    points = {
         (detection.pose, detection.camera): detection.uv for part in looked.values() for detection in part.detections
     }
     keys = [key for key in photographs if key in suspects or (not suspects and key[0] in looked)]
-    shown = sorted(keys, key=lambda key: (len(found.get(key, ())), key))[:_TARGETS]
+    shown = sorted(keys, key=lambda key: (len(points.get(key, ())), key))[:_TARGETS]
     small = []
     for key in shown:
         photograph = photographs[key]
@@ -77,7 +76,7 @@ def targets_seen(
     columns, rows = canvas.grid(len(small))
     sheet = Sheet(columns, rows, canvas.fitting([picture.shape for _, picture in small], _PHOTOGRAPH_PX))
     for index, (key, (size_wh, pixels)) in enumerate(zip(shown, small, strict=True)):
-        uv = found.get(key)
+        uv = points.get(key)
         seen = "no target found" if uv is None else f"{len(uv)} points"
         axes = sheet.panel(index, f"{key[1]}, pose {key[0]}: {seen}")
         axes.imshow(pixels, extent=canvas.pixel_extent(size_wh), interpolation="antialiased", aspect="auto")

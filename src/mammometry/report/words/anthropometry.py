@@ -1,7 +1,5 @@
 """Lengths, shape, and left against right, in words."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from mammometry.measure.boundary.breasts import NoBreast
@@ -13,10 +11,9 @@ from mammometry.measure.shape.symmetry import Symmetry
 from mammometry.measure.volume.difference import difference
 from mammometry.measure.volume.measurement import VolumeDeficit, VolumeMeasurement
 from mammometry.report.content import Fact, LargeNumber, sentence
-from mammometry.report.figures.drawing.sides import NAMES
-from mammometry.report.words.change_words import verdict_words
+from mammometry.report.figures.drawing.shading import NAMES
 from mammometry.report.words.lengths import length_table, length_words, projections_of, quantities_of
-from mammometry.report.words.volume_words import interval_words, span_words, volume_words
+from mammometry.report.words.volumes import interval_words, span_words, verdict_words, volume_words
 from mammometry.study.tables import Table, signed
 
 
@@ -50,14 +47,14 @@ def difference_number(measurements: Sequence[VolumeMeasurement]) -> LargeNumber 
     if not {"left", "right"} <= set(sides):
         return None
     larger, smaller = sorted((sides["left"], sides["right"]), key=lambda side: side.volume_cc, reverse=True)
-    found = difference(larger, smaller, "sides")
+    change = difference(larger, smaller, "sides")
     note = f"{larger.name} larger"
-    if found.beyond_error is not None:
-        note += f", {verdict_words(found.beyond_error)}"
+    if change.beyond_error is not None:
+        note += f", {verdict_words(change.beyond_error)}"
     return LargeNumber(
         title="Difference",
-        value=volume_words(found.difference_cc, found.difference_interval_cc),
-        interval=span_words(found.difference_interval_cc),
+        value=volume_words(change.difference_cc, change.difference_interval_cc),
+        interval=span_words(change.difference_interval_cc),
         note=note,
     )
 
@@ -91,23 +88,25 @@ def planning_lengths(dimensions: Dimensions | None, landmarks: Sequence[Landmark
     return table, " ".join(note)
 
 
-def _lacks(found: VolumeDeficit) -> Fact:
+def _lacks(deficit: VolumeDeficit) -> Fact:
     """What a side lacks, in words."""
-    volume = "nothing" if found.volume_cc < 0 else volume_words(found.volume_cc, found.interval_cc)
-    interval = "" if found.interval_cc is None else f", {interval_words(found.interval_cc)}"
-    return Fact(label=f"Volume that the {found.name} side lacks", value=f"{volume}{interval}. {sentence(found.note)}")
+    volume = "nothing" if deficit.volume_cc < 0 else volume_words(deficit.volume_cc, deficit.interval_cc)
+    interval = "" if deficit.interval_cc is None else f", {interval_words(deficit.interval_cc)}"
+    return Fact(
+        label=f"Volume that the {deficit.name} side lacks", value=f"{volume}{interval}. {sentence(deficit.note)}"
+    )
 
 
 def _both(left: VolumeMeasurement, right: VolumeMeasurement) -> tuple[Fact, ...]:
     larger, smaller = sorted((left, right), key=lambda side: side.volume_cc, reverse=True)
-    found = difference(larger, smaller, "sides")
-    gap, share = f"{larger.name} larger by {found.difference_cc:.0f} cc", f"{100 / found.ratio:.0f} %"
-    if found.difference_interval_cc is not None:
-        low, high = (f"{bound:.0f}".replace("-", "−") for bound in found.difference_interval_cc)
-        verdict = "larger than the measurement error" if found.beyond_error else "within measurement error"
+    change = difference(larger, smaller, "sides")
+    gap, share = f"{larger.name} larger by {change.difference_cc:.0f} cc", f"{100 / change.ratio:.0f} %"
+    if change.difference_interval_cc is not None:
+        low, high = (f"{bound:.0f}".replace("-", "−") for bound in change.difference_interval_cc)
+        verdict = "larger than the measurement error" if change.beyond_error else "within measurement error"
         gap = f"{verdict}: {gap} (95 %: {low} to {high} cc)"
-    if found.ratio_interval is not None:
-        low, high = (f"{100 / bound:.0f}" for bound in reversed(found.ratio_interval))
+    if change.ratio_interval is not None:
+        low, high = (f"{100 / bound:.0f}" for bound in reversed(change.ratio_interval))
         share += f" (95 %: {low} to {high} %)"
     return (
         Fact(label="Difference in volume", value=gap),

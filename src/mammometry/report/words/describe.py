@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from mammometry.base.posture import NOT_TO_BE_COMPARED
 from mammometry.calibration.adjust.calibrated import Calibration
 from mammometry.calibration.judge.quality import CalibrationQuality
 from mammometry.calibration.targets.target import Target
@@ -19,19 +18,21 @@ from mammometry.geometry.camera import Rig
 from mammometry.matching.foreground.foreground import Foreground
 from mammometry.matching.quality import MatchQuality
 from mammometry.measure.boundary.breasts import NoBreast
+from mammometry.measure.settings import NOT_TO_BE_COMPARED
 from mammometry.measure.volume.attribution import curve_digest
 from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.report.content import BreastReport, Fact, LargeNumber, Meaning, StageReport, sentence
-from mammometry.report.figures.drawing.sides import NAMES
+from mammometry.report.figures.drawing.shading import NAMES
 from mammometry.report.figures.drawing.thinning import ThinnedRange
 from mammometry.report.figures.surface import provenance_shares
-from mammometry.report.words.cautions import own_cautions, skin_shares
-from mammometry.report.words.volume_words import (
+from mammometry.report.words.volumes import (
     MEANINGS,
     definition_words,
     is_coarse,
     meaning_sentences,
     meaning_title,
+    own_cautions,
+    skin_shares,
     span_words,
     term_words,
     volume_words,
@@ -60,10 +61,7 @@ def breast_report(
     ]
     shares = None if repaired is None else skin_shares(measured, repaired)
     if shares is not None:
-        seen, mended, invented = (100 * shares[kind] for kind in sorted(Provenance, reverse=True))
-        facts.append(
-            Fact(label="Skin", value=f"{seen:.1f} % measured, {mended:.1f} % repaired, {invented:.1f} % invented")
-        )
+        facts.append(Fact(label="Skin", value=_shares_words(shares)))
     if not measured.watertight:
         facts.append(Fact(label="Closed solid", value="NOT watertight: do not use this volume"))
     return BreastReport(
@@ -95,16 +93,16 @@ def side_title(name: str) -> str:
 
 def meanings(measurements: Sequence[VolumeMeasurement]) -> tuple[Meaning, ...]:
     """The volumes in every meaning of the breast."""
-    found: dict[str, list[Fact]] = {}
+    facts: dict[str, list[Fact]] = {}
     walls: dict[str, str] = {}
     for measured in measurements:
         for defined in measured.definitions:
             words = Fact(label=side_title(measured.name), value=definition_words(defined))
-            found.setdefault(defined.meaning, []).append(words)
+            facts.setdefault(defined.meaning, []).append(words)
             walls[defined.meaning] = measured.wall_kind
     return tuple(
         Meaning(title=meaning_title(name), sentences=meaning_sentences(name, walls[name]), volumes=tuple(volumes))
-        for name, volumes in found.items()
+        for name, volumes in facts.items()
     )
 
 
@@ -237,9 +235,13 @@ def matching_report(
         ),
         rows=tuple(rows),
     )
-    known = sum(not found.everything for found in foregrounds.values())
+    known = sum(not foreground.everything for foreground in foregrounds.values())
     facts = (Fact(label="Silhouettes", value=f"found in {known} of {len(foregrounds)} photographs"),)
     return StageReport(stage="match", title="Matching", facts=facts, tables=(table,))
+
+
+def _shares_words(shares: Mapping[Provenance, float]) -> str:
+    return ", ".join(f"{100 * shares[kind]:.1f} % {kind.name.lower()}" for kind in sorted(Provenance, reverse=True))
 
 
 def surface_report(
@@ -250,7 +252,8 @@ def surface_report(
     closed = mesh.is_watertight()
     shares = provenance_shares(repaired)
     area_cm2 = mesh.area_mm2() / 100
-    closed_cm2, beside_cm2 = area_cm2 * (1 - shares[Provenance.MEASURED]), area_cm2 * shares[Provenance.REPAIRED]
+    bridged_cm2 = area_cm2 * shares[Provenance.BRIDGED]
+    closed_cm2 = bridged_cm2 + area_cm2 * shares[Provenance.INVENTED]
     facts = (
         Fact(
             label="Mesh",
@@ -267,13 +270,11 @@ def surface_report(
         ),
         Fact(
             label="Area",
-            value=", ".join(
-                f"{100 * shares[kind]:.1f} % {kind.name.lower()}" for kind in sorted(Provenance, reverse=True)
-            ),
+            value=_shares_words(shares),
         ),
         Fact(
             label="Closed without having been measured",
-            value=f"{closed_cm2:.0f} cm², {beside_cm2:.0f} cm² of them between or beside measured places; greyed in "
+            value=f"{closed_cm2:.0f} cm², {bridged_cm2:.0f} cm² of them between or beside measured places; greyed in "
             "photographic colours",
         ),
         Fact(

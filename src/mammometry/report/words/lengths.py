@@ -1,7 +1,5 @@
 """Numbers that surgeons plan with: a table of left, right and their difference."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -24,7 +22,7 @@ class Length:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LengthRow:
-    """One row of the table."""
+    """A row of the table of lengths."""
 
     title: str
     sides: tuple[Length | None, Length | None]

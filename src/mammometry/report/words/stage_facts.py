@@ -3,8 +3,6 @@
 It is found with the stage's pictures, from the same values: they are large, and read once.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TypeAlias

@@ -11,7 +11,7 @@ from mammometry.geometry.transform import Transform
 from mammometry.simulate.disturbances.surfaces import Outside
 from mammometry.simulate.rendering.objects.props import Props
 from mammometry.simulate.rendering.objects.skin import Skin
-from mammometry.simulate.rendering.objects.things import Thing
+from mammometry.simulate.rendering.scene import Thing
 from mammometry.simulate.subjects.solid import Solid
 
 Colour = tuple[float, float, float]

@@ -12,7 +12,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from mammometry.simulate.disturbances.registry import DISTURBANCES, DisturbanceKind, Stage
-from mammometry.simulate.situation import Disturbance, Situation
+from mammometry.simulate.recipe import Disturbance, Situation
 
 OF_OTHER_CAPTURES = ("grey", "soft-focus", "table")
 """Disturbances of heads, figures and casts, which no clinic's capture gets."""

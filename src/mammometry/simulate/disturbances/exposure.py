@@ -1,7 +1,4 @@
-"""Exposure of a session: cameras, films, flashes and moments.
-
-Cameras are both as calibrated and as at the capture.
-"""
+"""Exposure of a session: cameras as calibrated and as at the capture, films, flashes and moments."""
 
 from __future__ import annotations
 
@@ -11,11 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from mammometry.geometry.arrays import Array, Float64
-from mammometry.geometry.camera import Camera, Rig
-from mammometry.geometry.transform import Transform
+from mammometry.geometry import Array, Camera, Float64, Rig, Transform
 from mammometry.simulate.rendering.film import Film
-from mammometry.simulate.rendering.motion import Motion
+from mammometry.simulate.rendering.scene import Motion
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -12,12 +12,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from mammometry.geometry.arrays import Array, Float64
-from mammometry.geometry.camera import Rig
+from mammometry.geometry import Array, Float64, Rig
 from mammometry.simulate.disturbances.exposure import Exposure, shifted, turned, with_cameras
 from mammometry.simulate.disturbances.registry import Number, Word, disturbance
-from mammometry.simulate.rendering.motion import Motion
-from mammometry.simulate.rigs.plan import FULL_SIZE_WH
+from mammometry.simulate.rendering.scene import Motion
+from mammometry.simulate.rigs.build import FULL_SIZE_WH
 
 _FRONT = (0.0, -math.sin(math.radians(35.0)), math.cos(math.radians(35.0)))
 """Direction out of the chest of a body that leans forward by 35°, rig frame."""

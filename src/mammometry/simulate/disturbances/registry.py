@@ -16,7 +16,7 @@ from typing import Any, ClassVar, Literal, TypeAlias
 import numpy as np
 
 from mammometry.base.registry import Registry
-from mammometry.simulate.situation import Disturbance, Situation
+from mammometry.simulate.recipe import Disturbance, Situation
 
 Stage: TypeAlias = Literal["patient", "skin", "thing", "shoot"]
 """What a disturbance changes."""

@@ -1,7 +1,4 @@
-"""Meshes of things: bars, sheets, boxes, cloth around a body.
-
-In whatever frame their points are given.
-"""
+"""Meshes of things, in the frame of their points: bars, sheets, boxes, cloth around a body."""
 
 from __future__ import annotations
 
@@ -14,8 +11,7 @@ from embreex.rtcore_scene import EmbreeScene
 from numpy.typing import ArrayLike
 from scipy.spatial import ConvexHull
 
-from mammometry.geometry.arrays import Array, Float64, Int32
-from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry import Array, Float64, Int32, TriangleMesh
 from mammometry.simulate.rendering.objects.props import Props
 
 _NOT_FOUND_MM = 150.0
@@ -121,10 +117,7 @@ class Outside:
         return np.where(hit["primID"] >= 0, hit["tfar"], _NOT_FOUND_MM).astype(np.float64)
 
     def cloth(self, heights_mm: Float64[Array, " h"], gap_mm: Array, around: int = 180) -> Props:
-        """Taut cloth all around the trunk between two heights.
-
-        It has a fixed distance from the skin's convex hull.
-        """
+        """Taut cloth around the trunk between two heights, at a fixed distance from its convex hull."""
         angle = np.arange(around) * (2.0 * math.pi / around)
         rings = np.array([_hulled(self.radius_mm(np.full(around, height), angle), angle) for height in heights_mm])
         rings = rings + gap_mm

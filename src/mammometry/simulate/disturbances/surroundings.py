@@ -14,7 +14,7 @@ from mammometry.simulate.disturbances.about import Surroundings
 from mammometry.simulate.disturbances.registry import Number, Word, disturbance
 from mammometry.simulate.disturbances.surfaces import ball, bar, box, sheet, straight, together
 from mammometry.simulate.rendering.objects.props import Props
-from mammometry.simulate.subjects.waves import waves
+from mammometry.simulate.subjects.solid import waves
 
 _STEEL, _RUBBER, _NAVY = (0.42, 0.43, 0.45), (0.05, 0.05, 0.055), (0.03, 0.04, 0.09)
 _GOLD, _GAUZE, _BROWN_HAIR = (0.75, 0.52, 0.18), (0.80, 0.80, 0.78), (0.045, 0.028, 0.018)

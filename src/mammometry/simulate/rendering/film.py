@@ -32,8 +32,7 @@ class Film:
     """Focal length over the opening's diameter. None for all depths sharp."""
     focus_mm: float | None = None
     """Depth of the sharp plane, if there is an f-number. None for each camera's own depth of the middle of the rig,
-    where the subject stands.
-    """
+    where the subject stands."""
     sensor_width_mm: float = 22.3
     """Width of the sensor (APS-C), from which the focal length in mm follows."""
     jpeg_quality: int = 95
@@ -73,9 +72,7 @@ class Film:
         return self.mosaic or self.sharpening > 0 or any(self.aberration) or self.gain_rgb != (1.0, 1.0, 1.0)
 
     def with_noise(self, noise: float) -> Film:
-        """Return a sensor with a multiple of this one's noise.
-
-        0 for hardly any.
+        """Return a sensor with a multiple of this one's noise, 0 for hardly any.
 
         Raises:
             ValueError: it does not lie between 0 and 100.
@@ -86,10 +83,7 @@ class Film:
         return replace(self, electrons=self.electrons / grain**2, read_noise=self.read_noise / grain)
 
     def aperture(self, camera: Camera) -> Aperture:
-        """The lens's opening on this camera, with its focus.
-
-        The opening is the focal length in mm over the f-number.
-        """
+        """The lens's opening on this camera, focal length in mm over the f-number, with its focus."""
         from mammometry.simulate.rendering.sampling import PINHOLE, Aperture
 
         if self.f_number is None:

@@ -158,9 +158,7 @@ def board(
     window: Array,
     image: Array,
 ) -> None:
-    """Radiance of a flat printed board, written to `image` (h, w).
-
-    White under full light = 1. Not written beyond the board.
+    """Write the radiance of a flat printed board to `image` (h, w), white under full light = 1.
 
     Args:
         lens: fx, fy, cx, cy, k1, k2, p1, p2, k3.
@@ -249,10 +247,7 @@ def board(
 
 @kernel
 def _poisson(mean: float, bits: np.uint64) -> float:
-    """Random number of photons from a uniform number.
-
-    The least number whose share of Poisson's law reaches it.
-    """
+    """Number of photons: the least whose share of Poisson's law reaches a uniform random number."""
     left = (np.float64(bits >> np.uint64(11)) + 0.5) * 2.0**-53
     term, count = math.exp(-mean), 0.0
     while left > term and count < 200.0:

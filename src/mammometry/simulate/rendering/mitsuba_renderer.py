@@ -17,9 +17,7 @@ from typing import Any
 import numpy as np
 
 from mammometry.base.errors import SettingsError
-from mammometry.geometry.arrays import Array, Float32, Float64, Int32
-from mammometry.geometry.camera import Camera
-from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry import Array, Camera, Float32, Float64, Int32, TriangleMesh
 from mammometry.simulate.rendering.objects.skin import Skin
 from mammometry.simulate.rendering.registry import add_renderer
 from mammometry.simulate.rendering.render import AMBIENT, blocks, paint_seed, sample_rays
@@ -156,10 +154,7 @@ def _world(scene: Scene, skin: Skin, seed: int) -> Any:
 
 
 def _painted_subject(scene: Scene, skin: Skin, seed: int, bsdf: Any) -> Any:
-    """The subject with faces cut in four, to carry the paint.
-
-    Vertices carry the paint. The surface stays the same.
-    """
+    """The subject with faces cut in four, whose vertices carry the paint. Its surface stays."""
     mesh = TriangleMesh(
         vertices=scene.mesh.vertices[: scene.subject_vertices], faces=scene.mesh.faces[: scene.subject_faces]
     )

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Protocol
 from mammometry.base.registry import Registry
 
 if TYPE_CHECKING:
-    from mammometry.geometry.arrays import Array, Float32
-    from mammometry.geometry.camera import Camera
+    from mammometry.geometry import Array, Camera, Float32
     from mammometry.simulate.rendering.objects.skin import Skin
     from mammometry.simulate.rendering.sampling import Aperture
     from mammometry.simulate.rendering.scene import Scene

@@ -9,8 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import maximum_filter, minimum_filter
 
-from mammometry.geometry.arrays import Array, Bool, Float32, Int32, Int64
-from mammometry.geometry.camera import Camera
+from mammometry.geometry import Array, Bool, Camera, Float32, Int32, Int64
 from mammometry.simulate.rendering import kernels, shading
 from mammometry.simulate.rendering.objects.skin import Skin
 from mammometry.simulate.rendering.registry import BUILT_IN, add_renderer
@@ -116,10 +115,7 @@ def blocks(scene: Scene, camera: Camera, aperture: Aperture) -> Iterator[Block]:
 def sample_rays(
     camera: Camera, row: Int64[Array, " n"], column: Int64[Array, " n"], samples: int, aperture: Aperture
 ) -> tuple[Float32[Array, "k 3"], Float32[Array, "k 3"]]:
-    """Rays through the pixels' squares and the lens's opening.
-
-    `samples` a pixel. Returns origins and directions.
-    """
+    """Origins and directions of `samples` rays a pixel, through its square and the lens's opening."""
     offsets = net_offsets(samples)
     uv = np.stack([column[:, None] + offsets[:, 0], row[:, None] + offsets[:, 1]], axis=-1).reshape(-1, 2)
     return _rays(camera, uv, aperture, np.tile(disc_offsets(samples), (len(row), 1)))
@@ -175,10 +171,7 @@ def _cast(scene: Scene, camera: Camera, uv: Array) -> tuple[Array, dict[str, Arr
 def _edges(
     scene: Scene, camera: Camera, window: tuple[int, int, int, int]
 ) -> tuple[Bool[Array, "h w"], dict[str, Array]]:
-    """Pixels that a silhouette, a fold or a rim may cross.
-
-    Also embree's record of what each pixel's middle hits.
-    """
+    """Pixels that a silhouette, a fold or a rim may cross, and what each pixel's middle hits."""
     top, bottom, left, right = window
     row, column = np.mgrid[top:bottom, left:right]
     face, hit = _cast(scene, camera, np.stack([column.ravel(), row.ravel()], axis=1))
@@ -191,10 +184,7 @@ def _edges(
 
 
 def _hairs(scene: Scene, camera: Camera, window: tuple[int, int, int, int]) -> Bool[Array, "h w"]:
-    """Pixels that a hair may cross.
-
-    Hairs are thinner than a pixel, so rays through the pixels' centres miss them.
-    """
+    """Pixels that a hair may cross, which is too thin for the rays through their centres."""
     top, bottom, left, right = window
     mask = np.zeros((bottom - top, right - left), dtype=bool)
     if not len(scene.strands):

@@ -8,8 +8,7 @@ from functools import cache
 
 import numpy as np
 
-from mammometry.geometry.arrays import Array, Float32, Float64, read_only
-from mammometry.geometry.camera import Camera
+from mammometry.geometry import Array, Camera, Float32, Float64, read_only
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -37,9 +36,7 @@ def lens_parameters(camera: Camera) -> Float64[Array, 9]:
 def lens_rays(
     camera: Camera, directions: Float32[Array, "n 3"], aperture: Aperture, places: Float64[Array, "n 2"]
 ) -> tuple[Float32[Array, "n 3"], Float32[Array, "n 3"]]:
-    """Rays that leave the lens at `places` of its opening (unit disc).
-
-    Origins and directions, world frame.
+    """Origins and directions, world frame, of rays that leave the lens at `places` of its unit disc.
 
     Args:
         camera: whose lens it is.

@@ -16,14 +16,55 @@ from embreex.rtcore_scene import EmbreeScene
 from scipy.sparse import csr_matrix
 
 from mammometry.base.value import value
-from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32, UInt8
-from mammometry.geometry.mesh import TriangleMesh
-from mammometry.geometry.transform import Transform
-from mammometry.simulate.rendering.motion import Motion
+from mammometry.geometry import Array, Bool, Float32, Float64, Int32, Transform, TriangleMesh, UInt8
 from mammometry.simulate.rendering.objects import props
+from mammometry.simulate.rendering.objects.props import Props
 from mammometry.simulate.rendering.objects.skin import Skin
-from mammometry.simulate.rendering.objects.things import Thing
 from mammometry.simulate.subjects.solid import Solid
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Motion:
+    """Velocities, rig frame. Over a fifth of a second neither sway nor breath reverses."""
+
+    sway_mm_s: Float64[Array, 3]
+    """Of the whole body."""
+    turn_rad_s: Float64[Array, 3]
+    """Of the whole body about the rig's middle, axis times angle."""
+    breath_mm_s: Float64[Array, 3]
+    """Of the front of the chest, beside the body's own."""
+    chest: Float64[Array, 3]
+    """Where the breath moves most, mm."""
+    reach_mm: float = 130.0
+    """Standard deviation of the breath's motion around its centre: that of a chest, chosen by eye."""
+
+    def at(self, points: Float64[Array, "n 3"], seconds: float) -> Float64[Array, "n 3"]:
+        """Where points are after so many seconds.
+
+        Turns are small: the second order, a micrometre, is left out.
+        """
+        share = np.exp(-0.5 * ((points - self.chest) ** 2).sum(axis=1) / self.reach_mm**2)
+        speed = self.sway_mm_s + np.cross(self.turn_rad_s, points) + share[:, None] * self.breath_mm_s
+        moved: Float64[Array, "n 3"] = points + seconds * speed
+        return moved
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Thing:
+    """A rail, a wall, a towel. Rig frame, mm."""
+
+    props: Props
+    colours: Float64[Array, "k 3"]
+    """Reflectance of each material of `props`, RGB."""
+    smooth: float = 0.5
+    """Evenness of its colours: 0 as mottled as cloth, 1 uniform."""
+    curved: bool = False
+    """Whether its faces are one smooth surface, and not flat sides with edges."""
+    moves: bool = False
+    """Whether it moves with the subject."""
+    glow: float = 0.0
+    """Emitted light, relative to its brightness by the surroundings."""
+
 
 SOFT_BOX_RADIUS_MM = 90.0
 """Radius of the disc that each flash lights with. Chosen by eye."""
@@ -58,8 +99,7 @@ class Scene:
     """Which vertices move with the subject."""
     attributes: Float32[Array, "n a"]
     """Per vertex: normal (3), areola, visible share of the surroundings, irradiance gained by light that travels below
-    the surface (RGB), visible share of each light. Factors of the skin's colour (RGB) where something marks it.
-    """
+    the surface (RGB), visible share of each light. Factors of the skin's colour (RGB) where something marks it."""
     material: UInt8[Array, " m"]
     """Per face: 0 is skin, k the k-th row of `plain_colours`, from 1."""
     piece: Int32[Array, " m"]
@@ -296,10 +336,7 @@ def _visibility(
     lights: Float64[Array, "l 4"],
     hidden: Array,
 ) -> Float32[Array, "n s"]:
-    """Visible share of the surroundings, then of each light's disc.
-
-    For every vertex. 0 if it is never seen itself.
-    """
+    """Visible share of the surroundings, then of each light's disc, at every vertex."""
     seen = np.zeros((len(vertices), 1 + len(lights)), dtype=np.float32)
     shown = np.flatnonzero(~hidden)
     origins = (vertices + _LIFT_MM * normals)[shown].astype(np.float32)

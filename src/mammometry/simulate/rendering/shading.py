@@ -30,10 +30,7 @@ _PRIME_Z = np.uint64(0xCB1AB31F)
 
 @kernel
 def _gradient_noise(x: float, y: float, z: float, seed: np.uint64) -> float:
-    """Smooth noise of unit wavelength and about unit standard deviation.
-
-    It is the same for the same place and seed.
-    """
+    """Smooth noise of unit wavelength and about unit standard deviation, by place and seed alone."""
     fx, fy, fz = math.floor(x), math.floor(y), math.floor(z)
     ix, iy, iz = np.int64(fx), np.int64(fy), np.int64(fz)
     x -= fx
@@ -111,10 +108,7 @@ def spots(x: float, y: float, z: float, cell: float, least: float, most: float, 
 
 @kernel
 def veins(x: float, y: float, z: float, seed: np.uint64) -> float:
-    """Strength of a vein at a point, mm, 0…1.
-
-    Veins are soft lines where noise is zero, in some places only.
-    """
+    """Strength of a vein at a point, mm, 0…1: soft lines where noise is zero, in some places only."""
     wander = _gradient_noise(x / 17.0, y / 17.0, z / 17.0, mixed(seed + GOLDEN))
     line = _gradient_noise(x / 48.0 + 0.25 * wander, y / 48.0, z / 48.0, seed) / 0.11
     if abs(line) > 3.0:

@@ -1,7 +1,4 @@
-"""Poses in which the calibration target is held.
-
-All cameras see them, and neighbouring pairs share them.
-"""
+"""Poses in which the target is held so that all cameras see it and neighbouring pairs share it."""
 
 from __future__ import annotations
 
@@ -10,9 +7,7 @@ import math
 import numpy as np
 
 from mammometry.calibration.targets.target import Target
-from mammometry.geometry.arrays import Array, Float64
-from mammometry.geometry.camera import Camera, Rig
-from mammometry.geometry.transform import Transform
+from mammometry.geometry import Array, Camera, Float64, Rig, Transform
 from mammometry.simulate.rigs.targets import sees_target, visible_points
 
 _GRAZING_DEG = 65.0
@@ -151,10 +146,7 @@ def _obliquity_deg(camera: Camera, pose: Transform, target: Target) -> float:
 
 
 def _placed(target: Target, z: Float64[Array, 3], turn_rad: float, at_mm: Float64[Array, 3]) -> Transform:
-    """Rig from target, with the target's middle at `at_mm`.
-
-    The target's z axis is along `z`, and the target is turned about it.
-    """
+    """Rig from target, its middle at `at_mm` and its z axis along `z`, turned about that."""
     a, b = _plane(z)
     x = math.cos(turn_rad) * a + math.sin(turn_rad) * b
     rotation = np.stack([x, np.cross(z, x), z], axis=1)

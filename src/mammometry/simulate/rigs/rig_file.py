@@ -1,4 +1,4 @@
-"""A rig described in a TOML file (docs/how-to/simulate.md), read strictly."""
+"""Virtual rigs by name, or described in a TOML file (docs/how-to/simulate.md), read strictly."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from mammometry.base.errors import SessionError
 from mammometry.base.parse import read_text, shown, toml_table
-from mammometry.simulate.rigs.build import NO_LENGTH, build_rig, flashes, triple
-from mammometry.simulate.rigs.plan import (
+from mammometry.geometry.camera import Rig
+from mammometry.simulate.rigs.build import (
+    NO_LENGTH,
     REFERENCE,
     CameraPlan,
     LensPlan,
@@ -20,12 +21,15 @@ from mammometry.simulate.rigs.plan import (
     RigErrors,
     RigPlan,
     Triple,
+    build_rig,
+    flashes,
+    pairs_of,
+    triple,
 )
 
 _WIDEST_BASELINE = 1.7
 """Largest baseline, in distances: 116° between the lines of sight. At twice the distance, the cameras are on opposite
-sides.
-"""
+sides."""
 _STRICT = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
 Number = Annotated[float, Field(strict=False)]
@@ -259,3 +263,40 @@ def _explained(path: Path, table: dict[str, Any], error: ValidationError) -> Ses
 def _refused(subject: str, found: str, expected: str) -> SessionError:
     remedy = "Correct it; the documentation's page on simulating has a whole example"
     return SessionError(subject, found=found, expected=expected, remedy=remedy)
+
+
+def reference_rig(scale: float, seed: int) -> Rig:
+    """Build the reference rig.
+
+    Raises:
+        ValueError: the scale is not within 0.02 … 2.
+    """
+    return build_rig(REFERENCE, scale, seed)
+
+
+def make_rig(name: str, scale: float, seed: int) -> Rig:
+    """Build a rig by name, ``reference``, or some of its pairs, ``reference:front,floor``.
+
+    Raises:
+        ValueError: there is no rig, or no pair, of that name.
+    """
+    plan, pairs = find_plan(name)
+    rig = build_rig(plan, scale, seed)
+    return pairs_of(rig, pairs) if pairs else rig
+
+
+def find_plan(name: str) -> tuple[RigPlan, tuple[str, ...]]:
+    """Rig plan and pairs of ``reference``, ``reference:front``, ``rig.toml`` or ``rig.toml:front,floor``.
+
+    Raises:
+        ValueError: there is no rig of that name.
+        SessionError: a rig's file that does not describe a rig.
+    """
+    base, _, pairs = name.partition(":")
+    if base.lower().endswith(".toml"):
+        plan = read_rig_plan(Path(base))
+    elif base == REFERENCE.name:
+        plan = REFERENCE
+    else:
+        raise ValueError(f"rigs are reference, a part of it as in reference:front, or a TOML file; found {name!r}")
+    return plan, tuple(pairs.split(",")) if pairs else ()

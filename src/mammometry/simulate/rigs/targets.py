@@ -15,9 +15,7 @@ from mammometry.calibration.targets.kinds.circles import CirclesTarget
 from mammometry.calibration.targets.kinds.cylinder import DottedCylinderTarget
 from mammometry.calibration.targets.kinds.points import PointsTarget
 from mammometry.calibration.targets.target import Target
-from mammometry.geometry.arrays import Array, Bool, Float64
-from mammometry.geometry.camera import Camera
-from mammometry.geometry.transform import Transform
+from mammometry.geometry import Array, Bool, Camera, Float64, Transform
 
 _USEFUL_DEG = 70.0
 """Largest angle between a board's normal and the line of sight. Chosen by eye."""
@@ -27,8 +25,7 @@ _USEFUL_POINTS = 12
 """Fewest points of a kept picture: more than `detect.MIN_POINTS`, since some will be missed."""
 _RIGHTWARD_DEG = 60.0
 """Largest angle between the x axis and the picture's right, for a board that looks the same after half a turn. Below
-90°, with room for the camera's roll.
-"""
+90°, with room for the camera's roll."""
 
 
 def _dotted_box(side_mm: float, dots: int, pitch_mm: float) -> tuple[tuple[float, float, float], ...]:
@@ -79,10 +76,7 @@ def make_target(name: str) -> Target:
 
 
 def described(target: Target) -> dict[str, object]:
-    """Return session.toml's ``[target]`` for this target.
-
-    Its kind, and everything that differs from the defaults.
-    """
+    """Return session.toml's ``[target]`` of this target: its kind, and what differs from the defaults."""
     defaults = {field.name: field.default for field in fields(target)}  # type: ignore[arg-type]  # every kind is a dataclass
     values = {name: getattr(target, name) for name in defaults}
     return {"kind": target.kind} | {name: value for name, value in values.items() if value != defaults[name]}

@@ -12,9 +12,8 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from skimage.measure import marching_cubes
 
-from mammometry.geometry.arrays import Array, Bool, Float64
-from mammometry.geometry.mesh import TriangleMesh
-from mammometry.simulate.subjects.waves import smoothstep, waves
+from mammometry.geometry import Array, Bool, Float64, TriangleMesh
+from mammometry.simulate.subjects.solid import smoothstep, waves
 
 # Height, mm; width and depth there over those at the breasts; how far the middle of the section stands forward, mm.
 _SECTIONS = np.array(
@@ -124,10 +123,7 @@ class Body:
     def outwards(
         self, start: Float64[Array, "n 3"], direction: Float64[Array, 3], reach_mm: float
     ) -> Float64[Array, "n 3"]:
-        """Skin between inner and outer points, by bisection.
-
-        The outer ones are `reach_mm` further in a direction.
-        """
+        """Skin between inner points and those `reach_mm` further in a direction, by bisection."""
         low, high = np.zeros(len(start)), np.full(len(start), reach_mm)
         for _ in range(40):
             middle = 0.5 * (low + high)

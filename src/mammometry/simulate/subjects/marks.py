@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 
 from mammometry.geometry.arrays import Array, Float32, Float64
-from mammometry.simulate.subjects.waves import smoothstep
+from mammometry.simulate.subjects.solid import smoothstep
 
 _SOFT_MM = 1.5
 """Half the width over which a mark's colour fades. Chosen by eye."""
@@ -23,10 +23,7 @@ Point = tuple[float, float]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Mark:
-    """One mark: a line, a spot or a field.
-
-    A line has a width. A spot is a line of one point, a field a closed line.
-    """
+    """One mark: a line with a width, a spot (a line of one point), or a field (a closed line)."""
 
     side: str
     """Of the breast in whose plane it lies: "left" or "right"."""

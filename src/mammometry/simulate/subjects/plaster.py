@@ -1,7 +1,4 @@
-"""Plaster breasts: closed solids of exactly known volume.
-
-From a hemisphere to a ptotic breast with a deep fold.
-"""
+"""Plaster breasts of exactly known volume, from a hemisphere to a ptotic breast with a deep fold."""
 
 from __future__ import annotations
 
@@ -10,12 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mammometry.geometry.arrays import Array, Float64
-from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry import Array, Float64, TriangleMesh
 from mammometry.simulate.subjects.registry import SubjectRequest, add_subject, numbered
 from mammometry.simulate.subjects.shapes import back_faces, disc
-from mammometry.simulate.subjects.solid import Solid, rounded_mesh
-from mammometry.simulate.subjects.waves import smoothstep, waves
+from mammometry.simulate.subjects.solid import Solid, rounded_mesh, smoothstep, waves
 
 TABLE_1_WATER_CC = (364.6, 434.7, 579.0, 231.1, 433.4, 591.6, 596.6, 100.4, 863.1)
 """Volumes of the paper's nine plaster models by water displacement (Table 1), cc."""
@@ -23,10 +18,7 @@ TABLE_1_WATER_CC = (364.6, 434.7, 579.0, 231.1, 433.4, 591.6, 596.6, 100.4, 863.
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlasterShape:
-    """Measures of a plaster breast.
-
-    All but the volume are proportions that the scaling to the volume keeps.
-    """
+    """Measures of a plaster breast: its volume, and proportions that scaling to it keeps."""
 
     volume_cc: float = 400.0
     """Of the finished solid, cc."""
@@ -104,9 +96,7 @@ def plaster_shape(name: str, seed: int) -> PlasterShape:
 
 
 def plaster(shape: PlasterShape, *, name: str = "plaster", seed: int = 0, edge_mm: float = 0.7) -> Solid:
-    """Make a plaster breast: a half ellipsoid that sags.
-
-    It has an undercut fold, is uneven, and has nipple and areola.
+    """Make an uneven half ellipsoid that sags over an undercut fold, with nipple and areola.
 
     Args:
         shape: its measures.

@@ -1,7 +1,4 @@
-"""Plain solids (ball, bar, plate) and the triangulated disc.
-
-The first two and the plaster models are made of the disc.
-"""
+"""Plain solids (ball, bar, plate), and the triangulated disc of which they and the casts are made."""
 
 from __future__ import annotations
 
@@ -166,10 +163,7 @@ def disc(rings: int) -> tuple[Array, Array, Int32[Array, "m 3"], int]:
 
 
 def back_faces(faces: Int32[Array, "m 3"], front: int, rim: int) -> Int32[Array, "m 3"]:
-    """Faces of the back: the front's, turned over.
-
-    They have their own interior vertices and the shared rim.
-    """
+    """Faces of the back: the front's turned over, with interior vertices of their own."""
     interior = front - rim
     index = np.concatenate([front + np.arange(interior), interior + np.arange(rim)])
     return index[faces[:, ::-1]].astype(np.int32)

@@ -14,9 +14,25 @@ from dataclasses import field, replace
 import numpy as np
 
 from mammometry.base.value import value
-from mammometry.geometry.arrays import Array, Float32, Float64, Int32
-from mammometry.geometry.mesh import TriangleMesh
-from mammometry.geometry.transform import Transform
+from mammometry.geometry import Array, Float32, Float64, Int32, Transform, TriangleMesh
+
+
+def waves(points: Array, rng: np.random.Generator, *, shortest_mm: float, longest_mm: float) -> Float64[Array, " n"]:
+    """Sum of a few plane waves in random directions, about unit amplitude."""
+    total = np.zeros(len(points))
+    count = 10
+    for _ in range(count):
+        direction = rng.normal(size=3)
+        direction /= np.linalg.norm(direction)
+        length = math.exp(rng.uniform(math.log(shortest_mm), math.log(longest_mm)))
+        total += np.sin(points @ direction * (2 * math.pi / length) + rng.uniform(0.0, 2 * math.pi))
+    return total * math.sqrt(2.0 / count)
+
+
+def smoothstep(low: float, high: float, value: Array) -> Array:
+    """Ease from 0 at `low` to 1 at `high`, flat at both. `low` may be the greater."""
+    t = np.clip((value - low) / (high - low), 0.0, 1.0)
+    return t * t * (3.0 - 2.0 * t)
 
 
 @value(eq=False)

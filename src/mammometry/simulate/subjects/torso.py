@@ -13,13 +13,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mammometry.geometry.arrays import Array, Bool, Float64, Int32
-from mammometry.geometry.mesh import TriangleMesh
-from mammometry.geometry.refine import edge_table, split_edges
+from mammometry.geometry.mesh import TriangleMesh, edge_table, split_edges
 from mammometry.simulate.subjects.body import NOTCH_Y_MM, Body, BodyShape
 from mammometry.simulate.subjects.marks import Mark, mark
 from mammometry.simulate.subjects.registry import SubjectRequest, add_subject, numbered
-from mammometry.simulate.subjects.solid import Breast, Solid, rounded_mesh
-from mammometry.simulate.subjects.waves import smoothstep, waves
+from mammometry.simulate.subjects.solid import Breast, Solid, rounded_mesh, smoothstep, waves
 
 SIDES = ("left", "right")
 _COARSE_MM = 7.0  # edges of the body before it is refined

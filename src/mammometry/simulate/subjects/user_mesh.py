@@ -11,9 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from mammometry.base.errors import SessionError
 from mammometry.geometry.arrays import Array, Float64, Int32
-from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry.mesh import TriangleMesh, edge_table, split_edges
 from mammometry.geometry.mesh_files.mesh_file import read_triangles
-from mammometry.geometry.refine import edge_table, split_edges
 from mammometry.simulate.subjects.registry import SubjectRequest, add_subject
 from mammometry.simulate.subjects.solid import Solid, rounded_mesh
 

@@ -14,11 +14,9 @@ import numpy as np
 from scipy.interpolate import CubicSpline, LinearNDInterpolator
 from scipy.spatial import Delaunay, cKDTree
 
-from mammometry.geometry.arrays import Array, Bool, Float64, Int32
-from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry import Array, Bool, Float64, Int32, TriangleMesh
 from mammometry.simulate.subjects.registry import SubjectRequest, add_subject
-from mammometry.simulate.subjects.solid import Breast, Solid, rounded_mesh
-from mammometry.simulate.subjects.waves import smoothstep, waves
+from mammometry.simulate.subjects.solid import Breast, Solid, rounded_mesh, smoothstep, waves
 from mammometry.simulate.subjects.woman_shape import (
     MUSCLE_ASIDE_MM,
     SIDES,

@@ -192,10 +192,7 @@ def woman_shape(number: int, seed: int, pose: Pose = "prone", *, wide: bool = Fa
 
 
 def outline_mm(breast: WomanBreast, count: int = 360) -> Float64[Array, "n 2"]:
-    """The boundary about its middle, to the side and up, mm.
-
-    Anticlockwise from lateral, scaled to the wanted size.
-    """
+    """The boundary about its middle, to the side and up, mm, anticlockwise from lateral."""
     from scipy.interpolate import CubicSpline
 
     knots = np.array([*breast.radii, breast.radii[0]])

@@ -33,8 +33,10 @@ TANGENTIAL_MM = 0.8
 """Largest distance of a datum beside the vertex, mm. Further off, the vertex is beyond the edge of the data."""
 SIMILARITY_MM = 2.0
 """Distance at which the similarity ω has fallen to 1/e, mm."""
-REPAIRED_REACH_MM = 15.0
-"""Distance from measured vertices, along the surface, beyond which a vertex without datum counts as invented, mm."""
+REPAIRED_REACH_MM, BRIDGED_REACH_MM = 2.0, 15.0
+"""Distances from measured vertices, along the surface, up to which a vertex without datum counts as repaired, and as
+bridged, mm. Repaired skin is off by .7 mm on average, bridged skin by millimetres (docs/decisions/0026).
+"""
 _MAX_ITERATIONS = 400  # of the conjugate gradients; about 125 are usual (docs/decisions/0007)
 _TOLERANCE = 1e-3  # relative residual at which they stop; 1e-6 changed nothing
 _FADED = 10.0  # fading lengths after which a displacement is nothing: e⁻¹⁰ of it is left
@@ -46,9 +48,11 @@ class Provenance(IntEnum):
 
     INVENTED = 0
     """Nothing was seen there: closed plainly."""
-    REPAIRED = 1
-    """No range datum of its own. Moved along with its neighbours and bounded by silhouettes."""
-    MEASURED = 2
+    BRIDGED = 1
+    """Between measured places or beyond their edge, as over folds and in armpits. Skin is not claimed there."""
+    REPAIRED = 2
+    """No range datum of its own, but measured skin beside it. Moved along with its neighbours."""
+    MEASURED = 3
     """Drawn to range data of at least one pair."""
 
 
@@ -70,6 +74,11 @@ class RepairedSurface:
     """RMS movement in each round, mm, of vertices near enough to data to move."""
     crossings: int | None = None
     """Pairs of crossing faces found after the repair. None if nothing was repaired."""
+
+    @property
+    def claimed(self) -> Bool[Array, " n"]:
+        """Vertices that are skin as it was measured, or right beside it."""
+        return np.asarray(self.provenance >= Provenance.REPAIRED)
 
     def __post_init__(self) -> None:
         n = len(self.mesh.vertices)
@@ -148,7 +157,8 @@ def _drawn_to_data(
             found = _correspondences(_moved(initial, displacement), views, settings)
     provenance = np.where(found.found, Provenance.MEASURED, Provenance.REPAIRED).astype(np.uint8)
     _, away_mm = propagate(np.zeros((len(provenance), 1)), found.found, graph, initial.vertices)
-    provenance[away_mm > REPAIRED_REACH_MM] = Provenance.INVENTED
+    provenance[away_mm > REPAIRED_REACH_MM] = Provenance.BRIDGED
+    provenance[away_mm > BRIDGED_REACH_MM] = Provenance.INVENTED
     return displacement, provenance, found, moves
 
 
@@ -173,7 +183,7 @@ def _near_data(mesh: TriangleMesh, valid: ValidPatches, settings: RepairSettings
     """Faces near enough to data to move or count as repaired. All faces if displacements do not fade."""
     if settings.fade_mm == 0:
         return np.ones(len(mesh.faces), dtype=bool)
-    reach_mm = REACH_MM + max(REPAIRED_REACH_MM, _FADED * settings.fade_mm)
+    reach_mm = REACH_MM + max(BRIDGED_REACH_MM, _FADED * settings.fade_mm)
     low, high = bounds(mesh.vertices)
     low -= REACH_MM
     cell = ((mesh.vertices - low) / _CELL_MM).astype(np.int32)

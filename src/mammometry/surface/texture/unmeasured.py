@@ -1,8 +1,8 @@
 """Fading of skin that no pair measured, in photographic colours.
 
-Between measured places the surface is closed: by its neighbours, and further off by silhouettes alone. Photographs
-painted on it look like skin all the same. So its colours fade to grey: in pictures, in the 3D view and in the models
-that other programs open.
+Further than a few millimetres from measured places the surface is closed by silhouettes alone. Photographs painted on
+it look like skin all the same. So its colours fade to grey: in pictures, in the 3D view and in the models that other
+programs open.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from PIL import Image, ImageDraw
 
 from mammometry.geometry.arrays import Array, UInt8
 from mammometry.geometry.nearest import point_tree
-from mammometry.surface.repair.repair import Provenance, RepairedSurface
+from mammometry.surface.repair.repair import RepairedSurface
 from mammometry.surface.texture.texture_atlas import Atlas
 
 GREY = (154, 163, 173)
@@ -29,23 +29,22 @@ def faded(colours: UInt8[Array, "*n 3"]) -> UInt8[Array, "*n 3"]:
 
 
 def shown_colours(colours: UInt8[Array, "n 3"], repaired: RepairedSurface) -> UInt8[Array, "n 3"]:
-    """A surface's vertex colours, with unmeasured skin faded."""
-    measured = repaired.provenance == Provenance.MEASURED
-    return np.where(measured[:, None], colours, faded(colours))
+    """A surface's vertex colours, with skin that is not claimed faded."""
+    return np.where(repaired.claimed[:, None], colours, faded(colours))
 
 
 def faded_atlas(atlas: Atlas, repaired: RepairedSurface) -> Atlas:
-    """A viewing mesh whose picture is faded on unmeasured skin.
+    """A viewing mesh whose picture is faded on skin that is not claimed.
 
-    A triangle counts as measured where the nearest vertices of the full surface are, for two of its corners or three.
+    A triangle counts as claimed where the nearest vertices of the full surface are, for two of its corners or three.
 
     Args:
         atlas: the surface thinned for looking.
         repaired: the full surface.
     """
     nearest = point_tree(repaired.mesh.vertices).query(atlas.mesh.vertices)[1]
-    measured = (repaired.provenance == Provenance.MEASURED)[nearest]
-    unmeasured = np.flatnonzero((measured[atlas.mesh.faces].sum(axis=1) < 2) & (atlas.view >= 0))
+    claimed = repaired.claimed[nearest]
+    unmeasured = np.flatnonzero((claimed[atlas.mesh.faces].sum(axis=1) < 2) & (atlas.view >= 0))
     mask = Image.new("1", (atlas.picture.shape[1], atlas.picture.shape[0]))
     draw = ImageDraw.Draw(mask)
     for corners in atlas.uv_px[unmeasured].reshape(-1, 6).tolist():

@@ -1,4 +1,4 @@
-"""Find ChArUco boards by their markers and measure their corners. The model fit measures the corners."""
+"""Find ChArUco boards by their markers, measure their corners, or say which board the markers lie on."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Find plain chessboards and measure their corners.
-
-OpenCV finds the grid in a small picture. The model fit measures it in the full one.
-"""
+"""Find plain chessboards: OpenCV finds the grid in a small picture, a model fit measures the corners."""
 
 from __future__ import annotations
 
@@ -88,10 +85,7 @@ def _search(small: UInt8[Array, "h w"], columns: int, rows: int) -> Float64[Arra
 
 
 def _orders(grid: Float64[Array, "r c 2"]) -> list[Float64[Array, "r c 2"]]:
-    """All ways to number the grid with the board's handedness.
-
-    Its x and y axes turn as the board's do, seen from its front.
-    """
+    """All ways to number the grid so that its axes turn as the board's do, seen from its front."""
     across, down = grid[:, -1].mean(axis=0) - grid[:, 0].mean(axis=0), grid[-1].mean(axis=0) - grid[0].mean(axis=0)
     if across[0] * down[1] - across[1] * down[0] < 0:
         grid = grid[:, ::-1]
@@ -133,10 +127,7 @@ def _light_in(
 
 
 def _starts_dark(linear: Float32[Array, "h w"], board_map: BoardMap, target: ChessboardTarget) -> bool:
-    """Whether the square before the first corner is dark.
-
-    From the middles of the squares between the corners.
-    """
+    """Whether the square before the first corner is dark, by the middles of the squares."""
     column, row = np.meshgrid(np.arange(1, target.squares[0] - 1), np.arange(1, target.squares[1] - 1))
     light = _light_in(linear, board_map, target, column, row)
     even = (column + row) % 2 == 0

@@ -1,7 +1,4 @@
-"""Find boards of dark circles and measure their centres.
-
-OpenCV finds the grid. Centroids of darkness measure it.
-"""
+"""Find boards of dark circles: OpenCV finds the grid, centroids of darkness measure it."""
 
 from __future__ import annotations
 

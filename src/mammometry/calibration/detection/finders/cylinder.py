@@ -1,4 +1,9 @@
-"""Find a dotted cylinder in one photograph. Columns are counted from the first one seen."""
+"""Find a dotted cylinder in photographs, its columns numbered alike.
+
+In one photograph columns are counted from the first one seen. Their labels beyond the last row are not read: their
+unrolled strips are correlated over all offsets of whole columns. Photographs are then numbered along the strongest tree
+of pairs that agree. The common start stays arbitrary: it only turns the world about the cylinder's axis.
+"""
 
 from __future__ import annotations
 

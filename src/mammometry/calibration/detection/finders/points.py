@@ -132,10 +132,7 @@ def _measure(
 def _tangent_planes(
     camera: TargetCamera, points: Float64[Array, "n 3"], first: Float64[Array, "n 3"], second: Float64[Array, "n 3"]
 ) -> ToImage:
-    """Map of offsets in each point's tangent plane, mm, to pixels.
-
-    Row k of the argument belongs to point k.
-    """
+    """Map of offsets in each point's tangent plane, mm, to pixels. Row k belongs to point k."""
 
     def to_image(offset_mm: Float64[Array, "n *m 2"]) -> Float64[Array, "n *m 2"]:
         shape = (len(points), *(1,) * (offset_mm.ndim - 2), 3)

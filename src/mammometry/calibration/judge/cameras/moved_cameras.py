@@ -11,14 +11,11 @@ import numpy as np
 from scipy.special import chdtrc
 
 from mammometry.calibration.judge.sighting import Sighting, as_motion
-from mammometry.geometry.arrays import Array, Float64
-from mammometry.geometry.camera import Camera
-from mammometry.geometry.transform import Transform
+from mammometry.geometry import Array, Camera, Float64, Transform
 
 Kind: TypeAlias = Literal["shift", "turn", "either", "both"]
 """Motion of a camera: displacement, rotation about its perspective centre, either as far as the data show, or certainly
-both.
-"""
+both."""
 _MOST_SETS = 5000
 """Sets of cameras that are tried, at most. Chosen by eye."""
 
@@ -44,8 +41,7 @@ class Motion:
     """Size of the motion if it was a rotation alone."""
     sigma: float
     """Length of the six-parameter motion in its standard errors: 2.3 by chance (median of χ with six degrees of
-    freedom). 0 without a camera to compare.
-    """
+    freedom). 0 without a camera to compare."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

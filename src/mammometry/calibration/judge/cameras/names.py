@@ -18,8 +18,7 @@ import numpy as np
 
 from mammometry.calibration.detection.detect import Detection
 from mammometry.calibration.features.keypoints import WIDTH_PX, Keypoints, matched
-from mammometry.geometry.arrays import Array, Float64
-from mammometry.geometry.camera import Camera, Rig
+from mammometry.geometry import Array, Camera, Float64, Rig
 
 _NEAR_PX = 2.0  # of the reduced pictures' pixels from the epipolar line: a match by chance is so near once in a hundred
 _FAR_PX = 16.0  # likewise, within which something that moved still is; a patient's start moves 10 mm, some 8 px

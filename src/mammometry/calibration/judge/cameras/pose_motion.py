@@ -18,8 +18,7 @@ from mammometry.calibration.adjust.calibrated import Calibration
 from mammometry.calibration.judge.expected_error import derivatives
 from mammometry.calibration.judge.reconstruction import moved_pair
 from mammometry.calibration.judge.sighting import Sighting, as_motion, moved
-from mammometry.geometry.arrays import Array, Float64
-from mammometry.geometry.camera import StereoPair
+from mammometry.geometry import Array, Float64, StereoPair
 
 _MOST_MOVEMENTS = 6
 """Movements that are named, at most: with more, nothing stood still."""
@@ -242,10 +241,7 @@ def shifts(pair: StereoPair, points: Float64[Array, "n 3"], names: tuple[str, ..
 
 
 def upright(pair: StereoPair, points: Float64[Array, "n 3"]) -> Float64[Array, "n 3"]:
-    """Unit normals of the epipolar planes through points, world axes.
-
-    They point to the side to which rows are counted.
-    """
+    """Unit normals of the epipolar planes through points, towards growing rows, world axes."""
     baseline = pair.right.centre_world - pair.left.centre_world
     normal = np.cross(points - pair.right.centre_world, baseline)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)

@@ -1,7 +1,4 @@
-"""The dotted cylinder: rows and columns of square dots, with labels.
-
-A label is beyond the last row of each column.
-"""
+"""The dotted cylinder: rows and columns of square dots, a label beyond the last row of each column."""
 
 from __future__ import annotations
 

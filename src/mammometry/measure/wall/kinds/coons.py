@@ -25,9 +25,7 @@ from mammometry.measure.wall.registry import CAST_WALLS, TORSO_WALLS, add_wall
     definition="Coons' bilinearly blended patch between the boundary's four sides",
 )
 def coons(breast: OpenBreast) -> Closed:
-    """Coons' bilinearly blended patch between the boundary's four sides.
-
-    The sides are above, below, towards and off the midline.
+    """Coons' bilinearly blended patch between the sides above, below, towards and off the midline.
 
     Raises:
         MeasureError: the skin has more openings than one, or the boundary has no four sides.

@@ -1,4 +1,4 @@
-"""The cylinder membrane: the default wall of a torso's breast."""
+"""The cylinder membrane, from which the layer before the muscle is counted."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from mammometry.measure.wall.registry import TORSO_WALLS, add_wall
 @add_wall(
     TORSO_WALLS,
     name="cylinder-membrane",
-    place=0,
+    place=1,
     flat_u95_mm=4.5,  # 4.1 on 145 breasts, which tell that limit to 3.7 to 4.5
     definition="a membrane stretched over the boundary, in the trunk's cylindrical coordinates (the distance from "
     "the axis is harmonic); the breast is what lies in front of it",

@@ -54,9 +54,10 @@ def _measured(breast: OpenBreast, chart: Chart) -> Closed:
     if back is None:
         raise MeasureError(
             "measured wall",
-            found="no wall.ply in the session",
-            expected="the wall as a mesh in the session's world frame, mm",
-            remedy="Add it, or choose --set measure.wall=default",
+            found="no wall that was measured by itself",
+            expected="one, as a mesh in the same frame",
+            remedy="Add wall.ply to the session, or choose --set measure.wall=default",
+            mesh_remedy="Give it with --wall, or choose --set measure.wall=default",
         )
     places = chart.flatten(np.concatenate([back.vertices, back.corners().mean(axis=1)]))
     rim = chart.flatten(part.mesh.vertices[np.concatenate(part.loops)])

@@ -25,10 +25,7 @@ _ROUNDS = 6  # of harmonic over itself; Scherk's surface is met after them (test
     definition="the surface of least area through the boundary, as a film of soap would hang in it",
 )
 def membrane(breast: OpenBreast) -> Closed:
-    """Surface of least area through the boundary.
-
-    The harmonic height, then harmonic over itself until it converges (Pinkall, Polthier).
-    """
+    """Surface of least area: harmonic height, then harmonic over itself (Pinkall, Polthier)."""
     part = breast.part
     chart = best_plane(part)
     loops = tuple(chart.flatten(part.mesh.vertices[loop]) for loop in part.loops)

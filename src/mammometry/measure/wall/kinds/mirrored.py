@@ -25,9 +25,7 @@ _STANDING_OUT = 0.95  # quantile of the bulge there that says whether one stands
     "its misfit on the boundary spread smoothly inwards",
 )
 def mirrored(breast: OpenBreast) -> Closed:
-    """The other side's skin without a breast, mirrored.
-
-    The mirror is the trunk's mid-sagittal plane (θ = 0).
+    """The other side's skin without a breast, mirrored at the trunk's mid-sagittal plane (θ = 0).
 
     Raises:
         MeasureError: the other side bears a breast, or was not seen.

@@ -18,12 +18,10 @@ _SECTORS = 120  # directions around the boundary; the ring's skin in each gives 
 _FEWEST_SECTORS = 60  # that must hold skin; chosen by eye
 _STEEPEST = 0.8
 """Slope of the ring's skin against the boundary, in the trunk's coordinates, above which it is no chest. Chosen by eye:
-folds made slopes of up to 12 on real women.
-"""
+folds made slopes of up to 12 on real women."""
 _NOT_BREAST = 0.8
 """Skin nearer to the breast's own skin than this share of its distance from the boundary belongs to the breast, which
-may hang over its fold. Without this, volumes were 108 cc too large (docs/decisions/0009). Chosen by eye.
-"""
+may hang over its fold. Without this, volumes were 108 cc too large (docs/decisions/0009). Chosen by eye."""
 
 
 @add_wall(
@@ -66,10 +64,7 @@ def tangent_continuous(breast: OpenBreast) -> Closed:
 
 
 def _one_each(ring: Float64[Array, "n 3"], rim: Float64[Array, "m 3"]) -> Float64[Array, "k 3"]:
-    """The ring's median place in each direction that holds skin.
-
-    Directions are from the boundary's middle.
-    """
+    """The ring's median place in each direction from the boundary's middle that holds skin."""
     offset = ring[:, :2] - rim[:, :2].mean(axis=0)
     sector = ((np.arctan2(offset[:, 1], offset[:, 0]) / (2 * np.pi) + 0.5) * _SECTORS).astype(int) % _SECTORS
     found = [np.median(ring[sector == number], axis=0) for number in range(_SECTORS) if (sector == number).any()]

@@ -17,9 +17,6 @@ from mammometry.measure.wall.registry import TORSO_WALLS, add_wall
     "its misfit on the boundary spread smoothly inwards",
 )
 def thorax_fit(breast: OpenBreast) -> Closed:
-    """Thorax fitted to the skin beside the breasts.
-
-    Its misfit on the boundary is spread smoothly (harmonically).
-    """
+    """Thorax fitted to the skin beside the breasts, its misfit on the boundary spread harmonically."""
     thorax = breast.thorax
     return through(breast.part, TrunkChart(trunk=thorax.trunk), thorax.radius_mm, subject="thorax-fit wall")

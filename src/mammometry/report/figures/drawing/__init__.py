@@ -1,1 +1,1 @@
-"""What all pictures are drawn with."""
+"""Canvas, shading and thinning that all pictures are drawn with."""

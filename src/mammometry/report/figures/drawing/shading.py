@@ -20,6 +20,7 @@ from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.nearest import closest_on_mesh
 from mammometry.geometry.raster_kernels import nearest_faces
 from mammometry.measure.trunk.body import Body, Mounting, camera_up
+from mammometry.measure.volume.measurement import VolumeMeasurement
 
 _LIGHTS = ((0.25, 0.45, 0.86, 0.72), (-0.75, 0.1, 0.65, 0.28), (0.1, -0.8, 0.6, 0.18))
 """Directions towards three lights (right, up, towards the viewer) and their strengths. Ambient light comes on top."""
@@ -56,7 +57,7 @@ class View:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Cast:
-    """What a view shows."""
+    """Faces and depths that a view shows, pixel by pixel."""
 
     faces: Int32[Array, "h w"]
     """Index of the face seen. −1 where there is none."""
@@ -67,7 +68,7 @@ class Cast:
 
     @property
     def hit(self) -> Bool[Array, "h w"]:
-        """Where a face is seen."""
+        """Pixels in which a face is seen."""
         return self.faces >= 0
 
 
@@ -162,16 +163,13 @@ def picture_wh(view: View, size_px: int) -> tuple[int, int]:
     return width, height
 
 
-def standard_views(
-    mesh: TriangleMesh, frame: Float64[Array, "3 3"], *, of_patient: bool = False, margin: float = 1.06
-) -> tuple[View, ...]:
+def standard_views(mesh: TriangleMesh, frame: Float64[Array, "3 3"], *, of_patient: bool = False) -> tuple[View, ...]:
     """Four standard views: front, 45° from either side, from below. All have one scale and centre.
 
     Args:
         mesh: what to look at.
         frame: rows right, up, towards the viewer of the front view, world frame: see `front_frame`.
         of_patient: name the sides as the patient's own; the picture's left is the patient's right.
-        margin: picture's side over the mesh's own.
     """
     sides = np.sin(np.pi / 4), np.cos(np.pi / 4)
     left, right = ("patient's right", "patient's left") if of_patient else ("left", "right")
@@ -181,7 +179,7 @@ def standard_views(
         f"45° from the {right}": np.array([[sides[1], 0, -sides[0]], [0, 1, 0], [sides[0], 0, sides[1]]]),
         "45° from below": np.array([[1, 0, 0], [0, sides[1], sides[0]], [0, -sides[0], sides[1]]]),
     }
-    return views_of(mesh, {name: turn @ frame for name, turn in turns.items()}, margin=margin)
+    return views_of(mesh, {name: turn @ frame for name, turn in turns.items()})
 
 
 def views_of(mesh: TriangleMesh, frames: dict[str, Float64[Array, "3 3"]], *, margin: float = 1.06) -> tuple[View, ...]:
@@ -272,11 +270,11 @@ def visible(points_world: Float64[Array, "n 3"], view: View, cast: Cast, *, slac
     return seen
 
 
-def join_segments(segments: Float64[Array, "k 2 d"], *, digits: int = 6) -> list[Float64[Array, "n d"]]:
+def join_segments(segments: Float64[Array, "k 2 d"]) -> list[Float64[Array, "n d"]]:
     """Chain segments that share end points into polylines."""
     if not len(segments):
         return []
-    keys, index = np.unique(np.round(segments.reshape(-1, segments.shape[2]), digits), axis=0, return_inverse=True)
+    keys, index = np.unique(np.round(segments.reshape(-1, segments.shape[2]), 6), axis=0, return_inverse=True)
     pairs = index.reshape(-1, 2)
     neighbours: dict[int, list[int]] = {}
     for a, b in pairs:
@@ -335,3 +333,11 @@ def even_curve(points_world: Float64[Array, "n 3"], mesh: TriangleMesh) -> Float
     dense = np.stack([np.interp(wanted, along, loop[:, axis]) for axis in range(3)], axis=1)
     even = gaussian_filter1d(dense, _EVEN_MM * count / max(float(along[-1]), 1e-9), axis=0, mode="wrap")
     return closest_on_mesh(even, mesh).points
+
+
+NAMES: Mapping[str, str] = {"model": "cast", "left": "patient's left breast", "right": "patient's right breast"}
+
+
+def wall_faces(measured: VolumeMeasurement) -> Bool[Array, " m"]:
+    """Faces of the closed solid that belong to its wall."""
+    return np.arange(len(measured.closed.faces)) >= measured.skin_faces

@@ -30,23 +30,23 @@ def thinned_foreground(known: Foreground) -> Foreground:
     return replace(known, coverage=np.ascontiguousarray(known.coverage[::step, ::step]))
 
 
-def thinned_map(found: DisparityMap) -> DisparityMap:
+def thinned_map(disparity: DisparityMap) -> DisparityMap:
     """Thin a disparity map for pictures. Its values become pixels of the rectified pair."""
-    step = max(1, -(-max(found.valid.shape) // _MAP_PX))
+    step = max(1, -(-max(disparity.valid.shape) // _MAP_PX))
 
     def thin(values: Array) -> Array:
         return np.ascontiguousarray(values[::step, ::step])
 
     return replace(
-        found,
-        left=thinned_camera(found.left, step),
-        right=thinned_camera(found.right, step),
-        d_h_px=found.pair_px * thin(found.d_h_px),
-        d_v_px=found.pair_px * thin(found.d_v_px),
-        confidence=thin(found.confidence),
-        sigma_px=found.pair_px * thin(found.sigma_px),
-        valid=thin(found.valid),
-        weak=thin(found.weak),
+        disparity,
+        left=thinned_camera(disparity.left, step),
+        right=thinned_camera(disparity.right, step),
+        d_h_px=disparity.pair_px * thin(disparity.d_h_px),
+        d_v_px=disparity.pair_px * thin(disparity.d_v_px),
+        confidence=thin(disparity.confidence),
+        sigma_px=disparity.pair_px * thin(disparity.sigma_px),
+        valid=thin(disparity.valid),
+        weak=thin(disparity.weak),
     )
 
 
@@ -55,8 +55,8 @@ def thinned_maps(
 ) -> tuple[dict[str, DisparityMap], dict[str, MatchQuality]]:
     """Thin all pairs' maps, and judge the whole ones. Each is looked up once: at full size they are large."""
     maps, quality = {}, {}
-    for pair, found in disparities.items():
-        maps[pair], quality[pair] = thinned_map(found), assess(found)
+    for pair, disparity in disparities.items():
+        maps[pair], quality[pair] = thinned_map(disparity), assess(disparity)
     return maps, quality
 
 
@@ -119,19 +119,19 @@ def matched_shares(
     Counted on a thinned grid. It lacks pairs without silhouettes.
     """
     shares = {}
-    for pair, found in disparities.items():
+    for pair, disparity in disparities.items():
         name = rig.pair_names[pair][0]
         known = foregrounds[name]
         if known.everything:
             continue
-        columns, rows, source = source_grid(rig.cameras[name], found.left, _SHARE_PX)
+        columns, rows, source = source_grid(rig.cameras[name], disparity.left, _SHARE_PX)
         height, width = known.coverage.shape
         thinning = rig.cameras[name].size_wh[0] / width
         column, row = (np.rint(source[..., axis] / thinning).astype(np.int64) for axis in (0, 1))
         inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
         subject = np.zeros(inside.shape, dtype=bool)
         subject[inside] = known.mask[row[inside], column[inside]]
-        matched = found.valid[rows.astype(np.int64), columns.astype(np.int64)]
+        matched = disparity.valid[rows.astype(np.int64), columns.astype(np.int64)]
         shares[pair] = float((matched & subject).sum() / max(int(subject.sum()), 1))
     return shares
 

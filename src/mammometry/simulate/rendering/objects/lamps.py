@@ -9,9 +9,7 @@ import numpy as np
 from mammometry.base.photograph import Photograph
 from mammometry.calibration.targets.board import Board
 from mammometry.calibration.targets.lamps import LAMPS, LampStrip
-from mammometry.geometry.arrays import Array, Float64
-from mammometry.geometry.camera import Camera, Rig
-from mammometry.geometry.transform import Transform
+from mammometry.geometry import Array, Camera, Float64, Rig, Transform
 from mammometry.simulate.rendering.develop import develop
 from mammometry.simulate.rendering.film import Film
 from mammometry.simulate.rendering.objects.solid_target import render_target

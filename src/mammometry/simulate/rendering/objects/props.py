@@ -1,7 +1,4 @@
-"""Things besides the subject: a dark board, a cluttered room, hair.
-
-They are plain meshes of plain colours.
-"""
+"""Things besides the subject, in plain colours: a dark board, a cluttered room, hair."""
 
 from __future__ import annotations
 
@@ -10,8 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mammometry.geometry.arrays import Array, Float32, Float64, Int32, UInt8
-from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry import Array, Float32, Float64, Int32, TriangleMesh, UInt8
 
 BOARD_MM = (270.0, 290.0)
 """Width and height of the dark board behind a flat back."""
@@ -53,10 +49,7 @@ def board(z: float) -> Props:
 
 
 def room(seed: int) -> tuple[Props, Float64[Array, "k 3"]]:
-    """Return boxes around the rig, and their materials' reflectances.
-
-    They have all colours, each of its own material.
-    """
+    """Return boxes around the rig, each of its own material, and their materials' reflectances."""
     rng = np.random.default_rng([seed, 81])
     corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
     sides = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])

@@ -45,8 +45,7 @@ class Skin:
     """Softness of grazing light: how far beyond the terminator it reaches (cosine)."""
     scatter_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Softness by light below the surface: standard deviation of its path along the surface for red, green and blue,
-    mm. Skin lets red through farthest.
-    """
+    mm. Skin lets red through farthest."""
     pores: float = 0.0
     """Relative darkness of a pore against the skin around it, 0…1. Pores are 0.1–0.3 mm wide."""
     moles: float = 0.0

@@ -1,0 +1,399 @@
+"""Checks of a photograph: its file, its pixels, and which camera took it."""
+
+from __future__ import annotations
+
+import re
+import statistics
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, TypeAlias
+
+import numpy as np
+from skimage.measure import blur_effect
+
+from mammometry.base.photograph import LUMA, Photograph
+from mammometry.geometry.arrays import Array, Bool, Float32
+from mammometry.io.photographs.tags import Exposure
+from mammometry.matching.foreground.block_segmentation import segment
+from mammometry.matching.foreground.silhouette import block_means
+
+Level: TypeAlias = Literal["ok", "unknown", "warn", "refuse"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Found:
+    """One check of one photograph, or of all of them together."""
+
+    check: str
+    """What was looked at: format, camera, size, sharpness, exposure, whole, times, twice, digest."""
+    level: Level
+    """``unknown``: it cannot be told; ``warn``: somebody should look; ``refuse``: it cannot be used."""
+    sentence: str
+    """For the one who photographs: what, and what to do."""
+
+    def as_table(self) -> dict[str, object]:
+        """As JSON: level, and ``ok``, which is none where it is unknown."""
+        ok = None if self.level == "unknown" else self.level == "ok"
+        return {"check": self.check, "ok": ok, "level": self.level, "sentence": self.sentence}
+
+
+def refuses(findings: Iterable[Found]) -> bool:
+    """Whether one of them says that the photograph cannot be used."""
+    return any(finding.level == "refuse" for finding in findings)
+
+
+_LOOKED_AT = 1 << 16  # bytes at either end: an archive's directory lies within 65,557 of the end (ZIP, APPNOTE 4.3.16)
+_BEGIN = (b"\xff\xd8\xff", b"\x89PNG\r\n\x1a\n", b"II*\x00", b"MM\x00*")  # JPEG, PNG, TIFF in either byte order
+_JPEG, _JPEG_END, _PNG_END = _BEGIN[0], b"\xff\xd9", b"IEND\xaeB`\x82"
+_OTHERS = {
+    b"PK\x03\x04": "an archive",
+    b"PK\x05\x06": "an archive",
+    b"Rar!\x1a\x07": "an archive",
+    b"7z\xbc\xaf\x27\x1c": "an archive",
+    b"%pdf-": "a PDF",
+    b"%!ps-": "a PostScript program",
+    b"<html": "a web page",
+    b"<!doctype": "a web page",
+    b"<script": "a web page",
+    b"<svg": "a web page",
+    b"<?php": "a program",
+    b"\x7felf": "a program",
+    b"this program cannot be run in dos mode": "a program",
+}
+"""How other files begin, in small letters, wherever that counts."""
+_ANYWHERE = (b"%pdf-", b"<?php", b"<script", b"<html", b"<!doctype", b"<svg")  # what readers seek past the first byte
+_HEAD_BYTES = 1024  # in which readers of PDF and browsers look for those
+
+
+def not_only_a_photograph(path: Path) -> str | None:
+    """What else a file is, in two words.
+
+    ``no photograph`` where it is none. None for an ordinary photograph.
+
+    Raises:
+        OSError: it cannot be read.
+    """
+    with path.open("rb") as file:
+        head = file.read(_LOOKED_AT)
+        size = file.seek(0, 2)
+        file.seek(max(0, size - _LOOKED_AT))
+        tail = file.read(_LOOKED_AT)
+    if not head.startswith(_BEGIN):
+        return "no photograph"
+    begin = head[:_HEAD_BYTES].lower()
+    for mark in _ANYWHERE:
+        if mark in begin:
+            return _OTHERS[mark]
+    behind = _behind(head, tail).lower()
+    return next((what for mark, what in _OTHERS.items() if mark.lower() in behind), None)
+
+
+def _behind(head: bytes, tail: bytes) -> bytes:
+    """What follows the end of the picture.
+
+    A camera may put a second, smaller picture or its own notes there.
+    """
+    end = _JPEG_END if head.startswith(_JPEG) else _PNG_END if head.startswith(_BEGIN[1]) else b""
+    if not end:  # a TIFF's parts lie in any order: only what closes an archive is telling
+        return tail[tail.rfind(b"PK\x05\x06") :] if b"PK\x05\x06" in tail else b""
+    place = tail.rfind(end)
+    closing = tail.rfind(b"PK\x05\x06")
+    return tail[min(position for position in (place, closing) if position >= 0) :] if max(place, closing) >= 0 else tail
+
+
+_LOOKED_AT_PX = 676.0  # diagonal at which the subject is sought: half of the reference size, as matching does
+QUICK_PX = 250.0
+"""Diagonal at which it is sought beside a rig, where eight pictures wait for a verdict."""
+_COARSE_STEP = 12  # pixels to a block, from which on there are many
+_CROP_PX = 800  # side of the part of the subject whose sharpness is looked at; for speed
+_QUICK_CROP_PX = 480  # the same beside a rig: a third of the time
+_BLURRED = 0.67
+"""Blur (Crete 2007: 0 none, 1 all) from which somebody should look. Photographs of torsos by our renderer have .31 to
+.36, and .46 to .53, .67 to .73 and .81 to .85 when blurred by a Gaussian σ of 1, 2 and 3 px."""
+_DARK, _PALE = 0.25, 0.95  # median of the subject's encoded value; skin of any colour, well lit, lies between
+_CLIPPED, _CLIPPED_SHARE = 0.995, 0.02  # encoded value that counts as lost, and share of the subject that may be
+_SMALL, _LARGE = 0.08, 0.92  # share of the picture that the subject covers
+_AT_BORDER = 0.02  # of a border's length: a cast must not touch it
+_OFF_CENTRE = 0.3  # of the picture's width, from the middle to the subject's
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Seen:
+    """Figures of one photograph, shares of 1."""
+
+    cover: float
+    """Of the picture, by the subject; 0 where none was found."""
+    borders: tuple[float, float, float, float]
+    """Of the upper, lower, left and right border, by the subject."""
+    centre: float
+    """Column of the subject's centre; 0.5 is the middle."""
+    median: float
+    """Encoded value of the subject."""
+    clipped: float
+    """Of the subject, without any drawing because it is too bright."""
+    blur: float
+    """By Crete 2007: 0 none, 1 all."""
+
+
+def look(photograph: Photograph, *, looked_at_px: float = _LOOKED_AT_PX) -> Seen:
+    """Measure a photograph's figures.
+
+    Args:
+        photograph: 8 or 16 bit.
+        looked_at_px: diagonal of the reduced picture in which the subject is sought.
+    """
+    pixels = np.atleast_3d(photograph.pixels)
+    diagonal = float(np.hypot(*photograph.size_wh))
+    step = max(1, round(diagonal / looked_at_px))
+    largest = np.iinfo(pixels.dtype).max
+    # Of a block whose noise does not count, every fourth pixel of each row and column will do.
+    thin = 4 if step >= _COARSE_STEP else 1
+    levels = np.linspace(0, 1, largest + 1, dtype=np.float32)
+    encoded = block_means(np.ascontiguousarray(pixels[::thin, ::thin]), levels, step // thin)
+    step = thin * (step // thin)
+    subject = segment(encoded, diagonal / step / (2 * _LOOKED_AT_PX))
+    where = np.ones(encoded.shape[:2], dtype=bool) if subject is None else subject
+    value = encoded @ LUMA if encoded.shape[2] == 3 else encoded[..., 0]
+    return Seen(
+        cover=0.0 if subject is None else float(where.mean()),
+        borders=tuple(float(edge.mean()) for edge in (where[0], where[-1], where[:, 0], where[:, -1])),  # type: ignore[arg-type]
+        centre=float(np.nonzero(where)[1].mean() + 0.5) / where.shape[1],
+        median=float(np.median(value[where])),
+        clipped=float((encoded.max(axis=2)[where] >= _CLIPPED).mean()),
+        blur=_blur(pixels, where, step, _CROP_PX if looked_at_px > QUICK_PX else _QUICK_CROP_PX),
+    )
+
+
+def _blur(pixels: Array, where: Bool[Array, "h w"], step: int, side_px: int) -> float:
+    """Of the middle of the subject, at full resolution. Texture and edges count, flat parts do not."""
+    rows, columns = np.nonzero(where)
+    part = []
+    for places, length in ((rows, pixels.shape[0]), (columns, pixels.shape[1])):
+        low, high = step * int(places.min()), step * (int(places.max()) + 1)
+        middle = (low + high) // 2
+        part.append(slice(max(0, low, middle - side_px // 2), min(length, high, middle + side_px // 2)))
+    cut, largest = pixels[part[0], part[1]], np.iinfo(pixels.dtype).max
+    channels = cut.shape[2]  # added one by one: NumPy's mean over three values is slow
+    crop: Float32[Array, "h w"] = sum(cut[..., k].astype(np.float32) for k in range(channels)) / (channels * largest)
+    blur = float(blur_effect(crop))  # type: ignore[no-untyped-call]
+    return blur if np.isfinite(blur) else 1.0  # nothing but one value
+
+
+def judge(seen: Seen, subject_kind: str) -> list[Found]:
+    """Say what the figures mean.
+
+    Args:
+        seen: figures of the photograph.
+        subject_kind: ``torso``, which goes on beyond the picture, or ``model``, which must lie within it.
+    """
+    return [_sharpness(seen), _exposure(seen), _whole(seen, subject_kind)]
+
+
+def _sharpness(seen: Seen) -> Found:
+    if seen.blur >= _BLURRED:
+        return Found(
+            check="sharpness",
+            level="warn",
+            sentence="The photograph looks blurred. Check the focus, ask the patient to hold still, and take it again.",
+        )
+    return Found(check="sharpness", level="ok", sentence="Sharp.")
+
+
+def _exposure(seen: Seen) -> Found:
+    problem = None
+    if seen.clipped > _CLIPPED_SHARE:
+        problem = f"{seen.clipped:.0%} of the skin is too bright to show anything. Use less light or a smaller opening."
+    elif seen.cover and seen.median < _DARK:
+        problem = "The subject is dark. Check the flashes, or use more light."
+    elif seen.median > _PALE:
+        problem = "The subject is too bright. Use less light or a smaller opening."
+    return Found(check="exposure", level="warn" if problem else "ok", sentence=problem or "Well exposed.")
+
+
+def _whole(seen: Seen, subject_kind: str) -> Found:
+    names = ("above", "below", "on the left", "on the right")
+    problem = None
+    if not seen.cover:
+        problem = "No subject stands out from the background. Check that the patient was in the picture."
+    elif seen.cover < _SMALL:
+        problem = f"The subject covers only {seen.cover:.0%} of the picture. Check where it stands."
+    elif subject_kind == "model" and (
+        cut := [name for name, share in zip(names, seen.borders, strict=True) if share > _AT_BORDER]
+    ):
+        problem = f"The cast is cut off {' and '.join(cut)}. Move it to the middle."
+    elif seen.cover > _LARGE or min(seen.borders) > 0.5:
+        problem = "The subject fills the picture. Step back to the mark on the floor."
+    elif abs(seen.centre - 0.5) > _OFF_CENTRE:
+        side = "left" if seen.centre < 0.5 else "right"
+        problem = f"The subject is far to the {side} of the picture. Move to the mark on the floor."
+    return Found(check="whole", level="warn" if problem else "ok", sentence=problem or "The subject is in the picture.")
+
+
+_TOGETHER_S = 20.0
+"""Cameras are released together; their clocks are set by hand, and read to a second or two where no calibration tells
+how they differ. Two exposures of one visit lie further apart. Chosen by eye."""
+_TOGETHER_KNOWN_S = 2.5  # where the calibration tells how the clocks differ: EXIF counts whole seconds, clocks drift
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class KnownCamera:
+    """One camera of a rig, as its calibration's photographs show it."""
+
+    stored_wh: tuple[int, int] | None = None
+    """Width and height of its files, px."""
+    orientation: int = 1
+    """EXIF orientation of its files."""
+    serial: str = ""
+    clock_s: float | None = None
+    """How far its clock is ahead of the rig's median clock, s."""
+
+    def as_table(self) -> dict[str, Any]:
+        """The known facts of a camera as JSON."""
+        size = None if self.stored_wh is None else list(self.stored_wh)
+        return {"stored_wh": size, "orientation": self.orientation, "serial": self.serial, "clock_s": self.clock_s}
+
+    @classmethod
+    def from_table(cls, table: Mapping[str, Any]) -> KnownCamera:
+        """Read the known facts of a camera from JSON."""
+        size = table.get("stored_wh")
+        return cls(
+            stored_wh=None if size is None else (int(size[0]), int(size[1])),
+            orientation=int(table.get("orientation", 1)),
+            serial=str(table.get("serial", "")),
+            clock_s=table.get("clock_s"),
+        )
+
+
+def clocks(taken: Mapping[tuple[str, str], float]) -> dict[str, float]:
+    """How far each camera's clock is ahead of the others. By exposures that were made together.
+
+    Args:
+        taken: (pose, camera) → moment by the camera's own clock, s.
+
+    Returns:
+        Camera → median over the poses of its difference to the pose's median, s.
+    """
+    poses: dict[str, dict[str, float]] = {}
+    for (pose, camera), moment in taken.items():
+        poses.setdefault(pose, {})[camera] = moment
+    ahead: dict[str, list[float]] = {}
+    for seen in poses.values():
+        middle = statistics.median(seen.values())
+        for camera, moment in seen.items():
+            ahead.setdefault(camera, []).append(moment - middle)
+    return {camera: statistics.median(values) for camera, values in ahead.items()}
+
+
+def camera_of_name(name: str, cameras: Sequence[str]) -> str | None:
+    """The one camera that a file's name names as a whole word. None if none or several do."""
+    stem = re.sub(r"\.[A-Za-z]+$", "", name).lower()
+    named = [camera for camera in cameras if re.search(rf"(?<![a-z0-9]){re.escape(camera.lower())}(?![a-z0-9])", stem)]
+    longest = [camera for camera in named if not any(camera != other and camera in other for other in named)]
+    return longest[0] if len(longest) == 1 else None
+
+
+def camera_of_serial(serial: str, known: Mapping[str, KnownCamera]) -> str | None:
+    """The one camera that has this serial number."""
+    matching = [camera for camera, about in known.items() if serial and about.serial == serial]
+    return matching[0] if len(matching) == 1 else None
+
+
+def right_camera(camera: str, exposure: Exposure, named: str | None, known: Mapping[str, KnownCamera]) -> Found:
+    """Whether the photograph lies under the right camera.
+
+    Args:
+        camera: in whose place it was put.
+        exposure: what its file says.
+        named: the camera that the file's name names, if it does.
+        known: camera → what the calibration knows.
+    """
+    wanted = known.get(camera, KnownCamera()).serial
+    if exposure.serial and wanted:
+        if exposure.serial == wanted:
+            return Found(check="camera", level="ok", sentence=f"Taken by {camera}, by its serial number.")
+        other = camera_of_serial(exposure.serial, known)
+        by = f"by {other}" if other else "by a camera that was not there at the calibration"
+        remedy = "Put it in that camera's place" if other else f"Take the photograph of {camera}, or calibrate again"
+        return Found(check="camera", level="refuse", sentence=f"This photograph was taken {by}. {remedy}.")
+    if named is not None and named != camera:
+        return Found(
+            check="camera",
+            level="refuse",
+            sentence=f"The file is called {named}, and this is the place of {camera}. Put it in the place of {named}.",
+        )
+    if named == camera:
+        return Found(check="camera", level="ok", sentence=f"The file is called {camera}.")
+    return Found(check="camera", level="unknown", sentence="The file does not say which camera took it.")
+
+
+def right_size(camera: str, stored_wh: tuple[int, int], orientation: int, known: Mapping[str, KnownCamera]) -> Found:
+    """Whether a photograph is as large as the calibration's, and turned alike."""
+    about = known.get(camera, KnownCamera())
+    if about.stored_wh is None:
+        return Found(check="size", level="unknown", sentence="No calibration says how large it should be.")
+    if stored_wh != about.stored_wh:
+        (width, height), (right_width, right_height) = stored_wh, about.stored_wh
+        return Found(
+            check="size",
+            level="refuse",
+            sentence=f"The photograph has {width} × {height} pixels. {camera} was calibrated with {right_width} × "
+            f"{right_height}. Send the file as the camera wrote it, not cut, turned or made smaller.",
+        )
+    if orientation != about.orientation:
+        return Found(
+            check="size",
+            level="refuse",
+            sentence=f"The photograph is turned otherwise than at the calibration of {camera}. Switch off the "
+            "camera's automatic rotation, and send the file as the camera wrote it.",
+        )
+    return Found(check="size", level="ok", sentence=f"{stored_wh[0]} × {stored_wh[1]} pixels, as at the calibration.")
+
+
+def together(taken: Mapping[str, float], clock_s: Mapping[str, float]) -> Found:
+    """Whether all photographs are of one exposure.
+
+    Args:
+        taken: camera → moment by its own clock, s.
+        clock_s: camera → how far its clock is ahead, where that is known.
+    """
+    if len(taken) < 2:
+        return Found(check="times", level="unknown", sentence="The files do not say when they were taken.")
+    known = set(taken) <= set(clock_s)
+    limit = _TOGETHER_KNOWN_S if known else _TOGETHER_S
+    moments = {camera: moment - (clock_s[camera] if known else 0.0) for camera, moment in taken.items()}
+    middle = statistics.median(moments.values())
+    apart = {camera: moment - middle for camera, moment in moments.items() if abs(moment - middle) > limit}
+    if not apart:
+        return Found(check="times", level="ok", sentence="All photographs were taken together.")
+    worst = max(apart, key=lambda camera: abs(apart[camera]))
+    how = "before" if apart[worst] < 0 else "after"
+    others = f" {len(apart) - 1} more are apart, too." if len(apart) > 1 else ""
+    return Found(
+        check="times",
+        level="warn",
+        sentence=f"{worst} was taken {_duration(abs(apart[worst]))} {how} the others.{others} Send the photograph of "
+        "the same exposure, or set the camera's clock.",
+    )
+
+
+def twice(digests: Mapping[str, str]) -> list[Found]:
+    """Refuse one file in two cameras' places.
+
+    Args:
+        digests: camera → SHA-256 of its file.
+    """
+    first: dict[str, str] = {}
+    findings = []
+    for camera, digest in digests.items():
+        other = first.setdefault(digest, camera)
+        if other != camera:
+            sentence = f"{other} and {camera} are the same photograph. Send each camera's own."
+            findings.append(Found(check="twice", level="refuse", sentence=sentence))
+    return findings
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 120:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 7200 else f"{seconds / 3600:.0f} h"

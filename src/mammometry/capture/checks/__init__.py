@@ -1,1 +1,0 @@
-"""Photographs checked as they come, before anything is measured."""

@@ -1,1 +1,0 @@
-"""When each camera exposed, read from a row of counting lamps."""

@@ -1,1 +1,0 @@
-"""Semi-global matching, from which the dense matching starts."""

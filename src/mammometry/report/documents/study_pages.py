@@ -1,0 +1,111 @@
+"""Agreement and observer studies, each on one page that needs nothing but itself."""
+
+import json
+from collections.abc import Sequence
+
+from mammometry.report.documents.pages import embed, render
+from mammometry.report.figures.observers import bland_altman, curves_on, regions, scatter, volumes
+from mammometry.study.agreement import (
+    Agreement,
+    CheckedFigure,
+    PairedMeasurements,
+    agreement_json,
+    agreement_tables,
+    summary,
+)
+from mammometry.study.observers import (
+    Drawing,
+    DrawnSurface,
+    ObserverStudy,
+    observers_json,
+    observers_summary,
+    observers_tables,
+)
+from mammometry.study.tables import Table
+
+FILES = ("report.html", "agreement.json", "bland-altman.png", "scatter.png")
+
+
+def agreement_files(
+    title: str,
+    data: PairedMeasurements,
+    figures: Agreement,
+    checked: Sequence[CheckedFigure] = (),
+    *,
+    more: Sequence[Table] = (),
+    remarks: Sequence[str] = (),
+) -> dict[str, bytes]:
+    """The page, its figures and its numbers: file name → content.
+
+    Args:
+        title: of the page.
+        data: the measurements.
+        figures: what they come to.
+        checked: published figures beside the recomputed ones.
+        more: further tables.
+        remarks: sentences for the end.
+    """
+    pictures = {"bland-altman.png": bland_altman(data, figures), "scatter.png": scatter(data)}
+    page = render(
+        "agreement.html.j2",
+        kind="agreement study",
+        title=title,
+        subtitle=f"{data.measured_name} against {data.reference_name}",
+        summary=summary(data, figures),
+        pictures=[embed(png) for png in pictures.values()],
+        tables=[*agreement_tables(data, figures, checked), *more],
+        remarks=[*remarks, *(check.published.note for check in checked if not check.follows and check.published.note)],
+    )
+    numbers = json.dumps({"title": title, **agreement_json(data, figures, checked)}, indent=1, ensure_ascii=False)
+    return {"report.html": page.encode(), "agreement.json": (numbers + "\n").encode(), **pictures}
+
+
+_SURFACES_SHOWN = 12  # pictures of surfaces on a page; chosen by eye
+_REMARKS = (
+    "All volumes are before the same kind of wall on the same mesh: they differ by the curves alone.",
+    "ICC(2,1) is about single measurements, and counts a constant offset as error: whoever drew is one of many who "
+    "might.",
+    "The standard uncertainty of one curve is the root mean square distance of two, over √2. The measurement takes "
+    "`measure.observers` for it: set yours there.",
+)
+
+
+def observers_names(surfaces: int) -> tuple[str, ...]:
+    """Names of all files that a study of so many surfaces writes."""
+    shown = (_picture_of(number) for number in range(min(surfaces, _SURFACES_SHOWN)))
+    return ("report.html", "observers.json", "volumes.png", "regions.png", *shown)
+
+
+def observers_files(
+    title: str, surfaces: Sequence[DrawnSurface], drawings: Sequence[Drawing], study: ObserverStudy
+) -> dict[str, bytes]:
+    """The page, its pictures and its numbers: file name → content.
+
+    Args:
+        title: of the page.
+        surfaces: with the curves on them.
+        drawings: one a curve.
+        study: what they come to.
+    """
+    pictures = {"volumes.png": volumes(drawings, study), "regions.png": regions(study)}
+    pictures |= {
+        _picture_of(number): curves_on(surface, study.observers)
+        for number, surface in enumerate(surfaces[:_SURFACES_SHOWN])
+    }
+    left_out = len(surfaces) - _SURFACES_SHOWN
+    page = render(
+        "agreement.html.j2",
+        kind="observer study",
+        title=title,
+        subtitle="The same breasts, outlined by several persons or several times",
+        summary=observers_summary(study),
+        pictures=[embed(png) for png in pictures.values()],
+        tables=observers_tables(study, drawings),
+        remarks=[*_REMARKS, *([f"{left_out} more surfaces are not shown."] if left_out > 0 else [])],
+    )
+    numbers = json.dumps({"title": title, **observers_json(study, drawings)}, indent=1, ensure_ascii=False)
+    return {"report.html": page.encode(), "observers.json": (numbers + "\n").encode(), **pictures}
+
+
+def _picture_of(number: int) -> str:
+    return f"curves-{number + 1}.png"

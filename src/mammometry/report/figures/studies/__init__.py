@@ -1,1 +1,0 @@
-"""Pictures of more than one measurement: dates, methods, observers, truth."""

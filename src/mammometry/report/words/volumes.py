@@ -1,0 +1,195 @@
+"""A volume, its interval, its meaning, its cautions and its change between two dates, in words."""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+
+from mammometry.base.machine.cores import available_cores
+from mammometry.geometry.arrays import bounds
+from mammometry.geometry.nearest import point_tree
+from mammometry.measure.trunk.head import HEAD_NOT_SHOWN
+from mammometry.measure.volume.definitions import DENSITY_G_PER_CC, DefinedVolume
+from mammometry.measure.volume.measurement import VolumeMeasurement
+from mammometry.report.figures.drawing.shading import wall_faces
+from mammometry.surface.repair.repair import Provenance, RepairedSurface
+
+_COARSE_CC = 10.0
+"""Width of an interval from which tenths of a cc are left out: a tenth is then 1 % of it. Chosen by eye."""
+
+
+def is_coarse(interval_cc: tuple[float, float] | None) -> bool:
+    """Whether an interval is too wide for tenths of a cc."""
+    return interval_cc is not None and interval_cc[1] - interval_cc[0] >= _COARSE_CC
+
+
+def term_words(half_cc: float) -> str:
+    """Half-width of one source of error, cc: tenths below 10 cc."""
+    return "< 0.1" if half_cc < 0.05 else f"{half_cc:.{1 if half_cc < 10 else 0}f}"
+
+
+def volume_words(volume_cc: float, interval_cc: tuple[float, float] | None = None) -> str:
+    """A volume in whole cc if coarse, else in tenths."""
+    return f"{volume_cc:z.0f} cc" if is_coarse(interval_cc) else f"{volume_cc:z.1f} cc"
+
+
+def interval_words(interval_cc: tuple[float, float] | None) -> str:
+    """The 95 % interval in words: half-width and both ends. Only the ends if it is cut off at zero."""
+    if interval_cc is None:
+        return "no interval: the error of this volume is not known"
+    low, high = interval_cc
+    digits = 0 if is_coarse(interval_cc) else 1
+    if low <= 0:
+        return f"between 0 and {high:.{digits}f} cc (95 %)"
+    return f"± {(high - low) / 2:.{digits}f} cc (95 %: {low:.{digits}f} to {high:.{digits}f} cc)"
+
+
+def span_words(interval_cc: tuple[float, float] | None) -> str:
+    """The 95 % interval in words, its ends alone: "95 %: 300 to 410 cc"."""
+    if interval_cc is None:
+        return "its error is not known"
+    digits = 0 if is_coarse(interval_cc) else 1
+    low, high = (f"{bound:z.{digits}f}".replace("-", "−") for bound in interval_cc)
+    return f"95 %: {low} to {high} cc"
+
+
+MEANINGS = {
+    "flat chest": "what stands out from the chest",
+    "measured wall": "in front of the chest wall, which was measured",
+    "named wall": "in front of one fixed surface, to compare visits",
+    "muscle": "down to the chest muscle, as a mastectomy takes it out",
+    "closed solid": "of the whole model",
+    "any": "",
+}
+"""Meaning of "the breast" (docs/decisions/0029) → a few plain words that follow a volume."""
+MEANINGS_INTRODUCTION = (
+    "The back of a breast cannot be seen. How much is counted behind it is a matter of agreement, so one breast has "
+    "several volumes. Compare only volumes of the same kind."
+)
+_EXPLAINED = {
+    "flat chest": "The part of the breast that stands out from the chest. Behind it, the chest is taken to be flat, "
+    "with a layer of fat and skin like that beside the breast.",
+    "measured wall": "All that lies in front of the chest wall. The chest wall was measured by itself.",
+    "named wall": "The part of the breast in front of one fixed surface ({wall}), drawn by the same rule at every "
+    "visit. Visits are compared by this volume. It does not say where the chest really is.",
+    "muscle": "The breast with the layer of fat behind it, down to the chest muscle: what is weighed after a "
+    "mastectomy. This layer cannot be seen. Its thickness was entered, or is the mean of other women.",
+}
+
+
+def meaning_title(meaning: str) -> str:
+    """A few plain words for one meaning of the breast, as a heading."""
+    words = MEANINGS.get(meaning, meaning)
+    return words[:1].upper() + words[1:]
+
+
+def meaning_sentences(meaning: str, wall: str) -> str:
+    """What one meaning of the breast is, for a patient.
+
+    Args:
+        meaning: key of `MEANINGS`.
+        wall: name of the surface that closes the breast.
+    """
+    return _EXPLAINED[meaning].format(wall=wall)
+
+
+def definition_words(defined: DefinedVolume) -> str:
+    """One definition's volume, interval in cc and %, and weight."""
+    low, high = defined.interval_cc
+    grams, half_g = defined.weight_g
+    weight = f"{grams:.0f} ± {half_g:.0f} g at {DENSITY_G_PER_CC} g/cc"
+    if low <= 0:
+        return (
+            f"{volume_words(defined.volume_cc, defined.interval_cc)}, {interval_words(defined.interval_cc)}; {weight}"
+        )
+    return f"{defined.volume_cc:.0f} ± {(high - low) / 2:.0f} cc (± {defined.half_percent:.0f} %), {weight}"
+
+
+SKIN_MEASURED = 0.8
+"""Share of a breast's skin that should be measured, not closed by the elastic repair. Chosen by eye."""
+_AROUND_MM = 10.0  # around a breast: its skin is a part of the surface, a cube's edge from its vertices at most
+
+
+def own_cautions(measured: VolumeMeasurement, shares: Mapping[Provenance, float] | None = None) -> Iterator[str]:
+    """Warn of what changes the meaning of one volume.
+
+    Args:
+        measured: one breast.
+        shares: of its skin, by origin. None if they are not known.
+    """
+    if not measured.watertight:
+        yield "Do not use this volume: its solid is not watertight."
+    if HEAD_NOT_SHOWN in measured.boundary_method:
+        yield "Left and right may be exchanged: the body does not show where its head is. See the warnings."
+    if shares is not None and shares[Provenance.MEASURED] < SKIN_MEASURED:
+        yield f"Only {100 * shares[Provenance.MEASURED]:.0f} % of its skin was measured."
+
+
+def skin_shares(measured: VolumeMeasurement, repaired: RepairedSurface) -> dict[Provenance, float]:
+    """Share of a breast's skin of each origin.
+
+    The origin is that of the nearest vertex of the whole surface.
+    """
+    skin = ~wall_faces(measured)
+    middles = measured.closed.corners()[skin].mean(axis=1)
+    areas = np.linalg.norm(measured.closed.face_vectors()[skin], axis=1)
+    low, high = bounds(middles)
+    near = repaired.mesh.vertices_between(low - _AROUND_MM, high + _AROUND_MM)
+    near = near if len(near) else np.arange(len(repaired.mesh.vertices))
+    nearest = point_tree(repaired.mesh.vertices[near]).query(middles, workers=available_cores())[1]
+    sums = np.bincount(repaired.provenance[near[nearest]], areas, minlength=len(Provenance))
+    return {kind: float(sums[kind] / max(areas.sum(), 1e-12)) for kind in Provenance}
+
+
+Interval = tuple[float, float]
+
+MORE = "more than the measurement error"
+WITHIN = "within the measurement error"
+UNKNOWN = "no verdict, because the error of the change is not known"
+
+
+def date_words(date: datetime.date) -> str:
+    """A date inside a sentence: 3 November 2026."""
+    return f"{date.day} {date:%B %Y}"
+
+
+def verdict_words(beyond_error: bool | None) -> str:
+    """Whether a change is larger than its measurement error.
+
+    Args:
+        beyond_error: whether the 95 % interval of the change leaves out zero. None: it is not known.
+    """
+    return UNKNOWN if beyond_error is None else MORE if beyond_error else WITHIN
+
+
+def change_sentence(
+    breast: str, change_cc: float, interval_cc: Interval | None, beyond_error: bool | None, before: datetime.date | None
+) -> str:
+    """One breast's change of volume and its verdict, in one sentence.
+
+    Args:
+        breast: "left" or "right".
+        change_cc: later volume less the earlier one, cc.
+        interval_cc: its 95 % interval, cc.
+        beyond_error: whether that leaves out zero.
+        before: the earlier date. None: it is not known.
+    """
+    digits = 0 if is_coarse(interval_cc) else 1
+    than = "before" if before is None else f"on {date_words(before)}"
+    if not float(f"{change_cc:.{digits}f}"):
+        amount = f"as large as {than}"
+    else:
+        amount = f"{abs(change_cc):.{digits}f} cc {'larger' if change_cc > 0 else 'smaller'} than {than}"
+    span = "" if interval_cc is None else f" (95 %: {_span(interval_cc, digits)})"
+    return f"{breast.capitalize()} breast: {amount}{span}: {verdict_words(beyond_error)}."
+
+
+def _span(interval_cc: Interval, digits: int) -> str:
+    """Both ends in the direction of the change, or each with its own where they differ."""
+    low, high = interval_cc
+    if low < 0.0 < high:
+        return f"{-low:.{digits}f} cc smaller to {high:.{digits}f} cc larger"
+    near, far = sorted((abs(low), abs(high)))
+    return f"{near:.{digits}f} to {far:.{digits}f}"
