@@ -1,4 +1,4 @@
-"""Basic values: arrays, rigid transforms, cameras, meshes. NumPy only: what is compiled is imported by its own module."""
+"""Basic values: arrays, rigid transforms, cameras, meshes. NumPy only: compiled code has its own modules."""
 
 from mammometry.geometry.arrays import (
     Array,

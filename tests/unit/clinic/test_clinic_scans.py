@@ -15,10 +15,10 @@ from django.http import HttpResponse
 from django.test import Client
 from django.urls import reverse
 from django.utils import timezone
-from mammometry.api.results import show_refusal
 from pytest_django import Settings
 from tests.unit.io.scan_files import scanned, texture
 
+from mammometry.api.results import show_refusal
 from mammometry.base.errors import MeasureError
 from mammometry.base.identity import Identity
 from mammometry.clinic.config import ClinicConfig
