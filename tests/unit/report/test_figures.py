@@ -62,9 +62,9 @@ def no_words_on_words(monkeypatch: pytest.MonkeyPatch) -> None:
     """Every picture that is drawn here is looked at before it is written."""
     written = canvas.Sheet.png
 
-    def looked_at(sheet: canvas.Sheet, caption: Caption) -> bytes:
-        assert words_on_words(sheet.figure) == [], caption.title
-        return written(sheet, caption)
+    def looked_at(sheet: canvas.Sheet, title: str, text: str) -> bytes:
+        assert words_on_words(sheet.figure) == [], title
+        return written(sheet, title, text)
 
     monkeypatch.setattr(canvas.Sheet, "png", looked_at)
 
