@@ -24,8 +24,8 @@ _PANEL_PX = 290  # width of a panel, px; chosen by eye
 
 PROVENANCE_COLOURS: Mapping[Provenance, tuple[str, str]] = {
     Provenance.MEASURED: (canvas.BLUE, "measured: by at least one pair"),
-    Provenance.REPAIRED: (canvas.SKY, "repaired: right beside it"),
-    Provenance.BRIDGED: (canvas.ORANGE, "bridged: closed between or beyond, not measured"),
+    Provenance.REPAIRED: (canvas.SKY, "repaired: beside it"),
+    Provenance.BRIDGED: (canvas.ORANGE, "bridged: closed over a gap"),
     Provenance.INVENTED: (canvas.GREY, "invented: no pair measured it"),
 }
 
