@@ -31,10 +31,7 @@ _SHARED = ("cameras.json", "prior.json")
 
 
 def manifest_text(
-    definition: Mapping[str, Any],
-    subject_kind: str,
-    subject_id: str | None = None,
-    date: datetime.date | None = None,
+    definition: Mapping[str, Any], subject_kind: str, subject_id: str | None = None, date: datetime.date | None = None
 ) -> str:
     """A session.toml.
 

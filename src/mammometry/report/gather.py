@@ -211,11 +211,7 @@ def gather(
     body = plan.value(measure.body)
     frame = front_of(rig, body)
     guarded = guard(
-        finished.textured,
-        privacy,
-        subject_kind=inputs.subject_kind,
-        up_world=frame[1],
-        landmarks=inputs.landmarks,
+        finished.textured, privacy, subject_kind=inputs.subject_kind, up_world=frame[1], landmarks=inputs.landmarks
     )
     textured = guarded.textured
     if privacy.guarded:

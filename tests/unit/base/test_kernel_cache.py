@@ -11,7 +11,7 @@ import pytest
 from numba.core import config
 
 import mammometry
-from mammometry.base.machine import kernel_cache
+from mammometry.base.machine import compiled
 from mammometry.matching import filters
 
 _PROGRAM = """
@@ -26,19 +26,19 @@ print(filters.__file__, sum(filters.halve.stats.cache_hits.values()), float(half
 @pytest.fixture
 def package(tmp_path, monkeypatch):
     """A package of two modules, the first of which imports the second."""
-    monkeypatch.setattr(kernel_cache, "_PACKAGE", tmp_path)
-    kernel_cache.source_stamp.cache_clear()
+    monkeypatch.setattr(compiled, "_PACKAGE", tmp_path)
+    compiled.source_stamp.cache_clear()
     (tmp_path / "inner").mkdir()
     (tmp_path / "one.py").write_text("from mammometry.inner.two import (\n    f,\n)\n")
     (tmp_path / "inner" / "two.py").write_text("f = 1\n")
     (tmp_path / "three.py").write_text("g = 1\n")
     yield tmp_path
-    kernel_cache.source_stamp.cache_clear()
+    compiled.source_stamp.cache_clear()
 
 
 def stamp(path: Path) -> str:
-    kernel_cache.source_stamp.cache_clear()
-    return kernel_cache.source_stamp(path)
+    compiled.source_stamp.cache_clear()
+    return compiled.source_stamp(path)
 
 
 @pytest.mark.parametrize("text", ["from mammometry.inner import two\n", "from mammometry.inner.two import f\n"])
@@ -65,20 +65,20 @@ def test_imports_over_several_lines_count(package):
 
 def test_kernels_are_compiled_for_the_common_processor_or_for_this_one():
     _, name, features = filters.halve.targetctx.codegen().magic_tuple()
-    chosen = kernel_cache.llvm.get_host_cpu_features()
-    if all(chosen.get(one) for one in kernel_cache._COMMON_FEATURES) and "NUMBA_CPU_NAME" not in os.environ:
-        assert (name, features) == (kernel_cache.COMMON_CPU, "")
+    chosen = compiled.llvm.get_host_cpu_features()
+    if all(chosen.get(one) for one in compiled._COMMON_FEATURES) and "NUMBA_CPU_NAME" not in os.environ:
+        assert (name, features) == (compiled.COMMON_CPU, "")
     else:
-        assert name == (config.CPU_NAME or kernel_cache.llvm.get_host_cpu_name())
+        assert name == (config.CPU_NAME or compiled.llvm.get_host_cpu_name())
 
 
-@pytest.mark.parametrize("missing", kernel_cache._COMMON_FEATURES)
+@pytest.mark.parametrize("missing", compiled._COMMON_FEATURES)
 def test_a_processor_that_lacks_something_gets_its_own_code(monkeypatch, missing):
     monkeypatch.setattr(config, "CPU_NAME", None)
     monkeypatch.setattr(config, "CPU_FEATURES", None)
-    features = dict.fromkeys(kernel_cache._COMMON_FEATURES, True) | {missing: False}
-    monkeypatch.setattr(kernel_cache.llvm, "get_host_cpu_features", lambda: features)
-    kernel_cache.choose_cpu()
+    features = dict.fromkeys(compiled._COMMON_FEATURES, True) | {missing: False}
+    monkeypatch.setattr(compiled.llvm, "get_host_cpu_features", lambda: features)
+    compiled.choose_cpu()
     assert config.CPU_NAME is None
 
 
@@ -91,14 +91,14 @@ def test_what_cannot_be_read_is_compiled(tmp_path, monkeypatch):
     space: dict[str, object] = {}
     exec(compile(source.read_text(), str(source), "exec"), space)
     monkeypatch.setitem(sys.modules, "kernels", type(sys)("kernels"))
-    kernel = kernel_cache.keep(numba.njit(space["twice"]))
-    assert not kernel_cache.is_kept(kernel)
+    kernel = compiled.keep(numba.njit(space["twice"]))
+    assert not compiled.is_kept(kernel)
     assert kernel(2) == 4
-    assert kernel_cache.is_kept(kernel)
+    assert compiled.is_kept(kernel)
     (index,) = tmp_path.rglob("*.nbi")
     index.write_bytes(index.read_bytes()[:40])
-    again = kernel_cache.keep(numba.njit(space["twice"]))
-    assert not kernel_cache.is_kept(again)
+    again = compiled.keep(numba.njit(space["twice"]))
+    assert not compiled.is_kept(again)
     assert again(2) == 4
 
 

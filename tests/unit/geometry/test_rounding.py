@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mammometry.geometry.rounding import to_bits, to_step
+from mammometry.geometry.arrays import to_bits, to_step
 
 RNG = np.random.default_rng(5)
 

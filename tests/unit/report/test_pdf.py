@@ -16,7 +16,7 @@ from mammometry.report.content import Clinical, ReportContent, Signed
 from mammometry.report.documents import pdf
 from mammometry.report.figures import previews
 from mammometry.report.figures.catalogue import PREVIEWS
-from mammometry.report.figures.drawing.canvas import Caption, Sheet
+from mammometry.report.figures.drawing.canvas import Sheet
 from mammometry.report.figures.matching import disparity
 from mammometry.report.figures.stage_results import MatchingResult
 from mammometry.report.first_page import first_page
@@ -201,6 +201,6 @@ def test_the_same_content_gives_the_same_bytes() -> None:
 
 def test_the_views_of_an_open_surface_are_on_paper() -> None:
     """Where a breast was measured, its own pictures are."""
-    png = Sheet(1, 1, (60, 40)).png(Caption(title="Views", text="From the front."))
+    png = Sheet(1, 1, (60, 40)).png("Views", "From the front.")
     assert all_encoded({"surface": {"views": png}})["surface"]["views"].jpeg
     assert not all_encoded({"surface": {"views": png}, "measure": {"sections": png}})["surface"]["views"].jpeg

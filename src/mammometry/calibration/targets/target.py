@@ -14,8 +14,7 @@ import numpy as np
 
 from mammometry.base.errors import SettingsError
 from mammometry.base.registry import Registry
-from mammometry.calibration.targets.body import Body
-from mammometry.calibration.targets.sheet import Sheet
+from mammometry.calibration.targets.sheet import Body, Sheet
 from mammometry.geometry.arrays import Array, Float64
 
 TARGETS: Registry[type[Target]] = Registry("calibration target", package="mammometry.calibration.targets.kinds")

@@ -9,7 +9,7 @@ from mammometry.base.errors import MatchingError
 from mammometry.base.progress import Progress, no_progress
 from mammometry.base.value import value
 from mammometry.geometry import Array, Bool, Camera, Float32
-from mammometry.geometry.rounding import SIGMA_BITS, to_bits, to_step
+from mammometry.geometry.arrays import SIGMA_BITS, to_bits, to_step
 from mammometry.matching.dense.crop import (
     Window,
     at_level,

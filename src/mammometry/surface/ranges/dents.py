@@ -13,9 +13,8 @@ from scipy import ndimage
 from mammometry.base.errors import SurfaceError
 from mammometry.base.machine.cores import each_at_once
 from mammometry.base.value import value
-from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32, UInt8
+from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32, UInt8, to_step
 from mammometry.geometry.projection import projected
-from mammometry.geometry.rounding import to_step
 from mammometry.surface.ranges.decompose import Patches, decompose
 from mammometry.surface.ranges.range_image import RangeImage
 from mammometry.surface.ranges.visibility import gap_mm

@@ -10,8 +10,7 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from mammometry.base.errors import SettingsError
-from mammometry.calibration.targets.body import Body, Hits
-from mammometry.calibration.targets.sheet import Sheet
+from mammometry.calibration.targets.sheet import Body, Hits, Sheet
 from mammometry.calibration.targets.target import TARGETS, Target, require_grid, require_measured, require_positive
 from mammometry.geometry.arrays import Array, Bool, Float64, read_only
 

@@ -8,7 +8,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from mammometry.calibration.targets.body import Body, Hits
+from mammometry.calibration.targets.sheet import Body, Hits
 from mammometry.calibration.targets.target import TARGETS, Target, require_measured, require_positive
 from mammometry.geometry.arrays import Array, Bool, Float64, read_only
 
