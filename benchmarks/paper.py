@@ -27,7 +27,7 @@ FIGURES = {
     2: "The mesh of each range image, with dents at depth discontinuities.",
     3: "Where two range images disagree: a section, with the directions to both cameras.",
     4: "All range images at one scale, darker where nearer.",
-    5: "Data that are removed, by the angle (columns) and the tolerance (rows).",
+    5: "Data that are removed, by the angle (rows) and the tolerance (columns).",
     6: "The first watertight surface.",
     7: "The surface after the elastic repair.",
 }

@@ -16,7 +16,7 @@ import mammometry
 
 EXAMPLES = Path(__file__).parent / "data" / "released"
 SETTINGS = "settings.toml"
-_HEAVY = ("match", "surface", "report")  # stages whose results are large; a rerun makes them again
+_HEAVY = ("match", "surface", "measure", "report")  # stages whose results are large; a rerun makes them again
 _ROLES = ("technician", "clinician", "researcher", "administrator")
 _PAGES = ("/", "/patients/", "/rigs/", "/jobs/", "/study/", "/people/", "/audit/", "/backups/")
 
@@ -52,12 +52,18 @@ def make_session(folder: Path) -> dict[str, Any]:
     (folder / SETTINGS).write_text(TINY_SETTINGS, encoding="utf-8")
     settings = Settings.load(folder / SETTINGS)
     (folder / SETTINGS).write_text(settings.to_toml(), encoding="utf-8")
-    entry = {"points": [[0.0, 0.0, 60.0]], "author": "A. Nurse"}
+    vertices = open_session(folder, settings=settings).surface().repaired.mesh.vertices
+    nipple = [round(float(value), 3) for value in vertices[vertices[:, 2].argmax()]]
+    entry = {"points": [nipple], "author": "A. Nurse"}
     change_drawn(folder, "model", {("landmarks", "nipple_model"): Change(entry=entry, base=None)})
     results = open_session(folder, settings=settings).run()
     for name in _HEAVY:
         shutil.rmtree(folder / "results" / name)
-    return {"volume_cc": results.volumes_cc["model"], "interval_cc": results.intervals_cc["model"]}
+    return {
+        "nipple_model": nipple,
+        "volume_cc": results.volumes_cc["model"],
+        "interval_cc": results.intervals_cc["model"],
+    }
 
 
 def make_clinic(folder: Path) -> None:

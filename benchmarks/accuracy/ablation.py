@@ -32,7 +32,7 @@ from mammometry.matching.dense.match import match
 from mammometry.matching.foreground.foreground import Foreground
 from mammometry.matching.rectify import rectify
 from mammometry.matching.settings import MatchSettings
-from mammometry.report.figures.drawing.canvas import Caption, Sheet
+from mammometry.report.figures.drawing.canvas import Sheet
 from mammometry.report.figures.drawing.shading import Scene, front_frame, picture_wh, standard_views
 from mammometry.report.figures.surface import show
 from mammometry.simulate.rigs.build import flashes
@@ -151,7 +151,7 @@ def picture(drawn: Mapping[str, TriangleMesh], truth: TriangleMesh, rig: Rig, ti
     scale = mpl.cm.ScalarMappable(norm=mpl.colors.Normalize(-_ERROR_MM, _ERROR_MM), cmap="coolwarm")
     for row in range(2):
         sheet.bar(row, scale, "outside the truth, mm")
-    return sheet.png(Caption(title=title, text="Distance from the truth of each rule's surface; red lies outside."))
+    return sheet.png(title, "Distance from the truth of each rule's surface; red lies outside.")
 
 
 HEADS = {

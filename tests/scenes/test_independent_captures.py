@@ -83,7 +83,9 @@ def torso(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Torso:
         found=found,
         true_cc=truth.volumes_cc,
         skin=skin,
-        as_measured=replace(skin, provenance=np.where(away_mm < 3.0, repaired.provenance[near], Provenance.INVENTED)),
+        as_measured=replace(
+            skin, provenance=np.where(away_mm < 3.0, repaired.provenance[near], Provenance.INVENTED).astype(np.uint8)
+        ),
         true_boundaries=tuple(
             Boundary(name=name, points_world=np.loadtxt(truth.folder / f"boundary_patient_{name}.xyz"), method="true")
             for name in SIDES

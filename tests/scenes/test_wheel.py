@@ -40,6 +40,8 @@ def test_a_wheel_measures_where_there_is_neither_compiler_nor_node(repository: P
         brought = {path: path.stat().st_mtime_ns for path in package.rglob("*.nb?")}
         assert len(brought) > 100
         command = str(bin_folder / "mammometry")
+        version = subprocess.run([command, "--version"], capture_output=True, text=True, check=True).stdout
+        assert ("(commit " in version) == (repository / ".git").exists(), version
         for line in (["demo", "cast"], ["demo", "scan", "--scan"]):
             done = subprocess.run([command, *line], capture_output=True, text=True, check=False, timeout=900)
             assert done.returncode == 0, done.stderr

@@ -168,11 +168,7 @@ def _compare(jobs: list[Dated], request: _Request, progress: Progress) -> Compar
 
     visits = [_visit(job, volumes) for job, volumes in zip(jobs, measured, strict=True)]
     change = compare_measured(
-        visits[0],
-        visits[1],
-        settings.compare,
-        common_scale=_common_scale(jobs),
-        progress=part(progress, 0.4, 0.8),
+        visits[0], visits[1], settings.compare, common_scale=_common_scale(jobs), progress=part(progress, 0.4, 0.8)
     )
     unconfirmed = [] if request.in_clinic else _unconfirmed(change)
     at_one_date = _at_one_date(measured)

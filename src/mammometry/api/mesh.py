@@ -324,12 +324,7 @@ class MeshJob(Reported):
         from mammometry.report.gather_mesh import MeshOrigin, gather_mesh
 
         origin = MeshOrigin(
-            kind=self.kind,
-            units=self.units,
-            world=WORLD,
-            scanner=self.scanner,
-            notes=self.notes,
-            posture=self.posture,
+            kind=self.kind, units=self.units, world=WORLD, scanner=self.scanner, notes=self.notes, posture=self.posture
         )
         return gather_mesh(
             self.plan, self.finished, self.rig, self._page_inputs, origin, privacy=privacy, progress=progress

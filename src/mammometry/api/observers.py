@@ -214,9 +214,7 @@ def _on_one(
 
 
 def _frame(
-    surface: RepairedSurface,
-    files: Sequence[dict[str, Float64[Array, "n 3"]]],
-    axes: tuple[str | None, str | None],
+    surface: RepairedSurface, files: Sequence[dict[str, Float64[Array, "n 3"]]], axes: tuple[str | None, str | None]
 ) -> Float64[Array, "3 3"]:
     """The body's frame, one for all drawings.
 

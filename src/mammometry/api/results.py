@@ -141,11 +141,7 @@ def withdraw_refusal(results: Path) -> None:
 
 
 def seen(
-    stage: Stage,
-    error: MammometryError,
-    plan: Plan,
-    inputs: Inputs,
-    previews: Callable[[Stage], Pictures],
+    stage: Stage, error: MammometryError, plan: Plan, inputs: Inputs, previews: Callable[[Stage], Pictures]
 ) -> Pictures:
     """Pictures of a refused stage: its inputs and what it found.
 

@@ -21,8 +21,8 @@ from mammometry.matching.foreground.silhouette import block_means
 Level: TypeAlias = Literal["ok", "unknown", "warn", "refuse"]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Found:
+@dataclass(frozen=True, slots=True)
+class Finding:
     """One check of one photograph, or of all of them together."""
 
     check: str
@@ -38,7 +38,7 @@ class Found:
         return {"check": self.check, "ok": ok, "level": self.level, "sentence": self.sentence}
 
 
-def refuses(findings: Iterable[Found]) -> bool:
+def refuses(findings: Iterable[Finding]) -> bool:
     """Whether one of them says that the photograph cannot be used."""
     return any(finding.level == "refuse" for finding in findings)
 
@@ -180,7 +180,7 @@ def _blur(pixels: Array, where: Bool[Array, "h w"], step: int, side_px: int) -> 
     return blur if np.isfinite(blur) else 1.0  # nothing but one value
 
 
-def judge(seen: Seen, subject_kind: str) -> list[Found]:
+def judge(seen: Seen, subject_kind: str) -> list[Finding]:
     """Say what the figures mean.
 
     Args:
@@ -190,17 +190,17 @@ def judge(seen: Seen, subject_kind: str) -> list[Found]:
     return [_sharpness(seen), _exposure(seen), _whole(seen, subject_kind)]
 
 
-def _sharpness(seen: Seen) -> Found:
+def _sharpness(seen: Seen) -> Finding:
     if seen.blur >= _BLURRED:
-        return Found(
-            check="sharpness",
-            level="warn",
-            sentence="The photograph looks blurred. Check the focus, ask the patient to hold still, and take it again.",
+        return Finding(
+            "sharpness",
+            "warn",
+            "The photograph looks blurred. Check the focus, ask the patient to hold still, and take it again.",
         )
-    return Found(check="sharpness", level="ok", sentence="Sharp.")
+    return Finding("sharpness", "ok", "Sharp.")
 
 
-def _exposure(seen: Seen) -> Found:
+def _exposure(seen: Seen) -> Finding:
     problem = None
     if seen.clipped > _CLIPPED_SHARE:
         problem = f"{seen.clipped:.0%} of the skin is too bright to show anything. Use less light or a smaller opening."
@@ -208,10 +208,10 @@ def _exposure(seen: Seen) -> Found:
         problem = "The subject is dark. Check the flashes, or use more light."
     elif seen.median > _PALE:
         problem = "The subject is too bright. Use less light or a smaller opening."
-    return Found(check="exposure", level="warn" if problem else "ok", sentence=problem or "Well exposed.")
+    return Finding("exposure", "warn" if problem else "ok", problem or "Well exposed.")
 
 
-def _whole(seen: Seen, subject_kind: str) -> Found:
+def _whole(seen: Seen, subject_kind: str) -> Finding:
     names = ("above", "below", "on the left", "on the right")
     problem = None
     if not seen.cover:
@@ -227,7 +227,7 @@ def _whole(seen: Seen, subject_kind: str) -> Found:
     elif abs(seen.centre - 0.5) > _OFF_CENTRE:
         side = "left" if seen.centre < 0.5 else "right"
         problem = f"The subject is far to the {side} of the picture. Move to the mark on the floor."
-    return Found(check="whole", level="warn" if problem else "ok", sentence=problem or "The subject is in the picture.")
+    return Finding("whole", "warn" if problem else "ok", problem or "The subject is in the picture.")
 
 
 _TOGETHER_S = 20.0
@@ -299,7 +299,7 @@ def camera_of_serial(serial: str, known: Mapping[str, KnownCamera]) -> str | Non
     return matching[0] if len(matching) == 1 else None
 
 
-def right_camera(camera: str, exposure: Exposure, named: str | None, known: Mapping[str, KnownCamera]) -> Found:
+def right_camera(camera: str, exposure: Exposure, named: str | None, known: Mapping[str, KnownCamera]) -> Finding:
     """Whether the photograph lies under the right camera.
 
     Args:
@@ -311,46 +311,46 @@ def right_camera(camera: str, exposure: Exposure, named: str | None, known: Mapp
     wanted = known.get(camera, KnownCamera()).serial
     if exposure.serial and wanted:
         if exposure.serial == wanted:
-            return Found(check="camera", level="ok", sentence=f"Taken by {camera}, by its serial number.")
+            return Finding("camera", "ok", f"Taken by {camera}, by its serial number.")
         other = camera_of_serial(exposure.serial, known)
         by = f"by {other}" if other else "by a camera that was not there at the calibration"
         remedy = "Put it in that camera's place" if other else f"Take the photograph of {camera}, or calibrate again"
-        return Found(check="camera", level="refuse", sentence=f"This photograph was taken {by}. {remedy}.")
+        return Finding("camera", "refuse", f"This photograph was taken {by}. {remedy}.")
     if named is not None and named != camera:
-        return Found(
-            check="camera",
-            level="refuse",
-            sentence=f"The file is called {named}, and this is the place of {camera}. Put it in the place of {named}.",
+        return Finding(
+            "camera",
+            "refuse",
+            f"The file is called {named}, and this is the place of {camera}. Put it in the place of {named}.",
         )
     if named == camera:
-        return Found(check="camera", level="ok", sentence=f"The file is called {camera}.")
-    return Found(check="camera", level="unknown", sentence="The file does not say which camera took it.")
+        return Finding("camera", "ok", f"The file is called {camera}.")
+    return Finding("camera", "unknown", "The file does not say which camera took it.")
 
 
-def right_size(camera: str, stored_wh: tuple[int, int], orientation: int, known: Mapping[str, KnownCamera]) -> Found:
+def right_size(camera: str, stored_wh: tuple[int, int], orientation: int, known: Mapping[str, KnownCamera]) -> Finding:
     """Whether a photograph is as large as the calibration's, and turned alike."""
     about = known.get(camera, KnownCamera())
     if about.stored_wh is None:
-        return Found(check="size", level="unknown", sentence="No calibration says how large it should be.")
+        return Finding("size", "unknown", "No calibration says how large it should be.")
     if stored_wh != about.stored_wh:
         (width, height), (right_width, right_height) = stored_wh, about.stored_wh
-        return Found(
-            check="size",
-            level="refuse",
-            sentence=f"The photograph has {width} × {height} pixels. {camera} was calibrated with {right_width} × "
+        return Finding(
+            "size",
+            "refuse",
+            f"The photograph has {width} × {height} pixels. {camera} was calibrated with {right_width} × "
             f"{right_height}. Send the file as the camera wrote it, not cut, turned or made smaller.",
         )
     if orientation != about.orientation:
-        return Found(
-            check="size",
-            level="refuse",
-            sentence=f"The photograph is turned otherwise than at the calibration of {camera}. Switch off the "
+        return Finding(
+            "size",
+            "refuse",
+            f"The photograph is turned otherwise than at the calibration of {camera}. Switch off the "
             "camera's automatic rotation, and send the file as the camera wrote it.",
         )
-    return Found(check="size", level="ok", sentence=f"{stored_wh[0]} × {stored_wh[1]} pixels, as at the calibration.")
+    return Finding("size", "ok", f"{stored_wh[0]} × {stored_wh[1]} pixels, as at the calibration.")
 
 
-def together(taken: Mapping[str, float], clock_s: Mapping[str, float]) -> Found:
+def together(taken: Mapping[str, float], clock_s: Mapping[str, float]) -> Finding:
     """Whether all photographs are of one exposure.
 
     Args:
@@ -358,26 +358,26 @@ def together(taken: Mapping[str, float], clock_s: Mapping[str, float]) -> Found:
         clock_s: camera → how far its clock is ahead, where that is known.
     """
     if len(taken) < 2:
-        return Found(check="times", level="unknown", sentence="The files do not say when they were taken.")
+        return Finding("times", "unknown", "The files do not say when they were taken.")
     known = set(taken) <= set(clock_s)
     limit = _TOGETHER_KNOWN_S if known else _TOGETHER_S
     moments = {camera: moment - (clock_s[camera] if known else 0.0) for camera, moment in taken.items()}
     middle = statistics.median(moments.values())
     apart = {camera: moment - middle for camera, moment in moments.items() if abs(moment - middle) > limit}
     if not apart:
-        return Found(check="times", level="ok", sentence="All photographs were taken together.")
+        return Finding("times", "ok", "All photographs were taken together.")
     worst = max(apart, key=lambda camera: abs(apart[camera]))
     how = "before" if apart[worst] < 0 else "after"
     others = f" {len(apart) - 1} more are apart, too." if len(apart) > 1 else ""
-    return Found(
-        check="times",
-        level="warn",
-        sentence=f"{worst} was taken {_duration(abs(apart[worst]))} {how} the others.{others} Send the photograph of "
+    return Finding(
+        "times",
+        "warn",
+        f"{worst} was taken {_duration(abs(apart[worst]))} {how} the others.{others} Send the photograph of "
         "the same exposure, or set the camera's clock.",
     )
 
 
-def twice(digests: Mapping[str, str]) -> list[Found]:
+def twice(digests: Mapping[str, str]) -> list[Finding]:
     """Refuse one file in two cameras' places.
 
     Args:
@@ -389,7 +389,7 @@ def twice(digests: Mapping[str, str]) -> list[Found]:
         other = first.setdefault(digest, camera)
         if other != camera:
             sentence = f"{other} and {camera} are the same photograph. Send each camera's own."
-            findings.append(Found(check="twice", level="refuse", sentence=sentence))
+            findings.append(Finding("twice", "refuse", sentence))
     return findings
 
 

@@ -16,7 +16,7 @@ from mammometry.base.photograph import LUMA, Photograph
 from mammometry.calibration.detection.detect import detect_in
 from mammometry.calibration.targets.target import Target
 from mammometry.capture.camera import Backend
-from mammometry.capture.checks import Found, Seen, judge
+from mammometry.capture.checks import Finding, Seen, judge
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int64, UInt8
 from mammometry.matching.foreground.block_segmentation import segment
 
@@ -168,7 +168,7 @@ def _sharpness(grey: UInt8[Array, "h w"], step: int) -> Float64[Array, "4 6"]:
     return np.clip(by_region(near) / (by_region(far) + _CALM), 0.0, 1.0)
 
 
-def _whole(small: UInt8[Array, "h w *c"], subject_kind: str) -> Found:
+def _whole(small: UInt8[Array, "h w *c"], subject_kind: str) -> Finding:
     """What `checks.pixels` says, of a picture that is small already."""
     encoded = np.atleast_3d(small)[::_COARSER, ::_COARSER].astype(np.float32) / 255
     unit = float(np.hypot(*encoded.shape[:2])) / (2 * _UNIT_PX)

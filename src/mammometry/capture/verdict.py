@@ -14,7 +14,7 @@ import numpy as np
 
 from mammometry.calibration.judge.cameras.names import Names, check_names, wrong_photographs
 from mammometry.capture import checks
-from mammometry.capture.checks import Found, KnownCamera, refuses
+from mammometry.capture.checks import Finding, KnownCamera, refuses
 from mammometry.capture.shots import Firing
 from mammometry.capture.skew import Skew
 from mammometry.geometry.camera import Rig
@@ -26,7 +26,7 @@ _OLD_S = 2.0  # before the pulse: clocks that are shared differ by far less
 class Verdict:
     """All that was found, the gravest first."""
 
-    findings: tuple[tuple[str, Found], ...]
+    findings: tuple[tuple[str, Finding], ...]
     """Camera, or empty for all together; what was found."""
     seconds: float
     """From the pulse to this."""
@@ -109,17 +109,17 @@ def judge(taken: Firing, expected: Expected) -> Verdict:
     return Verdict(findings=tuple(findings), seconds=taken.seconds + time.monotonic() - begun)
 
 
-def _delivered(taken: Firing, expected: Expected) -> Iterator[tuple[str, Found]]:
+def _delivered(taken: Firing, expected: Expected) -> Iterator[tuple[str, Finding]]:
     for name in expected.cameras:
         fault = taken.faults.get(name)
         if fault is not None:
             yield name, _refuse("delivered", f"No picture: {fault.found}. {fault.remedy.rstrip('.')}.")
         elif name in taken.frames:
-            yield name, Found(check="delivered", level="ok", sentence="Delivered.")
+            yield name, Finding("delivered", "ok", "Delivered.")
     yield from (("", finding) for finding in checks.twice({name: frame.sha256 for name, frame in taken.frames.items()}))
 
 
-def _sizes(taken: Firing, expected: Expected) -> Iterator[tuple[str, Found]]:
+def _sizes(taken: Firing, expected: Expected) -> Iterator[tuple[str, Finding]]:
     known = {} if expected.rig is None else {
         name: KnownCamera(stored_wh=camera.size_wh) for name, camera in expected.rig.cameras.items()
     }  # fmt: skip
@@ -127,13 +127,13 @@ def _sizes(taken: Firing, expected: Expected) -> Iterator[tuple[str, Found]]:
         yield name, checks.right_size(name, frame.size_wh, 1, known)
 
 
-def _serials(taken: Firing, expected: Expected) -> Iterator[tuple[str, Found]]:
+def _serials(taken: Firing, expected: Expected) -> Iterator[tuple[str, Finding]]:
     wanted = expected.serials or {}
     for name, frame in taken.frames.items():
         if not frame.serial or name not in wanted:
             continue
         if frame.serial == wanted[name]:
-            yield name, Found(check="serial", level="ok", sentence="Its serial number is right.")
+            yield name, Finding("serial", "ok", "Its serial number is right.")
             continue
         other = next((camera for camera, serial in wanted.items() if serial == frame.serial), None)
         by = other or f"a camera with serial number {frame.serial}, which the rig's file does not have"
@@ -143,7 +143,7 @@ def _serials(taken: Firing, expected: Expected) -> Iterator[tuple[str, Found]]:
         )
 
 
-def _fresh(taken: Firing, expected: Expected) -> Iterator[tuple[str, Found]]:
+def _fresh(taken: Firing, expected: Expected) -> Iterator[tuple[str, Finding]]:
     """Whether each picture is of this firing."""
     before = (expected.before or {}).get("cameras", {})
     counts = {name: frame.number for name, frame in taken.frames.items() if frame.number is not None}
@@ -163,15 +163,15 @@ def _fresh(taken: Firing, expected: Expected) -> Iterator[tuple[str, Found]]:
         elif usual is not None and len(set(counts.values())) == 2 and frame.number == usual - 1:
             yield name, _refuse("fresh", "The camera is one picture behind the others. Restart it, and fire again.")
         else:
-            yield name, Found(check="fresh", level="ok", sentence="Of this firing.")
+            yield name, Finding("fresh", "ok", "Of this firing.")
 
 
-def _together(taken: Firing, expected: Expected) -> Found:
+def _together(taken: Firing, expected: Expected) -> Finding:
     times = {name: frame.taken_s for name, frame in taken.frames.items() if frame.taken_s is not None}
     clocks = {frame.clock for frame in taken.frames.values()}
     if len(times) < 2 or clocks - {"ptp", "exif"}:
-        return Found(
-            check="times", level="unknown", sentence="The cameras do not say when they exposed. Measure their skew."
+        return Finding(
+            "times", "unknown", "The cameras do not say when they exposed. Measure their skew."
         )  # fmt: skip
     if clocks != {"ptp"}:
         return checks.together(times, {})
@@ -186,34 +186,34 @@ def _together(taken: Firing, expected: Expected) -> Found:
             f"{worst} exposed {abs(apart_ms):.1f} ms {how} the others; {expected.skew_limit_ms:g} ms are allowed. "
             "Check its trigger wire, and fire again.",
         )
-    return Found(check="times", level="ok", sentence=f"All exposed within {spread_ms:.2f} ms, by their clock.")
+    return Finding("times", "ok", f"All exposed within {spread_ms:.2f} ms, by their clock.")
 
 
-def _skew(expected: Expected) -> Found:
+def _skew(expected: Expected) -> Finding:
     skew = expected.skew
     if skew is None:
         level = "warn" if expected.subject_kind == "torso" else "unknown"
-        return Found(
-            check="skew", level=level,  # type: ignore[arg-type]
-            sentence="The cameras' skew was never measured. Photograph the counting lamps: mammometry skew.",
+        return Finding(
+            "skew", level,  # type: ignore[arg-type]
+            "The cameras' skew was never measured. Photograph the counting lamps: mammometry skew.",
         )  # fmt: skip
     missing = [name for name in expected.cameras if name not in skew.offset_ms]
     if missing:
-        return Found(check="skew", level="warn", sentence=f"The skew of {', '.join(missing)} was not measured.")
+        return Finding("skew", "warn", f"The skew of {', '.join(missing)} was not measured.")
     sentence = f"Measured skew of the cameras: {skew.spread_ms:.2f} ± {skew.std_ms:.2f} ms"
     if skew.spread_ms > expected.skew_limit_ms:
         level = "refuse" if expected.subject_kind == "torso" else "warn"
-        return Found(
-            check="skew", level=level,  # type: ignore[arg-type]
-            sentence=f"{sentence}, most at {skew.worst}. For a patient {expected.skew_limit_ms:g} ms are allowed. "
+        return Finding(
+            "skew", level,  # type: ignore[arg-type]
+            f"{sentence}, most at {skew.worst}. For a patient {expected.skew_limit_ms:g} ms are allowed. "
             "Check the trigger wires.",
         )  # fmt: skip
-    return Found(check="skew", level="ok", sentence=f"{sentence}.")
+    return Finding("skew", "ok", f"{sentence}.")
 
 
-def _names_and_stillness(taken: Firing, expected: Expected) -> Iterator[tuple[str, Found]]:
+def _names_and_stillness(taken: Firing, expected: Expected) -> Iterator[tuple[str, Finding]]:
     if expected.rig is None:
-        yield "", Found(check="names", level="unknown", sentence="Names are not compared: the rig is not calibrated.")
+        yield "", Finding("names", "unknown", "Names are not compared: the rig is not calibrated.")
         return
     sizes_fit = {
         name: frame.features
@@ -227,23 +227,23 @@ def _names_and_stillness(taken: Firing, expected: Expected) -> Iterator[tuple[st
         yield "", _stillness(names)
 
 
-def _named(names: Names, rig: Rig) -> Iterator[Found]:
+def _named(names: Names, rig: Rig) -> Iterator[Finding]:
     for wrong in wrong_photographs(names, rig.pair_names):
         remedy = "Swap their cables" if set(wrong.cameras) <= set(names.exchanged) else "Check cables and cameras"
         yield _refuse("names", f"{wrong.listed}: {wrong.found}. {remedy}.")
     if names.unknown:
-        yield Found(
-            check="names", level="unknown",
-            sentence=f"Too little texture to compare the names of pair {', '.join(names.unknown)}.",
+        yield Finding(
+            "names", "unknown",
+            f"Too little texture to compare the names of pair {', '.join(names.unknown)}.",
         )  # fmt: skip
     if names.pairs and names.right and not names.unknown:
-        yield Found(check="names", level="ok", sentence="All names are right, by the calibration.")
+        yield Finding("names", "ok", "All names are right, by the calibration.")
 
 
-def _stillness(names: Names) -> Found:
+def _stillness(names: Names) -> Finding:
     known = {name: pair for name, pair in names.pairs.items() if pair.tells and np.isfinite(pair.offset_mm)}
     if not known:
-        return Found(check="moved", level="unknown", sentence="Too little texture to tell whether anybody moved.")
+        return Finding("moved", "unknown", "Too little texture to tell whether anybody moved.")
     worst = max(known, key=lambda name: abs(known[name].offset_mm))
     if known[worst].moved:
         return _refuse(
@@ -251,12 +251,12 @@ def _stillness(names: Names) -> Found:
             f"In pair {worst} all is {abs(known[worst].offset_mm):.1f} mm off. The patient moved between its two "
             "exposures, or a camera was touched. Take the picture again; if it stays, check the rig.",
         )
-    return Found(
-        check="moved", level="ok",
-        sentence="Nobody moved: views agree to "
+    return Finding(
+        "moved", "ok",
+        "Nobody moved: views agree to "
         f"{max(abs(agreement.offset_mm) for agreement in known.values()):.2f} mm.",
     )  # fmt: skip
 
 
-def _refuse(check: str, sentence: str) -> Found:
-    return Found(check=check, level="refuse", sentence=sentence)
+def _refuse(check: str, sentence: str) -> Finding:
+    return Finding(check, "refuse", sentence)

@@ -66,8 +66,7 @@ def batch(
     ] = None,
     cores: Annotated[int, typer.Option(help="Cores for each session.", min=1)] = 1,
     at_once: Annotated[
-        int | None,
-        typer.Option(help="Cores of this machine to use.", min=1, show_default="all"),
+        int | None, typer.Option(help="Cores of this machine to use.", min=1, show_default="all")
     ] = None,
     memory: Annotated[
         float | None,

@@ -23,8 +23,7 @@ app.add_typer(people, no_args_is_help=True)
 _LIBRARIES = (*WEB, "allauth", "argon2", "axes", "auditlog", "whitenoise", "distributed")
 Folder = Annotated[Path, typer.Argument(metavar="DIR", help="The clinic's folder.", show_default=False)]
 RoleNames = Annotated[
-    list[str],
-    typer.Option("--role", help="technician, clinician, researcher or administrator. May be repeated."),
+    list[str], typer.Option("--role", help="technician, clinician, researcher or administrator. May be repeated.")
 ]
 
 
@@ -44,11 +43,7 @@ def opened(folder: Path, **changes: object) -> ClinicConfig:
     return config
 
 
-@command(
-    app,
-    "mammometry clinic init my-clinic",
-    "mammometry clinic init my-clinic --database postgresql:///clinic",
-)
+@command(app, "mammometry clinic init my-clinic", "mammometry clinic init my-clinic --database postgresql:///clinic")
 def init(
     options: JsonOptions,
     folder: Folder,
@@ -298,11 +293,7 @@ def audit(options: JsonOptions, folder: Folder, to: Target = None) -> Answer:
     return Answer({"audit": str(target), "entries": number}, [f"{target}: {number} entries"])
 
 
-@command(
-    people,
-    "mammometry clinic people add my-clinic anna --role technician --name 'Anna A.'",
-    name="add",
-)
+@command(people, "mammometry clinic people add my-clinic anna --role technician --name 'Anna A.'", name="add")
 def people_add(
     options: JsonOptions,
     folder: Folder,

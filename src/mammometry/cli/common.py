@@ -42,8 +42,7 @@ Assignments = Annotated[
     ),
 ]  # fmt: skip
 SettingsFile = Annotated[
-    Path | None,
-    typer.Option("--settings", metavar="FILE", help="Read settings from a TOML file.", show_default=False),
+    Path | None, typer.Option("--settings", metavar="FILE", help="Read settings from a TOML file.", show_default=False)
 ]
 
 

@@ -45,8 +45,7 @@ class FhirRelease(StrEnum):
 
 _Sessions = Annotated[list[Path], typer.Argument(metavar="SESSION...", help="Session folders.", show_default=False)]
 _Deidentify = Annotated[
-    bool,
-    typer.Option("--deidentify", help="For others: no names, no dates, no photographs, no photographic colours."),
+    bool, typer.Option("--deidentify", help="For others: no names, no dates, no photographs, no photographic colours.")
 ]
 _PatientId = Annotated[str, typer.Option("--patient-id", help="Number of the patient's record.", show_default=False)]
 _PatientName = Annotated[str, typer.Option("--patient-name", metavar="FAMILY^GIVEN", show_default=False)]
@@ -261,13 +260,7 @@ def _tables(
     )
 
 
-def _gathered(
-    session: Path,
-    options: Options,
-    *,
-    deidentify: bool,
-    parts: list[Any] | None = None,
-) -> Exported:
+def _gathered(session: Path, options: Options, *, deidentify: bool, parts: list[Any] | None = None) -> Exported:
     from mammometry.hospital.gather import gather, gather_scan
     from mammometry.io.meshes.scans import is_scan
 

@@ -53,8 +53,7 @@ class MeshOptions:
         str | None, _mesh_option(help="The file's axis towards the head: y, -z and so on.", show_default="y")
     ] = None
     ahead: Annotated[
-        str | None,
-        _mesh_option(help="The axis straight ahead.", show_default="where an open mesh faces"),
+        str | None, _mesh_option(help="The axis straight ahead.", show_default="where an open mesh faces")
     ] = None
     posture: Annotated[str | None, _mesh_option(help="How the patient held herself: standing, leaning or lying.")] = (
         None

@@ -104,9 +104,7 @@ def demo(
     folder: Annotated[
         Path | None,
         typer.Argument(
-            metavar="[FOLDER]",
-            help="Folder for the virtual session or scan.",
-            show_default=f"{_DEMO}, or {FOLDER}",
+            metavar="[FOLDER]", help="Folder for the virtual session or scan.", show_default=f"{_DEMO}, or {FOLDER}"
         ),
     ] = None,
     scan: Annotated[
@@ -212,8 +210,7 @@ def simulate(
         ),
     ] = "",
     clinic: Annotated[
-        int | None,
-        typer.Option(help="Draw a torso and all disturbances by this seed.", min=0, show_default=False),
+        int | None, typer.Option(help="Draw a torso and all disturbances by this seed.", min=0, show_default=False)
     ] = None,
     difficulty: Annotated[
         int, typer.Option(help="With --clinic: 0 draws only the patient, 3 the most disturbances.", min=0, max=3)

@@ -37,8 +37,7 @@ def compare(
         typer.Option(metavar="FOLDER", help="Folder for the page.", show_default="AFTER/results/compare/BEFORE"),
     ] = None,
     deidentify: Annotated[
-        bool,
-        typer.Option("--deidentify", help="For others: no names, no dates, no colours above the sternal notch."),
+        bool, typer.Option("--deidentify", help="For others: no names, no dates, no colours above the sternal notch.")
     ] = False,
     geometry_only: Annotated[
         bool, typer.Option("--geometry-only", help="For others: no photographic colours.")
@@ -149,8 +148,7 @@ def agreement(
     reference: Annotated[str, typer.Option(metavar="COLUMN", help="Column of the reference method.")] = "reference_cc",
     measured: Annotated[str, typer.Option(metavar="COLUMN", help="Column of the method under test.")] = "measured_cc",
     published: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE.toml", help="Published figures to check.", show_default=False),
+        Path | None, typer.Option(metavar="FILE.toml", help="Published figures to check.", show_default=False)
     ] = None,
 ) -> Answer:
     """Compare two methods of measurement on the same subjects.
@@ -159,7 +157,7 @@ def agreement(
     """
     from mammometry.base.identity import shown_name
     from mammometry.io.outputs import require_apart, require_free, write_outputs
-    from mammometry.io.parsing.csv_tables import read_pairs, read_published
+    from mammometry.io.parsing.paired_tables import read_pairs, read_published
     from mammometry.report.documents.study_pages import FILES, agreement_files
     from mammometry.study.agreement import agreement as agree
     from mammometry.study.agreement import check_published
@@ -202,8 +200,7 @@ def observers(
         ),
     ],
     mesh: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="The surface that they were drawn on.", show_default=False),
+        Path | None, typer.Option(metavar="FILE", help="The surface that they were drawn on.", show_default=False)
     ] = None,
     out: Annotated[
         Path, typer.Option(metavar="FOLDER", help="Folder for the report, its figures and its numbers.")
@@ -335,11 +332,7 @@ def interval_table(results: Sequence[PhantomResult]) -> Table:
 
 
 def _answer(
-    folder: Path,
-    data: PairedMeasurements,
-    figures: Agreement,
-    checked: Sequence[CheckedFigure],
-    *more: Table,
+    folder: Path, data: PairedMeasurements, figures: Agreement, checked: Sequence[CheckedFigure], *more: Table
 ) -> Answer:
     from mammometry.study.agreement import agreement_json, agreement_tables, summary
 

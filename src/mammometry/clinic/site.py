@@ -168,7 +168,7 @@ def _templates() -> dict[str, Any]:
                 "django.contrib.auth.context_processors.auth",
                 "django.contrib.messages.context_processors.messages",
                 f"{_PACKAGE}.web.security.for_all_pages",
-            ],
+            ]
         },
     }
 
@@ -216,10 +216,7 @@ def _logins(config: ClinicConfig) -> dict[str, Any]:
         ],
         "PASSWORD_HASHERS": ["django.contrib.auth.hashers.Argon2PasswordHasher"],
         "AUTH_PASSWORD_VALIDATORS": [
-            {
-                "NAME": "django.contrib.auth.password_validation.MinimumLengthValidator",
-                "OPTIONS": {"min_length": 12},
-            },
+            {"NAME": "django.contrib.auth.password_validation.MinimumLengthValidator", "OPTIONS": {"min_length": 12}},
             {"NAME": "django.contrib.auth.password_validation.CommonPasswordValidator"},
             {
                 "NAME": "django.contrib.auth.password_validation.UserAttributeSimilarityValidator",
@@ -296,7 +293,7 @@ def _logging(config: ClinicConfig) -> dict[str, Any]:
                 "backupCount": 10,
                 "delay": True,
                 "formatter": "plain",
-            },
+            }
         },
         "root": {"handlers": ["file"], "level": "WARNING"},
         "loggers": {

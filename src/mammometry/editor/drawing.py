@@ -179,9 +179,7 @@ class DrawingBoard:
         along = _along(through)
         steps = max(round(along[-1] / _STEP_MM), 2)
         spline = CubicSpline(
-            along,
-            through,
-            bc_type=((1, _direction(curve_world, first, -1)), (1, -_direction(curve_world, last, 1))),
+            along, through, bc_type=((1, _direction(curve_world, first, -1)), (1, -_direction(curve_world, last, 1)))
         )
         return self._on_surface(spline(np.linspace(0.0, along[-1], steps + 1)[1:-1]))
 

@@ -199,8 +199,4 @@ def _concept(concept: Coded, text: str = "") -> dict[str, Any]:
 
 def _entry(resource: dict[str, Any]) -> dict[str, Any]:
     where = f"{resource['resourceType']}/{resource['id']}"
-    return {
-        "fullUrl": f"urn:uuid:{resource['id']}",
-        "resource": resource,
-        "request": {"method": "PUT", "url": where},
-    }
+    return {"fullUrl": f"urn:uuid:{resource['id']}", "resource": resource, "request": {"method": "PUT", "url": where}}

@@ -261,10 +261,7 @@ dot_diameter_mm = 8.0
 }
 """Kind of target → its commented table for a new manifest."""
 
-RIGS = {
-    "reference": ("front", "floor", "left", "right"),
-    "single": ("front",),
-}
+RIGS = {"reference": ("front", "floor", "left", "right"), "single": ("front",)}
 """Rig of a new manifest → its pairs."""
 
 

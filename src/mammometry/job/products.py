@@ -159,8 +159,7 @@ class Family(Definition[T_co]):
 
 
 DEFINITIONS: Registry[Definition[Any]] = Registry(
-    "product",
-    modules=tuple(f"mammometry.job.stages.{stage}" for stage in ("calibrate", "match", "surface", "measure")),
+    "product", modules=tuple(f"mammometry.job.stages.{stage}" for stage in ("calibrate", "match", "surface", "measure"))
 )
 """All declared products, by the names of their functions."""
 _NUMBERS = count()

@@ -29,7 +29,7 @@ class Picture:
     """For paper. Empty where paper does not show it."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Fact:
     """One line of a list: what, and its value in words."""
 

@@ -93,11 +93,7 @@ def _birth_words(born: datetime.date, taken: datetime.datetime | None) -> str:
 
 
 def _confirmation(
-    measured: Sequence[BreastReport],
-    attributions: Mapping[str, Attribution],
-    clinical: Clinical | None,
-    *,
-    named: bool,
+    measured: Sequence[BreastReport], attributions: Mapping[str, Attribution], clinical: Clinical | None, *, named: bool
 ) -> str:
     signed = None if clinical is None else clinical.confirmed
     if signed is not None and measured:

@@ -26,7 +26,7 @@ from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.report import content
 from mammometry.report.content import ReportContent, sentence
 from mammometry.report.figures.drawing.shading import NAMES, front_of
-from mammometry.report.figures.previews import draw_stage
+from mammometry.report.figures.stage_results import draw_stage
 from mammometry.report.models import viewer_scene, with_lengths
 from mammometry.report.pictures import all_encoded
 from mammometry.report.privacy import Privacy, guard, without_photographs
@@ -211,11 +211,7 @@ def gather(
     body = plan.value(measure.body)
     frame = front_of(rig, body)
     guarded = guard(
-        finished.textured,
-        privacy,
-        subject_kind=inputs.subject_kind,
-        up_world=frame[1],
-        landmarks=inputs.landmarks,
+        finished.textured, privacy, subject_kind=inputs.subject_kind, up_world=frame[1], landmarks=inputs.landmarks
     )
     textured = guarded.textured
     if privacy.guarded:

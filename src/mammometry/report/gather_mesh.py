@@ -13,7 +13,7 @@ from mammometry.job.stages.report import PageInputs
 from mammometry.measure.trunk.body import Body
 from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.report.content import Fact, ReportContent, StageReport
-from mammometry.report.figures import previews
+from mammometry.report.figures import stage_results
 from mammometry.report.figures.drawing.shading import NAMES, front_of
 from mammometry.report.figures.stage_results import MeasureResult
 from mammometry.report.models import viewer_scene, with_lengths
@@ -97,18 +97,12 @@ def gather_mesh(
         absent=absent,
         lacking=less,
     )
-    pictures = {"measure": previews.draw(shown)}
+    pictures = {"measure": stage_results.draw(shown)}
     progress(0.5)
     words = describe.measure_report(measurements)
     lengths, lengths_note = planning_lengths(sizes, marks)
     changed, everything = describe.settings_facts(page.settings)
-    scene = viewer_scene(
-        frame,
-        finished.repaired,
-        textured,
-        measurements,
-        symmetry=sides,
-    )
+    scene = viewer_scene(frame, finished.repaired, textured, measurements, symmetry=sides)
     scene = scene if sizes is None else with_lengths(scene, sizes.lengths)
     progress(0.9)
     return ReportContent(
@@ -131,10 +125,7 @@ def gather_mesh(
         meanings=describe.meanings(measurements),
         lengths=lengths,
         lengths_note=lengths_note,
-        stages=(
-            _mesh_facts(finished, origin),
-            replace(words, tables=words.tables + dimension_tables(sizes, marks)),
-        ),
+        stages=(_mesh_facts(finished, origin), replace(words, tables=words.tables + dimension_tables(sizes, marks))),
         timings=(),
         changed_settings=changed,
         all_settings=everything,
@@ -169,15 +160,15 @@ def _mesh_facts(finished: FinishedSurface, origin: MeshOrigin) -> StageReport:
     mesh = finished.repaired.mesh
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     facts = (
-        *([Fact(label="Scanner", value=origin.scanner)] if origin.scanner else []),
+        *([Fact("Scanner", origin.scanner)] if origin.scanner else []),
         *([describe.posture_fact(origin.posture)] if origin.kind == "torso" else []),
-        Fact(label="Unit in the file", value=origin.units),
+        Fact("Unit in the file", origin.units),
         Fact(
-            label="Mesh",
-            value=f"{thousands(len(mesh.vertices))} vertices, {thousands(len(mesh.faces))} triangles, "
+            "Mesh",
+            f"{thousands(len(mesh.vertices))} vertices, {thousands(len(mesh.faces))} triangles, "
             f"{mesh.area_mm2() / 100:.0f} cm²; edges near the boundary were split, which does not change the shape",
         ),
-        Fact(label="Extent", value=" × ".join(f"{size:.0f}" for size in high - low) + " mm"),
-        Fact(label="Topology", value="watertight" if mesh.is_watertight() else "open"),
+        Fact("Extent", " × ".join(f"{size:.0f}" for size in high - low) + " mm"),
+        Fact("Topology", "watertight" if mesh.is_watertight() else "open"),
     )
     return StageReport(stage="surface", title="Mesh", facts=facts)

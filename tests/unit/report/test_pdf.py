@@ -14,9 +14,9 @@ from mammometry.base.identity import Identity
 from mammometry.report import content
 from mammometry.report.content import Clinical, ReportContent, Signed
 from mammometry.report.documents import pdf
-from mammometry.report.figures import previews
+from mammometry.report.figures import stage_results
 from mammometry.report.figures.catalogue import PREVIEWS
-from mammometry.report.figures.drawing.canvas import Caption, Sheet
+from mammometry.report.figures.drawing.canvas import Sheet
 from mammometry.report.figures.matching import disparity
 from mammometry.report.figures.stage_results import MatchingResult
 from mammometry.report.first_page import first_page
@@ -58,7 +58,7 @@ def page_content(*names: str) -> ReportContent:
     shares = {"one": 0.9, "two": 0.8}
     matched = MatchingResult.thinned(rig, synthetic.photographs(rig), synthetic.foregrounds(rig), disparities)
     pictures = {
-        "measure": previews.draw(synthetic.measured(rig, measured, synthetic.ball(3))),
+        "measure": stage_results.draw(synthetic.measured(rig, measured, synthetic.ball(3))),
         "match": {"disparity": disparity(matched)},
     }
     return ReportContent(
@@ -201,6 +201,6 @@ def test_the_same_content_gives_the_same_bytes() -> None:
 
 def test_the_views_of_an_open_surface_are_on_paper() -> None:
     """Where a breast was measured, its own pictures are."""
-    png = Sheet(1, 1, (60, 40)).png(Caption(title="Views", text="From the front."))
+    png = Sheet(1, 1, (60, 40)).png("Views", "From the front.")
     assert all_encoded({"surface": {"views": png}})["surface"]["views"].jpeg
     assert not all_encoded({"surface": {"views": png}, "measure": {"sections": png}})["surface"]["views"].jpeg

@@ -22,7 +22,7 @@ from mammometry.calibration.features.keypoints import Keypoints, keypoints
 from mammometry.calibration.judge.cameras.names import check_names, wrong_photographs
 from mammometry.calibration.targets.table import target_from_table
 from mammometry.capture import checks
-from mammometry.capture.checks import Found, KnownCamera, not_only_a_photograph
+from mammometry.capture.checks import Finding, KnownCamera, not_only_a_photograph
 from mammometry.clinic.models import Calibration, DailyCheck, Upload, Visit
 from mammometry.clinic.site import the_clinic
 from mammometry.geometry.camera import Rig
@@ -76,7 +76,7 @@ def note(sha256: str, photograph: Photograph) -> None:
         _features.pop(old, None)
 
 
-def check(visit: Visit, photographs: tuple[tuple[str, str, Path], ...]) -> list[Found]:
+def check(visit: Visit, photographs: tuple[tuple[str, str, Path], ...]) -> list[Finding]:
     """Say which photographs are exchanged, or do not belong to the others.
 
     Args:
@@ -90,7 +90,7 @@ def check(visit: Visit, photographs: tuple[tuple[str, str, Path], ...]) -> list[
 
 
 @lru_cache(maxsize=32)
-def _checked(calibration: str, photographs: tuple[tuple[str, str, Path], ...]) -> tuple[Found, ...]:
+def _checked(calibration: str, photographs: tuple[tuple[str, str, Path], ...]) -> tuple[Finding, ...]:
     try:
         rig = _rig(calibration)
         seen = {camera: _seen(sha256, path) for camera, sha256, path in photographs if camera in rig.cameras}
@@ -99,13 +99,12 @@ def _checked(calibration: str, photographs: tuple[tuple[str, str, Path], ...]) -
     names = check_names(rig, seen)
     wrong = wrong_photographs(names, rig.pair_names)
     findings = [
-        Found(check="names", level="refuse", sentence=f"{mismatch.listed}: {mismatch.found}. {mismatch.remedy}.")
-        for mismatch in wrong
+        Finding("names", "refuse", f"{mismatch.listed}: {mismatch.found}. {mismatch.remedy}.") for mismatch in wrong
     ]
     if names.unknown and not findings:
         pairs = ", ".join(names.unknown)
         sentence = f"Too little texture to tell whether the photographs of pair {pairs} belong to their cameras."
-        findings.append(Found(check="names", level="unknown", sentence=sentence))
+        findings.append(Finding("names", "unknown", sentence))
     return tuple(findings)
 
 
@@ -128,34 +127,34 @@ def _seen(sha256: str, path: Path) -> Keypoints:
 Target = Visit | Calibration | DailyCheck
 
 
-def look(upload: Upload, target: Target) -> tuple[list[Found], dict[str, Any]]:
+def look(upload: Upload, target: Target) -> tuple[list[Finding], dict[str, Any]]:
     """All checks of one photograph, and what is kept of its EXIF."""
     other = not_only_a_photograph(upload.path)
     if other is not None:
         what = "no photograph" if other == "no photograph" else f"{other} as well as a photograph"
         sentence = f"This file is {what}. Send the JPEG, PNG or TIFF as the camera wrote it."
-        return [Found(check="format", level="refuse", sentence=sentence)], {}
+        return [Finding("format", "refuse", sentence)], {}
     limits = LimitSettings(megapixels=float(the_clinic().limits.photograph_megapixels))
     try:
         header = read_header(upload.path, "The photograph", limits)
         photograph = read_photograph(upload.path, "The photograph", limits)
     except ImageError as error:
-        return [Found(check="format", level="refuse", sentence=str(error))], {}
+        return [Finding("format", "refuse", str(error))], {}
     except MemoryError:
-        return [Found(check="format", level="refuse", sentence="The photograph is too large for this machine.")], {}
+        return [Finding("format", "refuse", "The photograph is too large for this machine.")], {}
     exposure = read_exposure(upload.path)
     known = known_cameras(target)
     named = next((check.get("named") for check in upload.checks if check.get("named")), None)
     if not upload.camera:
         upload.camera = checks.camera_of_serial(exposure.serial, known) or ""
     megapixels = header.stored_wh[0] * header.stored_wh[1] / 1e6
-    findings = [Found(check="format", level="ok", sentence=f"A photograph of {megapixels:.1f} megapixels.")]
+    findings = [Finding("format", "ok", f"A photograph of {megapixels:.1f} megapixels.")]
     if upload.camera:
         findings.append(checks.right_camera(upload.camera, exposure, named, known))
         findings.append(checks.right_size(upload.camera, header.stored_wh, header.orientation, known))
     else:
         sentence = "Neither the file's name nor its EXIF says which camera took it. Choose the camera."
-        findings.append(Found(check="camera", level="unknown", sentence=sentence))
+        findings.append(Finding("camera", "unknown", sentence))
     if isinstance(target, Visit):
         findings += checks.judge(checks.look(photograph), target.subject_kind)
         note(upload.sha256, photograph)

@@ -19,7 +19,7 @@ from filelock import FileLock, Timeout
 
 from mammometry.base.errors import MammometryError
 from mammometry.capture import checks
-from mammometry.capture.checks import Found, refuses
+from mammometry.capture.checks import Finding, refuses
 from mammometry.capture.sessions import cameras_of, make_session, manifest_text
 from mammometry.clinic.intake import photographs
 from mammometry.clinic.intake.photographs import (
@@ -117,7 +117,7 @@ def begin(target: Target, by: Person | None, file: Announced, *, replace: bool =
         raise OccupiedError(
             f"{f'Pose {pose}' if of_pose else 'This'} has another photograph of {camera or named} already."
         )
-    named_by = [Found(check="name", level="ok", sentence=f"The file is called {named}.").as_table()] if named else []
+    named_by = [Finding("name", "ok", f"The file is called {named}.").as_table()] if named else []
     with transaction.atomic():
         upload = Upload.objects.create(
             **{_field(target): target},
@@ -344,7 +344,7 @@ def _finish(upload: Upload) -> None:
     digest = file_digest(upload.path)
     if upload.sha256 and digest != upload.sha256:
         sentence = "The photograph was damaged on its way. Send it again."
-        _refuse(upload, [Found(check="digest", level="refuse", sentence=sentence)])
+        _refuse(upload, [Finding("digest", "refuse", sentence)])
         return
     upload.sha256 = digest
     upload.received_bytes = upload.size_bytes
@@ -361,7 +361,7 @@ def _judge_and_place(upload: Upload) -> None:
         return
     if by_serial and upload.camera and _has_photograph(target, _pose(upload), upload.camera):
         sentence = f"By its serial number {upload.camera} took it, which has another photograph. Choose the camera."
-        findings.append(Found(check="camera", level="warn", sentence=sentence))
+        findings.append(Finding("camera", "warn", sentence))
         upload.camera = ""
     upload.checks = [{**finding.as_table(), **seen} for finding in findings]
     upload.state = Upload.State.PLACED if upload.camera else Upload.State.CHECKED
@@ -409,7 +409,7 @@ def ready_folder(visit: Visit) -> None:
     make_session(visit.folder, text)
 
 
-def _together(target: Target, placed: Sequence[Upload]) -> list[Found]:
+def _together(target: Target, placed: Sequence[Upload]) -> list[Finding]:
     if len(placed) < 2:
         return []
     facts = {upload.camera: upload.checks[0] if upload.checks else {} for upload in placed}
@@ -425,7 +425,7 @@ def _together(target: Target, placed: Sequence[Upload]) -> list[Found]:
     return findings
 
 
-def _refuse(upload: Upload, findings: Sequence[Found]) -> None:
+def _refuse(upload: Upload, findings: Sequence[Finding]) -> None:
     upload.checks = [finding.as_table() for finding in findings]
     upload.state = Upload.State.REFUSED
     upload.path.unlink(missing_ok=True)

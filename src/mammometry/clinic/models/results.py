@@ -82,9 +82,7 @@ class Job(Keyed):
         ordering = ("created",)
         constraints = tuple(
             models.UniqueConstraint(
-                fields=[field],
-                condition=models.Q(state__in=("queued", "running")),
-                name=f"one_open_job_a_{field}",
+                fields=[field], condition=models.Q(state__in=("queued", "running")), name=f"one_open_job_a_{field}"
             )
             for field in ("visit", "calibration", "check_of_day", "comparison")
         )

@@ -16,17 +16,7 @@ from django.utils.dateparse import parse_datetime
 
 from mammometry.base.errors import MammometryError
 from mammometry.clinic.jobs import queue
-from mammometry.clinic.models import (
-    Comparison,
-    Consent,
-    Correction,
-    Job,
-    Operation,
-    Patient,
-    Person,
-    Visit,
-    VisitOrder,
-)
+from mammometry.clinic.models import Comparison, Consent, Correction, Job, Operation, Patient, Person, Visit, VisitOrder
 from mammometry.clinic.records.comparing import comparison_folder
 from mammometry.clinic.rig_history import may_queue
 

@@ -10,12 +10,7 @@ from django.http import Http404, HttpRequest, HttpResponse, HttpResponseBase
 from django.shortcuts import get_object_or_404, redirect, render
 from django.utils import timezone
 
-from mammometry.clinic.forms import (
-    ConsentForm,
-    OperationForm,
-    PatientForm,
-    WithdrawalForm,
-)
+from mammometry.clinic.forms import ConsentForm, OperationForm, PatientForm, WithdrawalForm
 from mammometry.clinic.models import Consent, Operation, Patient
 from mammometry.clinic.records import comparing, results, search
 from mammometry.clinic.records.clinical import holds, operation_details

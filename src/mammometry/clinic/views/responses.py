@@ -106,12 +106,7 @@ def visit_or_404(key: UUID) -> Visit:
 
 
 def form_page(
-    request: HttpRequest,
-    template: str,
-    form: Any,
-    done: str,
-    goes_on: Callable[[Any], HttpResponse],
-    **context: object,
+    request: HttpRequest, template: str, form: Any, done: str, goes_on: Callable[[Any], HttpResponse], **context: object
 ) -> HttpResponse:
     """A page with the form of one row. A row that is filled in is saved, and leads on."""
     if request.method == "POST" and form.is_valid():

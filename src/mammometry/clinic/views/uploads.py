@@ -12,14 +12,7 @@ from mammometry.clinic.intake import uploads
 from mammometry.clinic.intake.photographs import screen_picture, thumbnail_path
 from mammometry.clinic.models import Calibration, DailyCheck, Upload, Visit
 from mammometry.clinic.records.search import elsewhere, same_photographs
-from mammometry.clinic.views.responses import (
-    Refused,
-    json_body,
-    json_view,
-    require_care,
-    text_of,
-    visit_or_404,
-)
+from mammometry.clinic.views.responses import Refused, json_body, json_view, require_care, text_of, visit_or_404
 from mammometry.io.photographs.images import read_photograph
 
 BODY_BYTES = uploads.CHUNK_BYTES + 4096

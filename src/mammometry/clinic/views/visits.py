@@ -13,7 +13,7 @@ from django.utils import timezone
 from PIL import Image
 
 from mammometry.base.errors import SessionError
-from mammometry.capture.checks import Found
+from mammometry.capture.checks import Finding
 from mammometry.capture.loop import CaptureResult
 from mammometry.capture.page import firing_table
 from mammometry.capture.shots import last_record, require_replaceable
@@ -31,12 +31,7 @@ from mammometry.clinic.rig_history import today
 from mammometry.clinic.roles import Role
 from mammometry.clinic.site import the_clinic
 from mammometry.clinic.views.patients import chosen_patient, is_part, search_context
-from mammometry.clinic.views.responses import (
-    Refused,
-    json_view,
-    person_of,
-    visit_or_404,
-)
+from mammometry.clinic.views.responses import Refused, json_view, person_of, visit_or_404
 from mammometry.io.photographs.images import FORMATS
 from mammometry.report.words.lengths import length_table
 
@@ -200,7 +195,7 @@ def take_in(visit: Visit, fired: CaptureResult, by: Person | None) -> None:
 
 def _checks(fired: CaptureResult, camera: str, about: dict[str, Any]) -> list[dict[str, Any]]:
     own = [finding for who, finding in fired.verdict.findings if who == camera]
-    fact = Found(check="camera", level="ok", sentence="Taken by the rig, from this page.")
+    fact = Finding("camera", "ok", "Taken by the rig, from this page.")
     # Times are the verdict's matter, whose clocks are better than EXIF's.
     shared = {"serial": about["serial"], "taken_s": None, "named": None}
     return [{**finding.as_table(), **shared} for finding in (fact, *own)]

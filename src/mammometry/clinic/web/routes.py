@@ -161,9 +161,7 @@ ACCOUNTS = [
     route("account/openid-cancelled/", social.login_cancelled, "socialaccount_login_cancelled", ANYONE),
     route("account/openid-closed/", social.signup, "socialaccount_signup", ANYONE),
 ]
-HOME = [
-    route("alive/", today.alive, "alive", ANYONE),
-]
+HOME = [route("alive/", today.alive, "alive", ANYONE)]
 
 PHOTOGRAPHS = CARE | RIGS
 """Who sends photographs: of patients, or of a board."""

@@ -115,9 +115,7 @@ def _scale(subject: str, chunk: ElementTree.Element, camera: ElementTree.Element
         translation = np.zeros(3) if moved is None else _values(moved, 3)
         return rotation, translation, float(_values(factor, 1)[0])
     raise unfit(
-        subject,
-        "no scale of its chunk",
-        "a chunk with scale bars or measured cameras, so that lengths are in metres",
+        subject, "no scale of its chunk", "a chunk with scale bars or measured cameras, so that lengths are in metres"
     )
 
 

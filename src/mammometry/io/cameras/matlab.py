@@ -64,10 +64,7 @@ def read_matlab(path: Path, pair_names: Mapping[str, tuple[str, str]]) -> dict[s
     cameras = {}
     for name, lens, (rotation, translation) in zip(names, lenses, poses, strict=True):
         with parsing("an unfit value", f"{path.name}, camera {name}", _EXPECTED):
-            entry = _lens(path, lens) | {
-                "R": numbers(rotation, 3, 3).T,
-                "t": numbers(translation, 3) * _mm(path, lens),
-            }
+            entry = _lens(path, lens) | {"R": numbers(rotation, 3, 3).T, "t": numbers(translation, 3) * _mm(path, lens)}
         cameras[name] = camera_from_entry(path.name, name, entry)
     return cameras
 
@@ -99,11 +96,7 @@ def _lens(path: Path, table: Any) -> dict[str, Any]:
         raise ValueError("no ImageSize: give it to estimateCameraParameters")
     matrix = matrix.copy()
     matrix[:2, 2] -= _FROM_ONE
-    return {
-        "K": matrix,
-        "dist": [radial[0], radial[1], *tangential, *radial[2:]],
-        "image_size": (size[1], size[0]),
-    }
+    return {"K": matrix, "dist": [radial[0], radial[1], *tangential, *radial[2:]], "image_size": (size[1], size[0])}
 
 
 def _rows(path: Path, table: Mapping[str, Any]) -> Any:

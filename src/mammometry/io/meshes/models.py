@@ -30,10 +30,7 @@ def write_glb(path: Path, atlas: Atlas) -> None:
     visual: Any = trimesh.visual
     material = visual.material.PBRMaterial(baseColorTexture=picture, metallicFactor=0.0, roughnessFactor=1.0)
     mesh = trimesh.Trimesh(
-        vertices=vertices / 1000.0,
-        faces=faces,
-        visual=visual.TextureVisuals(uv=uv, material=material),
-        process=False,
+        vertices=vertices / 1000.0, faces=faces, visual=visual.TextureVisuals(uv=uv, material=material), process=False
     )
     exported: Any = mesh.export(file_type="glb")
     path.write_bytes(exported)

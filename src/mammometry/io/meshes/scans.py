@@ -77,12 +77,7 @@ class Scan:
 
 
 def import_scan(
-    mesh: Path,
-    about: Scan,
-    *,
-    units: str | None = None,
-    texture: bool = True,
-    limits: LimitSettings = LimitSettings(),
+    mesh: Path, about: Scan, *, units: str | None = None, texture: bool = True, limits: LimitSettings = LimitSettings()
 ) -> dict[str, bytes]:
     """Read a scanner's files, and return the files of a scan's folder.
 

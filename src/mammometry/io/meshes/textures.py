@@ -135,7 +135,7 @@ def read_covered_obj(path: Path) -> CoveredObj:
     )
 
 
-_scene_files_MOST_MIB = 4096  # of a file, as of other meshes
+_MOST_MIB_OF_GLB = 4096  # of a file, as of other meshes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -166,7 +166,7 @@ def covered_parts(path: Path, folder: Path, limits: LimitSettings) -> Path | Non
     """
     if path.suffix.lower() == ".usdz":
         return _covered_usdz(path, folder)
-    content = read_bytes(path, path.name, "a GLB", most_mib=_scene_files_MOST_MIB)
+    content = read_bytes(path, path.name, "a GLB", most_mib=_MOST_MIB_OF_GLB)
     check_glb(path, content)
     pictures: list[Any] = []
     try:

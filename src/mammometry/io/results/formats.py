@@ -14,7 +14,7 @@ from mammometry.geometry.camera import Rig
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.io.cameras.own import cameras_from_table, cameras_table
 from mammometry.io.meshes.own_ply import read_ply, write_ply
-from mammometry.io.results.arrays import FORMATS, Format, read_arrays, with_json, write_arrays, write_json
+from mammometry.io.results.codecs import FORMATS, Format, read_arrays, with_json, write_arrays, write_json
 from mammometry.io.results.tree import to_tree
 from mammometry.job.inputs import CameraSet, FinishedSurface
 
@@ -25,15 +25,15 @@ if TYPE_CHECKING:
     from mammometry.surface.texture.texture_atlas import Atlas
 
 
-def _table(product: str, boundaries: tuple[Boundary, ...]) -> dict[str, Any]:
+def _boundaries_table(product: str, boundaries: tuple[Boundary, ...]) -> dict[str, Any]:
     curves = {curve.name: {"method": curve.method, "points": curve.points_world.tolist()} for curve in boundaries}
     return {"units": "mm", "frame": "world", "boundaries": curves}
 
 
-FORMATS.add("boundaries")(with_json(_table))
+FORMATS.add("boundaries")(with_json(_boundaries_table))
 
 
-def _write(path: Path, value: CameraSet) -> None:
+def _cameras_write(path: Path, value: CameraSet) -> None:
     about = {
         "rig": value.rig.name,
         "pairs": {name: list(pair) for name, pair in value.rig.pair_names.items()},
@@ -46,7 +46,7 @@ def _write(path: Path, value: CameraSet) -> None:
     write_json(path, {**about, **cameras_table(value.rig.cameras, value.std)})
 
 
-def _read(path: Path) -> CameraSet:
+def _cameras_read(path: Path) -> CameraSet:
     table = json.loads(path.read_text(encoding="utf-8"))
     pairs = {name: (left, right) for name, (left, right) in table["pairs"].items()}
     middle = table.get("target_middle")
@@ -67,7 +67,7 @@ def _read(path: Path) -> CameraSet:
     )
 
 
-_CAMERAS = Format(write=_write, read=_read, ending=".json")
+_CAMERAS = Format(write=_cameras_write, read=_cameras_read, ending=".json")
 FORMATS.add("cameras")(_CAMERAS)
 FORMATS.add("stood")(_CAMERAS)
 

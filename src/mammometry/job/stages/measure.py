@@ -147,12 +147,7 @@ def evidence(
 
 @product("measure", version=19, name="measurement", settings="measure", inputs=("wall", "scale"), when=_has_volume)
 def measurements(
-    repaired: RepairedSurface,
-    boundaries: tuple[Boundary, ...],
-    body: Body | None,
-    evidence: Evidence,
-    *,
-    job: Context,
+    repaired: RepairedSurface, boundaries: tuple[Boundary, ...], body: Body | None, evidence: Evidence, *, job: Context
 ) -> tuple[VolumeMeasurement, ...]:
     """The volume of each breast with its interval: ``model``, or the patient's ``left`` and ``right``.
 

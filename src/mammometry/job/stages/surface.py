@@ -103,11 +103,7 @@ def valid_patches(
 
 @product("surface", version=6, name="blocked")
 def occlusions(
-    corrected_cameras: CameraSet,
-    valid_patches: ValidPatches,
-    foregrounds: Mapping[str, Foreground],
-    *,
-    job: Context,
+    corrected_cameras: CameraSet, valid_patches: ValidPatches, foregrounds: Mapping[str, Foreground], *, job: Context
 ) -> Mapping[str, Occlusion]:
     """Camera → places with something in front of the subject, for cameras that have such places."""
     from mammometry.surface.occlusion.occlusion import find_occlusions

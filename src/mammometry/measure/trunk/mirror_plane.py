@@ -170,11 +170,12 @@ def mirror_plane(
         linear = motion.rotation @ (np.eye(3) - 2 * np.outer(normal, normal))
         values, vectors = np.linalg.eigh((linear + linear.T) / 2)
         image = motion.apply(image)
-        normal = vectors[:, np.argmin(values)]
+        before, normal = normal, vectors[:, np.argmin(values)]
         normal = normal if normal @ left_world > 0 else -normal
         halfway = (points_world + image).mean(axis=0) / 2
         point = point + normal * float((halfway - point) @ normal)
-        if np.linalg.norm(motion.rotation_vector_rad) < _AT_REST_RAD:
+        # Not the motion's own turn: skin that is not quite symmetric keeps one about the plane's normal.
+        if np.linalg.norm(normal - before) < _AT_REST_RAD:
             break
     return MirrorPlane(
         point_world=point, normal_world=normal, sigma_mm=float(sigma), scatter_mm=float(scatter), used=used

@@ -106,7 +106,10 @@ class Thorax:
         return _design(arc_y, self.trunk.half_width_mm) @ self.coefficients
 
     def bend_per_mm(self, arc_y: Float64[Array, "n 2"]) -> Float64[Array, " n"]:
-        """Curvature along the trunk at (half width × θ, y), mm, in 1/mm: positive where it is rounded."""
+        """Curvature along the trunk at (half width × θ, y), mm.
+
+        In 1/mm, positive where the trunk is rounded.
+        """
         around = _design(arc_y, self.trunk.half_width_mm)[:, :AROUND]
         return -2 * around @ self.coefficients[2 * AROUND :] / HEIGHT_WINDOW_MM**2
 

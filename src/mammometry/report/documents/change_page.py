@@ -181,15 +181,14 @@ def breast_card(breast: BreastChange, before: datetime.date | None) -> BreastCar
     interval = volume.difference_interval_cc
     digits = 0 if is_coarse(interval) else 1
     facts = [
-        Fact(label="Before", value=_with_interval(breast.before.volume_cc, breast.before.interval_cc)),
-        Fact(label="After", value=_with_interval(breast.after.volume_cc, breast.after.interval_cc)),
-        Fact(label="After in % of before", value=_percent(volume.ratio, volume.ratio_interval)),
-        Fact(label="Skin moved (RMS)", value=f"{breast.rms_mm:.1f} mm, with the trunks aligned"),
-        Fact(label="Chest wall", value=f"{breast.after.wall_kind}, at both dates"),
+        Fact("Before", _with_interval(breast.before.volume_cc, breast.before.interval_cc)),
+        Fact("After", _with_interval(breast.after.volume_cc, breast.after.interval_cc)),
+        Fact("After in % of before", _percent(volume.ratio, volume.ratio_interval)),
+        Fact("Skin moved (RMS)", f"{breast.rms_mm:.1f} mm, with the trunks aligned"),
+        Fact("Chest wall", f"{breast.after.wall_kind}, at both dates"),
     ]
     facts += [
-        Fact(label=f"Uncertainty from {name}", value=f"± {term_words(term)} cc (95 %)")
-        for name, term in volume.terms_cc.items()
+        Fact(f"Uncertainty from {name}", f"± {term_words(term)} cc (95 %)") for name, term in volume.terms_cc.items()
     ]
     interval_words = "no interval, because one of the volumes has none"
     if interval is not None:
@@ -213,11 +212,11 @@ def trunk_facts(change: Change) -> tuple[Fact, ...]:
         "across poses": "different. The interval of the change includes this",
     }
     return (
-        Fact(label="Fit beside the breasts", value=f"80 % of the trunk within {fit.within_mm:.1f} mm"),
-        Fact(label="Scatter (robust SD)", value=f"{fit.scatter_mm:.2f} mm"),
-        Fact(label="Uncertainty of the fit", value=f"{fit.weakest_mm:.2f} mm (standard uncertainty)"),
-        Fact(label="Lean", value=f"differs by {fit.turned_deg:.0f}° from the upright of the photographs"),
-        Fact(label="Pose", value=posed.get(change.pairing, change.pairing)),
+        Fact("Fit beside the breasts", f"80 % of the trunk within {fit.within_mm:.1f} mm"),
+        Fact("Scatter (robust SD)", f"{fit.scatter_mm:.2f} mm"),
+        Fact("Uncertainty of the fit", f"{fit.weakest_mm:.2f} mm (standard uncertainty)"),
+        Fact("Lean", f"differs by {fit.turned_deg:.0f}° from the upright of the photographs"),
+        Fact("Pose", posed.get(change.pairing, change.pairing)),
     )
 
 
@@ -246,13 +245,13 @@ def definitions(change: Change) -> tuple[Fact, ...]:
     for breast in change.breasts:
         name = NAMES[breast.name]
         rows += [
-            Fact(label=f"Boundary before, {name}", value=sentence(breast.before.boundary_method)),
-            Fact(label=f"Boundary after, {name}", value=sentence(breast.after.boundary_method)),
+            Fact(f"Boundary before, {name}", sentence(breast.before.boundary_method)),
+            Fact(f"Boundary after, {name}", sentence(breast.after.boundary_method)),
         ]
     first = change.breasts[0]
     wall = f"{first.after.wall_kind.capitalize()}: {sentence(first.after.wall_definition, capital=False)}"
-    rows.append(Fact(label="Chest wall", value=wall))
-    rows.append(Fact(label="95 % interval", value=sentence(first.volume.note)))
+    rows.append(Fact("Chest wall", wall))
+    rows.append(Fact("95 % interval", sentence(first.volume.note)))
     return tuple(rows)
 
 
@@ -278,23 +277,20 @@ def _story(
         ]
         for card in cards
     ]
-    trunk = [
-        paper.text("Fit of the trunk", size=9.5, colour=paper.FAINT),
-        *paper.facts(trunk_facts(report.change)),
-    ]
+    trunk = [paper.text("Fit of the trunk", size=9.5, colour=paper.FAINT), *paper.facts(trunk_facts(report.change))]
     yield paper.side_by_side([*shown, trunk], width)
     yield Spacer(0, 8)
     yield paper.picture(encoded(pictures["change.png"]).jpeg, width, 400)
-    yield from paper.facts([Fact(label="Remark", value=remark) for remark in report.remarks])
+    yield from paper.facts([Fact("Remark", remark) for remark in report.remarks])
     for table in length_tables(report.change.lengths):
         yield paper.text(table.title, size=11, bold=True, before=6)
         yield paper.table(table, width)
     yield paper.picture(encoded(pictures["sections.png"]).jpeg, width, 180)
     yield paper.text("What was compared", size=11, bold=True, before=6)
     yield from paper.facts(definitions(report.change), size=7.5)
-    held = Fact(label="This document contains", value=f"{report.contains}.")
+    held = Fact("This document contains", f"{report.contains}.")
     named = ", ".join(f"{fact.label} {fact.value}" for fact in versions())
-    yield from paper.facts([held, *report.settings, Fact(label="Versions", value=named)], size=7.5)
+    yield from paper.facts([held, *report.settings, Fact("Versions", named)], size=7.5)
 
 
 def _with_interval(volume_cc: float, interval_cc: tuple[float, float] | None) -> str:

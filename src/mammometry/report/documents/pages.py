@@ -152,10 +152,7 @@ def refusal_page(identity: Identity, error: MammometryError, pictures: Mapping[s
         "refused.html.j2",
         identity=identity,
         subject=_heading(error.subject),
-        details=(
-            Fact(label="Found", value=error.found),
-            Fact(label="Expected", value=error.expected),
-        ),
+        details=(Fact("Found", error.found), Fact("Expected", error.expected)),
         remedy=sentence(error.remedy),
         lines=[sentence(line) for line in error.details],
         pictures=[embed(png) for png in pictures.values()],

@@ -169,9 +169,9 @@ def _in_words(content: ReportContent, first: FirstPage, width: float) -> Iterato
         yield text(f"{breast.title}: what was measured", size=12, bold=True, before=8)
         yield from facts(
             [
-                Fact(label="Boundary", value=breast.boundary),
-                Fact(label=breast.wall_label, value=breast.wall),
-                Fact(label="95 % interval", value=breast.interval_note),
+                Fact("Boundary", breast.boundary),
+                Fact(breast.wall_label, breast.wall),
+                Fact("95 % interval", breast.interval_note),
                 *breast.facts,
             ]
         )
@@ -194,14 +194,14 @@ def _for_the_technician(content: ReportContent, width: float, height: float) -> 
             yield _title(data)
             yield table(data, width)
     yield from pictures(paper_pictures(content, list(content.pictures)), width, height)
-    changed = content.changed_settings or (Fact(label="Settings", value="all recommended"),)
+    changed = content.changed_settings or (Fact("Settings", "all recommended"),)
     yield text("World frame, times, settings and versions", size=11, bold=True, before=6)
     timings = ", ".join(f"{fact.label} {fact.value}" for fact in content.timings)
     versions = ", ".join(f"{fact.label} {fact.value}" for fact in content.versions)
-    held = Fact(label="This document contains", value=f"{content.contains}.")
-    last = [held, Fact(label="World frame", value=content.world), *changed, Fact(label="Versions", value=versions)]
+    held = Fact("This document contains", f"{content.contains}.")
+    last = [held, Fact("World frame", content.world), *changed, Fact("Versions", versions)]
     if timings:
-        last.insert(2, Fact(label="Times", value=timings))
+        last.insert(2, Fact("Times", timings))
     yield from facts(last, size=7.5)
 
 

@@ -15,7 +15,7 @@ from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.report.figures.catalogue import preview
 from mammometry.report.figures.drawing import canvas
-from mammometry.report.figures.drawing.canvas import Caption, Sheet
+from mammometry.report.figures.drawing.canvas import Sheet
 from mammometry.report.figures.drawing.shading import front_frame
 from mammometry.report.figures.stage_results import CalibrationResult
 from mammometry.study.tables import thousands
@@ -62,11 +62,9 @@ def detections(result: CalibrationResult) -> bytes | None:
         _arrow_key(axes, size_wh, enlarged, key_px)
         _fix(axes, size_wh)
     return sheet.png(
-        Caption(
-            title="Detections and residuals",
-            text="Each camera's worst view: the detected points of the target, and how far from them the calibrated "
-            "camera projects each point. The bar in each picture is the scale of the arrows.",
-        )
+        "Detections and residuals",
+        "Each camera's worst view: the detected points of the target, and how far from them the calibrated "
+        "camera projects each point. The bar in each picture is the scale of the arrows.",
     )
 
 
@@ -96,11 +94,9 @@ def residuals(result: CalibrationResult) -> bytes | None:
     _bars(sheet.panel(1, "RMS of each camera", plain=False), cameras, calibration.rms_px)
     _bars(sheet.panel(2, "RMS of each pose", plain=False), poses, calibration.rms_px)
     return sheet.png(
-        Caption(
-            title="Reprojection residuals",
-            text="Projected minus measured positions of all points that were used, and their root mean square for each "
-            "camera and pose. The line marks the root mean square of all.",
-        )
+        "Reprojection residuals",
+        "Projected minus measured positions of all points that were used, and their root mean square for each "
+        "camera and pose. The line marks the root mean square of all.",
     )
 
 
@@ -141,12 +137,10 @@ def residual_field(result: CalibrationResult) -> bytes | None:
                 ticks=MaxNLocator(5, integer=True),
             )
     return sheet.png(
-        Caption(
-            title="Residual field and coverage",
-            text="Mean residual of all poses in cells of each photograph (arrows) over the number of target points "
-            "seen there (grey). Arrows that follow a pattern mean a lens that the model does not describe. White "
-            "corners were never tested.",
-        )
+        "Residual field and coverage",
+        "Mean residual of all poses in cells of each photograph (arrows) over the number of target points "
+        "seen there (grey). Arrows that follow a pattern mean a lens that the model does not describe. White "
+        "corners were never tested.",
     )
 
 
@@ -187,12 +181,10 @@ def expected_error(result: CalibrationResult) -> bytes | None:
         if drawn is not None:
             sheet.bar(row, drawn, "mm")
     return sheet.png(
-        Caption(
-            title="Expected error of the calibration",
-            text="Standard deviation of points that each pair reconstructs, from the uncertainty of the cameras, over "
-            "the working volume: RMS along the world's z, y and x. Beside the pair's name: its RMS where the target "
-            "was shown. Motions of the whole change no shape and are left out. So is its scale, which is the target's.",
-        )
+        "Expected error of the calibration",
+        "Standard deviation of points that each pair reconstructs, from the uncertainty of the cameras, over "
+        "the working volume: RMS along the world's z, y and x. Beside the pair's name: its RMS where the target "
+        "was shown. Motions of the whole change no shape and are left out. So is its scale, which is the target's.",
     )
 
 
@@ -232,12 +224,10 @@ def rig_views(result: CalibrationResult) -> bytes:
                     axes.plot(drawn[:, axis_x], drawn[:, axis_y], color=colours[pair], linewidth=0.8)
         axes.set(xlim=(-reach, reach), ylim=(-reach, reach), xlabel=names[0], ylabel=names[1])
     return sheet.png(
-        Caption(
-            title="The rig",
-            text="Cameras (pyramids open in the viewing direction) and their pairs"
-            + (", and the places where the target was held (grey)" if targets else "")
-            + (". The origin is the middle of those." if targets else ". The origin is where their axes meet."),
-        )
+        "The rig",
+        "Cameras (pyramids open in the viewing direction) and their pairs"
+        + (", and the places where the target was held (grey)" if targets else "")
+        + (". The origin is the middle of those." if targets else ". The origin is where their axes meet."),
     )
 
 
@@ -403,12 +393,10 @@ def drift(entries: Sequence[Entry], limit_mm: float) -> bytes:
     axes.set(ylabel="RMS, mm", ylim=(0, 1.15 * max(limit_mm, *(entry.effect_mm for entry in entries))))
     _checks(axes, entries)
     return sheet.png(
-        Caption(
-            title="Drift of the rig",
-            text="Every check of the rig against its calibration. Left: how far the target lies in each camera's "
-            "picture from where the cameras that did not move see it (squares: cameras that moved). Right: the error "
-            "of points that the worst pair measures. Dashed lines: new calibrations.",
-        )
+        "Drift of the rig",
+        "Every check of the rig against its calibration. Left: how far the target lies in each camera's "
+        "picture from where the cameras that did not move see it (squares: cameras that moved). Right: the error "
+        "of points that the worst pair measures. Dashed lines: new calibrations.",
     )
 
 

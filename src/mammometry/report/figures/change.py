@@ -14,7 +14,7 @@ from mammometry.geometry.transform import Transform
 from mammometry.measure.dates.change import Change
 from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.report.figures.drawing import canvas
-from mammometry.report.figures.drawing.canvas import Caption, Sheet
+from mammometry.report.figures.drawing.canvas import Sheet
 from mammometry.report.figures.drawing.shading import NAMES, Scene, join_segments, picture_wh, section, views_of
 from mammometry.report.figures.measure import curve
 from mammometry.report.figures.surface import show
@@ -91,13 +91,11 @@ def change_map(frame: Float64[Array, "3 3"], dates: tuple[Dated, Dated], change:
                 curve(axes, scene, view, boundary, canvas.INK, size_px=_VIEW_PX)
     sheet.bar(2, scale, "later skin in front of the earlier, mm", extend="both")
     return sheet.png(
-        Caption(
-            title="Both dates, and the change",
-            text="The later trunk was laid onto the earlier one without breasts and arms. All views have the same "
-            "scale and place. Below: the later skin lies in front of the earlier one (orange) or behind it (blue). The "
-            f"scale ends at ±{limit:g} mm. Colours on arms, shoulders and belly come from the pose and are no change. "
-            f"{WORDS}.",
-        )
+        "Both dates, and the change",
+        "The later trunk was laid onto the earlier one without breasts and arms. All views have the same "
+        "scale and place. Below: the later skin lies in front of the earlier one (orange) or behind it (blue). The "
+        f"scale ends at ±{limit:g} mm. Colours on arms, shoulders and belly come from the pose and are no change. "
+        f"{WORDS}.",
     )
 
 
@@ -129,10 +127,8 @@ def change_sections(frame: Float64[Array, "3 3"], dates: tuple[Dated, Dated], ch
                 axes.plot(*line.T, color=colour, linewidth=1.5, solid_capstyle="round")
         axes.set(xlim=(-reach, reach), ylim=(-reach, reach), xlabel=labels[across], ylabel=labels[upwards])
     return sheet.png(
-        Caption(
-            title="Sections through both dates",
-            text="Cuts at the same places of the trunk, through the middles of the earlier boundaries.",
-        )
+        "Sections through both dates",
+        "Cuts at the same places of the trunk, through the middles of the earlier boundaries.",
     )
 
 

@@ -13,7 +13,7 @@ from mammometry.geometry.camera import Camera
 from mammometry.matching.dense.match import DisparityMap
 from mammometry.report.figures.catalogue import preview
 from mammometry.report.figures.drawing import canvas
-from mammometry.report.figures.drawing.canvas import Caption, Sheet
+from mammometry.report.figures.drawing.canvas import Sheet
 from mammometry.report.figures.drawing.thinning import source_grid
 from mammometry.report.figures.stage_results import MatchingResult
 
@@ -50,11 +50,7 @@ def foreground(result: MatchingResult) -> bytes:
             axes.plot(line[:, 1] - 1, line[:, 0] - 1, color=canvas.ORANGE, linewidth=1.1)
         axes.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5))
         canvas.note(axes, f"subject {100 * float(known.mask.mean()):.0f} % of the picture")
-    return sheet.png(
-        Caption(
-            title="Foreground", text="The subject's silhouette in each photograph. Only what lies inside is matched."
-        )
-    )
+    return sheet.png("Foreground", "The subject's silhouette in each photograph. Only what lies inside is matched.")
 
 
 @preview("rectified", stage="match", place=2, photographs=True, on_paper=True)
@@ -73,11 +69,9 @@ def rectified(result: MatchingResult) -> bytes:
             for line, row in enumerate(np.linspace(0, height - 1, _EPIPOLAR_LINES + 2)[1:-1]):
                 axes.axhline(row, color=(canvas.SKY, canvas.YELLOW)[line % 2], linewidth=0.7)
     return sheet.png(
-        Caption(
-            title="Rectified pairs",
-            text="The pictures as they were matched. With a correct calibration, what lies on a line in the left "
-            "picture lies on the same line in the right one.",
-        )
+        "Rectified pairs",
+        "The pictures as they were matched. With a correct calibration, what lies on a line in the left "
+        "picture lies on the same line in the right one.",
     )
 
 
@@ -100,11 +94,9 @@ def disparity(result: MatchingResult) -> bytes:
             ),
             lambda one_map: f"RMS {_rms(one_map.d_v_px[one_map.valid]):.3f} px",
         ),
-        Caption(
-            title="Disparity",
-            text="Horizontal disparity d_H = u_left − u_right, which carries the depth, and vertical disparity d_V, "
-            "which is near zero if the calibration is correct. Pale blue: no match.",
-        ),
+        "Disparity",
+        "Horizontal disparity d_H = u_left − u_right, which carries the depth, and vertical disparity d_V, "
+        "which is near zero if the calibration is correct. Pale blue: no match.",
     )
 
 
@@ -123,11 +115,9 @@ def confidence(result: MatchingResult) -> bytes:
             lambda one_map: f"median {_median(one_map.confidence[one_map.valid]):.2f}",
             lambda one_map: f"median {_median(one_map.sigma_px[one_map.valid]):.3f} px",
         ),
-        Caption(
-            title="Confidence",
-            text="Correlation of the matched windows (1: the same picture) and the standard deviation of d_H that "
-            "follows from noise and texture. Pale blue: no match.",
-        ),
+        "Confidence",
+        "Correlation of the matched windows (1: the same picture) and the standard deviation of d_H that "
+        "follows from noise and texture. Pale blue: no match.",
     )
 
 
@@ -137,7 +127,8 @@ def _two_maps(
     lower: tuple[Callable[[DisparityMap], Float32[Array, "h w"]], str, str, tuple[float, float] | None],
     names: tuple[str, str],
     remarks: tuple[Callable[[DisparityMap], str], Callable[[DisparityMap], str]],
-    caption: Caption,
+    title: str,
+    text: str,
 ) -> bytes:
     columns, bands = canvas.grid(len(disparities))
     sheet = Sheet(
@@ -155,7 +146,7 @@ def _two_maps(
             canvas.note(axes, remarks[half](one_map))
         for band in range(bands):
             sheet.bar(2 * band + half, drawn, label)
-    return sheet.png(caption)
+    return sheet.png(title, text)
 
 
 def _map(

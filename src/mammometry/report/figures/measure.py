@@ -14,7 +14,7 @@ from mammometry.measure.shape.symmetry import Symmetry
 from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.report.figures.catalogue import preview
 from mammometry.report.figures.drawing import canvas
-from mammometry.report.figures.drawing.canvas import Caption, Sheet
+from mammometry.report.figures.drawing.canvas import Sheet
 from mammometry.report.figures.drawing.shading import (
     NAMES,
     Scene,
@@ -80,11 +80,9 @@ def overview(result: MeasureResult) -> bytes | None:
         f" The cross marks the highest place of the {side.name} side: {_not(side)}." for side in result.absent
     )
     return sheet.png(
-        Caption(
-            title="The surface and the boundary",
-            text="Standard views in photographic colours, all at one scale. The volume was measured within the "
-            f"boundary, which is dashed where it is hidden. {WORDS}.{absent}",
-        )
+        "The surface and the boundary",
+        "Standard views in photographic colours, all at one scale. The volume was measured within the "
+        f"boundary, which is dashed where it is hidden. {WORDS}.{absent}",
     )
 
 
@@ -125,7 +123,7 @@ def _near(result: MeasureResult, index: int, size_px: int) -> bytes | None:
         if visible(place, view, scene.cast(view, 2 * size_px), slack_mm=4.0)[0]:
             axes.plot(*view.project(place)[0, :2], "x", color=_NONE, markersize=13, markeredgewidth=3)
     name = view.name[:1].upper() + view.name[1:]
-    return sheet.png(Caption(title=name, text=f"The boundary is dashed where it is hidden. {WORDS}."))
+    return sheet.png(name, f"The boundary is dashed where it is hidden. {WORDS}.")
 
 
 def _close_views(result: MeasureResult) -> tuple[View, ...]:
@@ -169,11 +167,9 @@ def closed(result: MeasureResult, measured: VolumeMeasurement) -> bytes:
         show(axes, scene.render(view, size_px=_PANEL_PX, face_colours=colours), view)
         curve(axes, scene, view, measured.boundary_world, canvas.INK, size_px=_PANEL_PX)
     return sheet.png(
-        Caption(
-            title=f"The closed solid: {NAMES[measured.name]}",
-            text="The volume is that of this solid, between skin and wall. "
-            f"The wall is {measured.wall_definition.strip().rstrip('.')}.",
-        )
+        f"The closed solid: {NAMES[measured.name]}",
+        "The volume is that of this solid, between skin and wall. "
+        f"The wall is {measured.wall_definition.strip().rstrip('.')}.",
     )
 
 
@@ -198,10 +194,8 @@ def sections(result: MeasureResult, measured: VolumeMeasurement) -> bytes:
                 axes.plot(*line.T, color=colour, linewidth=1.8, solid_capstyle="round")
         axes.set(xlim=(-reach, reach), ylim=(-reach, reach), xlabel=labels[axis_x], ylabel=labels[axis_y])
     return sheet.png(
-        Caption(
-            title=f"Sections: {NAMES[measured.name]}",
-            text="Two cuts through the middle of the closed breast. The volume lies between the skin and the wall.",
-        )
+        f"Sections: {NAMES[measured.name]}",
+        "Two cuts through the middle of the closed breast. The volume lies between the skin and the wall.",
     )
 
 
@@ -244,9 +238,9 @@ def _turn(angle_rad: float) -> Float64[Array, "3 3"]:
     return np.array([[cosine, 0.0, -sine], [0.0, 1.0, 0.0], [sine, 0.0, cosine]])
 
 
-_symmetry_PANEL_PX = 300  # width of a panel, px; chosen by eye
+_SYMMETRY_PANEL_PX = 300  # width of a panel, px; chosen by eye
 _VIEW_PX = 520  # size at which a view is rendered, px; chosen by eye
-_symmetry_LEAST_MM = 1.0  # least end of the scale, mm; chosen by eye
+_LEAST_DIFFERENCE_MM = 1.0  # least end of the scale, mm; chosen by eye
 _TURN_DEG = 50.0  # of the view from the outside; chosen by eye
 
 
@@ -270,7 +264,7 @@ def symmetry_map(result: MeasureResult) -> bytes | None:
         ("right breast, mirrored", _skin(right).mapped(symmetry.mirrored).turned_over(), symmetry.right_mm, edge),
     )
     views = views_of(skins[0][1], frames, margin=1.12)  # both lie on one another: the same views for both
-    sheet = Sheet(4, 1, picture_wh(views[0], _symmetry_PANEL_PX), bars=True, header=26)
+    sheet = Sheet(4, 1, picture_wh(views[0], _SYMMETRY_PANEL_PX), bars=True, header=26)
     sheet.legend(
         [
             (canvas.DIVERGING[-2], "fuller than the other one"),
@@ -288,13 +282,11 @@ def symmetry_map(result: MeasureResult) -> bytes | None:
     moved_mm = float(np.linalg.norm(symmetry.shift_mm))
     sheet.bar(0, scale, "in front of the other one, mm", extend="both")
     return sheet.png(
-        Caption(
-            title="Symmetry",
-            text=f"The {NAMES['left']} and the mirrored right one, laid onto one another. Orange: fuller than the "
-            f"other breast, blue: less full. The difference is {symmetry.rms_mm:.1f} mm RMS. The scale ends at "
-            f"±{limit_mm:g} mm. The mirrored right breast was moved by {moved_mm:.0f} mm and turned by "
-            f"{symmetry.turn_deg:.0f}°, so the map does not show their difference in place.",
-        )
+        "Symmetry",
+        f"The {NAMES['left']} and the mirrored right one, laid onto one another. Orange: fuller than the "
+        f"other breast, blue: less full. The difference is {symmetry.rms_mm:.1f} mm RMS. The scale ends at "
+        f"±{limit_mm:g} mm. The mirrored right breast was moved by {moved_mm:.0f} mm and turned by "
+        f"{symmetry.turn_deg:.0f}°, so the map does not show their difference in place.",
     )
 
 
@@ -305,7 +297,7 @@ def reach_mm(symmetry: Symmetry) -> float:
     """
     every_mm = np.concatenate([symmetry.left_mm, symmetry.right_mm])
     known_mm = np.abs(every_mm[np.isfinite(every_mm)])
-    return canvas.rounded_up(max(float(np.quantile(known_mm, 0.98)) if len(known_mm) else 0.0, _symmetry_LEAST_MM))
+    return canvas.rounded_up(max(float(np.quantile(known_mm, 0.98)) if len(known_mm) else 0.0, _LEAST_DIFFERENCE_MM))
 
 
 def _skin(measured: VolumeMeasurement) -> TriangleMesh:

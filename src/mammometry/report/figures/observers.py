@@ -8,7 +8,7 @@ import numpy as np
 
 from mammometry.geometry.arrays import Array
 from mammometry.report.figures.drawing import canvas
-from mammometry.report.figures.drawing.canvas import Caption, Sheet
+from mammometry.report.figures.drawing.canvas import Sheet
 from mammometry.report.figures.drawing.shading import Scene, picture_wh, standard_views
 from mammometry.report.figures.measure import curve
 from mammometry.report.figures.surface import show
@@ -36,10 +36,8 @@ def curves_on(surface: DrawnSurface, observers: Sequence[str]) -> bytes:
         for name, points in surface.curves:
             curve(axes, scene, view, points, colours[name], size_px=_VIEW_PX, width=_LINE)
     return sheet.png(
-        Caption(
-            title=f"What was drawn on {surface.name}",
-            text="Every curve that was drawn on this surface, a colour a person, dashed where the surface hides it.",
-        )
+        f"What was drawn on {surface.name}",
+        "Every curve that was drawn on this surface, a colour a person, dashed where the surface hides it.",
     )
 
 
@@ -65,11 +63,9 @@ def volumes(drawings: Sequence[Drawing], study: ObserverStudy) -> bytes:
     axes.set(xlim=(-0.6, len(study.breasts) - 0.4), ylabel="volume less the breast's mean, cc")
     axes.set_xticks(range(len(study.breasts)), study.breasts)
     return sheet.png(
-        Caption(
-            title="Volumes",
-            text="The volume that each drawing gives, less the mean of all drawings of that breast. Dotted: plus and "
-            "minus one standard error of measurement of one person who draws again. Dashed: of whoever draws.",
-        )
+        "Volumes",
+        "The volume that each drawing gives, less the mean of all drawings of that breast. Dotted: plus and "
+        "minus one standard error of measurement of one person who draws again. Dashed: of whoever draws.",
     )
 
 
@@ -96,11 +92,9 @@ def regions(study: ObserverStudy) -> bytes:
     axes.set_xticks(np.arange(len(names)), names)
     axes.set(ylabel="distance between two curves, mm")
     return sheet.png(
-        Caption(
-            title="Where the curves differ",
-            text="Distance from one curve to another of the same breast: its mean by region, and the thin line up to "
-            f"what 95 % are less than. The last is the {WHOLE}.",
-        )
+        "Where the curves differ",
+        "Distance from one curve to another of the same breast: its mean by region, and the thin line up to "
+        f"what 95 % are less than. The last is the {WHOLE}.",
     )
 
 
@@ -153,12 +147,10 @@ def bland_altman(data: PairedMeasurements, figures: Agreement) -> bytes:
         outline = canvas.stroke("white", 2.5)
         axes.text(high, estimate.value, label, color=colour, ha="right", va="bottom", fontsize=8, path_effects=outline)
     return sheet.png(
-        Caption(
-            title="Bland–Altman plot",
-            text="Difference of the two methods over their mean. Lines: the mean difference (bias) and the limits "
-            "between which 95 % of differences are expected. Bands: their 95 % confidence intervals. Dashed: "
-            "regression of the differences on the means.",
-        )
+        "Bland–Altman plot",
+        "Difference of the two methods over their mean. Lines: the mean difference (bias) and the limits "
+        "between which 95 % of differences are expected. Bands: their 95 % confidence intervals. Dashed: "
+        "regression of the differences on the means.",
     )
 
 
@@ -178,11 +170,7 @@ def scatter(data: PairedMeasurements) -> bytes:
         xlabel=f"{data.reference_name}{unit}",
         ylabel=f"{data.measured_name}{unit}",
     )
-    return sheet.png(
-        Caption(
-            title="One method against the other", text="One point per subject. On the line both methods give the same."
-        )
-    )
+    return sheet.png("One method against the other", "One point per subject. On the line both methods give the same.")
 
 
 def _stretched(values: Array, share: float) -> tuple[float, float]:

@@ -145,10 +145,7 @@ def depth_discontinuity(source: Source) -> Sheet:
         tip = flat / np.linalg.norm(flat) * _ARROW_MM
         axes.update_datalim([tip])
         axes.annotate(
-            "",
-            xy=tuple(tip),
-            xytext=(0.0, 0.0),
-            arrowprops={"arrowstyle": "->", "color": kept, "linewidth": 1.0},
+            "", xy=tuple(tip), xytext=(0.0, 0.0), arrowprops={"arrowstyle": "->", "color": kept, "linewidth": 1.0}
         )
         axes.text(tip[0], tip[1], f" to {image.name}", fontsize=8, color=canvas.INK)
     axes.autoscale_view()
@@ -236,7 +233,7 @@ def _side(mesh: TriangleMesh, image: RangeImage) -> View:
     return views_of(mesh, {image.name: sideways @ frame})[0]
 
 
-_dents_PANEL_PX = 210  # width of a panel, px; chosen by eye
+_DENT_PANEL_PX = 210  # width of a panel, px; chosen by eye
 _GREYS = {Label.BEHIND: 0.95, Label.OUTSIDE: 0.78, Label.IN_FRONT: 0.60, Label.OVERLAPPING: 0.38}
 _MEANINGS = {
     Label.BEHIND: "behind (visible)",
@@ -254,7 +251,7 @@ def draw_dent_grid(grid: DentGrid) -> Sheet:
     rows, columns = np.flatnonzero(grid.valid.any(axis=1)), np.flatnonzero(grid.valid.any(axis=0))
     window = (slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)) if len(rows) else (slice(None),) * 2
     shape = grid.valid[window].shape
-    sheet = Sheet(len(grid.epsilons_mm), len(grid.angles_deg), canvas.fitting([shape], _dents_PANEL_PX), header=26)
+    sheet = Sheet(len(grid.epsilons_mm), len(grid.angles_deg), canvas.fitting([shape], _DENT_PANEL_PX), header=26)
     entries = [(canvas.hexadecimal((grey,) * 3), _MEANINGS[label]) for label, grey in _GREYS.items()]
     sheet.legend([*entries, ("#000000", "removed"), (canvas.hexadecimal(canvas.MISSING), "no datum")])
     count = max(int(grid.valid.sum()), 1)

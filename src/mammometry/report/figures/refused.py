@@ -12,7 +12,7 @@ from mammometry.geometry.arrays import Array, Bool, Float64
 from mammometry.job.inputs import FinishedSurface
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.report.figures.drawing import canvas
-from mammometry.report.figures.drawing.canvas import Caption, Sheet
+from mammometry.report.figures.drawing.canvas import Sheet
 from mammometry.report.figures.drawing.shading import NAMES, Scene, picture_wh, standard_views
 from mammometry.report.figures.measure import curve
 from mammometry.report.figures.surface import show
@@ -47,7 +47,7 @@ def photographs_seen(
         elif blocks is not None:
             canvas.note(axes, "no outline: everything was matched")
     text = "With the outlines of the subject that were found: only what lies inside is matched."
-    return sheet.png(Caption(title="The photographs", text="As they were brought." if blocks is None else text))
+    return sheet.png("The photographs", "As they were brought." if blocks is None else text)
 
 
 def targets_seen(
@@ -84,7 +84,7 @@ def targets_seen(
             axes.plot(*uv.T, ".", color=canvas.SKY, markersize=2.2)
     title = "The photographs that the others contradict" if suspects else "The target"
     part = "" if len(shown) == len(keys) else f" The {len(shown)} of {len(keys)} photographs with the fewest."
-    return sheet.png(Caption(title=title, text=f"The points that were found on the target.{part}"))
+    return sheet.png(title, f"The points that were found on the target.{part}")
 
 
 def surface_seen(
@@ -110,4 +110,4 @@ def surface_seen(
         for k, boundary in enumerate(boundaries):
             curve(axes, scene, view, boundary.points_world, canvas.CYCLE[k], size_px=_VIEW_PX)
     found = "A curve is dashed where it is hidden" if boundaries else "No boundary was found on it"
-    return sheet.png(Caption(title="The surface", text=f"Standard views, all at one scale. {found}. {WORDS}."))
+    return sheet.png("The surface", f"Standard views, all at one scale. {found}. {WORDS}.")

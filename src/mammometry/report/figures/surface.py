@@ -12,7 +12,7 @@ from mammometry.geometry.camera import Rig
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.report.figures.catalogue import preview
 from mammometry.report.figures.drawing import canvas
-from mammometry.report.figures.drawing.canvas import Caption, Sheet
+from mammometry.report.figures.drawing.canvas import Sheet
 from mammometry.report.figures.drawing.shading import Scene, View, front_frame, picture_wh, standard_views
 from mammometry.report.figures.stage_results import SurfaceResult
 from mammometry.study.accuracy import ErrorMap
@@ -24,8 +24,8 @@ _PANEL_PX = 290  # width of a panel, px; chosen by eye
 
 PROVENANCE_COLOURS: Mapping[Provenance, tuple[str, str]] = {
     Provenance.MEASURED: (canvas.BLUE, "measured: by at least one pair"),
-    Provenance.REPAIRED: (canvas.SKY, "repaired: right beside it"),
-    Provenance.BRIDGED: (canvas.ORANGE, "bridged: closed between or beyond, not measured"),
+    Provenance.REPAIRED: (canvas.SKY, "repaired: beside it"),
+    Provenance.BRIDGED: (canvas.ORANGE, "bridged: closed over a gap"),
     Provenance.INVENTED: (canvas.GREY, "invented: no pair measured it"),
 }
 
@@ -51,10 +51,7 @@ def range_images(result: SurfaceResult) -> bytes:
     for row in range(sheet.rows):
         sheet.bar(row, drawn, "distance to the camera, mm")
     return sheet.png(
-        Caption(
-            title="Range images",
-            text="Distance from the left camera to the surface, darker where nearer. Pale blue: no data.",
-        )
+        "Range images", "Distance from the left camera to the surface, darker where nearer. Pale blue: no data."
     )
 
 
@@ -77,11 +74,9 @@ def dents(result: SurfaceResult) -> bytes:
         )
         axes.imshow(picture, extent=canvas.pixel_extent(range_image.size_wh), interpolation="nearest")
     return sheet.png(
-        Caption(
-            title="Decomposition and dents",
-            text="Range data that other views contradict, or that were seen at grazing angles, are dropped before the "
-            "views are merged. Paler blue: more turned away from the camera.",
-        )
+        "Decomposition and dents",
+        "Range data that other views contradict, or that were seen at grazing angles, are dropped before the "
+        "views are merged. Paler blue: more turned away from the camera.",
     )
 
 
@@ -97,10 +92,8 @@ def repair(result: SurfaceResult) -> bytes:
             if column == 0:
                 canvas.note(axes, f"{thousands(len(drawn.mesh.faces))} triangles")
     return sheet.png(
-        Caption(
-            title="First and repaired mesh",
-            text="Above: the first watertight surface (2.5 of the paper). Below: after the elastic repair (2.6.3).",
-        )
+        "First and repaired mesh",
+        "Above: the first watertight surface (2.5 of the paper). Below: after the elastic repair (2.6.3).",
     )
 
 
@@ -129,11 +122,9 @@ def provenance(result: SurfaceResult) -> bytes:
     scale = mpl.cm.ScalarMappable(norm=mpl.colors.Normalize(0, high), cmap="magma_r")
     sheet.bar(1, scale, "σ along the normal, mm")
     return sheet.png(
-        Caption(
-            title="Provenance",
-            text="Above: how each part of the surface came about, in shares of the area. Below: expected standard "
-            "deviation of the measured part. Without colour: not measured.",
-        )
+        "Provenance",
+        "Above: how each part of the surface came about, in shares of the area. Below: expected standard "
+        "deviation of the measured part. Without colour: not measured.",
     )
 
 
@@ -147,7 +138,7 @@ def textured(result: SurfaceResult) -> bytes:
         axes = sheet.panel(index, view.name)
         show(axes, scene.render(view, size_px=_PANEL_PX, colours=colours, lit=False), view)
     text = f"The surface in its photographic colours, all views at one scale. {WORDS}."
-    return sheet.png(Caption(title="Standard views", text=text))
+    return sheet.png("Standard views", text)
 
 
 @preview("convergence", stage="surface", place=5, photographs=False)
@@ -170,11 +161,7 @@ def convergence(result: SurfaceResult) -> bytes:
         ylabel="RMS movement, mm",
         xticks=rounds,
     )
-    return sheet.png(
-        Caption(
-            title="Convergence", text="Root mean square movement of all vertices in each round of the elastic repair."
-        )
-    )
+    return sheet.png("Convergence", "Root mean square movement of all vertices in each round of the elastic repair.")
 
 
 def provenance_shares(repaired: RepairedSurface) -> dict[Provenance, float]:
@@ -204,7 +191,7 @@ def _map_sheet(shapes: Sequence[tuple[int, ...]], *, bars: bool = False, header:
     return Sheet(columns, rows, canvas.fitting(shapes, 270), bars=bars, header=header)
 
 
-_accuracy_PANEL_PX = 330  # width of a panel, px; chosen by eye
+_ERROR_PANEL_PX = 330  # width of a panel, px; chosen by eye
 _VIEW_PX = 600  # size at which a view is rendered, px; chosen by eye
 _MAP = "RdBu_r"
 """Diverging colours that all common kinds of colour vision distinguish (ColorBrewer): blue inside, red outside."""
@@ -239,7 +226,7 @@ def error_map(
     )
     colours[~errors.judged] = _NOT_JUDGED
     scene = Scene(mesh)
-    sheet = Sheet(2, 2, picture_wh(views[0], _accuracy_PANEL_PX), bars=True, header=26)
+    sheet = Sheet(2, 2, picture_wh(views[0], _ERROR_PANEL_PX), bars=True, header=26)
     sheet.legend(
         [
             (canvas.hexadecimal(scale.to_rgba(0.8 * limit_mm)[:3]), "outside the true surface"),
@@ -252,12 +239,10 @@ def error_map(
     for row in range(2):
         sheet.bar(row, scale, "distance from the true surface, mm", extend="both")
     return sheet.png(
-        Caption(
-            title=title,
-            text="Signed distance of the measured surface from the true one, mm: red lies outside, blue inside. The "
-            f"scale ends at ±{limit_mm:g} mm, which includes 98 % of the judged surface. Sand: not judged, no pair "
-            "sees it.",
-        )
+        title,
+        "Signed distance of the measured surface from the true one, mm: red lies outside, blue inside. The "
+        f"scale ends at ±{limit_mm:g} mm, which includes 98 % of the judged surface. Sand: not judged, no pair "
+        "sees it.",
     )
 
 

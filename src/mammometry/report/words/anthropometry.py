@@ -18,10 +18,7 @@ from mammometry.study.tables import Table, signed
 
 
 def comparison(
-    measurements: Sequence[VolumeMeasurement],
-    *,
-    absent: Sequence[NoBreast] = (),
-    lacking: Sequence[VolumeDeficit] = (),
+    measurements: Sequence[VolumeMeasurement], *, absent: Sequence[NoBreast] = (), lacking: Sequence[VolumeDeficit] = ()
 ) -> tuple[Fact, ...]:
     """Compare left and right: difference, ratio and deficit, each with its interval."""
     sides = {measured.name: measured for measured in measurements}
@@ -33,8 +30,8 @@ def comparison(
         gap = signed(only.volume_cc if only.name == "left" else -only.volume_cc, 0)
         facts = (
             Fact(
-                label="Left less right",
-                value=f"{gap} cc: the {only.name} breast in front of its own chest wall. There is no breast on the "
+                "Left less right",
+                f"{gap} cc: the {only.name} breast in front of its own chest wall. There is no breast on the "
                 f"{absent[0].name} side. Its interval is that of the {only.name} breast",
             ),
         )
@@ -92,9 +89,7 @@ def _lacks(deficit: VolumeDeficit) -> Fact:
     """What a side lacks, in words."""
     volume = "nothing" if deficit.volume_cc < 0 else volume_words(deficit.volume_cc, deficit.interval_cc)
     interval = "" if deficit.interval_cc is None else f", {interval_words(deficit.interval_cc)}"
-    return Fact(
-        label=f"Volume that the {deficit.name} side lacks", value=f"{volume}{interval}. {sentence(deficit.note)}"
-    )
+    return Fact(f"Volume that the {deficit.name} side lacks", f"{volume}{interval}. {sentence(deficit.note)}")
 
 
 def _both(left: VolumeMeasurement, right: VolumeMeasurement) -> tuple[Fact, ...]:
@@ -108,10 +103,7 @@ def _both(left: VolumeMeasurement, right: VolumeMeasurement) -> tuple[Fact, ...]
     if change.ratio_interval is not None:
         low, high = (f"{100 / bound:.0f}" for bound in reversed(change.ratio_interval))
         share += f" (95 %: {low} to {high} %)"
-    return (
-        Fact(label="Difference in volume", value=gap),
-        Fact(label=f"{smaller.name.capitalize()} as a share of {larger.name}", value=share),
-    )
+    return (Fact("Difference in volume", gap), Fact(f"{smaller.name.capitalize()} as a share of {larger.name}", share))
 
 
 def without_nipple(
@@ -130,20 +122,14 @@ def symmetry_facts(symmetry: Symmetry | None) -> tuple[Fact, ...]:
         return ()
     across, up, ahead = symmetry.shift_mm
     return (
+        Fact("Difference in shape (RMS)", f"{symmetry.rms_mm:.1f} mm, with one breast laid onto the other"),
+        Fact("Difference in place and shape (RMS)", f"{symmetry.rms_mirrored_mm:.1f} mm"),
         Fact(
-            label="Difference in shape (RMS)",
-            value=f"{symmetry.rms_mm:.1f} mm, with one breast laid onto the other",
-        ),
-        Fact(label="Difference in place and shape (RMS)", value=f"{symmetry.rms_mirrored_mm:.1f} mm"),
-        Fact(
-            label="Movement from the mirrored right onto the left",
-            value=f"{signed(across)} mm sideways, {signed(up)} mm up, {signed(ahead)} mm forwards, turned by "
+            "Movement from the mirrored right onto the left",
+            f"{signed(across)} mm sideways, {signed(up)} mm up, {signed(ahead)} mm forwards, turned by "
             f"{symmetry.turn_deg:.0f}°",
         ),
-        Fact(
-            label="Asymmetry of the trunk (robust SD)",
-            value=f"{symmetry.trunk_scatter_mm:.1f} mm from its mid-sagittal plane",
-        ),
+        Fact("Asymmetry of the trunk (robust SD)", f"{symmetry.trunk_scatter_mm:.1f} mm from its mid-sagittal plane"),
     )
 
 

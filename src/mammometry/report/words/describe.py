@@ -55,15 +55,15 @@ def breast_report(
         cautions: of the run, which change the meaning of its volumes.
     """
     facts = [
-        Fact(label="Projection", value=f"{measured.projection_mm:.1f} mm"),
-        Fact(label="Skin within the boundary", value=f"{measured.area_cm2:.0f} cm²"),
-        Fact(label="Base area", value=f"{measured.base_area_cm2:.0f} cm²"),
+        Fact("Projection", f"{measured.projection_mm:.1f} mm"),
+        Fact("Skin within the boundary", f"{measured.area_cm2:.0f} cm²"),
+        Fact("Base area", f"{measured.base_area_cm2:.0f} cm²"),
     ]
     shares = None if repaired is None else skin_shares(measured, repaired)
     if shares is not None:
-        facts.append(Fact(label="Skin", value=_shares_words(shares)))
+        facts.append(Fact("Skin", _shares_words(shares)))
     if not measured.watertight:
-        facts.append(Fact(label="Closed solid", value="NOT watertight: do not use this volume"))
+        facts.append(Fact("Closed solid", "NOT watertight: do not use this volume"))
     return BreastReport(
         name=measured.name,
         wall_label=wall_label(measured),
@@ -97,7 +97,7 @@ def meanings(measurements: Sequence[VolumeMeasurement]) -> tuple[Meaning, ...]:
     walls: dict[str, str] = {}
     for measured in measurements:
         for defined in measured.definitions:
-            words = Fact(label=side_title(measured.name), value=definition_words(defined))
+            words = Fact(side_title(measured.name), definition_words(defined))
             facts.setdefault(defined.meaning, []).append(words)
             walls[defined.meaning] = measured.wall_kind
     return tuple(
@@ -109,9 +109,9 @@ def meanings(measurements: Sequence[VolumeMeasurement]) -> tuple[Meaning, ...]:
 def absent_report(absent: NoBreast) -> BreastReport:
     """Content for a side without a breast, with the evidence for that."""
     seen = absent.standing
-    facts = [Fact(label="It rests on", value=sentence(absent.why))]
+    facts = [Fact("It rests on", sentence(absent.why))]
     if seen is not None:
-        facts.append(Fact(label="What stands out there at most", value=f"{seen.volume_cc:.0f} cc"))
+        facts.append(Fact("What stands out there at most", f"{seen.volume_cc:.0f} cc"))
     return BreastReport(
         name=absent.name,
         title=f"{absent.name.capitalize()} side",
@@ -166,25 +166,22 @@ def calibration_report(rig: Rig, calibration: Calibration | None, quality: Calib
     """The calibrate stage in words and numbers."""
     title = "Calibration"
     if calibration is None or quality is None:
-        imported = Fact(label="Cameras", value=f"{len(rig.cameras)}, imported. Their errors are not known")
+        imported = Fact("Cameras", f"{len(rig.cameras)}, imported. Their errors are not known")
         return StageReport(stage="calibrate", title=title, facts=(imported,), tables=(_camera_table(rig, None),))
     observations = calibration.observations
     used = sum(int(np.isfinite(part).all(axis=1).sum()) for part in calibration.residuals_px)
     total = sum(len(part) for part in calibration.residuals_px)
     facts = (
-        Fact(label="Verdict", value=quality.verdict),
-        Fact(label="Reasons", value="\n".join(map(sentence, quality.reasons))),
-        Fact(label="Target", value=target_words(observations.target)),
+        Fact("Verdict", quality.verdict),
+        Fact("Reasons", "\n".join(map(sentence, quality.reasons))),
+        Fact("Target", target_words(observations.target)),
         Fact(
-            label="Photographs",
-            value=f"{len(observations.detections)}, in {len(observations.poses)} poses, by {len(observations.cameras)} "
+            "Photographs",
+            f"{len(observations.detections)}, in {len(observations.poses)} poses, by {len(observations.cameras)} "
             "cameras",
         ),
-        Fact(label="Points", value=f"{thousands(used)} used, {thousands(total - used)} left out"),
-        Fact(
-            label="Reprojection error (RMS)",
-            value=f"{calibration.rms_px:.3f} px, {quality.rms_mm:.3f} mm at the target",
-        ),
+        Fact("Points", f"{thousands(used)} used, {thousands(total - used)} left out"),
+        Fact("Reprojection error (RMS)", f"{calibration.rms_px:.3f} px, {quality.rms_mm:.3f} mm at the target"),
     )
     pairs = Table(
         title="How well each pair measures the target",
@@ -236,12 +233,13 @@ def matching_report(
         rows=tuple(rows),
     )
     known = sum(not foreground.everything for foreground in foregrounds.values())
-    facts = (Fact(label="Silhouettes", value=f"found in {known} of {len(foregrounds)} photographs"),)
+    facts = (Fact("Silhouettes", f"found in {known} of {len(foregrounds)} photographs"),)
     return StageReport(stage="match", title="Matching", facts=facts, tables=(table,))
 
 
 def _shares_words(shares: Mapping[Provenance, float]) -> str:
-    return ", ".join(f"{100 * shares[kind]:.1f} % {kind.name.lower()}" for kind in sorted(Provenance, reverse=True))
+    kinds = (Provenance.MEASURED, Provenance.REPAIRED, Provenance.BRIDGED, Provenance.INVENTED)
+    return ", ".join(f"{100 * shares[kind]:.1f} % {kind.name.lower()}" for kind in kinds)
 
 
 def surface_report(
@@ -256,31 +254,22 @@ def surface_report(
     closed_cm2 = bridged_cm2 + area_cm2 * shares[Provenance.INVENTED]
     facts = (
         Fact(
-            label="Mesh",
-            value=f"{thousands(len(mesh.vertices))} vertices, {thousands(len(mesh.faces))} triangles, "
-            f"{area_cm2:.0f} cm²",
+            "Mesh",
+            f"{thousands(len(mesh.vertices))} vertices, {thousands(len(mesh.faces))} triangles, {area_cm2:.0f} cm²",
         ),
-        Fact(label="Cameras and body", value=stillness),
-        Fact(label="Topology", value=f"{'watertight' if closed else 'open'}, Euler number {mesh.euler_number()}"),
+        Fact("Cameras and body", stillness),
+        Fact("Topology", f"{'watertight' if closed else 'open'}, Euler number {mesh.euler_number()}"),
         Fact(
-            label="Self-intersections",
-            value="not checked"
-            if repaired.crossings is None
-            else f"{thousands(repaired.crossings)} pairs of triangles",
+            "Self-intersections",
+            "not checked" if repaired.crossings is None else f"{thousands(repaired.crossings)} pairs of triangles",
         ),
+        Fact("Area", _shares_words(shares)),
         Fact(
-            label="Area",
-            value=_shares_words(shares),
-        ),
-        Fact(
-            label="Closed without having been measured",
-            value=f"{closed_cm2:.0f} cm², {bridged_cm2:.0f} cm² of them between or beside measured places; greyed in "
+            "Closed without having been measured",
+            f"{closed_cm2:.0f} cm², {bridged_cm2:.0f} cm² of them between or beside measured places; greyed in "
             "photographic colours",
         ),
-        Fact(
-            label="Movement in each repair round",
-            value=", ".join(f"{moved:.3g} mm" for moved in repaired.convergence) or "none",
-        ),
+        Fact("Movement in each repair round", ", ".join(f"{moved:.3g} mm" for moved in repaired.convergence) or "none"),
     )
     rows = [
         (
@@ -302,15 +291,15 @@ def surface_report(
 
 def posture_fact(posture: str) -> Fact:
     """How the patient held herself, as far as that is known."""
-    return Fact(label="Posture", value=f"{posture or 'not given'}. {NOT_TO_BE_COMPARED}")
+    return Fact("Posture", f"{posture or 'not given'}. {NOT_TO_BE_COMPARED}")
 
 
 def measure_report(measurements: Sequence[VolumeMeasurement]) -> StageReport:
     """The measure stage in numbers: the solids whose volumes were computed."""
     facts = tuple(
         Fact(
-            label=NAMES[measured.name][:1].upper() + NAMES[measured.name][1:],
-            value=f"{measured.volume_cc:.2f} cc before rounding, {thousands(len(measured.closed.faces))} triangles, "
+            NAMES[measured.name][:1].upper() + NAMES[measured.name][1:],
+            f"{measured.volume_cc:.2f} cc before rounding, {thousands(len(measured.closed.faces))} triangles, "
             f"{'watertight' if measured.watertight else 'NOT watertight'}, closed by {measured.wall_kind}",
         )
         for measured in measurements
@@ -321,9 +310,9 @@ def measure_report(measurements: Sequence[VolumeMeasurement]) -> StageReport:
 def settings_facts(settings: Settings) -> tuple[tuple[Fact, ...], tuple[Fact, ...]]:
     """Changed settings, and all settings, by their dotted names."""
     mine, recommended = dict(_flat(as_table(settings))), dict(_flat(as_table(Settings())))
-    everything = tuple(Fact(label=name, value=_value_words(value)) for name, value in mine.items())
+    everything = tuple(Fact(name, _value_words(value)) for name, value in mine.items())
     changed = tuple(
-        Fact(label=name, value=f"{_value_words(value)} (recommended: {_value_words(recommended.get(name))})")
+        Fact(name, f"{_value_words(value)} (recommended: {_value_words(recommended.get(name))})")
         for name, value in mine.items()
         if value != recommended.get(name)
     )
@@ -335,17 +324,17 @@ def versions() -> tuple[Fact, ...]:
     import mammometry
 
     return (
-        Fact(label="mammometry", value=mammometry.__version__),
-        Fact(label="Python", value=platform.python_version()),
-        *(Fact(label=name, value=version(name)) for name in _PACKAGES),
-        Fact(label="system", value=f"{platform.system()} {platform.machine()}"),
+        Fact("mammometry", mammometry.__version__),
+        Fact("Python", platform.python_version()),
+        *(Fact(name, version(name)) for name in _PACKAGES),
+        Fact("system", f"{platform.system()} {platform.machine()}"),
     )
 
 
 def timings(stage_seconds: Mapping[str, float]) -> tuple[Fact, ...]:
     """Seconds of each stage in words."""
-    facts = [Fact(label=stage, value=f"{seconds:.1f} s") for stage, seconds in stage_seconds.items()]
-    return (*facts, Fact(label="total", value=f"{sum(stage_seconds.values()):.1f} s")) if facts else ()
+    facts = [Fact(stage, f"{seconds:.1f} s") for stage, seconds in stage_seconds.items()]
+    return (*facts, Fact("total", f"{sum(stage_seconds.values()):.1f} s")) if facts else ()
 
 
 def created_words(moment: datetime | None = None) -> str:

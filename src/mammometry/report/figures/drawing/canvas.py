@@ -152,13 +152,13 @@ class Sheet:
             )
             x += 17 + self._text_width(text) + 18
 
-    def png(self, caption: Caption) -> bytes:
-        """Write the sheet as a PNG that carries its caption."""
+    def png(self, title: str, text: str) -> bytes:
+        """Write the sheet as a PNG that carries its title, and what it shows."""
         from matplotlib.backends.backend_agg import FigureCanvasAgg
 
         canvas: Any = FigureCanvasAgg(self.figure)
         canvas.draw()
-        return encode(np.asarray(canvas.buffer_rgba())[..., :3], caption)
+        return encode(np.asarray(canvas.buffer_rgba())[..., :3], Caption(title=title, text=text))
 
     def printed(self, form: str, subject: str | None = None) -> bytes:
         """Write the sheet for print: ``pdf``, ``svg`` or ``png``.

@@ -50,9 +50,7 @@ def thinned_map(disparity: DisparityMap) -> DisparityMap:
     )
 
 
-def thinned_maps(
-    disparities: Mapping[str, DisparityMap],
-) -> tuple[dict[str, DisparityMap], dict[str, MatchQuality]]:
+def thinned_maps(disparities: Mapping[str, DisparityMap]) -> tuple[dict[str, DisparityMap], dict[str, MatchQuality]]:
     """Thin all pairs' maps, and judge the whole ones. Each is looked up once: at full size they are large."""
     maps, quality = {}, {}
     for pair, disparity in disparities.items():
