@@ -14,7 +14,7 @@ from jaxtyping import install_import_hook
 from tests.record_seconds import Recorder
 from tests.rota import RECORDED, chosen, function_of, longest_first, not_run, turn
 
-# Numba compiles modules with kernels and the lens, and cannot see through a checking wrapper; the command line has no arrays.
+# Numba compiles kernels and the lens, and cannot see through a checking wrapper; the command line has no arrays.
 _CHECKED = ("base.photograph", "matching.match", "matching.rectify", "surface.range_image")
 REPOSITORY = Path(__file__).resolve().parents[1]
 _PACKAGE = REPOSITORY / "src" / "mammometry"
