@@ -70,8 +70,7 @@ def before_cameras(folder: Path, place: Path) -> Any:
     """A visit before a rig that this computer drives: rig.toml and the session ``calibrated`` lie in a place."""
     from django.utils import timezone
 
-    from mammometry.capture.rig_file import read_rig_file
-    from mammometry.capture.sessions import definition_of
+    from mammometry.capture.sessions import definition_of, read_rig_file
     from mammometry.clinic.models import Patient, Rig, Visit
     from mammometry.clinic.rig_history import new_calibration
 

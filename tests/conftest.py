@@ -15,14 +15,14 @@ from tests.record_seconds import Recorder
 from tests.rota import RECORDED, chosen, function_of, longest_first, not_run, turn
 
 # Numba compiles kernels and the lens, and cannot see through a checking wrapper; the command line has no arrays.
-_CHECKED = ("base.photograph", "matching.match", "matching.rectify", "surface.range_image")
+_CHECKED = ("base.photograph", "matching.dense.match", "matching.rectify", "surface.ranges.range_image")
 REPOSITORY = Path(__file__).resolve().parents[1]
 _PACKAGE = REPOSITORY / "src" / "mammometry"
 _WITHOUT_KERNELS = [
     ".".join(path.relative_to(_PACKAGE).with_suffix("").parts)
     for package in ("calibration", "geometry", "measure")
     for path in (_PACKAGE / package).rglob("*.py")
-    if path.stem not in ("__init__", "lens", "lens_kernels") and "@kernel" not in path.read_text(encoding="utf-8")
+    if path.stem not in ("__init__", "lens") and "machine.compiled import" not in path.read_text(encoding="utf-8")
 ]
 install_import_hook([f"mammometry.{name}" for name in (*_CHECKED, *_WITHOUT_KERNELS)], "beartype.beartype")
 

@@ -16,7 +16,7 @@ import mammometry
 
 EXAMPLES = Path(__file__).parent / "data" / "released"
 SETTINGS = "settings.toml"
-_HEAVY = ("match", "surface", "report")  # stages whose results are large; a rerun makes them again
+_HEAVY = ("match", "surface", "measure", "report")  # stages whose results are large; a rerun makes them again
 _ROLES = ("technician", "clinician", "researcher", "administrator")
 _PAGES = ("/", "/patients/", "/rigs/", "/jobs/", "/study/", "/people/", "/audit/", "/backups/")
 

@@ -24,7 +24,7 @@ from mammometry.calibration.targets.target import TARGETS
 from mammometry.capture.camera import BACKENDS, Devices
 from mammometry.capture.shots import Shot, take
 from mammometry.geometry.transform import Transform
-from mammometry.io.results.arrays import FORMATS
+from mammometry.io.results.codecs import FORMATS
 from mammometry.io.results.store import Store
 from mammometry.job.graph import Plan
 from mammometry.job.inputs import CameraSet, Inputs
@@ -34,7 +34,7 @@ from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.open_breast import OpenBreast
 from mammometry.measure.wall.registry import CAST_WALLS, TORSO_WALLS
-from mammometry.report.figures import previews
+from mammometry.report.figures import stage_results
 from mammometry.report.figures.catalogue import PAPER_FIGURES, PREVIEWS
 from mammometry.report.figures.drawing.canvas import CYCLE, caption_of
 from mammometry.report.figures.product_graph import product_graph
@@ -160,7 +160,7 @@ def test_a_figure_is_drawn_with_those_of_its_stage(run: Callable[[str], dict[str
     run("A figure")
     measurements = [synthetic.measurement("left", interval_cc=(440.0, 460.0)), synthetic.measurement("right")]
     result = synthetic.measured(synthetic.rig(), measurements, as_surface(ball(30.0, 3)).mesh)
-    pictures = previews.draw(result)
+    pictures = stage_results.draw(result)
     assert list(pictures).index("volumes") == max(list(pictures).index(name) for name in pictures)  # place 9: last
     assert caption_of(pictures["volumes"]).title == "The volumes"
     from PIL import Image
@@ -170,7 +170,7 @@ def test_a_figure_is_drawn_with_those_of_its_stage(run: Callable[[str], dict[str
     for colour in CYCLE[:2]:  # a bar of some hundred pixels a breast
         wanted = np.array([int(colour[k : k + 2], 16) for k in (1, 3, 5)])
         assert (np.abs(colours.astype(int) - wanted).max(axis=1) < 3).sum() > 500
-    assert "volumes" not in previews.draw(synthetic.measured(synthetic.rig(), [], result.textured.mesh))
+    assert "volumes" not in stage_results.draw(synthetic.measured(synthetic.rig(), [], result.textured.mesh))
 
 
 def test_a_disturbance_is_put_beside_the_subject(run: Callable[[str], dict[str, Any]]) -> None:

@@ -132,13 +132,15 @@ def test_the_containers_steps_make_a_clinic_that_is_served_and_backed_up(reposit
         serve = [listening if word == "0.0.0.0:8443" else word for word in command]
         assert listening in serve
         with root.start(f"exec {clinic} {shlex.join(serve)}") as running:
-            until = time.monotonic() + 120
-            while not is_alive(listening):
-                assert running.poll() is None, running.communicate()[0]
-                assert time.monotonic() < until, "no answer"
-                time.sleep(0.5)
-            backup = (root.folder / "etc/systemd/system/clinic-backup.service").read_text(encoding="utf-8")
-            lines = re.findall(r"^ExecStart=(.+)$", backup, re.MULTILINE)
-            assert [root.run(line) for line in lines]
-            running.kill()
+            try:
+                until = time.monotonic() + 120
+                while not is_alive(listening):
+                    assert running.poll() is None, running.communicate()[0]
+                    assert time.monotonic() < until, "no answer"
+                    time.sleep(0.5)
+                backup = (repository / "deploy/clinic-backup.service").read_text(encoding="utf-8")
+                lines = re.findall(r"^ExecStart=(.+)$", backup, re.MULTILINE)
+                assert [root.run(line) for line in lines]
+            finally:
+                running.kill()
         assert len(list((root.folder / "srv/clinic/backups").glob("*.tar"))) == 1

@@ -32,10 +32,7 @@ def test_a_session_of_a_release_opens(version: str, tmp_path: Path, capsys: pyte
     settings = Settings.load(session / SETTINGS)
     assert settings.surface.extract.cube_mm == 1.0
     job = open_session(session, settings=settings)
-    assert sorted(camera for pair in job.inputs.pairs for camera in (pair.left, pair.right)) == [
-        "front_left",
-        "front_right",
-    ]
+    assert sorted(job.inputs.photographs) == ["front_left", "front_right"]
     assert landmarks_in(session / "landmarks.json", "model", None)["nipple_model"].tolist() == [
         expected["nipple_model"]
     ]

@@ -18,8 +18,14 @@ from mammometry.calibration.targets.board import Board
 from mammometry.calibration.targets.table import target_from_table
 from mammometry.capture.camera import BACKENDS, Backend, Holds
 from mammometry.capture.guide import Progress, Suggestion, opening, progress, suggest
-from mammometry.capture.rig_file import RigFile, read_rig_file
-from mammometry.capture.sessions import definition_of, make_session, manifest_text, share_calibration
+from mammometry.capture.sessions import (
+    RigFile,
+    definition_of,
+    make_session,
+    manifest_text,
+    read_rig_file,
+    share_calibration,
+)
 from mammometry.capture.shots import Firing, Shot, accept, add_pose, last_record, require_replaceable, take
 from mammometry.capture.skew import Skew, read_moment, read_skew, skew_of, write_skew
 from mammometry.capture.verdict import Expected, Verdict, judge

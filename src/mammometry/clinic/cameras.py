@@ -13,8 +13,7 @@ from pathlib import Path
 from mammometry.base.errors import CaptureError
 from mammometry.capture.loop import OpenRig
 from mammometry.capture.page import Stand
-from mammometry.capture.rig_file import read_rig_file
-from mammometry.capture.sessions import definition_of
+from mammometry.capture.sessions import definition_of, read_rig_file
 from mammometry.clinic.models import Calibration, Rig
 from mammometry.clinic.site import the_clinic
 

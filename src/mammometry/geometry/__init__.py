@@ -1,4 +1,4 @@
-"""Basic values: arrays, rigid transforms, cameras, meshes. NumPy only: compiled code has its own modules."""
+"""Basic values: arrays, rigid transforms, cameras, meshes. Compiled code has its own modules."""
 
 from mammometry.geometry.arrays import (
     Array,

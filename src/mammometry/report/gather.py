@@ -26,7 +26,7 @@ from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.report import content
 from mammometry.report.content import ReportContent, sentence
 from mammometry.report.figures.drawing.shading import NAMES, front_of
-from mammometry.report.figures.previews import draw_stage
+from mammometry.report.figures.stage_results import draw_stage
 from mammometry.report.models import viewer_scene, with_lengths
 from mammometry.report.pictures import all_encoded
 from mammometry.report.privacy import Privacy, guard, without_photographs

@@ -13,7 +13,7 @@ from mammometry.job.stages.report import PageInputs
 from mammometry.measure.trunk.body import Body
 from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.report.content import Fact, ReportContent, StageReport
-from mammometry.report.figures import previews
+from mammometry.report.figures import stage_results
 from mammometry.report.figures.drawing.shading import NAMES, front_of
 from mammometry.report.figures.stage_results import MeasureResult
 from mammometry.report.models import viewer_scene, with_lengths
@@ -97,7 +97,7 @@ def gather_mesh(
         absent=absent,
         lacking=less,
     )
-    pictures = {"measure": previews.draw(shown)}
+    pictures = {"measure": stage_results.draw(shown)}
     progress(0.5)
     words = describe.measure_report(measurements)
     lengths, lengths_note = planning_lengths(sizes, marks)

@@ -13,8 +13,7 @@ from pytest_django import Settings
 from tests.made_once import made_once
 from tests.unit.capture.virtual_capture import make_pictures, rig_file
 
-from mammometry.capture.rig_file import read_rig_file
-from mammometry.capture.sessions import definition_of
+from mammometry.capture.sessions import definition_of, read_rig_file
 from mammometry.clinic import cameras
 from mammometry.clinic.config import ClinicConfig
 from mammometry.clinic.models import Calibration, Job, Upload, Visit

@@ -21,8 +21,7 @@ from mammometry.calibration.targets.kinds.charuco import CharucoTarget
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
-from mammometry.io.results.arrays import write_arrays
-from mammometry.io.results.codecs import decode, encode
+from mammometry.io.results.codecs import decode, encode, write_arrays
 from mammometry.io.results.rasters import deflated, inflated, read_raster, write_raster
 from mammometry.io.results.tree import STORED_FIELDS, STORED_TYPES, from_tree, to_tree
 from mammometry.job.inputs import CameraSet, FinishedSurface

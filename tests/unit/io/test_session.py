@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 from mammometry.base.errors import ImageError, SessionError
-from mammometry.io.manifest import RIGS, TARGETS, manifest_template, parse_manifest
+from mammometry.io.manifest import RIGS, TARGETS, manifest_template, parse_manifest, read_manifest
 from mammometry.io.session import Session
 
 MANIFEST = """\
@@ -333,3 +333,10 @@ def test_hostile_json_beside_the_manifest(folder: Path, name: str) -> None:
     for content in (b"[" * 100_000, b'{"cameras": ' + b"9" * 5000 + b"}", b"\xff", b'{"a": 1, "a": 2}', b"null"):
         (folder / name).write_bytes(content)
         assert refused(folder).startswith(name)
+
+
+def test_an_empty_folder_is_told_both_roads(tmp_path: Path) -> None:
+    with pytest.raises(SessionError) as error:
+        read_manifest(tmp_path / "session.toml")
+    assert "`mammometry new`" in error.value.remedy
+    assert "`mammometry import mesh`" in error.value.remedy

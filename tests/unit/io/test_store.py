@@ -17,7 +17,7 @@ from mammometry.base.progress import Progress
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.io import write
 from mammometry.io.results import codecs
-from mammometry.io.results.arrays import ARRAYS
+from mammometry.io.results.codecs import ARRAYS
 from mammometry.io.results.store import Store
 from mammometry.io.write import write_text
 from mammometry.job.products import Key

@@ -129,7 +129,7 @@ def test_a_breast_and_its_wall_must_be_there_at_both_dates() -> None:
     with pytest.raises(MeasureError, match="found none before"):
         compare(replace(whole, measurements=()), whole)
     flat = tuple(replace(each, wall_kind="plane") for each in whole.measurements)
-    with pytest.raises(MeasureError, match="found cylinder-membrane before, plane after"):
+    with pytest.raises(MeasureError, match="found rounded-membrane before, plane after"):
         compare(whole, replace(whole, measurements=flat))
 
 

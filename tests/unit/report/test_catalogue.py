@@ -14,7 +14,7 @@ from mammometry.base.identity import Identity
 from mammometry.base.registry import Registry
 from mammometry.report import content, figures
 from mammometry.report.documents import html
-from mammometry.report.figures import catalogue, previews
+from mammometry.report.figures import catalogue, stage_results
 from mammometry.report.words import describe
 
 ADDED = """
@@ -55,7 +55,7 @@ def _added(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 @pytest.mark.usefixtures("_added")
 def test_a_file_with_one_decorated_function_is_drawn_and_shown() -> None:
     rig, both = synthetic.rig(), [synthetic.measurement("left"), synthetic.measurement("right")]
-    drawn = previews.draw(synthetic.measured(rig, both, synthetic.ball(2)))
+    drawn = stage_results.draw(synthetic.measured(rig, both, synthetic.ball(2)))
     assert list(drawn)[-3:] == ["spot-left", "spot-right", "stripes"]
     assert catalogue.shows_photographs("spot-left")
     assert not catalogue.shows_photographs("stripes")

@@ -20,7 +20,7 @@ from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
 from mammometry.measure.shape.symmetry import Symmetry
 from mammometry.measure.trunk.body import Body
-from mammometry.report.figures import previews, surface
+from mammometry.report.figures import stage_results, surface
 from mammometry.report.figures.drawing import canvas, shading
 from mammometry.report.figures.drawing.canvas import Caption
 from mammometry.report.figures.drawing.shading import front_frame, front_of
@@ -62,9 +62,9 @@ def no_words_on_words(monkeypatch: pytest.MonkeyPatch) -> None:
     """Every picture that is drawn here is looked at before it is written."""
     written = canvas.Sheet.png
 
-    def looked_at(sheet: canvas.Sheet, caption: Caption) -> bytes:
-        assert words_on_words(sheet.figure) == [], caption.title
-        return written(sheet, caption)
+    def looked_at(sheet: canvas.Sheet, title: str, text: str) -> bytes:
+        assert words_on_words(sheet.figure) == [], title
+        return written(sheet, title, text)
 
     monkeypatch.setattr(canvas.Sheet, "png", looked_at)
 
@@ -100,20 +100,20 @@ def test_calibration(rig) -> None:
         for seen in calibration.observations.detections
     }
     check(
-        previews.draw(CalibrationResult(rig=rig, calibration=calibration, photographs=photographs)),
+        stage_results.draw(CalibrationResult(rig=rig, calibration=calibration, photographs=photographs)),
         {"rig", "detections", "residuals", "residual-field", "expected-error"},
     )
 
 
 def test_ready_made_cameras_have_only_their_places(rig) -> None:
-    check(previews.draw(CalibrationResult(rig=rig)), {"rig"})
+    check(stage_results.draw(CalibrationResult(rig=rig)), {"rig"})
 
 
 @pytest.mark.slow
 def test_matching(rig) -> None:
     disparities = synthetic.disparities(rig, d_v_px=0.1)
     shown = MatchingResult.thinned(rig, synthetic.photographs(rig), synthetic.foregrounds(rig), disparities)
-    pictures = previews.draw(shown)
+    pictures = stage_results.draw(shown)
     check(pictures, {"foreground", "rectified", "disparity", "confidence"})
 
 
@@ -121,7 +121,7 @@ def test_matching(rig) -> None:
 def test_matching_without_silhouettes(rig) -> None:
     foregrounds = synthetic.foregrounds(rig, everything=True)
     shown = MatchingResult.thinned(rig, synthetic.photographs(rig), foregrounds, synthetic.disparities(rig))
-    pictures = previews.draw(shown)
+    pictures = stage_results.draw(shown)
     check(pictures, {"foreground", "rectified", "disparity", "confidence"})
 
 
@@ -136,13 +136,13 @@ def test_surface(rig) -> None:
         repaired=synthetic.repaired(mesh),
         textured=synthetic.textured(mesh),
     )
-    pictures = previews.draw(shown)
+    pictures = stage_results.draw(shown)
     check(pictures, {"range", "dents", "repair", "provenance", "convergence", "views"})
 
 
 @pytest.mark.slow
 def test_measure(rig) -> None:
-    pictures = previews.draw(synthetic.measured(rig, [synthetic.measurement()], synthetic.ball()))
+    pictures = stage_results.draw(synthetic.measured(rig, [synthetic.measurement()], synthetic.ball()))
     check(pictures, {"overview", "closed-model", "sections-model"})
 
 
@@ -158,7 +158,7 @@ def test_both_sides_are_drawn_with_the_viewers_colours(rig) -> None:
         trunk_scatter_mm=1.0, left_from_mirrored=Transform.identity(), shift_mm=np.array([0.0, 3.0, 4.0]), turn_deg=0.0,
         difference_cc=0.0, ratio=1.0, rms_mirrored_mm=2.0, rms_mm=1.0, left_mm=out_mm, right_mm=-out_mm,
     )  # fmt: skip
-    pictures = previews.draw(replace(synthetic.measured(rig, [left, right], synthetic.ball()), symmetry=sides))
+    pictures = stage_results.draw(replace(synthetic.measured(rig, [left, right], synthetic.ball()), symmetry=sides))
     assert list(pictures)[:2] == ["overview", "symmetry"]
     caption = canvas.caption_of(pictures["symmetry"])
     assert "scale ends at ±5 mm" in caption.text
@@ -184,7 +184,7 @@ def test_the_scale_is_the_viewers() -> None:
 
 
 def test_an_open_surface_has_nothing_measured_to_show(rig) -> None:
-    assert previews.draw(synthetic.measured(rig, [], synthetic.ball(1))) == {}
+    assert stage_results.draw(synthetic.measured(rig, [], synthetic.ball(1))) == {}
 
 
 def test_all_of_the_silhouette_is_matched_or_half_of_it(rig) -> None:

@@ -14,7 +14,7 @@ from mammometry.base.identity import Identity
 from mammometry.report import content
 from mammometry.report.content import ReportContent
 from mammometry.report.documents import html, pages
-from mammometry.report.figures import previews
+from mammometry.report.figures import stage_results
 from mammometry.report.figures.drawing.canvas import Caption, encode
 from mammometry.report.first_page import FirstPage, first_page
 from mammometry.report.pictures import all_encoded
@@ -58,7 +58,7 @@ def page_content() -> ReportContent:
     rig = synthetic.rig()
     measured = [synthetic.measurement("left"), synthetic.measurement("right", interval_cc=(400.0, 500.0))]
     changed, everything = describe.settings_facts(Settings())
-    pictures = {"measure": previews.draw(synthetic.measured(rig, measured[:1], synthetic.ball(3)))}
+    pictures = {"measure": stage_results.draw(synthetic.measured(rig, measured[:1], synthetic.ball(3)))}
     return ReportContent(
         identity=Identity(name="<b>Case</b> & co"),
         created="2024-01-01 00:00 UTC",

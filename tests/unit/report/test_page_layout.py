@@ -12,7 +12,7 @@ from mammometry.base.identity import Identity
 from mammometry.calibration.judge.quality import assess
 from mammometry.report import content
 from mammometry.report.documents import html
-from mammometry.report.figures import previews
+from mammometry.report.figures import stage_results
 from mammometry.report.figures.drawing.shading import front_frame
 from mammometry.report.figures.drawing.thinning import thinned_ranges
 from mammometry.report.first_page import first_page
@@ -124,7 +124,7 @@ def address(tmp_path_factory: pytest.TempPathFactory) -> str:
         changed_settings=changed,
         all_settings=everything,
         versions=describe.versions(),
-        pictures=all_encoded({"measure": previews.draw(synthetic.measured(rig, measured[:1], ball))}),
+        pictures=all_encoded({"measure": stage_results.draw(synthetic.measured(rig, measured[:1], ball))}),
         scene=to_json(viewer_scene(front_frame(rig), repaired, synthetic.textured(ball), measured)),
     )
     page = tmp_path_factory.mktemp("report") / "report.html"

@@ -14,7 +14,7 @@ from mammometry.base.identity import Identity
 from mammometry.report import content
 from mammometry.report.content import Clinical, ReportContent, Signed
 from mammometry.report.documents import pdf
-from mammometry.report.figures import previews
+from mammometry.report.figures import stage_results
 from mammometry.report.figures.catalogue import PREVIEWS
 from mammometry.report.figures.drawing.canvas import Sheet
 from mammometry.report.figures.matching import disparity
@@ -58,7 +58,7 @@ def page_content(*names: str) -> ReportContent:
     shares = {"one": 0.9, "two": 0.8}
     matched = MatchingResult.thinned(rig, synthetic.photographs(rig), synthetic.foregrounds(rig), disparities)
     pictures = {
-        "measure": previews.draw(synthetic.measured(rig, measured, synthetic.ball(3))),
+        "measure": stage_results.draw(synthetic.measured(rig, measured, synthetic.ball(3))),
         "match": {"disparity": disparity(matched)},
     }
     return ReportContent(

@@ -1,4 +1,4 @@
-"""Camera with analytic derivatives, many points and cameras at once, and what is known of a lens beforehand.
+"""Camera with analytic derivatives, many points at once, and what is known of a lens beforehand.
 
 The same model as `geometry.camera.Camera`, its oracle in the tests, and a skew. The lens is `geometry.lens`.
 """

@@ -1,4 +1,4 @@
-"""Find the target in photographs, measure its points to hundredths of a pixel, say why it was not found."""
+"""Find the target in photographs, measure its points to .01 px, or say why it was not found."""
 
 from __future__ import annotations
 

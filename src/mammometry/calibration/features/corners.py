@@ -1,4 +1,4 @@
-"""Measure a board's corners by two passes of a model of four blurred squares. Gates reject false corners."""
+"""Measure a board's corners by two fits of four blurred squares. Gates reject false corners."""
 
 from __future__ import annotations
 

@@ -29,10 +29,10 @@ class Keypoints:
     descriptors: Float32[Array, "n 128"]
 
 
-def keypoints(photograph: Photograph, *, width_px: int = WIDTH_PX) -> Keypoints:
-    """Find features in a picture reduced to about `width_px` columns."""
+def keypoints(photograph: Photograph) -> Keypoints:
+    """Find features in a picture reduced to about `WIDTH_PX` columns."""
     pixels = photograph.pixels
-    step = max(1, round(pixels.shape[1] / width_px))
+    step = max(1, round(pixels.shape[1] / WIDTH_PX))
     if pixels.dtype == np.uint16:
         pixels = (pixels >> 8).astype(np.uint8)
     # Green alone: 13.5 million pixels of three colours take ten times as long to reduce.

@@ -14,6 +14,8 @@ from mammometry.calibration.adjust.network import POSE_NAMES_CAMERA, tie_of
 from mammometry.calibration.adjust.projection import intrinsics_of, project_with_derivatives
 from mammometry.geometry import Array, Bool, Camera, Float64, Int64, Rig
 
+_STEPS = 9  # points along each side of the working volume; chosen by eye
+
 
 @value(eq=False)
 class WorkingVolume:
@@ -43,7 +45,7 @@ class WorkingVolume:
         return float(self.shown[self.seen].mean()) if self.seen.any() else float("nan")
 
 
-def working_volume(calibration: Calibration, *, steps: int = 9) -> WorkingVolume:
+def working_volume(calibration: Calibration) -> WorkingVolume:
     """Compute the volume in which a calibrated rig measures.
 
     A cube about the middle of the places where the target was held, as wide as the cameras' pictures are high there.
@@ -53,12 +55,12 @@ def working_volume(calibration: Calibration, *, steps: int = 9) -> WorkingVolume
     places = np.concatenate(placed)
     centre = np.median([of_pose.mean(axis=0) for of_pose in placed], axis=0)
     reach = float(np.median([_half_height_mm(camera, centre) for camera in rig.cameras.values()]))
-    ticks = np.linspace(-reach, reach, steps)
+    ticks = np.linspace(-reach, reach, _STEPS)
     grid = centre + np.stack(np.meshgrid(ticks, ticks, ticks, indexing="ij"), axis=-1)
     seen = np.zeros(grid.shape[:3], bool)
     for pair in rig.pairs:
         seen |= sees(pair.left, grid) & sees(pair.right, grid)
-    shown = np.asarray(cKDTree(places).query(grid)[0] <= 2 * reach / (steps - 1))
+    shown = np.asarray(cKDTree(places).query(grid)[0] <= 2 * reach / (_STEPS - 1))
     return WorkingVolume(grid_world=grid, seen=seen, shown=shown)
 
 

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import os
 import re
 import shutil
 import tarfile
@@ -42,7 +43,7 @@ def unpack(archive: Path, folder: Path, database: str | None = None) -> tuple[Cl
     staging.mkdir(mode=0o700, parents=True)
     try:
         with tarfile.open(archive, "r:") as tar:
-            tar.extractall(staging, filter="data")
+            _extract(tar, staging)
         manifest: dict[str, Any] = json.loads((staging / MANIFEST).read_text(encoding="utf-8"))
         damaged = [name for name, digest in manifest["sha256"].items() if _digest(staging / name) != digest]
     except (OSError, tarfile.TarError, ValueError, KeyError) as error:
@@ -63,6 +64,23 @@ def unpack(archive: Path, folder: Path, database: str | None = None) -> tuple[Cl
         line = f"database = {quoted(database)}"
         write_private(staging / FILE, re.sub(r"(?m)^database\s*=.*$", lambda _: line, text, count=1))
     return read_config(staging), manifest
+
+
+def _extract(tar: tarfile.TarFile, folder: Path) -> None:
+    """Write a backup's files. Debian 12's Python has no ``extractall(filter=…)``.
+
+    Raises:
+        TarError: it holds something else than plain files, or one that lies elsewhere.
+    """
+    for entry in tar:
+        path, source = folder / entry.name, tar.extractfile(entry) if entry.isfile() else None
+        if source is None or not path.resolve().is_relative_to(folder.resolve()):
+            raise tarfile.TarError(entry.name)
+        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        with source, path.open("wb") as target:
+            shutil.copyfileobj(source, target)
+        path.chmod(0o600)
+        os.utime(path, (entry.mtime, entry.mtime))
 
 
 def fill(config: ClinicConfig, manifest: dict[str, Any], folder: Path) -> int:

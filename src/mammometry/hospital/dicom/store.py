@@ -10,10 +10,7 @@ from typing import Any
 from pydicom import Dataset
 from pydicom.sequence import Sequence as Items
 from pynetdicom import AE, evt
-from pynetdicom.sop_class import (  # type: ignore[attr-defined]  # made at run time
-    StorageCommitmentPushModel,
-    StudyRootQueryRetrieveInformationModelFind,
-)
+from pynetdicom.sop_class import StorageCommitmentPushModel, StudyRootQueryRetrieveInformationModelFind  # type: ignore[attr-defined]  # made at run time
 
 from mammometry.base.errors import ArchiveError
 from mammometry.base.progress import Progress, no_progress

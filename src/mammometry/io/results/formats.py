@@ -14,7 +14,7 @@ from mammometry.geometry.camera import Rig
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.io.cameras.own import cameras_from_table, cameras_table
 from mammometry.io.meshes.own_ply import read_ply, write_ply
-from mammometry.io.results.arrays import FORMATS, Format, read_arrays, with_json, write_arrays, write_json
+from mammometry.io.results.codecs import FORMATS, Format, read_arrays, with_json, write_arrays, write_json
 from mammometry.io.results.tree import to_tree
 from mammometry.job.inputs import CameraSet, FinishedSurface
 

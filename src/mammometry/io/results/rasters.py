@@ -10,7 +10,7 @@ import numpy as np
 from mammometry.base.errors import MammometryError
 from mammometry.base.machine.cores import each_at_once
 from mammometry.base.parse import error_text
-from mammometry.io.results.arrays import FORMATS, Format, deflated, inflated
+from mammometry.io.results.codecs import FORMATS, Format, deflated, inflated
 from mammometry.io.results.tree import from_tree, to_tree
 
 _STRIP_ROWS = 64  # rows compressed together: half a megabyte or so, enough of them to share among the cores

@@ -1,4 +1,4 @@
-"""Edge-preserving smoothing of disparity fields: it neither flattens curvature nor leaks across unknown pixels.
+"""Edge-preserving smoothing of disparity fields that keeps curvature and crosses no gaps.
 
 Planes are fitted in windows; beside a jump a window is chosen. As those of `correlation_kernels` the kernels work on
 C-contiguous float32 arrays, release the interpreter's lock and have NumPy twins in the tests.

@@ -1,4 +1,4 @@
-"""Propose landmarks: sternal notch and umbilicus on the midline, the midline, and the ends of a breast.
+"""Propose landmarks: sternal notch and umbilicus, the midline, and the ends of a breast.
 
 The skin's height over a plane across the body is averaged on a grid. A hollow lies below the ring around it along the
 body as well as across it. A groove, such as that over the breastbone, does so across it alone. Where no hollow is

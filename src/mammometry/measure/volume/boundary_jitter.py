@@ -8,7 +8,6 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from mammometry.base.errors import MeasureError
-from mammometry.base.progress import Progress, no_progress
 from mammometry.geometry import Array, Float64, TriangleMesh
 from mammometry.geometry.nearest import point_tree
 from mammometry.measure.boundary.boundary import Boundary
@@ -32,7 +31,7 @@ _SMOOTH = 48
 _SKIN_MARGIN_MM = 10.0  # skin around a redrawn curve onto which it is laid; chosen by eye
 
 
-def boundary_std_cc(breast: OpenBreast, wall: ChestWall, *, progress: Progress = no_progress) -> float | None:
+def boundary_std_cc(breast: OpenBreast, wall: ChestWall) -> float | None:
     """Root mean square volume change by jitter of a torso's boundary, cc.
 
     The boundary jitters as persons draw it elsewhere: by ``settings.observers``, most towards the armpit, least at the
@@ -51,7 +50,6 @@ def boundary_std_cc(breast: OpenBreast, wall: ChestWall, *, progress: Progress =
     Args:
         breast: of a torso.
         wall: that closes it; its kind is kept.
-        progress: called with the fraction done.
 
     Returns:
         None where the curve could not be followed displaced to either side, so that a derivative is not known.
@@ -66,7 +64,7 @@ def boundary_std_cc(breast: OpenBreast, wall: ChestWall, *, progress: Progress =
         band = Band(surface.mesh, edge_loop(boundary.name, boundary.points_world, surface.mesh), reach_mm)
     except MeasureError:
         return None
-    for number, across_mm in enumerate(modes):
+    for across_mm in modes:
         for share in _SHARES:
             moved_cc = _redrawn_cc(breast, wall, band, share * across_mm)
             if moved_cc is not None:
@@ -74,7 +72,6 @@ def boundary_std_cc(breast: OpenBreast, wall: ChestWall, *, progress: Progress =
                 break
         else:
             return None
-        progress((number + 1) / len(modes))
     widened, narrowed, *bent = changes_cc
     mean = (widened + narrowed) / 2
     linear = [(widened - narrowed) / 2, *(change - mean / 2 for change in bent)]

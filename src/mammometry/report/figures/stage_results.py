@@ -1,4 +1,4 @@
-"""Inputs of a stage's previews: one value a stage, from the plan."""
+"""Inputs of a stage's previews, one value a stage, and its previews as PNG by name."""
 
 from __future__ import annotations
 
@@ -25,6 +25,7 @@ from mammometry.measure.boundary.breasts import NoBreast
 from mammometry.measure.shape.symmetry import Symmetry
 from mammometry.measure.trunk.body import Body, Mounting
 from mammometry.measure.volume.measurement import VolumeDeficit, VolumeMeasurement
+from mammometry.report.figures.catalogue import previews_of
 from mammometry.report.figures.drawing import canvas
 from mammometry.report.figures.drawing.shading import Scene, View, front_frame, front_of, standard_views
 from mammometry.report.figures.drawing.thinning import (
@@ -203,3 +204,21 @@ def stage_result(stage: Stage, plan: Plan, inputs: Inputs, textured: TexturedMes
 def _small(photographs: Mapping[str, Photograph], name: str) -> Photograph:
     """A small copy of a photograph. Photographs are large and read from disk at each look-up."""
     return Photograph(name=name, pixels=canvas.reduced(photographs[name], LARGEST_WIDTH_PX))
+
+
+def draw(result: StageResult) -> dict[str, bytes]:
+    """Draw every preview of a stage's result: name → PNG. An open surface has nothing measured to show."""
+    measurements = result.measurements if isinstance(result, MeasureResult) else ()
+    pictures: dict[str, bytes | None] = {}
+    for preview in previews_of(result.stage):
+        if preview.per_breast:
+            for measured in measurements:
+                pictures[f"{preview.name}-{measured.name}"] = preview.draw(result, measured)
+        else:
+            pictures[preview.name] = preview.draw(result)
+    return {name: png for name, png in pictures.items() if png is not None}
+
+
+def draw_stage(stage: Stage, plan: Plan, inputs: Inputs, textured: TexturedMesh | None = None) -> dict[str, bytes]:
+    """Draw every preview of a session's stage. Arguments as for `stage_result`."""
+    return draw(stage_result(stage, plan, inputs, textured))

@@ -238,7 +238,8 @@ def matching_report(
 
 
 def _shares_words(shares: Mapping[Provenance, float]) -> str:
-    return ", ".join(f"{100 * shares[kind]:.1f} % {kind.name.lower()}" for kind in sorted(Provenance, reverse=True))
+    kinds = (Provenance.MEASURED, Provenance.REPAIRED, Provenance.BRIDGED, Provenance.INVENTED)
+    return ", ".join(f"{100 * shares[kind]:.1f} % {kind.name.lower()}" for kind in kinds)
 
 
 def surface_report(

@@ -30,10 +30,9 @@ class Exposure:
     motion: Motion | None = None
     """How the subject moves meanwhile."""
 
-    def with_films(self, change: Callable[[Film], Film], names: tuple[str, ...] = ()) -> Exposure:
-        """Change the films of some cameras, or of all."""
-        films = {name: change(film) if name in names or not names else film for name, film in self.films.items()}
-        return replace(self, films=films)
+    def with_films(self, change: Callable[[Film], Film]) -> Exposure:
+        """Change the films of all cameras."""
+        return replace(self, films={name: change(film) for name, film in self.films.items()})
 
     def shift_mm(self, camera: str, points: Float64[Array, "n 3"]) -> Float64[Array, " n"]:
         """Displacement of the subject's points when a camera fires, mm. Relative to the middle of all moments."""

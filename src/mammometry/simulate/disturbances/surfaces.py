@@ -17,6 +17,8 @@ from mammometry.simulate.rendering.objects.props import Props
 _NOT_FOUND_MM = 150.0
 """Radius assumed where a ray from the axis meets no skin, as beyond a body's cut ends, mm."""
 
+_BOX_STEP_MM, _AROUND_CLOTH = 40.0, 180  # edges of a box's faces, and points around the trunk; chosen by eye
+
 
 def bar(line: Float64[Array, "j 3"], radius_mm: float | Sequence[float], sides: int = 16) -> Props:
     """Make a round bar along a line, closed at its ends. A radius for each point, or one for all."""
@@ -66,12 +68,12 @@ def sheet(middle: ArrayLike, right: ArrayLike, up: ArrayLike, step_mm: float = 3
     return _props(vertices, normals, np.concatenate(faces))
 
 
-def box(middle: ArrayLike, size: ArrayLike, step_mm: float = 40.0) -> Props:
+def box(middle: ArrayLike, size: ArrayLike) -> Props:
     """Make a box along the axes."""
     sides = []
     for axis in range(3):
         out, right, up = (0.5 * np.asarray(size)[k % 3] * np.eye(3)[k % 3] for k in (axis, axis + 1, axis + 2))
-        sides += [sheet(np.asarray(middle) + sign * out, sign * right, up, step_mm) for sign in (1.0, -1.0)]
+        sides += [sheet(np.asarray(middle) + sign * out, sign * right, up, _BOX_STEP_MM) for sign in (1.0, -1.0)]
     return together(sides)
 
 
@@ -116,15 +118,17 @@ class Outside:
         hit = self._rays.run(origins.astype(np.float32), ahead.astype(np.float32), output=True)
         return np.where(hit["primID"] >= 0, hit["tfar"], _NOT_FOUND_MM).astype(np.float64)
 
-    def cloth(self, heights_mm: Float64[Array, " h"], gap_mm: Array, around: int = 180) -> Props:
+    def cloth(self, heights_mm: Float64[Array, " h"], gap_mm: Array) -> Props:
         """Taut cloth around the trunk between two heights, at a fixed distance from its convex hull."""
-        angle = np.arange(around) * (2.0 * math.pi / around)
-        rings = np.array([_hulled(self.radius_mm(np.full(around, height), angle), angle) for height in heights_mm])
+        angle = np.arange(_AROUND_CLOTH) * (2.0 * math.pi / _AROUND_CLOTH)
+        rings = np.array(
+            [_hulled(self.radius_mm(np.full(_AROUND_CLOTH, height), angle), angle) for height in heights_mm]
+        )
         rings = rings + gap_mm
         x, z = rings * np.sin(angle), rings * np.cos(angle)
         y = np.broadcast_to(np.asarray(heights_mm)[:, None], x.shape)
         mesh = TriangleMesh(
-            vertices=np.stack([x, y, z], axis=-1).reshape(-1, 3), faces=_around(len(heights_mm), around)
+            vertices=np.stack([x, y, z], axis=-1).reshape(-1, 3), faces=_around(len(heights_mm), _AROUND_CLOTH)
         )
         if (mesh.vertex_normals() * mesh.vertices * [1.0, 0.0, 1.0]).sum() < 0:
             mesh = TriangleMesh(vertices=mesh.vertices, faces=mesh.faces[:, ::-1].copy())

@@ -1,4 +1,4 @@
-"""Virtual rigs: plans of where cameras and flashes should stand, and rigs built from them with small errors."""
+"""Virtual rigs: plans of where cameras and flashes stand, and rigs built with small errors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Scans of a virtual body: its clean front, and what a telephone makes of it that is carried around it.
+"""Scans of a virtual body: its clean front, and what a telephone carried around it makes of it.
 
 Chosen so that fused scans look like those of telephones: noise that neighbouring pixels share, folds that are bridged
 since a pixel sees the mean of its surroundings, and rims that are lost raggedly where skin is seen at a slant.

@@ -44,16 +44,16 @@ _CELL_MM = 4.0  # of the grid that finds the faces near data: coarse, for speed 
 
 
 class Provenance(IntEnum):
-    """Where a vertex comes from."""
+    """Where a vertex comes from. The numbers stand in mesh.ply, and stay."""
 
     INVENTED = 0
     """Nothing was seen there: closed plainly."""
-    BRIDGED = 1
-    """Between measured places or beyond their edge, as over folds and in armpits. Skin is not claimed there."""
-    REPAIRED = 2
+    REPAIRED = 1
     """No range datum of its own, but measured skin beside it. Moved along with its neighbours."""
-    MEASURED = 3
+    MEASURED = 2
     """Drawn to range data of at least one pair."""
+    BRIDGED = 3
+    """Between measured places or beyond their edge, as over folds and in armpits. Skin is not claimed there."""
 
 
 @value(eq=False)
@@ -78,7 +78,7 @@ class RepairedSurface:
     @property
     def claimed(self) -> Bool[Array, " n"]:
         """Vertices that are skin as it was measured, or right beside it."""
-        return np.asarray(self.provenance >= Provenance.REPAIRED)
+        return np.isin(self.provenance, (Provenance.REPAIRED, Provenance.MEASURED))
 
     def __post_init__(self) -> None:
         n = len(self.mesh.vertices)

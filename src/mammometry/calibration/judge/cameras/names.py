@@ -43,11 +43,9 @@ class PairAgreement:
     matches: int
     fitting: float
     """Share that lies near the epipolar line, with a depth where the subject may be."""
-    offset_px: float
-    """Median distance from the epipolar line of the matches that are not wild, with its sign, px of the photograph. NaN
-    where there are none."""
     offset_mm: float
-    """The same, at the depth of the subject."""
+    """Median distance from the epipolar line of the matches that are not wild, with its sign, at the subject's depth,
+    mm. NaN where there are none."""
 
     @property
     def tells(self) -> bool:
@@ -365,7 +363,7 @@ def pair_agreement(
         middle: world point, mm, about which the subject stands. None: it may stand anywhere before the cameras.
     """
     if len(uv_left) < _FEWEST:
-        return PairAgreement(matches=len(uv_left), fitting=0.0, offset_px=float("nan"), offset_mm=float("nan"))
+        return PairAgreement(matches=len(uv_left), fitting=0.0, offset_mm=float("nan"))
     x, y = left.normalised_from_pixels(uv_left), right.normalised_from_pixels(uv_right)
     right_from_left = right.camera_from_world @ left.camera_from_world.inverse()
     tx, ty, tz = right_from_left.translation_mm
@@ -394,6 +392,5 @@ def pair_agreement(
     return PairAgreement(
         matches=len(uv_left),
         fitting=float((placed & near).mean()),
-        offset_px=offset,
         offset_mm=offset * float(away[1]) / float(right.matrix[1, 1]),
     )
