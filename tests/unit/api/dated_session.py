@@ -22,7 +22,7 @@ from mammometry.job.stages.surface import corrected_cameras, mesh
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.boundary.confirming import TO_BE_CONFIRMED
 from mammometry.measure.shape.anthropometry import dimensions, find_landmarks
-from mammometry.measure.trunk.body import find_body, rig_frame
+from mammometry.measure.trunk.body import Body, find_body, rig_frame
 from mammometry.measure.volume import volume
 from mammometry.measure.volume.uncertainty import Evidence
 from mammometry.measure.wall import chest_wall
@@ -106,7 +106,8 @@ def put_results(folder: Path, true: TrueVisit, boundaries: tuple[Boundary, ...] 
     volumes = tuple(
         volume.measure(breast.boundary, chest_wall.fit(breast), settings, evidence=evidence) for breast in breasts
     )
-    marks = find_landmarks(surface.mesh, colours, volumes, job.inputs.landmarks, frame, settings)
+    own = Body(frame=frame, point_world=np.zeros(3), plane_sigma_mm=None, scatter_mm=None, how="")
+    marks = find_landmarks(surface.mesh, colours, volumes, job.inputs.landmarks, own, settings)
     sizes = dimensions(surface.mesh, volumes, marks, frame, settings)
     for definition, value in (
         (mesh, finished),

@@ -7,12 +7,14 @@ from trunks import LEFT, RIGHT, edge_of, radius_mm, trunk_mesh
 
 from mammometry.measure.landmarks.landmarks import Landmark
 from mammometry.measure.shape.anthropometry import Dimensions, dimensions, find_landmarks
+from mammometry.measure.trunk.body import Body
 from mammometry.measure.trunk.mirror_plane import MirrorPlane
 from mammometry.measure.volume import volume
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.open_breast import OpenBreast
 
 FRAME = np.eye(3)
+BODY = Body(frame=FRAME, point_world=np.zeros(3), plane_sigma_mm=None, scatter_mm=None, how="")
 MIDDLE = MirrorPlane(point_world=np.zeros(3), normal_world=FRAME[0], sigma_mm=0.1, scatter_mm=0.5, used=1.0)
 AREOLA_MM = 17.0
 
@@ -42,7 +44,7 @@ def found_on(areolae: tuple[str, ...]) -> tuple[tuple[Landmark, ...], Dimensions
         "inframammary_fold_left": on_trunk(LEFT[0], LEFT[1] - LEFT[2]),
         "inframammary_fold_right": on_trunk(RIGHT[0], RIGHT[1] - RIGHT[2]),
     }
-    marks = find_landmarks(surface.mesh, colours, measured, picked, FRAME)
+    marks = find_landmarks(surface.mesh, colours, measured, picked, BODY)
     return marks, dimensions(surface.mesh, measured, marks, FRAME, plane=MIDDLE)
 
 

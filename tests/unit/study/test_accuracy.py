@@ -44,6 +44,16 @@ def test_half_a_sphere_is_half_complete() -> None:
     assert (found.rms_mm, found.complete_percent) == (pytest.approx(0.0, abs=1e-9), pytest.approx(100))
 
 
+def test_skin_that_is_not_claimed_counts_for_the_share_alone() -> None:
+    truth = sphere(50.0)
+    behind = truth.vertices[:, 2] < 0
+    dented = TriangleMesh(vertices=truth.vertices * np.where(behind, 0.9, 1.0)[:, None], faces=truth.faces)
+    assert compare_surfaces(dented, truth).mean_mm > 2
+    found = compare_surfaces(dented, truth, at=np.flatnonzero(np.abs(truth.vertices[:, 2]) > 8), claimed=~behind)
+    assert found.claimed_percent == pytest.approx(50, abs=1)
+    assert (found.mean_mm, found.complete_percent) == (pytest.approx(0.0, abs=1e-9), pytest.approx(100))
+
+
 def test_a_true_point_counts_by_its_area() -> None:
     # Two squares far apart, one a hundred times the other: the small one is measured 1 mm too high.
     def square(side: float, x: float, z: float) -> np.ndarray:

@@ -212,9 +212,8 @@ def lacking(
     return () if deficit is None else (deficit,)
 
 
-@product("measure", version=5, settings="measure", inputs=("landmarks", "mounting"), when=_has_volume, threads=1)
+@product("measure", version=5, settings="measure", inputs=("landmarks",), when=_has_volume, threads=1)
 def landmarks(
-    corrected_cameras: CameraSet,
     mesh: FinishedSurface,
     boundaries: tuple[Boundary, ...],
     measurements: tuple[VolumeMeasurement, ...],
@@ -226,10 +225,7 @@ def landmarks(
     from mammometry.measure.shape.anthropometry import find_landmarks
 
     textured, picked, settings = mesh.textured, job.inputs.landmarks, job.settings.measure
-    frame, plane = _frame(corrected_cameras, job, body), None if body is None else body.plane
-    return find_landmarks(
-        textured.mesh, textured.colours, measurements, picked, frame, settings, plane=plane, boundaries=boundaries
-    )
+    return find_landmarks(textured.mesh, textured.colours, measurements, picked, body, settings, boundaries=boundaries)
 
 
 @product("measure", version=3, when=_has_volume, threads=1)

@@ -17,6 +17,7 @@ from mammometry.measure.landmarks.nipples import propose_nipple
 from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.shape.lengths import LinearMeasure, Ptosis, by_name, linear_measures, ptosis
 from mammometry.measure.shape.shape import BreastShape, shape_of
+from mammometry.measure.trunk.body import Body
 from mammometry.measure.trunk.mirror_plane import MirrorPlane
 from mammometry.measure.volume.measurement import VolumeMeasurement
 
@@ -37,10 +38,9 @@ def find_landmarks(
     colours: UInt8[Array, "n 3"],
     measurements: Sequence[VolumeMeasurement],
     picked: Mapping[str, Float64[Array, "k 3"]],
-    frame: Float64[Array, "3 3"] | None,
+    body: Body | None,
     settings: MeasureSettings = MeasureSettings(),
     *,
-    plane: MirrorPlane | None = None,
     boundaries: Sequence[Boundary] = (),
 ) -> tuple[Landmark, ...]:
     """Picked landmarks, and proposed ones where none was picked.
@@ -52,9 +52,9 @@ def find_landmarks(
         colours: colour of each vertex, sRGB.
         measurements: one for each breast.
         picked: landmark → its points, mm.
-        frame: rows: the patient's left, the head, straight ahead; None if not known.
-        settings: how nipples are proposed, and how well a picked landmark is known.
-        plane: the mid-sagittal plane. Without it nothing on the midline is proposed.
+        body: the patient's own directions; None: of a cast. Without a mid-sagittal plane nothing on the midline is
+            proposed.
+        settings: how well a drawn boundary is known.
         boundaries: of the breasts, with what is known of each of their points.
 
     Raises:
@@ -62,6 +62,7 @@ def find_landmarks(
     """
     middles = [measured.boundary_world.mean(axis=0) for measured in measurements if measured.name != "model"]
     middle = np.mean(middles, axis=0) if len(middles) == 2 else None
+    frame = None if body is None else body.frame
     found = list(picked_landmarks(picked, mesh, frame, sigma_mm=PICKED_SIGMA_MM, middle_world=middle))
     tree = point_tree(mesh.vertices)
     for measured in measurements:
@@ -74,8 +75,8 @@ def find_landmarks(
         if proposal is not None:
             place = closest_on_mesh(proposal.points_world, mesh).points
             found.append(replace(proposal, points_world=place))
-    if frame is not None:
-        proposed = _of_torso(mesh, measurements, frame, plane, settings, boundaries)
+    if body is not None:
+        proposed = _of_torso(mesh, measurements, body, settings, boundaries)
         found += [mark for mark in proposed if mark.name not in picked]
     return tuple(found)
 
@@ -83,12 +84,12 @@ def find_landmarks(
 def _of_torso(
     mesh: TriangleMesh,
     measurements: Sequence[VolumeMeasurement],
-    frame: Float64[Array, "3 3"],
-    plane: MirrorPlane | None,
+    body: Body,
     settings: MeasureSettings,
     boundaries: Sequence[Boundary],
 ) -> Iterator[Landmark]:
     """Yield the ends of the breasts, and what lies on the midline."""
+    frame, plane = body.frame, body.plane
     scatter = settings.observers
     curves = {
         measurement.name: measurement.boundary_world for measurement in measurements if measurement.name != "model"

@@ -29,7 +29,7 @@ def concerns(found: Stillness) -> Iterator[str]:
     if found.unexplained:
         yield (
             f"Pairs still disagree by {found.rest_mm:.2f} mm in a way that no motion of cameras or pairs explains, as "
-            "when the chest breathes between exposures. The interval covers it. Expose all cameras together."
+            "when an arm or a fold moves between exposures. The interval covers it. Expose all cameras together."
         )
 
 
