@@ -67,7 +67,7 @@ def _commit() -> str:
 
 
 def compiled_kernels(work: Path) -> dict[str, str]:
-    """Compile the kernels of a copy of the package, by list and by a run of the demo.
+    """Compile the kernels of a copy of the package, by list and by a run of both demos.
 
     Returns each file of them, and its place in the wheel.
     """
@@ -76,7 +76,12 @@ def compiled_kernels(work: Path) -> dict[str, str]:
     shutil.copytree(_ROOT / "src" / "mammometry", package, ignore=shutil.ignore_patterns("__pycache__"))
     environment = os.environ | {"PYTHONPATH": str(package.parent)}
     environment = {name: value for name, value in environment.items() if not name.startswith("NUMBA_")}
-    for command in (["mammometry.cli.compile_cache"], ["mammometry", "demo", str(work / "demo"), "--quiet"]):
+    demo = ["mammometry", "demo", "--quiet"]
+    for command in (
+        ["mammometry.cli.compile_cache"],
+        [*demo, str(work / "demo")],
+        [*demo, "--scan", str(work / "scan")],
+    ):
         subprocess.run([sys.executable, "-P", "-m", *command], env=environment, check=True)
     kept = [path for path in package.rglob("*.nb?") if path.parent.name == "__pycache__"]
     return {str(path): str(path.relative_to(package.parent)) for path in kept}

@@ -50,7 +50,7 @@ def test_every_stage_is_judged(
         surface = table["surfaces"][name]
         assert surface["unaligned"]["median_mm"] < 0.21  # .06 px, as of matching
         assert surface["aligned"]["rms_mm"] <= surface["unaligned"]["rms_mm"] * 1.05
-    assert 90 < table["surfaces"]["repaired"]["claimed"]["claimed_percent"] <= 100
+    assert 50 < table["surfaces"]["repaired"]["claimed"]["claimed_percent"] <= 100
     # One pair sees part of this rim. Where it does not, the curve is off by no more than skin hides.
     assert table["boundaries"]["model"]["mean_mm"] < hidden_mm(tiny_finished)
     volume = table["volumes"]["model"]
