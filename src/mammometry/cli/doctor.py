@@ -18,7 +18,7 @@ import mammometry
 from mammometry.base.errors import MammometryError
 from mammometry.base.machine.cores import available_cores
 from mammometry.base.value import value
-from mammometry.cli.common import Answer, JsonOptions, command
+from mammometry.cli.common import Answer, OutputOptions, command
 
 app = typer.Typer()
 UNWELL = 13
@@ -64,7 +64,7 @@ def program() -> str:
 
 @command(app, "mammometry doctor", "mammometry doctor --clinic my-clinic")
 def doctor(
-    options: JsonOptions,
+    options: OutputOptions,
     clinic: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Look at this clinic as well.", show_default=False)
     ] = None,

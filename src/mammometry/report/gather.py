@@ -41,7 +41,6 @@ from mammometry.report.words.anthropometry import (
     without_nipple,
 )
 from mammometry.report.words.stage_facts import MatchingFacts, Shown, matching_facts, surface_facts
-from mammometry.report.words.volumes import SKIN_MEASURED, skin_shares
 from mammometry.surface.motion.motion_messages import concerns
 from mammometry.surface.occlusion.occlusion import Occlusion
 from mammometry.surface.repair.repair import Provenance, RepairedSurface
@@ -149,8 +148,8 @@ def run_concerns(run: RunResults) -> Iterator[str]:
             "where no pair measured it."
         )
     for measured in run.measurements:
-        share = skin_shares(measured, run.repaired)[Provenance.MEASURED]
-        if share < SKIN_MEASURED:
+        share = describe.skin_shares(measured, run.repaired)[Provenance.MEASURED]
+        if share < describe.SKIN_MEASURED:
             yield (
                 f"Only {100 * share:.0f} % of the skin of the {NAMES[measured.name]} was measured. The elastic repair "
                 "closed the rest."

@@ -15,7 +15,8 @@ from mammometry.report.figures.drawing.thinning import thinned_ranges
 from mammometry.report.gather import RunResults, run_cautions, run_concerns, warnings
 from mammometry.report.words import describe
 from mammometry.report.words.anthropometry import comparison
-from mammometry.report.words.volumes import MEANINGS, interval_words, meaning_sentences, skin_shares, volume_words
+from mammometry.report.words.describe import skin_shares
+from mammometry.report.words.volumes import MEANINGS, interval_words, meaning_sentences, volume_words
 from mammometry.settings import Settings
 from mammometry.surface.occlusion.occlusion import Occlusion
 from mammometry.surface.repair.repair import Provenance
