@@ -32,7 +32,7 @@ from typing import Any
 import numpy as np
 
 import mammometry
-from benchmarks.accuracy.scans import scanned, woman
+from benchmarks.accuracy.scans import woman
 from mammometry.api.job import Job, open_session
 from mammometry.api.mesh import MeshFiles, MeshJob
 from mammometry.base.errors import MammometryError
@@ -42,6 +42,7 @@ from mammometry.job.products import Key, Product
 from mammometry.job.stages.measure import measurements
 from mammometry.settings import Settings, names
 from mammometry.simulate.recipe import SessionRecipe, parse_situation
+from mammometry.simulate.scanning.scan import QUALITIES, scan
 from mammometry.simulate.session import write_session
 
 SOURCE = Path(mammometry.__file__).parent
@@ -329,7 +330,7 @@ def opener(name: str, out: Path) -> Callable[[Settings], Job | MeshJob]:
     mesh = place / "scan.ply"
     if not mesh.exists():
         place.mkdir(parents=True, exist_ok=True)
-        made = scanned(woman(_WOMAN, "standing"), "telephone", 0)
+        made = scan(woman(_WOMAN, "standing"), QUALITIES["telephone"], 0)
         write_ply(mesh, made.mesh, made.ply_colours, comments=())
     files = MeshFiles(mesh=mesh, units="mm", automatic=True)
     return partial(MeshJob, files, place / "results")

@@ -12,13 +12,7 @@ SUBJECT_MM: Range = (40.0, 2500.0)
 """Longest side of what can be a small cast, or a whole body."""
 _USUAL_SUBJECT_MM: Range = (60.0, 1500.0)
 """The same of casts of one breast to trunks with arms."""
-UNITS: Mapping[str, float] = {
-    "cm": 10.0,
-    "m": 1000.0,
-    "inches": 25.4,
-    "tenths of a mm": 0.1,
-    "micrometres": 1e-3,
-}
+UNITS: Mapping[str, float] = {"cm": 10.0, "m": 1000.0, "inches": 25.4, "tenths of a mm": 0.1, "micrometres": 1e-3}
 """Unit that a length "in mm" may really have → its millimetres, the likeliest first."""
 
 

@@ -78,10 +78,7 @@ def coarse_depths(rig: Rig, pair_name: str, photographs: tuple[Photograph, Photo
     left, right = (_smaller(photograph, step) for photograph in photographs)
     everything = [
         Foreground(
-            camera=camera.name,
-            coverage=np.ones(camera.shape_hw, dtype=np.float32),
-            contour_level=0.5,
-            everything=True,
+            camera=camera.name, coverage=np.ones(camera.shape_hw, dtype=np.float32), contour_level=0.5, everything=True
         )
         for camera in cameras
     ]
@@ -250,10 +247,7 @@ def _depths(
     lowest, count = int(np.floor(-nearest)), int(np.ceil(nearest - farthest)) + 2
     levels = [
         Level(image=image.copy(), mask=mask.copy())  # as the matching has them: one type for each kernel
-        for image, mask in (
-            (rectified.left_image, rectified.left_mask),
-            (rectified.right_image, rectified.right_mask),
-        )
+        for image, mask in ((rectified.left_image, rectified.left_mask), (rectified.right_image, rectified.right_mask))
     ]
     here, there = both_ways(levels[0], levels[1], lowest, count)
     found = []

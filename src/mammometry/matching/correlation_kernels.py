@@ -46,10 +46,7 @@ def _along(image, row, column, x0, x1, x2, x3):  # type: ignore[no-untyped-def]
 
 @fast_kernel
 def sample_spline(
-    coefficients: Float32[Array, "h w"],
-    u: Float32[Array, "m n"],
-    v: Float32[Array, "m n"],
-    wanted: Bool[Array, "m n"],
+    coefficients: Float32[Array, "h w"], u: Float32[Array, "m n"], v: Float32[Array, "m n"], wanted: Bool[Array, "m n"]
 ) -> Float32[Array, "m n"]:
     """Evaluate a cubic B-spline image at positions (u, v).
 

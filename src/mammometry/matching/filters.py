@@ -51,11 +51,7 @@ def blur(image: Float32[Array, "h w"], taps: Float32[Array, " taps"]) -> Float32
 
 @fast_kernel
 def continue_outside(
-    image: Float32[Array, "h w"],
-    mask: Bool[Array, "h w"],
-    taps: Float32[Array, " taps"],
-    far: float,
-    far_weight: float,
+    image: Float32[Array, "h w"], mask: Bool[Array, "h w"], taps: Float32[Array, " taps"], far: float, far_weight: float
 ) -> Float32[Array, "h w"]:
     """Continue the image beyond the mask.
 

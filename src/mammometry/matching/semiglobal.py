@@ -185,10 +185,7 @@ def span_px(mask: Bool[Array, "h w"]) -> float:
 
 
 def start(
-    left: Level,
-    right: Level,
-    noise: tuple[Float32[Array, "h w"], Float32[Array, "h w"]],
-    range_share: float,
+    left: Level, right: Level, noise: tuple[Float32[Array, "h w"], Float32[Array, "h w"]], range_share: float
 ) -> tuple[Float32[Array, "h w"], Float32[Array, "h w"]]:
     """First shifts of both directions, by semi-global matching.
 
@@ -216,11 +213,7 @@ def both_ways(
 
 
 def _searched(
-    left: Level,
-    right: Level,
-    noise: tuple[Float32[Array, "h w"], Float32[Array, "h w"]],
-    lowest: int,
-    count: int,
+    left: Level, right: Level, noise: tuple[Float32[Array, "h w"], Float32[Array, "h w"]], lowest: int, count: int
 ) -> tuple[Float32[Array, "h w"], Float32[Array, "h w"]]:
     with ThreadPoolExecutor(2) as pool:
         here, there = pool.map(_unit_neighbourhoods, (left, right), noise)

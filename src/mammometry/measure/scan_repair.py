@@ -170,8 +170,7 @@ def _split_at_neighbours(mesh: TriangleMesh) -> TriangleMesh:
         fans += [[middle, around[k - 1], around[k]] for k in range(len(around))]
     whole = np.delete(mesh.faces, list(inserted), axis=0)
     return TriangleMesh(
-        vertices=np.concatenate([mesh.vertices, middles]),
-        faces=np.concatenate([whole, np.array(fans, dtype=np.int32)]),
+        vertices=np.concatenate([mesh.vertices, middles]), faces=np.concatenate([whole, np.array(fans, dtype=np.int32)])
     )
 
 

@@ -108,12 +108,7 @@ def _require_one_of(what: str, word: str, choices: tuple[str, ...]) -> None:
 
 
 def photograph(
-    folder: Path,
-    arrangement: Arrangement,
-    studio: Studio,
-    *,
-    seed: int,
-    progress: Progress = no_progress,
+    folder: Path, arrangement: Arrangement, studio: Studio, *, seed: int, progress: Progress = no_progress
 ) -> Scene:
     """Write ``calibration/`` and ``capture/``, and return the capture's scene.
 

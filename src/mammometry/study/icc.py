@@ -115,12 +115,7 @@ def _consistency(ms: MeanSquares, confidence: float) -> IntraclassCorrelation:
 
 
 def _by_ratio(
-    signal: float,
-    noise: float,
-    df: tuple[float, float],
-    k: int,
-    confidence: float,
-    names: tuple[str, str, str],
+    signal: float, noise: float, df: tuple[float, float], k: int, confidence: float, names: tuple[str, str, str]
 ) -> IntraclassCorrelation:
     """A form that follows from the ratio of two mean squares alone."""
     f = _divided(signal, noise)

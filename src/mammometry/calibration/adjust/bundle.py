@@ -217,12 +217,7 @@ def _as_calibration(
         if pose in shared
     ]
     return Calibration(
-        rig=Rig(
-            name=rig_name,
-            cameras=cameras,
-            pair_names=pair_names,
-            target_middle_world=np.median(middles, axis=0),
-        ),
+        rig=Rig(name=rig_name, cameras=cameras, pair_names=pair_names, target_middle_world=np.median(middles, axis=0)),
         world=f"frame of {what} in pose {first}, mm",
         world_from_target={
             pose: Transform(

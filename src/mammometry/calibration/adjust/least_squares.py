@@ -78,9 +78,7 @@ class NormalEquations:
     def damped(self, damping: float) -> NormalEquations:
         """The same with a term added to the whole diagonal."""
         return replace(
-            self,
-            matrix=self.matrix + damping * np.eye(len(self.matrix)),
-            triples=self.triples + damping * np.eye(3),
+            self, matrix=self.matrix + damping * np.eye(len(self.matrix)), triples=self.triples + damping * np.eye(3)
         )
 
     def reduced(self) -> tuple[Float64[Array, "p p"], Float64[Array, "p k 3"]]:

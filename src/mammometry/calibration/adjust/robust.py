@@ -59,11 +59,7 @@ class Solved:
 def adjusted(network: Network, held: Bool[Array, " p"], start: State) -> Solved:
     """Adjust with the noise estimated along the way, then without outliers."""
     problem = Adjustment(
-        network=network,
-        active=np.ones(len(network.uv), bool),
-        held=held,
-        group_sigma=np.ones(GROUPS),
-        huber=HUBER_MAD,
+        network=network, active=np.ones(len(network.uv), bool), held=held, group_sigma=np.ones(GROUPS), huber=HUBER_MAD
     )
     problem = _with_sigma(problem, start)
     most = _MAX_ITERATIONS

@@ -308,10 +308,7 @@ def about_scale(calibration: Calibration) -> Iterator[Finding]:
             f"{300 * _PRINT_SCALE:.1f} % too large. Measure its edge, and enter edge_mm and edge_std_mm",
         )
     else:
-        yield (
-            "pass",
-            f"the target was measured: sizes are known to {100 * std:.3f} %, volumes to {300 * std:.2f} %",
-        )
+        yield ("pass", f"the target was measured: sizes are known to {100 * std:.3f} %, volumes to {300 * std:.2f} %")
 
 
 def about_residuals(rms_px: float, rms_mm: float) -> Finding:

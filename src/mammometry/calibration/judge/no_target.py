@@ -102,9 +102,7 @@ def _common_cause(missed: Sequence[MissedView]) -> tuple[str, str] | None:
 
 
 def _fitting_reading(
-    target: Target,
-    photographs: Photographs,
-    keys: Sequence[tuple[str, str]],
+    target: Target, photographs: Photographs, keys: Sequence[tuple[str, str]]
 ) -> tuple[str, str] | None:
     """Return the common mistake that explains most of some missed photographs, in words, and its remedy."""
     some = [photographs[keys[k]] for k in np.unique(np.linspace(0, len(keys) - 1, _TRIED).astype(int)) if keys]

@@ -87,10 +87,7 @@ class SuspectPhotographsError(CalibrationError):
 
 
 def refusal(
-    calibration: Calibration,
-    quality: CalibrationQuality,
-    recalibrate: Recalibrate,
-    settings: QualitySettings,
+    calibration: Calibration, quality: CalibrationQuality, recalibrate: Recalibrate, settings: QualitySettings
 ) -> CalibrationError:
     """Return the error of a calibration that is not fit to measure with.
 
@@ -138,10 +135,7 @@ def _board_fault(calibration: Calibration, recalibrate: Recalibrate) -> Cause | 
 
 
 def find_suspects(
-    calibration: Calibration,
-    quality: CalibrationQuality,
-    recalibrate: Recalibrate,
-    settings: QualitySettings,
+    calibration: Calibration, quality: CalibrationQuality, recalibrate: Recalibrate, settings: QualitySettings
 ) -> Suspects | None:
     """Find all photographs without which the rest is fit to measure with.
 

@@ -31,10 +31,7 @@ def target_from_table(table: Mapping[str, object]) -> Target:
         SessionError: an unknown kind or key, a missing key, a value of the wrong type or outside its range.
     """
     cls = TARGETS.find(
-        table.get("kind"),
-        "[target] kind",
-        error=SessionError,
-        remedy="Name the calibration target in session.toml",
+        table.get("kind"), "[target] kind", error=SessionError, remedy="Name the calibration target in session.toml"
     )
     kind = TARGETS.name_of(cls)
     values = {key: _as_tuples(value) for key, value in table.items() if key != "kind"}

@@ -91,9 +91,7 @@ def _parsed(path: Path, content: bytes) -> tuple[Float64[Array, "n 3"], Int64[Ar
     return vertices, np.asarray(loaded.faces, dtype=np.int64).reshape(-1, 3), _colours(loaded, len(vertices))
 
 
-def _of_parts(
-    parts: Sequence[UsdPart],
-) -> tuple[Float64[Array, "n 3"], Int64[Array, "m 3"], UInt8[Array, "n 3"]]:
+def _of_parts(parts: Sequence[UsdPart]) -> tuple[Float64[Array, "n 3"], Int64[Array, "m 3"], UInt8[Array, "n 3"]]:
     """One mesh of a scene's parts."""
     before = np.cumsum([0, *(len(part.points) for part in parts)])
     return (

@@ -21,14 +21,7 @@ from mammometry.matching.dense.crop import (
 )
 from mammometry.matching.dense.depth_layers import without_specks
 from mammometry.matching.dense.finest_levels import DIRECTIONS_APART_PX, Refined, refined
-from mammometry.matching.dense.least_squares import (
-    LevelStart,
-    both,
-    finally_smoothed,
-    initial,
-    solve_level,
-    upsampled,
-)
+from mammometry.matching.dense.least_squares import LevelStart, both, finally_smoothed, initial, solve_level, upsampled
 from mammometry.matching.dense.least_squares_step import LEAST_CORRELATION, Both, agreeing
 from mammometry.matching.dense.levels import Levels, choose_levels
 from mammometry.matching.dense.vertical_disparity import Vertical, VerticalField, nothing_yet
@@ -161,10 +154,7 @@ def match(
     with ThreadPoolExecutor(2) as pool:
         # No names in between: what a phase has used up is freed.
         result = finish(
-            pair,
-            coarse_to_fine(prepare(pair, settings, pool, progress), settings, pool, progress),
-            settings,
-            pool,
+            pair, coarse_to_fine(prepare(pair, settings, pool, progress), settings, pool, progress), settings, pool
         )
     progress(1.0)
     return result

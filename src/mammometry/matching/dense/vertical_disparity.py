@@ -144,9 +144,7 @@ class VerticalField:
         moved = replace(self, coefficients_px=coefficients_px)
         values = moved._polynomial(terms)
         return replace(
-            moved,
-            limits_px=(float(values.min()), float(values.max())),
-            typical_px=float(np.median(np.abs(values))),
+            moved, limits_px=(float(values.min()), float(values.max())), typical_px=float(np.median(np.abs(values)))
         )
 
     def _polynomial(self, terms: Sequence[Array]) -> Array:

@@ -182,10 +182,7 @@ class ByDepth:
 
 
 def segment_by_depth(
-    encoded: Float32[Array, "h w channels"],
-    near: Bool[Array, "h w"],
-    far: Bool[Array, "h w"],
-    unit: float,
+    encoded: Float32[Array, "h w channels"], near: Bool[Array, "h w"], far: Bool[Array, "h w"], unit: float
 ) -> ByDepth | None:
     """Grow the subject's blocks from seeds. None where these have no colour of their own.
 

@@ -220,10 +220,7 @@ def find_base(
 
 
 def _ways_to_fit(
-    plane: AdjustedBase,
-    cylinder: Base,
-    candidates: RimCandidates,
-    surface_points: Float64[Array, "m 3"],
+    plane: AdjustedBase, cylinder: Base, candidates: RimCandidates, surface_points: Float64[Array, "m 3"]
 ) -> list[AdjustedBase]:
     """Cylinders on which the cameras nearly agree, the best first.
 
@@ -274,12 +271,7 @@ class TorsoSides:
     """Sides without a breast, and what that rests on."""
 
 
-def outline_torso(
-    surface: RepairedSurface,
-    frame: Float64[Array, "3 3"],
-    *,
-    head_stated: bool = False,
-) -> TorsoSides:
+def outline_torso(surface: RepairedSurface, frame: Float64[Array, "3 3"], *, head_stated: bool = False) -> TorsoSides:
     """Outline the breast of each side, or say that there is none.
 
     Args:

@@ -96,12 +96,7 @@ class Breasts:
     """What the body says of where the head is, a clause."""
 
 
-def find_breasts(
-    surface: RepairedSurface,
-    frame: Float64[Array, "3 3"],
-    *,
-    head_stated: bool = False,
-) -> Breasts:
+def find_breasts(surface: RepairedSurface, frame: Float64[Array, "3 3"], *, head_stated: bool = False) -> Breasts:
     """Find the breast of each side, or none, and the thorax.
 
     The thorax lies between and beside the breasts. Both are found in turn.
@@ -170,12 +165,7 @@ def _trunk_beside(
     frame = body.frame
     for _ in range(_ROUNDS):
         trunk = find_trunk(skin, frame, height_of=height_of, middle_of=middle_of)
-        thorax = fit_thorax(
-            trunk,
-            skin.chosen(outside),
-            breasts_left_out=not outside.all(),
-            breastbone_mm=between_mm,
-        )
+        thorax = fit_thorax(trunk, skin.chosen(outside), breasts_left_out=not outside.all(), breastbone_mm=between_mm)
         relief = lay_flat(thorax, samples)
         middles = breast_middles(relief, trunk)
         domes = sorted((each for each in middles.values() if each is not None), key=lambda each: -each.roundness_per_mm)
@@ -263,11 +253,7 @@ def within_outline(flat: Float64[Array, "n 2"], outline: Float64[Array, "k 2"]) 
 
 
 def _result(
-    name: SideName,
-    side: _Side,
-    relief: Relief,
-    thorax: Thorax,
-    surface: RepairedSurface,
+    name: SideName, side: _Side, relief: Relief, thorax: Thorax, surface: RepairedSurface
 ) -> Outline | NoBreast:
     """A side's outline on the skin, or that it has none.
 

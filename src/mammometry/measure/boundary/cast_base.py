@@ -344,10 +344,7 @@ def _polish(base: Base, data: _Data, *, bend: bool) -> Base:
 
 
 def base_through(
-    points: Float64[Array, "n 3"],
-    viewer_direction: Float64[Array, 3],
-    *,
-    kind: BaseKind | None = None,
+    points: Float64[Array, "n 3"], viewer_direction: Float64[Array, 3], *, kind: BaseKind | None = None
 ) -> Base:
     """The plane or convex cylinder of least squares through rim points. Without `kind` the better one.
 

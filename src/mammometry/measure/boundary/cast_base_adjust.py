@@ -88,13 +88,7 @@ def mean_height(base: Base, rim: Float64[Array, "n 3"]) -> float:
     return float((base.height(rim).mean() + base.height(rim.mean(axis=0)[None])[0]) / 2)
 
 
-def adjust_base(
-    start: Base,
-    candidates: RimCandidates,
-    *,
-    bend: bool,
-    coarse_px: float = 0.0,
-) -> AdjustedBase:
+def adjust_base(start: Base, candidates: RimCandidates, *, bend: bool, coarse_px: float = 0.0) -> AdjustedBase:
     """Move a base until all silhouettes agree on its rim.
 
     The height of the candidates themselves (where the surface was continued to) enters weakly, for rigs whose

@@ -62,11 +62,7 @@ class RimCandidates:
         return RimCandidates(**{field.name: getattr(self, field.name)[which] for field in fields(self)})
 
 
-def rim_candidates(
-    surface: RepairedSurface,
-    foregrounds: Mapping[str, Foreground],
-    rig: Rig,
-) -> RimCandidates:
+def rim_candidates(surface: RepairedSurface, foregrounds: Mapping[str, Foreground], rig: Rig) -> RimCandidates:
     """Silhouette points where the continued surface is pierced.
 
     Merely touched ones do not count. On every camera's silhouette.
@@ -101,10 +97,7 @@ def rim_candidates(
 
 
 def _pierced(
-    camera: Camera,
-    contour: Contour,
-    vertices: Float64[Array, "m 3"],
-    normals: Float64[Array, "m 3"],
+    camera: Camera, contour: Contour, vertices: Float64[Array, "m 3"], normals: Float64[Array, "m 3"]
 ) -> tuple[Float64[Array, ...], ...]:
     """Points, centres, rays, outward normals and pixel sizes of one camera's candidates."""
     towards = vertices - camera.centre_world

@@ -50,10 +50,7 @@ def sides_of(landmarks: Mapping[str, object]) -> tuple[str, ...]:
 
 
 def outline_by_protocol(
-    landmarks: Sequence[Landmark],
-    surface: RepairedSurface,
-    frame: Float64[Array, "3 3"],
-    join: ProtocolJoin = "arc",
+    landmarks: Sequence[Landmark], surface: RepairedSurface, frame: Float64[Array, "3 3"], join: ProtocolJoin = "arc"
 ) -> dict[str, ProtocolOutline]:
     """Draw the boundary of every side whose landmarks are there.
 
@@ -116,11 +113,7 @@ def _outline(
 
 
 def _check_order(
-    side: str,
-    fold: Float64[Array, 2],
-    medial: Float64[Array, 2],
-    lateral: Float64[Array, 2],
-    top: Float64[Array, 2],
+    side: str, fold: Float64[Array, 2], medial: Float64[Array, 2], lateral: Float64[Array, 2], top: Float64[Array, 2]
 ) -> None:
     """Refuse landmarks that do not lie around a breast."""
     outwards = 1.0 if side == "left" else -1.0

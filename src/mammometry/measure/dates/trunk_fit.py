@@ -58,9 +58,7 @@ class TrunkFit:
 
 
 def trunk_of(
-    surface: RepairedSurface,
-    boundaries: Sequence[Float64[Array, "_ 3"]],
-    frame: Float64[Array, "3 3"],
+    surface: RepairedSurface, boundaries: Sequence[Float64[Array, "_ 3"]], frame: Float64[Array, "3 3"]
 ) -> TrunkSkin:
     """Cut the trunk's skin out of a torso.
 

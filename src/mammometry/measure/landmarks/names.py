@@ -45,10 +45,6 @@ def _of_torso() -> tuple[LandmarkName, ...]:
 
 
 LANDMARKS: Mapping[str, tuple[LandmarkName, ...]] = MappingProxyType(
-    {
-        "torso": _of_torso(),
-        "model": (LandmarkName(name="nipple_model", title="nipple", kind="point"),),
-        "surface": (),
-    }
+    {"torso": _of_torso(), "model": (LandmarkName(name="nipple_model", title="nipple", kind="point"),), "surface": ()}
 )
 """Kind of subject → the landmarks that it may have."""

@@ -74,10 +74,7 @@ class _Samples:
 
 
 def propose_nipple(
-    name: str,
-    skin: TriangleMesh,
-    colours: UInt8[Array, "n 3"],
-    boundary_world: Float64[Array, "b 3"],
+    name: str, skin: TriangleMesh, colours: UInt8[Array, "n 3"], boundary_world: Float64[Array, "b 3"]
 ) -> Landmark | None:
     """Find the nipple of one breast.
 

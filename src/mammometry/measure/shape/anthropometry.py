@@ -97,10 +97,7 @@ def _of_torso(
     for side, curve in curves.items():
         across = next((boundary.across_mm for boundary in boundaries if boundary.name == side), None)
         sigmas = EndSigmas(
-            lower_mm=scatter.lower_mm,
-            medial_mm=scatter.medial_mm,
-            lateral_mm=scatter.lateral_mm,
-            across_mm=across,
+            lower_mm=scatter.lower_mm, medial_mm=scatter.medial_mm, lateral_mm=scatter.lateral_mm, across_mm=across
         )
         yield from propose_ends(side, curve, frame, sigmas)
     if plane is not None and curves:

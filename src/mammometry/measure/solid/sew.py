@@ -35,12 +35,7 @@ class Closed:
 
 
 def sew(
-    part: OpenPart,
-    flat_loops: tuple[Float64[Array, "_ 2"], ...],
-    lift: Lift,
-    *,
-    spacing_mm: float | None,
-    subject: str,
+    part: OpenPart, flat_loops: tuple[Float64[Array, "_ 2"], ...], lift: Lift, *, spacing_mm: float | None, subject: str
 ) -> Closed:
     """Close an open skin.
 

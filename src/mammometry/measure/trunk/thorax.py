@@ -237,10 +237,7 @@ class _Front:
 
 
 def _front(
-    skin: Skin,
-    frame: Float64[Array, "3 3"],
-    height_of: Float64[Array, 3] | None,
-    middle_of: Float64[Array, 3] | None,
+    skin: Skin, frame: Float64[Array, "3 3"], height_of: Float64[Array, 3] | None, middle_of: Float64[Array, 3] | None
 ) -> _Front:
     """Seen skin at breast height, and the breastbone.
 
@@ -305,11 +302,7 @@ def _behind_breastbone(front: _Front, frame: Float64[Array, "3 3"]) -> Trunk:
 
 
 def fit_thorax(
-    trunk: Trunk,
-    skin: Skin,
-    *,
-    breasts_left_out: bool = True,
-    breastbone_mm: float | None = None,
+    trunk: Trunk, skin: Skin, *, breasts_left_out: bool = True, breastbone_mm: float | None = None
 ) -> Thorax:
     """Fit r(θ, y) to the skin without what stands out.
 

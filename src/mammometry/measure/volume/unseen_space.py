@@ -97,11 +97,7 @@ Bound = Silhouette | SeenThrough
 """What one view says about where the subject is not."""
 
 
-def bounds(
-    foregrounds: Mapping[str, Foreground],
-    range_images: Sequence[RangeImage],
-    rig: Rig,
-) -> tuple[Bound, ...]:
+def bounds(foregrounds: Mapping[str, Foreground], range_images: Sequence[RangeImage], rig: Rig) -> tuple[Bound, ...]:
     """Bounds of all views, from silhouettes and measured skin.
 
     Cameras without a silhouette have none. Pairs look through the space in front of measured skin.

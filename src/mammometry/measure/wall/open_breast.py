@@ -17,15 +17,7 @@ from mammometry.measure.boundary.cast_base import Base, BaseKind, base_through
 from mammometry.measure.boundary.trace import check_beside_holes, edge_loop
 from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.solid.cut import OpenPart, above, check_above_base, check_whole, inside_curve
-from mammometry.measure.trunk.thorax import (
-    Skin,
-    Thorax,
-    Trunk,
-    find_trunk,
-    fit_thorax,
-    frame_from_sides,
-    seen_skin,
-)
+from mammometry.measure.trunk.thorax import Skin, Thorax, Trunk, find_trunk, fit_thorax, frame_from_sides, seen_skin
 from mammometry.measure.wall.registry import CAST_WALLS, TORSO_WALLS, WallModel
 from mammometry.surface.repair.repair import Provenance, RepairedSurface
 

@@ -50,13 +50,7 @@ def require_mitsuba() -> None:
 
 @add_renderer("mitsuba", require=require_mitsuba)
 def render_by_mitsuba(
-    scene: Scene,
-    camera: Camera,
-    skin: Skin,
-    *,
-    seed: int,
-    aperture: Aperture = PINHOLE,
-    background: float = 0.0,
+    scene: Scene, camera: Camera, skin: Skin, *, seed: int, aperture: Aperture = PINHOLE, background: float = 0.0
 ) -> Float32[Array, "h w 3"]:
     """Radiance of the scene at the camera, by path tracing. As `render.render_subject`.
 
@@ -144,11 +138,7 @@ def _world(scene: Scene, skin: Skin, seed: int) -> Any:
         colours[faces] = scene.plain_colours[scene.material[scene.subject_faces :].astype(np.int64) - 1][:, None]
         first = scene.subject_vertices
         described["props"] = _mesh(
-            scene.vertices[first:],
-            scene.attributes[first:, :3],
-            faces - first,
-            colours[first:],
-            mi.load_dict(plain),
+            scene.vertices[first:], scene.attributes[first:, :3], faces - first, colours[first:], mi.load_dict(plain)
         )
     return mi.load_dict(described)
 

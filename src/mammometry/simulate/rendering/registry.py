@@ -51,11 +51,7 @@ class Renderer:
 
 
 RENDERERS: Registry[Renderer] = Registry(
-    "renderer",
-    modules=(
-        "mammometry.simulate.rendering.mitsuba_renderer",
-        "mammometry.simulate.rendering.render",
-    ),
+    "renderer", modules=("mammometry.simulate.rendering.mitsuba_renderer", "mammometry.simulate.rendering.render")
 )
 """Name on the command line → renderer."""
 

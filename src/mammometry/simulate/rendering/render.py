@@ -39,13 +39,7 @@ _JUMP = 0.004
 
 @add_renderer(BUILT_IN)
 def render_subject(
-    scene: Scene,
-    camera: Camera,
-    skin: Skin,
-    *,
-    seed: int,
-    aperture: Aperture = PINHOLE,
-    background: float = 0.0,
+    scene: Scene, camera: Camera, skin: Skin, *, seed: int, aperture: Aperture = PINHOLE, background: float = 0.0
 ) -> Float32[Array, "h w 3"]:
     """Radiance of the scene at the camera, before the lens's blur. Linear RGB, full scale 1.
 
@@ -200,13 +194,7 @@ def _hairs(scene: Scene, camera: Camera, window: tuple[int, int, int, int]) -> B
 
 
 def _sampled(
-    scene: Scene,
-    camera: Camera,
-    skin: Skin,
-    block: Block,
-    seed: int,
-    aperture: Aperture,
-    background: float,
+    scene: Scene, camera: Camera, skin: Skin, block: Block, seed: int, aperture: Aperture, background: float
 ) -> Float32[Array, "n 3"]:
     """Mean radiance over the squares of some pixels."""
     if aperture.diameter_mm:

@@ -165,13 +165,7 @@ def paint(
 
 @kernel
 def paint_at(
-    points: Array,
-    areola: Array,
-    footprint: float,
-    colours: Array,
-    spectrum: Array,
-    marks: Array,
-    seed: np.uint64,
+    points: Array, areola: Array, footprint: float, colours: Array, spectrum: Array, marks: Array, seed: np.uint64
 ) -> Array:
     """Reflectance (n, 3) of the skin at points (n, 3), mm.
 
@@ -361,19 +355,7 @@ def shade(
                 z = vertices[v0, 2] * (1.0 - b1 - b2) + vertices[v1, 2] * b1 + vertices[v2, 2] * b2
                 diffuse, glint = _light(x, y, z, px, py, pz, values, bare, centre, lights, sheen, wrap, ambient, seed)
             red, green, blue = paint(
-                px,
-                py,
-                pz,
-                areola,
-                footprint,
-                first,
-                coarse,
-                coarse_tint,
-                colours,
-                spectrum,
-                marks,
-                seed,
-                chroma_seed,
+                px, py, pz, areola, footprint, first, coarse, coarse_tint, colours, spectrum, marks, seed, chroma_seed
             )
             if tinted:
                 red, green, blue = red * values[tint], green * values[tint + 1], blue * values[tint + 2]

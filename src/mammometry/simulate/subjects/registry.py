@@ -60,11 +60,7 @@ SUBJECTS: Registry[SubjectFamily] = Registry(
 
 
 def add_subject(
-    family: str,
-    *,
-    has: Callable[[str], bool] | None = None,
-    choices: str | None = None,
-    has_patients: bool = False,
+    family: str, *, has: Callable[[str], bool] | None = None, choices: str | None = None, has_patients: bool = False
 ) -> Callable[[MakeSubject], MakeSubject]:
     """Decorate a function that makes subjects, to enter it as a family.
 

@@ -101,9 +101,7 @@ def closing_box(range_images: Sequence[RangeImage], *, back_mm: float, around_mm
     some = points[:: max(1, len(points) // _BOX_SAMPLES)]
     low, high = np.percentile(some @ axes.T, [_OUTLIERS, 100 - _OUTLIERS], axis=0)
     low, high = low - around_mm, high + np.array([back_mm, around_mm, around_mm])
-    planes = np.concatenate(
-        [np.column_stack([axes, high]), np.column_stack([-axes, -low])],
-    )
+    planes = np.concatenate([np.column_stack([axes, high]), np.column_stack([-axes, -low])])
     choice = np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)], dtype=bool)
     return ClosingBox(planes=planes, corners=np.where(choice, high, low) @ axes)
 
@@ -142,11 +140,7 @@ class Field:
 
 
 def build_field(
-    range_images: Sequence[RangeImage],
-    foregrounds: Mapping[str, Foreground],
-    rig: Rig,
-    box: ClosingBox,
-    rule: Rule,
+    range_images: Sequence[RangeImage], foregrounds: Mapping[str, Foreground], rig: Rig, box: ClosingBox, rule: Rule
 ) -> Field:
     """Pack views with their weights, and all silhouettes."""
     seen = [image for image in range_images if image.valid.any()]
@@ -223,10 +217,7 @@ def nearest_of_others_mm(image: RangeImage, all_images: Sequence[RangeImage]) ->
 
 
 def view_elements(
-    image: RangeImage,
-    left: Camera,
-    foreground: Foreground | None,
-    others_mm: Float32[Array, "H W"],
+    image: RangeImage, left: Camera, foreground: Foreground | None, others_mm: Float32[Array, "H W"]
 ) -> Float32[Array, "h w 3"]:
     """Range, cosine of incidence and signed weight of every pixel.
 
@@ -241,14 +232,7 @@ def view_elements(
     subject = _subject_mask(image, left, foreground)
     slope_px = max(2, round(_SLOPE_MM / image.pixel_mm()))
     spans_mm = image_kernels.spans(
-        image.range_mm,
-        image.valid,
-        subject,
-        others_mm,
-        _BLOCK_PX,
-        slope_px,
-        SPAN_JUMP_MM,
-        _BEFORE_MM,
+        image.range_mm, image.valid, subject, others_mm, _BLOCK_PX, slope_px, SPAN_JUMP_MM, _BEFORE_MM
     )
     elements: Float32[Array, "h w 3"] = kernels.view_elements(
         image.range_mm,

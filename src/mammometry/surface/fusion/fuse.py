@@ -114,10 +114,7 @@ class Solid:
 
 
 def solid_of(
-    range_images: Sequence[RangeImage],
-    foregrounds: Mapping[str, Foreground],
-    rig: Rig,
-    rule: Rule = "default",
+    range_images: Sequence[RangeImage], foregrounds: Mapping[str, Foreground], rig: Rig, rule: Rule = "default"
 ) -> Solid:
     """The first half of `extract`.
 
@@ -186,11 +183,7 @@ def _surface(
     return (surface, mesh) if mesh is not None else _surface(solid, settings, np.inf, progress)
 
 
-def extract_open(
-    range_images: Sequence[RangeImage],
-    *,
-    progress: Progress = no_progress,
-) -> TriangleMesh:
+def extract_open(range_images: Sequence[RangeImage], *, progress: Progress = no_progress) -> TriangleMesh:
     """Mesh the range data view by view, without closing or merging.
 
     This is for subjects that are no solid. Each square of four neighbouring data gives two triangles, three give one;

@@ -152,11 +152,7 @@ class Isosurface:
         return _Piece(mesh=mesh, border=np.flatnonzero(on_plane))
 
     def _led_over(
-        self,
-        field: Float32[Array, "x y z"],
-        first: Int64[Array, 3],
-        last: Int64[Array, 3],
-        heal: Float64[Array, "n 4"],
+        self, field: Float32[Array, "x y z"], first: Int64[Array, 3], last: Int64[Array, 3], heal: Float64[Array, "n 4"]
     ) -> Float32[Array, "x y z"]:
         """Field of some blocks, blended into the coarse one.
 

@@ -123,9 +123,7 @@ def _chains(border: Int64[Array, "e 2"], ends: set[int]) -> dict[tuple[int, int]
 
 
 def _fans(
-    faces: Int32[Array, "m 3"],
-    outlines: dict[int, dict[tuple[int, int], list[int]]],
-    vertices: Float64[Array, "n 3"],
+    faces: Int32[Array, "m 3"], outlines: dict[int, dict[tuple[int, int], list[int]]], vertices: Float64[Array, "n 3"]
 ) -> tuple[Int32[Array, "k 3"], Float64[Array, "j 3"]]:
     """Replace each face with stepped sides by a fan about its middle. Also gives the middles."""
     fans: list[list[int]] = []

@@ -15,10 +15,7 @@ _SPREAD = 1e-3  # px⁴: data whose covariance has a smaller determinant lie in 
 
 @kernel
 def inverse_depth_planes(
-    range_mm: Float32[Array, "h w"],
-    valid: Bool[Array, "h w"],
-    intrinsics: Float64[Array, " 4"],
-    half: int,
+    range_mm: Float32[Array, "h w"], valid: Bool[Array, "h w"], intrinsics: Float64[Array, " 4"], half: int
 ) -> Float32[Array, "h w 3"]:
     """Normal of an inverse-depth plane around each valid pixel.
 

@@ -46,11 +46,7 @@ class TexturedMesh:
 
 
 def paint(
-    mesh: TriangleMesh,
-    photographs: Mapping[str, Photograph],
-    rig: Rig,
-    *,
-    progress: Progress = no_progress,
+    mesh: TriangleMesh, photographs: Mapping[str, Photograph], rig: Rig, *, progress: Progress = no_progress
 ) -> TexturedMesh:
     """Colour every vertex from the photographs that see it best.
 
@@ -73,11 +69,7 @@ def blended(weights: Float32[Array, "k n"], samples: Float32[Array, "k n 3"]) ->
 
 
 def view_samples(
-    mesh: TriangleMesh,
-    photographs: Mapping[str, Photograph],
-    rig: Rig,
-    *,
-    progress: Progress = no_progress,
+    mesh: TriangleMesh, photographs: Mapping[str, Photograph], rig: Rig, *, progress: Progress = no_progress
 ) -> tuple[Float32[Array, "k 3"], Float32[Array, "k n"], Float32[Array, "k n 3"]]:
     """Gain of each photograph, and its weight and colour at every vertex.
 

@@ -87,11 +87,7 @@ class Atlas:
 
 
 def cover(
-    surface: TriangleMesh,
-    photographs: Mapping[str, Photograph],
-    rig: Rig,
-    *,
-    progress: Progress = no_progress,
+    surface: TriangleMesh, photographs: Mapping[str, Photograph], rig: Rig, *, progress: Progress = no_progress
 ) -> Atlas:
     """Thin a surface for looking and cover it with its photographs. World frame, mm."""
     mesh = thinned(surface, TRIANGLES)

@@ -175,11 +175,7 @@ def _solved(
 
 
 def _movement(
-    calibration: Calibration,
-    seen: Sequence[Sighting],
-    suspicion: _Suspicion,
-    twist: Float64[Array, 6],
-    sigma: float,
+    calibration: Calibration, seen: Sequence[Sighting], suspicion: _Suspicion, twist: Float64[Array, 6], sigma: float
 ) -> Movement:
     camera = calibration.rig.cameras[suspicion.cameras[0]]
     motion = as_motion(twist)

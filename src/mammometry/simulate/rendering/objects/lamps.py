@@ -53,13 +53,7 @@ def hold_lamps(rig: Rig, board: Board, strip: LampStrip = LAMPS) -> Transform:
 
 
 def render_lamps(
-    camera: Camera,
-    rig_from_board: Transform,
-    scene: LampScene,
-    begin_ms: float,
-    exposure_ms: float,
-    *,
-    seed: int = 0,
+    camera: Camera, rig_from_board: Transform, scene: LampScene, begin_ms: float, exposure_ms: float, *, seed: int = 0
 ) -> Photograph:
     """Photograph the board while its lamps count.
 
