@@ -23,12 +23,7 @@ _STOPPED_S = 40
 _PASSWORD = re.compile(r"Log in as (\w+), password (\S+)")
 _ADDRESS = re.compile(r"(http://\S+/) \(Ctrl-C stops\)")
 _TOKEN = re.compile(r'name="csrfmiddlewaretoken" value="([^"]+)"')
-_OWN_PAGES = {
-    "technician": "rigs/",
-    "clinician": "patients/",
-    "researcher": "study/",
-    "administrator": "archives/",
-}
+_OWN_PAGES = {"technician": "rigs/", "clinician": "patients/", "researcher": "study/", "administrator": "archives/"}
 
 
 class DayOneError(Exception):

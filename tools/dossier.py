@@ -134,13 +134,7 @@ def requirements_page(rows: Sequence[Requirement], tests: Sequence[MarkedTest]) 
     for row in rows:
         if row.section != section:
             section = row.section
-            lines += [
-                "",
-                f"## {section}",
-                "",
-                "| | required | code | shown by | measured |",
-                "| --- " * 5 + "|",
-            ]
+            lines += ["", f"## {section}", "", "| | required | code | shown by | measured |", "| --- " * 5 + "|"]
         shown = "<br>".join(_sentence(test) for test in tests if row.id in test.requirements)
         code = "<br>".join(f"`{code}`" for code in row.code)
         figure = f"[figure](../measured.md#{row.measured})" if row.measured else ""

@@ -89,10 +89,7 @@ def surfaces(
 ) -> Iterator[tuple[str, str, TriangleMesh]]:
     """(rule, data, surface) for every rule."""
     patches = decompose(images)
-    data = {
-        "all": remove_dents(images, patches, DentSettings(rule="none")),
-        "kept": remove_dents(images, patches),
-    }
+    data = {"all": remove_dents(images, patches, DentSettings(rule="none")), "kept": remove_dents(images, patches)}
     plain = ExtractSettings(cube_mm=cube_mm)
     for label, valid in data.items():
         for rule in ("nearest", "furthest", "tsdf", "default"):

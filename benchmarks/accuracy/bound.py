@@ -84,10 +84,7 @@ def _least_squares_at(
     """The windows' corrections of the true disparity, and the variances that they claim."""
     here, there = (
         prepare(Level(image=image, mask=np.ones_like(mask)), _SIGMA_PX)
-        for image, mask in (
-            (case.pair.left_image, case.pair.left_mask),
-            (case.pair.right_image, case.pair.right_mask),
-        )
+        for image, mask in ((case.pair.left_image, case.pair.left_mask), (case.pair.right_image, case.pair.right_mask))
     )
     value, slope, _ = warp_rows(there.coefficients, there.mask, -true)
     ratio = slope_ratio(here.coefficients, judged, there.coefficients, there.mask, -true)

@@ -167,10 +167,7 @@ def both(progress: StageProgress, case: Case, out: str) -> dict[str, Any]:
         "row": row(found, surfaces),
         "ratios": None
         if with_it is None or without is None
-        else (
-            with_it.median_mm / without.median_mm,
-            with_it.rms_mm / without.rms_mm,
-        ),
+        else (with_it.median_mm / without.median_mm, with_it.rms_mm / without.rms_mm),
     }
 
 

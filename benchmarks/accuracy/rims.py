@@ -72,11 +72,7 @@ def _revolved(x: Float64[Array, " k"], z: Float64[Array, " k"]) -> TriangleMesh:
     """The body of a profile from its top, which lies on the axis, to its back's middle."""
     angle = np.arange(_AROUND) * 2 * np.pi / _AROUND
     rings = np.stack(
-        [
-            np.outer(x, np.cos(angle)),
-            _STRETCH * np.outer(x, np.sin(angle)),
-            np.repeat(z[:, None], _AROUND, axis=1),
-        ],
+        [np.outer(x, np.cos(angle)), _STRETCH * np.outer(x, np.sin(angle)), np.repeat(z[:, None], _AROUND, axis=1)],
         axis=2,
     ).reshape(-1, 3)
     k, after = np.arange(_AROUND), (np.arange(_AROUND) + 1) % _AROUND

@@ -95,12 +95,7 @@ def cases(number: int, seed: int) -> Iterator[Case]:
         mesh = TriangleMesh(vertices=vertices, faces=faces)
         noise = np.random.default_rng([seed, number, 27]).normal(0.0, _NOISE_MM, len(vertices))
         noisy = TriangleMesh(vertices=vertices + mesh.vertex_normals() * noise[:, None], faces=faces)
-        yield Case(
-            name=kind,
-            surface=as_seen(noisy),
-            boundaries=edges,
-            lacking_cc=volumes["left"] - volumes["right"],
-        )
+        yield Case(name=kind, surface=as_seen(noisy), boundaries=edges, lacking_cc=volumes["left"] - volumes["right"])
 
 
 def clinic_cases(number: int, seed: int) -> Iterator[Case]:

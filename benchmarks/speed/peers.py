@@ -187,10 +187,7 @@ def work(maker: str, warm: Path, session: Path, reach_mm: float) -> None:
     _MAKERS[maker](warm, reach_mm)  # kernels are loaded, libraries imported
     wall, processor = time.monotonic(), sum(os.times()[:4])
     mesh = _MAKERS[maker](session, reach_mm)
-    row: dict[str, object] = {
-        "wall_s": time.monotonic() - wall,
-        "processor_s": sum(os.times()[:4]) - processor,
-    }
+    row: dict[str, object] = {"wall_s": time.monotonic() - wall, "processor_s": sum(os.times()[:4]) - processor}
     held = session.parent / f"{session.name}-{maker.split()[0]}.npz"
     np.savez(held, vertices=mesh.vertices, faces=mesh.faces)
     print(json.dumps(row | {"mesh": str(held)}))

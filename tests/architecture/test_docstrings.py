@@ -52,10 +52,7 @@ def wrong_with(text: str) -> str | None:
     ("text", "wrong"),
     [
         ("Outlines of the subjects, one per camera.", None),
-        (
-            "Outlines of the subjects.\n\nA second paragraph may be long, with several sentences; this one is.",
-            None,
-        ),
+        ("Outlines of the subjects.\n\nA second paragraph may be long, with several sentences; this one is.", None),
         ("Skin that was seen of the whole subject, where that is known already. " + "x" * 40 + ".", "111 characters"),
         ("Read a mesh; None without one.", "two thoughts"),
         ("Masks, told by the session.", "“told”"),

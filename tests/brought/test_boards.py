@@ -177,8 +177,7 @@ def bent(bow_mm: float) -> Callable[[np.ndarray], np.ndarray]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("share", "poses", "verdict"),
-    [(-0.03, 5, "refuse"), (-0.03, 7, "refuse"), (0.005, 7, "warn")],
+    ("share", "poses", "verdict"), [(-0.03, 5, "refuse"), (-0.03, 7, "refuse"), (0.005, 7, "warn")]
 )
 def test_a_print_at_another_scale_one_way_is_noticed(share: float, poses: int, verdict: str) -> None:
     """Where the board's shape is adjusted, no residual shows it: the two scales do."""

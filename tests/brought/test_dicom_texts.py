@@ -112,10 +112,7 @@ def signed(by: str, text: str = "") -> Signed:
         ({"organization": "A\\B"}, "the organization's name: found a backslash"),
         ({"organization": "A" * 65}, "the organization's name: found 65 letters"),
         ({"clinical": Clinical(confirmed=signed("A" * 64))}, "who confirmed the boundaries: found 65 letters"),
-        (
-            {"clinical": Clinical(conclusions=(signed("Anna", "well\x07"),))},
-            "conclusion: found a control character",
-        ),
+        ({"clinical": Clinical(conclusions=(signed("Anna", "well\x07"),))}, "conclusion: found a control character"),
     ],
 )
 def test_what_the_clinic_says_is_checked_too(tmp_path: Path, changed: dict[str, object], sentence: str) -> None:
@@ -161,10 +158,7 @@ PEER = Peer(title="RIS", host="h", port=104)
         ({"PatientName": "A\\B"}, "entry A1: found the patient's name with a backslash"),
         ({"PatientID": "1" * 65}, "the patient's id with 65 letters"),
         ({"PatientName": "M\ufffdller"}, "the patient's name with a byte at place 2 that is no letter"),
-        (
-            {"AccessionNumber": "A" * 20},
-            "entry without an accession number: found the accession number with 20",
-        ),
+        ({"AccessionNumber": "A" * 20}, "entry without an accession number: found the accession number with 20"),
     ],
 )
 def test_an_entry_that_cannot_be_used_is_set_aside_and_named(texts: dict[str, str], sentence: str) -> None:

@@ -61,11 +61,7 @@ def cameras(draw: st.DrawFn) -> Camera:
     reach = np.linalg.norm((corners - matrix[:2, 2]) / np.diag(matrix)[:2], axis=1).max()
     assume(_grows_to(1.1 * reach, distortion))
     return Camera(
-        name="any",
-        size_wh=(width, height),
-        matrix=matrix,
-        distortion=distortion,
-        camera_from_world=draw(transforms()),
+        name="any", size_wh=(width, height), matrix=matrix, distortion=distortion, camera_from_world=draw(transforms())
     )
 
 

@@ -56,11 +56,7 @@ def test_what_hinders_the_page_does_not_hide_the_refusal(tiny_finished: Path, ti
     [
         # Nobody knows a focal length so well; no skin faces a camera so exactly.
         ("calibration.quality.focal_std_refuse=1e-9", CalibrationError, ["The target"]),
-        (
-            "surface.dents.angle_deg=0.001",
-            SurfaceError,
-            ["Foreground", "Rectified pairs", "Disparity", "Confidence"],
-        ),
+        ("surface.dents.angle_deg=0.001", SurfaceError, ["Foreground", "Rectified pairs", "Disparity", "Confidence"]),
     ],
 )
 def test_a_refusal_before_the_measurement_shows_what_its_stage_saw(

@@ -111,8 +111,7 @@ def test_picture_of_another_pose_is_set_aside_by_name() -> None:
     clean = observe(CAMERAS, POSES)
     other = {detection.pose: detection for detection in clean.detections if detection.camera == "floor_left"}
     observations = with_views(
-        clean,
-        lambda d: replace(other["06"], pose="03") if (d.camera, d.pose) == ("floor_left", "03") else d,
+        clean, lambda d: replace(other["06"], pose="03") if (d.camera, d.pose) == ("floor_left", "03") else d
     )
     calibration = calibrate(observations, PAIRS, "virtual")
     assert [(view.camera, view.pose) for view in calibration.set_aside] == [("floor_left", "03")]

@@ -113,10 +113,7 @@ def test_working_volume_is_what_pairs_see_where_the_target_was_held(stiff: Calib
     # Cameras made parallel, whose axes meet nowhere, see the same volume: it is about the places of the target.
     turn = calibration.rig.cameras["front_left"].camera_from_world.rotation
     parallel = {
-        name: replace(
-            camera,
-            camera_from_world=Transform(rotation=turn, translation_mm=-turn @ camera.centre_world),
-        )
+        name: replace(camera, camera_from_world=Transform(rotation=turn, translation_mm=-turn @ camera.centre_world))
         for name, camera in calibration.rig.cameras.items()
     }
     elsewhere = working_volume(replace(calibration, rig=replace(calibration.rig, cameras=parallel)))

@@ -7,10 +7,7 @@ from mammometry.calibration.settings import BundleSettings, CalibrateSettings
 
 @pytest.mark.parametrize(
     ("values", "named"),
-    [
-        ({"target_prior_mm": (0.1, 0.0, 0.3)}, "target_prior_mm"),
-        ({"model": "paper", "k3": "free"}, "k3"),
-    ],
+    [({"target_prior_mm": (0.1, 0.0, 0.3)}, "target_prior_mm"), ({"model": "paper", "k3": "free"}, "k3")],
 )
 def test_impossible_values_are_named(values: dict[str, object], named: str) -> None:
     with pytest.raises(ValueError, match=named):

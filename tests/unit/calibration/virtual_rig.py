@@ -60,8 +60,7 @@ def turned(camera: Camera, degrees: Sequence[float]) -> Camera:
     """The camera turned about its own axes."""
     rotation = Rotation.from_rotvec(np.radians(degrees)).as_matrix()
     return replace(
-        camera,
-        camera_from_world=Transform(rotation=rotation, translation_mm=np.zeros(3)) @ camera.camera_from_world,
+        camera, camera_from_world=Transform(rotation=rotation, translation_mm=np.zeros(3)) @ camera.camera_from_world
     )
 
 

@@ -264,12 +264,7 @@ def test_silent_and_slow_callers_are_hung_up_on(tmp_path: Path) -> None:
         host, port = address.split(":")
         head = b"GET /alive/ HTTP/1.1\r\nHost: " + address.encode() + b"\r\n"
         post = b"POST /account/login/ HTTP/1.1\r\nHost: " + address.encode() + b"\r\nContent-Length: 90\r\n\r\nab"
-        for begun, then, status in (
-            (b"", b"", None),
-            (head, b"", None),
-            (head + b"\r\n", head, 200),
-            (post, b"", 408),
-        ):
+        for begun, then, status in ((b"", b"", None), (head, b"", None), (head + b"\r\n", head, 200), (post, b"", 408)):
             with socket.create_connection((host, int(port)), timeout=10) as line:
                 line.sendall(begun)
                 answer = line.recv(65536) if then else b""

@@ -229,12 +229,7 @@ def calibrated(on=BEFORE, verdict="pass"):
         (calibrated(), Checked(on=TODAY, verdict="refuse"), "no", "has moved"),
         (calibrated(), Checked(on=BEFORE, verdict="refuse"), "no", "has moved"),
         (calibrated(verdict="warn"), Checked(on=TODAY, verdict="unmoved"), "care", "read why"),
-        (
-            calibrated(TODAY - datetime.timedelta(days=91)),
-            Checked(on=TODAY, verdict="unmoved"),
-            "care",
-            "read why",
-        ),
+        (calibrated(TODAY - datetime.timedelta(days=91)), Checked(on=TODAY, verdict="unmoved"), "care", "read why"),
     ],
 )
 def test_may_we_measure_today(calibration, check, verdict, word):

@@ -149,10 +149,7 @@ class Client:
 
     def enter(self, key: str) -> Told:
         return self.ask(
-            "POST",
-            "/enter",
-            urlencode({"key": key}).encode(),
-            {"Content-Type": "application/x-www-form-urlencoded"},
+            "POST", "/enter", urlencode({"key": key}).encode(), {"Content-Type": "application/x-www-form-urlencoded"}
         )
 
 

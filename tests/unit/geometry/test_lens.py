@@ -8,11 +8,7 @@ import pytest
 
 from mammometry.geometry import lens, lens_kernels
 
-LENSES = [
-    np.array([-0.25, 0.3, 1e-3, -2e-3, 0.05]),
-    np.array([-0.05, 0.1, 0.0, 0.0, 0.0]),
-    np.zeros(5),
-]
+LENSES = [np.array([-0.25, 0.3, 1e-3, -2e-3, 0.05]), np.array([-0.05, 0.1, 0.0, 0.0, 0.0]), np.zeros(5)]
 
 
 @pytest.fixture

@@ -97,10 +97,7 @@ def exported(folder: Path, **changed: Any) -> Exported:
             mtl=b"newmtl skin\nmap_Kd model.jpg\n",
             jpeg=buffer.getvalue(),
         ),
-        photographs={
-            "front": Photograph(name="front", pixels=front),
-            "side": Photograph(name="side", pixels=noise),
-        },
+        photographs={"front": Photograph(name="front", pixels=front), "side": Photograph(name="side", pixels=noise)},
         photograph_files=files,
     )
     return replace(made, **changed)

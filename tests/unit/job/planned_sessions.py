@@ -82,7 +82,6 @@ def sessions() -> Mapping[str, Planned]:
         ),
         "removed": Planned(few("torso", cameras=ready, removed=("left", "right"))),
         "by landmarks": Planned(
-            few("torso", landmarks={"sternal_notch": CURVE[:1]}),
-            Settings().overridden(["measure.boundary=landmarks"]),
+            few("torso", landmarks={"sternal_notch": CURVE[:1]}), Settings().overridden(["measure.boundary=landmarks"])
         ),
     }

@@ -234,11 +234,7 @@ def _breast_with_nipple(tip_mm: float, red: float) -> tuple[TriangleMesh, np.nda
 
 @pytest.mark.parametrize(
     ("tip_mm", "red", "how", "within_mm"),
-    [
-        (5.0, 0.15, "and the tip within", 2.0),
-        (0.0, 0.15, "no tip stands out", 3.0),
-        (5.0, 0.0, "tip near", 3.0),
-    ],
+    [(5.0, 0.15, "and the tip within", 2.0), (0.0, 0.15, "no tip stands out", 3.0), (5.0, 0.0, "tip near", 3.0)],
 )
 def test_nipples_are_proposed_by_colour_and_shape(tip_mm: float, red: float, how: str, within_mm: float) -> None:
     mesh, colours, boundary, nipple = _breast_with_nipple(tip_mm, red)

@@ -55,10 +55,7 @@ def test_the_cut_agrees_with_manifold(normal: tuple[float, float, float], offset
 
 
 @settings(max_examples=15, deadline=None)
-@given(
-    rotation=st.tuples(*[st.floats(-3, 3)] * 3),
-    shift_mm=st.tuples(*[st.floats(-1e5, 1e5)] * 3),
-)
+@given(rotation=st.tuples(*[st.floats(-3, 3)] * 3), shift_mm=st.tuples(*[st.floats(-1e5, 1e5)] * 3))
 def test_volume_does_not_depend_on_place_and_attitude(
     rotation: tuple[float, float, float], shift_mm: tuple[float, float, float]
 ) -> None:

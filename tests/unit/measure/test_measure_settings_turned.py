@@ -169,8 +169,7 @@ def test_too_little_of_a_crease_is_no_boundary() -> None:
 
 
 @pytest.mark.parametrize(
-    ("tip_mm", "red", "sigma_mm", "probability"),
-    [(5.0, 0.15, 2.5, 0.98), (0.0, 0.15, 4.0, 0.9), (5.0, 0.0, 4.0, 0.6)],
+    ("tip_mm", "red", "sigma_mm", "probability"), [(5.0, 0.15, 2.5, 0.98), (0.0, 0.15, 4.0, 0.9), (5.0, 0.0, 4.0, 0.6)]
 )
 def test_each_way_to_find_a_nipple_has_its_own_uncertainty(
     tip_mm: float, red: float, sigma_mm: float, probability: float

@@ -110,10 +110,7 @@ def test_a_casts_hole_is_refused_too() -> None:
 @pytest.mark.slow
 def test_a_closed_holes_uncertainty_is_in_the_interval() -> None:
     whole, mended = (
-        measured_or_refused(
-            open_breasts([CURVES["left"]], surface_of(scan), frame=np.eye(3)),
-            Evidence(),
-        )[0]
+        measured_or_refused(open_breasts([CURVES["left"]], surface_of(scan), frame=np.eye(3)), Evidence())[0]
         for scan in (repair_scan(FRONT), repair_scan(holed(FRONT, 24.0)))
     )
     assert not isinstance(whole, MeasureError)

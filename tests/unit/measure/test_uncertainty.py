@@ -71,9 +71,7 @@ def test_the_terms_of_a_torso() -> None:
         wall(),
         400.0,
         evidence=Evidence(
-            surface=skin(origin),
-            earlier=EarlierErrors(scale_std=0.001, point_std_mm=0.03),
-            boundary_std_cc=8.0,
+            surface=skin(origin), earlier=EarlierErrors(scale_std=0.001, point_std_mm=0.03), boundary_std_cc=8.0
         ),
     )
     patch = np.pi * 9.0

@@ -43,8 +43,7 @@ def lid(corners: np.ndarray, height) -> OpenPart:  # type: ignore[no-untyped-def
     )
     apex = [[0.0, 0.0, float(height(np.zeros(1), np.zeros(1))[0]) + 30.0]]
     return OpenPart(
-        mesh=TriangleMesh(vertices=np.concatenate([points, apex]), faces=faces.astype(np.int32)),
-        loops=(np.arange(n),),
+        mesh=TriangleMesh(vertices=np.concatenate([points, apex]), faces=faces.astype(np.int32)), loops=(np.arange(n),)
     )
 
 

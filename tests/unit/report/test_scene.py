@@ -28,8 +28,7 @@ def surface(table: dict[str, Any]) -> TriangleMesh:
     coded = buffer(table["faces"], "<u4").astype(np.int64)
     corners = np.cumsum(np.where(coded % 2, -(coded + 1) // 2, coded // 2))
     return TriangleMesh(
-        vertices=np.array(table["low"]) + steps * np.array(table["step"]),
-        faces=corners.reshape(-1, 3).astype(np.int32),
+        vertices=np.array(table["low"]) + steps * np.array(table["step"]), faces=corners.reshape(-1, 3).astype(np.int32)
     )
 
 
@@ -124,8 +123,7 @@ def test_the_difference_in_shape_is_drawn_on_both_breasts_at_one_scale() -> None
 
 
 @pytest.mark.parametrize(
-    ("change", "message"),
-    [({"limits": (1.0, 1.0)}, "must rise"), ({"kind": "category"}, "categories expected")],
+    ("change", "message"), [({"limits": (1.0, 1.0)}, "must rise"), ({"kind": "category"}, "categories expected")]
 )
 def test_a_layer_that_cannot_be_drawn_is_refused(change: dict[str, Any], message: str) -> None:
     table: dict[str, Any] = {"name": "x", "title": "X", "help": ".", "kind": "sequential"} | change

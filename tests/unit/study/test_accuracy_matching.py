@@ -90,11 +90,7 @@ def test_true_disparity_does_not_depend_on_what_the_calibration_believes(scene: 
     matrix = wrong.matrix.copy()
     matrix[0, 2] += 2.0
     calibrated = Camera(
-        name="right",
-        size_wh=SIZE,
-        matrix=matrix,
-        distortion=np.zeros(5),
-        camera_from_world=wrong.camera_from_world,
+        name="right", size_wh=SIZE, matrix=matrix, distortion=np.zeros(5), camera_from_world=wrong.camera_from_world
     )
     believed = StereoPair(name="front", left=PAIR.left, right=calibrated)
     # Rectified with the belief: the photograph's column c is the rectified column c − 2.

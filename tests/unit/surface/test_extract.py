@@ -115,10 +115,7 @@ def test_no_data_contradicting_masks_and_contradicting_views_are_errors():
     elsewhere = {name: silhouette(rig.cameras[name], (3.0, 3.0, 3.0)) for name in foregrounds}
     tiny = {
         name: type(value)(
-            camera=name,
-            coverage=np.roll(value.coverage, 50, axis=k),
-            contour_level=0.5,
-            everything=False,
+            camera=name, coverage=np.roll(value.coverage, 50, axis=k), contour_level=0.5, everything=False
         )
         for k, (name, value) in enumerate(elsewhere.items())
     }

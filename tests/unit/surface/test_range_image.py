@@ -114,14 +114,7 @@ def test_rays_meet_where_those_of_the_cameras_do():
     baseline = right.centre_world - left.centre_world
     turned = rotations[0] @ rotations[1].T
     found = ray_kernels.meetings(
-        rows,
-        columns,
-        d_h,
-        d_v,
-        left.intrinsics,
-        right.intrinsics,
-        turned,
-        rotations[0] @ baseline,
+        rows, columns, d_h, d_v, left.intrinsics, right.intrinsics, turned, rotations[0] @ baseline
     )
 
     def along(shift: float) -> np.ndarray:
