@@ -161,7 +161,7 @@ def rows(count: int, first: int = 1, settings: MeasureSettings = MeasureSettings
                 after = true_visit(grown(later, factors), name, place)
             except ValueError:  # measures that do not fit together
                 continue
-            found = compare(measured, as_measured(after, settings, rng), measure=settings, common_scale=False)
+            found = compare(measured, as_measured(after, settings, rng), common_scale=False)
             for breast in found.breasts:
                 true_cc = after.volume_cc(breast.name) - before.volume_cc(breast.name)
                 low, high = breast.volume.difference_interval_cc or (math.nan, math.nan)

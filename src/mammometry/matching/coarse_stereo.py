@@ -19,6 +19,7 @@ from mammometry.geometry import Array, Bool, Camera, Float32, Float64, Rig, read
 from mammometry.matching.foreground.foreground import Foreground
 from mammometry.matching.foreground.seeded_segmentation import DepthSeeds
 from mammometry.matching.foreground.silhouette import block_means
+from mammometry.matching.noise import checkerboard_residual
 from mammometry.matching.pyramid import Level
 from mammometry.matching.rectify import RectifiedPair, rectify
 from mammometry.matching.semiglobal import both_ways
@@ -28,6 +29,7 @@ _SPAN_PX = 270  # longer side of the small photographs, about: a trunk is a hund
 _NEAREST, _FARTHEST = 0.6, 4.0  # depths searched, of that of the working volume's centre
 _NEAR, _FAR = 1.25, 1.4  # nearer than the one is in the volume, beyond the other behind it; in between is not known
 _AGREEMENT_PX = 1.0  # of both directions, small pixels
+_AROUND_PX, _TEXTURE = 9, 4.0  # variance over noise, around a pixel: a black room has 1 to 4, skin 7 to 60
 _SMALLEST_PART = 0.02  # of the largest part: smaller ones are chance
 _SMALLEST_FAR = 0.015  # of the picture: beside the frame, where the partner's ends, small parts match by chance
 _LEAST_SHARE = 0.02  # of the picture that must be near for a pair to say anything
@@ -54,6 +56,8 @@ class CoarseDepths:
     """Rectified."""
     depth_mm: tuple[Float32[Array, "h w"], Float32[Array, "h w"]]
     """z of each pixel of the rectified pictures. NaN where both directions do not agree."""
+    textured: Bool[Array, "h w"]
+    """Where the left rectified picture shows more than noise: in black, matches agree by chance."""
 
     def middle_mm(self, middle_world: Float64[Array, 3]) -> float:
         """Depth of a point in the rectified pictures."""
@@ -92,6 +96,7 @@ def coarse_depths(rig: Rig, pair_name: str, photographs: tuple[Photograph, Photo
         cameras=cameras,
         ideal=(rectified.left, rectified.right),
         depth_mm=_depths(rectified, rig.target_middle_world),
+        textured=_textured(rectified.left_image),
     )
 
 
@@ -161,9 +166,9 @@ def depth_seeds(depths: CoarseDepths, middle_world: Float64[Array, 3]) -> tuple[
 
 
 def near_points(depths: CoarseDepths, middle_world: Float64[Array, 3]) -> Float64[Array, "n 3"]:
-    """Some of the points in the working volume that a pair sees, world frame, mm."""
+    """Some of the points in the working volume that a pair sees for certain, world frame, mm."""
     ((near, _), _), _ = _sorted(depths, middle_world)
-    near &= np.isfinite(depths.depth_mm[0])
+    near &= np.isfinite(depths.depth_mm[0]) & depths.textured
     return _points_world(depths, near)[:: max(1, int(np.count_nonzero(near) / _SOME))]
 
 
@@ -259,6 +264,16 @@ def _depths(
         known = agreed & (column > -0.5) & (column < other.shape[1] - 0.5) & (parallax > 0)
         found.append(np.where(known, focal * base / np.where(known, parallax, 1), np.nan).astype(np.float32))
     return found[0], found[1]
+
+
+def _textured(image: Float32[Array, "h w"]) -> Bool[Array, "h w"]:
+    """Where a picture varies by more than its noise does, which its checkerboard pattern shows."""
+    mean, square, noise = (
+        ndimage.uniform_filter(values, _AROUND_PX)
+        for values in (image, image**2, checkerboard_residual(image).astype(np.float32) ** 2)
+    )
+    shown: Bool[Array, "h w"] = square - mean**2 > _TEXTURE * noise
+    return shown
 
 
 def board(depth: Float32[Array, "h w"], near: Bool[Array, "h w"]) -> Float64[Array, 3] | None:

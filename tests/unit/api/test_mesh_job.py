@@ -214,13 +214,13 @@ def test_the_report_shows_the_mesh_and_the_subject_that_it_was_made_for(
         mesh = export(dome(sink_mm=10.0), tmp_path / name)
         code, table = answer(capsys, mesh, "--units", "mm", "--boundary", given, "--out", out)
         assert code == 0
-    assert table["made"] == ["report/report"]
+    assert table["made"] == ["report/content", "report/report"]
     assert "<h1>huber.ply</h1>" in page.read_text()
     assert "mueller" not in page.read_text()
 
     command = [mesh, "--units", "mm", "--boundary", given, "--out", out]
     code, table = answer(capsys, *command, "--set", "compare.doubt_mm=1.5")
-    assert table["made"] == ["report/report"]  # which lists that setting
+    assert table["made"] == ["report/content", "report/report"]  # which lists that setting
     code, table = answer(capsys, *command, "--subject", "P-1")
     assert code == 0
     assert "<h1>P-1</h1>" in page.read_text()

@@ -5,9 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from ball_scene import RADIUS_MM, rig
+from scipy import ndimage
 
 from mammometry.geometry.camera import Rig
 from mammometry.geometry.transform import Transform
+from mammometry.matching.coarse_stereo import _textured
 from mammometry.matching.foreground.all_cameras import check_masks
 
 MIDDLE = np.zeros(3)
@@ -79,3 +81,15 @@ def test_a_part_that_no_other_camera_sees_is_left_out() -> None:
     checked = check_masks(RIG, masks() | {"above": mask | beside}, steps, seen, MIDDLE)
     assert not checked.doubts
     assert np.array_equal(checked.masks["above"], mask)
+
+
+def test_matches_in_a_black_room_are_no_evidence_against_a_silhouette() -> None:
+    """Sensor noise, made smaller and rectified as coarse pictures are, beside a cast's mottled skin."""
+    rng = np.random.default_rng(5)
+    noise = ndimage.shift(rng.normal(0, 0.002, (120, 160)), 0.4, order=1).astype(np.float32)
+    skin = ndimage.gaussian_filter(rng.normal(0, 1, (120, 160)), 2)
+    textured = _textured(
+        np.where(np.arange(160) < 80, noise, noise + 0.5 + 0.03 * skin / skin.std()).astype(np.float32)
+    )
+    assert textured[:, :70].mean() < 0.05
+    assert textured[:, 90:].mean() > 0.95

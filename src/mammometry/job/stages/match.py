@@ -63,7 +63,7 @@ def _masks_missing(job: Context) -> bool:
     return bool(set(job.inputs.photographs) - set(job.inputs.masks))
 
 
-@product("match", version=1, settings="matching.foreground", inputs=("capture", "masks"), when=_masks_missing)
+@product("match", version=2, settings="matching.foreground", inputs=("capture", "masks"), when=_masks_missing)
 def subjects(cameras: CameraSet, *, job: Context) -> Subjects:
     """Where the subject stands, and its blocks in each photograph. Not sought where all masks are given."""
     from mammometry.matching.foreground.all_cameras import find_subjects
