@@ -86,7 +86,7 @@ def test_a_part_that_no_other_camera_sees_is_left_out() -> None:
 def test_matches_in_a_black_room_are_no_evidence_against_a_silhouette() -> None:
     """Sensor noise, made smaller and rectified as coarse pictures are, beside a cast's mottled skin."""
     rng = np.random.default_rng(5)
-    noise = ndimage.shift(rng.normal(0, 0.002, (120, 160)), 0.4, order=1).astype(np.float32)
+    noise = ndimage.shift(rng.normal(0, 0.002, (120, 160)), 0.4).astype(np.float32)
     skin = ndimage.gaussian_filter(rng.normal(0, 1, (120, 160)), 2)
     textured = _textured(
         np.where(np.arange(160) < 80, noise, noise + 0.5 + 0.03 * skin / skin.std()).astype(np.float32)
