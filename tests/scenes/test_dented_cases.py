@@ -30,7 +30,7 @@ def test_dents_are_counted_against_the_truth_and_mostly_removed(tmp_path: Path) 
     put_in = int((near & ~dented(front, truth)).sum())
     assert put_in > 200
     found = judge("spoilt", [spoilt, images[1]], truth)
-    assert found.dented == before.dented + put_in
+    assert found.dented - before.dented == pytest.approx(put_in, rel=0.01)  # an element may be dented beside the sheet
     assert found.left_by_element - before.left_by_element < 0.1 * put_in
     assert found.sound_lost_by_element_percent < 1
     assert draw_dent_grid(dent_grid([spoilt, images[1]])).printed("pdf").startswith(b"%PDF")

@@ -14,7 +14,7 @@ import pytest
 RUN = """
 import os, sys
 from mammometry.api.job import Job
-from mammometry.report import describe
+from mammometry.report.words import describe
 
 cores, session, settings = int(sys.argv[1]), sys.argv[2], sys.argv[3]
 os.sched_getaffinity = lambda process: set(range(cores))

@@ -13,10 +13,10 @@ from mammometry.calibration.features.pixels import enlarge, grey_bytes, linear_l
 from mammometry.calibration.targets.kinds.chessboard import ChessboardTarget
 from mammometry.geometry.arrays import Array, Float32, Float64, Int64, UInt8
 
-_LEAST_BEYOND = 2
+_LEAST_BEYOND = 3
 """Squares of each colour, beyond a side of the board, by which it is seen to go on."""
 _GOES_ON = 0.4
-"""Difference of such squares, in that of the board's own. A rim has none. Chosen by eye."""
+"""Gap between such squares, in the difference of the board's own. A rim has none. Chosen by eye."""
 
 
 def find_chessboard(
@@ -105,8 +105,11 @@ def _goes_on(linear: Float32[Array, "h w"], board_map: BoardMap, target: Chessbo
     for column, row in ((across, -1), (across, rows), (-1, down), (columns, down)):
         beyond = _light_in(linear, board_map, target, *np.broadcast_arrays(column, row))
         even, odd = beyond[::2], beyond[1::2]
-        seen = min(np.isfinite(even).sum(), np.isfinite(odd).sum()) >= _LEAST_BEYOND
-        if seen and abs(np.nanmedian(even) - np.nanmedian(odd)) > _GOES_ON * contrast:
+        if min(np.isfinite(even).sum(), np.isfinite(odd).sum()) < _LEAST_BEYOND:
+            continue
+        # What stands behind a narrow rim may be dark here and bright there, but hardly by turns.
+        (even_low, even_high), (odd_low, odd_high) = (np.nanpercentile(half, (25, 75)) for half in (even, odd))
+        if max(even_low - odd_high, odd_low - even_high) > _GOES_ON * contrast:
             return True
     return False
 
