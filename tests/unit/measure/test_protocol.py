@@ -51,8 +51,11 @@ def drawn(places: Places, join: ProtocolJoin = "arc") -> dict[str, Boundary]:
 
 
 def measured_cc(name: str, boundaries: dict[str, Boundary]) -> float:
+    """Before the cylinder membrane: this torso's chest is a cylinder."""
+    straight = MeasureSettings(wall="cylinder-membrane")
+    drawn_now = tuple(boundaries.values())
     wall = chest_wall.fit(
-        OpenBreast(boundary=boundaries[name], surface=torso(), boundaries=tuple(boundaries.values()), frame=np.eye(3))
+        OpenBreast(boundary=boundaries[name], surface=torso(), boundaries=drawn_now, frame=np.eye(3), settings=straight)
     )
     return wall.closed.volume_mm3() / 1000
 
