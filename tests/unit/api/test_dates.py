@@ -349,7 +349,8 @@ def test_a_breast_with_a_volume_at_one_date_only_is_named_and_the_other_compared
     assert "The right breast has a volume at the earlier date only, and is not compared." in part.warnings
     assert part.table["at_one_date"] == {"right": "earlier"}
     whole = found.change.breasts[0].volume.difference_cc
-    assert part.change.breasts[0].volume.difference_cc == pytest.approx(whole, abs=1e-6)
+    # Not the same to the last digit: the chest is fitted beside one breast or both.
+    assert part.change.breasts[0].volume.difference_cc == pytest.approx(whole, rel=1e-3)
     # The breast without a boundary is no part of the trunk by which both dates are laid onto one another.
     assert part.change.fit.within_mm == pytest.approx(found.change.fit.within_mm, abs=0.1)
 
