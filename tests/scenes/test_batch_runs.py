@@ -261,7 +261,7 @@ def test_a_cluster_of_processes_and_its_scheduler_dies(place: Path, tiny_finishe
     scheduler.kill()
     out, err = process.communicate(timeout=180)
     answer = lines(out)[-1]
-    assert process.returncode == 9, err
+    assert process.returncode == 9, (answer, err)
     assert "the scheduler: found no answer any more" in answer["error"]
     port = address.rpartition(":")[2]
     start("scheduler", "--host", "127.0.0.1", "--port", port, "--no-dashboard")

@@ -8,6 +8,7 @@ import queue
 import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError
+from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import Enum, auto
 from typing import Any, TypeAlias
@@ -128,15 +129,10 @@ class Engine:
         waiting = sorted(
             tasks, key=lambda task: -(task.megapixels or 0.0)
         )  # the largest first, so that all end together
-        client = self._machines.client
-        client.subscribe_topic(TOPIC, self._hear)
-        try:
+        with self._connected():
             if waiting and not self._known:
                 yield from self._until_done([_Tried(waiting.pop(0), alone=True)])
             yield from self._until_done([_Tried(task) for task in waiting])
-        finally:
-            client.unsubscribe_topic(TOPIC)
-            self._drop(lambda tried: True)
 
     def serve(
         self, claim: Callable[[int], Iterable[Task]], unwanted: Callable[[], Collection[str]] = tuple
@@ -152,9 +148,7 @@ class Engine:
         Raises:
             BatchError: the scheduler is gone, or a worker runs another version.
         """
-        client = self._machines.client
-        client.subscribe_topic(TOPIC, self._hear)
-        try:
+        with self._connected():
             while self._stop_request() is StopRequest.NONE or self._at_work:
                 self._apply()
                 self._stop(unwanted())
@@ -165,9 +159,26 @@ class Engine:
                 for task in claimed:
                     self._submit(_Tried(task, alone=not self._known))
                 yield from self._next()
-        finally:
-            client.unsubscribe_topic(TOPIC)
-            self._drop(lambda tried: True)
+
+    @contextmanager
+    def _connected(self) -> Iterator[None]:
+        """Hear what workers report meanwhile; drop what is at work in the end.
+
+        Raises:
+            BatchError: a request to the scheduler was cut off: it is gone.
+        """
+        from distributed.comm import CommClosedError
+
+        client = self._machines.client
+        try:
+            client.subscribe_topic(TOPIC, self._hear)
+            try:
+                yield
+            finally:
+                client.unsubscribe_topic(TOPIC)
+                self._drop(lambda tried: True)
+        except CommClosedError:
+            raise _lost() from None
 
     def _hear(self, event: tuple[float, Mapping[str, Any]]) -> None:
         """Called in Dask's own thread."""
