@@ -167,7 +167,7 @@ class Engine:
         Raises:
             BatchError: a request to the scheduler was cut off: it is gone.
         """
-        from distributed.comm import CommClosedError
+        import distributed
 
         client = self._machines.client
         try:
@@ -177,7 +177,7 @@ class Engine:
             finally:
                 client.unsubscribe_topic(TOPIC)
                 self._drop(lambda tried: True)
-        except CommClosedError:
+        except distributed.comm.CommClosedError:
             raise _lost() from None
 
     def _hear(self, event: tuple[float, Mapping[str, Any]]) -> None:
