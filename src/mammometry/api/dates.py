@@ -37,7 +37,7 @@ _COMMAND = "compare"
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Comparison:
-    """What two dates came to, and where it was written."""
+    """Result of comparing two dates, and the files that hold it."""
 
     before: Path
     """The earlier session."""
@@ -337,7 +337,7 @@ def _measured_again(
 
 
 def _evidence(job: Dated) -> Evidence:
-    """What the stages before know of a volume's errors."""
+    """Collect the errors that the earlier stages state, as input of a volume's interval."""
     return job.plan[measure.evidence]()
 
 

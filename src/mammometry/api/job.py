@@ -207,7 +207,7 @@ class Job(Reported):
         return {side.name: side.why for side in self.plan.value(measure.absent) or ()}
 
     def lacking(self) -> tuple[VolumeDeficit, ...]:
-        """What a side of a torso lacks to the mirrored other one."""
+        """Volume by which the smaller side of a torso differs from the mirrored larger one."""
         self.ensure("measure")
         return self.plan.value(measure.lacking) or ()
 

@@ -74,7 +74,7 @@ WORLD = "The mesh file's own frame, in mm."
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MeshFiles:
-    """What is known of a foreign mesh."""
+    """Files and statements that come with a foreign mesh."""
 
     mesh: Path
     """PLY, OBJ, STL, GLB or USDZ."""
@@ -369,7 +369,7 @@ def _inputs(
 
 
 def _drawn(inputs: Inputs) -> dict[str, str]:
-    """What the viewer's place depends on beside the mesh."""
+    """Inputs beside the mesh that decide where the viewer stands."""
     return {name: inputs.digests[name] for name in ("boundaries", "landmarks")}
 
 

@@ -1,4 +1,4 @@
-"""What a run came to, and the page of a refused run."""
+"""Results of a run, and the page of a refused run."""
 
 from __future__ import annotations
 
