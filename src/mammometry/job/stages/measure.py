@@ -145,7 +145,7 @@ def evidence(
     )
 
 
-@product("measure", version=19, name="measurement", settings="measure", inputs=("wall", "scale"), when=_has_volume)
+@product("measure", version=20, name="measurement", settings="measure", inputs=("wall", "scale"), when=_has_volume)
 def measurements(
     repaired: RepairedSurface, boundaries: tuple[Boundary, ...], body: Body | None, evidence: Evidence, *, job: Context
 ) -> tuple[VolumeMeasurement, ...]:

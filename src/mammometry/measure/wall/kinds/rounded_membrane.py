@@ -13,9 +13,9 @@ from mammometry.measure.wall.registry import TORSO_WALLS, add_wall
 
 _USUAL_PER_MM = 0.0033
 """Curvature along the body of a flat chest: mean of real women, 1/mm (docs/decisions/0029)."""
-_GOES_ON = 2 / 3
-"""Share of the curvature beside a breast that goes on behind it. Of five families with known chests it is .3 to .9, of
-the real women's mean error .7 (docs/decisions/0029)."""
+_GOES_ON = 0.5
+"""Share of the curvature beside a breast that goes on behind it: between .3 and .9 in five families with known chests,
+and the one with which their errors are least (docs/decisions/0029)."""
 
 
 @add_wall(
@@ -24,8 +24,8 @@ the real women's mean error .7 (docs/decisions/0029)."""
     place=0,
     flat_u95_mm=3.8,  # the scatter of the cylinder membrane on 145 breasts, 1.9 mm, without its mean (decision 29)
     definition="a membrane stretched over the boundary, in the trunk's cylindrical coordinates, and rounded from top "
-    "to bottom as chests are: by a third of the sum of the curvature of the skin beside both breasts and that of real "
-    "women's chests",
+    "to bottom as chests are: by a quarter of the sum of the curvature of the skin beside both breasts and that of "
+    "real women's chests",
 )
 def rounded_membrane(breast: OpenBreast) -> Closed:
     """Radius from the trunk's axis whose Laplacian over (θ, y) is constant, fixed on the boundary."""
