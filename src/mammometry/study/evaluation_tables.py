@@ -70,35 +70,25 @@ def evaluation_tables(found: Evaluation) -> list[Table]:
             ("95 % mm", lambda ranges: number(ranges.p95_mm)),
         ),
         Table(
-            title="Surface: where at least one pair sees the skin; positive outside",
-            columns=(
-                "surface",
-                "mean mm",
-                "median mm",
-                "RMS mm",
-                "95 % mm",
-                "bias mm",
-                "complete %",
-                "claimed %",
-                "stray %",
-            ),
+            title="Surface: mm, where at least one pair sees the skin; positive outside",
+            columns=("surface", "mean", "median", "RMS", "95 %", "bias", "complete %", "claimed %", "stray %"),
             rows=tuple(
                 (
-                    f"{name}, {how}",
+                    how or name,
                     *(
                         number(value)
                         for value in (accuracy.mean_mm, accuracy.median_mm, accuracy.rms_mm, accuracy.p95_mm)
                     ),
                     number(accuracy.bias_mm, "+.3f"),
                     number(accuracy.complete_percent, ".2f"),
-                    number(accuracy.claimed_percent, ".2f") if how == "where claimed" else "",
-                    number(judged.stray_percent, ".2f") if how == "unaligned" else "",
+                    number(accuracy.claimed_percent, ".2f") if accuracy is judged.claimed else "",
+                    number(judged.stray_percent, ".2f") if accuracy is judged.unaligned else "",
                 )
                 for name, judged in found.surfaces.items()
                 for how, accuracy in (
-                    ("unaligned", judged.unaligned),
-                    ("where claimed", judged.claimed),
-                    ("ICP-aligned", judged.aligned),
+                    ("", judged.unaligned),
+                    ("… claimed", judged.claimed),
+                    ("… by ICP", judged.aligned),
                 )
                 if accuracy is not None
             ),
