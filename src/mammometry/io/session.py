@@ -54,7 +54,7 @@ from mammometry.job.products import Stage
 
 if TYPE_CHECKING:
     from mammometry.calibration.adjust.projection import CameraPrior
-    from mammometry.calibration.detection.measured_points import MeasuredPoints
+    from mammometry.calibration.detection.detect import MeasuredPoints
 
 K = TypeVar("K")
 V = TypeVar("V")
@@ -414,7 +414,7 @@ class Session:
 
 
 def _read_points(path: Path, name: str) -> MeasuredPoints:
-    from mammometry.calibration.detection.measured_points import MeasuredPoints
+    from mammometry.calibration.detection.detect import MeasuredPoints
 
     table = read_table(
         path, name, "a first line id,u,v, then one point a line: its place in the target's list, its pixel"

@@ -10,8 +10,15 @@ from printed import camera, centred, chessboard, photograph_of_board
 
 from mammometry.base.errors import CalibrationError, ImageError
 from mammometry.base.photograph import Photograph
-from mammometry.calibration.detection.detect import Detection, Observations, detect, detect_in, merged
-from mammometry.calibration.detection.measured_points import MeasuredPoints, points_from_table
+from mammometry.calibration.detection.detect import (
+    Detection,
+    MeasuredPoints,
+    Observations,
+    detect,
+    detect_in,
+    merged,
+    points_from_table,
+)
 from mammometry.calibration.targets.kinds.chessboard import ChessboardTarget
 from mammometry.calibration.targets.kinds.points import PointsTarget
 from mammometry.io.results.tree import to_tree

@@ -7,7 +7,7 @@ import pytest
 from moving_rig import RADII, calibrated_rig, measured, standing
 
 from mammometry.base.errors import SurfaceError
-from mammometry.calibration.judge.cameras.pose_motion import shifts
+from mammometry.calibration.judge.pose_motion import shifts
 from mammometry.surface.motion import motion_test as stillness
 from mammometry.surface.motion import rigid_motion as motions
 from mammometry.surface.motion.agreement import differences
