@@ -21,7 +21,7 @@ from mammometry.calibration.detection.detect import (
 )
 from mammometry.calibration.targets.kinds.chessboard import ChessboardTarget
 from mammometry.calibration.targets.kinds.points import PointsTarget
-from mammometry.io.results.tree import to_tree
+from mammometry.io.results.codecs import to_tree
 
 BOARD = ChessboardTarget(squares=(6, 5), square_mm=30.0)
 POINTS = PointsTarget(points_mm=((0.0, 0.0, 0.0), (50.0, 0.0, 5.0), (0.0, 50.0, 9.0), (50.0, 50.0, 1.0)))
