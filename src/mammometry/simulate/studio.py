@@ -19,12 +19,11 @@ from mammometry.base.progress import Progress, no_progress
 from mammometry.calibration.targets.target import Target
 from mammometry.geometry import Array, Camera, Float32, Float64, Rig, Transform
 from mammometry.simulate.disturbances.exposure import Exposure
-from mammometry.simulate.rendering.develop import develop
-from mammometry.simulate.rendering.film import Film
-from mammometry.simulate.rendering.objects.skin import Skin
-from mammometry.simulate.rendering.objects.solid_target import render_target
+from mammometry.simulate.rendering.film import Film, develop
 from mammometry.simulate.rendering.registry import BUILT_IN, RENDERERS
 from mammometry.simulate.rendering.scene import Room, Scene, Thing, light_scene, moved
+from mammometry.simulate.rendering.skin import Skin
+from mammometry.simulate.rendering.solid_target import render_target
 from mammometry.simulate.rigs.targets import BOARD, sees_target, visible_points
 from mammometry.simulate.subjects.solid import Solid
 

@@ -22,7 +22,7 @@ from mammometry.measure.landmarks.proposals import propose_nipple
 from mammometry.measure.settings import CompareSettings, LayerSettings
 from mammometry.measure.trunk.skin_map import PIXEL_MM, Relief
 from mammometry.measure.trunk.thorax import Skin, Trunk, find_trunk, fit_thorax
-from mammometry.measure.volume.definitions import layer_before_muscle_mm
+from mammometry.measure.volume.measurement import layer_before_muscle_mm
 from mammometry.measure.volume.uncertainty import AXIS, Evidence, interval
 from mammometry.measure.wall.chest_wall import ChestWall
 

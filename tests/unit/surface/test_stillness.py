@@ -11,8 +11,7 @@ from mammometry.calibration.judge.pose_motion import shifts
 from mammometry.surface.motion import motion_test as stillness
 from mammometry.surface.motion import rigid_motion as motions
 from mammometry.surface.motion.agreement import differences
-from mammometry.surface.motion.motion_messages import concerns, summary
-from mammometry.surface.motion.motion_test import find, retriangulated
+from mammometry.surface.motion.motion_test import concerns, find, retriangulated, summary
 from mammometry.surface.motion.rigid_motion import Observed, most_probable, motion_parameters, rigid_motions
 from mammometry.surface.settings import StillnessSettings
 

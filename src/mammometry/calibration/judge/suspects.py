@@ -16,7 +16,7 @@ import numpy as np
 from mammometry.base.errors import CalibrationError
 from mammometry.calibration.adjust.calibrated import Calibration
 from mammometry.calibration.detection.detect import Observations
-from mammometry.calibration.features.found_points import Cause
+from mammometry.calibration.features.pixels import Cause
 from mammometry.calibration.judge.findings import BIAS_REFUSE, board_faults
 from mammometry.calibration.judge.quality import CalibrationQuality, assess
 from mammometry.calibration.settings import QualitySettings

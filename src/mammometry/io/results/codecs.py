@@ -77,7 +77,7 @@ STORED_TYPES: Mapping[str, str] = MappingProxyType(
         "measure.linear:Ptosis": "mammometry.measure.shape.lengths:Ptosis",
         "measure.shape:BreastShape": "mammometry.measure.shape.anthropometry:BreastShape",
         "measure.symmetry:Symmetry": "mammometry.measure.shape.symmetry:Symmetry",
-        "measure.volume:DefinedVolume": "mammometry.measure.volume.definitions:DefinedVolume",
+        "measure.volume:DefinedVolume": "mammometry.measure.volume.measurement:DefinedVolume",
         "measure.volume:VolumeMeasurement": "mammometry.measure.volume.measurement:VolumeMeasurement",
         "surface.agreement:RowErrors": "mammometry.surface.motion.agreement:RowErrors",
         "surface.atlas:Atlas": "mammometry.surface.texture.texture_atlas:Atlas",

@@ -13,7 +13,7 @@ import numpy as np
 
 from mammometry.base.machine.cores import each_at_once
 from mammometry.base.value import value
-from mammometry.geometry import Array, Bool, Camera, Float32, Float64, Int64, Rig, raster_kernels
+from mammometry.geometry import Array, Bool, Camera, Float32, Float64, Int64, Rig, mesh_kernels
 from mammometry.geometry.nearest import point_tree
 from mammometry.matching.foreground.contour import follow
 from mammometry.matching.foreground.foreground import Foreground
@@ -70,7 +70,7 @@ class SeenThrough:
     @classmethod
     def of(cls, image: RangeImage, margin_mm: float) -> SeenThrough:
         """Cut out what holds data. The rest of a range image excludes nothing."""
-        top, bottom, left, right = raster_kernels.extent(image.valid).tolist()
+        top, bottom, left, right = mesh_kernels.extent(image.valid).tolist()
         window = (slice(top, bottom), slice(left, right))
         return cls(
             camera=image.camera,

@@ -20,8 +20,14 @@ from mammometry.measure.boundary.breasts import NoBreast
 from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.trunk.body import Body
 from mammometry.measure.volume import boundary_jitter
-from mammometry.measure.volume.definitions import MUSCLE_WALL, DefinedVolume, HalfWidths, define, other_terms_cc
-from mammometry.measure.volume.measurement import VolumeMeasurement
+from mammometry.measure.volume.measurement import (
+    MUSCLE_WALL,
+    DefinedVolume,
+    HalfWidths,
+    VolumeMeasurement,
+    define,
+    other_terms_cc,
+)
 from mammometry.measure.volume.uncertainty import WALL, WALL_FIT_U95_MM, Evidence, Uncertainty, interval
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.chest_wall import ChestWall

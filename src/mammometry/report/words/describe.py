@@ -25,9 +25,9 @@ from mammometry.measure.trunk.head import HEAD_NOT_SHOWN
 from mammometry.measure.volume.attribution import curve_digest
 from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.report.content import BreastReport, Fact, LargeNumber, Meaning, StageReport, sentence
-from mammometry.report.figures.drawing.shading import NAMES, wall_faces
-from mammometry.report.figures.drawing.thinning import ThinnedRange
+from mammometry.report.figures.shading import NAMES, wall_faces
 from mammometry.report.figures.surface import provenance_shares
+from mammometry.report.figures.thinning import ThinnedRange
 from mammometry.report.words.volumes import (
     MEANINGS,
     definition_words,

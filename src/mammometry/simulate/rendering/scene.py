@@ -17,9 +17,9 @@ from scipy.sparse import csr_matrix
 
 from mammometry.base.value import value
 from mammometry.geometry import Array, Bool, Float32, Float64, Int32, Transform, TriangleMesh, UInt8
-from mammometry.simulate.rendering.objects import props
-from mammometry.simulate.rendering.objects.props import Props
-from mammometry.simulate.rendering.objects.skin import Skin
+from mammometry.simulate.rendering import props
+from mammometry.simulate.rendering.props import Props
+from mammometry.simulate.rendering.skin import Skin
 from mammometry.simulate.subjects.solid import Solid
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from mammometry.base.errors import MeasureError
 from mammometry.measure.boundary.prominence import FEWEST_MM
-from mammometry.measure.solid.sew import Closed
+from mammometry.measure.solid.patch import Closed
 from mammometry.measure.trunk.thorax import on_trunk
 from mammometry.measure.wall.heights import Chart, TrunkChart, best_plane, layer, through
 from mammometry.measure.wall.open_breast import OpenBreast
