@@ -1,6 +1,7 @@
 """A run under ``--all-must-run`` names what it did not run, and fails where it should have."""
 
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -60,3 +61,34 @@ def test_each_reason_that_counts_is_one_of_a_test(repository: Path) -> None:
         path.read_text(encoding="utf-8") for path in (repository / "tests").rglob("*.py") if path.stem != "not_run"
     ]
     assert [reason for reason in MAY_SKIP if not any(f'"{reason}' in text for text in texts)] == []
+
+
+@pytest.mark.parametrize(
+    ("printed", "code", "expected"),
+    [
+        ("[gw0] [ 50%] PASSED a", 0, 0),
+        ("[gw0] [ 50%] FAILED a", 2, 1),
+        ("[gw1] [ 50%] ERROR a", 124, 1),  # and the other worker was at work until the time ran out
+        ("ERROR not run: a: no Chromium", 2, 1),
+        ("no tests", 2, 1),
+        ("not reached: a", 124, 0),
+        ("not reached: a", 137, 0),
+    ],
+)
+def test_ci_fails_with_its_slow_tests(repository: Path, tmp_path: Path, printed: str, code: int, expected: int) -> None:
+    """All but its last step is left out."""
+    for name, script in {"make": "", "python3": "", "apt-get": "", "timeout": f"echo '{printed}'; exit {code}"}.items():
+        _write_program(tmp_path / "bin" / name, script)
+    _write_program(tmp_path / ".venv/bin/python", "")
+    (tmp_path / ".ci").mkdir()
+    script = shutil.copy(repository / ".ci/run", tmp_path / ".ci/run")
+    environment = os.environ | {"PATH": f"{tmp_path}/bin:{os.environ['PATH']}"}
+    done = subprocess.run(["bash", script], env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == expected, done.stdout
+    assert printed in done.stdout
+
+
+def _write_program(path: Path, script: str) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(f"#!/bin/sh\n{script}\n")
+    path.chmod(0o755)
