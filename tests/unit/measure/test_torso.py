@@ -233,6 +233,7 @@ def test_a_given_curve_is_kept() -> None:
     assert "given: 160 points" in boundary.method
 
 
+@pytest.mark.requirement("R-VOL-7")
 def test_the_default_wall_of_a_torso_is_named_in_the_result() -> None:
     found = volumes.measure(
         EDGES[0], walls("left")["rounded-membrane"], MeasureSettings(), alternatives=list(walls("left").values())[1:]
