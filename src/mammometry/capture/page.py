@@ -1,4 +1,4 @@
-"""The page on which cameras are aimed, focused and fired, with its aids, for the local server or the clinic."""
+"""The page on which cameras are aimed, focused and fired, by the local server or the clinic."""
 
 from __future__ import annotations
 

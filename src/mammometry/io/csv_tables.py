@@ -1,4 +1,7 @@
-"""CSV tables made by people, programs and spreadsheets of any country, and tables of paired measurements."""
+"""CSV tables made by people, programs and spreadsheets of any country.
+
+Among them tables of paired measurements, with the figures published from them.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Collect the report of a session's job, or of a scanner's mesh, stage by stage, so that little is held in memory."""
+"""Collect the report of a session's job, or of a scanner's mesh, stage by stage.
+
+So little is held in memory.
+"""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace

@@ -1,4 +1,4 @@
-"""Our triangle meshes: binary PLY, mm, world frame, any vertex properties; and textured GLB and OBJ for any viewer.
+"""Our triangle meshes: PLY in mm, world frame, and textured GLB and OBJ for any viewer.
 
 Units are metres in GLB, as its standard says, and mm in OBJ.
 """

@@ -1,4 +1,4 @@
-"""Fill closed loops in a plane with triangles, interpolate values over them, and sew them onto a skin's opening.
+"""Fill closed loops in a plane with triangles, and sew such a patch onto a skin's opening.
 
 Values are carried from the loops over them. No vertex is added on a loop, so that a patch can be sewn to the mesh
 which the loop came from.

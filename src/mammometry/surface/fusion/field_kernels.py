@@ -1,4 +1,4 @@
-"""Compiled kernels: signed distance of the solid at millions of corners, and pieces of a silhouette's contour.
+"""Compiled kernels: signed distance of the solid at millions of corners, contours of silhouettes.
 
 Their plain NumPy twins stand in tests/unit/surface/.
 """

@@ -1,4 +1,4 @@
-"""Removal of range data that are not the subject's skin: dents (paper 2.6.1, 2.6.2, Eq. 2–3) and foreign pieces.
+"""Removal of range data that are no skin of the subject: dents (paper 2.6.2) and foreign pieces.
 
 Dents are smeared depth discontinuities, seen at grazing angles. What lies far behind the subject's middle is
 background, where no silhouette kept it out. What hangs together with the largest surface that the pairs see is the

@@ -1,4 +1,4 @@
-"""Walls through the boundary of a breast: membranes, a thin plate, Coons' patch, a plane, the skin's own slope."""
+"""Walls through a breast's boundary: membranes, a thin plate, Coons' patch, a plane, the skin's slope."""
 
 from __future__ import annotations
 
