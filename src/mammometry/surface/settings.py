@@ -86,10 +86,8 @@ class RepairSettings:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StillnessSettings:
-    """When pairs that disagree are put right, and when refused."""
+    """When captures whose pairs disagree are refused."""
 
-    correct: bool = True
-    """Whether cameras are set to their most probable poses. If not, only the interval grows."""
     most_mm: float = 3.0
     """Largest RMS displacement of a pair's points that is corrected, mm. Above it, calibrate again."""
     most_unexplained_mm: float = 0.7
@@ -105,7 +103,7 @@ class SurfaceSettings:
     triangulate: TriangulateSettings = field(default_factory=TriangulateSettings)
     """Which disparities become range data."""
     stillness: StillnessSettings = field(default_factory=StillnessSettings)
-    """When pairs that disagree are put right, and when refused."""
+    """When captures whose pairs disagree are refused."""
     decompose: DecomposeSettings = field(default_factory=DecomposeSettings)
     """Labelling of range images against one another."""
     dents: DentSettings = field(default_factory=DentSettings)

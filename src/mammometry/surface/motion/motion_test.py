@@ -188,7 +188,7 @@ def find(
     if not (matters or found.unexplained):
         return _nothing(parameters, distance_mm=before_mm, evidence=evidence)
     _refuse(found, settings, honest_mm)
-    if settings.correct and evidence >= LEAST_EVIDENCE:
+    if evidence >= LEAST_EVIDENCE:
         return replace(found, corrected=True)
     return replace(found, covariance=found.covariance + np.outer(found.motions, found.motions))
 
