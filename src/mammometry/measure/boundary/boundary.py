@@ -262,7 +262,7 @@ def _disagreement(found: AdjustedBase, scale_px: float) -> float:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TorsoSides:
-    """What was found on either side of a torso."""
+    """Boundaries found on either side of a torso, or reasons why there is none."""
 
     boundaries: tuple[Boundary, ...]
     """Of each breast, the patient's left first."""

@@ -247,7 +247,7 @@ def _highest(relief: Relief, sign: float, trunk: Trunk) -> Float64[Array, 2]:
 
 
 def within_outline(flat: Float64[Array, "n 2"], outline: Float64[Array, "k 2"]) -> Bool[Array, " n"]:
-    """Whether points are inside a closed, star-shaped curve. It is star-shaped about its mean."""
+    """Mask of the points inside a closed curve that is star-shaped about its mean."""
     middle = outline.mean(axis=0)
     around = np.arctan2(*(outline - middle).T[::-1])
     away = np.linalg.norm(outline - middle, axis=1)

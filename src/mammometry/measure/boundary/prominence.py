@@ -133,7 +133,7 @@ _SMOOTHED_MM = 6.0  # a low mound's top is looked for in relief smoothed over th
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Standing:
-    """What stands out in front of a membrane stretched over an outline."""
+    """Relief in front of a membrane stretched over an outline."""
 
     top_mm: float
     """Height of its top, mm."""
@@ -150,7 +150,7 @@ class Standing:
         return 10 * self.volume_cc / max(self.area_cm2, 1e-9)
 
     def verdict(self, astray_mm: float | None = None) -> Verdict:
-        """What it is.
+        """Breast, none, or unclear.
 
         What stands out little on average, without a crease around nearly all of it, is the chest's own form if it lies
         elsewhere than the other side's breast, mirrored. What is low must have more of a crease to be a breast, and

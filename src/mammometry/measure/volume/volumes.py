@@ -211,11 +211,10 @@ _ASIDE_MM = 80.0  # of the midline, where a removed breast is marked; a breast's
 
 
 def refused_side(breast: OpenBreast) -> NoBreast:
-    """Why a side of a torso has no volume, by another attempt.
+    """Find by another attempt why a side of a torso has no volume.
 
     Args:
         breast: whose volume was refused.
-
     """
     points = breast.boundary.points_world
     vertices = breast.surface.mesh.vertices
