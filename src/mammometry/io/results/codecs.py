@@ -232,7 +232,7 @@ class DeflatedArchive(zipfile.ZipFile):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Format:
-    """How one kind of product lies on disk."""
+    """Format of one kind of product on disk."""
 
     write: Callable[[Path, Any], None]
     """Writes the value to a path with `ending`, and the format's other files beside it with the same stem."""
