@@ -9,7 +9,7 @@ COMPILER := numba scipy jaxtyping threadpoolctl
 # Where `make wheel` puts it.
 DIST ?= dist
 
-# Each run takes the next fifth of the slow tests: by the commits of this branch, or by days where they are not known.
+# Each run takes the next share of the slow tests: by the commits of this branch, or by days where they are not known.
 ROTA ?= $(shell if [ "$$(git rev-parse --is-shallow-repository 2>/dev/null)" = false ]; \
 	then git rev-list --count --first-parent HEAD; else echo $$(( $$(date +%s) / 86400 )); fi)
 
@@ -38,7 +38,7 @@ test-slow: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -m slow -n auto --dist loadgroup --no-loadscope-reorder
 
 test-slow-rota: $(VENV)/.installed-dev
-	$(BIN)/python -m pytest -v -m slow --rota $(ROTA)/5 --exitfirst -n auto --dist loadgroup --no-loadscope-reorder
+	$(BIN)/python -m pytest -v -m slow --rota $(ROTA) --all-must-run --exitfirst -n auto --dist loadgroup --no-loadscope-reorder
 
 # The clinic's tests once more, with a PostgreSQL server that they start and end themselves; exports with an Orthanc;
 # cameras with those that their makers simulate.

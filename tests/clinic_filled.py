@@ -96,7 +96,7 @@ def main() -> dict[str, Any]:
     config = read_config(folder)
     configure(config.model_copy(update={"hosts": (*config.hosts, "testserver")}))
     from mammometry.clinic.jobs import queue
-    from mammometry.clinic.models import Calibration, DailyCheck, Delivery, Job, Measurement, Volume
+    from mammometry.clinic.models import Calibration, DailyCheck, Job, Measurement, Volume
 
     if what == "calibrate":
         calibration = rig_of(Path(sys.argv[3]), folder)
@@ -146,7 +146,6 @@ def main() -> dict[str, Any]:
         "measurements": Measurement.objects.count(),
         "volumes": rows,
         "calibrations": [each.folder for each in Calibration.objects.all()],
-        "deliveries": list(Delivery.objects.values("state", "tries", "sent", "message")),
         "checks": [{"verdict": each.verdict, "passed": each.passed} for each in DailyCheck.objects.all()],
     }
 

@@ -11,8 +11,9 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import pytest
 from jaxtyping import install_import_hook
+from tests.not_run import NotRun
 from tests.record_seconds import Recorder
-from tests.rota import RECORDED, chosen, function_of, longest_first, not_run, turn
+from tests.rota import RECORDED, chosen, function_of, longest_first, turn
 
 # Numba compiles kernels and the lens, and cannot see through a checking wrapper; the command line has no arrays.
 _CHECKED = ("base.photograph", "matching.dense.match", "matching.rectify", "surface.ranges.range_image")
@@ -28,7 +29,8 @@ install_import_hook([f"mammometry.{name}" for name in (*_CHECKED, *_WITHOUT_KERN
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    parser.addoption("--rota", metavar="RUN/SHARES", help="of the tests that -m chose, those whose turn it is")
+    parser.addoption("--rota", metavar="RUN", help="of the tests that -m chose, those whose turn it is in this run")
+    parser.addoption("--all-must-run", action="store_true", help="fail when a test is skipped that need not be")
     parser.addoption("--record-seconds", action="store_true", help="put what the tests take into tests/seconds.txt")
 
 
@@ -38,25 +40,14 @@ def pytest_configure(config: pytest.Config) -> None:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     if config.getoption("--record-seconds"):
         config.pluginmanager.register(Recorder(RECORDED))
+    if config.getoption("--all-must-run"):
+        config.pluginmanager.register(NotRun())
 
 
 def pytest_sessionstart(session: pytest.Session) -> None:
     """Compile every kernel before workers start: they would all compile the same ones at the same time."""
     if session.config.getoption("numprocesses", None):
         subprocess.run([sys.executable, "-m", "mammometry.cli.compile_cache"], check=True)
-
-
-@pytest.hookimpl(tryfirst=True)  # before the terminal's own, which shows what was set here
-def pytest_sessionfinish(session: pytest.Session) -> None:
-    """Let a rota fail in which a test was skipped that should have run: else it would never run anywhere."""
-    reporter = session.config.pluginmanager.get_plugin("terminalreporter")
-    if session.config.getoption("--rota") is None or hasattr(session.config, "workerinput") or reporter is None:
-        return
-    reports = [report for report in reporter.stats.get("skipped", ()) if isinstance(report.longrepr, tuple)]
-    reporter.ensure_newline()
-    for line in not_run((report.nodeid, report.longrepr[2]) for report in reports):
-        reporter.write_line(f"ERROR not run: {line}", red=True)
-        session.exitstatus = session.exitstatus or pytest.ExitCode.TESTS_FAILED
 
 
 @pytest.hookimpl(trylast=True)  # after -m and -k have chosen
@@ -69,13 +60,13 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     if text is None:
         return
     try:
-        number, shares = turn(text)
+        number = turn(text)
     except ValueError as error:
         raise pytest.UsageError(str(error)) from None
     groups: dict[str, list[str]] = {}
     for item in items:
         groups.setdefault(_group(item), []).append(item.nodeid)
-    now = chosen(groups.items(), number, shares)
+    now = chosen(groups.items(), number)
     config.hook.pytest_deselected(items=[item for item in items if _group(item) not in now])
     items[:] = [item for item in items if _group(item) in now]
 

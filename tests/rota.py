@@ -10,34 +10,15 @@ from pathlib import Path
 from zlib import crc32
 
 RECORDED = Path(__file__).with_name("seconds.txt")
-UNRECORDED_S = 3.0
-"""Of a slow test that the table does not name: the median of those that it names."""
+SHARES = 10
+"""So many runs in a row take all slow tests: a share is four to five minutes of two cores (decision 35)."""
 
 
-MAY_SKIP = (
-    "third-party captures are not beside",
-    "the clinic was tested with SQLite alone",  # a slow test runs all of it with PostgreSQL
-    "this is that run",
-    "SQLite has no TRUNCATE",
-    "mounting",  # needs rights that containers lack; the same is tested with injected errors
-    "this gphoto2 has no simulated camera",
-)
-"""Beginnings of the reasons for which a test may be skipped although all is installed that .ci/run installs."""
-
-
-def not_run(skipped: Iterable[tuple[str, str]]) -> list[str]:
-    """Tests that were skipped for another reason, with it, from names and reasons."""
-    return [
-        f"{name}: {reason}" for name, reason in skipped if not reason.removeprefix("Skipped: ").startswith(MAY_SKIP)
-    ]
-
-
-def turn(text: str) -> tuple[int, int]:
-    """Read "RUN/SHARES": the number of this run, any, and how many runs take all."""
-    run, _, shares = text.partition("/")
-    if not (run.isdecimal() and shares.isdecimal() and int(shares) > 0):
-        raise ValueError(f"--rota: found {text!r}, expected RUN/SHARES, as in 17/5")
-    return int(run) % int(shares), int(shares)
+def turn(text: str) -> int:
+    """Read the number of this run, any: the share that it takes, from 0."""
+    if not text.isdecimal():
+        raise ValueError(f"--rota: found {text!r}, expected the number of this run, as in 17")
+    return int(text) % SHARES
 
 
 def recorded(path: Path = RECORDED) -> dict[str, float]:
@@ -51,7 +32,7 @@ def function_of(test: str) -> str:
     return re.split(r"[\[@]", test, maxsplit=1)[0]
 
 
-def chosen(groups: Iterable[tuple[str, Sequence[str]]], number: int, shares: int) -> set[str]:
+def chosen(groups: Iterable[tuple[str, Sequence[str]]], number: int) -> set[str]:
     """The groups of slow tests whose turn it is.
 
     Longest first, each goes to the share that has least to do, so that all take alike. Short ones, and those of which
@@ -60,13 +41,12 @@ def chosen(groups: Iterable[tuple[str, Sequence[str]]], number: int, shares: int
     Args:
         groups: name of each group, and its tests. Tests that share what is costly to make are one group.
         number: of the share, from 0.
-        shares: how many there are.
     """
     seconds = recorded()
     known = {name: [seconds[function_of(test)] for test in tests if function_of(test) in seconds]
              for name, tests in groups}  # fmt: skip
-    load = [0.0] * shares
-    here = {name for name, found in known.items() if not found and crc32(name.encode()) % shares == number}
+    load = [0.0] * SHARES
+    here = {name for name, found in known.items() if not found and crc32(name.encode()) % SHARES == number}
     for name in sorted((name for name in known if known[name]), key=lambda name: (-sum(known[name]), name)):
         least = load.index(min(load))
         load[least] += sum(known[name])

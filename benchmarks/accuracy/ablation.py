@@ -43,8 +43,7 @@ from mammometry.simulate.subjects.solid import rig_from_solid
 from mammometry.study.accuracy import compare_surfaces
 from mammometry.study.rays import RayScene, seen_by_pairs
 from mammometry.surface.fusion.fuse import extract
-from mammometry.surface.ranges.decompose import decompose
-from mammometry.surface.ranges.dents import remove_dents
+from mammometry.surface.ranges.dents import decompose, remove_dents
 from mammometry.surface.ranges.range_image import RangeImage, triangulate
 from mammometry.surface.repair.repair import repair
 from mammometry.surface.settings import DentSettings, ExtractSettings

@@ -19,8 +19,7 @@ from mammometry.geometry.camera import Rig
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.matching.foreground.foreground import Foreground, blocks_of, estimate_foreground, subject_blocks
 from mammometry.measure.boundary.boundary import find_base
-from mammometry.measure.boundary.cast_base_adjust import mean_height
-from mammometry.measure.boundary.cast_rim import rim_candidates
+from mammometry.measure.boundary.cast_rim import mean_height, rim_candidates
 from mammometry.simulate.rendering.develop import develop
 from mammometry.simulate.rendering.film import Film
 from mammometry.simulate.rendering.objects.skin import Skin

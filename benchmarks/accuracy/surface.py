@@ -50,8 +50,8 @@ from mammometry.study.truth import Truth
 from mammometry.surface.fusion.fuse import extract
 from mammometry.surface.ranges.dents import remove_dents
 from mammometry.surface.ranges.range_image import RangeImage, triangulate
-from mammometry.surface.repair.crossing import crossing_faces
 from mammometry.surface.repair.repair import Provenance, repair
+from mammometry.surface.repair.untangle import crossing_faces
 from mammometry.surface.settings import SurfaceSettings
 
 

@@ -68,8 +68,6 @@ class Case:
     """What may be written or changed in the folder."""
     verdicts: tuple[int, ...] = ()
     """Exit codes that are an answer, not an error."""
-    slow: bool = False
-    """Left out of the default run: its successes take seconds."""
 
 
 def _dated(folder: Path, place: int = 2, date: str = "2026-03-01", growth: float = 1.0) -> None:
@@ -290,7 +288,7 @@ _STAGES = ("session/results/*/provenance.json", "session/results/*/*.*", "sessio
 def _finished_by(command: str, *arguments: str, spoilt: tuple[str, ...]) -> Case:
     writes = ("session/results", "session/evaluation", "session/.mammometry.json", "out")
     settings = ("--settings", "{here}/settings.toml")
-    return Case(f"finished-{command}", _finished, (command, *arguments, *settings, *_QUIET), spoilt, writes, slow=True)
+    return Case(f"finished-{command}", _finished, (command, *arguments, *settings, *_QUIET), spoilt, writes)
 
 
 _DATES = ("before", "after")
@@ -344,13 +342,13 @@ CASES: tuple[Case, ...] = (
     Case(
         "compare", _two_dates, ("compare", "{here}/before", "{here}/after", *_QUIET),
         tuple(f"{date}/{name}" for date in _DATES for name in ("session.toml", "cameras.json", *_DRAWN, *_RESULTS)),
-        writes=("before/results", "after/results"), slow=True,
+        writes=("before/results", "after/results"),
     ),
     Case(
         "simulate", _rig,
         ("simulate", "{here}/out", "--rig", "{here}/rig.toml", "--subject", "sphere", "--scale", "0.02", "--poses", "1",
          *_QUIET),
-        ("rig.toml",), writes=("out",), slow=True,
+        ("rig.toml",), writes=("out",),
     ),
     _finished_by("run", "{here}/session", spoilt=(*_STAGES, "session/results/*/*.png", "session/results/report/*")),
     _finished_by("report", "{here}/session", "--geometry-only", "--out", "{here}/out", spoilt=_STAGES),

@@ -66,9 +66,9 @@ def test_killed_while_results_are_renewed_on_and_on(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("part", range(5))
+@pytest.mark.parametrize("part", range(2))
 @pytest.mark.requirement("R-LOSS-1")
-def test_killed_fifty_times_in_whole_runs(
+def test_killed_again_and_again_in_whole_runs(
     tiny_original: Path, tiny_finished_original: Path, tiny_settings: Path, tmp_path: Path, part: int
 ) -> None:
     """Ten times in each part, so that parts can take turns."""
@@ -76,7 +76,7 @@ def test_killed_fifty_times_in_whole_runs(
     results, chance, done = session / "results", random.Random(11 + part), 0
     wanted, finished = same_bytes(tiny_finished_original / "results"), dict[str, int]()
     command = [sys.executable, "-m", "mammometry", "run", str(session), "--settings", str(tiny_settings), "--json"]
-    for _ in range(int(os.environ.get("MAMMOMETRY_TEST_KILLS", "50")) // 5):
+    for _ in range(10):
         process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
         try:
             process.wait(timeout=chance.uniform(1.0, 15.0))

@@ -1,7 +1,7 @@
 """A machine searches for faults of trust: files spoilt by chance end in success or in one sentence.
 
-Forty are spoilt in every run, a thousand with ``-m slow``. The seed is fixed; MAMMOMETRY_MUTATIONS_SEED starts from
-another. MAMMOMETRY_MUTATIONS is how many the slow run tries, MAMMOMETRY_MUTATIONS_CASES of which cases (``info,run``).
+The seed is fixed; MAMMOMETRY_MUTATIONS_SEED starts from another. MAMMOMETRY_MUTATIONS is how many are tried,
+MAMMOMETRY_MUTATIONS_CASES of which cases (``info,run``).
 A failure prints what was done: the same seed and case do it again.
 """
 
@@ -23,10 +23,9 @@ from mutation import spoil
 from mutation_cases import CASES, Case, prepared
 
 SEED = int(os.environ.get("MAMMOMETRY_MUTATIONS_SEED", "16"))
-COUNT = int(os.environ.get("MAMMOMETRY_MUTATIONS", "1000"))
+COUNT = int(os.environ.get("MAMMOMETRY_MUTATIONS", "200"))
 WANTED = os.environ.get("MAMMOMETRY_MUTATIONS_CASES", ",".join(case.name for case in CASES)).split(",")
-DEFAULT = 16
-PARTS = 5
+PARTS = 2
 MOST_SECONDS = 60
 MOST_MB = 4096
 LONGEST = 1500  # characters of a sentence: what was found must not fill the screen
@@ -157,22 +156,12 @@ def attempt(number: int, cases: list[Case], worker: Worker, originals: Path, fol
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("number", range(SEED, SEED + DEFAULT))
-@pytest.mark.requirement("R-IN-1")
-def test_a_spoilt_file_ends_in_success_or_one_sentence(
-    number: int, worker: Worker, originals: Path, tmp_path: Path
-) -> None:
-    wrong = attempt(number, [case for case in CASES if not case.slow], worker, originals, tmp_path / "one")
-    assert not wrong, f"seed {SEED}, {wrong}"
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("part", range(PARTS))
 @pytest.mark.requirement("R-IN-1")
-def test_a_thousand_spoilt_files_end_in_success_or_one_sentence(
+def test_spoilt_files_end_in_success_or_one_sentence(
     worker: Worker, originals: Path, tmp_path: Path, part: int
 ) -> None:
-    """A fifth of them in each part, so that parts can take turns."""
+    """Half of them in each part, so that parts can take turns."""
     cases = [case for case in CASES if case.name in WANTED]
     numbers = range(SEED + part * COUNT // PARTS, SEED + (part + 1) * COUNT // PARTS)
     wrong = [attempt(number, cases, worker, originals, tmp_path / str(number)) for number in numbers]

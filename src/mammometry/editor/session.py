@@ -27,7 +27,7 @@ from mammometry.job.inputs import FinishedSurface, Inputs
 from mammometry.job.products import Key, Product
 from mammometry.job.stages import measure
 from mammometry.measure.boundary.boundary import Boundary
-from mammometry.measure.landmarks.names import LANDMARKS
+from mammometry.measure.landmarks.landmarks import LANDMARKS
 from mammometry.measure.trunk.body import rig_frame
 from mammometry.measure.volume.attribution import curve_digest
 from mammometry.measure.volume.measurement import VolumeMeasurement

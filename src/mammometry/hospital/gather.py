@@ -172,8 +172,7 @@ def covered(atlas: Atlas, measured: Sequence[VolumeMeasurement]) -> CoveredModel
     """Cover the surface and the closed breasts with photographs."""
     from mammometry.geometry.mesh import TriangleMesh
     from mammometry.io.meshes.models import material, obj_text
-    from mammometry.surface.texture.atlas_jpeg import jpeg_of
-    from mammometry.surface.texture.transfer import transferred
+    from mammometry.surface.texture.texture_atlas import jpeg_of, transferred
 
     made = [CoveredModel(name="surface", title=_WHOLE, side="", obj=obj_text(atlas, _MTL).encode())]
     for measurement in measured:

@@ -16,7 +16,7 @@ from mammometry.base.errors import SessionError
 from mammometry.base.parse import json_value, numbers, parsing, read_text, shown
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.job.inputs import SubjectKind
-from mammometry.measure.landmarks.names import LANDMARKS
+from mammometry.measure.landmarks.landmarks import LANDMARKS
 from mammometry.measure.volume.attribution import Attribution, Confirmation
 
 BOUNDARIES, LANDMARK_FILE, HISTORY = "boundaries.json", "landmarks.json", "history"

@@ -36,10 +36,10 @@ from mammometry.base.photograph import Photograph
 from mammometry.geometry.arrays import Array
 from mammometry.geometry.camera import Camera
 from mammometry.io.cameras.own import read_cameras, read_priors
+from mammometry.io.csv_tables import read_table
 from mammometry.io.drawn import boundaries_digest, landmarks_digest, read_boundaries, read_landmarks
 from mammometry.io.manifest import MANIFEST, Manifest, read_manifest
 from mammometry.io.meshes.own_ply import read_wall
-from mammometry.io.parsing.csv_tables import read_table
 from mammometry.io.photographs.images import (
     EXTENSIONS,
     ImageHeader,
@@ -54,7 +54,7 @@ from mammometry.job.products import Stage
 
 if TYPE_CHECKING:
     from mammometry.calibration.adjust.projection import CameraPrior
-    from mammometry.calibration.detection.measured_points import MeasuredPoints
+    from mammometry.calibration.detection.detect import MeasuredPoints
 
 K = TypeVar("K")
 V = TypeVar("V")
@@ -414,7 +414,7 @@ class Session:
 
 
 def _read_points(path: Path, name: str) -> MeasuredPoints:
-    from mammometry.calibration.detection.measured_points import MeasuredPoints
+    from mammometry.calibration.detection.detect import MeasuredPoints
 
     table = read_table(
         path, name, "a first line id,u,v, then one point a line: its place in the target's list, its pixel"

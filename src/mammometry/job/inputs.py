@@ -15,7 +15,7 @@ from mammometry.geometry.mesh import TriangleMesh
 if TYPE_CHECKING:
     from mammometry.calibration.adjust.calibrated import Calibration
     from mammometry.calibration.adjust.projection import CameraPrior
-    from mammometry.calibration.detection.measured_points import MeasuredPoints
+    from mammometry.calibration.detection.detect import MeasuredPoints
     from mammometry.calibration.targets.target import Target
     from mammometry.measure.trunk.body import Mounting
     from mammometry.measure.volume.attribution import Attribution

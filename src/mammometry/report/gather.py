@@ -42,7 +42,7 @@ from mammometry.report.words.anthropometry import (
 )
 from mammometry.report.words.stage_facts import MatchingFacts, Shown, matching_facts, surface_facts
 from mammometry.surface.motion.motion_messages import concerns
-from mammometry.surface.occlusion.occlusion import Occlusion
+from mammometry.surface.occlusion import Occlusion
 from mammometry.surface.repair.repair import Provenance, RepairedSurface
 from mammometry.surface.texture.texture import TexturedMesh
 

@@ -19,11 +19,11 @@ from mammometry.io.meshes.own_ply import write_ply
 from mammometry.job.inputs import FinishedSurface
 from mammometry.job.stages import calibrate, measure
 from mammometry.job.stages.surface import corrected_cameras, mesh
+from mammometry.measure.boundary import TO_BE_CONFIRMED
 from mammometry.measure.boundary.boundary import Boundary
-from mammometry.measure.boundary.confirming import TO_BE_CONFIRMED
 from mammometry.measure.shape.anthropometry import dimensions, find_landmarks
 from mammometry.measure.trunk.body import Body, find_body, rig_frame
-from mammometry.measure.volume import volume
+from mammometry.measure.volume import volumes
 from mammometry.measure.volume.uncertainty import Evidence
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.open_breast import open_breasts
@@ -104,7 +104,7 @@ def put_results(folder: Path, true: TrueVisit, boundaries: tuple[Boundary, ...] 
     breasts = open_breasts(edges, surface, settings, frame=frame, back=back)
     evidence = Evidence(surface=surface)
     volumes = tuple(
-        volume.measure(breast.boundary, chest_wall.fit(breast), settings, evidence=evidence) for breast in breasts
+        volumes.measure(breast.boundary, chest_wall.fit(breast), settings, evidence=evidence) for breast in breasts
     )
     own = Body(frame=frame, point_world=np.zeros(3), plane_sigma_mm=None, scatter_mm=None, how="")
     marks = find_landmarks(surface.mesh, colours, volumes, job.inputs.landmarks, own, settings)

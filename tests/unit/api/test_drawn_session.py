@@ -15,7 +15,7 @@ from mammometry.cli.main import run
 from mammometry.io.drawn_changes import Change, change_drawn, drawn_entries, drawn_entry, entry_digest
 from mammometry.job.graph import Plan
 from mammometry.job.stages import measure
-from mammometry.measure.boundary.confirming import TO_BE_CONFIRMED
+from mammometry.measure.boundary import TO_BE_CONFIRMED
 from mammometry.measure.volume.attribution import attributed, curve_digest
 from mammometry.settings import Settings
 from mammometry.simulate.subjects.torso import torso_shape

@@ -21,7 +21,7 @@ from mammometry.calibration.targets.pdf import target_pdf
 from mammometry.calibration.targets.sheet import Sheet
 from mammometry.calibration.targets.table import target_from_table
 from mammometry.calibration.targets.target import TARGETS
-from mammometry.io.results.tree import from_tree, to_tree
+from mammometry.io.results.codecs import from_tree, to_tree
 from mammometry.simulate.rendering.develop import develop
 from mammometry.simulate.rendering.film import Film
 from mammometry.simulate.rendering.objects.solid_target import render_target

@@ -77,7 +77,7 @@ def in_the_whole_volume(poses):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", [1, 2])
 def test_twelve_guided_poses_beat_twelve_at_random(seed):
     """The first three are alike. At random: a person holds the board towards the cameras, but anywhere."""
     start = placements(START, seed=seed)

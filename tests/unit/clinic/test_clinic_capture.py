@@ -1,5 +1,6 @@
 """The clinic's capture page: live pictures, one firing, the visit's photographs and its job. On a virtual rig."""
 
+import hashlib
 import json
 import shutil
 import time
@@ -113,10 +114,12 @@ def test_firing_again_replaces_and_never_what_was_sent(
 ) -> None:
     visit, client = before_rig(), client_of(Role.TECHNICIAN)
     assert asked(client, visit, "fire", {})["accepted"]
-    first = set(Upload.objects.values_list("pk", flat=True))
+    first = {row.pk: row.sha256 for row in Upload.objects.all()}
     assert asked(client, visit, "fire", {})["accepted"]
-    assert Upload.objects.count() == CAMERAS
-    assert first.isdisjoint(Upload.objects.values_list("pk", flat=True))
+    aside = Upload.objects.filter(state=Upload.State.SET_ASIDE)
+    assert {row.pk: row.sha256 for row in aside} == first
+    assert all(hashlib.sha256((visit.folder / row.name).read_bytes()).hexdigest() == row.sha256 for row in aside)
+    assert Upload.objects.exclude(state=Upload.State.SET_ASIDE).count() == CAMERAS
     sent = next((visit.folder / "capture").iterdir())
     sent.unlink()
     sent.write_bytes(b"another")

@@ -21,17 +21,15 @@ from mammometry.calibration.targets.kinds.charuco import CharucoTarget
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
-from mammometry.io.results.codecs import decode, encode, write_arrays
-from mammometry.io.results.rasters import deflated, inflated, read_raster, write_raster
-from mammometry.io.results.tree import STORED_FIELDS, STORED_TYPES, from_tree, to_tree
+from mammometry.io.results.codecs import STORED_FIELDS, STORED_TYPES, decode, encode, from_tree, to_tree, write_arrays
+from mammometry.io.results.formats import deflated, inflated, read_raster, write_raster
 from mammometry.job.inputs import CameraSet, FinishedSurface
 from mammometry.matching.dense.match import DisparityMap
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.surface.ranges.dents import KeepMasks
 from mammometry.surface.repair.repair import Provenance, RepairedSurface
-from mammometry.surface.texture.atlas_jpeg import as_jpeg, jpeg_of
 from mammometry.surface.texture.texture import TexturedMesh
-from mammometry.surface.texture.texture_atlas import Atlas
+from mammometry.surface.texture.texture_atlas import Atlas, as_jpeg, jpeg_of
 
 RNG = np.random.default_rng(3)
 

@@ -8,11 +8,10 @@ import pytest
 from benchmarks.accuracy.dates import TrueVisit, frame_of, grown, posed, rows, summary, true_visit
 
 from mammometry.base.errors import MeasureError
-from mammometry.measure.dates.change import Change, LengthChange, Visit, compare, length_changes
-from mammometry.measure.dates.trunk_fit import fit_trunks, trunk_of
+from mammometry.measure.change import Change, LengthChange, Visit, compare, fit_trunks, length_changes, trunk_of
 from mammometry.measure.settings import CompareSettings
 from mammometry.measure.shape.lengths import LinearMeasure
-from mammometry.measure.volume import volume
+from mammometry.measure.volume import volumes
 from mammometry.measure.volume.uncertainty import Evidence
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.open_breast import open_breasts
@@ -29,7 +28,7 @@ def visit(name: str = NAME, place: int = 2, growth: float = 1.0, lean_deg: float
     true = true_visit(shape, name, place, edge_mm=3.5)
     surface, boundaries = true.torso.surface, true.torso.boundaries
     measured = tuple(
-        volume.measure(breast.boundary, chest_wall.fit(breast), evidence=Evidence(surface=surface))
+        volumes.measure(breast.boundary, chest_wall.fit(breast), evidence=Evidence(surface=surface))
         for breast in open_breasts(boundaries, surface)
     )
     return true, Visit(surface=surface, measurements=measured, frame=frame_of(true))

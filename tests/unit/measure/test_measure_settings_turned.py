@@ -14,12 +14,11 @@ from mammometry.geometry.transform import Transform
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.boundary.breasts import creased_share
 from mammometry.measure.boundary.cast_base import Base
-from mammometry.measure.boundary.cast_base_adjust import AdjustedBase
+from mammometry.measure.boundary.cast_rim import AdjustedBase
 from mammometry.measure.boundary.crease import Crease, follow_crease
-from mammometry.measure.boundary.standing import Standing
-from mammometry.measure.dates.change import Change, judged
-from mammometry.measure.dates.trunk_fit import TrunkFit
-from mammometry.measure.landmarks.nipples import propose_nipple
+from mammometry.measure.boundary.prominence import Standing
+from mammometry.measure.change import Change, TrunkFit, judged
+from mammometry.measure.landmarks.proposals import propose_nipple
 from mammometry.measure.settings import CompareSettings, LayerSettings
 from mammometry.measure.trunk.skin_map import PIXEL_MM, Relief
 from mammometry.measure.trunk.thorax import Skin, Trunk, find_trunk, fit_thorax
@@ -54,8 +53,8 @@ def test_outlines_that_may_be_off_make_the_base_uncertain(monkeypatch: pytest.Mo
     angle = np.linspace(0, 2 * np.pi, 90, endpoint=False)
     rim = 60 * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
     for silhouette_px, local_px in ((0.0, 0.0), (0.3, 0.0), (0.0, 0.4)):
-        monkeypatch.setattr("mammometry.measure.boundary.cast_base_adjust._SILHOUETTE_SIGMA_PX", silhouette_px)
-        monkeypatch.setattr("mammometry.measure.boundary.cast_base_adjust._LOCAL_SIGMA_PX", local_px)
+        monkeypatch.setattr("mammometry.measure.boundary.cast_rim._SILHOUETTE_SIGMA_PX", silhouette_px)
+        monkeypatch.setattr("mammometry.measure.boundary.cast_rim._LOCAL_SIGMA_PX", local_px)
         assert adjusted().sigma_mm(rim) == pytest.approx(silhouette_px + local_px, abs=1e-12)
 
 
@@ -192,7 +191,7 @@ def test_each_way_to_find_a_nipple_has_its_own_uncertainty(
 def test_what_counts_as_areola_and_tip(
     name: str, limit: float, how: str | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(f"mammometry.measure.landmarks.nipples.{name}", limit)
+    monkeypatch.setattr(f"mammometry.measure.landmarks.proposals.{name}", limit)
     mesh, colours, boundary, _ = _breast_with_nipple(5.0, 0.15)
     found = propose_nipple("nipple_left", mesh, colours, boundary)
     assert (found is None) if how is None else (found is not None and how in found.method)

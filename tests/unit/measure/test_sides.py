@@ -14,7 +14,7 @@ from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
 from mammometry.measure.boundary.boundary import Boundary, outline_torso
 from mammometry.measure.boundary.breasts import _check_base
-from mammometry.measure.boundary.standing import Standing, standing_out
+from mammometry.measure.boundary.prominence import Standing, standing_out
 from mammometry.measure.trunk.body import Body, Mounting, find_body, lies_across, rig_frame
 from mammometry.measure.trunk.skin_map import PIXEL_MM, Relief
 from mammometry.measure.trunk.thorax import Trunk, seen_skin

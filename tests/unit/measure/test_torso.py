@@ -24,7 +24,7 @@ from mammometry.measure.trunk.thorax import (
     frame_from_sides,
     seen_skin,
 )
-from mammometry.measure.volume import volume
+from mammometry.measure.volume import volumes
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.open_breast import OpenBreast
 from mammometry.measure.wall.registry import TORSO_WALLS
@@ -117,7 +117,7 @@ def test_both_breasts_are_found_each_on_its_side() -> None:
         assert np.abs(reach - breast[2]).max() < 8
         assert "to be confirmed by eye" in found.method
         wall = chest_wall.fit(breast_of(found, boundaries=(left, right)), "cylinder-membrane")
-        measured = volume.measure(found, wall, alternatives=())
+        measured = volumes.measure(found, wall, alternatives=())
         assert measured.volume_cc == pytest.approx(volume_cc(breast), rel=0.04)
         assert measured.interval_cc is not None
         assert measured.interval_cc[0] < volume_cc(breast) < measured.interval_cc[1]
@@ -248,8 +248,9 @@ def test_a_given_curve_is_kept() -> None:
     assert "given: 160 points" in boundary.method
 
 
+@pytest.mark.requirement("R-VOL-7")
 def test_the_default_wall_of_a_torso_is_named_in_the_result() -> None:
-    found = volume.measure(
+    found = volumes.measure(
         EDGES[0], walls("left")["rounded-membrane"], MeasureSettings(), alternatives=list(walls("left").values())[1:]
     )
     assert found.wall_kind == "rounded-membrane"

@@ -18,7 +18,7 @@ from mammometry.report.words.anthropometry import comparison
 from mammometry.report.words.describe import skin_shares
 from mammometry.report.words.volumes import MEANINGS, interval_words, meaning_sentences, volume_words
 from mammometry.settings import Settings
-from mammometry.surface.occlusion.occlusion import Occlusion
+from mammometry.surface.occlusion import Occlusion
 from mammometry.surface.repair.repair import Provenance
 
 

@@ -349,7 +349,7 @@ def test_every_disturbance_is_drawn_by_some_seed_for_development():
 
 
 def test_the_page_lists_every_disturbance(repository):
-    page = (repository / "docs" / "how-to" / "simulate.md").read_text(encoding="utf-8")
+    page = (repository / "docs" / "reference" / "disturbances.md").read_text(encoding="utf-8")
     for name, kind in DISTURBANCES.items():
         assert f"| `{name}` | {kind.what} |" in page
 

@@ -7,13 +7,12 @@ import pytest
 from moving_rig import RADII, calibrated_rig, measured, standing
 
 from mammometry.base.errors import SurfaceError
-from mammometry.calibration.judge.cameras.pose_motion import shifts
+from mammometry.calibration.judge.pose_motion import shifts
 from mammometry.surface.motion import motion_test as stillness
 from mammometry.surface.motion import rigid_motion as motions
 from mammometry.surface.motion.agreement import differences
 from mammometry.surface.motion.motion_messages import concerns, summary
-from mammometry.surface.motion.motion_test import find
-from mammometry.surface.motion.retriangulate import retriangulated
+from mammometry.surface.motion.motion_test import find, retriangulated
 from mammometry.surface.motion.rigid_motion import Observed, most_probable, motion_parameters, rigid_motions
 from mammometry.surface.settings import StillnessSettings
 

@@ -45,25 +45,25 @@ async function walked(entry: FileSystemEntry, folders: string[]): Promise<Droppe
   }
 }
 
+/** Of a folder and a ZIP only the photographs are taken; a file that was chosen by itself and is none is named. */
 async function opened(dropped: Dropped[]): Promise<Gathered> {
   const files: Dropped[] = [];
   const refused: string[] = [];
-  for (const { file, folders } of dropped) {
-    const path = [...folders, file.name];
-    if (path.some((part) => HIDDEN.test(part))) continue;
+  for (const one of dropped) {
+    const { file, folders } = one;
+    if (isHidden(one)) continue;
     if (/\.zip$/i.test(file.name)) {
       try {
-        for (const inner of await unzipped(file)) files.push(...kept(inner, true));
+        files.push(...(await unzipped(file)).filter((inner) => !isHidden(inner) && PICTURE.test(inner.file.name)));
       } catch (error) {
         refused.push(`${file.name}: ${error instanceof Error ? error.message : String(error)}`);
       }
-    } else files.push(...kept({ file, folders }, folders.length > 0));
+    } else if (PICTURE.test(file.name)) files.push(one);
+    else if (folders.length === 0) refused.push(`${file.name}: This file is no photograph. Send the JPEG, PNG or TIFF as the camera wrote it.`);
   }
   return { files, refused };
 }
 
-/** Of a folder only the photographs are taken; a file that was chosen by itself is sent, so that the server says what it is. */
-function kept(one: Dropped, ofFolder: boolean): Dropped[] {
-  const hidden = [...one.folders, one.file.name].some((part) => HIDDEN.test(part));
-  return hidden || (ofFolder && !PICTURE.test(one.file.name)) ? [] : [one];
+function isHidden({ file, folders }: Dropped): boolean {
+  return [...folders, file.name].some((part) => HIDDEN.test(part));
 }

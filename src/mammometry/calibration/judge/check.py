@@ -20,7 +20,7 @@ from mammometry.calibration.adjust.calibrated import Calibration, ParameterCovar
 from mammometry.calibration.adjust.initialise import resect
 from mammometry.calibration.adjust.projection import intrinsics_of
 from mammometry.calibration.detection.detect import Detection, Observations
-from mammometry.calibration.judge.cameras.moved_cameras import Agreement, Motion
+from mammometry.calibration.judge.moved_cameras import Agreement, Motion
 from mammometry.calibration.judge.reconstruction import MovedPair, moved_pair
 from mammometry.calibration.judge.sighting import (
     Sighting,

@@ -13,8 +13,7 @@ import numpy as np
 from PIL import Image
 
 from mammometry.geometry.arrays import Array, Float64, Int32
-from mammometry.surface.texture.atlas_jpeg import jpeg_of
-from mammometry.surface.texture.texture_atlas import Atlas
+from mammometry.surface.texture.texture_atlas import Atlas, jpeg_of
 
 
 def write_glb(path: Path, atlas: Atlas) -> None:

@@ -28,7 +28,7 @@ from typing import Literal, TypeVar, cast
 from mammometry.base.errors import StorageError
 from mammometry.base.machine.cores import available_cores
 from mammometry.base.progress import Progress, no_progress
-from mammometry.io.lock import RunLock
+from mammometry.io.results.lock import RunLock
 from mammometry.io.results.records import (
     READY_RECORD,
     RECORDS,

@@ -14,7 +14,7 @@ from mammometry.job.products import Context, product, product_of_each
 
 if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a plan alone need not wait for.
     from mammometry.calibration.features.keypoints import Keypoints
-    from mammometry.calibration.judge.cameras.names import Names
+    from mammometry.calibration.judge.camera_names import Names
     from mammometry.matching.dense.match import DisparityMap
     from mammometry.matching.foreground.all_cameras import Subjects
     from mammometry.matching.foreground.foreground import Foreground
@@ -34,7 +34,7 @@ def names(cameras: CameraSet, *, job: Context) -> Names:
         MatchingError: names the photographs that have another camera's name, or show another exposure.
     """
     from mammometry.calibration.features.keypoints import keypoints
-    from mammometry.calibration.judge.cameras.names import check_names, wrong_photographs
+    from mammometry.calibration.judge.camera_names import check_names, wrong_photographs
 
     def features(camera: str) -> tuple[tuple[int, int], Keypoints]:
         photograph = job.inputs.photographs[camera]

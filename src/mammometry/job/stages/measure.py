@@ -133,8 +133,7 @@ def evidence(
     job: Context,
 ) -> Evidence:
     """What the earlier stages know of the errors of a volume."""
-    from mammometry.measure.volume.movement import movement_of
-    from mammometry.measure.volume.uncertainty import EarlierErrors, Evidence
+    from mammometry.measure.volume.uncertainty import EarlierErrors, Evidence, movement_of
     from mammometry.measure.volume.unseen_space import bounds
 
     rig, scale_std = corrected_cameras.rig, job.inputs.scale_std

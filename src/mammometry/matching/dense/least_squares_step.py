@@ -170,7 +170,7 @@ class _Warp:
     """Pixels beside a jump of depth."""
 
 
-def prepare(level: Level, sigma_px: float) -> Side:
+def prepare_side(level: Level, sigma_px: float) -> Side:
     """An image high-passed for windows of σ `sigma_px`, and its spline."""
     image = blur(level.image, gaussian_taps(_HIGH_PASS * sigma_px))
     np.subtract(level.image, image, out=image)

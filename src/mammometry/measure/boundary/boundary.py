@@ -14,6 +14,7 @@ from mammometry.base.value import value
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.camera import Rig
 from mammometry.matching.foreground.foreground import Foreground
+from mammometry.measure.boundary import TO_BE_CONFIRMED
 from mammometry.measure.boundary.breasts import NoBreast, Outline, find_breasts
 from mammometry.measure.boundary.cast_base import (
     BEND_GAIN,
@@ -26,9 +27,7 @@ from mammometry.measure.boundary.cast_base import (
     sectors_held,
     ways_to_bend,
 )
-from mammometry.measure.boundary.cast_base_adjust import AdjustedBase, adjust_base, mean_height
-from mammometry.measure.boundary.cast_rim import RimCandidates, rim_candidates
-from mammometry.measure.boundary.confirming import TO_BE_CONFIRMED
+from mammometry.measure.boundary.cast_rim import AdjustedBase, RimCandidates, adjust_base, mean_height, rim_candidates
 from mammometry.measure.boundary.protocol import outline_by_protocol
 from mammometry.measure.boundary.trace import check_curve
 from mammometry.measure.landmarks.landmarks import PICKED_SIGMA_MM, picked_landmarks

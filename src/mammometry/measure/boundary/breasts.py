@@ -13,8 +13,16 @@ from mammometry.geometry.arrays import Array, Bool, Float64
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.nearest import closest_on_mesh
 from mammometry.measure.boundary.crease import CREASE_PER_MM, Crease, follow_crease
-from mammometry.measure.boundary.middles import Middle, SideName, breast_middles
-from mammometry.measure.boundary.standing import LEAST_CREASED, LOW_CREASED, Standing, Verdict, standing_out
+from mammometry.measure.boundary.prominence import (
+    LEAST_CREASED,
+    LOW_CREASED,
+    Middle,
+    SideName,
+    Standing,
+    Verdict,
+    breast_middles,
+    standing_out,
+)
 from mammometry.measure.trunk.body import Body, find_body
 from mammometry.measure.trunk.head import check_head, head_signs
 from mammometry.measure.trunk.skin_map import PIXEL_MM, Relief, dense_samples, lay_flat

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mammometry.geometry.arrays import Array, Float64
-from mammometry.measure.boundary.confirming import TO_BE_CONFIRMED
+from mammometry.measure.boundary import TO_BE_CONFIRMED
 
 if TYPE_CHECKING:
     from mammometry.measure.volume.measurement import VolumeMeasurement

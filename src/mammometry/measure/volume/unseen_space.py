@@ -1,7 +1,7 @@
 """How far unmeasured skin could stand out unseen.
 
 Nothing of the subject lies outside a silhouette, or in front of skin that a pair measured: the pair looked through
-there. An outline may be not the subject's own edge but the border of a shadow on it (`outline`). There the edge is
+there. An outline may be not the subject's own edge but the border of a shadow on it (`contour`). There the edge is
 lost. It may lie further out, the more so the farther along the outline from where it was last seen.
 """
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from mammometry.geometry.arrays import Array, Float64
-from mammometry.measure.dates.change import BreastChange, Change, LengthChange
+from mammometry.measure.change import BreastChange, Change, LengthChange
 from mammometry.report.content import DISCLAIMER, Fact, sentence
 from mammometry.report.documents import paper
 from mammometry.report.documents.pages import STYLE, embed, render, viewer_program

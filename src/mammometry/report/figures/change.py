@@ -11,7 +11,7 @@ import numpy as np
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
-from mammometry.measure.dates.change import Change
+from mammometry.measure.change import Change
 from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.report.figures.drawing import canvas
 from mammometry.report.figures.drawing.canvas import Sheet

@@ -3,8 +3,7 @@
 from collections.abc import Sequence
 
 from mammometry.measure.boundary.breasts import NoBreast
-from mammometry.measure.landmarks.landmarks import Landmark
-from mammometry.measure.landmarks.names import LANDMARKS
+from mammometry.measure.landmarks.landmarks import LANDMARKS, Landmark
 from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.shape.anthropometry import Dimensions
 from mammometry.measure.shape.symmetry import Symmetry

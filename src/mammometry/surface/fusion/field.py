@@ -21,8 +21,8 @@ from mammometry.geometry.camera import Camera, Rig
 from mammometry.matching.foreground.contour import follow
 from mammometry.matching.foreground.foreground import Foreground
 from mammometry.surface.fusion import field_kernels as kernels
+from mammometry.surface.fusion import field_kernels as outline_kernels
 from mammometry.surface.fusion.camera_records import COLUMNS, view_row
-from mammometry.surface.occlusion import contour_kernels as outline_kernels
 from mammometry.surface.ranges import image_kernels
 from mammometry.surface.ranges.range_image import NORMAL_MM, SIGMA_FLOOR_MM, RangeImage, thinned_camera
 from mammometry.surface.settings import TAPER_MM

@@ -8,15 +8,18 @@ no part of it: their silhouettes hold. A camera that is blocked at a place does 
 vote there: votes are taken anew until no camera is found blocked at further places.
 
 Skin is measured up to half a window before what hides it. Where it faces the camera, a little more of it counts as
-measured (`past_edges`).
+measured (`continued_world`): matching ends before what hides skin does, since windows near the edge see both.
+Where the subject really ends, its skin turns away.
 
-Where no pair has measured the skin, since all see the same dark band on it, the skin on both sides tells (`slits`).
-What spans a slit counts like a measured point.
+Where no pair has measured the skin, since all see the same dark band on it, the skin on both sides tells
+(`spanned_mm`). What spans a slit counts like a measured point. Skin turns away from the camera where the subject really
+ends: it is seen at a grazing angle there, or not measured at all. Skin that faces the camera right up to a slit, on
+both sides and in line, goes on behind it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -28,8 +31,7 @@ from mammometry.geometry.arrays import Array, Bool, Float64, Int32
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.projection import projected
 from mammometry.matching.foreground.foreground import Foreground
-from mammometry.surface.fusion.edge_extrapolation import continued_world
-from mammometry.surface.occlusion.silhouette_gaps import points_world, spanned_mm
+from mammometry.surface.ranges import image_kernels
 from mammometry.surface.ranges.range_image import RangeImage
 
 _REFERENCE_DIAGONAL_PX = 1353.0  # of the 1126 × 750 images on which widths were measured, as in `matching.foreground`
@@ -253,3 +255,150 @@ def _joined(hit: Bool[Array, "H W"], subject: Bool[Array, "H W"]) -> Bool[Array,
 def _half_width(place: Bool[Array, "H W"]) -> float:
     """Half the width of a place where it is widest, blocks."""
     return float(ndimage.distance_transform_edt(np.pad(place, 1))[1:-1, 1:-1].max())
+
+
+_LEAST = np.ones((3, 3), dtype=bool)  # blocks of a slit: one line alone is an outlier
+_WIDEST_MM = 90.0  # between both sides of a slit: a band or a rail has 15 to 50 mm; chosen by eye
+_SIDE_MM = 12.0  # of skin on each side, from which its direction and bend are taken; chosen by eye
+_LEAST_BLOCKS = 4  # of measured skin on each side
+_EDGE_BLOCKS = 4  # from the slit to the nearest measured skin, at most: windows end before an edge; chosen by eye
+_STEEPEST = np.tan(np.radians(60.0))  # of skin that faces the camera: at an occluding edge it is steeper; chosen by eye
+_SQUARE = np.cos(np.radians(50.0))  # a line crosses a slit's edges: others are chords of a bent outline; chosen by eye
+_OUTLINE_BLOCKS = 2.0  # Gaussian by which an outline's direction is taken; chosen by eye
+_BEND = 0.5  # of the slit's width: how far apart in depth both sides' continuations may meet; chosen by eye
+
+
+def spanned_mm(
+    camera: Camera, subject: Bool[Array, "H W"], step: int, depth_mm: Float64[Array, "H W"]
+) -> Float64[Array, "H W"]:
+    """Depth of what spans the slits in a silhouette, infinite elsewhere.
+
+    Along the optical axis. Rows and columns are scanned. Where both cross a slit, the shorter way counts.
+
+    Args:
+        camera: whose silhouette it is.
+        subject: blocks of `step` pixels on the subject.
+        step: pixels a block.
+        depth_mm: measured depth along the optical axis of each block, infinite where none is measured.
+    """
+    spans = np.full(subject.shape, np.inf)
+    widths = np.full(subject.shape, np.inf)
+    measured = np.where(subject, depth_mm, np.inf)
+    even = ndimage.gaussian_filter(subject.astype(np.float64), _OUTLINE_BLOCKS)
+    down, along = np.gradient(even)
+    slopes = np.stack([along, down])
+    square = np.abs(slopes) >= _SQUARE * np.linalg.norm(slopes, axis=0)
+    for axis in (0, 1):  # lines along rows, then along columns
+        lines = [array if axis == 0 else array.T for array in (subject, measured, square[axis], spans, widths)]
+        for on, depth, crossed, span, width in zip(*lines, strict=True):
+            for slit, across_mm in _bridged(on, depth, crossed, step / camera.intrinsics[axis]):
+                shorter = len(across_mm) < width[slit]
+                span[slit][shorter] = across_mm[shorter]
+                width[slit][shorter] = len(across_mm)
+    spans[~ndimage.binary_opening(np.isfinite(spans), _LEAST)] = np.inf
+    return spans
+
+
+def points_world(camera: Camera, step: int, depth_mm: Float64[Array, "H W"]) -> Float64[Array, "n 3"]:
+    """Points of the blocks that have a depth, mm."""
+    row, column = np.nonzero(np.isfinite(depth_mm))
+    xy = camera.normalised_from_pixels(np.stack([column, row], axis=1) * float(step))
+    points = np.concatenate([xy, np.ones((len(xy), 1))], axis=1) * depth_mm[row, column, None]
+    return camera.camera_from_world.inverse().apply(points)
+
+
+def _bridged(
+    subject: Bool[Array, " w"], depth_mm: Float64[Array, " w"], crossed: Bool[Array, " w"], block_per_mm: float
+) -> Iterator[tuple[slice, Float64[Array, " k"]]]:
+    """Yield the slits of one line, and the depth of what spans each, block by block."""
+    edges = np.flatnonzero(np.diff(subject.astype(np.int8)))
+    for before, after in zip(edges[:-1], edges[1:] + 1, strict=True):
+        if not (subject[before] and crossed[before] and crossed[after]):  # a run of subject, or a chord
+            continue
+        near, far = _side(depth_mm[before::-1], block_per_mm), _side(depth_mm[after:], block_per_mm)
+        if near is None or far is None:
+            continue
+        blocks = after - before
+        mean_mm = 2 / (near.inverse + far.inverse)
+        width_mm = np.hypot(blocks * block_per_mm * mean_mm, 1 / near.inverse - 1 / far.inverse)
+        ahead, back = (side.inverse + side.slope * blocks / 2 for side in (near, far))
+        if width_mm > _WIDEST_MM or min(ahead, back) <= 0 or abs(1 / ahead - 1 / back) > _BEND * width_mm:
+            continue
+        # The cubic that continues both sides (Hermite's), in inverse depth, where planes are straight.
+        t = np.arange(1, blocks) / blocks
+        inverse = (
+            near.inverse * (1 + 2 * t) * (1 - t) ** 2
+            + far.inverse * (3 - 2 * t) * t**2
+            + blocks * t * (1 - t) * (near.slope * (1 - t) + far.slope * t)
+        )
+        yield slice(before + 1, after), 1 / inverse
+
+
+@dataclass(frozen=True, slots=True)
+class _Side:
+    """Skin beside a slit."""
+
+    inverse: float
+    """Inverse depth at the edge, 1/mm."""
+    slope: float
+    """Its change per block from the edge into the slit: constant on a plane."""
+
+
+def _side(outward_mm: Float64[Array, " k"], block_per_mm: float) -> _Side | None:
+    """Skin from a slit's edge outward. None unless it is measured up to the edge and faces the camera."""
+    known = np.isfinite(outward_mm[: 4 * _LEAST_BLOCKS + _EDGE_BLOCKS])
+    if not known[:_EDGE_BLOCKS].any():
+        return None
+    reach = max(2 * _LEAST_BLOCKS, int(_SIDE_MM / (block_per_mm * outward_mm[np.argmax(known)])))
+    at = np.flatnonzero(np.isfinite(outward_mm[:reach]))
+    if len(at) < _LEAST_BLOCKS:
+        return None
+    _, slope, inverse = np.polyfit(at, 1 / outward_mm[at], 2)
+    # dz/dx: over a block, z changes by −(1/z)' z², and x by block_per_mm · z.
+    if abs(slope) > _STEEPEST * block_per_mm * inverse:
+        return None
+    return _Side(float(inverse), float(-slope))
+
+
+_EDGE_PX = 6.0  # of data beside an edge that lean towards what is there, at that size: half a window; chosen by eye
+_PAST_PX = 6.0  # past the edge, at that size, as far again; chosen by eye
+_NEIGHBOURHOOD_MM = 6.0  # half-width of the window that gives the skin's direction; chosen by eye
+_TURNED_MM = 0.5  # by which data lie behind the tangent plane where skin turns away; chosen by eye
+_LEAST_COSINE = 0.5  # 60° off the normal: skin that is seen more obliquely may end there, as beside a slit
+
+
+def continued_world(image: RangeImage) -> Float64[Array, "n 3"]:
+    """Continue a pair's data past their edges.
+
+    Points on their tangent planes, world frame, mm. Only of skin that faces the camera and does not turn away. Data
+    nearer to an edge than half a window say no more than that.
+    """
+    unit = max(1.0, float(np.hypot(*image.valid.shape)) / _REFERENCE_DIAGONAL_PX)
+    if not image.valid.any() or image.valid.all():  # no data, or none with an edge
+        return np.empty((0, 3))
+    sound = image_kernels.distance_px(~image.valid) > _EDGE_PX * unit
+    if not sound.any():
+        return np.empty((0, 3))
+    normals = image.keeping(sound).normals_camera(_NEIGHBOURHOOD_MM)
+    cosines = image_kernels.incidence_cosines(normals, image.camera.intrinsics)
+    rows, columns = image_kernels.nearest_true(sound)
+    own_row, own_column = np.nonzero(~sound)
+    row, column = rows[own_row, own_column], columns[own_row, own_column]
+    near = np.hypot(row - own_row, column - own_column) <= (_EDGE_PX + _PAST_PX) * unit
+    near &= cosines[row, column] >= _LEAST_COSINE  # never where there is no normal
+    own_row, own_column, row, column = (indices[near] for indices in (own_row, own_column, row, column))
+    # Not `image.ray_directions`: of a whole picture they take 90 MB.
+    datum, ray = (
+        image.camera.rays_world(np.stack(at, axis=-1).astype(np.float64))
+        for at in ((column, row), (own_column, own_row))
+    )
+    there = datum * image.range_mm[row, column][:, None]
+    normal = normals[row, column] @ image.camera.camera_from_world.rotation
+    steep = -np.einsum("ni,ni->n", normal, ray)
+    range_mm = -np.einsum("ni,ni->n", normal, there) / np.maximum(steep, _LEAST_COSINE / 2)
+    behind = image.valid[own_row, own_column] & (image.range_mm[own_row, own_column] > range_mm + _TURNED_MM)
+    turned = np.zeros(image.valid.shape, dtype=bool)
+    turned[row[behind], column[behind]] = True
+    kept = (steep >= _LEAST_COSINE / 2) & ~turned[row, column]  # a plane seen so obliquely runs off
+    points: Float64[Array, "n 3"] = image.camera.centre_world + ray[kept] * range_mm[kept, None]
+    return points

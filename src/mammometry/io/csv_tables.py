@@ -1,4 +1,4 @@
-"""CSV tables made by people, programs and spreadsheets of any country."""
+"""CSV tables made by people, programs and spreadsheets of any country, and tables of paired measurements."""
 
 from __future__ import annotations
 
@@ -11,9 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
-from mammometry.base.errors import MammometryError, SessionError
-from mammometry.base.parse import error_text, number, read_text, shown
+from mammometry.base.errors import MammometryError, SessionError, TableError
+from mammometry.base.parse import error_text, number, parsing, read_text, shown, toml_table
 from mammometry.geometry.arrays import Array, Float64
+from mammometry.study.agreement import LEAST_SUBJECTS, PairedMeasurements, PublishedFigure
 
 _OTHER = {",": ".", ".": ","}
 _GROUPED = {mark: re.compile(rf"[+-]?[1-9][0-9]{{0,2}}(?:[{mark}][0-9]{{3}})+", re.ASCII) for mark in _OTHER}
@@ -209,3 +210,65 @@ def read_table(path: Path, name: str, expected: str, *, refusal: type[Mammometry
     if not columns:
         raise refusal(name, found="an empty file", expected=expected, remedy="Fill in the table")
     return Table(name=name, columns=columns, lines=tuple(lines), rows=tuple(rows), separator=separator, refusal=refusal)
+
+
+_UNITS = ("cc", "ml", "mm", "cm", "mm2", "cm2", "g")
+
+
+def read_pairs(path: Path, *, reference: str, measured: str) -> PairedMeasurements:
+    """Read a CSV with one row a subject.
+
+    The first line names the columns. Written as `csv_tables` reads it. A first column that is neither of the two names
+    the subjects; else they are numbered.
+
+    Args:
+        path: the table, UTF-8.
+        reference: name of the column of the method compared with.
+        measured: name of the column of the method under test.
+
+    Raises:
+        TableError: it cannot be read, a column is missing, a value is missing or no number (named by row and column),
+            or there are fewer than three rows.
+    """
+    table = read_table(path, str(path), "a CSV table, one row a subject", refusal=TableError)
+    pairs = table.numbers(reference, measured)
+    named = table.columns[0] not in (reference, measured)
+    names = table.texts(table.columns[0]) if named else tuple(str(row + 1) for row in range(len(pairs)))
+    if len(pairs) < LEAST_SUBJECTS:
+        remedy = "Add measurements: fewer do not show agreement"
+        expected = f"{LEAST_SUBJECTS} or more"
+        raise TableError(str(path), found=f"{len(pairs)} rows of measurements", expected=expected, remedy=remedy)
+    units = {name.rpartition("_")[2] for name in (reference, measured)}
+    unit = units.pop() if len(units) == 1 else ""
+    return PairedMeasurements(
+        names=names,
+        reference=pairs[:, 0].copy(),
+        measured=pairs[:, 1].copy(),
+        reference_name=_without_unit(reference),
+        measured_name=_without_unit(measured),
+        unit=unit if unit in _UNITS else "",
+    )
+
+
+def read_published(path: Path) -> tuple[PublishedFigure, ...]:
+    """Read a publication's figures: TOML with one ``[[figure]]`` each.
+
+    Raises:
+        TableError: it cannot be read, or is not of that form.
+    """
+    expected = '[[figure]] tables with what, figure and published = "11.12", and note if there is one'
+    table = toml_table(
+        read_text(path, str(path), expected, most_mib=1, refusal=TableError), str(path), expected, refusal=TableError
+    )
+    with parsing("another content", str(path), expected, TableError):
+        figures = tuple(PublishedFigure(**figure) for figure in table["figure"])
+        for figure in figures:
+            if not all(isinstance(text, str) for text in (figure.what, figure.figure, figure.published, figure.note)):
+                raise ValueError("a value that is not text")
+            number(figure.published)
+    return figures
+
+
+def _without_unit(column: str) -> str:
+    name, _, unit = column.rpartition("_")
+    return (name if name and unit in _UNITS else column).replace("_", " ")
