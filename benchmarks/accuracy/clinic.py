@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from benchmarks.accuracy.captures import take_over_calibration
+from benchmarks.accuracy.captures import settings_for, take_over_calibration
 from benchmarks.road import each_as_it_ends
 from mammometry.api.job import Job, open_session
 from mammometry.api.truth import current_results
@@ -40,7 +40,6 @@ from mammometry.geometry.transform import Transform
 from mammometry.io.meshes.own_ply import read_ply
 from mammometry.io.truth import read_truth
 from mammometry.measure.volume.measurement import VolumeMeasurement
-from mammometry.settings import Settings
 from mammometry.simulate.disturbances.draw import draw, is_held_out
 from mammometry.simulate.disturbances.registry import DISTURBANCES
 from mammometry.simulate.recipe import SessionRecipe, Situation, parse_situation
@@ -53,8 +52,6 @@ from mammometry.study.rays import RayScene, seen_by_pairs
 from mammometry.study.truth import Truth
 
 _STUDIO = Studio(skin=make_skin("skin"))
-_CUBE_MM_AT_FULL_SIZE = 0.125
-"""Cubes' edge, mm, times the scale of the pictures: the default cubes are for a quarter's pixels."""
 _POINTS = 40_000
 """True vertices at which a surface is judged, at most."""
 _REMOVAL = ("removed", "scar", "loose-skin")
@@ -210,8 +207,7 @@ def measured(case: Case, out: Path) -> tuple[Found, Job]:
         plain = out / case.undisturbed.name
         if plain != session and _same_calibration(session, plain):
             take_over_calibration(session, plain)
-    cube_mm = round(max(0.5, _CUBE_MM_AT_FULL_SIZE / case.recipe.scale), 2)
-    job = open_session(session, Settings().overridden([f"surface.extract.cube_mm={cube_mm}"]))
+    job = open_session(session, settings_for(case.recipe.scale))
     refused, volumes = "", {}
     with threadpool_limits(limits=1, user_api="blas"):
         try:
