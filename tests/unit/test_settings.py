@@ -110,6 +110,8 @@ def test_keys_of_stored_results_hold_what_they_held_when_there_were_168_settings
 RENAMED = {
     "matching.agreement_px": "DIRECTIONS_APART_PX",
     "measure.breast.reach_mm": "FARTHEST_BORDER_MM",
+    "measure.breast.fewest_mm": "MIN_PROMINENCE_MM",
+    "measure.breast.plain_mm": "SURE_PROMINENCE_MM",
     "measure.nipple.tip_mm": "LEAST_TIP_MM",
     "measure.layer.fewest": "FEWEST_LAYERS",
     "measure.layer.mean_mm": "MEAN_LAYER_MM",

@@ -64,7 +64,7 @@ def angle_defects(vertices: Float64[Array, "n 3"], faces: Int32[Array, "m 3"]) -
 
 @kernel
 def open_vertices(n: int, faces: Int32[Array, "m 3"]) -> Bool[Array, " n"]:
-    """Which of n vertices end a directed side that has no opposite.
+    """Mask of the n vertices that end a directed side without an opposite.
 
     Every side adds a scrambled form of its end to its start and takes its start's from its end: what has an opposite
     cancels out.

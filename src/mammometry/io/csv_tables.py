@@ -28,7 +28,7 @@ _LONG = re.compile(r"[+-]?[0-9]{4,}", re.ASCII)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DecimalMark:
-    """How a table writes its numbers."""
+    """A table's decimal mark and its mark between thousands."""
 
     mark: str
     """Before decimals: a point or a comma."""
@@ -81,7 +81,7 @@ def decimal_mark(columns: Iterable[Sequence[str]]) -> DecimalMark:
 
 
 def both_readings(cell: str) -> tuple[str, str] | None:
-    """What a cell such as ``1,860`` may mean: 1860 or 1.86. None where it means one number or none."""
+    """Both meanings of a cell such as ``1,860``, else None."""
     marks = {letter for letter in cell if letter in _OTHER}
     if len(marks) != 1 or not _GROUPED[mark := marks.pop()].fullmatch(cell) or cell.count(mark) != 1:
         return None

@@ -163,7 +163,7 @@ def read_table(path: Path, key: str, subject: str | None = None) -> dict[str, An
 
 
 def origin_words(entry: Mapping[str, Any]) -> str | None:
-    """How an entry was made: "drawn by hand by A on 2026-11-22". None if nothing says."""
+    """Origin of an entry: "drawn by hand by A on 2026-11-22". None if nothing says."""
     return _chain(entry, _who)
 
 

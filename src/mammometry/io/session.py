@@ -96,7 +96,7 @@ class Session:
 
     @property
     def results(self) -> Path:
-        """Where the results lie."""
+        """Folder of the results."""
         return self.path / "results"
 
     @property

@@ -223,7 +223,7 @@ _ASIDE_MM, _BELOW_MM, _ABOVE_MM, _BACK_MM = 235.0, 235.0, 190.0, 150.0  # scanne
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ScanQuality:
-    """How a body is scanned."""
+    """Errors and resolution of a body's scan."""
 
     noise_mm: float
     """Standard deviation of a pixel's depth at half a metre."""

@@ -30,7 +30,7 @@ from mammometry.simulate.subjects.solid import Solid
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Arrangement:
-    """What stands where in a virtual session. Rig frame, mm."""
+    """Places of everything in a virtual session, rig frame, mm."""
 
     exposure: Exposure
     """Cameras, then and now. Films, flashes and moments."""
@@ -62,7 +62,7 @@ _MEASURED_PX = 0.03
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Studio:
-    """How a session's pictures are taken, whatever stands before the cameras."""
+    """The taking of a session's pictures, whatever stands before the cameras."""
 
     target: Target = BOARD
     """What is photographed for calibration."""

@@ -27,7 +27,7 @@ class MarkerArea:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CornerFits:
-    """What the fit found at each corner. Rows of failed fits have `ok` False and carry no meaning."""
+    """Results of the fit at each corner. Rows of failed fits have `ok` False and carry no meaning."""
 
     uv: Float64[Array, "n 2"]
     """Corner, distorted pixels."""

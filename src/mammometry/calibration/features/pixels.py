@@ -71,7 +71,7 @@ class FoundPoints:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Cause:
-    """What a photograph shows instead of a target that can be used."""
+    """Content of a photograph that shows no target that can be used."""
 
     found: str
     """What it shows, in words."""

@@ -53,7 +53,7 @@ class Suspects:
         return self.rest is not None and self.rest.verdict != "refuse"
 
     def rest_words(self) -> str:
-        """What is left without them, in a sentence."""
+        """The views that are left without them, in a sentence."""
         if self.rest is None:
             return "Without them, too few photographs are left to calibrate"
         worst_mm = max(self.rest.expected_mm.values(), default=float("nan"))

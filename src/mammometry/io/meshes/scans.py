@@ -58,7 +58,7 @@ _MARK_BYTES = 4  # the longest of the marks
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scan:
-    """What is known of a scan beside its shape."""
+    """Facts of a scan beside its shape."""
 
     scanner: str
     """Name of the device, as entered."""

@@ -256,7 +256,7 @@ class VolumeMeasurement:
 
 @value(eq=False)
 class VolumeDeficit:
-    """What one side lacks to the mirrored other one."""
+    """Volume that one side lacks to the mirrored other one."""
 
     name: Literal["left", "right"]
     """The side that lacks, the patient's own."""

@@ -211,11 +211,10 @@ _ASIDE_MM = 80.0  # of the midline, where a removed breast is marked; a breast's
 
 
 def refused_side(breast: OpenBreast) -> NoBreast:
-    """Why a side of a torso has no volume, by another attempt.
+    """Find by another attempt why a side of a torso has no volume.
 
     Args:
         breast: whose volume was refused.
-
     """
     points = breast.boundary.points_world
     vertices = breast.surface.mesh.vertices
@@ -227,7 +226,7 @@ def refused_side(breast: OpenBreast) -> NoBreast:
     return NoBreast(
         name=cast(Literal["left", "right"], breast.boundary.name),
         place_world=vertices[np.linalg.norm(vertices - points.mean(axis=0), axis=1).argmin()],
-        standing=None,
+        prominence=None,
         why=why,
         unclear=True,
         refused=True,
@@ -265,4 +264,6 @@ def removed_side(name: Literal["left", "right"], body: Body, surface: RepairedSu
     vertices = surface.mesh.vertices
     from_middle = (vertices - body.point_world) @ np.stack([aside, body.up, body.frame[2]], axis=1)
     distance = np.hypot(from_middle[:, 0] - _ASIDE_MM, from_middle[:, 1]) - from_middle[:, 2]
-    return NoBreast(name=name, place_world=vertices[np.argmin(distance)], standing=None, why="It is said to be removed")
+    return NoBreast(
+        name=name, place_world=vertices[np.argmin(distance)], prominence=None, why="It is said to be removed"
+    )

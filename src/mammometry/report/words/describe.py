@@ -109,7 +109,7 @@ def meanings(measurements: Sequence[VolumeMeasurement]) -> tuple[Meaning, ...]:
 
 def absent_report(absent: NoBreast) -> BreastReport:
     """Content for a side without a breast, with the evidence for that."""
-    seen = absent.standing
+    seen = absent.prominence
     facts = [Fact("It rests on", sentence(absent.why))]
     if seen is not None:
         facts.append(Fact("What stands out there at most", f"{seen.volume_cc:.0f} cc"))

@@ -22,7 +22,7 @@ _SAMPLES = 16  # rays for a pixel: a lamp's edge is then right to a few hundredt
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LampScene:
-    """What is before the cameras while the lamps count."""
+    """Scene before the cameras while the lamps count."""
 
     board: Board
     """To which the strip is clamped."""

@@ -59,7 +59,7 @@ _UNEXPLAINED_MM = 0.12
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Turn:
-    """How a camera turned about its own centre."""
+    """Turn of a camera about its own centre."""
 
     camera: str
     turn_deg: float
@@ -419,7 +419,7 @@ def concerns(found: Stillness) -> Iterator[str]:
 
 
 def cause(found: Stillness) -> str:
-    """What moved, and what to do, in two sentences."""
+    """The thing that moved, and the remedy, in two sentences."""
     worst = found.displaced[0]
     share = worst.body_mm / worst.effect_mm if worst.effect_mm > 0 else 0.0
     named = ", ".join(f"{turn.camera} by {turn.turn_deg:.3f} ± {turn.std_deg:.3f}°" for turn in found.turns[:_NAMED])

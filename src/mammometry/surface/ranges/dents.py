@@ -89,7 +89,7 @@ class ValidPatches:
 
 @value(eq=False)
 class KeepMasks:
-    """Which range data survived. With the range images it gives `ValidPatches`."""
+    """Masks of the range data that survived. With the range images they give `ValidPatches`."""
 
     keep: tuple[Bool[Array, "h w"], ...]
     """Per view and element, whether its datum survived."""

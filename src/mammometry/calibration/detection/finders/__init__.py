@@ -1,4 +1,4 @@
-"""How targets are found in photographs: a file a kind."""
+"""Finders of targets in photographs: a file a kind."""
 
 from __future__ import annotations
 
