@@ -48,7 +48,7 @@ def _frame(cameras: CameraSet, job: Context, body: Body | None = None) -> Float6
     return rig_frame(cameras.rig, job.inputs.mounting) if body is None else body.frame
 
 
-@product("measure", version=11, settings="measure", inputs=("subject", "mounting"), when=_outlined)
+@product("measure", version=12, settings="measure", inputs=("subject", "mounting"), when=_outlined)
 def sides(corrected_cameras: CameraSet, repaired: RepairedSurface, *, job: Context) -> TorsoSides:
     """Breasts found on a torso, and sides without one."""
     from mammometry.measure.boundary.boundary import outline_torso
@@ -62,7 +62,7 @@ def _boundary_inputs(job: Context) -> dict[str, str]:
     return job.inputs.key_part("subject", "boundaries", "mounting", "rim", *picked)
 
 
-@product("measure", version=15, settings="measure", inputs=_boundary_inputs, when=_has_volume)
+@product("measure", version=16, settings="measure", inputs=_boundary_inputs, when=_has_volume)
 def boundaries(
     corrected_cameras: CameraSet,
     repaired: RepairedSurface,
@@ -111,7 +111,7 @@ def boundaries(
     return tuple(sorted((*given, *wanted), key=lambda curve: curve.name))
 
 
-@product("measure", version=5, settings="measure.thorax", inputs=("mounting",), when=_torso)
+@product("measure", version=6, settings="measure.thorax", inputs=("mounting",), when=_torso)
 def body(
     corrected_cameras: CameraSet, repaired: RepairedSurface, boundaries: tuple[Boundary, ...], *, job: Context
 ) -> Body:
@@ -144,7 +144,7 @@ def evidence(
     )
 
 
-@product("measure", version=20, name="measurement", settings="measure", inputs=("wall", "scale"), when=_has_volume)
+@product("measure", version=21, name="measurement", settings="measure", inputs=("wall", "scale"), when=_has_volume)
 def measurements(
     repaired: RepairedSurface, boundaries: tuple[Boundary, ...], body: Body | None, evidence: Evidence, *, job: Context
 ) -> tuple[VolumeMeasurement, ...]:
