@@ -15,6 +15,10 @@ from tests.not_run import NotRun
 from tests.record_seconds import Recorder
 from tests.rota import RECORDED, chosen, function_of, longest_first, turn
 
+# Images of containers often forbid bytecode. Each worker and command would compile all of it anew: 20 s and more.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
+
 # Numba compiles kernels and the lens, and cannot see through a checking wrapper; the command line has no arrays.
 _CHECKED = ("base.photograph", "matching.dense.match", "matching.rectify", "surface.ranges.range_image")
 REPOSITORY = Path(__file__).resolve().parents[1]

@@ -122,6 +122,7 @@ def test_ctrl_c_ends_both_and_leaves_nothing_half_written(job: Job, monkeypatch:
     assert not list(job.session.results.glob(".writing-*"))
 
 
+@pytest.mark.slow
 def test_the_scene_that_is_made_meanwhile_is_what_the_report_would_make(
     job: Job, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -21,10 +21,15 @@ def rig():
     return build_rig(REFERENCE, 0.2, 3)
 
 
+@pytest.fixture(scope="module")
+def poses(rig):
+    return list(draw_poses(rig, BOARD, 2, 1).values())
+
+
 @pytest.fixture(scope="module", params=range(2))
-def seen(rig, request):
+def seen(rig, poses, request):
     """What each camera that sees the board has of it, in one pose."""
-    placed = list(draw_poses(rig, BOARD, 4, 1).values())[request.param]
+    placed = poses[request.param]
     rng = np.random.default_rng(request.param)
     found = {}
     for name, camera in rig.cameras.items():
