@@ -321,7 +321,7 @@ class MeshJob(Reported):
         return self._write_for_others(folder, privacy, gather, [self.files.mesh])
 
     def _gathered(self, progress: Progress, privacy: Privacy | None = None) -> ReportContent:
-        from mammometry.report.gather_mesh import MeshOrigin, gather_mesh
+        from mammometry.report.gather import MeshOrigin, gather_mesh
 
         origin = MeshOrigin(
             kind=self.kind, units=self.units, world=WORLD, scanner=self.scanner, notes=self.notes, posture=self.posture

@@ -1,4 +1,7 @@
-"""CSV tables made by people, programs and spreadsheets of any country, and tables of paired measurements."""
+"""CSV tables made by people, programs and spreadsheets of any country.
+
+Among them tables of paired measurements, with the figures published from them.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +28,7 @@ _LONG = re.compile(r"[+-]?[0-9]{4,}", re.ASCII)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DecimalMark:
-    """How a table writes its numbers."""
+    """A table's decimal mark and its mark between thousands."""
 
     mark: str
     """Before decimals: a point or a comma."""
@@ -78,7 +81,7 @@ def decimal_mark(columns: Iterable[Sequence[str]]) -> DecimalMark:
 
 
 def both_readings(cell: str) -> tuple[str, str] | None:
-    """What a cell such as ``1,860`` may mean: 1860 or 1.86. None where it means one number or none."""
+    """Both meanings of a cell such as ``1,860``, else None."""
     marks = {letter for letter in cell if letter in _OTHER}
     if len(marks) != 1 or not _GROUPED[mark := marks.pop()].fullmatch(cell) or cell.count(mark) != 1:
         return None

@@ -79,7 +79,7 @@ class RigEntry(BaseModel):
 
 
 class SubjectEntry(BaseModel):
-    """What was photographed."""
+    """The subject that was photographed."""
 
     model_config = _STRICT
 

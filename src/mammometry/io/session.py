@@ -39,7 +39,7 @@ from mammometry.io.cameras.own import read_cameras, read_priors
 from mammometry.io.csv_tables import read_table
 from mammometry.io.drawn import boundaries_digest, landmarks_digest, read_boundaries, read_landmarks
 from mammometry.io.manifest import MANIFEST, Manifest, read_manifest
-from mammometry.io.meshes.own_ply import read_wall
+from mammometry.io.meshes.own import read_wall
 from mammometry.io.photographs.images import (
     EXTENSIONS,
     ImageHeader,
@@ -96,7 +96,7 @@ class Session:
 
     @property
     def results(self) -> Path:
-        """Where the results lie."""
+        """Folder of the results."""
         return self.path / "results"
 
     @property

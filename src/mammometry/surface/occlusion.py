@@ -46,7 +46,7 @@ _WIDENING = 1.25  # of the widest blocked place: gaps as wide as what blocks the
 
 @value(eq=False)
 class Occlusion:
-    """Where one camera's view of the subject is blocked."""
+    """Places where one camera's view of the subject is blocked."""
 
     camera: str
     blocks: Bool[Array, "H W"]

@@ -14,8 +14,8 @@ from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
 from mammometry.io.cameras.own import cameras_table
-from mammometry.io.drawn_changes import Change, change_drawn, drawn_entry
-from mammometry.io.meshes.own_ply import write_ply
+from mammometry.io.drawn import Change, change_drawn, drawn_entry
+from mammometry.io.meshes.own import write_ply
 from mammometry.job.inputs import FinishedSurface
 from mammometry.job.stages import calibrate, measure
 from mammometry.job.stages.surface import corrected_cameras, mesh

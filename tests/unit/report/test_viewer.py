@@ -19,7 +19,7 @@ from mammometry.geometry.mesh import TriangleMesh
 from mammometry.measure.landmarks.geodesic import geodesic
 from mammometry.report import content
 from mammometry.report.documents import html
-from mammometry.report.figures.drawing.shading import front_frame
+from mammometry.report.figures.shading import front_frame
 from mammometry.report.first_page import first_page
 from mammometry.report.models import viewer_scene
 from mammometry.report.scene import Model, to_json

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from mammometry.simulate.rendering.develop import (
+from mammometry.simulate.rendering.film import (
+    Film,
     arriving,
     demosaicked,
     develop,
@@ -15,7 +16,6 @@ from mammometry.simulate.rendering.develop import (
     processed,
     srgb_encoded,
 )
-from mammometry.simulate.rendering.film import Film
 
 _QUIET = Film(blur_px=0.0, vignetting=0.0).with_noise(0.0)
 

@@ -18,8 +18,7 @@ from mammometry.base.progress import Progress, no_progress
 from mammometry.base.value import value
 from mammometry.calibration.detection.finders import explain_miss, find
 from mammometry.calibration.detection.finders.cylinder import numbered_alike
-from mammometry.calibration.features.found_points import Cause, FoundPoints
-from mammometry.calibration.features.pixels import grey_bytes, reduced
+from mammometry.calibration.features.pixels import Cause, FoundPoints, grey_bytes, reduced
 from mammometry.calibration.targets.target import Target
 from mammometry.geometry.arrays import Array, Float64, Int64, UInt8
 

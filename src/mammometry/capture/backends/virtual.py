@@ -28,7 +28,7 @@ from mammometry.geometry.camera import Rig
 from mammometry.geometry.transform import Transform
 from mammometry.io.photographs.images import EXTENSIONS, read_photograph
 from mammometry.simulate.recipe import SessionRecipe
-from mammometry.simulate.rendering.objects.lamps import LampScene, hold_lamps, render_lamps
+from mammometry.simulate.rendering.lamps import LampScene, hold_lamps, render_lamps
 from mammometry.simulate.rigs.build import flashes
 from mammometry.simulate.rigs.targets import BOARD
 from mammometry.simulate.session import write_session

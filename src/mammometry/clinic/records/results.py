@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from mammometry.api.job import Job
     from mammometry.api.mesh import MeshJob
     from mammometry.report.documents.rendering import RenderedReport
-    from mammometry.report.figures.drawing.canvas import Caption
+    from mammometry.report.figures.canvas import Caption
 
 
 Interval = tuple[float, float]
@@ -169,7 +169,7 @@ def readable(path: Path) -> Path | None:
 
 def refusal_pictures(visit: Visit) -> dict[str, Caption]:
     """What the visit's refused measurement saw: name of each picture → its caption."""
-    from mammometry.report.figures.drawing.canvas import caption_of
+    from mammometry.report.figures.canvas import caption_of
 
     paths = sorted((visit.folder / "results" / FOLDER).glob("*.png"))
     return {path.stem: caption_of(path.read_bytes()) for path in paths if readable(path)}

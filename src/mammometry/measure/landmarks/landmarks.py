@@ -73,7 +73,7 @@ PROPOSED = "proposed"
 
 @value(eq=False)
 class Landmark:
-    """Where a landmark lies.
+    """Place of a landmark, with its uncertainty.
 
     Raises:
         ValueError: no point, or one that is not finite.

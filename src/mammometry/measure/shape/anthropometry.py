@@ -1,4 +1,4 @@
-"""Measures of a breast beside its volume: landmarks, extent of its base, distribution of its volume, lengths, ptosis.
+"""Measures of a breast beside its volume: landmarks, base, distribution, lengths, ptosis.
 
 Volumes on one side of a plane are exact for the mesh, without caps. The divergence theorem gives the volume of a solid
 as a sum over its faces of the tetrahedra that they make with any origin. With the origin on the cutting planes, the cut

@@ -254,7 +254,7 @@ def _smaller_part(near: TriangleMesh, curve: Int64[Array, " n"], *, goes_on: boo
 
 
 def sides_on(mesh: TriangleMesh, curve: Int64[Array, " n"]) -> Bool[Array, " h"]:
-    """Which sides of faces lie on a closed curve of edges.
+    """Sides of faces that lie on a closed curve of edges, as a mask.
 
     Side 3 f + k runs from corner k of face f to the next.
     """

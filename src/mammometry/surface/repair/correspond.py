@@ -21,7 +21,7 @@ _LEAST_COSINE = 0.05  # 87°: a smaller cosine would divide the spacing to infin
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Gates:
-    """Which data are plausible for a vertex. The fields of `repair.RepairSettings` of the same names."""
+    """Limits of plausible data for a vertex: the constants of `repair` of the same names."""
 
     reach_mm: float
     normal_angle_deg: float

@@ -44,7 +44,7 @@ _CELL_MM = 4.0  # of the grid that finds the faces near data: coarse, for speed 
 
 
 class Provenance(IntEnum):
-    """Where a vertex comes from. The numbers stand in mesh.ply, and stay."""
+    """Origin of a vertex. The numbers stand in mesh.ply, and stay."""
 
     INVENTED = 0
     """Nothing was seen there: closed plainly."""
