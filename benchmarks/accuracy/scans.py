@@ -62,7 +62,7 @@ class Body:
     scans: tuple[tuple[str, int], ...]
     """Quality and repetition of each."""
     report: bool = True
-    """Whether each scan's report is made, too."""
+    """Whether lengths, symmetry and report are made, too, as the command does."""
 
     @property
     def name(self) -> str:
@@ -101,16 +101,19 @@ def measured(path: Path, units: str = "mm", *, report: bool = True) -> Row:
     with tempfile.TemporaryDirectory(prefix="mammometry-scans-") as folder:
         try:
             job = MeshJob(MeshFiles(mesh=path, units=units, automatic=True), Path(folder) / "results")
-            results = job.run(report=report)
+            if report:
+                job.run()
+            measurements = job.plan[measure.measurements]()
             row["seconds"] = time.monotonic() - begun
             curves = {boundary.name: boundary.points_world for boundary in job.plan[measure.boundaries]()}
-            for side, measurement in results.measurements.items():
+            for measurement in measurements:
+                side = measurement.name
                 row["sides"][side] = {
                     "volume_cc": measurement.volume_cc,
                     "interval_cc": measurement.interval_cc,
                     "outline": np.round(curves[side], 2).tolist(),
                 }
-            row["no_breast"] = dict(results.no_breast)
+            row["no_breast"] = {side.name: side.why for side in job.plan.value(measure.absent) or ()}
             marks = job.plan.value(measure.landmarks) or ()
             row["landmarks"] = {mark.name: np.asarray(mark.points_world)[0].tolist() for mark in marks}
         except MammometryError as error:
@@ -225,7 +228,7 @@ def main() -> None:
     parser.add_argument("--qualities", nargs="*", default=[CLEAN, *QUALITIES], choices=[CLEAN, *QUALITIES])
     parser.add_argument("--repeat", type=int, default=1, help="scans of each woman, of each quality")
     parser.add_argument("--bodies", type=Path, default=None, help="folder of the shared bodies")
-    parser.add_argument("--no-reports", dest="reports", action="store_false", help="measure alone")
+    parser.add_argument("--no-reports", dest="reports", action="store_false", help="sides, volumes and landmarks alone")
     parser.add_argument("--workers", type=int, default=available_cores())
     parser.add_argument("--failures", action="store_true", help="print every refusal")
     arguments = parser.parse_args()
