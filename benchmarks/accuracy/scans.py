@@ -103,8 +103,8 @@ def measured(path: Path, units: str = "mm", *, report: bool = True) -> Row:
             job = MeshJob(MeshFiles(mesh=path, units=units, automatic=True), Path(folder) / "results")
             if report:
                 job.run()
+                row["seconds"] = time.monotonic() - begun
             measurements = job.plan[measure.measurements]()
-            row["seconds"] = time.monotonic() - begun
             curves = {boundary.name: boundary.points_world for boundary in job.plan[measure.boundaries]()}
             for measurement in measurements:
                 side = measurement.name
@@ -120,7 +120,6 @@ def measured(path: Path, units: str = "mm", *, report: bool = True) -> Row:
             row["refused"] = str(error)
         except Exception:  # a failure of ours is a failure, too
             row["refused"] = "FAILED " + traceback.format_exc(limit=-2)
-        row.setdefault("seconds", time.monotonic() - begun)
     return row
 
 
@@ -185,7 +184,7 @@ def _summary(row: Row) -> str:
         true, own = row["truth"]["volumes_cc"].get(side), row["sides"].get(side)
         known = "" if true is None else f" for {true:.0f}"
         parts.append(f"{side} {'–' if own is None else format(own['volume_cc'], '.0f')}{known}")
-    return ", ".join(parts) + f" ({row['seconds']:.0f} s)"
+    return ", ".join(parts)
 
 
 def _missing(body: Body, folder: Path) -> Body:
