@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Results:
-    """What a run came to."""
+    """Results of a run."""
 
     measurements: Mapping[str, VolumeMeasurement]
     """``model``, or the patient's ``left`` and ``right`` → its volume measurement. Empty for a surface."""

@@ -40,7 +40,7 @@ WARNINGS = "warnings.json"
 
 
 class Reported(ABC):
-    """What is measured and has a report among its results: a session or a scan."""
+    """A session or a scan that is measured and has a report among its results."""
 
     inputs: Inputs
     settings: Settings
@@ -76,12 +76,12 @@ class Reported(ABC):
 
     @property
     def content_key(self) -> Key:
-        """What the report's content depends on: every product, and whatever else it shows."""
+        """Key of the report's content: every product, and all else that it shows."""
         return self._page_key(self._page_inputs)
 
     @property
     def report_key(self) -> Key:
-        """What the rendered report depends on: its content, and who drew and confirmed the boundaries."""
+        """Key of the rendered report: its content, and who drew and confirmed the boundaries."""
         return report_key(self.content_key, self.inputs.attributions)
 
     def page_digest(self, *, deidentify: bool) -> str:

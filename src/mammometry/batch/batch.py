@@ -23,7 +23,7 @@ _READERS = 8  # threads that look at records: disks of a network answer slowly; 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Line:
-    """What became of one session."""
+    """Outcome of one session."""
 
     entry: Entry
     state: State
@@ -47,7 +47,7 @@ class Line:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Looked:
-    """What is known of the sessions before anything is measured."""
+    """Facts known of the sessions before anything is measured."""
 
     current: Mapping[str, Row]
     """Address → row of the sessions that are current."""

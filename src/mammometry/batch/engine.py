@@ -50,7 +50,7 @@ class Began:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Ended:
-    """What came of a task."""
+    """Outcome of a task."""
 
     name: str
     value: Any = None
@@ -68,7 +68,7 @@ Event: TypeAlias = Began | Ended
 
 
 class StopRequest(Enum):
-    """What the user wants of a batch that is at work."""
+    """The user's request to a batch that is at work."""
 
     NONE = auto()
     FINISH = auto()

@@ -102,7 +102,7 @@ class Measured(BaseModel):
 
 
 class Row(BaseModel):
-    """What a session came to: a row of the batch's table."""
+    """Result of a session: a row of the batch's table."""
 
     model_config = _STRICT
 

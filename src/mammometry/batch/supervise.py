@@ -28,7 +28,7 @@ running: dict[tuple[str, str], subprocess.Popen[bytes]] = {}
 
 @value
 class Limits:
-    """What a task's process may use."""
+    """Limits of a task's process."""
 
     batch: str
     """Whose task it is."""

@@ -1,4 +1,4 @@
-"""What a back-end gives: pictures, states, and one interface for all kinds of cameras."""
+"""Interface of all kinds of cameras: pictures, states, settings."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ own as EXIF has it, or nobody's."""
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraSettings:
-    """How all cameras expose. None leaves what the camera has."""
+    """Exposure settings of all cameras. None leaves what the camera has."""
 
     exposure_ms: float | None = None
     """Length of the exposure; all cameras alike, so that the flash lies in all. None: as the cameras are set."""
@@ -81,7 +81,7 @@ class Health:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Devices:
-    """Which cameras a back-end is to open."""
+    """The cameras that a back-end is to open."""
 
     cameras: tuple[str, ...]
     """Names in the rig."""

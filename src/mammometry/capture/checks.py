@@ -67,7 +67,7 @@ _HEAD_BYTES = 1024  # in which readers of PDF and browsers look for those
 
 
 def not_only_a_photograph(path: Path) -> str | None:
-    """What else a file is, in two words.
+    """A second kind of file that a photograph is at once, in two words, else None.
 
     ``no photograph`` where it is none. None for an ordinary photograph.
 
@@ -266,7 +266,7 @@ class KnownCamera:
 
 
 def clocks(taken: Mapping[tuple[str, str], float]) -> dict[str, float]:
-    """How far each camera's clock is ahead of the others. By exposures that were made together.
+    """Lead of each camera's clock over the others', by exposures that were made together.
 
     Args:
         taken: (pose, camera) → moment by the camera's own clock, s.
@@ -300,7 +300,7 @@ def camera_of_serial(serial: str, known: Mapping[str, KnownCamera]) -> str | Non
 
 
 def right_camera(camera: str, exposure: Exposure, named: str | None, known: Mapping[str, KnownCamera]) -> Finding:
-    """Whether the photograph lies under the right camera.
+    """Check that the photograph lies under the right camera.
 
     Args:
         camera: in whose place it was put.
@@ -328,7 +328,7 @@ def right_camera(camera: str, exposure: Exposure, named: str | None, known: Mapp
 
 
 def right_size(camera: str, stored_wh: tuple[int, int], orientation: int, known: Mapping[str, KnownCamera]) -> Finding:
-    """Whether a photograph is as large as the calibration's, and turned alike."""
+    """Check that a photograph is as large as the calibration's, and turned alike."""
     about = known.get(camera, KnownCamera())
     if about.stored_wh is None:
         return Finding("size", "unknown", "No calibration says how large it should be.")
@@ -351,7 +351,7 @@ def right_size(camera: str, stored_wh: tuple[int, int], orientation: int, known:
 
 
 def together(taken: Mapping[str, float], clock_s: Mapping[str, float]) -> Finding:
-    """Whether all photographs are of one exposure.
+    """Check that all photographs are of one exposure.
 
     Args:
         taken: camera → moment by its own clock, s.

@@ -1,4 +1,4 @@
-"""Where to hold the board next, while a rig is calibrated.
+"""Suggestions where to hold the board next, while a rig is calibrated.
 
 Of many places the one is suggested after which the cameras' errors are expected to matter least: the information that a
 view would add to the cameras' covariance follows from its derivatives alone, before anybody takes the picture.
@@ -30,7 +30,7 @@ _FEWEST_CAMERAS = 2  # that must see the board; one alone ties nothing together
 
 @value(eq=False)
 class Suggestion:
-    """Where to hold the board, and what that is expected to bring."""
+    """A place to hold the board, and its expected gain."""
 
     world_from_target: Transform
     now_mm: float
@@ -47,7 +47,7 @@ class Suggestion:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Progress:
-    """How good the calibration is so far."""
+    """Quality of the calibration so far."""
 
     poses: int
     error_mm: float
@@ -65,7 +65,7 @@ def opening(pair_names: tuple[str, ...], taken: int) -> str:
 
 
 def progress(calibration: Calibration) -> Progress:
-    """How far the calibration is from good enough."""
+    """Distance of the calibration from good enough."""
     errors = expected_error(calibration).rms_mm
     worst = max(errors, key=lambda pair: np.nan_to_num(errors[pair], nan=np.inf))
     poses, good = len(calibration.world_from_target), bool(errors[worst] <= GOOD_MM)
@@ -80,7 +80,7 @@ def progress(calibration: Calibration) -> Progress:
 
 
 def suggest(calibration: Calibration) -> Suggestion | None:
-    """Where to hold the board next, by the poses so far. None where no place is seen by two cameras."""
+    """Next place to hold the board, by the poses so far. None where no two cameras see one."""
     shifts = shape_shifts(calibration)
     own = np.ix_(shifts.columns, shifts.columns)
     information = np.linalg.pinv(calibration.covariance.independent[own], hermitian=True)

@@ -43,7 +43,7 @@ _SEARCH_PX = 480  # width in which the board is sought to tell cameras apart: hu
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CaptureResult:
-    """What came of one firing."""
+    """Result of one firing."""
 
     shot: Path
     """Folder of its pictures: those of all cameras that delivered."""
@@ -56,7 +56,7 @@ class CaptureResult:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PoseResult:
-    """What came of one pose of the calibration board."""
+    """Result of one pose of the calibration board."""
 
     pose: str
     """Its folder in ``calibration``; empty where none was taken just now."""
@@ -236,7 +236,7 @@ class OpenRig:
         return None if calibration is None else calibration.rig
 
     def guidance(self, session: Path, *, pose: str = "") -> PoseResult:
-        """How good the calibration is, and where to hold the board next.
+        """Quality of the calibration, and the next place to hold the board.
 
         Args:
             session: of the calibration; need not exist.

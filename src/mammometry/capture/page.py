@@ -46,7 +46,7 @@ _SEARCH_PX = 480  # width in which a target is sought: where it is counts, not h
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Aids:
-    """What one live picture shows."""
+    """Findings on one live picture."""
 
     camera: str
     jpeg: bytes

@@ -54,7 +54,7 @@ def manifest_text(
 
 
 def definition_of(manifest: Manifest) -> dict[str, Any]:
-    """What a session.toml says of its rig, as a rig's definition."""
+    """A session.toml's rig, as a rig's definition."""
     table = manifest.model_dump(mode="json", include={"rig", "target", "intrinsics"}, exclude_none=True)
     return {name: table[name] for name in ("rig", "target", "intrinsics") if name in table}
 
@@ -161,7 +161,7 @@ _STRICT = ConfigDict(extra="forbid", strict=True, frozen=True)
 
 
 class CaptureEntry(BaseModel):
-    """How the cameras are driven."""
+    """Entry on how the cameras are driven."""
 
     model_config = _STRICT
 
@@ -197,13 +197,13 @@ class RigFile(Manifest):
 
     @property
     def settings(self) -> CameraSettings:
-        """How all cameras expose."""
+        """Exposure settings of all cameras."""
         entry = self.capture
         return CameraSettings(exposure_ms=entry.exposure_ms, gain_db=entry.gain_db, trigger=entry.trigger)
 
     @property
     def devices(self) -> Devices:
-        """What the back-end opens."""
+        """Devices that the back-end opens."""
         return Devices(cameras=self.camera_names, ids=self.capture.cameras, options=self.capture.options)
 
 

@@ -82,7 +82,7 @@ class Shot:
 
 
 def last_record(session: Path) -> dict[str, Any] | None:
-    """What the last firing's shot.json says. None where there is none."""
+    """Content of the last firing's shot.json. None where there is none."""
     number = _last(session)
     path = session / _SHOTS / f"{number:03d}" / _RECORD
     try:

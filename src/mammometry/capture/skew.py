@@ -27,7 +27,7 @@ _FORMAT = 1  # version of skew.json
 
 @value
 class Skew:
-    """When each camera exposed."""
+    """Time of each camera's exposure."""
 
     offset_ms: Mapping[str, float]
     """Camera → begin of its exposure after the median camera's. Read-only."""
@@ -107,7 +107,7 @@ _LONGEST_SHARE = 0.25  # of the period, that cameras may be apart: beyond, who w
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Moment:
-    """When one picture's exposure began."""
+    """Time at which one picture's exposure began."""
 
     begin_ms: float
     """After the counter's 0, but for whole periods."""

@@ -1,4 +1,4 @@
-"""What to think of a firing, before the patient dresses.
+"""Verdict on a firing, before the patient dresses.
 
 All cameras delivered, each its own picture of this moment, all together, sharp, well exposed, of an unmoved subject
 that is whole in every view. Each sentence says what to do.
@@ -70,7 +70,7 @@ _WELL = {
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Expected:
-    """What a firing is compared with."""
+    """Reference that a firing is compared with."""
 
     cameras: tuple[str, ...]
     subject_kind: str

@@ -1,4 +1,4 @@
-"""How people come in: entry by an administrator, passwords, second factor, the hospital's own login."""
+"""Accounts: entry by an administrator, passwords, second factor, the hospital's own login."""
 
 import base64
 import hashlib

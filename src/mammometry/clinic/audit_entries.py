@@ -85,7 +85,7 @@ def title_of(page: str) -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AuditFilter:
-    """Which entries are shown."""
+    """Filter of the audit's entries."""
 
     person: UUID | None = None
     """Who did it, or whose name was tried."""

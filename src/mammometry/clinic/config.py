@@ -53,7 +53,7 @@ Filled = Annotated[str, StringConstraints(min_length=1, max_length=200)]
 
 
 class Tls(BaseModel):
-    """How the connection is encrypted."""
+    """Encryption of the connection."""
 
     model_config = _STRICT
 
@@ -71,7 +71,7 @@ class Tls(BaseModel):
 
 
 class Limits(BaseModel):
-    """What one person or address may ask for."""
+    """Limits of what one person or address may ask for."""
 
     model_config = _STRICT
 
@@ -96,7 +96,7 @@ class Limits(BaseModel):
 
 
 class People(BaseModel):
-    """How people prove who they are."""
+    """Rules by which people prove who they are."""
 
     model_config = _STRICT
 
@@ -158,7 +158,7 @@ class ClinicConfig(BaseModel):
     """Rig's name → its rig.toml, relative to the clinic's folder, where its cameras are driven by this computer."""
 
     def measuring(self) -> Settings:
-        """How the clinic measures: its settings.toml, or the defaults.
+        """The clinic's measurement settings: its settings.toml, or the defaults.
 
         Everything that opens a session must use these: with others its results would be made again.
 
@@ -186,7 +186,7 @@ class ClinicConfig(BaseModel):
 
     @property
     def openid_secret(self) -> str:
-        """What the hospital's login knows the clinic by, from its file.
+        """Secret by which the hospital's login knows the clinic, from its file.
 
         Raises:
             ClinicError: the file is missing or empty.

@@ -120,7 +120,7 @@ def patient_module(patient: Patient) -> PatientModule:
 
 
 def gathered(config: ClinicConfig, visit: Visit, *, whole: bool = True, deidentify: bool = False) -> Exported:
-    """What is exported of a visit.
+    """Exported content of a visit.
 
     Args:
         config: the clinic's.
@@ -180,7 +180,7 @@ def study_of(config: ClinicConfig, visit: Visit, *, deidentify: bool = False) ->
 
 
 def order_of(visit: Visit) -> Order:
-    """What was ordered. Empty where the visit did not come from a worklist."""
+    """A visit's order. Empty where it did not come from a worklist."""
     order = VisitOrder.objects.filter(visit=visit).first()
     if order is None:
         return Order()
@@ -219,7 +219,7 @@ class Deliverer(threading.Thread):
 
 
 def connection(destination: Destination) -> tuple[Peer, Tls | None]:
-    """Where a DICOM application is, and how the connection is encrypted."""
+    """Address of a DICOM application, and the encryption of the connection."""
     return Peer.parse(destination.address), tls_of(destination)
 
 
@@ -242,7 +242,7 @@ def _send(config: ClinicConfig, delivery: Delivery) -> tuple[int, bool | None]:
 
 
 def tls_of(destination: Destination) -> Tls | None:
-    """How the connection to an archive is encrypted. None: not."""
+    """Encryption of the connection to an archive. None: not encrypted."""
     if not destination.encrypted:
         return None
     files = (

@@ -22,7 +22,7 @@ moved, the daily check tells."""
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Today:
-    """Whether a rig may be measured with today."""
+    """Readiness of a rig today."""
 
     verdict: Answer
     """``care``: yes, and somebody should read the reasons."""
@@ -204,7 +204,7 @@ def new_check(rig: Rig, by: Any) -> DailyCheck | None:
 
 
 def may_queue(target: Visit | Calibration | DailyCheck | Comparison, *, anyway: bool = False) -> str | None:
-    """Why something cannot be computed now, in a sentence. None where it can.
+    """Reason why something cannot be computed now, in a sentence. None where it can.
 
     A visit takes its rig's current calibration when it is queued first, and keeps it.
     """

@@ -1,4 +1,4 @@
-"""What the page shows and what it may change. Whoever serves it: the local server or the clinic."""
+"""The editor's page and the changes that it may make, for the local server and the clinic."""
 
 from __future__ import annotations
 

@@ -147,7 +147,7 @@ def _routes(local: _LocalPage, door: Door) -> tuple[URLPattern, ...]:
 
 
 def entrance_route(door: Door) -> URLPattern:
-    """Where a key is exchanged for the cookie."""
+    """Route on which a key is exchanged for the cookie."""
     return path("enter", page_view(GET=lambda request: entrance(), POST=door.enter))
 
 

@@ -52,7 +52,7 @@ _LASTING = ("method", "author", "drawn")
 
 
 class Drawable(Protocol):
-    """What can be drawn on: a session (`api.job.Job`) or a scan (`api.mesh.MeshJob`)."""
+    """A subject that can be drawn on: a session (`api.job.Job`) or a scan (`api.mesh.MeshJob`)."""
 
     inputs: Inputs
     settings: Settings
@@ -67,7 +67,7 @@ class Drawable(Protocol):
 
     @property
     def folder(self) -> Path:
-        """Where boundaries.json and landmarks.json lie."""
+        """Folder of boundaries.json and landmarks.json."""
         ...
 
     @property
@@ -82,7 +82,7 @@ class Drawable(Protocol):
 
     @property
     def content_key(self) -> Key:
-        """What the report's content depends on."""
+        """Key of the report's content."""
         ...
 
     def surface(self) -> FinishedSurface:

@@ -1,4 +1,4 @@
-"""What is exported of a session: one value for all formats."""
+"""The exported content of a session: one value for all formats."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ class Patient:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Order:
-    """What was ordered, as a worklist says."""
+    """The order, as a worklist has it."""
 
     accession: str = ""
     study_uid: str = ""

@@ -46,7 +46,7 @@ class Peer:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Tls:
-    """How a connection is encrypted."""
+    """Encryption of a connection."""
 
     authorities: Path | None = None
     """Certificates that the other side's is signed by (PEM). None: those that the system trusts."""

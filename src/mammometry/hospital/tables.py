@@ -49,7 +49,7 @@ def tables(sessions: Sequence[Exported]) -> dict[str, bytes]:
 
 
 def codebook(sessions: Sequence[Exported]) -> str:
-    """What columns and codes mean."""
+    """Codebook: the meanings of columns and codes."""
     titles = {quantity.code: (quantity.title, quantity.unit) for session in sessions for quantity in session.quantities}
     rows = [("column", name, kind, unit, meaning) for name, (kind, unit, meaning) in _COLUMNS.items()]
     rows += [("code", code, "number", unit, title) for code, (title, unit) in sorted(titles.items())]
@@ -69,7 +69,7 @@ def rounded(value: float | None) -> float | None:
 
 
 def confirmation(exported: Exported) -> tuple[str, str]:
-    """Whether and when somebody confirmed the boundaries. Tables do not say who."""
+    """State and time of the boundaries' confirmation. Tables do not say by whom."""
     confirmed = exported.clinical.confirmed
     return ("no", "") if confirmed is None else ("yes", confirmed.at.date().isoformat())
 

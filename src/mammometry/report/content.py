@@ -170,7 +170,7 @@ class Signed:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Clinical:
-    """Who was photographed, what was done before, and what a clinician says of it.
+    """The patient, earlier operations, and the clinician's conclusion.
 
     A report is rendered with it and never stored with it: names stand in the clinic's database alone.
     """

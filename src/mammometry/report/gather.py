@@ -288,7 +288,7 @@ def gather(
 
 
 def whole_scene(plan: Plan) -> ViewerScene:
-    """What the 3D viewer of a session's own report shows.
+    """Scene of a session's own report in the 3D viewer.
 
     Nothing is left out. It needs no previews. Products that are missing are made.
     """

@@ -1,4 +1,4 @@
-"""What a report reveals of the subject, and how to reveal less.
+"""Choice of how much a report reveals of the subject.
 
 De-identified: no name of the session, no identifier of the subject, no date, no photograph; photographic colours only
 below the sternal notch, so that no face shows. Geometry only: no photographic colours at all.
@@ -22,7 +22,7 @@ _GREY = 176  # level of grey (0–255) in place of a colour; chosen by eye
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Privacy:
-    """How much of the subject a report shows."""
+    """Choice of how much of the subject a report shows."""
 
     deidentify: bool = False
     """Whether to leave out names, the identifier, dates, photographs, and colours above the sternal notch."""

@@ -1,1 +1,1 @@
-"""What fires cameras: a file a kind, entered in `capture.camera`."""
+"""Back-ends that fire cameras: a file a kind, entered in `capture.camera`."""

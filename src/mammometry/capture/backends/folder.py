@@ -56,7 +56,7 @@ class WatchedFolder:
         """Nothing: the other software has the settings."""
 
     def arm(self) -> None:
-        """What is in the folder now is old."""
+        """Take all that is in the folder now for old."""
         with self._lock:
             self._known = {path: _stamp(path) for path in self._files()}
             self._taken = None

@@ -36,7 +36,7 @@ _SCREEN_PX, _SCREEN_QUALITY = 1600, 85  # of a picture that fills a screen, abou
 
 
 def thumbnail_path(upload: Upload) -> Path:
-    """Where the small picture of an upload lies."""
+    """Place of the small picture of an upload."""
     return upload.path.with_suffix(".webp")
 
 
@@ -163,7 +163,7 @@ def look(upload: Upload, target: Target) -> tuple[list[Finding], dict[str, Any]]
 
 
 def known_cameras(target: Target) -> dict[str, KnownCamera]:
-    """What the calibration that a target belongs to knows of its cameras. Nothing for a new calibration."""
+    """Cameras known from the calibration of a target. None for a new calibration."""
     if isinstance(target, Calibration):
         return {}
     figures = target.calibration.figures if target.calibration is not None else {}
@@ -171,7 +171,7 @@ def known_cameras(target: Target) -> dict[str, KnownCamera]:
 
 
 def poses_needed(definition: Mapping[str, Any], cameras: Sequence[str], photographs: Iterable[tuple[str, str]]) -> str:
-    """How many poses of the board are still needed, in a sentence. Empty: it can be calibrated.
+    """Number of poses of the board still needed, in a sentence. Empty: it can be calibrated.
 
     Args:
         definition: of the rig.

@@ -67,7 +67,7 @@ class OccupiedError(UploadError):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Announced:
-    """What a sender says of a file before its bytes come in."""
+    """A sender's announcement of a file, before its bytes come in."""
 
     name: str
     """The sender's name of it. Only whether it names a camera is kept."""
@@ -245,7 +245,7 @@ def bring_back(upload: Upload) -> None:
 
 
 def target_of(upload: Upload) -> Target:
-    """What an upload is for."""
+    """The record that an upload belongs to."""
     target = upload.visit or upload.calibration or upload.check_of_day
     assert target is not None
     return target

@@ -53,12 +53,12 @@ _WORDS = {
 
 
 def stage_words(stage: str) -> str:
-    """What a stage is called on pages."""
+    """Name of a stage on pages."""
     return _WORDS.get(stage, stage)
 
 
 def target_of(job: Job) -> Target:
-    """What a job is about."""
+    """The record that a job is about."""
     target = job.visit or job.calibration or job.check_of_day or job.comparison
     assert target is not None
     return target
@@ -131,7 +131,7 @@ def of_visits_in_use() -> QuerySet[Job]:
 
 
 def place(job: Job) -> int | None:
-    """How many are before it in the queue, with itself. None where it does not wait."""
+    """Place in the queue, from 1. None where it does not wait."""
     if job.state != Job.State.QUEUED:
         return None
     before = Q(created__lt=job.created) | Q(created=job.created, pk__lt=job.pk)

@@ -1,4 +1,4 @@
-"""What jobs change besides their own row. The state of visits and calibrations, and what was measured.
+"""Changes that jobs make besides their own row: states of visits and calibrations, measurements.
 
 Called within the transaction that changes the job's row.
 """

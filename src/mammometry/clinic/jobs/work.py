@@ -1,4 +1,4 @@
-"""What a worker does with a job.
+"""The work of a job, in the worker's process.
 
 It runs in a process of its own. Nothing here knows of the database or of names.
 
@@ -187,7 +187,7 @@ def calibrate(progress: StageProgress, session: str, settings: str) -> dict[str,
 
 
 def known_cameras(session: Path) -> dict[str, KnownCamera]:
-    """What a calibration's photographs tell of each camera."""
+    """Cameras by a calibration's photographs."""
     files = {
         (path.parent.name, path.stem): path
         for path in sorted((session / "calibration").glob("*/*"))

@@ -48,7 +48,7 @@ class BackupFile:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Outcome:
-    """What became of a backup or of a restore test."""
+    """Outcome of a backup or of a restore test."""
 
     at: str
     """When it ended, ISO 8601."""
@@ -57,7 +57,7 @@ class Outcome:
 
     @property
     def moment(self) -> datetime.datetime:
-        """When the backup or test ended."""
+        """Time at which the backup or test ended."""
         return datetime.datetime.fromisoformat(self.at)
 
 

@@ -1,4 +1,4 @@
-"""What a clinic's files take of the disk, and how long the rest will last."""
+"""Use of the disk by a clinic's files, and how long the rest will last."""
 
 import datetime
 import os
@@ -46,7 +46,7 @@ class DiskUsage:
 
     @property
     def lasts(self) -> str:
-        """How long it will last, in words."""
+        """Time until the disk is full, in words."""
         days = self.days_left
         if days is None:
             return "nothing new came, so there is no rate"
@@ -61,7 +61,7 @@ class DiskUsage:
 
 
 def cached_usage(config: ClinicConfig) -> DiskUsage:
-    """What is used, counted at most ten minutes ago."""
+    """Use of the disk, counted at most ten minutes ago."""
     usage: DiskUsage | None = cache.get("disk-usage")
     if usage is None:
         usage = measure_usage(config)

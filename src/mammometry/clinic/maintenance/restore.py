@@ -138,7 +138,7 @@ def _digest(path: Path) -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RestoreTest:
-    """What was restored and compared."""
+    """Result of restoring a backup and comparing it."""
 
     backup: str
     """Name of the archive."""

@@ -1,4 +1,4 @@
-"""What the clinic knows of a visit beside its photographs: consents, operations, conclusions."""
+"""Clinical records of a visit beside its photographs: consents, operations, conclusions."""
 
 from __future__ import annotations
 

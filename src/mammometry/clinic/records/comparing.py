@@ -32,7 +32,7 @@ class Verdict:
 
 
 def comparison_folder(before: Visit, after: Visit) -> Path:
-    """Where a comparison's files are kept."""
+    """Folder of a comparison's files."""
     return after.folder / "results" / "compare" / str(before.pk)
 
 
@@ -73,7 +73,7 @@ def may_compare(before: Visit, after: Visit) -> bool:
 
 
 def verdict(before: Visit, after: Visit) -> Verdict:
-    """How far the comparison of two visits is, and its verdict."""
+    """State of the comparison of two visits, and its verdict."""
     return _verdict(before, after, Comparison.objects.filter(before=before, after=after).first())
 
 

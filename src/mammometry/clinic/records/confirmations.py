@@ -35,7 +35,7 @@ def settled_state(visit: Visit) -> Visit.State:
 
 
 def refusal(visit: Visit, curves: Mapping[str, str]) -> str | None:
-    """Why these boundaries of a visit cannot be confirmed, in a sentence. None: they can be."""
+    """Reason why a visit's boundaries cannot be confirmed, in a sentence. None: they can be."""
     measurement = visit.measurements.first()
     if visit.is_changed:
         return CHANGED_SENTENCE
@@ -73,7 +73,7 @@ _OPEN = (Job.State.QUEUED, Job.State.RUNNING)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NextStep:
-    """What to do, and the button that does it."""
+    """The next step, and the button that does it."""
 
     words: str
     """Where the visit stands, in a sentence."""

@@ -166,7 +166,7 @@ def newest() -> QuerySet[Correction]:
 
 
 def left_in_bin() -> list[Visit | Patient]:
-    """What has lain in the bin for so long that nobody can take it out."""
+    """Records that have lain in the bin for so long that nobody can take them out."""
     visits = Visit.everything.filter(binned_at__lt=oldest()).select_related("patient")
     return [*visits.order_by("binned_at"), *Patient.everything.filter(binned_at__lt=oldest()).order_by("binned_at")]
 

@@ -85,7 +85,7 @@ _COMPARED = ("measured wall", "named wall", "closed solid")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Retention:
-    """How much of the injected fat is there at a visit, or why that cannot be said."""
+    """Share of the injected fat that is there at a visit, or why that cannot be said."""
 
     operation: Operation
     side: str
@@ -98,7 +98,7 @@ class Retention:
 
 
 def retentions(operations: Sequence[Operation], results: Sequence[VisitResult]) -> list[Retention]:
-    """What stayed of each fat graft, the newest first: side by side and visit by visit.
+    """Retention of each fat graft, the newest first: side by side and visit by visit.
 
     Args:
         operations: all of one patient.

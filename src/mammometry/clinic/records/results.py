@@ -47,7 +47,7 @@ class SideResult:
 
     @property
     def meaning(self) -> str:
-        """What is called the breast, in words."""
+        """The meaning of "breast" that was measured, in words."""
         return MEANINGS.get(self.definition, self.definition)
 
 
@@ -149,7 +149,7 @@ _LARGEST = 64 << 20  # bytes of a report; ours have a few MB
 
 @dataclass(frozen=True, slots=True)
 class Facts:
-    """What a reader must know beside the volumes."""
+    """Facts that a reader must know beside the volumes."""
 
     warnings: tuple[str, ...]
     """What concerns the numbers."""
@@ -168,7 +168,7 @@ def readable(path: Path) -> Path | None:
 
 
 def refusal_pictures(visit: Visit) -> dict[str, Caption]:
-    """What the visit's refused measurement saw: name of each picture → its caption."""
+    """Pictures of the visit's refused measurement: name → caption."""
     from mammometry.report.figures.canvas import caption_of
 
     paths = sorted((visit.folder / "results" / FOLDER).glob("*.png"))

@@ -140,7 +140,7 @@ def elsewhere(other: Visit, cameras: Sequence[str]) -> str:
 
 
 def date_questions(taken_at: datetime.datetime, rig: Rig | None) -> list[str]:
-    """What is strange about a visit's day, in sentences that ask whether it is right."""
+    """Questions on a visit's day, where something about it is strange."""
     now = timezone.now()
     if taken_at > now + _CLOCK:
         return [f"This visit is in the future: today is {_day(now)}. Is the day right?"]

@@ -36,7 +36,7 @@ _DATES = tuple(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Query:
-    """What somebody typed into a search."""
+    """A typed search, split into words and days."""
 
     days: tuple[tuple[frozenset[datetime.date], str], ...]
     """Days with all their meanings (a year of two digits has two), and as a number may hold them."""

@@ -1,4 +1,4 @@
-"""What pages of the clinic show: their ways, who they are about, numbers and verdicts in words."""
+"""Filters and tags of the clinic's pages: ways, banner, numbers and verdicts in words."""
 
 import datetime
 import re
@@ -30,7 +30,7 @@ register = template.Library()
 
 @register.inclusion_tag("clinic/banner.html")
 def banner(patient: Patient, visit: Visit | None = None) -> dict[str, Any]:
-    """Who the page is about, with the visit's photographs in small."""
+    """The patient's banner, with the visit's photographs in small."""
     shots = () if visit is None else visit.uploads.filter(state=Upload.State.PLACED).order_by("camera")
     return {
         **patient_facts(patient),

@@ -24,7 +24,7 @@ def is_part(request: HttpRequest) -> bool:
 
 
 def search_context(request: HttpRequest, *, choosing: bool = False, leave_out: Patient | None = None) -> dict[str, Any]:
-    """What ``patient_search.html`` shows. The audit gets the patients who are shown.
+    """Context of ``patient_search.html``. The audit gets the patients who are shown.
 
     Args:
         request: whose ``q`` is searched for.

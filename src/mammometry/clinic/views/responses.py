@@ -1,4 +1,4 @@
-"""What views share: who asks, JSON for programs of a page, pages for what is refused or missing."""
+"""Helpers that views share: the person, JSON for programs, pages for what is refused or missing."""
 
 import json
 import logging
@@ -56,7 +56,7 @@ def json_view(*methods: str) -> Callable[[Callable[..., HttpResponseBase]], Call
 
 
 def json_body(request: HttpRequest) -> dict[str, Any]:
-    """What the request's JSON says. Nothing where it has none.
+    """The request's JSON. Empty where it has none.
 
     Raises:
         Refused: it is no JSON object.

@@ -1,4 +1,4 @@
-"""Who may open which page. A view is mounted with its roles, or not at all.
+"""Access to pages. A view is mounted with its roles, or not at all.
 
 `guarded` wraps a view: it refuses who may not, requires the second factor, makes each change and its audit entry one
 transaction, and enters into the audit who saw which patient's, visit's or rig's page.
@@ -26,7 +26,7 @@ View = Callable[..., HttpResponseBase] | Callable[..., Awaitable[HttpResponseBas
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Access:
-    """What a route asks for and grants."""
+    """A route's conditions and grants."""
 
     roles: frozenset[Role] | None
     """Who may open it; None: anyone, logged in or not."""
@@ -96,7 +96,7 @@ def guarded(view: View, access: Access) -> View:
 
 
 def refused(request: HttpRequest, access: Access) -> HttpResponseBase | None:
-    """What somebody gets who may not. The login page, the second factor's page, 401 for a program.
+    """Answer to somebody who may not: a login page, the second factor's page, 401 for a program.
 
     Raises:
         PermissionDenied: logged in, without a role that may.

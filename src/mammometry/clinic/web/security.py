@@ -126,7 +126,7 @@ class DeniedByDefault:
 
 
 def for_all_pages(request: HttpRequest) -> dict[str, Any]:
-    """What every template knows. The clinic's name, and what the person may do."""
+    """Values for every template: the clinic's name, and what the person may do."""
     person = getattr(request, "user", None)
     roles = list(person.roles) if person is not None and person.is_authenticated else []
     return {"clinic_name": the_clinic().name, "roles": roles}

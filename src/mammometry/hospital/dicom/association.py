@@ -112,7 +112,7 @@ def echo(peer: Peer, *, own_title: str = OWN_TITLE, tls: Tls | None = None) -> N
 
 
 def comment(status: Dataset) -> str:
-    """What the other side said beside a status, for a sentence."""
+    """The other side's comment beside a status, for a sentence."""
     error_comment = status.get("ErrorComment", "")
     return f": {error_comment}" if error_comment else ""
 

@@ -1,4 +1,4 @@
-"""What all objects of a study share: patient, study, series, equipment."""
+"""Attributes that all objects of a study share: patient, study, series, equipment."""
 
 import datetime
 import hashlib

@@ -24,7 +24,7 @@ _WARNINGS = range(0xB000, 0xC000)  # stored, with a remark
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sent:
-    """What came of sending a study."""
+    """Result of sending a study."""
 
     sent: int
     """Objects that were sent now."""

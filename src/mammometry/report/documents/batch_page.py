@@ -98,7 +98,7 @@ def _page(title: str, lines: Sequence[BatchLine]) -> str:
 
 
 def counted(lines: Sequence[BatchLine]) -> str:
-    """How many sessions there are, and what became of them, in words."""
+    """Number of sessions, and their outcomes, in words."""
     words = {
         "measured": "measured now",
         "current": "current already",

@@ -205,7 +205,7 @@ def breast_card(breast: BreastChange, before: datetime.date | None) -> BreastCar
 
 
 def trunk_facts(change: Change) -> tuple[Fact, ...]:
-    """How well the trunks of both dates fit together."""
+    """Facts on the fit of both dates' trunks."""
     fit = change.fit
     posed = {
         "same pose": "the same, judged by the trunk",

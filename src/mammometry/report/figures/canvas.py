@@ -47,7 +47,7 @@ _TEXT_PT = 8.5  # size of text, points; chosen by eye
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Caption:
-    """What a picture is called and what it shows. Kept inside the PNG itself."""
+    """Title and caption of a picture, kept inside the PNG itself."""
 
     title: str
     text: str

@@ -21,7 +21,7 @@ _STYLE = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Known:
-    """What a results folder tells of a product."""
+    """State of a product in a results folder."""
 
     state: str
     """current, stale, damaged or absent."""

@@ -258,7 +258,7 @@ def section(
 
 
 def visible(points_world: Float64[Array, "n 3"], view: View, cast: Cast, *, slack_mm: float = 1.5) -> Bool[Array, " n"]:
-    """Whether points on or near the mesh are visible in a view."""
+    """Mask of the points on or near the mesh that are visible in a view."""
     x, y, towards = view.project(points_world).T
     height, width = cast.faces.shape
     left_mm, right_mm, bottom_mm, top_mm = view.extent_mm

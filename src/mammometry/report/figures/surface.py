@@ -55,7 +55,7 @@ def range_images(result: SurfaceResult) -> bytes:
 
 @preview("dents", stage="surface", place=2, photographs=False, on_paper=True)
 def dents(result: SurfaceResult) -> bytes:
-    """Which range data were kept and which were dropped as dented."""
+    """Range data that were kept, and those dropped as dented."""
     sheet = _map_sheet([range_image.size_wh[::-1] for range_image in result.ranges], header=26)
     kept_colour, dropped_colour = canvas.rgb(canvas.BLUE), canvas.rgb(canvas.ORANGE)
     sheet.legend([(canvas.BLUE, "kept"), (canvas.ORANGE, "dropped"), (canvas.hexadecimal(canvas.MISSING), "no data")])
@@ -141,7 +141,7 @@ def textured(result: SurfaceResult) -> bytes:
 
 @preview("convergence", stage="surface", place=5, photographs=False)
 def convergence(result: SurfaceResult) -> bytes:
-    """How far the vertices moved in each round of the repair."""
+    """Displacement of the vertices in each round of the repair."""
     repaired = result.repaired
     sheet = Sheet(1, 1, (420, 220), axes_room=(64, 42))
     axes = sheet.panel(0, "elastic repair", plain=False)

@@ -59,7 +59,7 @@ def thinned_maps(disparities: Mapping[str, DisparityMap]) -> tuple[dict[str, Dis
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ThinnedRange:
-    """What pictures and tables show of a range image. Before and after the removal of dents."""
+    """A range image for pictures and tables, before and after the removal of dents."""
 
     name: str
     """The pair's."""

@@ -280,7 +280,7 @@ def without_nipple(
 
 
 def symmetry_facts(symmetry: Symmetry | None) -> tuple[Fact, ...]:
-    """How the breasts differ in place and in shape. Empty without a symmetry."""
+    """Differences of the breasts in place and shape. Empty without a symmetry."""
     if symmetry is None:
         return ()
     across, up, ahead = symmetry.shift_mm

@@ -87,7 +87,7 @@ def breast_report(
 
 
 def side_title(name: str) -> str:
-    """What a page calls a breast, or the cast."""
+    """Title of a breast on a page, or of the cast."""
     return "Model" if name == "model" else f"{name.capitalize()} breast"
 
 
@@ -290,7 +290,7 @@ def surface_report(
 
 
 def posture_fact(posture: str) -> Fact:
-    """How the patient held herself, as far as that is known."""
+    """The patient's posture, as far as that is known."""
     return Fact("Posture", f"{posture or 'not given'}. {NOT_TO_BE_COMPARED}")
 
 

@@ -1,4 +1,4 @@
-"""What a report says of a stage by itself.
+"""Facts of a stage for the report.
 
 It is found with the stage's pictures, from the same values: they are large, and read once.
 """

@@ -76,7 +76,7 @@ def meaning_title(meaning: str) -> str:
 
 
 def meaning_sentences(meaning: str, wall: str) -> str:
-    """What one meaning of the breast is, for a patient.
+    """One meaning of the breast, explained to a patient.
 
     Args:
         meaning: key of `MEANINGS`.
@@ -110,7 +110,7 @@ def date_words(date: datetime.date) -> str:
 
 
 def verdict_words(beyond_error: bool | None) -> str:
-    """Whether a change is larger than its measurement error.
+    """Verdict on a change against its measurement error, in words.
 
     Args:
         beyond_error: whether the 95 % interval of the change leaves out zero. None: it is not known.
