@@ -14,7 +14,8 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from mammometry.simulate.rendering.film import Film, develop
+from mammometry.simulate.rendering.develop import develop
+from mammometry.simulate.rendering.film import Film
 from mammometry.simulate.rendering.render import render_subject
 from mammometry.simulate.rendering.scene import Room, light_scene
 from mammometry.simulate.rendering.skin import SKINS

@@ -20,7 +20,8 @@ from mammometry.geometry.mesh import TriangleMesh
 from mammometry.matching.foreground.foreground import Foreground, blocks_of, estimate_foreground, subject_blocks
 from mammometry.measure.boundary.boundary import find_base
 from mammometry.measure.boundary.cast_rim import mean_height, rim_candidates
-from mammometry.simulate.rendering.film import Film, develop
+from mammometry.simulate.rendering.develop import develop
+from mammometry.simulate.rendering.film import Film
 from mammometry.simulate.rendering.render import render_subject
 from mammometry.simulate.rendering.scene import Room, Scene, light_scene
 from mammometry.simulate.rendering.skin import Skin

@@ -62,7 +62,7 @@ class Body:
     scans: tuple[tuple[str, int], ...]
     """Quality and repetition of each."""
     report: bool = True
-    """Whether each scan's report is made, too."""
+    """Whether lengths, symmetry and report are made, too, as the command does."""
 
     @property
     def name(self) -> str:
@@ -101,23 +101,25 @@ def measured(path: Path, units: str = "mm", *, report: bool = True) -> Row:
     with tempfile.TemporaryDirectory(prefix="mammometry-scans-") as folder:
         try:
             job = MeshJob(MeshFiles(mesh=path, units=units, automatic=True), Path(folder) / "results")
-            results = job.run(report=report)
-            row["seconds"] = time.monotonic() - begun
+            if report:
+                job.run()
+                row["seconds"] = time.monotonic() - begun
+            measurements = job.plan[measure.measurements]()
             curves = {boundary.name: boundary.points_world for boundary in job.plan[measure.boundaries]()}
-            for side, measurement in results.measurements.items():
+            for measurement in measurements:
+                side = measurement.name
                 row["sides"][side] = {
                     "volume_cc": measurement.volume_cc,
                     "interval_cc": measurement.interval_cc,
                     "outline": np.round(curves[side], 2).tolist(),
                 }
-            row["no_breast"] = dict(results.no_breast)
+            row["no_breast"] = {side.name: side.why for side in job.plan.value(measure.absent) or ()}
             marks = job.plan.value(measure.landmarks) or ()
             row["landmarks"] = {mark.name: np.asarray(mark.points_world)[0].tolist() for mark in marks}
         except MammometryError as error:
             row["refused"] = str(error)
         except Exception:  # a failure of ours is a failure, too
             row["refused"] = "FAILED " + traceback.format_exc(limit=-2)
-        row.setdefault("seconds", time.monotonic() - begun)
     return row
 
 
@@ -182,7 +184,7 @@ def _summary(row: Row) -> str:
         true, own = row["truth"]["volumes_cc"].get(side), row["sides"].get(side)
         known = "" if true is None else f" for {true:.0f}"
         parts.append(f"{side} {'–' if own is None else format(own['volume_cc'], '.0f')}{known}")
-    return ", ".join(parts) + f" ({row['seconds']:.0f} s)"
+    return ", ".join(parts)
 
 
 def _missing(body: Body, folder: Path) -> Body:
@@ -225,7 +227,7 @@ def main() -> None:
     parser.add_argument("--qualities", nargs="*", default=[CLEAN, *QUALITIES], choices=[CLEAN, *QUALITIES])
     parser.add_argument("--repeat", type=int, default=1, help="scans of each woman, of each quality")
     parser.add_argument("--bodies", type=Path, default=None, help="folder of the shared bodies")
-    parser.add_argument("--no-reports", dest="reports", action="store_false", help="measure alone")
+    parser.add_argument("--no-reports", dest="reports", action="store_false", help="sides, volumes and landmarks alone")
     parser.add_argument("--workers", type=int, default=available_cores())
     parser.add_argument("--failures", action="store_true", help="print every refusal")
     arguments = parser.parse_args()

@@ -26,7 +26,8 @@ from benchmarks.files import Files
 from mammometry.calibration.detection.detect import Observations, detect
 from mammometry.geometry.camera import Camera
 from mammometry.geometry.transform import Transform
-from mammometry.simulate.rendering.film import Film, develop
+from mammometry.simulate.rendering.develop import develop
+from mammometry.simulate.rendering.film import Film
 from mammometry.simulate.rendering.solid_target import render_target
 from mammometry.simulate.rigs.build import flashes
 from mammometry.simulate.rigs.poses import draw_poses

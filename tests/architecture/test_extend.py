@@ -42,7 +42,8 @@ from mammometry.settings import Settings
 from mammometry.simulate.disturbances.about import Surroundings
 from mammometry.simulate.disturbances.registry import DISTURBANCES, check, disturbed
 from mammometry.simulate.recipe import SessionRecipe, parse_situation
-from mammometry.simulate.rendering.film import Film, develop
+from mammometry.simulate.rendering.develop import develop
+from mammometry.simulate.rendering.film import Film
 from mammometry.simulate.rendering.registry import RENDERERS
 from mammometry.simulate.rendering.skin import Skin
 from mammometry.simulate.rendering.solid_target import render_target

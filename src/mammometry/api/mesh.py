@@ -29,8 +29,7 @@ from mammometry.base.identity import Identity
 from mammometry.base.machine.cores import one_blas_thread
 from mammometry.base.machine.system import peak_memory_mb
 from mammometry.base.progress import Progress, no_progress
-from mammometry.geometry.arrays import Array, Float64
-from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry import Array, Float64, TriangleMesh
 from mammometry.geometry.nearest import barycentric, closest_on_mesh
 from mammometry.io.drawn import (
     BOUNDARIES,

@@ -17,8 +17,7 @@ from mammometry.base.identity import Identity
 from mammometry.base.machine.cores import one_blas_thread
 from mammometry.editor.drawing import DrawingBoard, Handle, LiveVolume, drawing_board, handle_indices
 from mammometry.editor.messages import Finish, Measure, Point, Save, Sketch
-from mammometry.geometry.arrays import Array, Float64
-from mammometry.geometry.camera import Rig
+from mammometry.geometry import Array, Float64, Rig
 from mammometry.io.drawn import (
     BREASTS,
     Change,

@@ -12,9 +12,7 @@ import numpy as np
 
 from mammometry.base.errors import SessionError
 from mammometry.base.parse import json_value, numbers, read_text
-from mammometry.geometry.arrays import Array, Float64
-from mammometry.geometry.camera import Camera, Rig
-from mammometry.geometry.transform import Transform
+from mammometry.geometry import Array, Camera, Float64, Rig, Transform
 from mammometry.io.meshes.own import read_ply
 from mammometry.study.evaluation import Truth
 

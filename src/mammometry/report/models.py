@@ -12,10 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from PIL import Image
 
-from mammometry.geometry.arrays import Array, Float64
+from mammometry.geometry import Array, Float64, Transform
 from mammometry.geometry.mesh import TriangleMesh, joined
 from mammometry.geometry.nearest import point_tree
-from mammometry.geometry.transform import Transform
 from mammometry.measure.shape.lengths import LinearMeasure
 from mammometry.measure.shape.symmetry import Symmetry
 from mammometry.measure.volume.measurement import VolumeMeasurement

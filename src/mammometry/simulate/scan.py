@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 from mammometry.base.machine.compiled import kernel
 from mammometry.base.value import value
 from mammometry.geometry import Array, Bool, Float32, Float64, Transform, TriangleMesh, UInt8
-from mammometry.simulate.rendering.film import srgb_encoded
+from mammometry.simulate.rendering.develop import srgb_encoded
 from mammometry.simulate.rendering.skin import SKINS
 from mammometry.simulate.subjects.solid import Solid
 from mammometry.study.rays import RayScene

@@ -19,7 +19,8 @@ from mammometry.base.progress import Progress, no_progress
 from mammometry.calibration.targets.target import Target
 from mammometry.geometry import Array, Camera, Float32, Float64, Rig, Transform
 from mammometry.simulate.disturbances.exposure import Exposure
-from mammometry.simulate.rendering.film import Film, develop
+from mammometry.simulate.rendering.develop import develop
+from mammometry.simulate.rendering.film import Film
 from mammometry.simulate.rendering.registry import BUILT_IN, RENDERERS
 from mammometry.simulate.rendering.scene import Room, Scene, Thing, light_scene, moved
 from mammometry.simulate.rendering.skin import Skin

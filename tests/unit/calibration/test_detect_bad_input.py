@@ -12,7 +12,8 @@ from mammometry.calibration.detection.detect import Detection, Observations, det
 from mammometry.calibration.targets.kinds.charuco import CharucoTarget
 from mammometry.calibration.targets.kinds.chessboard import ChessboardTarget
 from mammometry.geometry.transform import Transform
-from mammometry.simulate.rendering.film import Film, develop
+from mammometry.simulate.rendering.develop import develop
+from mammometry.simulate.rendering.film import Film
 from mammometry.simulate.rendering.solid_target import render_target
 from mammometry.simulate.rigs.build import flashes
 from mammometry.simulate.rigs.rig_file import reference_rig

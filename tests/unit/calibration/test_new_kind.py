@@ -21,7 +21,8 @@ from mammometry.calibration.targets.sheet import Sheet
 from mammometry.calibration.targets.table import target_from_table
 from mammometry.calibration.targets.target import TARGETS
 from mammometry.io.results.codecs import from_tree, to_tree
-from mammometry.simulate.rendering.film import Film, develop
+from mammometry.simulate.rendering.develop import develop
+from mammometry.simulate.rendering.film import Film
 from mammometry.simulate.rendering.solid_target import render_target
 from mammometry.simulate.rigs.build import flashes
 from mammometry.simulate.rigs.poses import draw_poses

@@ -7,7 +7,8 @@ from PIL import Image
 
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.transform import Transform
-from mammometry.simulate.rendering.film import Film, develop
+from mammometry.simulate.rendering.develop import develop
+from mammometry.simulate.rendering.film import Film
 from mammometry.simulate.rendering.solid_target import render_target
 from mammometry.simulate.rigs.build import flashes
 from mammometry.simulate.rigs.poses import draw_poses

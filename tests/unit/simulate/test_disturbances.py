@@ -14,7 +14,8 @@ from mammometry.simulate.disturbances.exposure import Exposure, plain_exposure, 
 from mammometry.simulate.disturbances.registry import DISTURBANCES, Word, check, disturbed
 from mammometry.simulate.disturbances.surfaces import ball, bar, box, merged, straight
 from mammometry.simulate.recipe import parse_situation
-from mammometry.simulate.rendering.film import Film, magnified
+from mammometry.simulate.rendering.develop import magnified
+from mammometry.simulate.rendering.film import Film
 from mammometry.simulate.rendering.render import render_subject
 from mammometry.simulate.rendering.scene import Motion, Room, light_scene, moved
 from mammometry.simulate.rendering.skin import SKINS, Skin

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from mammometry.simulate.rendering.film import (
-    Film,
+from mammometry.simulate.rendering.develop import (
     arriving,
     demosaicked,
     develop,
@@ -16,6 +15,7 @@ from mammometry.simulate.rendering.film import (
     processed,
     srgb_encoded,
 )
+from mammometry.simulate.rendering.film import Film
 
 _QUIET = Film(blur_px=0.0, vignetting=0.0).with_noise(0.0)
 

@@ -11,7 +11,8 @@ from mammometry.calibration.targets.kinds.chessboard import ChessboardTarget
 from mammometry.geometry.camera import Camera
 from mammometry.geometry.transform import Transform
 from mammometry.simulate.rendering import kernels, shading
-from mammometry.simulate.rendering.film import Film, develop, srgb_encoded
+from mammometry.simulate.rendering.develop import develop, srgb_encoded
+from mammometry.simulate.rendering.film import Film
 from mammometry.simulate.rendering.sampling import lens_parameters, net_offsets
 from mammometry.simulate.rendering.solid_target import render_target
 

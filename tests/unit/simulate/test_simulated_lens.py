@@ -14,7 +14,8 @@ from mammometry.calibration.targets.kinds.cylinder import DottedCylinderTarget
 from mammometry.geometry.camera import Camera
 from mammometry.geometry.transform import Transform
 from mammometry.simulate.rendering import solid_target
-from mammometry.simulate.rendering.film import Film, develop
+from mammometry.simulate.rendering.develop import develop
+from mammometry.simulate.rendering.film import Film
 from mammometry.simulate.rendering.render import render_subject, subject_coverage
 from mammometry.simulate.rendering.sampling import PINHOLE, Aperture, disc_offsets, lens_rays, net_offsets
 from mammometry.simulate.rendering.scene import light_scene

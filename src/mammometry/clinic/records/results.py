@@ -141,7 +141,7 @@ def _side(volume: Volume) -> SideResult:
 
 
 _OF_THE_STATE = ("Nobody has confirmed the automatic boundary", "Boundaries are drawn and confirmed with")
-"""How warnings begin that the visit's state says already: `report.rendering` writes them."""
+"""How warnings begin that the visit's state says already: `report.documents.rendering` writes them."""
 _OF_PHOTOGRAPHS = ("Pose ", "Pair ", "Something hides part", "The subject was not separated")
 """How warnings begin that concern single photographs: `report.warnings` writes them."""
 _LARGEST = 64 << 20  # bytes of a report; ours have a few MB

@@ -10,17 +10,17 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from PIL import Image
 
 from mammometry.base.errors import SessionError, StorageError
 from mammometry.base.parse import LARGEST, error_text, number, read_bytes, whole
 from mammometry.base.sizes import fitting, subject_extent
-from mammometry.geometry.arrays import Array, Float64, Int32
-from mammometry.geometry.mesh import TriangleMesh
-from mammometry.surface.texture.texture_atlas import Atlas, jpeg_of
+from mammometry.geometry import Array, Float64, Int32, TriangleMesh
+
+if TYPE_CHECKING:
+    from mammometry.surface.texture.texture_atlas import Atlas
 
 _TYPES = {"double": "<f8", "float": "<f4", "uchar": "u1", "int": "<i4", "short": "<i2", "ushort": "<u2", "uint": "<u4"}
 _NAMES = {np.dtype(code): name for name, code in _TYPES.items()}
@@ -163,6 +163,9 @@ def write_glb(path: Path, atlas: Atlas) -> None:
         OSError: the disk refuses.
     """
     import trimesh
+    from PIL import Image
+
+    from mammometry.surface.texture.texture_atlas import jpeg_of
 
     vertices, faces, uv = _unwelded(atlas)
     picture = Image.open(io.BytesIO(jpeg_of(atlas)), formats=("JPEG",))
@@ -181,6 +184,8 @@ def write_obj(path: Path, atlas: Atlas) -> None:
     Raises:
         OSError: the disk refuses.
     """
+    from mammometry.surface.texture.texture_atlas import jpeg_of
+
     path.with_suffix(".jpg").write_bytes(jpeg_of(atlas))
     path.with_suffix(".mtl").write_text(material(f"{path.stem}.jpg"))
     path.write_text(obj_text(atlas, f"{path.stem}.mtl"))

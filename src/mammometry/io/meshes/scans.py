@@ -23,8 +23,7 @@ from PIL import Image
 from mammometry.base.errors import SessionError
 from mammometry.base.identity import subject_id
 from mammometry.base.parse import LimitSettings, read_bytes, read_text, toml_table
-from mammometry.geometry.arrays import Array, Float64, UInt8
-from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry import Array, Float64, TriangleMesh, UInt8
 from mammometry.geometry.mesh_files.obj import parse_obj
 from mammometry.io.meshes.foreign import MM_PER_UNIT, ForeignMesh, read_foreign
 from mammometry.io.meshes.own import read_ply, write_ply

@@ -11,8 +11,7 @@ import numpy as np
 from mammometry.base.errors import MeasureError
 from mammometry.base.progress import Progress, no_progress
 from mammometry.base.value import value
-from mammometry.geometry.arrays import Array, Float64
-from mammometry.geometry.camera import Rig
+from mammometry.geometry import Array, Float64, Rig
 from mammometry.matching.foreground.foreground import Foreground
 from mammometry.measure.boundary import TO_BE_CONFIRMED
 from mammometry.measure.boundary.breasts import NoBreast, Outline, find_breasts

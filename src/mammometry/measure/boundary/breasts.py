@@ -9,8 +9,7 @@ from scipy.ndimage import median_filter
 
 from mammometry.base.errors import MeasureError
 from mammometry.base.value import value
-from mammometry.geometry.arrays import Array, Bool, Float64
-from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry import Array, Bool, Float64, TriangleMesh
 from mammometry.geometry.nearest import closest_on_mesh
 from mammometry.measure.boundary.crease import CREASE_PER_MM, Crease, follow_crease
 from mammometry.measure.boundary.prominence import (

@@ -22,8 +22,7 @@ import numpy as np
 from scipy.sparse import csr_array, hstack
 
 from mammometry.base.value import value
-from mammometry.geometry.arrays import Array, Bool, Float64, Int64
-from mammometry.geometry.camera import Camera, Rig
+from mammometry.geometry import Array, Bool, Camera, Float64, Int64, Rig
 from mammometry.geometry.nearest import point_tree
 from mammometry.matching.foreground.contour import Contour, outline
 from mammometry.matching.foreground.foreground import Foreground

@@ -13,8 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from mammometry.base.value import value
-from mammometry.geometry import Array, Float64, TriangleMesh, UInt8
-from mammometry.geometry.arrays import Bool
+from mammometry.geometry import Array, Bool, Float64, TriangleMesh, UInt8
 from mammometry.geometry.nearest import closest_on_mesh, point_tree
 from mammometry.measure.boundary.boundary import Boundary, BreastName
 from mammometry.measure.landmarks.landmarks import PICKED_SIGMA_MM, Landmark, picked_landmarks

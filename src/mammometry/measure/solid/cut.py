@@ -20,9 +20,7 @@ from scipy.sparse.csgraph import breadth_first_order, maximum_flow
 
 from mammometry.base.errors import MeasureError
 from mammometry.base.value import value
-from mammometry.geometry import mesh_kernels
-from mammometry.geometry.arrays import Array, Bool, Float64, Int64, read_only
-from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry import Array, Bool, Float64, Int64, TriangleMesh, mesh_kernels, read_only
 from mammometry.geometry.mesh_kernels import edge_rings, face_parts
 
 _CELL_MM = 6.0  # of the first, coarse search; a neck is wider

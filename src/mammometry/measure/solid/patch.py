@@ -18,8 +18,7 @@ from scipy.sparse.linalg import splu
 
 from mammometry.base.errors import CrossingError, MeasureError
 from mammometry.base.value import value
-from mammometry.geometry.arrays import Array, Bool, Float64, Int64
-from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry import Array, Bool, Float64, Int64, TriangleMesh
 from mammometry.measure.solid.cut import OpenPart, opening_loops
 from mammometry.measure.solid.untangle import rounded, signed_area_mm2, uncrossed
 

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mammometry.base.errors import CrossingError, MeasureError
-from mammometry.geometry import mesh_kernels
-from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry import TriangleMesh, mesh_kernels
 from mammometry.geometry.nearest import point_tree
 from mammometry.measure.solid.cut import OpenPart
 from mammometry.measure.solid.patch import Closed

@@ -8,9 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from mammometry.geometry.arrays import Array, Float64
-from mammometry.geometry.mesh import TriangleMesh
-from mammometry.geometry.transform import Transform
+from mammometry.geometry import Array, Float64, Transform, TriangleMesh
 from mammometry.measure.change import Change
 from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.report.figures import canvas

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mammometry.base.photograph import Photograph
-from mammometry.geometry.arrays import Array, Float32, UInt8
-from mammometry.geometry.camera import Camera
+from mammometry.geometry import Array, Camera, Float32, UInt8
 from mammometry.matching.dense.match import DisparityMap
 from mammometry.report.figures import canvas
 from mammometry.report.figures.canvas import Sheet

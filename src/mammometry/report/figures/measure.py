@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from mammometry.geometry.arrays import Array, Float64, bounds
-from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry import Array, Float64, TriangleMesh, bounds
 from mammometry.measure.boundary.breasts import NoBreast
 from mammometry.measure.shape.symmetry import Symmetry
 from mammometry.measure.volume.measurement import VolumeMeasurement

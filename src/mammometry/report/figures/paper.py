@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from mammometry.base.errors import SessionError
-from mammometry.geometry.arrays import Array, Bool, Float64, UInt8
-from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry import Array, Bool, Float64, TriangleMesh, UInt8
 from mammometry.job.graph import Plan
 from mammometry.job.stages import calibrate, match, surface
 from mammometry.report.figures import canvas

@@ -10,9 +10,7 @@ from typing import ClassVar, TypeAlias
 
 from mammometry.base.photograph import Photograph
 from mammometry.calibration.adjust.calibrated import Calibration
-from mammometry.geometry.arrays import Array, Float64
-from mammometry.geometry.camera import Rig
-from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry import Array, Float64, Rig, TriangleMesh
 from mammometry.job.graph import Plan
 from mammometry.job.inputs import Inputs
 from mammometry.job.products import Stage, Uncached

@@ -7,9 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from mammometry.geometry.arrays import Array, Float32, Float64, UInt8
-from mammometry.geometry.camera import Rig
-from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry import Array, Float32, Float64, Rig, TriangleMesh, UInt8
 from mammometry.report.figures import canvas
 from mammometry.report.figures.canvas import Sheet
 from mammometry.report.figures.catalogue import preview

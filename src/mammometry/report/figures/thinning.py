@@ -7,8 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mammometry.geometry.arrays import Array, Bool, Float32, Float64
-from mammometry.geometry.camera import Camera, Rig
+from mammometry.geometry import Array, Bool, Camera, Float32, Float64, Rig
 from mammometry.matching.dense.match import DisparityMap
 from mammometry.matching.foreground.foreground import Foreground
 from mammometry.matching.quality import MatchQuality, assess

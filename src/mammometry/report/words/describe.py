@@ -14,8 +14,7 @@ from mammometry.base.machine.cores import available_cores
 from mammometry.calibration.adjust.calibrated import Calibration
 from mammometry.calibration.judge.quality import CalibrationQuality
 from mammometry.calibration.targets.target import Target
-from mammometry.geometry.arrays import Array, Float32, bounds
-from mammometry.geometry.camera import Rig
+from mammometry.geometry import Array, Float32, Rig, bounds
 from mammometry.geometry.nearest import point_tree
 from mammometry.matching.foreground.foreground import Foreground
 from mammometry.matching.quality import MatchQuality

@@ -10,7 +10,8 @@ from mammometry.base.photograph import Photograph
 from mammometry.calibration.targets.board import Board
 from mammometry.calibration.targets.lamps import LAMPS, LampStrip
 from mammometry.geometry import Array, Camera, Float64, Rig, Transform
-from mammometry.simulate.rendering.film import Film, develop
+from mammometry.simulate.rendering.develop import develop
+from mammometry.simulate.rendering.film import Film
 from mammometry.simulate.rendering.sampling import net_offsets
 from mammometry.simulate.rendering.solid_target import render_target
 from mammometry.simulate.rigs.poses import draw_poses

@@ -15,9 +15,7 @@ from scipy import ndimage
 
 from mammometry.base.machine.cores import each_at_once, in_bands
 from mammometry.base.value import value
-from mammometry.geometry import mesh_kernels
-from mammometry.geometry.arrays import Array, Bool, Float32, Float64
-from mammometry.geometry.camera import Camera, Rig
+from mammometry.geometry import Array, Bool, Camera, Float32, Float64, Rig, mesh_kernels
 from mammometry.matching.foreground.contour import follow
 from mammometry.matching.foreground.foreground import Foreground
 from mammometry.surface.fusion import field_kernels as kernels

@@ -17,9 +17,7 @@ from scipy import ndimage
 from mammometry.base.errors import SurfaceError
 from mammometry.base.value import value
 from mammometry.calibration.adjust.calibrated import ParameterCovariance
-from mammometry.geometry.arrays import Array, Float64
-from mammometry.geometry.camera import Camera, Rig, StereoPair
-from mammometry.geometry.transform import Transform
+from mammometry.geometry import Array, Camera, Float64, Rig, StereoPair, Transform
 from mammometry.surface.motion.agreement import RowErrors, differences
 from mammometry.surface.motion.rigid_motion import (
     BREATHS_MM,

@@ -21,8 +21,7 @@ from mammometry.base.value import value
 from mammometry.calibration.adjust.calibrated import ParameterCovariance
 from mammometry.calibration.adjust.network import POSE_NAMES_CAMERA
 from mammometry.calibration.judge.pose_motion import shifts
-from mammometry.geometry.arrays import Array, Bool, Float64, Int64
-from mammometry.geometry.camera import Rig
+from mammometry.geometry import Array, Bool, Float64, Int64, Rig
 from mammometry.surface.motion.agreement import Differences, RowErrors
 
 _CELL_MM = 0.06

@@ -289,7 +289,7 @@ def _without_islands(keep: Bool[Array, "h w"]) -> Bool[Array, "h w"]:
     return np.asarray(sizes >= _SMALLEST_ISLAND)[numbers]
 
 
-_BEHIND = 1.4  # of the middle's depth, as in `matching.coarse_depth`
+_BEHIND = 1.4  # of the middle's depth, as in `matching.coarse_stereo`
 _STEP_PX = (
     5.0  # edge of a cell, of a pixel's width on the surface: what lies in cells that touch hangs together; by eye
 )

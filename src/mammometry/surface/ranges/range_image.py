@@ -11,9 +11,8 @@ import numpy as np
 
 from mammometry.base.machine.cores import in_bands
 from mammometry.base.value import value
-from mammometry.geometry import mesh_kernels
+from mammometry.geometry import Camera, mesh_kernels
 from mammometry.geometry.arrays import SIGMA_BITS, Array, Bool, Float32, Float64, Int64, to_bits, to_step
-from mammometry.geometry.camera import Camera
 from mammometry.matching.dense.match import DisparityMap
 from mammometry.surface.ranges import image_kernels, ray_kernels
 from mammometry.surface.settings import TriangulateSettings

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mammometry.base.machine.cores import in_bands
-from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32, Int64
-from mammometry.geometry.camera import Camera
+from mammometry.geometry import Array, Bool, Camera, Float32, Float64, Int32, Int64
 from mammometry.surface.ranges import image_kernels
 from mammometry.surface.ranges.range_image import NORMAL_MM, SIGMA_FLOOR_MM, RangeImage, thinned_camera
 from mammometry.surface.repair import elastic_kernels

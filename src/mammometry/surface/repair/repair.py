@@ -11,8 +11,7 @@ from mammometry.base.errors import SurfaceError
 from mammometry.base.machine.cores import each_at_once
 from mammometry.base.progress import Progress, no_progress
 from mammometry.base.value import value
-from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32, UInt8, bounds
-from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry import Array, Bool, Float32, Float64, Int32, TriangleMesh, UInt8, bounds
 from mammometry.geometry.nearest import point_tree
 from mammometry.surface.ranges.dents import ValidPatches
 from mammometry.surface.repair import elastic_kernels

@@ -8,8 +8,7 @@ import numpy as np
 from scipy.sparse.linalg import splu
 
 from mammometry.base.errors import MeasureError
-from mammometry.geometry.arrays import Array, Float64
-from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry import Array, Float64, TriangleMesh
 from mammometry.geometry.nearest import point_tree
 from mammometry.measure.solid.patch import Closed, Patch, cotangent_laplacian, fill, harmonic, sew
 from mammometry.measure.solid.untangle import signed_area_mm2
