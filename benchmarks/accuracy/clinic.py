@@ -38,19 +38,19 @@ from mammometry.base.progress import StageProgress
 from mammometry.geometry.arrays import Array, Bool
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
-from mammometry.io.meshes.own_ply import read_ply
+from mammometry.io.meshes.own import read_ply
 from mammometry.io.truth import read_truth
 from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.simulate.disturbances.draw import draw, is_held_out
 from mammometry.simulate.disturbances.registry import DISTURBANCES
 from mammometry.simulate.recipe import SessionRecipe, Situation, parse_situation
-from mammometry.simulate.rendering.objects.skin import make_skin
+from mammometry.simulate.rendering.skin import make_skin
 from mammometry.simulate.rigs.build import FULL_SIZE_WH
 from mammometry.simulate.session import write_session
 from mammometry.simulate.studio import Studio
 from mammometry.study.accuracy import SurfaceAccuracy, compare_surfaces
+from mammometry.study.evaluation import Truth
 from mammometry.study.rays import RayScene, seen_by_pairs
-from mammometry.study.truth import Truth
 
 _STUDIO = Studio(skin=make_skin("skin"))
 _POINTS = 40_000

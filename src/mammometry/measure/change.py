@@ -31,6 +31,7 @@ from mammometry.surface.repair.repair import Provenance, RepairedSurface
 _FIXED = 60_000  # points of the earlier trunk; chosen for speed
 _JUDGED = 20_000  # points of the later trunk whose distance is judged; chosen for speed
 _STARTS_MM = (0.0, -25.0, 25.0)  # along the axis, along which a trunk slides; six starts in all (decision 22)
+_BEYOND_MM = 20.0  # later skin this far beyond the earlier one's edge is not compared; 1.4 mm off on a round trunk
 _SHARE = 0.8  # four fifths: the robust scatter does not tell bodies apart (decision 22)
 
 
@@ -133,12 +134,14 @@ def fit_trunks(before: TrunkSkin, after: TrunkSkin) -> TrunkFit:
 def _within_mm(
     motion: Transform, after: TrunkSkin, fixed: tuple[Float64[Array, "m 3"], Float64[Array, "m 3"]]
 ) -> float:
-    """Distance along the normal that holds four fifths of the trunk. The trunk is moved first."""
+    """Distance along the normal that holds four fifths of the moved trunk, where the earlier date shows it too."""
     moved = motion.apply(_every(after, _JUDGED)[0])
     fixed_points, outward = fixed
     nearest = np.asarray(point_tree(fixed_points).query(moved)[1])
-    away = ((moved - fixed_points[nearest]) * outward[nearest]).sum(axis=1)
-    return float(np.quantile(np.abs(away), _SHARE))
+    offset, normals = moved - fixed_points[nearest], outward[nearest]
+    away = (offset * normals).sum(axis=1)
+    shared = np.linalg.norm(offset - away[:, None] * normals, axis=1) < _BEYOND_MM
+    return float(np.quantile(np.abs(away[shared]), _SHARE))
 
 
 def _every(skin: TrunkSkin, at_most: int) -> tuple[Float64[Array, "m 3"], Float64[Array, "m 3"]]:
@@ -210,7 +213,7 @@ class BreastChange:
 
 @value(eq=False)
 class Change:
-    """What has changed between two dates."""
+    """Changes between two dates."""
 
     fit: TrunkFit
     """Fit of the later trunk onto the earlier one, and its agreement."""
@@ -273,7 +276,7 @@ def compare(
 
 
 def judged(fit: TrunkFit, settings: CompareSettings = CompareSettings()) -> tuple[Pairing, bool]:
-    """Whether both dates show one pose, and whether one body. The trunks decide.
+    """Judge by the trunks whether both dates show one pose, and whether one body.
 
     Raises:
         MeasureError: they are those of two bodies.

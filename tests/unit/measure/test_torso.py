@@ -16,6 +16,7 @@ from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.trunk.body import rig_frame
 from mammometry.measure.trunk.thorax import (
     ASSUMED_DEPTH_MM,
+    Skin,
     Thorax,
     Trunk,
     find_trunk,
@@ -203,6 +204,20 @@ def test_a_torso_without_sides_has_an_axis_behind_its_breastbone() -> None:
         RADIUS_MM - ASSUMED_DEPTH_MM, abs=4.0
     )  # the bone, seen 15 mm aside, lies 1 mm deeper; the cameras are not quite upright
     assert not find_trunk(seen_skin(torso()), rig_frame(RIG), height_of=np.array([0.0, 7.0, 100.0])).assumed
+
+
+def test_arms_that_show_more_skin_than_the_flanks_are_not_the_sides() -> None:
+    skin, rng = seen_skin(torso()), np.random.default_rng(3)
+    side = np.where(np.arange(2 * len(skin.points_world)) % 2, 1.0, -1.0)
+    out_mm, y, z = rng.uniform([RADIUS_MM + 90, -70, -70], [RADIUS_MM + 180, 80, -40], (len(side), 3)).T
+    arms = np.stack([side * out_mm, y, z], axis=1), np.stack([side, 0 * side, 0 * side], axis=1)
+    both = Skin(
+        points_world=np.concatenate([skin.points_world, arms[0]]),
+        normals_world=np.concatenate([skin.normals_world, arms[1]]),
+    )
+    alone, beside = (find_trunk(each, np.eye(3), height_of=np.array([0.0, 7.0, 100.0])) for each in (skin, both))
+    assert beside.half_width_mm == pytest.approx(alone.half_width_mm, rel=0.02)
+    assert np.abs(beside.origin - alone.origin).max() < 5.0
 
 
 def test_an_open_curve_is_refused() -> None:
