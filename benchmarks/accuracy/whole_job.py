@@ -2,7 +2,7 @@
 
     python -m benchmarks.accuracy.whole_job ../shared/data/rendered --out build/whole_job
 
-Prints one row a breast (true and measured volume, error, interval, time, memory) as Markdown, and writes it as JSON.
+Prints one row a breast (true and measured volume, error, interval) as Markdown; the JSON has time and memory, too.
 """
 
 from __future__ import annotations
@@ -53,15 +53,14 @@ def measure(captures: Path, subject: str, out: Path) -> list[dict[str, Any]]:
 def as_markdown(rows: list[dict[str, Any]]) -> str:
     """The table that docs/measured.md shows."""
     lines = [
-        "| subject | breast | true cc | measured cc | error cc | error % | 95 % interval cc | time s | memory MB |",
-        "| --- | --- | --- | --- | --- | --- | --- | --- | --- |",
+        "| subject | breast | true cc | measured cc | error cc | error % | 95 % interval cc |",
+        "| --- | --- | --- | --- | --- | --- | --- |",
     ]
     for row in rows:
         interval = "none" if row["interval_cc"] is None else "{:.1f} … {:.1f}".format(*row["interval_cc"])
         lines.append(
             f"| {row['subject']} | {row['name']} | {row['true_cc']:.1f} | {row['measured_cc']:.1f} | "
-            f"{row['error_cc']:+.1f} | {row['error_percent']:+.2f} | {interval} | {row['seconds']:.1f} | "
-            f"{row['peak_memory_mb']:.0f} |"
+            f"{row['error_cc']:+.1f} | {row['error_percent']:+.2f} | {interval} |"
         )
     return "\n".join(lines)
 
