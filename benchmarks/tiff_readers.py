@@ -23,8 +23,8 @@ from typing import Any
 
 import numpy as np
 
-from mammometry.io.results.rasters import read_raster
-from mammometry.io.results.tree import to_tree
+from mammometry.io.results.codecs import to_tree
+from mammometry.io.results.formats import read_raster
 
 _IMAGEJ = Path("/usr/share/java/ij.jar")
 Pages = list[np.ndarray[Any, Any]]

@@ -76,12 +76,13 @@ class Clinic:
 
     def _read(self) -> None:
         assert self._process.stdout is not None
-        for line in self._process.stdout:
-            self.output += line
-            if match := _PASSWORD.search(line):
-                self.passwords[match[1]] = match[2]
-            if match := _ADDRESS.search(line):
-                self.address = match[1]
+        with self._process.stdout as lines:
+            for line in lines:
+                self.output += line
+                if match := _PASSWORD.search(line):
+                    self.passwords[match[1]] = match[2]
+                if match := _ADDRESS.search(line):
+                    self.address = match[1]
 
     def until_served(self) -> None:
         """Wait until the first page answers."""

@@ -40,7 +40,7 @@ def make_session(folder: Path) -> dict[str, Any]:
     from tests.scenes.conftest import TINY, TINY_SETTINGS
 
     from mammometry.api.job import open_session
-    from mammometry.io.drawn_changes import Change, change_drawn
+    from mammometry.io.drawn import Change, change_drawn
     from mammometry.settings import Settings
     from mammometry.simulate.session import write_session
 
@@ -122,6 +122,32 @@ def make_clinic(folder: Path) -> None:
     m.VisitOrder.objects.create(visit=visits[0], accession="A-1")
 
 
+def move_to_postgresql(folder: Path) -> None:
+    """Bring a clinic's rows to its new, empty PostgreSQL: tables of the same version, by the migrations of then."""
+    from django.core.management.color import no_style
+    from django.db import connection, connections, transaction
+    from django.db.migrations.executor import MigrationExecutor
+
+    from mammometry.clinic.config import read_config
+    from mammometry.clinic.site import configure, database
+
+    config = read_config(folder)
+    configure(config)
+    sqlite = database(config.model_copy(update={"database": "sqlite"}))
+    connections.databases["sqlite"] = {**connections.databases["default"], **sqlite}
+    executor = MigrationExecutor(connection)
+    applied = list(MigrationExecutor(connections["sqlite"]).loader.applied_migrations)
+    state = executor.migrate(applied)
+    models = state.apps.get_models(include_auto_created=True)
+    with transaction.atomic():  # references are checked at its end
+        for model in models:
+            model._base_manager.using("default").bulk_create(model._base_manager.using("sqlite").all())
+        with connection.cursor() as cursor:
+            for line in connection.ops.sequence_reset_sql(no_style(), models):
+                cursor.execute(line)
+    (folder / "clinic.sqlite3").unlink()
+
+
 def look(folder: Path) -> dict[str, Any]:
     """Rows by kind, what the volumes are, and how each role's pages answer."""
     from mammometry.clinic.config import read_config
@@ -174,7 +200,7 @@ def main() -> None:
 
 if __name__ == "__main__":
     if sys.argv[1:]:
-        done = {"clinic": make_clinic, "look": look}[sys.argv[1]](Path(sys.argv[2]))
+        done = {"clinic": make_clinic, "look": look, "move": move_to_postgresql}[sys.argv[1]](Path(sys.argv[2]))
         sys.stdout.write(json.dumps(done) + "\n")
     else:
         main()

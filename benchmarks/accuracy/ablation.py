@@ -32,8 +32,8 @@ from mammometry.matching.dense.match import match
 from mammometry.matching.foreground.foreground import Foreground
 from mammometry.matching.rectify import rectify
 from mammometry.matching.settings import MatchSettings
-from mammometry.report.figures.drawing.canvas import Sheet
-from mammometry.report.figures.drawing.shading import Scene, front_frame, picture_wh, standard_views
+from mammometry.report.figures.canvas import Sheet
+from mammometry.report.figures.shading import Scene, front_frame, picture_wh, standard_views
 from mammometry.report.figures.surface import show
 from mammometry.simulate.rigs.build import flashes
 from mammometry.simulate.rigs.rig_file import make_rig
@@ -43,8 +43,7 @@ from mammometry.simulate.subjects.solid import rig_from_solid
 from mammometry.study.accuracy import compare_surfaces
 from mammometry.study.rays import RayScene, seen_by_pairs
 from mammometry.surface.fusion.fuse import extract
-from mammometry.surface.ranges.decompose import decompose
-from mammometry.surface.ranges.dents import remove_dents
+from mammometry.surface.ranges.dents import decompose, remove_dents
 from mammometry.surface.ranges.range_image import RangeImage, triangulate
 from mammometry.surface.repair.repair import repair
 from mammometry.surface.settings import DentSettings, ExtractSettings

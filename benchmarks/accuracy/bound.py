@@ -33,7 +33,7 @@ from benchmarks.pairs import Case, captures, cases
 from mammometry.base.photograph import LUMA, Photograph
 from mammometry.geometry.arrays import Array, Bool, Float32
 from mammometry.matching.correlation_kernels import least_squares, mean_slope, slope_ratio, warp_rows
-from mammometry.matching.dense.least_squares_step import FLAT_DEVIATION, prepare
+from mammometry.matching.dense.least_squares_step import FLAT_DEVIATION, prepare_side
 from mammometry.matching.dense.match import match
 from mammometry.matching.filters import blur, gaussian_taps
 from mammometry.matching.pyramid import Level
@@ -83,7 +83,7 @@ def _least_squares_at(
 ) -> tuple[Float32[Array, "h w"], Float32[Array, "h w"]]:
     """The windows' corrections of the true disparity, and the variances that they claim."""
     here, there = (
-        prepare(Level(image=image, mask=np.ones_like(mask)), _SIGMA_PX)
+        prepare_side(Level(image=image, mask=np.ones_like(mask)), _SIGMA_PX)
         for image, mask in ((case.pair.left_image, case.pair.left_mask), (case.pair.right_image, case.pair.right_mask))
     )
     value, slope, _ = warp_rows(there.coefficients, there.mask, -true)
@@ -113,7 +113,7 @@ def colour_gains(case: Case) -> tuple[float, float]:
         )
         pair = rectify(case.true_cameras, left, right, *case.foregrounds, _SETTINGS.rectify)
         here, there = (
-            prepare(Level(image=image, mask=np.ones(image.shape, dtype=bool)), _SIGMA_PX)
+            prepare_side(Level(image=image, mask=np.ones(image.shape, dtype=bool)), _SIGMA_PX)
             for image in (pair.left_image, pair.right_image)
         )
         value, slope, _ = warp_rows(there.coefficients, there.mask, shift)

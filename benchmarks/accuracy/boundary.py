@@ -27,7 +27,7 @@ from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.nearest import closest_on_mesh
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.boundary.breasts import Breasts, Outline, find_breasts
-from mammometry.measure.boundary.middles import breast_middles
+from mammometry.measure.boundary.prominence import breast_middles
 from mammometry.measure.boundary.protocol import NEEDED, outline_by_protocol
 from mammometry.measure.landmarks.landmarks import picked_landmarks
 from mammometry.measure.settings import ProtocolJoin

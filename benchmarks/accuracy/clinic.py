@@ -4,11 +4,12 @@
     python -m benchmarks.accuracy.clinic --disturb rail band pale-wall drift=0.02 --subjects torso_3 --out build/clinic
     python -m benchmarks.accuracy.clinic --held-out --seeds 1-90 --difficulty 1,2,3 --out build/clinic
 
-Every capture is simulated, measured from its photographs alone, and compared with its truth; so is the same body
-without what was disturbed, which only patients' and skins' disturbances belong to. Both surfaces are judged at the same
-points of the true one: those that some pair saw past what stood before it. `--out` keeps the sessions: what is there is
-not simulated again, but measured again where the code has changed. Seeds with a remainder of 2 after division by 3 are
-held out: without `--held-out` they are skipped, with it they alone are measured.
+Every capture is simulated, measured from its photographs alone, and compared with its truth. --seeds draws patients
+and everything about them: women and operated torsos, before one of several rigs. --disturb takes one body, and measures
+it without what was disturbed, too (only patients' and skins' disturbances belong to it). Both surfaces are judged at
+the same points of the true one: those that some pair saw past what stood before it. `--out` keeps the sessions: what is
+there is not simulated again, but measured again where the code has changed. Seeds that are held out (`draw`) are
+skipped without `--held-out`; with it they alone are measured.
 
 A silent error is a volume that its interval does not hold, of whatever size, and a volume where there is no breast.
 """
@@ -18,6 +19,7 @@ from __future__ import annotations
 import argparse
 import json
 import shutil
+import sys
 import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -27,7 +29,7 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from benchmarks.accuracy.captures import take_over_calibration
+from benchmarks.accuracy.captures import settings_for, take_over_calibration
 from benchmarks.road import each_as_it_ends
 from mammometry.api.job import Job, open_session
 from mammometry.api.truth import current_results
@@ -36,28 +38,28 @@ from mammometry.base.progress import StageProgress
 from mammometry.geometry.arrays import Array, Bool
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
-from mammometry.io.meshes.own_ply import read_ply
+from mammometry.io.meshes.own import read_ply
 from mammometry.io.truth import read_truth
 from mammometry.measure.volume.measurement import VolumeMeasurement
-from mammometry.settings import Settings
 from mammometry.simulate.disturbances.draw import draw, is_held_out
 from mammometry.simulate.disturbances.registry import DISTURBANCES
 from mammometry.simulate.recipe import SessionRecipe, Situation, parse_situation
-from mammometry.simulate.rendering.objects.skin import make_skin
+from mammometry.simulate.rendering.skin import make_skin
 from mammometry.simulate.rigs.build import FULL_SIZE_WH
 from mammometry.simulate.session import write_session
 from mammometry.simulate.studio import Studio
 from mammometry.study.accuracy import SurfaceAccuracy, compare_surfaces
+from mammometry.study.evaluation import Truth
 from mammometry.study.rays import RayScene, seen_by_pairs
-from mammometry.study.truth import Truth
 
 _STUDIO = Studio(skin=make_skin("skin"))
-_CUBE_MM_AT_FULL_SIZE = 0.125
-"""Cubes' edge, mm, times the scale of the pictures: the default cubes are for a quarter's pixels."""
 _POINTS = 40_000
 """True vertices at which a surface is judged, at most."""
 _REMOVAL = ("removed", "scar", "loose-skin")
 """What a body with both breasts has not."""
+_RIGS = ("reference", "reference", "arc", "row")
+_BODIES = ("torso", "torso", "torso", "torso", "woman", "leaning-woman", "woman-wide", "leaning-woman-wide")
+"""Of drawn patients; only torsos are operated on."""
 _CAMERAS = 8
 """Of the reference rig."""
 _LONG = 100
@@ -67,7 +69,7 @@ _SENTENCE = 240
 _MOUNTED = {"upside-down": "upside-down", "portrait-left": "left", "portrait-right": "right"}
 """Size of the disturbance `mounted` → what session.toml says of it."""
 _VOLUME_GOAL_PERCENT, _SURFACE_GOAL = 1.0, 1.2
-"""Of a disturbance that hides no skin, against the same body without it (issue 18)."""
+"""Of a disturbance that hides no skin, against the same body without it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,6 +78,8 @@ class Case:
 
     recipe: SessionRecipe
     situation: Situation
+    drawn: bool = False
+    """Whether the patient was drawn, and is compared with the truth alone."""
     mounting_said: bool = False
     """Whether session.toml says how the cameras are mounted, where they are not upright."""
 
@@ -94,6 +98,8 @@ class Case:
     @property
     def undisturbed(self) -> Case:
         """The same body with nothing about it, before cameras that are still; or, if only it is changed, whole."""
+        if self.drawn:
+            return self
         there = {one.name for one in self.situation.disturbances}
         added = {name for name in there if DISTURBANCES[name].stage in ("thing", "shoot")}
         return replace(self, situation=self.situation.without(added or _REMOVAL))
@@ -145,11 +151,22 @@ def cases(arguments: argparse.Namespace) -> Iterator[Case]:
     for seed in arguments.seeds:
         if is_held_out(seed) == arguments.held_out:
             for difficulty in arguments.difficulty:
-                yield _case("torso", seed, arguments.scale, draw(seed, difficulty))
+                yield _patient(seed, arguments.scale, draw(seed, difficulty))
 
 
 def _case(subject: str, seed: int, scale: float, situation: Situation) -> Case:
     return Case(recipe=SessionRecipe(subject=subject, seed=seed, scale=scale, situation=situation), situation=situation)
+
+
+def _patient(seed: int, scale: float, situation: Situation) -> Case:
+    rng = np.random.default_rng([seed, 98])
+    rig, body = str(rng.choice(_RIGS)), str(rng.choice(_BODIES))
+    if body != "torso":
+        situation = situation.without({name for name, kind in DISTURBANCES.items() if kind.stage == "patient"})
+        body = f"{body}_{seed}"
+    case = _case(body, seed, scale, situation)
+    rig = rig if rig == "reference" else str(Path(__file__).parent / "rigs" / f"{rig}.toml")
+    return replace(case, drawn=True, recipe=replace(case.recipe, rig=rig))
 
 
 def both(progress: StageProgress, case: Case, out: str) -> dict[str, Any]:
@@ -191,8 +208,7 @@ def measured(case: Case, out: Path) -> tuple[Found, Job]:
         plain = out / case.undisturbed.name
         if plain != session and _same_calibration(session, plain):
             take_over_calibration(session, plain)
-    cube_mm = round(max(0.5, _CUBE_MM_AT_FULL_SIZE / case.recipe.scale), 2)
-    job = open_session(session, Settings().overridden([f"surface.extract.cube_mm={cube_mm}"]))
+    job = open_session(session, settings_for(case.recipe.scale))
     refused, volumes = "", {}
     with threadpool_limits(limits=1, user_api="blas"):
         try:
@@ -289,9 +305,8 @@ def row(found: Found, surfaces: Sequence[SurfaceAccuracy | None]) -> str:
     shown = " | ".join("–" if one is None else _figures(one) for one in surfaces)
     said = found.refused[:_SENTENCE] if found.refused else "measured"
     case = found.case
-    return (
-        f"| {case.recipe.subject}, seed {case.recipe.seed}: {case.situation} | {said} | {'; '.join(sides)} | {shown} |"
-    )
+    capture = f"{case.recipe.subject}, seed {case.recipe.seed}, {Path(case.recipe.rig).stem}: {case.situation}"
+    return f"| {capture} | {said} | {'; '.join(sides)} | {shown} |"
 
 
 def _figures(surface: SurfaceAccuracy) -> str:
@@ -305,20 +320,29 @@ HEAD = (
 
 
 def summary(all_found: Sequence[tuple[Found, Found | None]], ratios: Sequence[tuple[float, float]]) -> Iterator[str]:
-    """Yield the goals of issue 18 and what was reached.
+    """Yield the lines of a table of the goals and what was reached.
 
     `ratios`: of a surface's error with the disturbance to that without, in the median and RMS.
     """
-    disturbed = [found for found, _ in all_found]
-    volumes = [side for found in disturbed for side in found.sides if side.measured_cc is not None]
+    captures = [found for found, _ in all_found]
+    answered = [found for found in captures if not found.refused]
+    volumes = [side for found in answered for side in found.sides if side.measured_cc is not None]
+    breasts = [side for found in answered for side in found.sides if side.true_cc]
+    yield f"| {len(captures)} captures | found | goal |\n| --- | --- | --- |"
+    yield f"| refused | {_share(len(captures) - len(answered), len(captures))} | at most 5 % |"
+    without = _share(sum(side.held is None for side in breasts), len(breasts))
+    yield f"| breasts of the other captures without a volume | {without} | |"
     silent = [side for side in volumes if not (side.held and side.true_cc)]
-    yield f"captures: {len(disturbed)}, refused: {_share(sum(bool(one.refused) for one in disturbed), len(disturbed))}"
-    yield f"silent errors: {_share(len(silent), len(volumes))} of the volumes measured (goal: below 5 %)"
-    removed = [side for found in disturbed if not found.refused for side in found.sides if not side.true_cc]
-    yield f"volumes claimed where there is no breast: {len(removed)}"
+    yield f"| volumes outside their interval | {_share(len(silent), len(volumes))} | at most 2 % |"
+    yield f"| volumes claimed where there is no breast | {sum(not side.true_cc for side in volumes)} | 0 |"
+    errors = sorted(abs(side.error_cc or 0.0) / side.true_cc for side in volumes if side.true_cc)
+    if errors:
+        middle, most = 100 * errors[len(errors) // 2], 100 * errors[-1]
+        yield f"| error of a volume, median and worst | {middle:.1f} %, {most:.1f} % | |"
     pairs = [(found, plain) for found, plain in all_found if plain is not None]
-    refused = [found for found, plain in pairs if found.refused and not plain.refused]
-    yield f"refused where the same body without the disturbance is measured: {_share(len(refused), len(pairs))}"
+    if pairs:
+        alone = sum(bool(found.refused and not plain.refused) for found, plain in pairs)
+        yield f"| refused where the same body without the disturbance is measured | {_share(alone, len(pairs))} | 0 |"
     changes = []
     for found, plain in pairs:
         before = {side.name: side.measured_cc for side in plain.sides if side.measured_cc}
@@ -328,12 +352,12 @@ def summary(all_found: Sequence[tuple[Found, Found | None]], ratios: Sequence[tu
             if side.measured_cc is not None and side.name in before
         ]
     if changes:
-        within = sum(abs(change) <= _VOLUME_GOAL_PERCENT for change in changes)
-        share, worst = _share(within, len(changes)), max(changes, key=abs)
-        yield f"volumes within 1 % of the same body's without the disturbance: {share}, worst {worst:+.1f} %"
+        share = _share(sum(abs(change) <= _VOLUME_GOAL_PERCENT for change in changes), len(changes))
+        what = "volumes within 1 % of the same body's without the disturbance"
+        yield f"| {what} | {share}, worst {max(changes, key=abs):+.1f} % | all |"
     for word, each in zip(("median", "RMS"), zip(*ratios, strict=True), strict=False):
-        within = sum(ratio <= _SURFACE_GOAL for ratio in each)
-        yield f"surfaces with at most 1.2 times the error ({word}): {_share(within, len(each))}, worst {max(each):.1f}"
+        share = _share(sum(ratio <= _SURFACE_GOAL for ratio in each), len(each))
+        yield f"| surfaces with at most 1.2 times the error ({word}) | {share}, worst {max(each):.1f} | all |"
 
 
 def _share(part: int, whole: int) -> str:
@@ -350,7 +374,7 @@ def _numbers(text: str) -> list[int]:
 
 
 def main() -> None:
-    """Simulate, measure, and print the table and the goals."""
+    """Simulate, measure, and print what was reached; each capture as it ends on standard error."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seeds", type=_numbers, default=[], help="of drawn situations: 1-12, or 1,3,4")
     parser.add_argument("--difficulty", type=_numbers, default=[1], help="of drawn situations, 0 to 3: 1,2")
@@ -369,7 +393,7 @@ def main() -> None:
     arguments.out.mkdir(parents=True, exist_ok=True)
     wanted = {case.name: case for case in cases(arguments)}
     plain = {case.undisturbed.name: case.undisturbed for case in wanted.values()}
-    print(HEAD, flush=True)
+    print(HEAD, file=sys.stderr, flush=True)
     all_found: list[tuple[Found, Found | None]] = []
     ratios = []
     # First each body alone, once: what is compared with it finds it measured.
@@ -381,12 +405,11 @@ def main() -> None:
             if name not in wanted:
                 continue
             case = wanted[name]
-            print(done["row"], flush=True)
+            print(done["row"], file=sys.stderr, flush=True)
             if done["ratios"] is not None:
                 ratios.append(tuple(done["ratios"]))
             before = None if done["plain"] is None else _read(case.undisturbed, done["plain"])
             all_found.append((_read(case, done["found"]), before))
-    print()
     print("\n".join(summary(all_found, ratios)))
     table = [
         {"capture": found.case.name, "refused": found.refused, "sides": [asdict(side) for side in found.sides]}

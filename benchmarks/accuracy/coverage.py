@@ -8,7 +8,7 @@
 resumes: what is there is not made again, but measured again. --surfaces needs no photographs: to the true skin of so
 many casts, and bodies of each family, it adds errors as the stages make them (scale, cameras, matching, base). Their
 tails are heavier than the interval takes them to have, and it is told their size only by an estimate. The boundary is
-drawn by another hand, and of some trunks less of the sides is seen. A cast has one volume, a torso two. A torso's are
+drawn by another hand, and of some trunks less of the sides is seen. A cast has one volumes, a torso two. A torso's are
 also compared *as defined*: with what the same wall makes of true skin and boundary, by their interval before it; a
 woman's down to the muscle, too.
 """
@@ -34,7 +34,7 @@ from mammometry.geometry.mesh import TriangleMesh
 from mammometry.io.truth import read_volumes
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.settings import MeasureSettings
-from mammometry.measure.volume import volume
+from mammometry.measure.volume import volumes
 from mammometry.measure.volume.boundary_jitter import boundary_std_cc, displacements_mm, redraw
 from mammometry.measure.volume.difference import difference
 from mammometry.measure.volume.measurement import VolumeMeasurement
@@ -134,7 +134,7 @@ def _torso(true: TrueTorso, seed: int, settings: MeasureSettings) -> Iterator[He
     for breast in open_breasts(drawn, surface, settings):
         boundary, wall = breast.boundary, chest_wall.fit(breast)
         evidence = Evidence(surface=surface, earlier=earlier, boundary_std_cc=boundary_std_cc(breast, wall))
-        found = volume.measure(boundary, wall, settings, evidence=evidence)
+        found = volumes.measure(boundary, wall, settings, evidence=evidence)
         yield Held(true.solid.name, boundary.name, found.volume_cc - truth_cc[boundary.name], half_width_cc(found))
         yield as_defined(found, true, settings)
         if "muscle_volumes_cc" in true.solid.facts:
@@ -157,7 +157,7 @@ def _cast(name: str, seed: int, settings: MeasureSettings) -> Held:
     boundary = Boundary(name="model", points_world=rim, method="drawn", sigma_mm=_estimated(errors.base_mm, rng))
     surface = as_seen(mesh)
     wall = chest_wall.fit(OpenBreast(boundary=boundary, surface=surface, settings=settings))
-    found = volume.measure(boundary, wall, settings, evidence=Evidence(surface=surface, earlier=earlier))
+    found = volumes.measure(boundary, wall, settings, evidence=Evidence(surface=surface, earlier=earlier))
     return Held(f"{name}, seed {seed}", "model", found.volume_cc - solid.volume_cc, half_width_cc(found))
 
 

@@ -25,8 +25,7 @@ from benchmarks.accuracy.walls import TrueTorso, as_seen, true_boundaries
 from mammometry.base.errors import MeasureError
 from mammometry.geometry.transform import Transform
 from mammometry.measure.boundary.boundary import Boundary
-from mammometry.measure.dates.change import Change, Visit, compare
-from mammometry.measure.dates.trunk_fit import TrunkFit, TrunkSkin, fit_trunks, trunk_of
+from mammometry.measure.change import Change, TrunkFit, TrunkSkin, Visit, compare, fit_trunks, trunk_of
 from mammometry.measure.settings import CompareSettings, MeasureSettings
 from mammometry.measure.trunk.thorax import frame_from_sides, seen_skin
 from mammometry.measure.volume.boundary_jitter import displacements_mm, redraw

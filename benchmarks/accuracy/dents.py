@@ -29,8 +29,7 @@ from mammometry.report.figures.paper import draw_dent_grid
 from mammometry.simulate.recipe import SessionRecipe
 from mammometry.simulate.session import write_session
 from mammometry.study.rays import RayScene
-from mammometry.surface.ranges.decompose import decompose
-from mammometry.surface.ranges.dents import dent_grid, remove_dents
+from mammometry.surface.ranges.dents import decompose, dent_grid, remove_dents
 from mammometry.surface.ranges.range_image import RangeImage
 from mammometry.surface.settings import DecomposeSettings, DentSettings
 

@@ -22,8 +22,8 @@ from pathlib import Path
 from time import perf_counter
 
 from mammometry.calibration.features.keypoints import Keypoints, keypoints, matched
-from mammometry.calibration.judge.cameras import names as judged_names
-from mammometry.calibration.judge.cameras.names import Names, check_names
+from mammometry.calibration.judge import camera_names as judged_names
+from mammometry.calibration.judge.camera_names import Names, check_names
 from mammometry.geometry.camera import Rig
 from mammometry.io.manifest import read_manifest
 from mammometry.io.photographs.images import read_photograph
@@ -31,7 +31,7 @@ from mammometry.io.truth import read_true_cameras
 from mammometry.simulate.disturbances.draw import draw
 from mammometry.simulate.recipe import SessionRecipe, parse_situation
 from mammometry.simulate.rendering.film import Film
-from mammometry.simulate.rendering.objects.skin import make_skin
+from mammometry.simulate.rendering.skin import make_skin
 from mammometry.simulate.session import write_session
 from mammometry.simulate.studio import Studio
 

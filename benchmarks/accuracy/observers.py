@@ -26,7 +26,7 @@ from mammometry.measure import scanned
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.trunk.body import find_body
-from mammometry.measure.volume import volume
+from mammometry.measure.volume import volumes
 from mammometry.measure.volume.boundary_jitter import boundary_std_cc, drawn_sigma_mm, redraw
 from mammometry.measure.volume.difference import difference
 from mammometry.measure.volume.measurement import VolumeMeasurement
@@ -116,7 +116,7 @@ def measured(
                 boundary_std_cc=std_cc,
                 axis_assumed=breast.trunk.assumed,
             )
-            found = volume.measure(breast.boundary, wall, settings, evidence=evidence)
+            found = volumes.measure(breast.boundary, wall, settings, evidence=evidence)
         except MammometryError as error:
             yield {"side": side, "failed": str(error)}
             continue

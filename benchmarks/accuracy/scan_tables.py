@@ -84,7 +84,7 @@ def _sides(rows: Sequence[Row]) -> Sequence[str]:
         f"{sum(side in row['no_breast'] for row, side in removed)} of {len(removed)}",
         str(sum(bool(beyond(row, side)) for row, side in measured)),
         f"{np.median([row['faces'] for row in rows]):.0f}",
-        _median([row["seconds"] for row in rows]),
+        _median([row["seconds"] for row in rows if "seconds" in row]),
     )
 
 

@@ -7,8 +7,9 @@
 Each woman is measured from her clean front and from scans that a virtual telephone makes of her, by the command's own
 road, without any drawing. Develop on numbers below 9000, report on those from 9000 on. Every scan's row is kept in the
 folder, and what is there is not measured again. `--one-posture` has each woman in one posture: over 36 women every
-operation comes in every posture. The shared bodies come from another generator: their volumes stand above its smallest
-cup, not above a flat chest, so that only outlines and repetition are judged by them.
+operation comes in every posture. Without reports a scan takes half the time. The shared bodies come from another
+generator: their volumes stand above its smallest cup, not above a flat chest, so that only outlines and repetition are
+judged by them.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ import time
 import traceback
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -32,13 +33,13 @@ from mammometry.api.mesh import MeshFiles, MeshJob
 from mammometry.base.errors import MammometryError
 from mammometry.base.machine.cores import available_cores
 from mammometry.io.meshes.foreign import read_foreign
-from mammometry.io.meshes.own_ply import write_ply
+from mammometry.io.meshes.own import write_ply
 from mammometry.io.write import write_text
 from mammometry.job.stages import measure
 from mammometry.measure.settings import POSTURES
 from mammometry.simulate.disturbances.registry import disturbed
 from mammometry.simulate.recipe import parse_situation
-from mammometry.simulate.scanning.scan import QUALITIES, clean_front, scan
+from mammometry.simulate.scan import QUALITIES, clean_front, scan
 from mammometry.simulate.subjects.registry import make_subject
 from mammometry.simulate.subjects.solid import Solid
 
@@ -60,6 +61,8 @@ class Body:
     """Truth file of a shared body. None: a virtual woman."""
     scans: tuple[tuple[str, int], ...]
     """Quality and repetition of each."""
+    report: bool = True
+    """Whether lengths, symmetry and report are made, too, as the command does."""
 
     @property
     def name(self) -> str:
@@ -91,30 +94,32 @@ def woman(number: int, posture: str) -> Solid:
     return make_subject(f"torso_{number}", 0, edge_mm=_EDGE_MM, reshape=reshape)
 
 
-def measured(path: Path, units: str = "mm") -> Row:
+def measured(path: Path, units: str = "mm", *, report: bool = True) -> Row:
     """Measure a mesh file as the command does: volumes, outlines, landmarks, seconds, or the refusal."""
     row: Row = {"sides": {}, "landmarks": {}, "no_breast": {}, "refused": ""}
     begun = time.monotonic()
     with tempfile.TemporaryDirectory(prefix="mammometry-scans-") as folder:
         try:
             job = MeshJob(MeshFiles(mesh=path, units=units, automatic=True), Path(folder) / "results")
-            results = job.run()
-            row["seconds"] = time.monotonic() - begun
+            if report:
+                job.run()
+                row["seconds"] = time.monotonic() - begun
+            measurements = job.plan[measure.measurements]()
             curves = {boundary.name: boundary.points_world for boundary in job.plan[measure.boundaries]()}
-            for side, measurement in results.measurements.items():
+            for measurement in measurements:
+                side = measurement.name
                 row["sides"][side] = {
                     "volume_cc": measurement.volume_cc,
                     "interval_cc": measurement.interval_cc,
                     "outline": np.round(curves[side], 2).tolist(),
                 }
-            row["no_breast"] = dict(results.no_breast)
+            row["no_breast"] = {side.name: side.why for side in job.plan.value(measure.absent) or ()}
             marks = job.plan.value(measure.landmarks) or ()
             row["landmarks"] = {mark.name: np.asarray(mark.points_world)[0].tolist() for mark in marks}
         except MammometryError as error:
             row["refused"] = str(error)
         except Exception:  # a failure of ours is a failure, too
             row["refused"] = "FAILED " + traceback.format_exc(limit=-2)
-        row.setdefault("seconds", time.monotonic() - begun)
     return row
 
 
@@ -145,7 +150,7 @@ def _rows_of_woman(body: Body) -> Iterator[tuple[str, int, Row]]:
             write_ply(path, made.mesh, made.ply_colours, comments=())
             yield quality, repetition, {
                 "situation": situation_of(body.woman, body.posture), "truth": truth, "faces": len(made.mesh.faces),
-                **measured(path),
+                **measured(path, report=body.report),
             }  # fmt: skip
 
 
@@ -158,7 +163,8 @@ def _shared_rows(body: Body) -> Iterator[tuple[str, int, Row]]:
         kind, units = ("clean", "mm") if quality == CLEAN else ("scan", "m")
         path = body.file.with_name(f"{body.name}_{kind}.ply")
         faces = len(read_foreign(path, units).mesh.faces)
-        yield quality, repetition, {"situation": "", "truth": truth, "faces": faces, **measured(path, units)}
+        row = {"situation": "", "truth": truth, "faces": faces, **measured(path, units, report=body.report)}
+        yield quality, repetition, row
 
 
 def write_rows(body: Body, folder: Path) -> list[str]:
@@ -178,13 +184,13 @@ def _summary(row: Row) -> str:
         true, own = row["truth"]["volumes_cc"].get(side), row["sides"].get(side)
         known = "" if true is None else f" for {true:.0f}"
         parts.append(f"{side} {'–' if own is None else format(own['volume_cc'], '.0f')}{known}")
-    return ", ".join(parts) + f" ({row['seconds']:.0f} s)"
+    return ", ".join(parts)
 
 
 def _missing(body: Body, folder: Path) -> Body:
     """The same body with the scans of which no row is kept."""
     scans = tuple(one for one in body.scans if not (folder / f"{body.key(*one)}.json").exists())
-    return Body(woman=body.woman, posture=body.posture, file=body.file, scans=scans)
+    return replace(body, scans=scans)
 
 
 def _range(text: str) -> range:
@@ -199,13 +205,14 @@ def _bodies(arguments: argparse.Namespace) -> Sequence[Body]:
         for repetition in range(1 if quality == CLEAN else arguments.repeat)
     )
     bodies = [
-        Body(woman=number, posture=posture, scans=scans)
+        Body(woman=number, posture=posture, scans=scans, report=arguments.reports)
         for number in arguments.women
         for posture in ([posture_of(number)] if arguments.one_posture else arguments.postures)
     ]
     if arguments.bodies is not None:
         files = sorted(arguments.bodies.glob("body_*_truth.json"))
-        bodies += [Body(file=file, scans=((CLEAN, 0), ("telephone", 0))) for file in files]
+        shared = ((CLEAN, 0), ("telephone", 0))
+        bodies += [Body(file=file, scans=shared, report=arguments.reports) for file in files]
     left = [_missing(body, arguments.out) for body in bodies]
     return [body for body in left if body.scans]
 
@@ -220,6 +227,7 @@ def main() -> None:
     parser.add_argument("--qualities", nargs="*", default=[CLEAN, *QUALITIES], choices=[CLEAN, *QUALITIES])
     parser.add_argument("--repeat", type=int, default=1, help="scans of each woman, of each quality")
     parser.add_argument("--bodies", type=Path, default=None, help="folder of the shared bodies")
+    parser.add_argument("--no-reports", dest="reports", action="store_false", help="sides, volumes and landmarks alone")
     parser.add_argument("--workers", type=int, default=available_cores())
     parser.add_argument("--failures", action="store_true", help="print every refusal")
     arguments = parser.parse_args()

@@ -7,8 +7,7 @@ import pytest
 
 from mammometry.base.errors import SessionError, TableError
 from mammometry.batch.entries import find_entries
-from mammometry.io.parsing.csv_tables import read_table
-from mammometry.io.parsing.paired_tables import read_pairs
+from mammometry.io.csv_tables import read_pairs, read_table
 
 READ = [
     ("id;cc\n1;1860\n2;950\n", [1860, 950]),

@@ -75,9 +75,18 @@ def is_alive(address: str) -> bool:
 
 
 def test_the_compose_file_starts_what_the_containerfile_makes(repository: Path) -> None:
-    services = yaml.safe_load((repository / "deploy/compose.yaml").read_text(encoding="utf-8"))["services"]
+    compose = yaml.safe_load((repository / "deploy/compose.yaml").read_text(encoding="utf-8"))
+    services = compose["services"]
     steps = dict(containerfile(repository))
     assert (repository / services["clinic"]["build"]["dockerfile"]).is_file()
+    assert {name for service in services.values() for name in service["secrets"]} == set(compose["secrets"])
+    mounted = {volume.partition(":")[0] for service in services.values() for volume in service["volumes"]}
+    assert mounted == set(compose["volumes"])
+    assert services["clinic"]["depends_on"] == {"database": {"condition": "service_healthy"}}
+    assert services["database"]["healthcheck"]["test"][1] == "pg_isready"
+    given = services["database"]["environment"]
+    address = f"postgresql://{given['POSTGRES_USER']}:$(cat password.txt)@database/{given['POSTGRES_DB']}"
+    assert address in (repository / "docs/how-to/clinic-administrator.md").read_text(encoding="utf-8")
     assert services["clinic"]["volumes"] == [f"clinic:{steps['VOLUME']}"]
     assert services["clinic"]["ports"] == [f"{steps['EXPOSE']}:{steps['EXPOSE']}"]
     assert {f"/run/secrets/{name}" for name in services["clinic"]["secrets"]} <= set(yaml.safe_load(steps["CMD"]))
@@ -146,3 +155,7 @@ def test_the_containers_steps_make_a_clinic_that_is_served_and_backed_up(reposit
                 for first in psutil.Process(running.pid).children():
                     first.kill()  # and all in its namespace; a change of the user keeps it from ending with its parent
         assert len(list((root.folder / "srv/clinic/backups").glob("*.tar"))) == 1
+    root.user = "root"
+    root.run("apt-get install -y -qq --no-install-recommends docker-compose systemd")
+    root.run("docker-compose -f /build/deploy/compose.yaml config --quiet")
+    assert root.run("systemd-analyze verify /build/deploy/*.service /build/deploy/*.timer") == ""

@@ -20,7 +20,7 @@ from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.trunk.body import find_body
 from mammometry.measure.volume.deficit import volume_deficit
 from mammometry.measure.volume.measurement import VolumeMeasurement
-from mammometry.measure.volume.volume import measure
+from mammometry.measure.volume.volumes import measure
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.open_breast import open_breasts
 from mammometry.surface.ranges.range_image import triangulate

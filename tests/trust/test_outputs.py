@@ -40,7 +40,7 @@ from mammometry.hospital import gather as gathering
 from mammometry.io.cameras.own import cameras_table
 from mammometry.io.meshes import scans as scan_files
 from mammometry.io.outputs import RECORD
-from mammometry.measure.dates import change
+from mammometry.measure import change
 from mammometry.report.documents import change_page, html, pdf, rendering
 from mammometry.report.figures import catalogue
 from mammometry.simulate import session as simulated

@@ -2,14 +2,17 @@
 
 import json
 import re
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
 from tests.clinic_server import command
+from tests.postgresql import ABSENT, binaries, server
 from tests.released import EXAMPLES, SETTINGS, in_process, unpacked
 
 from mammometry.api.job import open_session
 from mammometry.cli import main
+from mammometry.clinic.config import FILE
 from mammometry.io.drawn import landmarks_in
 from mammometry.settings import Settings
 
@@ -56,14 +59,25 @@ def test_a_session_of_a_release_is_measured_again(version: str, tmp_path: Path) 
 
 @pytest.mark.requirement("R-NEXT-2")
 @pytest.mark.slow
+@pytest.mark.parametrize("database", ["sqlite", "postgresql"])
 @pytest.mark.parametrize("version", VERSIONS)
-def test_a_clinic_of_a_release_is_upgraded_with_all_its_data(version: str, tmp_path: Path) -> None:
+def test_a_clinic_of_a_release_is_upgraded_with_all_its_data(version: str, database: str, tmp_path: Path) -> None:
+    if database == "postgresql" and binaries() is None:
+        pytest.skip(ABSENT)
     clinic = unpacked(version, "clinic", tmp_path)
     expected = json.loads((EXAMPLES / version / "expected.json").read_text())["clinic"]
-    command("upgrade", str(clinic))
-    found = in_process("look", str(clinic))
+    with server() if database == "postgresql" else nullcontext() as address:
+        if address is not None:
+            config = (clinic / FILE).read_text(encoding="utf-8")
+            (clinic / FILE).write_text(
+                config.replace('database = "sqlite"', f'database = "{address}"'), encoding="utf-8"
+            )
+            in_process("move", str(clinic))
+        command("upgrade", str(clinic))
+        found = in_process("look", str(clinic))
+        assert command("upgrade", str(clinic))["applied"] == []
     assert found["audit"] >= expected["audit"]
     assert {name: count for name, count in found["rows"].items() if name in expected["rows"]} == expected["rows"]
     for what in ("names", "volumes", "pages"):
         assert found[what] == expected[what]
-    assert command("upgrade", str(clinic))["applied"] == []
+    assert (clinic / "clinic.sqlite3").exists() == (database == "sqlite")

@@ -14,7 +14,7 @@ import pytest
 from small_products import NAMES, contents, key, make
 
 from mammometry.base.errors import StorageError
-from mammometry.io.lock import HOLDER, LOCK, MARKER
+from mammometry.io.results.lock import HOLDER, LOCK, MARKER
 from mammometry.io.results.store import Store
 
 HERE = Path(__file__).parent

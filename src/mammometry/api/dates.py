@@ -23,7 +23,7 @@ from mammometry.settings import Settings
 if TYPE_CHECKING:
     from mammometry.geometry.mesh import TriangleMesh
     from mammometry.measure.boundary.boundary import Boundary
-    from mammometry.measure.dates.change import Change, Visit
+    from mammometry.measure.change import Change, Visit
     from mammometry.measure.volume.measurement import VolumeMeasurement
     from mammometry.measure.volume.uncertainty import Evidence
     from mammometry.report.documents.change_page import ChangeReport
@@ -164,7 +164,7 @@ def _compare(jobs: list[Dated], request: _Request, progress: Progress) -> Compar
         job.ensure()
     measured, warnings = _one_protocol(jobs, part(progress, 0.0, 0.4))
 
-    from mammometry.measure.dates.change import compare as compare_measured
+    from mammometry.measure.change import compare as compare_measured
 
     visits = [_visit(job, volumes) for job, volumes in zip(jobs, measured, strict=True)]
     change = compare_measured(
@@ -363,7 +363,7 @@ def _automatic(job: Dated) -> tuple[Boundary, ...]:
 
 
 def _visit(job: Dated, volumes: tuple[VolumeMeasurement, ...]) -> Visit:
-    from mammometry.measure.dates.change import Visit
+    from mammometry.measure.change import Visit
 
     sizes = job.plan.value(measure.dimensions)
     return Visit(
@@ -398,7 +398,7 @@ def _warnings(change: Change) -> list[str]:
 
 
 def _unconfirmed(change: Change) -> list[str]:
-    from mammometry.measure.boundary.confirming import TO_BE_CONFIRMED
+    from mammometry.measure.boundary import TO_BE_CONFIRMED
 
     warnings = []
     for number, which in enumerate(_WHICH):

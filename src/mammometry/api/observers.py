@@ -22,9 +22,9 @@ from mammometry.base.errors import SessionError, TableError
 from mammometry.base.identity import shown_name
 from mammometry.base.progress import Progress, no_progress
 from mammometry.geometry.arrays import Array, Float64
+from mammometry.io.csv_tables import read_table
 from mammometry.io.drawn import boundaries_in
 from mammometry.io.meshes.foreign import read_foreign
-from mammometry.io.parsing.csv_tables import read_table
 from mammometry.measure import scanned
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.boundary.trace import check_curve

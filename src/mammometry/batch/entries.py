@@ -12,8 +12,8 @@ import numpy as np
 from mammometry.base.errors import SessionError, TableError
 from mammometry.batch.record import Entry, is_address
 from mammometry.batch.storage import sessions_at
+from mammometry.io.csv_tables import Table, read_table
 from mammometry.io.manifest import MANIFEST
-from mammometry.io.parsing.csv_tables import Table, read_table
 
 _SESSION, _SET = "session", "set"
 _REFERENCE = re.compile(r"reference(?:_(\w+?))?_cc")

@@ -13,7 +13,7 @@ from mammometry.api.job import open_session
 from mammometry.base.errors import CalibrationError, CaptureError, SessionError
 from mammometry.base.machine.cores import available_cores
 from mammometry.calibration.detection.detect import Detection, detect_in
-from mammometry.calibration.judge.cameras.names import check_board_names
+from mammometry.calibration.judge.camera_names import check_board_names
 from mammometry.calibration.targets.board import Board
 from mammometry.calibration.targets.table import target_from_table
 from mammometry.capture.camera import BACKENDS, Backend, Holds

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from mammometry.calibration.judge.cameras.names import Names, check_names, wrong_photographs
+from mammometry.calibration.judge.camera_names import Names, check_names, wrong_photographs
 from mammometry.capture import checks
 from mammometry.capture.checks import Finding, KnownCamera, refuses
 from mammometry.capture.shots import Firing

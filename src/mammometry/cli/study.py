@@ -156,8 +156,8 @@ def agreement(
     Gives bias, limits of agreement, intraclass correlation and minimal detectable change.
     """
     from mammometry.base.identity import shown_name
+    from mammometry.io.csv_tables import read_pairs, read_published
     from mammometry.io.outputs import require_apart, require_free, write_outputs
-    from mammometry.io.parsing.paired_tables import read_pairs, read_published
     from mammometry.report.documents.study_pages import FILES, agreement_files
     from mammometry.study.agreement import agreement as agree
     from mammometry.study.agreement import check_published

@@ -22,7 +22,7 @@ from mammometry.geometry.nearest import closest_on_mesh
 from mammometry.measure.boundary.boundary import DRAWN_RIM_SIGMA_MM, Boundary, BreastName, given_boundary
 from mammometry.measure.boundary.trace import check_curve, crossing_points
 from mammometry.measure.settings import MeasureSettings
-from mammometry.measure.volume import volume
+from mammometry.measure.volume import volumes
 from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.open_breast import OpenBreast
@@ -190,7 +190,7 @@ class DrawingBoard:
         breast = OpenBreast(
             boundary=boundary, surface=self.surface, settings=self.settings, boundaries=boundaries, frame=self.frame
         )
-        return volume.measure(boundary, chest_wall.fit(breast), self.settings)
+        return volumes.measure(boundary, chest_wall.fit(breast), self.settings)
 
 
 def drawing_board(

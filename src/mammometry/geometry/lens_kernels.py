@@ -1,12 +1,14 @@
-"""The lens model for compiled code, one point at a time.
+"""The lens model for compiled code, one point at a time, and points through a camera.
 
 The arithmetic is that of `lens`. `coefficients` is a tuple or an array of five. Take the slice once a row of pixels:
 taken for every pixel, it costs more than the lens.
 """
 
-from mammometry.base.machine.compiled import small_kernel
+import numpy as np
+
+from mammometry.base.machine.compiled import kernel, small_kernel
 from mammometry.geometry import lens
-from mammometry.geometry.arrays import Array
+from mammometry.geometry.arrays import Array, Float64
 
 _TOLERANCE = 1e-7  # Newton's method doubles the digits: after a step this small the error is below 1e-13
 
@@ -35,3 +37,30 @@ def undistorted(
         if abs(step_x) + abs(step_y) < _TOLERANCE:
             break
     return x, y, by_xx, by_xy, by_yy
+
+
+@kernel
+def project(
+    points: Float64[Array, "n 3"],
+    pose: Float64[Array, "3 4"],
+    intrinsics: Float64[Array, " 4"],
+    distortion: Float64[Array, " 5"],
+    found: Float64[Array, "n 3"],
+) -> None:
+    """Fill `found` with column, row and depth of each point.
+
+    `pose`: rotation and translation side by side. `intrinsics`: fx, fy, cx, cy.
+    """
+    lens = distortion[0], distortion[1], distortion[2], distortion[3], distortion[4]
+    for i in range(len(points)):
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        right = pose[0, 0] * x + pose[0, 1] * y + pose[0, 2] * z + pose[0, 3]
+        down = pose[1, 0] * x + pose[1, 1] * y + pose[1, 2] * z + pose[1, 3]
+        depth = pose[2, 0] * x + pose[2, 1] * y + pose[2, 2] * z + pose[2, 3]
+        found[i, 2] = depth
+        if depth > 0.0:
+            at_x, at_y = distorted(right / depth, down / depth, lens)
+            found[i, 0] = at_x * intrinsics[0] + intrinsics[2]
+            found[i, 1] = at_y * intrinsics[1] + intrinsics[3]
+        else:
+            found[i, 0] = found[i, 1] = np.nan

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mammometry.base.machine.cores import in_bands
-from mammometry.geometry import projection_kernels
+from mammometry.geometry import lens_kernels
 from mammometry.geometry.arrays import Array, Float64, read_only
 from mammometry.geometry.camera import Camera
 
@@ -20,7 +20,7 @@ def projected(camera: Camera, points_world: Float64[Array, "n 3"]) -> Float64[Ar
 
     def project(some: slice) -> None:
         part = read_only(np.ascontiguousarray(points_world[some], dtype=np.float64))  # one type to compile for
-        projection_kernels.project(part, pose, camera.intrinsics, np.array(camera.distortion), found[some])
+        lens_kernels.project(part, pose, camera.intrinsics, np.array(camera.distortion), found[some])
 
     in_bands(project, len(points_world))
     return found

@@ -12,10 +12,10 @@ from tests.unit.measure.solids import given_surface
 
 from mammometry.api.job import open_session
 from mammometry.cli.main import run
-from mammometry.io.drawn_changes import Change, change_drawn, drawn_entries, drawn_entry, entry_digest
+from mammometry.io.drawn import Change, change_drawn, drawn_entries, drawn_entry, entry_digest
 from mammometry.job.graph import Plan
 from mammometry.job.stages import measure
-from mammometry.measure.boundary.confirming import TO_BE_CONFIRMED
+from mammometry.measure.boundary import TO_BE_CONFIRMED
 from mammometry.measure.volume.attribution import attributed, curve_digest
 from mammometry.settings import Settings
 from mammometry.simulate.subjects.torso import torso_shape

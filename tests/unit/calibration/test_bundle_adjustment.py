@@ -8,7 +8,7 @@ from scipy.optimize import least_squares
 from virtual_rig import BOARD, cameras_in_rig, observe, placements
 
 from mammometry.calibration.adjust.adjustment import Adjustment
-from mammometry.calibration.adjust.assemble import all_views, network_of
+from mammometry.calibration.adjust.bundle import all_views, network_of
 from mammometry.calibration.adjust.initialise import initialise
 from mammometry.calibration.adjust.least_squares import NormalEquations, damped_step, inverse, minimise
 from mammometry.calibration.adjust.network import Network, State, residuals, tie_of

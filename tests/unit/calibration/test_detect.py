@@ -10,11 +10,18 @@ from printed import camera, centred, chessboard, photograph_of_board
 
 from mammometry.base.errors import CalibrationError, ImageError
 from mammometry.base.photograph import Photograph
-from mammometry.calibration.detection.detect import Detection, Observations, detect, detect_in, merged
-from mammometry.calibration.detection.measured_points import MeasuredPoints, points_from_table
+from mammometry.calibration.detection.detect import (
+    Detection,
+    MeasuredPoints,
+    Observations,
+    detect,
+    detect_in,
+    merged,
+    points_from_table,
+)
 from mammometry.calibration.targets.kinds.chessboard import ChessboardTarget
 from mammometry.calibration.targets.kinds.points import PointsTarget
-from mammometry.io.results.tree import to_tree
+from mammometry.io.results.codecs import to_tree
 
 BOARD = ChessboardTarget(squares=(6, 5), square_mm=30.0)
 POINTS = PointsTarget(points_mm=((0.0, 0.0, 0.0), (50.0, 0.0, 5.0), (0.0, 50.0, 9.0), (50.0, 50.0, 1.0)))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mammometry.calibration.features.keypoints import Keypoints
-from mammometry.calibration.judge.cameras.names import check_names, wrong_photographs
+from mammometry.calibration.judge.camera_names import check_names, wrong_photographs
 from mammometry.calibration.judge.expected_error import meeting_point
 from mammometry.geometry.camera import Rig
 from mammometry.simulate.rigs.build import REFERENCE, build_rig

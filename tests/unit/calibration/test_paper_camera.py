@@ -11,9 +11,8 @@ from scipy.spatial.transform import Rotation
 from virtual_rig import PAIRS, cameras_in_rig, observe, placements
 
 from mammometry.calibration.adjust.bundle import calibrate
-from mammometry.calibration.adjust.paper_camera import PaperCamera
 from mammometry.calibration.settings import BundleSettings, CalibrateSettings
-from mammometry.io.cameras.own import cameras_from_table, cameras_table
+from mammometry.io.cameras.own import PaperCamera, cameras_from_table, cameras_table
 
 ANGLE = st.floats(-3.1, 3.1)
 MM = st.floats(-2000.0, 2000.0)

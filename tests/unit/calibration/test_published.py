@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mammometry.calibration.adjust.adjustment import Adjustment
-from mammometry.calibration.adjust.assemble import all_views, network_of
+from mammometry.calibration.adjust.bundle import all_views, network_of
 from mammometry.calibration.adjust.initialise import initialise
 from mammometry.calibration.adjust.least_squares import minimise
 from mammometry.calibration.adjust.network import residuals, tie_of

@@ -7,8 +7,7 @@ import pytest
 from virtual_rig import BOARD, PAIRS, cameras_in_rig, observe, placements, smooth_errors, with_views
 
 from mammometry.base.photograph import Photograph
-from mammometry.calibration.adjust.assemble import all_views, network_of
-from mammometry.calibration.adjust.bundle import calibrate
+from mammometry.calibration.adjust.bundle import all_views, calibrate, network_of
 from mammometry.calibration.adjust.calibrated import Calibration
 from mammometry.calibration.adjust.initialise import initialise
 from mammometry.calibration.adjust.robust import bad_views
@@ -112,7 +111,7 @@ def test_view_ratio_decides_which_views_are_set_aside() -> None:
 def test_free_target_poses_decides_whether_the_board_is_adjusted(
     least: int, is_free: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("mammometry.calibration.adjust.assemble.FREE_TARGET_POSES", least)
+    monkeypatch.setattr("mammometry.calibration.adjust.bundle.FREE_TARGET_POSES", least)
     settings = replace(STIFF.bundle, free_target="auto")
     seen = observe(CAMERAS, POSES)
     initial = initialise(seen)

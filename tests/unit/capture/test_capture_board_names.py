@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mammometry.calibration.detection.detect import Detection
-from mammometry.calibration.judge.cameras.names import check_board_names
+from mammometry.calibration.judge.camera_names import check_board_names
 from mammometry.calibration.targets.kinds.charuco import CharucoTarget
 from mammometry.simulate.rigs.build import REFERENCE, build_rig
 from mammometry.simulate.rigs.poses import draw_poses

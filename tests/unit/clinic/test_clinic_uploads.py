@@ -379,7 +379,7 @@ def test_a_calibration_says_how_many_poses_it_still_needs(client_of, rig_visit):
 
 @pytest.mark.requirement("R-FIRE-5")
 def test_exchanged_photographs_are_named_before_they_are_measured(sender, rig_visit, monkeypatch):
-    from mammometry.calibration.judge.cameras.names import Names
+    from mammometry.calibration.judge.camera_names import Names
     from mammometry.clinic.intake import photographs
     from mammometry.clinic.rig_history import may_queue
 

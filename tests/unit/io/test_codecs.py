@@ -21,17 +21,15 @@ from mammometry.calibration.targets.kinds.charuco import CharucoTarget
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
-from mammometry.io.results.codecs import decode, encode, write_arrays
-from mammometry.io.results.rasters import deflated, inflated, read_raster, write_raster
-from mammometry.io.results.tree import STORED_FIELDS, STORED_TYPES, from_tree, to_tree
+from mammometry.io.results.codecs import STORED_FIELDS, STORED_TYPES, decode, encode, from_tree, to_tree, write_arrays
+from mammometry.io.results.formats import deflated, inflated, read_raster, write_raster
 from mammometry.job.inputs import CameraSet, FinishedSurface
 from mammometry.matching.dense.match import DisparityMap
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.surface.ranges.dents import KeepMasks
 from mammometry.surface.repair.repair import Provenance, RepairedSurface
-from mammometry.surface.texture.atlas_jpeg import as_jpeg, jpeg_of
 from mammometry.surface.texture.texture import TexturedMesh
-from mammometry.surface.texture.texture_atlas import Atlas
+from mammometry.surface.texture.texture_atlas import Atlas, as_jpeg, jpeg_of
 
 RNG = np.random.default_rng(3)
 
@@ -257,7 +255,9 @@ def test_a_renamed_field_keeps_its_first_name_on_disk(label: str, first_names: M
     names = {field.name for field in dataclasses.fields(getattr(importlib.import_module(module), name))}
     assert set(first_names) <= names
     assert names.isdisjoint(first_names.values())
-    tree = {"$value": label, **dict.fromkeys((*(names - set(first_names)), *first_names.values()), 1.0)}
+    own = {"name": "left", "why": "low", "unclear": True, "refused": False, "standing": None}  # types are checked
+    tree = {"$value": label, **{field: own.get(field, 1.0) for field in names - set(first_names)}}
+    tree |= {field: own.get(field, 1.0) for field in first_names.values()}
     assert to_tree(from_tree(tree, {}), {}) == tree
 
 

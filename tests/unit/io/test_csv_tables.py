@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from mammometry.base.errors import MammometryError, SessionError
 from mammometry.base.parse import LARGEST
-from mammometry.io.parsing.csv_tables import both_readings, read_table
+from mammometry.io.csv_tables import both_readings, read_table
 
 VALUES = st.lists(st.tuples(*[st.floats(min_value=-LARGEST, max_value=LARGEST)] * 3), min_size=1, max_size=8)
 in_one_folder = settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=50)

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from scipy.io import loadmat, savemat
 
-from mammometry.io.parsing.mat_file import read_variables
+from mammometry.io.cameras.matlab import read_variables
 
 NUMBERS = arrays.arrays(
     st.sampled_from([np.float64, np.float32, np.int8, np.uint8, np.int16, np.uint16, np.int32, np.uint32]),

@@ -8,7 +8,7 @@ import pytest
 from mammometry.geometry.arrays import Array
 from mammometry.geometry.mesh import on_microns
 from mammometry.io.results.codecs import packed, read_arrays, unpacked, write_arrays
-from mammometry.io.results.rasters import deflated
+from mammometry.io.results.formats import deflated
 
 RNG = np.random.default_rng(6)
 N = 20_000

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mammometry.base.errors import TableError
-from mammometry.io.parsing.paired_tables import read_pairs, read_published
+from mammometry.io.csv_tables import read_pairs, read_published
 
 
 def written(folder: Path, text: str) -> Path:

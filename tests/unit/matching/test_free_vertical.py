@@ -5,7 +5,7 @@ import pytest
 from scipy import ndimage
 from textured_pair import make_pair
 
-from mammometry.matching.dense.least_squares_step import Side, prepare
+from mammometry.matching.dense.least_squares_step import Side, prepare_side
 from mammometry.matching.dense.match import DisparityMap, match
 from mammometry.matching.dense.vertical_disparity import FreeVertical, nothing_yet, vertical_step
 from mammometry.matching.pyramid import Level
@@ -52,7 +52,7 @@ def test_by_a_right_calibration_both_agree_within_their_deviation() -> None:
 def test_a_large_subject_takes_the_field_of_the_level_before(monkeypatch: pytest.MonkeyPatch) -> None:
     pair, d_h = make_pair(np.random.default_rng(13), size_wh=SIZE_WH, noise=0.002, d_v_px=waves)
     v, u = np.indices(d_h.shape).astype(np.float64)
-    monkeypatch.setattr("mammometry.matching.dense.levels.FINEST_SPAN_PX", 50.0)
+    monkeypatch.setattr("mammometry.matching.dense.least_squares.FINEST_SPAN_PX", 50.0)
     found = match(pair, MatchSettings(vertical="free", resolution="full"))
     error = np.abs(found.d_v_px - waves(u - d_h, v))[judged(pair, found)]
     assert np.median(error) < 0.1
@@ -62,7 +62,7 @@ def test_the_vertical_step_is_signed_from_this_image_to_the_other() -> None:
     noise = np.random.default_rng(14).standard_normal((90, 120))
     here = 0.05 * ndimage.gaussian_filter(noise, 2.0).astype(np.float32) / 0.14
     there = ndimage.shift(here, (0.3, 0), order=5, mode="nearest").astype(np.float32)  # seen 0.3 rows lower
-    sides = [prepare(Level(image=image, mask=np.ones(image.shape, bool)), 2.5) for image in (here, there)]
+    sides = [prepare_side(Level(image=image, mask=np.ones(image.shape, bool)), 2.5) for image in (here, there)]
     change, variance, determined = vertical_step(sides[0], sides[1], np.zeros_like(here), 2.5)
     inner = np.zeros(here.shape, bool)
     inner[15:-15, 15:-15] = True
@@ -75,7 +75,7 @@ def test_the_vertical_step_is_signed_from_this_image_to_the_other() -> None:
 def test_rows_alone_tell_nothing_of_the_vertical() -> None:
     """Vertical stripes look the same one row lower."""
     stripes = np.broadcast_to(np.sin(np.arange(120) / 2.0).astype(np.float32) * 0.05, (90, 120)).copy()
-    side: Side = prepare(Level(image=stripes, mask=np.ones(stripes.shape, bool)), 2.5)
+    side: Side = prepare_side(Level(image=stripes, mask=np.ones(stripes.shape, bool)), 2.5)
     change, variance, determined = vertical_step(side, side, np.zeros_like(stripes), 2.5)
     inner = (slice(15, -15), slice(15, -15))
     assert not determined[inner].any()

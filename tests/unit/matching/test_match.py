@@ -11,8 +11,8 @@ from scipy import ndimage
 from textured_pair import make_pair
 
 from mammometry.base.errors import MatchingError
-from mammometry.matching.dense import finest_levels as refine
-from mammometry.matching.dense.levels import choose_levels
+from mammometry.matching.dense import match as refine
+from mammometry.matching.dense.least_squares import choose_levels
 from mammometry.matching.dense.match import match
 from mammometry.matching.rectify import RectifiedPair
 from mammometry.matching.settings import MatchSettings
@@ -129,7 +129,7 @@ def test_an_empty_mask_is_an_error_that_names_the_pair() -> None:
 
 def test_a_coarser_map_has_the_cameras_of_its_own_pixels(monkeypatch: pytest.MonkeyPatch) -> None:
     pair, truth = make_pair(np.random.default_rng(7))
-    monkeypatch.setattr("mammometry.matching.dense.levels.FINEST_SPAN_PX", 100.0)
+    monkeypatch.setattr("mammometry.matching.dense.least_squares.FINEST_SPAN_PX", 100.0)
     found = match(pair)
     assert found.valid.shape == (90, 110) == found.left.shape_hw
     assert found.pair_px == 2
@@ -143,7 +143,7 @@ def test_a_coarser_map_has_the_cameras_of_its_own_pixels(monkeypatch: pytest.Mon
 
 def test_a_coarse_solution_comes_back_at_full_resolution(monkeypatch: pytest.MonkeyPatch) -> None:
     pair, truth = make_pair(np.random.default_rng(8), noise=0.002)
-    monkeypatch.setattr("mammometry.matching.dense.levels.FINEST_SPAN_PX", 100.0)
+    monkeypatch.setattr("mammometry.matching.dense.least_squares.FINEST_SPAN_PX", 100.0)
     found, error, complete = errors(pair, truth, MatchSettings(resolution="full"))
     assert found.valid.shape == truth.shape
     assert complete > 0.98
@@ -153,7 +153,7 @@ def test_a_coarse_solution_comes_back_at_full_resolution(monkeypatch: pytest.Mon
 def test_a_large_subject_is_matched_finer_from_the_left_picture_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     pair, truth = make_pair(np.random.default_rng(8), noise=0.002)
     # Both pictures are matched at a quarter of their size, the left one at half.
-    monkeypatch.setattr("mammometry.matching.dense.levels.FINEST_SPAN_PX", 50.0)
+    monkeypatch.setattr("mammometry.matching.dense.least_squares.FINEST_SPAN_PX", 50.0)
     alone = MatchSettings(resolution="full")
     found, error, complete = errors(pair, truth, alone)
     assert complete > 0.98
@@ -174,7 +174,7 @@ def test_a_cluttered_scene_is_cut_where_the_coarsest_level_is_the_last_of_both(m
     other, _ = make_pair(rng, size_wh=size_wh)
     shown = np.arange(size_wh[0]) > 250
     cluttered = with_images(pair, pair.left_image, np.where(shown, pair.right_image, other.right_image))
-    monkeypatch.setattr("mammometry.matching.dense.levels.FINEST_SPAN_PX", 100.0)
+    monkeypatch.setattr("mammometry.matching.dense.least_squares.FINEST_SPAN_PX", 100.0)
     levels = choose_levels("front", [pair.left_mask])
     assert levels.coarsest == levels.last_both > levels.finest
     found = match(cluttered, MatchSettings(resolution="full"))

@@ -15,9 +15,8 @@ from test_rectify import converging, foreground, grey
 from textured_pair import Texture, make_pair
 
 from mammometry.base.progress import no_progress
-from mammometry.matching.dense.least_squares_step import prepare as prepare_side
-from mammometry.matching.dense.least_squares_step import step
-from mammometry.matching.dense.levels import Levels, choose_levels
+from mammometry.matching.dense.least_squares import Levels, choose_levels
+from mammometry.matching.dense.least_squares_step import prepare_side, step
 from mammometry.matching.dense.match import DisparityMap, match, prepare
 from mammometry.matching.pyramid import Level
 from mammometry.matching.rectify import RectifiedPair, rectify
@@ -97,14 +96,14 @@ def test_so_many_pixels_are_taken_off_the_silhouette(
 def test_the_start_is_made_where_the_subject_spans_no_more_than_asked(monkeypatch: pytest.MonkeyPatch) -> None:
     assert levels(390).coarsest == 1  # above 230 px one level coarser than full
     assert levels(1500).coarsest == 2
-    monkeypatch.setattr("mammometry.matching.dense.levels.START_SPAN_PX", 100.0)
+    monkeypatch.setattr("mammometry.matching.dense.least_squares.START_SPAN_PX", 100.0)
     assert levels(390).coarsest == 2
 
 
 def test_both_pictures_are_matched_where_the_subject_spans_no_more_than_asked(monkeypatch: pytest.MonkeyPatch) -> None:
     assert levels(790).last_both == 0
     assert levels(1590) == Levels(coarsest=2, last_both=1, finest=1)
-    monkeypatch.setattr("mammometry.matching.dense.levels.FINEST_SPAN_PX", 400.0)
+    monkeypatch.setattr("mammometry.matching.dense.least_squares.FINEST_SPAN_PX", 400.0)
     assert levels(790).last_both == 1
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from mammometry.matching.dense.levels import choose_levels
+from mammometry.matching.dense.least_squares import choose_levels
 from mammometry.matching.noise import empty_levels
 
 WHOLE = np.ones((512, 512), dtype=bool)

@@ -15,15 +15,14 @@ from mammometry.base.errors import MeasureError
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
 from mammometry.measure.landmarks.landmarks import Landmark, picked_landmarks
-from mammometry.measure.landmarks.nipples import propose_nipple
+from mammometry.measure.landmarks.proposals import propose_nipple
 from mammometry.measure.settings import NippleSettings
+from mammometry.measure.shape.anthropometry import shape_of, volume_within_mm3
 from mammometry.measure.shape.lengths import by_name, linear_measures, ptosis
-from mammometry.measure.shape.shape import shape_of
 from mammometry.measure.shape.symmetry import symmetry
-from mammometry.measure.solid.clip import volume_within_mm3
 from mammometry.measure.trunk.body import find_body
 from mammometry.measure.trunk.mirror_plane import MirrorPlane, mirror, register
-from mammometry.measure.volume import volume
+from mammometry.measure.volume import volumes
 from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.open_breast import OpenBreast
@@ -51,7 +50,7 @@ def measured() -> tuple[VolumeMeasurement, ...]:
     found = []
     for edge in edges:
         wall = chest_wall.fit(OpenBreast(boundary=edge, surface=trunk(), boundaries=edges), "membrane")
-        found.append(volume.measure(edge, wall))
+        found.append(volumes.measure(edge, wall))
     return tuple(found)
 
 
@@ -124,7 +123,7 @@ def test_the_projection_changes_with_the_boundary_as_its_uncertainty_says() -> N
     for further in (-3.0, 0.0, 3.0):
         edge = edge_of(LEFT, "left", wider=0.6 + further / LEFT[2])
         wall = chest_wall.fit(OpenBreast(boundary=edge, surface=trunk(), boundaries=(edge,)), "membrane")
-        drawn[further] = volume.measure(edge, wall)
+        drawn[further] = volumes.measure(edge, wall)
     wider, narrower = drawn[3.0], drawn[-3.0]
     moved = np.linalg.norm(wider.boundary_world - narrower.boundary_world, axis=1).mean() / 2
     sigma = shape_of(drawn[0.0], FRAME, None, boundary_sigma_mm=moved).projection_sigma_mm

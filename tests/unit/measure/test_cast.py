@@ -1,4 +1,4 @@
-"""A cast from its silhouettes to its volume, on domes whose base and volume are known."""
+"""A cast from its silhouettes to its volumes, on domes whose base and volume are known."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -12,10 +12,9 @@ from mammometry.base.errors import MeasureError
 from mammometry.matching.foreground.foreground import Foreground
 from mammometry.measure.boundary.boundary import Boundary, find_base, find_boundaries, leaving_whole
 from mammometry.measure.boundary.cast_base import Base, moved
-from mammometry.measure.boundary.cast_base_adjust import adjust_base, mean_height
-from mammometry.measure.boundary.cast_rim import rim_candidates
+from mammometry.measure.boundary.cast_rim import adjust_base, mean_height, rim_candidates
 from mammometry.measure.settings import BaseRimSettings, MeasureSettings
-from mammometry.measure.volume import volume
+from mammometry.measure.volume import volumes
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.open_breast import OpenBreast
 from mammometry.surface.repair.repair import Provenance, RepairedSurface
@@ -55,7 +54,7 @@ def test_a_cast_is_measured_to_half_a_percent(bend_radius_mm: float | None) -> N
     surface = seen_surface(bend_radius_mm)
     boundary = found_boundary(bend_radius_mm)
     wall = chest_wall.fit(OpenBreast(boundary=boundary, surface=surface, settings=EXACT))
-    found = volume.measure(boundary, wall, EXACT)
+    found = volumes.measure(boundary, wall, EXACT)
     exact_cc = dome(bend_radius_mm).volume_mm3() / 1000
     assert found.volume_cc == pytest.approx(exact_cc, rel=5e-3)
     assert found.wall_kind == ("plane" if bend_radius_mm is None else "convex-cylinder")
@@ -225,7 +224,7 @@ def test_no_interval_without_knowing_the_boundary() -> None:
     surface = seen_surface(None)
     rim = dome().vertices[1 + 59 * 240 : 1 + 60 * 240]
     boundary = Boundary(name="model", points_world=rim, method="test")
-    found = volume.measure(boundary, chest_wall.fit(OpenBreast(boundary=boundary, surface=surface)))
+    found = volumes.measure(boundary, chest_wall.fit(OpenBreast(boundary=boundary, surface=surface)))
     assert found.interval_cc is None
     assert "not known" in found.interval_note
     assert found.volume_cc == pytest.approx(dome().volume_mm3() / 1000, rel=1e-3)

@@ -8,10 +8,10 @@ import pytest
 from benchmarks.accuracy.dates import TrueVisit, frame_of, grown, posed, rows, summary, true_visit
 
 from mammometry.base.errors import MeasureError
-from mammometry.measure.dates.change import Change, LengthChange, Visit, compare, length_changes
+from mammometry.measure.change import Change, LengthChange, Visit, compare, fit_trunks, length_changes, trunk_of
 from mammometry.measure.settings import CompareSettings
 from mammometry.measure.shape.lengths import LinearMeasure
-from mammometry.measure.volume import volume
+from mammometry.measure.volume import volumes
 from mammometry.measure.volume.uncertainty import Evidence
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.open_breast import open_breasts
@@ -28,7 +28,7 @@ def visit(name: str = NAME, place: int = 2, growth: float = 1.0, lean_deg: float
     true = true_visit(shape, name, place, edge_mm=3.5)
     surface, boundaries = true.torso.surface, true.torso.boundaries
     measured = tuple(
-        volume.measure(breast.boundary, chest_wall.fit(breast), evidence=Evidence(surface=surface))
+        volumes.measure(breast.boundary, chest_wall.fit(breast), evidence=Evidence(surface=surface))
         for breast in open_breasts(boundaries, surface)
     )
     return true, Visit(surface=surface, measurements=measured, frame=frame_of(true))
@@ -108,6 +108,15 @@ def test_swapped_dates_turn_every_sign() -> None:
     both = back.fit.before_from_after @ forth.fit.before_from_after
     points = visit(place=3, growth=GROWTH)[1].measurements[0].boundary_world
     assert np.linalg.norm(both.apply(points) - points, axis=1).max() < 0.5
+
+
+def test_a_date_that_shows_more_of_the_flanks_is_the_same_body() -> None:
+    seen = visit()[1]
+    whole = trunk_of(seen.surface, [one.boundary_world for one in seen.measurements], seen.frame)
+    ahead = np.abs(whole.trunk.cylindrical(whole.points_world)[:, 0]) < np.deg2rad(65) * whole.trunk.half_width_mm
+    assert ahead.mean() < 0.6
+    narrow = replace(whole, points_world=whole.points_world[ahead], normals_world=whole.normals_world[ahead])
+    assert fit_trunks(narrow, whole).within_mm < 1.0  # 15 where what only one date shows counts
 
 
 @pytest.mark.slow

@@ -12,8 +12,7 @@ from mammometry.base.errors import MeasureError
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.nearest import closest_on_mesh
 from mammometry.measure.boundary.breasts import _check_base, find_breasts
-from mammometry.measure.boundary.closed_path import weigh_paths
-from mammometry.measure.boundary.crease import _own, follow_crease
+from mammometry.measure.boundary.crease import _own, follow_crease, weigh_paths
 from mammometry.measure.trunk.skin_map import PIXEL_MM, Relief, dense_samples
 from mammometry.measure.trunk.thorax import Trunk
 

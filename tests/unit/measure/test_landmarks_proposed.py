@@ -5,8 +5,8 @@ import pytest
 from scipy.spatial import Delaunay
 
 from mammometry.geometry.mesh import TriangleMesh
-from mammometry.measure.landmarks.hollows import EndSigmas, propose_ends, propose_on_midline
 from mammometry.measure.landmarks.landmarks import Landmark
+from mammometry.measure.landmarks.proposals import EndSigmas, propose_ends, propose_on_midline
 
 NOTCH, NAVEL = np.array([0.0, 170.0]), np.array([0.0, -190.0])
 LOWEST, HIGHEST = -90.0, 100.0

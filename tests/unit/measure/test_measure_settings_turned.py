@@ -14,16 +14,15 @@ from mammometry.geometry.transform import Transform
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.boundary.breasts import creased_share
 from mammometry.measure.boundary.cast_base import Base
-from mammometry.measure.boundary.cast_base_adjust import AdjustedBase
+from mammometry.measure.boundary.cast_rim import AdjustedBase
 from mammometry.measure.boundary.crease import Crease, follow_crease
-from mammometry.measure.boundary.standing import Standing
-from mammometry.measure.dates.change import Change, judged
-from mammometry.measure.dates.trunk_fit import TrunkFit
-from mammometry.measure.landmarks.nipples import propose_nipple
+from mammometry.measure.boundary.prominence import Prominence
+from mammometry.measure.change import Change, TrunkFit, judged
+from mammometry.measure.landmarks.proposals import propose_nipple
 from mammometry.measure.settings import CompareSettings, LayerSettings
 from mammometry.measure.trunk.skin_map import PIXEL_MM, Relief
 from mammometry.measure.trunk.thorax import Skin, Trunk, find_trunk, fit_thorax
-from mammometry.measure.volume.definitions import layer_before_muscle_mm
+from mammometry.measure.volume.measurement import layer_before_muscle_mm
 from mammometry.measure.volume.uncertainty import AXIS, Evidence, interval
 from mammometry.measure.wall.chest_wall import ChestWall
 
@@ -54,8 +53,8 @@ def test_outlines_that_may_be_off_make_the_base_uncertain(monkeypatch: pytest.Mo
     angle = np.linspace(0, 2 * np.pi, 90, endpoint=False)
     rim = 60 * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
     for silhouette_px, local_px in ((0.0, 0.0), (0.3, 0.0), (0.0, 0.4)):
-        monkeypatch.setattr("mammometry.measure.boundary.cast_base_adjust._SILHOUETTE_SIGMA_PX", silhouette_px)
-        monkeypatch.setattr("mammometry.measure.boundary.cast_base_adjust._LOCAL_SIGMA_PX", local_px)
+        monkeypatch.setattr("mammometry.measure.boundary.cast_rim._SILHOUETTE_SIGMA_PX", silhouette_px)
+        monkeypatch.setattr("mammometry.measure.boundary.cast_rim._LOCAL_SIGMA_PX", local_px)
         assert adjusted().sigma_mm(rim) == pytest.approx(silhouette_px + local_px, abs=1e-12)
 
 
@@ -132,12 +131,12 @@ def two_caps(top_mm: float) -> Relief:
 
 def test_a_breast_must_stand_out() -> None:
     for top_mm, verdict in ((20.0, "breast"), (7.0, "none")):
-        assert Standing(top_mm=top_mm, volume_cc=100.0, area_cm2=95.0, creased=1.0).verdict() == verdict
+        assert Prominence(top_mm=top_mm, volume_cc=100.0, area_cm2=95.0, creased=1.0).verdict() == verdict
 
 
 def test_what_is_low_needs_more_of_a_crease() -> None:
     """16 mm lie half-way between 8 and 24 mm: the share asked for is the mean of .4 and .9."""
-    low = Standing(top_mm=16.0, volume_cc=100.0, area_cm2=95.0, creased=0.66)
+    low = Prominence(top_mm=16.0, volume_cc=100.0, area_cm2=95.0, creased=0.66)
     assert low.verdict() == "breast"
     assert replace(low, creased=0.64).verdict() == "unclear"
     flat = replace(low, volume_cc=50.0)  # on average 5.3 mm high: the chest's own form
@@ -192,7 +191,7 @@ def test_each_way_to_find_a_nipple_has_its_own_uncertainty(
 def test_what_counts_as_areola_and_tip(
     name: str, limit: float, how: str | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(f"mammometry.measure.landmarks.nipples.{name}", limit)
+    monkeypatch.setattr(f"mammometry.measure.landmarks.proposals.{name}", limit)
     mesh, colours, boundary, _ = _breast_with_nipple(5.0, 0.15)
     found = propose_nipple("nipple_left", mesh, colours, boundary)
     assert (found is None) if how is None else (found is not None and how in found.method)

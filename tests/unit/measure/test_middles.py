@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mammometry.measure.boundary.middles import breast_middles, roundness_per_mm
+from mammometry.measure.boundary.prominence import breast_middles, roundness_per_mm
 from mammometry.measure.trunk.skin_map import PIXEL_MM, Relief
 from mammometry.measure.trunk.thorax import Trunk
 

@@ -9,8 +9,7 @@ from test_uncertainty import RIM, SHEET, wall
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.transform import Transform
 from mammometry.measure.boundary.boundary import Boundary
-from mammometry.measure.volume.movement import Movement, movement_of, movement_std_cc
-from mammometry.measure.volume.uncertainty import Evidence, interval
+from mammometry.measure.volume.uncertainty import Evidence, Movement, interval, movement_of, movement_std_cc
 from mammometry.surface.motion.motion_test import Displaced, Stillness
 from mammometry.surface.motion.rigid_motion import MotionParameters, motion_parameters
 from mammometry.surface.repair.repair import Provenance, RepairedSurface

@@ -6,8 +6,7 @@ from skimage.measure import marching_cubes
 
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.measure.boundary.trace import edge_loop
-from mammometry.measure.solid.cut import inside_curve
-from mammometry.measure.solid.neck import neck_sides
+from mammometry.measure.solid.cut import inside_curve, neck_sides
 
 STEP_MM = 2.0
 RADIUS_MM, APART_MM = 30.0, 40.0  # of each breast, and of their middles from the plane between them

@@ -9,7 +9,7 @@ from mammometry.measure.landmarks.landmarks import Landmark
 from mammometry.measure.shape.anthropometry import Dimensions, dimensions, find_landmarks
 from mammometry.measure.trunk.body import Body
 from mammometry.measure.trunk.mirror_plane import MirrorPlane
-from mammometry.measure.volume import volume
+from mammometry.measure.volume import volumes
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.open_breast import OpenBreast
 
@@ -29,7 +29,7 @@ def found_on(areolae: tuple[str, ...]) -> tuple[tuple[Landmark, ...], Dimensions
     surface = as_surface(trunk_mesh(3.0))
     edges = (edge_of(LEFT, "left"), edge_of(RIGHT, "right"))
     measured = [
-        volume.measure(edge, chest_wall.fit(OpenBreast(boundary=edge, surface=surface, boundaries=edges), "membrane"))
+        volumes.measure(edge, chest_wall.fit(OpenBreast(boundary=edge, surface=surface, boundaries=edges), "membrane"))
         for edge in edges
     ]
     rng = np.random.default_rng(4)

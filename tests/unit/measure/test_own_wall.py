@@ -8,9 +8,9 @@ from solids import as_surface, rig_around
 from trunks import LEFT, RADIUS_MM, RIGHT, bump_mm, edge_of, trunk_mesh, volume_cc
 
 from mammometry.base.errors import MeasureError, SettingsError
-from mammometry.measure.solid.sew import Closed
+from mammometry.measure.solid.patch import Closed
 from mammometry.measure.trunk.body import rig_frame
-from mammometry.measure.volume import volume
+from mammometry.measure.volume import volumes
 from mammometry.measure.volume.uncertainty import Evidence
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.heights import TrunkChart, through
@@ -55,7 +55,7 @@ def test_a_wall_of_ones_own_is_chosen_measured_drawn_and_named() -> None:
     assert Settings.from_toml(settings.to_toml()) == settings
     opened = breast(settings)
     wall, *others = chest_wall.fit_all(opened)
-    found = volume.measure(
+    found = volumes.measure(
         opened.boundary, wall, settings.measure, alternatives=others, evidence=Evidence(boundary_std_cc=4.0)
     )
     assert found.wall_kind == "dented"

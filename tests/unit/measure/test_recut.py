@@ -6,9 +6,9 @@ from tests.unit.measure.trunks import LEFT, edge_of, trunk_mesh
 
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.measure.boundary.trace import REACH_MM, edge_loop
-from mammometry.measure.solid import recut
 from mammometry.measure.solid.cut import OpenPart, inside_curve
-from mammometry.measure.solid.recut import Band
+from mammometry.measure.volume import boundary_jitter
+from mammometry.measure.volume.boundary_jitter import Band
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +28,7 @@ def test_the_part_is_that_of_the_whole_mesh(mesh: TriangleMesh, wider: float, mo
     band = Band(mesh, edge_loop("left", first, mesh), REACH_MM + 10.0)
     assert len(band.mesh.faces) < len(mesh.faces)
     whole = inside_curve(mesh, edge_loop("left", again, mesh))
-    monkeypatch.setattr(recut, "inside_curve", None)  # the band alone is enough
+    monkeypatch.setattr(boundary_jitter, "inside_curve", None)  # the band alone is enough
     same(band.inside(edge_loop("left", again, band.mesh)), whole)
 
 

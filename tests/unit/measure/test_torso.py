@@ -16,6 +16,7 @@ from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.trunk.body import rig_frame
 from mammometry.measure.trunk.thorax import (
     ASSUMED_DEPTH_MM,
+    Skin,
     Thorax,
     Trunk,
     find_trunk,
@@ -23,7 +24,7 @@ from mammometry.measure.trunk.thorax import (
     frame_from_sides,
     seen_skin,
 )
-from mammometry.measure.volume import volume
+from mammometry.measure.volume import volumes
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.open_breast import OpenBreast
 from mammometry.measure.wall.registry import TORSO_WALLS
@@ -116,7 +117,7 @@ def test_both_breasts_are_found_each_on_its_side() -> None:
         assert np.abs(reach - breast[2]).max() < 8
         assert "to be confirmed by eye" in found.method
         wall = chest_wall.fit(breast_of(found, boundaries=(left, right)), "cylinder-membrane")
-        measured = volume.measure(found, wall, alternatives=())
+        measured = volumes.measure(found, wall, alternatives=())
         assert measured.volume_cc == pytest.approx(volume_cc(breast), rel=0.04)
         assert measured.interval_cc is not None
         assert measured.interval_cc[0] < volume_cc(breast) < measured.interval_cc[1]
@@ -205,6 +206,20 @@ def test_a_torso_without_sides_has_an_axis_behind_its_breastbone() -> None:
     assert not find_trunk(seen_skin(torso()), rig_frame(RIG), height_of=np.array([0.0, 7.0, 100.0])).assumed
 
 
+def test_arms_that_show_more_skin_than_the_flanks_are_not_the_sides() -> None:
+    skin, rng = seen_skin(torso()), np.random.default_rng(3)
+    side = np.where(np.arange(2 * len(skin.points_world)) % 2, 1.0, -1.0)
+    out_mm, y, z = rng.uniform([RADIUS_MM + 90, -70, -70], [RADIUS_MM + 180, 80, -40], (len(side), 3)).T
+    arms = np.stack([side * out_mm, y, z], axis=1), np.stack([side, 0 * side, 0 * side], axis=1)
+    both = Skin(
+        points_world=np.concatenate([skin.points_world, arms[0]]),
+        normals_world=np.concatenate([skin.normals_world, arms[1]]),
+    )
+    alone, beside = (find_trunk(each, np.eye(3), height_of=np.array([0.0, 7.0, 100.0])) for each in (skin, both))
+    assert beside.half_width_mm == pytest.approx(alone.half_width_mm, rel=0.02)
+    assert np.abs(beside.origin - alone.origin).max() < 5.0
+
+
 def test_an_open_curve_is_refused() -> None:
     half = EDGES[0].points_world[:80]
     with pytest.raises(MeasureError, match=r"boundary 'left': found a gap of \d+ mm between its last point"):
@@ -233,8 +248,9 @@ def test_a_given_curve_is_kept() -> None:
     assert "given: 160 points" in boundary.method
 
 
+@pytest.mark.requirement("R-VOL-7")
 def test_the_default_wall_of_a_torso_is_named_in_the_result() -> None:
-    found = volume.measure(
+    found = volumes.measure(
         EDGES[0], walls("left")["rounded-membrane"], MeasureSettings(), alternatives=list(walls("left").values())[1:]
     )
     assert found.wall_kind == "rounded-membrane"

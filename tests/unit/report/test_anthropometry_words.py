@@ -5,12 +5,10 @@ import numpy as np
 from mammometry.geometry.transform import Transform
 from mammometry.hospital.exported import Quantity
 from mammometry.measure.landmarks.landmarks import Landmark
-from mammometry.measure.shape.anthropometry import Dimensions
+from mammometry.measure.shape.anthropometry import BreastShape, Dimensions
 from mammometry.measure.shape.lengths import LinearMeasure, Ptosis
-from mammometry.measure.shape.shape import BreastShape
 from mammometry.measure.shape.symmetry import Symmetry
-from mammometry.report.words.anthropometry import dimension_tables, planning_lengths, symmetry_facts
-from mammometry.report.words.lengths import quantities_of
+from mammometry.report.words.anthropometry import dimension_tables, planning_lengths, quantities_of, symmetry_facts
 
 
 def sizes_of_the_left() -> Dimensions:

@@ -9,7 +9,7 @@ import test_pdf
 
 from mammometry.api.stored_report import packed, unpacked
 from mammometry.base.errors import StorageError
-from mammometry.measure.boundary.confirming import TO_BE_CONFIRMED
+from mammometry.measure.boundary import TO_BE_CONFIRMED
 from mammometry.measure.volume.attribution import Attribution, Confirmation
 from mammometry.report.content import Clinical, ReportContent, Signed
 from mammometry.report.documents.rendering import attributed_content, render

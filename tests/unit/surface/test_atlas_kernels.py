@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from mammometry.surface.texture import atlas_kernels
+from mammometry.surface.texture import texture_kernels
 
 LEVEL_STEP = 4
 
@@ -25,7 +25,7 @@ def test_a_pixel_belongs_to_the_triangle_that_it_lies_deepest_in():
     rng = np.random.default_rng(5)
     corners, margin, first, stop, width = rng.uniform(-3, 33, size=(12, 3, 2)), 1.5, 4, 22, 30
     corners[3, 2] = corners[3, 0]  # no area
-    triangle, row, column, between = atlas_kernels.deepest_triangles(corners, first, stop, width, margin)
+    triangle, row, column, between = texture_kernels.deepest_triangles(corners, first, stop, width, margin)
     rows, columns = (grid.ravel() for grid in np.mgrid[first:stop, :width])
     pixels = np.stack([columns, rows], axis=1).astype(np.float64)
     deepest, owner = np.full(len(pixels), -np.inf), np.full(len(pixels), -1)
@@ -52,7 +52,7 @@ def test_shares_are_those_of_the_weights_between_the_corners():
     corners[0] = 0, 1, 2  # where no weight is left
     between = rng.uniform(-0.1, 1, (50, 3)).astype(np.float32)
     own = rng.integers(0, 3, 50).astype(np.int32)
-    found = atlas_kernels.shares_of(weights, corners, between, own, 1e-6)
+    found = texture_kernels.shares_of(weights, corners, between, own, 1e-6)
     expected = np.einsum("pc,kpc->kp", np.maximum(between, 0.0), weights[:, corners].astype(np.float64))
     expected[own, np.arange(50)] += 1e-6
     np.testing.assert_allclose(found, expected / expected.sum(axis=0), atol=1e-6)
@@ -81,7 +81,7 @@ def test_a_piece_is_the_photographs_own_pixels_levelled(kind, channels, step):
     level = rng.uniform(-0.6, 0.6, (18, 26, 3)).astype(np.float32)
     gain, low, high = np.array([0.9, 1.0, 1.2], dtype=np.float32), np.array([3, 5]), np.array([28, 21])
     scale = float(np.iinfo(kind).max)
-    found = atlas_kernels.pasted((levels, scale, step), low, high, (gain, level, LEVEL_STEP))
+    found = texture_kernels.pasted((levels, scale, step), low, high, (gain, level, LEVEL_STEP))
     rows, columns = np.mgrid[low[1] : high[1], low[0] : high[0]]
     expected = gain * means(levels, step)[rows, columns] + levelled(level, rows, columns)
     assert (expected < 0).any()
@@ -101,7 +101,7 @@ def test_a_photograph_is_mixed_in_by_its_shares(step):
     share = np.where(rng.uniform(size=40) < 0.3, 0.0, rng.uniform(size=40)).astype(np.float32)
     before = rng.uniform(size=(40, 3)).astype(np.float32)
     mixed = before.copy()
-    atlas_kernels.mix_in(mixed, share, corners, between, uv, (levels, 255.0, step), (gain, level, LEVEL_STEP))
+    texture_kernels.mix_in(mixed, share, corners, between, uv, (levels, 255.0, step), (gain, level, LEVEL_STEP))
     column, row = np.einsum("pc,pcx->xp", between.astype(np.float64), uv[corners])
     small = means(levels, step)
     at = [row, column]

@@ -8,8 +8,7 @@ from mammometry.base.errors import SurfaceError
 from mammometry.geometry.transform import Transform
 from mammometry.matching.foreground.foreground import Foreground
 from mammometry.surface.fusion.fuse import extract
-from mammometry.surface.ranges.decompose import decompose
-from mammometry.surface.ranges.dents import remove_dents
+from mammometry.surface.ranges.dents import decompose, remove_dents
 from mammometry.surface.repair.repair import Provenance, repair
 from mammometry.surface.settings import DentSettings, ExtractSettings
 

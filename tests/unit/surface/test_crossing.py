@@ -5,7 +5,7 @@ import pytest
 from spheres import sphere_mesh
 
 from mammometry.geometry.mesh import TriangleMesh
-from mammometry.surface.repair.crossing import crossing_faces
+from mammometry.surface.repair.untangle import crossing_faces
 
 
 def brute_force(mesh):

@@ -7,8 +7,7 @@ import pytest
 from spheres import camera_towards, ellipsoid_range, range_image
 
 from mammometry.base.errors import SurfaceError
-from mammometry.surface.ranges.decompose import decompose
-from mammometry.surface.ranges.dents import KeepMasks, patch_angle_rad, remove_dents
+from mammometry.surface.ranges.dents import KeepMasks, decompose, patch_angle_rad, remove_dents
 from mammometry.surface.ranges.visibility import Label, check_agreement, compare, disagreement_mm, gap_mm
 from mammometry.surface.settings import DecomposeSettings, DentSettings
 

@@ -10,8 +10,7 @@ from spheres import camera_towards, ellipsoid_range, range_image
 
 from mammometry.base.errors import SurfaceError
 from mammometry.report.figures.paper import draw_dent_grid
-from mammometry.surface.ranges.decompose import decompose
-from mammometry.surface.ranges.dents import dent_grid, remove_dents
+from mammometry.surface.ranges.dents import decompose, dent_grid, remove_dents
 from mammometry.surface.ranges.visibility import Label
 from mammometry.surface.settings import DecomposeSettings, DentSettings
 

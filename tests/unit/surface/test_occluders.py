@@ -7,7 +7,7 @@ import pytest
 from spheres import camera_towards, ellipsoid_range, range_image, rig_of, silhouette
 
 from mammometry.surface.fusion.fuse import extract
-from mammometry.surface.occlusion.occlusion import find_occlusions, without_occluded
+from mammometry.surface.occlusion import find_occlusions, without_occluded
 from mammometry.surface.settings import ExtractSettings
 
 RADIUS_MM = 30.0

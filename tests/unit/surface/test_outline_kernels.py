@@ -4,7 +4,7 @@ import numpy as np
 from scipy import ndimage
 from skimage.measure import find_contours
 
-from mammometry.surface.occlusion import contour_kernels as outline_kernels
+from mammometry.surface.fusion import field_kernels as outline_kernels
 
 
 def test_pieces_are_those_of_find_contours_with_holes_closed():

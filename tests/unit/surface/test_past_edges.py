@@ -3,7 +3,7 @@
 import numpy as np
 from spheres import camera_towards, ellipsoid_range, range_image
 
-from mammometry.surface.fusion.edge_extrapolation import continued_world
+from mammometry.surface.occlusion import continued_world
 
 TILT = 0.4  # of the plane: slope in x
 

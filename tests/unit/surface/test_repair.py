@@ -7,11 +7,10 @@ from spheres import camera_towards, ellipsoid_range, range_image, sphere_mesh
 
 from mammometry.base.errors import SurfaceError
 from mammometry.geometry.mesh import TriangleMesh
-from mammometry.surface.ranges.decompose import decompose
-from mammometry.surface.ranges.dents import ValidPatches, remove_dents
-from mammometry.surface.repair.crossing import crossing_faces
+from mammometry.surface.ranges.dents import ValidPatches, decompose, remove_dents
 from mammometry.surface.repair.energy import graph_of
 from mammometry.surface.repair.repair import Provenance, RepairedSurface, propagate, repair
+from mammometry.surface.repair.untangle import crossing_faces
 from mammometry.surface.settings import DentSettings, RepairSettings
 
 RADIUS = 30.0

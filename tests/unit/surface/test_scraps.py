@@ -4,7 +4,7 @@ import numpy as np
 
 from mammometry.geometry.camera import Camera
 from mammometry.geometry.transform import Transform
-from mammometry.surface.ranges.foreign_pieces import subject_data
+from mammometry.surface.ranges.dents import subject_data
 from mammometry.surface.ranges.range_image import RangeImage
 
 SHAPE = (90, 120)

@@ -5,7 +5,7 @@ import pytest
 
 from mammometry.geometry.camera import Camera
 from mammometry.geometry.transform import Transform
-from mammometry.surface.occlusion.silhouette_gaps import points_world, spanned_mm
+from mammometry.surface.occlusion import points_world, spanned_mm
 
 STEP = 2
 BLOCKS = 120

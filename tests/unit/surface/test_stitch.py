@@ -6,9 +6,8 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
 from mammometry.geometry.mesh import TriangleMesh
-from mammometry.surface.fusion.isosurface import Isosurface
+from mammometry.surface.fusion.isosurface import Isosurface, OpenMesh, stitched
 from mammometry.surface.fusion.marching import without_saddles
-from mammometry.surface.fusion.stitch import OpenMesh, stitched
 from mammometry.surface.fusion.voxels import sample_blocks
 
 

@@ -5,8 +5,7 @@ import pytest
 
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.mesh import TriangleMesh
-from mammometry.surface.texture.texture_atlas import Atlas
-from mammometry.surface.texture.transfer import transferred
+from mammometry.surface.texture.texture_atlas import Atlas, transferred
 
 
 def sheet(step: float, tilt: float = 0.3) -> TriangleMesh:

@@ -12,17 +12,67 @@ from types import MappingProxyType
 import cv2
 import numpy as np
 
-from mammometry.base.errors import ImageError
-from mammometry.base.photograph import Photograph
+from mammometry.base.errors import CalibrationError, ImageError
+from mammometry.base.photograph import MeasuredPoints, Photograph
 from mammometry.base.progress import Progress, no_progress
 from mammometry.base.value import value
 from mammometry.calibration.detection.finders import explain_miss, find
 from mammometry.calibration.detection.finders.cylinder import numbered_alike
-from mammometry.calibration.detection.measured_points import MeasuredPoints, points_from_table
-from mammometry.calibration.features.found_points import Cause, FoundPoints
-from mammometry.calibration.features.pixels import grey_bytes, reduced
+from mammometry.calibration.features.pixels import Cause, FoundPoints, grey_bytes, reduced
 from mammometry.calibration.targets.target import Target
 from mammometry.geometry.arrays import Array, Float64, Int64, UInt8
+
+
+def points_from_table(
+    name: str,
+    ids: Int64[Array, " n"],
+    uv: Float64[Array, "n 2"],
+    target: Target,
+    size_wh: tuple[int, int],
+    *,
+    std_px: float | Sequence[float] = 0.2,
+) -> FoundPoints:
+    """Check a table of measured points and bring it into order.
+
+    Args:
+        name: what to call the table in messages, e.g. ``calibration/00/front_left.csv``.
+        ids: which points of the target: positions in its list, from 0.
+        uv: distorted pixels, integers at pixel centres.
+        target: the target.
+        size_wh: the photograph's size, pixels.
+        std_px: standard deviation of a coordinate, pixels, one for all or one for each point.
+
+    Raises:
+        CalibrationError: no points, an id that is unknown or there twice, a point outside the photograph, or a
+            standard deviation that is not positive.
+    """
+    count = len(target.points_target)
+    deviation = np.broadcast_to(np.asarray(std_px, np.float64), (len(ids),))
+    if not len(ids):
+        raise _error(name, "no points", f"ids from 0 to {count - 1} with their u and v", "Measure some, or remove it")
+    for number in ids.tolist():
+        if not 0 <= number < count:
+            expected = f"0 to {count - 1}, positions in the target's list"
+            raise _error(name, f"id {number}", expected, "Correct the id; the first point is 0")
+    numbers, repeats = np.unique(ids, return_counts=True)
+    if (repeats > 1).any():
+        raise _error(name, f"id {numbers[repeats > 1][0]} twice", "each point once", "Remove one of the two")
+    inside = ((uv >= -0.5) & (uv <= np.array(size_wh) - 0.5)).all(axis=1)
+    if not inside.all():
+        first = int(np.flatnonzero(~inside)[0])
+        found = f"point {ids[first]} at u {uv[first, 0]:g}, v {uv[first, 1]:g}"
+        expected = f"pixels inside the photograph of {size_wh[0]} × {size_wh[1]}"
+        raise _error(name, found, expected, "Give u (column) and v (row) in pixels, 0 at the first pixel's centre")
+    if not (np.isfinite(deviation) & (deviation > 0)).all():
+        raise _error(name, "a standard deviation that is not positive", "pixels above 0", "Leave it out if unknown")
+    order = np.argsort(ids)
+    covariance = deviation[order, None, None] ** 2 * np.eye(2)
+    return FoundPoints(ids=ids[order], uv=uv[order], covariance_px2=covariance)
+
+
+def _error(name: str, found: str, expected: str, remedy: str) -> CalibrationError:
+    return CalibrationError(name, found=found, expected=expected, remedy=remedy)
+
 
 _WHITE, _MAX_WHITE_SHARE = 252, 0.35
 """Overexposed grey level of 255, and its share in an over-exposed picture. Chosen by eye."""

@@ -13,7 +13,6 @@ import numpy as np
 
 from mammometry.base.value import value
 from mammometry.calibration.adjust.calibrated import Calibration
-from mammometry.calibration.judge.cameras.pose_motion import Movement, movements
 from mammometry.calibration.judge.expected_error import expected_error
 from mammometry.calibration.judge.findings import (
     Finding,
@@ -32,6 +31,7 @@ from mammometry.calibration.judge.findings import (
     about_scale,
     about_target,
 )
+from mammometry.calibration.judge.pose_motion import Movement, movements
 from mammometry.calibration.judge.reconstruction import (
     PairQuality,
     ViewQuality,

@@ -19,7 +19,7 @@ from mammometry.base.parse import LimitSettings
 from mammometry.base.photograph import Photograph
 from mammometry.calibration.adjust.initialise import least_views
 from mammometry.calibration.features.keypoints import Keypoints, keypoints
-from mammometry.calibration.judge.cameras.names import check_names, wrong_photographs
+from mammometry.calibration.judge.camera_names import check_names, wrong_photographs
 from mammometry.calibration.targets.table import target_from_table
 from mammometry.capture import checks
 from mammometry.capture.checks import Finding, KnownCamera, not_only_a_photograph

@@ -15,10 +15,9 @@ from xml.etree import ElementTree
 import numpy as np
 
 from mammometry.base.parse import number, numbers, parsing, whole
-from mammometry.geometry.arrays import Array, Float64
-from mammometry.geometry.camera import Camera
+from mammometry.geometry import Array, Camera, Float64
+from mammometry.io.cameras.foreign_text import read_xml
 from mammometry.io.cameras.own import camera_from_entry, camera_name, unfit
-from mammometry.io.parsing.foreign_text import read_xml
 
 _EXPECTED = "cameras as Agisoft exports them (Export Cameras, Agisoft XML)"
 _MM_PER_M = 1000.0  # Agisoft's world is in metres

@@ -16,10 +16,9 @@ import yaml
 
 from mammometry.base.errors import SessionError
 from mammometry.base.parse import numbers, parsing, read_text
-from mammometry.geometry.arrays import Array, Float64
-from mammometry.geometry.camera import Camera
+from mammometry.geometry import Array, Camera, Float64
+from mammometry.io.cameras.foreign_text import yaml_value
 from mammometry.io.cameras.own import camera_from_entry, camera_name, unfit
-from mammometry.io.parsing.foreign_text import yaml_value
 
 _MM_PER_M = 1000.0  # Kalibr writes metres, we write mm
 _CAMERA = re.compile(r"^cam(\d+)$")

@@ -48,7 +48,7 @@ def _frame(cameras: CameraSet, job: Context, body: Body | None = None) -> Float6
     return rig_frame(cameras.rig, job.inputs.mounting) if body is None else body.frame
 
 
-@product("measure", version=11, settings="measure", inputs=("subject", "mounting"), when=_outlined)
+@product("measure", version=12, settings="measure", inputs=("subject", "mounting"), when=_outlined)
 def sides(corrected_cameras: CameraSet, repaired: RepairedSurface, *, job: Context) -> TorsoSides:
     """Breasts found on a torso, and sides without one."""
     from mammometry.measure.boundary.boundary import outline_torso
@@ -62,7 +62,7 @@ def _boundary_inputs(job: Context) -> dict[str, str]:
     return job.inputs.key_part("subject", "boundaries", "mounting", "rim", *picked)
 
 
-@product("measure", version=15, settings="measure", inputs=_boundary_inputs, when=_has_volume)
+@product("measure", version=16, settings="measure", inputs=_boundary_inputs, when=_has_volume)
 def boundaries(
     corrected_cameras: CameraSet,
     repaired: RepairedSurface,
@@ -111,7 +111,7 @@ def boundaries(
     return tuple(sorted((*given, *wanted), key=lambda curve: curve.name))
 
 
-@product("measure", version=5, settings="measure.thorax", inputs=("mounting",), when=_torso)
+@product("measure", version=6, settings="measure.thorax", inputs=("mounting",), when=_torso)
 def body(
     corrected_cameras: CameraSet, repaired: RepairedSurface, boundaries: tuple[Boundary, ...], *, job: Context
 ) -> Body:
@@ -132,9 +132,8 @@ def evidence(
     *,
     job: Context,
 ) -> Evidence:
-    """What the earlier stages know of the errors of a volume."""
-    from mammometry.measure.volume.movement import movement_of
-    from mammometry.measure.volume.uncertainty import EarlierErrors, Evidence
+    """The earlier stages' results on the errors of a volume."""
+    from mammometry.measure.volume.uncertainty import EarlierErrors, Evidence, movement_of
     from mammometry.measure.volume.unseen_space import bounds
 
     rig, scale_std = corrected_cameras.rig, job.inputs.scale_std
@@ -145,7 +144,7 @@ def evidence(
     )
 
 
-@product("measure", version=20, name="measurement", settings="measure", inputs=("wall", "scale"), when=_has_volume)
+@product("measure", version=21, name="measurement", settings="measure", inputs=("wall", "scale"), when=_has_volume)
 def measurements(
     repaired: RepairedSurface, boundaries: tuple[Boundary, ...], body: Body | None, evidence: Evidence, *, job: Context
 ) -> tuple[VolumeMeasurement, ...]:
@@ -202,7 +201,7 @@ def absent(
 def lacking(
     repaired: RepairedSurface, measurements: tuple[VolumeMeasurement, ...], body: Body, *, job: Context
 ) -> tuple[VolumeDeficit, ...]:
-    """What the smaller side of a torso lacks to the mirrored larger one. No volume depends on it."""
+    """Volume that the smaller side of a torso lacks to the larger one, mirrored."""
     from mammometry.measure.volume.deficit import volume_deficit
 
     try:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a pla
     from mammometry.surface.fusion.fuse import Solid
     from mammometry.surface.motion.agreement import RowErrors
     from mammometry.surface.motion.motion_test import Stillness
-    from mammometry.surface.occlusion.occlusion import Occlusion
+    from mammometry.surface.occlusion import Occlusion
     from mammometry.surface.ranges.dents import KeepMasks, ValidPatches
     from mammometry.surface.ranges.range_image import RangeImage
     from mammometry.surface.repair.repair import RepairedSurface
@@ -44,7 +44,7 @@ def stillness(
     *,
     job: Context,
 ) -> Stillness:
-    """What moved between calibration and exposures, by pairs that see the same skin."""
+    """Motion between calibration and exposures, by pairs that see the same skin."""
     from mammometry.surface.motion import motion_test as stillness
 
     covariance = None if calibration is None else calibration.covariance
@@ -71,20 +71,19 @@ def keep_masks(
     *,
     job: Context,
 ) -> KeepMasks:
-    """Which range data survive the removal of dents. Paper 2.6.1 and 2.6.2."""
-    from mammometry.surface.ranges import decompose, dents
-    from mammometry.surface.ranges import foreign_pieces as scraps
+    """Masks of the range data that survive the removal of dents (paper 2.6.1, 2.6.2)."""
+    from mammometry.surface.ranges import dents
 
     settings, rig = job.settings.surface, cameras.rig
     images = tuple(stillness.carry(image, rig) for image in range_images.values())
-    patches = decompose.decompose(images, settings.decompose) if settings.dents.rule == "patch" else None
+    patches = dents.decompose(images, settings.decompose) if settings.dents.rule == "patch" else None
     valid = dents.remove_dents(images, patches, settings.dents)
     keep = [image.valid for image in valid.range_images]
     unseen = set() if subjects is None else set(subjects.blind)
     blind = [name for name, pair in rig.pair_names.items() if unseen & set(pair)]
     if blind or job.inputs.subject_kind == "surface":  # a solid's smaller pieces are left out when it is meshed
         middle_world = None if subjects is None else subjects.middle_world
-        keep = scraps.subject_data(valid.range_images, blind, middle_world)
+        keep = dents.subject_data(valid.range_images, blind, middle_world)
     return dents.KeepMasks(keep=tuple(keep), angles_rad=valid.angles_rad)
 
 
@@ -106,7 +105,7 @@ def occlusions(
     corrected_cameras: CameraSet, valid_patches: ValidPatches, foregrounds: Mapping[str, Foreground], *, job: Context
 ) -> Mapping[str, Occlusion]:
     """Camera → places with something in front of the subject, for cameras that have such places."""
-    from mammometry.surface.occlusion.occlusion import find_occlusions
+    from mammometry.surface.occlusion import find_occlusions
 
     return find_occlusions(valid_patches.range_images, foregrounds, corrected_cameras.rig)
 
@@ -120,13 +119,13 @@ def solid(
     *,
     job: Context,
 ) -> Solid | None:
-    """Where a cast or torso may lie, by range data and silhouettes. None for an open surface. Paper 2.5."""
+    """Space of a cast or torso by range data and silhouettes (paper 2.5). None for an open surface."""
+    from mammometry.surface import occlusion
     from mammometry.surface.fusion import fuse as extract
-    from mammometry.surface.occlusion import occlusion as occluders
 
     if job.inputs.subject_kind == "surface":
         return None
-    opened = occluders.without_occluded(foregrounds, occlusions)
+    opened = occlusion.without_occluded(foregrounds, occlusions)
     extraction = job.settings.surface.extract.of(job.inputs.subject_kind)
     return extract.solid_of(valid_patches.range_images, opened, corrected_cameras.rig, extraction.rule)
 
@@ -159,12 +158,11 @@ def repaired(initial_surface: TriangleMesh, valid_patches: ValidPatches, *, job:
 @product("surface", version=6, settings="surface.texture", inputs=("capture",), threads=1, deferrable=True)
 def model(corrected_cameras: CameraSet, repaired: RepairedSurface, *, job: Context) -> Atlas:
     """For looking: fewer triangles, the photographs at full resolution."""
-    from mammometry.surface.texture import atlas_jpeg, unmeasured
-    from mammometry.surface.texture import texture_atlas as atlas
+    from mammometry.surface.texture import texture_atlas, unmeasured
 
     rig = corrected_cameras.rig
-    covered = atlas.cover(repaired.mesh, job.inputs.photographs, rig, progress=job.progress)
-    return atlas_jpeg.as_jpeg(unmeasured.faded_atlas(covered, repaired))
+    covered = texture_atlas.cover(repaired.mesh, job.inputs.photographs, rig, progress=job.progress)
+    return texture_atlas.as_jpeg(unmeasured.faded_atlas(covered, repaired))
 
 
 @product("surface", version=4, settings="surface.texture", inputs=("capture",), threads=1)

@@ -1,4 +1,4 @@
-"""Landmarks of anthropometry: where they lie on one surface.
+"""Landmarks of anthropometry: their names, and where they lie on one surface.
 
 Picked landmarks are checked, not corrected. A landmark off the surface or on the wrong side of the patient is an error:
 only the person who picked it knows what was meant.
@@ -7,13 +7,58 @@ only the person who picked it knows what was meant.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Literal, TypeAlias
 
 import numpy as np
 
 from mammometry.base.errors import MeasureError
 from mammometry.base.value import value
 from mammometry.geometry import Array, Float64, TriangleMesh
-from mammometry.geometry.nearest import closest_on_mesh
+
+LandmarkKind: TypeAlias = Literal["point", "line"]
+
+_SIDED: Mapping[str, tuple[str, LandmarkKind]] = {
+    "nipple": ("nipple", "point"),
+    "inframammary_fold": ("lowest point of the inframammary fold", "point"),
+    "medial": ("medial end of the breast", "point"),
+    "lateral": ("lateral end of the breast", "point"),
+    "anterior_axillary_line": ("anterior axillary line", "line"),
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LandmarkName:
+    """One landmark of the protocol."""
+
+    name: str
+    """In files: ``nipple_left``."""
+    title: str
+    """For the reader: "left nipple". Left and right are the patient's."""
+    kind: LandmarkKind
+    """One point, or several along a line."""
+
+
+def _of_torso() -> tuple[LandmarkName, ...]:
+    middle = (
+        LandmarkName(name="sternal_notch", title="sternal notch", kind="point"),
+        LandmarkName(name="midline", title="midline", kind="line"),
+        LandmarkName(name="umbilicus", title="umbilicus", kind="point"),
+    )
+    sided = (
+        LandmarkName(name=f"{name}_{side}", title=f"{side} {title}", kind=kind)
+        for name, (title, kind) in _SIDED.items()
+        for side in ("left", "right")
+    )
+    return (*middle, *sided)
+
+
+LANDMARKS: Mapping[str, tuple[LandmarkName, ...]] = MappingProxyType(
+    {"torso": _of_torso(), "model": (LandmarkName(name="nipple_model", title="nipple", kind="point"),), "surface": ()}
+)
+"""Kind of subject → the landmarks that it may have."""
+
 
 PICKED_SIGMA_MM = 2.0
 """Standard uncertainty of a picked landmark along the skin, mm. Repeated picks on 3D scans scatter by 1 to 3."""
@@ -27,14 +72,14 @@ PROPOSED = "proposed"
 
 @value(eq=False)
 class Landmark:
-    """Where a landmark lies.
+    """Place of a landmark, with its uncertainty.
 
     Raises:
         ValueError: no point, or one that is not finite.
     """
 
     name: str
-    """One of `LANDMARKS` (`mammometry.measure.landmarks.names`)."""
+    """One of `LANDMARKS` (`mammometry.measure.landmarks.landmarks`)."""
     points_world: Float64[Array, "k 3"]
     """One point, or the corners of a line in order. mm, world frame."""
     method: str
@@ -77,6 +122,8 @@ def picked_landmarks(
     """
     if not places:
         return ()
+    from mammometry.geometry.nearest import closest_on_mesh  # whoever needs only the names need not wait for a compiler
+
     nearest = closest_on_mesh(np.concatenate(list(places.values())), mesh)
     found, stop = [], 0
     for name, points in places.items():

@@ -1,4 +1,9 @@
-"""Everything measured on a breast beside its volume: landmarks, shape, lengths, ptosis."""
+"""Measures of a breast beside its volume: landmarks, base, distribution, lengths, ptosis.
+
+Volumes on one side of a plane are exact for the mesh, without caps. The divergence theorem gives the volume of a solid
+as a sum over its faces of the tetrahedra that they make with any origin. With the origin on the cutting planes, the cut
+faces make tetrahedra without volume: they need not be built.
+"""
 
 from __future__ import annotations
 
@@ -8,18 +13,155 @@ from dataclasses import replace
 import numpy as np
 
 from mammometry.base.value import value
-from mammometry.geometry import Array, Float64, TriangleMesh, UInt8
+from mammometry.geometry import Array, Bool, Float64, TriangleMesh, UInt8
 from mammometry.geometry.nearest import closest_on_mesh, point_tree
-from mammometry.measure.boundary.boundary import Boundary
-from mammometry.measure.landmarks.hollows import EndSigmas, propose_ends, propose_on_midline
+from mammometry.measure.boundary.boundary import Boundary, BreastName
 from mammometry.measure.landmarks.landmarks import PICKED_SIGMA_MM, Landmark, picked_landmarks
-from mammometry.measure.landmarks.nipples import propose_nipple
+from mammometry.measure.landmarks.proposals import EndSigmas, propose_ends, propose_nipple, propose_on_midline
 from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.shape.lengths import LinearMeasure, Ptosis, by_name, linear_measures, ptosis
-from mammometry.measure.shape.shape import BreastShape, shape_of
 from mammometry.measure.trunk.body import Body
 from mammometry.measure.trunk.mirror_plane import MirrorPlane
 from mammometry.measure.volume.measurement import VolumeMeasurement
+
+
+def volume_within_mm3(solid: TriangleMesh, origin: Float64[Array, 3], normals: Sequence[Float64[Array, 3]]) -> float:
+    """Volume of a closed solid's part on the positive side of planes.
+
+    The planes go through one common point.
+
+    Args:
+        solid: closed, mm.
+        origin: the planes' common point, mm.
+        normals: of each plane, towards the side that counts; one plane, or several that meet in `origin`.
+    """
+    triangles = solid.corners() - origin
+    for normal in normals:
+        triangles = _clipped(triangles, normal)
+    a, b, c = np.moveaxis(triangles, 1, 0)
+    return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6)
+
+
+def _clipped(triangles: Float64[Array, "m 3 3"], normal: Float64[Array, 3]) -> Float64[Array, "k 3 3"]:
+    """Parts of triangles above the plane through the origin. They are triangles of the same orientation."""
+    height = triangles @ normal
+    inside = height >= 0
+    count = inside.sum(axis=1)
+    a, b, c, up = _turned(triangles, height, inside, count == 1)
+    ab, ac = _crossing(a, b, up[:, 0], up[:, 1]), _crossing(a, c, up[:, 0], up[:, 2])
+    d, e, f, down = _turned(triangles, height, ~inside, count == 2)
+    ed, fd = _crossing(e, d, down[:, 1], down[:, 0]), _crossing(f, d, down[:, 2], down[:, 0])
+    parts = [
+        triangles[count == 3],
+        np.stack([a, ab, ac], axis=1),
+        np.stack([ed, e, f], axis=1),
+        np.stack([ed, f, fd], axis=1),
+    ]
+    return np.concatenate(parts)
+
+
+def _turned(
+    triangles: Float64[Array, "m 3 3"],
+    height: Float64[Array, "m 3"],
+    odd: Bool[Array, "m 3"],
+    chosen: Bool[Array, " m"],
+) -> tuple[Float64[Array, "k 3"], Float64[Array, "k 3"], Float64[Array, "k 3"], Float64[Array, "k 3"]]:
+    """Corners of the chosen triangles, odd one first, with their heights."""
+    order = (np.argmax(odd[chosen], axis=1)[:, None] + np.arange(3)) % 3
+    corners = np.take_along_axis(triangles[chosen], order[..., None], axis=1)
+    return corners[:, 0], corners[:, 1], corners[:, 2], np.take_along_axis(height[chosen], order, axis=1)
+
+
+def _crossing(
+    above: Float64[Array, "k 3"], below: Float64[Array, "k 3"], high: Float64[Array, " k"], low: Float64[Array, " k"]
+) -> Float64[Array, "k 3"]:
+    return above + (below - above) * (high / (high - low))[:, None]
+
+
+@value
+class BreastShape:
+    """Extent of one breast and the distribution of its volume, in the patient's directions."""
+
+    name: BreastName
+    """"model", or the patient's "left" or "right"."""
+    skin_cm2: float
+    """Area of the skin within the boundary, cm²."""
+    base_width_mm: float
+    """Extent of the boundary from side to side, straight, mm."""
+    base_height_mm: float
+    """Extent of the boundary from its lowest to its highest point, mm."""
+    base_sigma_mm: float
+    """Standard uncertainty of base width and height, from the boundary curve's, mm."""
+    projection_mm: float
+    """Greatest distance of the skin from the boundary's best plane, mm."""
+    projection_sigma_mm: float
+    """Standard uncertainty of the projection, from the boundary curve's, mm."""
+    quadrants_cc: Mapping[str, float]
+    """Volume of each quadrant about the nipple, cc: upper or lower, and medial or lateral (for a model: left or right,
+    as for a patient facing the cameras). They add up to the volume. Empty without a nipple."""
+    above_nipple_cc: float | None
+    """Volume above the level of the nipple, cc: the upper pole."""
+    below_nipple_cc: float | None
+    """Volume below the level of the nipple, cc: the lower pole."""
+    pole_sigma_cc: float | None
+    """Standard uncertainty of either pole from that of the nipple's height, cc."""
+
+
+def shape_of(
+    measured: VolumeMeasurement, frame: Float64[Array, "3 3"], nipple: Landmark | None, *, boundary_sigma_mm: float
+) -> BreastShape:
+    """Measure the shape of one breast.
+
+    Args:
+        measured: the closed solid and its boundary.
+        frame: rows: the patient's left, the head, straight ahead; world frame.
+        nipple: the quadrants' common corner; None: no quadrants.
+        boundary_sigma_mm: standard uncertainty of the boundary curve, mm.
+    """
+    extent = np.ptp(measured.boundary_world @ frame.T, axis=0)
+    quadrants: dict[str, float] = {}
+    above = below = sigma = None
+    if nipple is not None:
+        place, left, up = nipple.points_world[0], frame[0], frame[1]
+        sides = {"model": ("left", "right"), "left": ("lateral", "medial"), "right": ("medial", "lateral")}
+        for level, upwards in (("upper", up), ("lower", -up)):
+            for side, sideways in zip(sides[measured.name], (left, -left), strict=True):
+                quadrants[f"{level} {side}"] = _cc(measured, place, upwards, sideways)
+        above, below = _cc(measured, place, up), _cc(measured, place, -up)
+        step = up * nipple.sigma_mm
+        sigma = abs(_cc(measured, place - step, up) - _cc(measured, place + step, up)) / 2
+    return BreastShape(
+        name=measured.name,
+        skin_cm2=measured.area_cm2,
+        base_width_mm=float(extent[0]),
+        base_height_mm=float(extent[1]),
+        base_sigma_mm=float(np.sqrt(2.0) * boundary_sigma_mm),
+        projection_mm=measured.projection_mm,
+        projection_sigma_mm=_projection_sigma_mm(measured, boundary_sigma_mm),
+        quadrants_cc=quadrants,
+        above_nipple_cc=above,
+        below_nipple_cc=below,
+        pole_sigma_cc=sigma,
+    )
+
+
+def _projection_sigma_mm(measured: VolumeMeasurement, boundary_sigma_mm: float) -> float:
+    """How far the boundary's best plane moves when the whole boundary lies one sigma further out on the skin, mm.
+
+    An observer who draws wider does so all around: errors along the curve are taken as one.
+    """
+    points, skin = measured.boundary_world, measured.skin
+    plane_normal = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2][2]
+    skin_normals = skin.vertex_normals()[point_tree(skin.vertices).query(points)[1]]
+    along = np.roll(points, -1, axis=0) - np.roll(points, 1, axis=0)
+    outward = np.cross(along, skin_normals)
+    length = np.linalg.norm(outward, axis=1)
+    rise = np.divide(outward @ plane_normal, length, out=np.zeros_like(length), where=length > 0)  # 0: no way outwards
+    return float(abs(np.average(rise, weights=np.linalg.norm(along, axis=1))) * boundary_sigma_mm)
+
+
+def _cc(measured: VolumeMeasurement, place: Float64[Array, 3], *normals: Float64[Array, 3]) -> float:
+    return volume_within_mm3(measured.closed, place, normals) / 1000
 
 
 @value(eq=False)

@@ -29,6 +29,7 @@ _SIDE_AZIMUTH_DEG = (75.0, 100.0)
 docs/decisions/0009 says what 70 to 90 gave instead."""
 _SIDE_BAND_MM = 80.0  # side skin is taken within this height of the breasts; by eye: 100 moved a scan by 1 %
 _FEWEST_SIDE = 50  # samples of side skin needed on either side; chosen by eye
+_ARM_MM = 40.0  # an arm's outer skin lies so much further out than the trunk's side: arms are thicker, sides even
 _BEHIND_FRONT_MM = 30.0
 """Least distance of a trunk's side behind the breastbone's skin, mm. A breast's flank faces aside as steeply, but lies
 further ahead. Chosen by eye: a boundary 121 mm wide that tilts back by 7.7° (real women's means) ends 16 mm behind its
@@ -114,7 +115,7 @@ class Thorax:
         return -2 * around @ self.coefficients[2 * AROUND :] / HEIGHT_WINDOW_MM**2
 
     def bulge_mm(self, points_world: Float64[Array, "n 3"]) -> Float64[Array, " n"]:
-        """How far points stand out from the trunk without breasts, mm."""
+        """Height of points over the trunk without breasts, mm."""
         cylindrical = self.trunk.cylindrical(points_world)
         return cylindrical[:, 2] - self.radius_mm(cylindrical[:, :2])
 
@@ -283,6 +284,7 @@ def _between_sides(front: _Front, frame: Float64[Array, "3 3"], *, symmetric: bo
     left, right = (local[beside & (sign * azimuth > 0) & (sign * (local[:, 0] - bone[0]) > 0)] for sign in (1, -1))
     if min(len(left), len(right)) < _FEWEST_SIDE:
         return None
+    left, right = (side[_nearer_than_arm(np.abs(side[:, 0] - bone[0]))] for side in (left, right))
     most, least = np.median(left[:, 0]), np.median(right[:, 0])
     half_width, depth = float(most - least) / 2, float(np.median(np.concatenate([left, right])[:, 2]))
     middle = float(most + least) / 2
@@ -294,6 +296,13 @@ def _between_sides(front: _Front, frame: Float64[Array, "3 3"], *, symmetric: bo
         return None
     place = np.array([bone[0] if symmetric else middle, bone[1], depth])
     return Trunk(frame=frame, origin=place @ frame, half_width_mm=half_width)
+
+
+def _nearer_than_arm(out_mm: Float64[Array, " n"]) -> Bool[Array, " n"]:
+    """Which side skin is the trunk's own: none beyond the first gap as wide as an arm, mm from the breastbone."""
+    ordered = np.sort(out_mm)
+    gaps = _FEWEST_SIDE - 1 + np.flatnonzero(np.diff(ordered[_FEWEST_SIDE - 1 :]) > _ARM_MM)
+    return out_mm <= ordered[gaps[0] if len(gaps) else -1]
 
 
 def _behind_breastbone(front: _Front, frame: Float64[Array, "3 3"]) -> Trunk:
@@ -369,7 +378,7 @@ def _facing_out(skin: Skin, trunk: Trunk) -> Float64[Array, " n"]:
 
 
 def on_trunk(cylindrical: Float64[Array, "n 3"], trunk: Trunk) -> Bool[Array, " n"]:
-    """Which places on the trunk do not belong to an arm.
+    """Places on the trunk that do not belong to an arm, as a mask.
 
     Places are (half width × θ, y, r), mm. By their distance to the side.
     """

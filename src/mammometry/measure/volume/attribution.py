@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mammometry.geometry.arrays import Array, Float64
-from mammometry.measure.boundary.confirming import TO_BE_CONFIRMED
+from mammometry.measure.boundary import TO_BE_CONFIRMED
 
 if TYPE_CHECKING:
     from mammometry.measure.volume.measurement import VolumeMeasurement
@@ -36,7 +36,7 @@ class Confirmation:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Attribution:
-    """How one boundary came to be, as boundaries.json tells."""
+    """Origin of one boundary, as boundaries.json has it."""
 
     method: str | None = None
     """How it was drawn, without names. None where nobody says, or where it is found automatically."""

@@ -9,13 +9,13 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from mammometry.geometry.arrays import Array, Float64
-from mammometry.measure.dates.change import BreastChange, Change, LengthChange
+from mammometry.measure.change import BreastChange, Change, LengthChange
 from mammometry.report.content import DISCLAIMER, Fact, sentence
 from mammometry.report.documents import paper
 from mammometry.report.documents.pages import STYLE, embed, render, viewer_program
 from mammometry.report.figures import change as change_figures
 from mammometry.report.figures.change import Dated
-from mammometry.report.figures.drawing.shading import NAMES
+from mammometry.report.figures.shading import NAMES
 from mammometry.report.models import change_scene
 from mammometry.report.pictures import encoded
 from mammometry.report.scene import to_json

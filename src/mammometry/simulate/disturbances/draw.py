@@ -2,7 +2,7 @@
 
 The patient depends on the seed alone. The difficulty, 0 to 3, adds things about the body and faults of the cameras,
 more and larger ones. At difficulty 0 only the patient differs from a clean capture. Seeds with a remainder of 2 after
-division by 3 are held out: they are measured once, at the end, and nothing is chosen on them.
+division by 3, and all from 9000 on, are held out: they are measured once, at the end, and nothing is chosen on them.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ OF_OTHER_CAPTURES = ("grey", "soft-focus", "table")
 """Disturbances of heads, figures and casts, which no clinic's capture gets."""
 HARDEST = 3
 """Greatest difficulty."""
-_THIRD = 3  # one seed in so many is held out
+_THIRD, _HELD_OUT_FROM = 3, 9000  # one seed in so many is held out, and all from there on
 _NOT_AT_RANDOM = ("rail", "upright")  # of a posing frame: one of the two at most, or neither is seen past
 _ROLLED = "mounted"
 _ROLLED_FROM, _ROLLED_SHARE = 2, 0.2  # least difficulty at which rigs are rolled, and how many are
@@ -28,7 +28,7 @@ _SIDES = {"both": 0.3, "removed": 0.27, "mound": 0.23, "flap": 0.12, "no-nipple"
 
 def is_held_out(seed: int) -> bool:
     """Whether a seed is for the one measurement at the end."""
-    return seed % _THIRD == _THIRD - 1
+    return seed % _THIRD == _THIRD - 1 or seed >= _HELD_OUT_FROM
 
 
 def draw(seed: int, difficulty: int) -> Situation:

@@ -1,26 +1,24 @@
-"""Detect and correct motion between calibration and capture.
+"""Detect and correct motion between calibration and capture, and say what moved.
 
 A camera that turned after the calibration, or a body that moved between the pairs' exposures, makes pairs disagree
-about common skin, and rows of a pair miss one another. `motions` finds what most probably moved. If nothing did,
+about common skin, and rows of a pair miss one another. `rigid_motion` finds what most probably moved. If nothing did,
 nothing is changed. Otherwise the cameras are set to their most probable poses, and where rigid motions leave pairs
 apart, as when the chest breathes, their points are moved smoothly as well (docs/decisions/0027).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import ndimage
 
 from mammometry.base.errors import SurfaceError
 from mammometry.base.value import value
 from mammometry.calibration.adjust.calibrated import ParameterCovariance
-from mammometry.geometry.arrays import Array, Float64
-from mammometry.geometry.camera import Camera, Rig
-from mammometry.geometry.transform import Transform
+from mammometry.geometry import Array, Camera, Float64, Rig, StereoPair, Transform
 from mammometry.surface.motion.agreement import RowErrors, differences
-from mammometry.surface.motion.retriangulate import displaced, retriangulated
 from mammometry.surface.motion.rigid_motion import (
     BREATHS_MM,
     Fit,
@@ -59,7 +57,7 @@ _UNEXPLAINED_MM = 0.12
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Turn:
-    """How a camera turned about its own centre."""
+    """Turn of a camera about its own centre."""
 
     camera: str
     turn_deg: float
@@ -188,7 +186,7 @@ def find(
     if not (matters or found.unexplained):
         return _nothing(parameters, distance_mm=before_mm, evidence=evidence)
     _refuse(found, settings, honest_mm)
-    if settings.correct and evidence >= LEAST_EVIDENCE:
+    if evidence >= LEAST_EVIDENCE:
         return replace(found, corrected=True)
     return replace(found, covariance=found.covariance + np.outer(found.motions, found.motions))
 
@@ -317,3 +315,139 @@ def _refuse(found: Stillness, settings: StillnessSettings, honest_mm: float) -> 
             expected=f"at most {settings.most_mm:g} mm, which can be corrected",
             remedy="A camera has moved since the calibration: calibrate again",
         )
+
+
+_WHOLE = 0.999  # of four neighbours' weight: all are data
+_JUMP_MM = 5.0  # neighbouring ranges that differ by more show two surfaces, as in `visibility`
+
+
+def retriangulated(image: RangeImage, before: StereoPair, after: StereoPair) -> RangeImage:
+    """Triangulate a range image again with cameras in other poses.
+
+    Each datum keeps its ray in the left camera and its ray in the right one; it is the point of the left ray nearest
+    to the right one. Rays that no longer meet in front of the camera are not valid.
+
+    Args:
+        image: as measured with `before`.
+        before: its pair.
+        after: the same cameras, posed otherwise.
+    """
+    left, right = (motion(a, b) for a, b in ((before.left, after.left), (before.right, after.right)))
+    points = image.valid_points_world()
+    rays = points - before.left.centre_world
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    rays_right = points - before.right.centre_world
+    rays_right /= np.linalg.norm(rays_right, axis=1, keepdims=True)
+    centre = left.apply(before.left.centre_world)
+    distance = _nearest(left.rotate(rays), right.rotate(rays_right), right.apply(before.right.centre_world) - centre)
+    range_mm = np.zeros_like(image.range_mm)
+    range_mm[image.valid] = distance
+    good = np.isfinite(range_mm) & (range_mm > 0)
+    moved = replace(image.camera, camera_from_world=image.camera.camera_from_world @ left.inverse())
+    return replace(image, camera=moved, range_mm=np.where(good, range_mm, np.float32(0))).keeping(good)
+
+
+def displaced(image: RangeImage, shift_world: Float64[Array, "n 3"]) -> RangeImage:
+    """Move the points of a range image by small, smooth shifts, and look at them from the same place.
+
+    What a pixel sees then is interpolated between the moved neighbours of the point that comes to lie there.
+
+    Args:
+        image: the data.
+        shift_world: of each valid datum, in row order, mm.
+    """
+    points = image.valid_points_world()
+    rows, columns = np.nonzero(image.valid)
+    come_from = 2 * np.stack([columns, rows], axis=1) - image.camera.project(points + shift_world)
+    ray = points - image.camera.centre_world
+    further_mm = np.linalg.norm(ray + shift_world, axis=1) - np.linalg.norm(ray, axis=1)
+    known = np.zeros((2, *image.valid.shape), dtype=np.float32)
+    known[0], known[1][image.valid] = image.range_mm, further_mm
+    at = come_from[:, ::-1].T
+    range_mm = sum(ndimage.map_coordinates(part, at, order=1, mode="nearest") for part in known)
+    nearest = tuple(np.clip(np.rint(at).astype(np.intp), 0, np.array(image.valid.shape)[:, None] - 1))
+    whole = ndimage.map_coordinates(image.valid.astype(np.float32), at, order=1, mode="constant") > _WHOLE
+    whole &= np.abs(range_mm - image.range_mm[nearest]) < _JUMP_MM
+    moved, kept = np.zeros_like(image.range_mm), np.zeros_like(image.valid)
+    moved[image.valid], kept[image.valid] = np.where(whole, range_mm, 0.0), whole
+    return replace(image, range_mm=moved, valid=kept).keeping(kept)
+
+
+def motion(before: Camera, after: Camera) -> Transform:
+    """Motion between two poses of a camera, world frame."""
+    found: Transform = after.camera_from_world.inverse() @ before.camera_from_world
+    return found
+
+
+def _nearest(
+    rays: Float64[Array, "n 3"], others: Float64[Array, "n 3"], baseline: Float64[Array, 3]
+) -> Float64[Array, " n"]:
+    """Distance along each ray to the point nearest the other ray, mm."""
+    cosine = np.einsum("ij,ij->i", rays, others)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        distance: Float64[Array, " n"] = (rays @ baseline - cosine * (others @ baseline)) / (1 - cosine**2)
+    return distance
+
+
+_MOST_PART, _LITTLE = 0.7, 0.35
+"""Share of a displacement above which only the body moved, and below which only cameras did. Chosen by eye."""
+_NAMED = 3  # cameras in a sentence, at most
+
+
+def concerns(found: Stillness) -> Iterator[str]:
+    """Sentences that a user must read beside the volume. None where nothing moved."""
+    if not found.moved:
+        return
+    before_mm, after_mm = found.distance_mm
+    worst = found.displaced[0]
+    done = (
+        f"That was corrected: the pairs now agree to {after_mm:.2f} mm ({before_mm:.2f} mm before)"
+        if found.corrected
+        else f"That was not corrected, and the pairs disagree by {before_mm:.2f} mm"
+    )
+    yield (
+        f"{cause(found)} Pair {worst.pair} measured its points {worst.effect_mm:.2f} ± {worst.std_mm:.2f} mm away from "
+        f"where the others do. {done}; the interval covers what is left."
+    )
+    if found.unexplained:
+        yield (
+            f"Pairs still disagree by {found.rest_mm:.2f} mm in a way that no motion of cameras or pairs explains, as "
+            "when an arm or a fold moves between exposures. The interval covers it. Expose all cameras together."
+        )
+
+
+def cause(found: Stillness) -> str:
+    """The thing that moved, and the remedy, in two sentences."""
+    worst = found.displaced[0]
+    share = worst.body_mm / worst.effect_mm if worst.effect_mm > 0 else 0.0
+    named = ", ".join(f"{turn.camera} by {turn.turn_deg:.3f} ± {turn.std_deg:.3f}°" for turn in found.turns[:_NAMED])
+    if found.alone in found.parameters.cameras:
+        turned = f"after the calibration: {named}" if named else f"after the calibration, probably {found.alone}"
+        return f"A camera turned {turned}. Calibrate again before the next capture."
+    if share >= _MOST_PART or found.alone is not None:
+        who = "The body breathed or swayed" if found.breathed else "The body, or a pair of cameras as a whole, moved"
+        return (
+            f"{who} between the exposures of the pairs, most for pair {worst.pair}: {worst.body_mm:.2f} mm. Expose all "
+            "cameras together."
+        )
+    who = f"Cameras turned after the calibration ({named or 'which ones is not certain'})"
+    if share > _LITTLE:
+        return (
+            f"{who}, and body or pairs moved by {worst.body_mm:.2f} mm. Calibrate again, expose all cameras together."
+        )
+    return f"{who}. Calibrate again before the next capture."
+
+
+def summary(found: Stillness) -> str:
+    """One line for the technician."""
+    if not found.compared:
+        return "not compared: no two pairs see the same skin"
+    if not found.moved:
+        return f"nothing moved; pairs agree to {found.distance_mm[0]:.3f} mm (RMS)"
+    pairs = ", ".join(
+        f"{displacement.pair} {displacement.effect_mm:.2f} ± {displacement.std_mm:.2f} mm"
+        for displacement in found.displaced
+    )
+    return (
+        f"{'put right' if found.corrected else 'not put right'}: {pairs}; pairs agree to {found.distance_mm[1]:.3f} mm"
+    )

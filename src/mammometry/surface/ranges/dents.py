@@ -1,11 +1,13 @@
-"""Removal of dented range data (paper 2.6.2, Eq. 2–3).
+"""Removal of range data that are no skin of the subject: dents (paper 2.6.2) and foreign pieces.
 
-Dents are smeared depth discontinuities, seen at grazing angles.
+Dents are smeared depth discontinuities, seen at grazing angles. What lies far behind the subject's middle is
+background, where no silhouette kept it out. What hangs together with the largest surface that the pairs see is the
+subject: smaller pieces that touch it nowhere fly about it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 from scipy import ndimage
@@ -15,10 +17,53 @@ from mammometry.base.machine.cores import each_at_once
 from mammometry.base.value import value
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32, UInt8, to_step
 from mammometry.geometry.projection import projected
-from mammometry.surface.ranges.decompose import Patches, decompose
 from mammometry.surface.ranges.range_image import RangeImage
-from mammometry.surface.ranges.visibility import gap_mm
+from mammometry.surface.ranges.visibility import Label, compare, gap_mm
 from mammometry.surface.settings import DecomposeSettings, DentSettings
+
+
+@value(eq=False)
+class Patches:
+    """Every range image labelled against every other one."""
+
+    labels: Mapping[tuple[str, str], UInt8[Array, "h w"]]
+    """(A, B) → label of each element of A against B (`visibility.Label`). OUTSIDE where A has no datum."""
+    patches: Mapping[tuple[str, str], Int32[Array, "h w"]]
+    """(A, B) → patch of each element of A, from 1: connected elements of one label. 0 without datum."""
+    epsilon_mm: float
+    """Half-width of the overlapping zone used, mm."""
+
+
+def decompose(range_images: Sequence[RangeImage], settings: DecomposeSettings = DecomposeSettings()) -> Patches:
+    """Label all range images against one another, and group equal neighbours.
+
+    Paper 2.6.1. Elements are adjacent by their four sides; those that another view does not see (OUTSIDE) form patches
+    too.
+    """
+    labels: dict[tuple[str, str], UInt8[Array, "h w"]] = {}
+    patches: dict[tuple[str, str], Int32[Array, "h w"]] = {}
+    for image in range_images:
+        points = image.valid_points_world()
+        for other in range_images:
+            if other is image:
+                continue
+            label = np.full(image.valid.shape, Label.OUTSIDE, dtype=np.uint8)
+            label[image.valid] = compare(points, other, settings.epsilon_mm)
+            labels[image.name, other.name] = label
+            patches[image.name, other.name] = _components(label, image.valid)
+    return Patches(labels=labels, patches=patches, epsilon_mm=settings.epsilon_mm)
+
+
+def _components(labels: UInt8[Array, "h w"], valid: Bool[Array, "h w"]) -> Int32[Array, "h w"]:
+    """Number the 4-connected regions of equal label from 1. Only valid elements count."""
+    numbers = np.zeros(labels.shape, dtype=np.int32)
+    count = 0
+    for label in Label:
+        regions, n = ndimage.label(valid & (labels == label))
+        numbers[regions > 0] = regions[regions > 0] + count
+        count += n
+    return numbers
+
 
 SEEN_THROUGH_MM = 1.0
 """Distance in front of another view's surface at which a datum is dropped, mm, besides three σ of both."""
@@ -44,7 +89,7 @@ class ValidPatches:
 
 @value(eq=False)
 class KeepMasks:
-    """Which range data survived. With the range images it gives `ValidPatches`."""
+    """Masks of the range data that survived. With the range images they give `ValidPatches`."""
 
     keep: tuple[Bool[Array, "h w"], ...]
     """Per view and element, whether its datum survived."""
@@ -242,3 +287,52 @@ def _without_islands(keep: Bool[Array, "h w"]) -> Bool[Array, "h w"]:
     sizes = np.bincount(numbers.ravel(), minlength=count + 1)
     sizes[0] = 0
     return np.asarray(sizes >= _SMALLEST_ISLAND)[numbers]
+
+
+_BEHIND = 1.4  # of the middle's depth, as in `matching.coarse_stereo`
+_STEP_PX = (
+    5.0  # edge of a cell, of a pixel's width on the surface: what lies in cells that touch hangs together; by eye
+)
+_MOST_CELLS = 256  # along a side
+_SMALLEST = 0.05  # of the largest piece, counted in cells; by eye
+
+
+def subject_data(
+    range_images: Sequence[RangeImage], blind: Collection[str], middle_world: Float64[Array, 3] | None
+) -> list[Bool[Array, "h w"]]:
+    """Per view and element, whether its datum is the subject's.
+
+    Where a view has no silhouette the largest piece alone is kept; else also what is not much smaller.
+
+    Args:
+        range_images: of all pairs.
+        blind: pairs without silhouettes.
+        middle_world: about which the subject stands, world frame, mm.
+    """
+    keep = [image.valid.copy() for image in range_images]
+    if middle_world is not None:
+        for image, kept in zip(range_images, keep, strict=True):
+            if image.name in blind and kept.any():
+                depth = image.camera.camera_from_world.apply(image.valid_points_world())[:, 2]
+                middle = float(image.camera.camera_from_world.apply(middle_world[None])[0, 2])
+                kept[image.valid] = depth < _BEHIND * middle
+    kept_images = [image.keeping(kept) for image, kept in zip(range_images, keep, strict=True)]
+    points = np.concatenate([image.valid_points_world() for image in kept_images])
+    if not len(points):
+        return keep
+    low, high = points.min(axis=0), points.max(axis=0)
+    pixel_mm = float(np.nanmedian([image.pixel_mm() for image in kept_images]))
+    edge = max(_STEP_PX * pixel_mm, float((high - low).max()) / _MOST_CELLS)
+    cells = ((points - low) / edge).astype(np.intp)
+    filled = np.zeros(cells.max(axis=0) + 1, dtype=bool)
+    filled[tuple(cells.T)] = True
+    pieces, _ = ndimage.label(filled, structure=np.ones((3, 3, 3)))
+    sizes = np.bincount(pieces[filled])
+    least = 1.0 if blind else _SMALLEST
+    chosen = (sizes >= least * sizes.max())[pieces[tuple(cells.T)]]
+    start = 0
+    for image, kept in zip(kept_images, keep, strict=True):
+        count = int(np.count_nonzero(image.valid))
+        kept[image.valid] = chosen[start : start + count]
+        start += count
+    return keep

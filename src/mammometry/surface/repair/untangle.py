@@ -1,13 +1,18 @@
-"""Move back faces that a repair turned over or crossed."""
+"""Find faces that a repair turned over or crossed, and move them back.
+
+Two triangles cross where a side of one that does not touch the other passes through its interior. Space is cut in
+cells of the size of ordinary triangles; only triangles of one cell are compared.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
-from mammometry.geometry.arrays import Array, Bool, Float64, Int32
+from mammometry.base.machine.compiled import kernel
+from mammometry.base.machine.cores import in_bands
+from mammometry.geometry.arrays import Array, Bool, Float64, Int32, Int64, bounds
 from mammometry.geometry.mesh import TriangleMesh, on_microns
 from mammometry.surface.repair import elastic_kernels
-from mammometry.surface.repair.crossing import crossing_faces
 from mammometry.surface.repair.energy import Graph
 
 _FLIP_ATTEMPTS = 8  # smoothings of what is turned over; chosen by eye
@@ -76,3 +81,191 @@ def _neighbours(of: Int32[Array, " k"], graph: Graph) -> tuple[Int32[Array, " m"
     ends = np.cumsum(counts)
     within = np.arange(int(ends[-1]) if len(ends) else 0) - np.repeat(ends - counts, counts)
     return np.repeat(of, counts), graph.indices[np.repeat(graph.indptr[of], counts) + within]
+
+
+_CELL_IN_SIDES = 2.5  # a cell's edge in sides of ordinary triangles: chosen by eye, for speed alone
+_MOST_CELLS = 1 << 25  # 128 MiB of cell starts
+_PLACES = 256  # cells along the longest axis when only some faces are compared; for speed alone
+
+
+def crossing_faces(mesh: TriangleMesh, among: Bool[Array, " m"] | None = None) -> Int64[Array, "k 2"]:
+    """Pairs of faces that pass through one another, smaller number first.
+
+    Mesh's frame, mm. Touching without passing through does not count, nor do faces that lie in one plane. With `among`
+    only pairs of which one face at least is chosen: after a change in some places the rest need not be compared again.
+    """
+    if len(mesh.faces) < 2 or (among is not None and not among.any()):
+        return np.zeros((0, 2), dtype=np.int64)
+    used = mesh.vertices[mesh.faces.ravel()] if 3 * len(mesh.faces) < len(mesh.vertices) else mesh.vertices
+    origin, high = bounds(used)
+    extent = high - origin
+    boxes, side = _boxes(mesh.vertices, mesh.faces, origin)
+    if among is not None:
+        wide = max(float(extent.max()) / _PLACES, 1e-9)
+        near = np.flatnonzero(_reaching(boxes, among, wide, np.floor(extent / wide).astype(np.int64) + 1))
+        pairs = near[crossing_faces(TriangleMesh(vertices=mesh.vertices, faces=mesh.faces[near]))]
+        return pairs[among[pairs[:, 0]] | among[pairs[:, 1]]]
+    cell = max(_CELL_IN_SIDES * float(np.median(side)), float(extent.max()) * 1e-6, 1e-9)
+    cell = max(cell, float(np.prod(np.maximum(extent, cell)) / _MOST_CELLS) ** (1 / 3))
+    shape = np.floor(extent / cell).astype(np.int64) + 1
+    starts, owners = _sorted_into_cells(boxes, cell, shape)
+
+    def crossings(layers: slice) -> Int64[Array, "k 2"]:
+        last = min(layers.stop, int(shape[0]))
+        return _crossings(layers.start, last, starts, owners, shape, cell, mesh.vertices, mesh.faces, boxes)
+
+    found = np.concatenate(in_bands(crossings, int(shape[0])))
+    return found[np.lexsort((found[:, 1], found[:, 0]))]
+
+
+@kernel
+def _boxes(
+    vertices: Float64[Array, "n 3"], faces: Int32[Array, "m 3"], origin: Float64[Array, " 3"]
+) -> tuple[Float64[Array, "m 6"], Float64[Array, " m"]]:
+    """Lowest and highest coordinates of each face, and its longest extent.
+
+    Coordinates are relative to the origin.
+    """
+    boxes, side = np.empty((len(faces), 6)), np.empty(len(faces))
+    for face in range(len(faces)):
+        longest = 0.0
+        for axis in range(3):
+            a, b, c = vertices[faces[face, 0], axis], vertices[faces[face, 1], axis], vertices[faces[face, 2], axis]
+            low, high = min(a, min(b, c)), max(a, max(b, c))
+            boxes[face, axis], boxes[face, axis + 3] = low - origin[axis], high - origin[axis]
+            longest = max(longest, high - low)
+        side[face] = longest
+    return boxes, side
+
+
+@kernel
+def _reaching(
+    boxes: Float64[Array, "m 6"], chosen: Bool[Array, " m"], cell: float, shape: Int64[Array, " 3"]
+) -> Bool[Array, " m"]:
+    """Faces whose box shares a cell with a chosen one's. The chosen faces are included."""
+    marked = np.zeros((shape[0], shape[1], shape[2]), dtype=np.bool_)
+    reaching = np.zeros(len(boxes), dtype=np.bool_)
+    for reading in range(2):
+        for face in range(len(boxes)):
+            if not reading and not chosen[face]:
+                continue
+            for i in range(int(boxes[face, 0] / cell), min(int(boxes[face, 3] / cell), shape[0] - 1) + 1):
+                for j in range(int(boxes[face, 1] / cell), min(int(boxes[face, 4] / cell), shape[1] - 1) + 1):
+                    for k in range(int(boxes[face, 2] / cell), min(int(boxes[face, 5] / cell), shape[2] - 1) + 1):
+                        if reading:
+                            reaching[face] |= marked[i, j, k]
+                        else:
+                            marked[i, j, k] = True
+    return reaching
+
+
+@kernel
+def _sorted_into_cells(
+    boxes: Float64[Array, "m 6"], cell: float, shape: Int64[Array, " 3"]
+) -> tuple[Int32[Array, " c1"], Int32[Array, " e"]]:
+    """Faces whose box reaches into each cell. Those of cell c are owners[starts[c] : starts[c + 1]]."""
+    starts = np.zeros(shape[0] * shape[1] * shape[2] + 1, dtype=np.int32)
+    owners = np.empty(0, dtype=np.int32)
+    for filling in range(2):
+        for number in range(len(boxes)):
+            # Backwards, for the second pass fills each cell from its end.
+            face = len(boxes) - 1 - number
+            for i in range(int(boxes[face, 0] / cell), min(int(boxes[face, 3] / cell), shape[0] - 1) + 1):
+                for j in range(int(boxes[face, 1] / cell), min(int(boxes[face, 4] / cell), shape[1] - 1) + 1):
+                    for k in range(int(boxes[face, 2] / cell), min(int(boxes[face, 5] / cell), shape[2] - 1) + 1):
+                        at = (i * shape[1] + j) * shape[2] + k
+                        if filling:
+                            starts[at] -= 1
+                            owners[starts[at]] = face
+                        else:
+                            starts[at] += 1
+        if not filling:
+            for at in range(1, len(starts)):
+                starts[at] += starts[at - 1]
+            owners = np.empty(starts[-1], dtype=np.int32)
+    return starts, owners
+
+
+@kernel
+def _crossings(
+    first: int,
+    last: int,
+    starts: Int32[Array, " c1"],
+    owners: Int32[Array, " e"],
+    shape: Int64[Array, " 3"],
+    cell: float,
+    vertices: Float64[Array, "n 3"],
+    faces: Int32[Array, "m 3"],
+    boxes: Float64[Array, "m 6"],
+) -> Int64[Array, "k 2"]:
+    """Crossing pairs in the cell layers from the first to the last. The last layer is not included."""
+    found, count = np.empty((16, 2), dtype=np.int64), 0
+    for i in range(first, last):
+        for j in range(shape[1]):
+            for k in range(shape[2]):
+                at = (i * shape[1] + j) * shape[2] + k
+                for p in range(starts[at], starts[at + 1]):
+                    a = owners[p]
+                    for q in range(p + 1, starts[at + 1]):
+                        b = owners[q]
+                        apart = False
+                        for axis in range(3):
+                            apart = apart or boxes[a, axis] > boxes[b, axis + 3] or boxes[b, axis] > boxes[a, axis + 3]
+                        if apart:
+                            continue
+                        # Each pair once: in the first cell that both reach.
+                        if (
+                            int(max(boxes[a, 0], boxes[b, 0]) / cell) != i
+                            or int(max(boxes[a, 1], boxes[b, 1]) / cell) != j
+                            or int(max(boxes[a, 2], boxes[b, 2]) / cell) != k
+                        ):
+                            continue
+                        if _side_pierces(vertices, faces[a], faces[b]) or _side_pierces(vertices, faces[b], faces[a]):
+                            if count == len(found):
+                                found = _longer(found)
+                            found[count, 0], found[count, 1] = min(a, b), max(a, b)
+                            count += 1
+    return found[:count].copy()
+
+
+@kernel
+def _longer(pairs: Int64[Array, "k 2"]) -> Int64[Array, "2k 2"]:
+    longer = np.empty((2 * len(pairs), 2), dtype=np.int64)
+    for row in range(len(pairs)):
+        longer[row, 0], longer[row, 1] = pairs[row, 0], pairs[row, 1]
+    return longer
+
+
+@kernel
+def _side_pierces(vertices: Float64[Array, "n 3"], face: Int32[Array, " 3"], other: Int32[Array, " 3"]) -> bool:
+    """Whether a side of `face` pierces the interior of `other`.
+
+    Only sides without a vertex in common with `other` are tested.
+    """
+    a, b, c = other[0], other[1], other[2]
+    for side in range(3):
+        p, q = face[side], face[(side + 1) % 3]
+        if p in (a, b, c) or q in (a, b, c):
+            continue
+        above, below = _volume(vertices, a, b, c, p), _volume(vertices, a, b, c, q)
+        if not ((above > 0.0 and below < 0.0) or (above < 0.0 and below > 0.0)):
+            continue
+        u, v, w = _volume(vertices, p, q, a, b), _volume(vertices, p, q, b, c), _volume(vertices, p, q, c, a)
+        if (u > 0.0 and v > 0.0 and w > 0.0) or (u < 0.0 and v < 0.0 and w < 0.0):
+            return True
+    return False
+
+
+@kernel
+def _volume(vertices: Float64[Array, "n 3"], a: int, b: int, c: int, d: int) -> float:
+    """Six times the signed volume of the tetrahedron a, b, c, d."""
+    ux = vertices[b, 0] - vertices[a, 0]
+    uy = vertices[b, 1] - vertices[a, 1]
+    uz = vertices[b, 2] - vertices[a, 2]
+    vx = vertices[c, 0] - vertices[a, 0]
+    vy = vertices[c, 1] - vertices[a, 1]
+    vz = vertices[c, 2] - vertices[a, 2]
+    wx = vertices[d, 0] - vertices[a, 0]
+    wy = vertices[d, 1] - vertices[a, 1]
+    wz = vertices[d, 2] - vertices[a, 2]
+    return ux * (vy * wz - vz * wy) + uy * (vz * wx - vx * wz) + uz * (vx * wy - vy * wx)

@@ -3,17 +3,26 @@
 Photographs keep full resolution. Neighbouring faces with the same photograph form a chart, a piece cut out of that
 photograph. Its brightness and colour are levelled towards the mean of all photographs (low frequencies only, so that
 no detail is blurred). All charts lie beside one another in one picture. Along the seams one photograph fades into the
-next (`seams`).
+next.
+
+For that each photograph has a weight at every vertex: its share of the faces around, spread over the mesh by a few
+edges. The weight is 0 if it does not see all of them. Weights are linear between vertices, so they are the same from
+both sides of a seam. So is the mean of the photographs with these weights: no step is left whatever their brightness.
+
+The picture is made into a JPEG once, and the mesh's picture is what that holds: so memory and disk have the same, and
+the disk has it small.
 """
 
 from __future__ import annotations
 
+import io
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
 import numpy as np
+from PIL import Image
 from scipy import ndimage
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
@@ -22,12 +31,11 @@ from mammometry.base.machine.cores import in_bands
 from mammometry.base.photograph import Photograph
 from mammometry.base.progress import Progress, no_progress, part
 from mammometry.base.value import value
-from mammometry.geometry.arrays import Array, Float32, Float64, Int32, Int64, UInt8
-from mammometry.geometry.camera import Rig
-from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry import Array, Bool, Float32, Float64, Int32, Int64, Rig, TriangleMesh, UInt8
+from mammometry.geometry.nearest import barycentric, closest_on_mesh, closest_on_triangles
 from mammometry.geometry.projection import projected
-from mammometry.surface.texture import atlas_kernels
-from mammometry.surface.texture.seams import FadingPixels, fading_pixels, fading_weights, spread
+from mammometry.surface.repair.energy import graph_of_mesh, laplacian
+from mammometry.surface.texture import texture_kernels
 from mammometry.surface.texture.simplify import thinned
 from mammometry.surface.texture.texture import blended, picture_of, read_ahead, view_samples
 
@@ -117,7 +125,7 @@ def cover(
         shown, levelling = (picture.levels, picture.full_scale, step), (gains[k], level, _LEVEL_STEP_PX)
         for chart, (x, y) in zip(charts, corners, strict=True):
             if chart.view == k:
-                cut = atlas_kernels.pasted(shown, chart.low, chart.high, levelling)
+                cut = texture_kernels.pasted(shown, chart.low, chart.high, levelling)
                 sheet[y : y + cut.shape[0], x : x + cut.shape[1]] = cut
         in_bands(partial(_mix_in, mixed, fading, k, uv, (shown, levelling)), len(mixed))
         progress(0.5 + 0.45 * (k + 1) / len(names))
@@ -136,7 +144,7 @@ def _mix_in(
 ) -> None:
     """Add a photograph's share to pixels that show several."""
     places = fading.shares[k, band], fading.corners[band], fading.between[band]
-    atlas_kernels.mix_in(mixed[band], *places, uv, *how)
+    texture_kernels.mix_in(mixed[band], *places, uv, *how)
 
 
 def best_views(mesh: TriangleMesh, weights: Float32[Array, "k n"]) -> Int64[Array, " m"]:
@@ -249,3 +257,166 @@ def _laid_out(
         uv_px[charts[number].faces] = charts[number].inside + places[number]
         x, shelf = x + across, max(shelf, height)
     return places, uv_px, (width, int(y + shelf))
+
+
+_FADING_ROUNDS = 5  # edges over which one photograph fades into the next; chosen by eye
+_LEAST_SHARE = 0.03  # of a photograph at a vertex; less of one is not seen; chosen by eye
+_MARGIN_PX = 1.5  # beside a face, for who reads between pixels
+_LEAST_WEIGHT = 1e-6  # of a face's own photograph: where no weight is left, it shows that one
+_BAND_PX = 512  # rows of the picture that are gone through at once; chosen for memory
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class FadingPixels:
+    """The pixels of a covering picture that show more than one photograph."""
+
+    row: Int32[Array, " p"]
+    column: Int32[Array, " p"]
+    corners: Int32[Array, "p 3"]
+    """The vertices between which each pixel lies."""
+    between: Float32[Array, "p 3"]
+    """Its barycentric coordinates: weights of those vertices. Slightly negative just outside the face."""
+    shares: Float32[Array, "k p"]
+    """Of each photograph in each pixel. They add up to 1."""
+
+
+def spread(values: Float64[Array, "n k"], mesh: TriangleMesh, rounds: int) -> Float64[Array, "n k"]:
+    """Diffuse values of the vertices over a few edges."""
+    stiffness = laplacian(graph_of_mesh(mesh))
+    degree = np.maximum(stiffness.diagonal(), 1.0)[:, None]
+    for _ in range(rounds):
+        values = values - 0.5 * (stiffness @ values) / degree
+    return values
+
+
+def fading_weights(mesh: TriangleMesh, view: Int64[Array, " m"], seen: Bool[Array, "k n"]) -> Float32[Array, "k n"]:
+    """Weight of each photograph at each vertex, 0…1.
+
+    Positive for several only within a few edges of a seam.
+
+    Args:
+        mesh: the viewing mesh.
+        view: number of the photograph that each face shows, −1 for none.
+        seen: whether each photograph sees each vertex.
+    """
+    shown = np.zeros((len(mesh.vertices), len(seen)))
+    for k in range(len(seen)):
+        shown[:, k] = np.bincount(mesh.faces[view == k].ravel(), minlength=len(mesh.vertices))
+    share = spread(shown / np.maximum(shown.sum(axis=1, keepdims=True), 1.0), mesh, _FADING_ROUNDS)
+    blind = np.zeros_like(seen)
+    for k, sees in enumerate(seen):
+        blind[k, mesh.faces[~sees[mesh.faces].all(axis=1)]] = True
+    return np.where(blind, 0.0, np.maximum(share.T - _LEAST_SHARE, 0.0)).astype(np.float32)
+
+
+def fading_pixels(
+    mesh: TriangleMesh,
+    view: Int64[Array, " m"],
+    weights: Float32[Array, "k n"],
+    uv_px: Float64[Array, "m 3 2"],
+    size_wh: tuple[int, int],
+) -> FadingPixels:
+    """Pixels of faces that share another photograph, and all shares.
+
+    Args:
+        mesh: the viewing mesh.
+        view: number of the photograph that each face shows, −1 for none.
+        weights: from `fading_weights`.
+        uv_px: where the faces' corners lie in the picture, pixels, integers at pixel centres.
+        size_wh: of the picture.
+    """
+    own = np.maximum(view, 0)
+    elsewhere = weights.sum(axis=0)[mesh.faces] - weights[own[:, None], mesh.faces]
+    faces = np.flatnonzero((view >= 0) & (elsewhere.max(axis=1) > 0))
+    height, width = size_wh[1], size_wh[0]
+    bands = [
+        texture_kernels.deepest_triangles(uv_px[faces], first, min(first + _BAND_PX, height), width, _MARGIN_PX)
+        for first in range(0, height, _BAND_PX)
+    ]
+    face, row, column, between = (np.concatenate(parts) for parts in zip(*bands, strict=True))
+    corners = mesh.faces[faces[face]]
+    shown = own[faces[face]].astype(np.int32)
+    shares = texture_kernels.shares_of(weights, corners, between, shown, _LEAST_WEIGHT)
+    return FadingPixels(row=row, column=column, corners=corners, between=between, shares=shares)
+
+
+_QUALITY = 92  # of the JPEG, 1…100: the viewer's file stays small; chosen by eye
+_NO_PICTURE = (0, 0, 3)  # shape of what stands for a picture that its JPEG gives
+
+
+def as_jpeg(atlas: Atlas) -> Atlas:
+    """Give the mesh the picture that its JPEG shows."""
+    if atlas.jpeg is not None:
+        return atlas
+    buffer = io.BytesIO()
+    Image.fromarray(np.asarray(atlas.picture)).save(buffer, "JPEG", quality=_QUALITY)
+    jpeg = np.frombuffer(buffer.getvalue(), dtype=np.uint8)
+    return replace(atlas, jpeg=jpeg, picture=_shown(jpeg))
+
+
+def jpeg_of(atlas: Atlas) -> bytes:
+    """The covering picture as a JPEG."""
+    jpeg = as_jpeg(atlas).jpeg
+    assert jpeg is not None
+    return jpeg.tobytes()
+
+
+def without_picture(atlas: Atlas) -> Atlas:
+    """The mesh with its JPEG only, to be kept."""
+    return replace(as_jpeg(atlas), picture=np.zeros(_NO_PICTURE, dtype=np.uint8))
+
+
+def with_picture(atlas: Atlas) -> Atlas:
+    """The mesh with the picture that its JPEG holds.
+
+    Raises:
+        OSError: the JPEG is damaged.
+    """
+    return atlas if atlas.jpeg is None else replace(atlas, picture=_shown(atlas.jpeg))
+
+
+def _shown(jpeg: UInt8[Array, " b"]) -> UInt8[Array, "h w 3"]:
+    return np.asarray(Image.open(io.BytesIO(jpeg.tobytes()), formats=("JPEG",)).convert("RGB"))
+
+
+def transferred(atlas: Atlas, mesh: TriangleMesh) -> Atlas:
+    """Cover a mesh with the picture of an atlas.
+
+    A face belongs to the chart of the atlas's face nearest to its middle. Its corners take their places from the faces
+    nearest to them, where these belong to the same chart. Other corners, beyond a seam, take the nearest place on the
+    middle's face.
+
+    Args:
+        atlas: of the viewing mesh.
+        mesh: another mesh of the same surface, or a part of it, mm, the same frame.
+
+    Raises:
+        ValueError: the atlas's mesh has no faces.
+    """
+    corners = mesh.corners()
+    middle = closest_on_mesh(corners.mean(axis=1), atlas.mesh).faces
+    nearest = closest_on_mesh(mesh.vertices, atlas.mesh)
+    own = _places(atlas, nearest.faces, nearest.points)[mesh.faces]
+    uv_px = np.empty_like(own)
+    triangles, chart = atlas.mesh.corners()[middle], _picture_charts(atlas)
+    for corner in range(3):
+        on_middle = _places(atlas, middle, closest_on_triangles(corners[:, corner], triangles))
+        same = chart[nearest.faces[mesh.faces[:, corner]]] == chart[middle]
+        uv_px[:, corner] = np.where(same[:, None], own[:, corner], on_middle)
+    return replace(atlas, mesh=mesh, uv_px=uv_px.astype(np.float32), view=atlas.view[middle])
+
+
+def _picture_charts(atlas: Atlas) -> Int32[Array, " m"]:
+    """Number of each face's chart: faces that touch one another in the picture, too."""
+    origin, faces, _ = atlas.unwelded()
+    start, end = faces[:, [0, 1]].ravel(), faces[:, [1, 2]].ravel()
+    graph = coo_matrix((np.ones(len(start), dtype=bool), (start, end)), shape=(len(origin), len(origin)))
+    chart: Int32[Array, " m"] = connected_components(graph, directed=False)[1][faces[:, 0]]
+    return chart
+
+
+def _places(atlas: Atlas, faces: Array, points: Float64[Array, "n 3"]) -> Float64[Array, "n 2"]:
+    """Places in the picture of points on faces, by their barycentric coordinates, pixels."""
+    weights = barycentric(points, atlas.mesh.corners()[faces])
+    found: Float64[Array, "n 2"] = np.einsum("nk,nkj->nj", weights, atlas.uv_px[faces].astype(np.float64))
+    return found

@@ -1,1 +1,0 @@
-"""Cameras that were moved, exchanged or named wrongly."""

@@ -1,1 +1,0 @@
-"""Tables and texts of other programs, read strictly."""

@@ -1,4 +1,0 @@
-"""Words by which a boundary says that somebody should look at it."""
-
-TO_BE_CONFIRMED = "to be confirmed by eye"
-"""Words in the method of an automatic boundary. `measure.volume.attribution` drops them once somebody confirmed it."""

@@ -1,0 +1,398 @@
+"""Changes of the breasts between two dates, with their own intervals.
+
+The dates are registered on the trunk without breasts and arms: breasts may have changed, and arms may have moved. So
+the map shows how the breasts changed, not how the patient stood. The thorax between and beside them is assumed to be
+the same body, and the fit tests this: another patient's trunk does not fit. Volumes are compared as they were measured
+at each date, with one kind of wall, whose error both share.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from mammometry.base.errors import MeasureError
+from mammometry.base.progress import Progress, no_progress
+from mammometry.base.value import value
+from mammometry.geometry import Array, Float64, Transform, TriangleMesh
+from mammometry.geometry.nearest import point_tree
+from mammometry.measure.settings import CompareSettings
+from mammometry.measure.shape.lengths import LinearMeasure
+from mammometry.measure.shape.symmetry import rms_mm, signed_mm, trunk_skin
+from mammometry.measure.trunk.mirror_plane import Registration, register
+from mammometry.measure.trunk.thorax import HEIGHT_WINDOW_MM, WIDEST_DEG, Trunk, find_trunk, on_trunk, seen_skin
+from mammometry.measure.volume.difference import Pairing, VolumeDifference, difference
+from mammometry.measure.volume.measurement import VolumeMeasurement
+from mammometry.surface.repair.repair import Provenance, RepairedSurface
+
+_FIXED = 60_000  # points of the earlier trunk; chosen for speed
+_JUDGED = 20_000  # points of the later trunk whose distance is judged; chosen for speed
+_STARTS_MM = (0.0, -25.0, 25.0)  # along the axis, along which a trunk slides; six starts in all (decision 22)
+_BEYOND_MM = 20.0  # later skin this far beyond the earlier one's edge is not compared; 1.4 mm off on a round trunk
+_SHARE = 0.8  # four fifths: the robust scatter does not tell bodies apart (decision 22)
+
+
+@value(eq=False)
+class TrunkSkin:
+    """The part of a torso that a registration may trust."""
+
+    points_world: Float64[Array, "n 3"]
+    """Visible vertices outside the breasts and the arms, mm, world frame."""
+    normals_world: Float64[Array, "n 3"]
+    """Their unit outward normals."""
+    trunk: Trunk
+    """Its axis and frame."""
+    frame: Float64[Array, "3 3"]
+    """Rows: the patient's left, the head, straight ahead, roughly, as in the photographs. World frame."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TrunkFit:
+    """One date's trunk laid onto the other's."""
+
+    before_from_after: Transform
+    """World frame of the later date to that of the earlier one."""
+    scatter_mm: float
+    """Robust standard deviation of the distances between both trunks, along the normal, mm."""
+    within_mm: float
+    """Distance from the earlier trunk within which four fifths of the later one lie, along the normal, mm."""
+    weakest_mm: float
+    """Standard uncertainty of the least certain motion (`register.Registration.weakest_mm`), mm."""
+    turned_deg: float
+    """Difference in the trunk's lean: angle between the photographs' upright at both dates, degrees."""
+
+
+def trunk_of(
+    surface: RepairedSurface, boundaries: Sequence[Float64[Array, "_ 3"]], frame: Float64[Array, "3 3"]
+) -> TrunkSkin:
+    """Cut the trunk's skin out of a torso.
+
+    Args:
+        surface: the whole torso, world frame, mm.
+        boundaries: around the breasts.
+        frame: rows: the patient's left, the head, straight ahead, roughly, as the photographs stand.
+
+    Raises:
+        MeasureError: no skin was seen at the patient's sides.
+    """
+    middle = np.mean([boundary.mean(axis=0) for boundary in boundaries], axis=0)
+    trunk = find_trunk(seen_skin(surface), frame, height_of=middle)
+    if trunk.assumed:
+        raise MeasureError(
+            "torso",
+            found="no skin seen at both of the patient's sides",
+            expected="skin beside the breasts, by which two dates are laid onto one another",
+            remedy="Add views from the sides",
+        )
+    points, normals = trunk_skin(surface, boundaries)
+    flat = trunk.cylindrical(points)
+    keep = on_trunk(flat, trunk) & (np.abs(flat[:, 1]) < HEIGHT_WINDOW_MM)
+    keep &= np.abs(flat[:, 0]) < np.deg2rad(WIDEST_DEG) * trunk.half_width_mm
+    return TrunkSkin(points_world=points[keep], normals_world=normals[keep], trunk=trunk, frame=frame)
+
+
+def fit_trunks(before: TrunkSkin, after: TrunkSkin) -> TrunkFit:
+    """Lay the later trunk onto the earlier one.
+
+    The search starts at several places along the axis, along which a trunk slides: with axis on axis, and as the
+    photographs stand in case one of the axes was not found.
+
+    Raises:
+        MeasureError: the trunks do not lie on one another from any start.
+    """
+    fixed = _every(before, _FIXED)
+    found: list[tuple[float, Registration]] = []
+    refused: list[MeasureError] = []
+    turns = before.trunk.frame.T @ after.trunk.frame, before.frame.T @ after.frame
+    for rotation, along_mm in product(turns, _STARTS_MM):
+        origin = before.trunk.origin + along_mm * before.trunk.frame[1]
+        start = Transform(rotation=rotation, translation_mm=origin - rotation @ after.trunk.origin)
+        try:
+            laid = register(
+                (after.points_world, after.normals_world), fixed, start=start, subject="the trunks of both dates"
+            )
+        except MeasureError as error:
+            refused.append(error)
+        else:
+            found.append((_within_mm(laid.fixed_from_moving, after, fixed), laid))
+    if not found:
+        raise refused[0]
+    within_mm, best = min(found, key=lambda scored: scored[0])
+    upright = best.fixed_from_moving.rotate(after.frame[1:2])[0]
+    return TrunkFit(
+        before_from_after=best.fixed_from_moving,
+        scatter_mm=best.scatter_mm,
+        within_mm=within_mm,
+        weakest_mm=best.weakest_mm,
+        turned_deg=float(np.rad2deg(np.arccos(np.clip(upright @ before.frame[1], -1.0, 1.0)))),
+    )
+
+
+def _within_mm(
+    motion: Transform, after: TrunkSkin, fixed: tuple[Float64[Array, "m 3"], Float64[Array, "m 3"]]
+) -> float:
+    """Distance along the normal that holds four fifths of the moved trunk, where the earlier date shows it too."""
+    moved = motion.apply(_every(after, _JUDGED)[0])
+    fixed_points, outward = fixed
+    nearest = np.asarray(point_tree(fixed_points).query(moved)[1])
+    offset, normals = moved - fixed_points[nearest], outward[nearest]
+    away = (offset * normals).sum(axis=1)
+    shared = np.linalg.norm(offset - away[:, None] * normals, axis=1) < _BEYOND_MM
+    return float(np.quantile(np.abs(away[shared]), _SHARE))
+
+
+def _every(skin: TrunkSkin, at_most: int) -> tuple[Float64[Array, "m 3"], Float64[Array, "m 3"]]:
+    chosen = slice(None, None, max(1, len(skin.points_world) // at_most))
+    return skin.points_world[chosen], skin.normals_world[chosen]
+
+
+SAME_POSE_MM = 0.8
+"""Trunks that agree to this stand in one pose, mm. Measured skin has .1 to .3. Arms and breath add a millimetre."""
+SAME_POSE_DEG = 4.0
+"""Difference in lean above which poses count as different, because breasts hang differently, degrees."""
+_COVERAGE_95 = 1.96  # standard deviations of a normal distribution on either side that hold 95 %
+EARLIER, LATER = "before", "after"
+"""What the two dates are called."""
+
+
+@value(eq=False)
+class Visit:
+    """The measurements of one date, in its own world frame, mm."""
+
+    surface: RepairedSurface
+    measurements: tuple[VolumeMeasurement, ...]
+    """One for each breast."""
+    frame: Float64[Array, "3 3"]
+    """Rows: the patient's left, the head, straight ahead, roughly, as in the photographs."""
+    lengths: tuple[LinearMeasure, ...] = ()
+    """Lengths between the landmarks of that date."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LengthChange:
+    """One length at both dates, mm."""
+
+    name: str
+    """As `LinearMeasure.name`."""
+    title: str
+    """For the reader."""
+    along: bool
+    """Whether it is the distance along the skin instead of the straight one."""
+    before_mm: float
+    after_mm: float
+    sigma_mm: float
+    """Standard uncertainty of the change, from both dates' landmarks."""
+
+    @property
+    def change_mm(self) -> float:
+        """After − before, mm."""
+        return self.after_mm - self.before_mm
+
+    @property
+    def beyond_error(self) -> bool:
+        """Whether the 95 % interval of the change leaves out zero."""
+        return abs(self.change_mm) > _COVERAGE_95 * self.sigma_mm
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class BreastChange:
+    """One breast at both dates."""
+
+    name: str
+    """The patient's "left" or "right"."""
+    before: VolumeMeasurement
+    after: VolumeMeasurement
+    volume: VolumeDifference
+    """After − before, with its own interval."""
+    rms_mm: float
+    """Root mean square distance between both dates' skin within the later boundary, mm."""
+
+
+@value(eq=False)
+class Change:
+    """Changes between two dates."""
+
+    fit: TrunkFit
+    """Fit of the later trunk onto the earlier one, and its agreement."""
+    doubtful: bool
+    """Whether the trunks agree so badly that they may be two patients' (`CompareSettings.doubt_mm`)."""
+    pairing: Pairing
+    """``same pose`` or ``across poses``: how much of the walls' errors is common."""
+    breasts: tuple[BreastChange, ...]
+    lengths: tuple[LengthChange, ...]
+    """Lengths that were measured at both dates."""
+    after_mm: Float64[Array, " m"]
+    """For each vertex of the later surface, distance by which it stands out of the earlier skin, mm. NaN if a date did
+    not see it."""
+
+
+def compare(
+    before: Visit,
+    after: Visit,
+    settings: CompareSettings = CompareSettings(),
+    *,
+    common_scale: bool = True,
+    progress: Progress = no_progress,
+) -> Change:
+    """Compare two dates.
+
+    Args:
+        before: the earlier date.
+        after: the later date.
+        settings: when trunks agree.
+        common_scale: whether both dates' scale comes from one target as it was measured once.
+        progress: called with the fraction done.
+
+    Raises:
+        MeasureError: no breast has a volume at both dates, walls of different kinds, or trunks that are not one body's.
+    """
+    pairs = _paired(before, after)
+    fit = _fit(before, after)
+    pairing, doubtful = judged(fit, settings)
+    progress(0.3)
+    laid = after.surface.mesh.transformed(fit.before_from_after)
+    after_mm = _standing_out(laid, after.surface, _seen(before.surface, before.surface.mesh))
+    progress(0.9)
+    return Change(
+        fit=fit,
+        doubtful=doubtful,
+        pairing=pairing,
+        breasts=tuple(
+            BreastChange(
+                name=pair.name,
+                before=pair,
+                after=other,
+                volume=difference(other, pair, pairing, names=(LATER, EARLIER), common_scale=common_scale),
+                rms_mm=_rms_mm(other, after.surface, after_mm),
+            )
+            for pair, other in pairs
+        ),
+        lengths=tuple(length_changes(before.lengths, after.lengths)),
+        after_mm=after_mm,
+    )
+
+
+def judged(fit: TrunkFit, settings: CompareSettings = CompareSettings()) -> tuple[Pairing, bool]:
+    """Judge by the trunks whether both dates show one pose, and whether one body.
+
+    Raises:
+        MeasureError: they are those of two bodies.
+    """
+    if fit.within_mm > settings.refuse_mm:
+        raise MeasureError(
+            "the trunks of both dates",
+            found=f"that a fifth of them lies more than {fit.within_mm:.1f} mm apart",
+            expected=f"one body, within {settings.refuse_mm:g} mm beside the breasts",
+            remedy="Check that both show the same patient in about the same pose, arms and breath alike; "
+            "compare.refuse_mm sets the limit",
+        )
+    same = fit.within_mm <= SAME_POSE_MM and fit.turned_deg <= SAME_POSE_DEG
+    pairing: Pairing = "same pose" if same else "across poses"
+    return pairing, fit.within_mm > settings.doubt_mm
+
+
+def length_changes(before: Sequence[LinearMeasure], after: Sequence[LinearMeasure]) -> list[LengthChange]:
+    """Lengths that both dates have, straight and along the skin."""
+    earlier = {measurement.name: measurement for measurement in before}
+    found = []
+    for later in after:
+        earlier_one = earlier.get(later.name)
+        if (
+            earlier_one is None or earlier_one.title != later.title
+        ):  # a midline that was picked is not one that was computed
+            continue
+        found.append(
+            LengthChange(
+                name=later.name,
+                title=later.title,
+                along=False,
+                before_mm=earlier_one.straight_mm,
+                after_mm=later.straight_mm,
+                sigma_mm=float(np.hypot(earlier_one.straight_sigma_mm, later.straight_sigma_mm)),
+            )
+        )
+        sigmas = earlier_one.geodesic_sigma_mm, later.geodesic_sigma_mm
+        if earlier_one.geodesic_mm is not None and later.geodesic_mm is not None and None not in sigmas:
+            found.append(
+                LengthChange(
+                    name=later.name,
+                    title=later.title,
+                    along=True,
+                    before_mm=earlier_one.geodesic_mm,
+                    after_mm=later.geodesic_mm,
+                    sigma_mm=float(np.hypot(*sigmas)),  # type: ignore[arg-type]  # neither is None
+                )
+            )
+    return found
+
+
+def _paired(before: Visit, after: Visit) -> list[tuple[VolumeMeasurement, VolumeMeasurement]]:
+    """Each breast that has a volume at both dates.
+
+    Raises:
+        MeasureError: there is none, or one date has a wall of another kind.
+    """
+    earlier, later = (
+        {measurement.name: measurement for measurement in visit.measurements} for visit in (before, after)
+    )
+    if not earlier.keys() & later.keys() or "model" in earlier:
+        raise MeasureError(
+            "the breasts of both dates",
+            found=f"{_listed(earlier)} before, {_listed(later)} after",
+            expected="a breast of a torso at both dates",
+            remedy="Draw the missing boundary with `mammometry edit`, or remove the one too many at the other date",
+        )
+    earlier = {name: earlier_measurement for name, earlier_measurement in earlier.items() if name in later}
+    for name, earlier_measurement in earlier.items():
+        if earlier_measurement.wall_kind != later[name].wall_kind:
+            raise MeasureError(
+                f"the chest wall of the {name} breast",
+                found=f"{earlier_measurement.wall_kind} before, {later[name].wall_kind} after",
+                expected="one kind at both dates",
+                remedy="Measure both with the same --set measure.wall",
+            )
+    return [(earlier[name], later[name]) for name in earlier]
+
+
+def _listed(names: Iterable[str]) -> str:
+    return " and ".join(names) or "none"
+
+
+def _fit(before: Visit, after: Visit) -> TrunkFit:
+    """Lay the later trunk onto the earlier one, without what is a breast at either date."""
+    curves = [
+        {measurement.name: measurement.boundary_world for measurement in visit.measurements}
+        for visit in (before, after)
+    ]
+    fit = fit_trunks(
+        trunk_of(before.surface, list(curves[0].values()), before.frame),
+        trunk_of(after.surface, list(curves[1].values()), after.frame),
+    )
+    motion = fit.before_from_after
+    gone = {name: motion.inverse().apply(curve) for name, curve in curves[0].items() if name not in curves[1]}
+    new = {name: motion.apply(curve) for name, curve in curves[1].items() if name not in curves[0]}
+    if not gone and not new:
+        return fit
+    return fit_trunks(
+        trunk_of(before.surface, [*curves[0].values(), *new.values()], before.frame),
+        trunk_of(after.surface, [*curves[1].values(), *gone.values()], after.frame),
+    )
+
+
+def _seen(surface: RepairedSurface, mesh: TriangleMesh) -> TriangleMesh:
+    """Part of a surface that is not invented, in `mesh`'s place."""
+    return mesh.submesh(mesh.faces_within(surface.provenance != Provenance.INVENTED))
+
+
+def _standing_out(mesh: TriangleMesh, surface: RepairedSurface, other: TriangleMesh) -> Float64[Array, " n"]:
+    """Distance of each visible vertex out of the other date's skin, mm. NaN for the others."""
+    return signed_mm(mesh, other, selected=surface.provenance != Provenance.INVENTED)
+
+
+def _rms_mm(measured: VolumeMeasurement, surface: RepairedSurface, out_mm: Float64[Array, " m"]) -> float:
+    """Root mean square of a map over one breast's surface. The breast was cut out of the mapped surface."""
+    skin = measured.skin
+    return rms_mm(skin, out_mm[np.asarray(point_tree(surface.mesh.vertices).query(skin.vertices)[1])])

@@ -1,1 +1,0 @@
-"""Two dates of one patient."""

@@ -1,0 +1,397 @@
+"""Proposed landmarks: nipples, sternal notch and umbilicus, the midline, and the ends of a breast.
+
+The skin's height over a plane across the body is averaged on a grid. A hollow lies below the ring around it along the
+body as well as across it. A groove, such as that over the breastbone, does so across it alone.
+
+A nipple lies between the middle of the areola and the tip within it, or at the tip near the most projecting point if
+no areola is seen. Colour is ln R − ln G of linear light, which shading does not change: an areola is redder and darker
+than the skin around it. A tip stands out from the ring of skin around it. What is not seen is not proposed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import ndimage
+from scipy.ndimage import uniform_filter1d
+
+from mammometry.geometry import Array, Bool, Float64, TriangleMesh, UInt8
+from mammometry.geometry.nearest import closest_on_mesh, point_tree
+from mammometry.measure.landmarks.landmarks import Landmark
+
+_STEP_MM, _ASIDE_MM = 2.0, 60.0  # cells of the grid, and its half width; chosen by eye
+_SMOOTH_CELLS = 2.0  # standard deviation of the mean over cells; noise of telephones vanishes, hollows stay
+_FACING = 0.05  # cosine by which skin faces ahead at least
+_DISC_MM, _RING_MM = 5.0, (14.0, 22.0)  # radii of a hollow's middle and of the ring around it; chosen by eye
+_WHOLE = 0.98  # share of disc and ring that must be seen
+_LEAST_CELL = 1e-3  # of the smoothed number of vertices: below it a cell is not seen
+# On virtual bodies and scans: notches 2.7 to 4.2 mm, navels of another generator .9 to 2.1, else .7 at most.
+_NOTCH_MM, _NAVEL_MM = 1.8, 0.9
+_NOTCH_ASIDE_MM, _NAVEL_ASIDE_MM = 12.0, 8.0  # from the midline at most; chosen by eye
+_BONE_MM = 6.0  # by which the breastbone's edge lies below the hollow's middle, as on virtual bodies
+_NAVEL_BELOW_MM = 50.0  # below the breasts at least, so that a fold is not taken for it; chosen by eye
+_NOTCH_SIGMA_MM, _NAVEL_SIGMA_MM = 4.0, 5.0  # measured: benchmarks/accuracy/scans; two scans of one navel
+_PROBABILITY = 0.8  # of a hollow to be what it is called; chosen by eye
+_LINE_MM = 10.0  # between points of the midline
+
+
+def propose_on_midline(
+    mesh: TriangleMesh,
+    frame: Float64[Array, "3 3"],
+    point_world: Float64[Array, 3],
+    plane_sigma_mm: float,
+    lowest_mm: float,
+    highest_mm: float,
+) -> tuple[Landmark, ...]:
+    """Propose midline, sternal notch and umbilicus, as far as they are seen.
+
+    Args:
+        mesh: the whole surface, mm, world frame.
+        frame: rows: the patient's left, the head, straight ahead; left is across the mid-sagittal plane.
+        point_world: a point of the mid-sagittal plane, mm.
+        plane_sigma_mm: standard uncertainty of the plane's place, mm.
+        lowest_mm: height of the boundaries' lowest point over `point_world`, along the frame's second row.
+        highest_mm: height of their highest point.
+    """
+    ahead = mesh.vertex_normals() @ frame[2] > _FACING
+    places = (mesh.vertices[ahead] - point_world) @ frame.T
+    places = places[np.abs(places[:, 0]) < _ASIDE_MM]
+    if not len(places):
+        return ()
+    bottom = float(places[:, 1].min())
+    height = _height_map(places, bottom)
+    hollow = _hollows(height)
+    aside = (np.arange(height.shape[1]) * _STEP_MM - _ASIDE_MM)[None, :]
+    up = (bottom + np.arange(height.shape[0]) * _STEP_MM)[:, None]
+    found = []
+    for name, least, near, sigma, within, shift in (
+        ("sternal_notch", _NOTCH_MM, _NOTCH_ASIDE_MM, _NOTCH_SIGMA_MM, up > highest_mm, -_BONE_MM),
+        ("umbilicus", _NAVEL_MM, _NAVEL_ASIDE_MM, _NAVEL_SIGMA_MM, up < lowest_mm - _NAVEL_BELOW_MM, 0.0),
+    ):
+        depth = np.where(within & (np.abs(aside) <= near), hollow, -np.inf)
+        row, column = np.unravel_index(np.argmax(depth), depth.shape)
+        if depth[row, column] < least:
+            continue
+        lowered = max(0, int(row) + round(shift / _STEP_MM))
+        place = np.array([aside[0, column], up[lowered, 0], height[lowered, column]])
+        found.append(_landmark(name, place[None], "hollow of the skin on the midline", sigma, _PROBABILITY))
+    middle = height[:, height.shape[1] // 2]
+    rows = np.arange(0, len(middle), int(_LINE_MM / _STEP_MM))
+    notch = next((mark.points_world[0, 1] for mark in found if mark.name == "sternal_notch"), np.inf)
+    rows = rows[np.isfinite(middle[rows]) & (up[rows, 0] <= notch)]
+    if len(rows) > 1:
+        line = np.stack([np.zeros(len(rows)), up[rows, 0], middle[rows]], axis=1)
+        found.append(_landmark("midline", line, "where the mid-sagittal plane meets the skin", plane_sigma_mm, 1.0))
+    return tuple(
+        Landmark(
+            name=mark.name,
+            points_world=closest_on_mesh(point_world + mark.points_world @ frame, mesh).points,
+            method=mark.method,
+            sigma_mm=mark.sigma_mm,
+            probability=mark.probability,
+        )
+        for mark in found
+    )
+
+
+def _landmark(name: str, points: Float64[Array, "k 3"], how: str, sigma_mm: float, probability: float) -> Landmark:
+    method = f"proposed: {how}; to be confirmed by eye"
+    return Landmark(name=name, points_world=points, method=method, sigma_mm=sigma_mm, probability=probability)
+
+
+def _height_map(places: Float64[Array, "n 3"], bottom_mm: float) -> Float64[Array, "h w"]:
+    """Mean distance ahead in each cell, smoothed. NaN where nothing is seen."""
+    cell = np.round((places[:, :2] + [_ASIDE_MM, -bottom_mm]) / _STEP_MM).astype(np.int64)
+    shape = (int(cell[:, 1].max()) + 1, int(2 * _ASIDE_MM / _STEP_MM) + 1)
+    number = cell[:, 1] * shape[1] + cell[:, 0]
+    cells = shape[0] * shape[1]
+    total, count = (
+        ndimage.gaussian_filter(np.bincount(number, of, cells).reshape(shape), _SMOOTH_CELLS, mode="constant")
+        for of in (places[:, 2], np.ones(len(places)))
+    )
+    return np.where(count > _LEAST_CELL, total / np.maximum(count, _LEAST_CELL), np.nan)
+
+
+def _hollows(height: Float64[Array, "h w"]) -> Float64[Array, "h w"]:
+    """Depth of each place below the ring around it, along or across the body, whichever is less. −∞ where not seen."""
+    reach = int(_RING_MM[1] / _STEP_MM) + 1
+    at = np.arange(-reach, reach + 1) * _STEP_MM
+    x, y = np.meshgrid(at, at)
+    radius = np.hypot(x, y)
+    ring = (radius >= _RING_MM[0]) & (radius <= _RING_MM[1])
+    seen = np.isfinite(height).astype(np.float64)
+    filled = np.nan_to_num(height)
+
+    def mean(window: Array) -> Float64[Array, "h w"]:
+        weight = window.astype(np.float64)
+        share = ndimage.convolve(seen, weight, mode="constant")
+        total = ndimage.convolve(filled, weight, mode="constant")
+        return np.where(share >= _WHOLE * weight.sum(), total / np.maximum(share, 1.0), -np.inf)
+
+    middle = mean(radius <= _DISC_MM)
+    around = np.minimum(mean(ring & (np.abs(x) < np.abs(y))), mean(ring & (np.abs(x) > np.abs(y))))
+    seen_whole = np.isfinite(middle) & np.isfinite(around)
+    return np.where(seen_whole, np.where(seen_whole, around, 0.0) - np.where(seen_whole, middle, 0.0), -np.inf)
+
+
+_PARTS, _EVEN_MM = 4, 15.0  # of each edge of the curve; length over which its points' scatter is evened out
+_ROUND_MM = 8.0  # where a border runs around the flank its end is known by no more: scans of virtual women, 7 to 14 mm
+_FLAT_MM = 0.3  # of an end: as good as the end itself
+_ALIKE = 0.15  # share of the boundary's uncertainty by which its places differ: 41 of 42 ends of scans lie within 2 σ
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class EndSigmas:
+    """Standard uncertainty of the boundary across itself, mm."""
+
+    lower_mm: float
+    medial_mm: float
+    lateral_mm: float
+    across_mm: Float64[Array, " b"] | None = None
+    """Of each point, beside that of its end: how little the skin shows of the border there. None: nothing beside."""
+
+
+def propose_ends(
+    side: str, boundary_world: Float64[Array, "b 3"], frame: Float64[Array, "3 3"], sigmas: EndSigmas
+) -> Iterator[Landmark]:
+    """Yield the three ends of one breast.
+
+    An end's place along a flat piece of the boundary is hardly known: it is taken in the middle of that piece. Wherever
+    the boundary comes nearly as far, for what is known of it there, the end may lie too: its uncertainty is that of all
+    these places.
+
+    Args:
+        side: the patient's ``left`` or ``right``.
+        boundary_world: closed curve, mm.
+        frame: rows: the patient's left, the head, straight ahead.
+        sigmas: of the boundary.
+    """
+    outwards = frame[0] if side == "left" else -frame[0]
+    share = np.linspace(0, 1, _PARTS, endpoint=False)[:, None]
+    steps = np.roll(boundary_world, -1, axis=0) - boundary_world
+    dense = (boundary_world[:, None] + share * steps[:, None]).reshape(-1, 3)
+    step_mm = float(np.linalg.norm(steps, axis=1).mean()) / _PARTS
+    across = np.zeros(len(boundary_world)) if sigmas.across_mm is None else sigmas.across_mm
+    across = np.repeat(across, _PARTS)
+    even = uniform_filter1d(dense, max(1, round(_EVEN_MM / step_mm)), axis=0, mode="wrap")
+    for name, direction, sigma in (
+        ("inframammary_fold", -frame[1], sigmas.lower_mm),
+        ("medial", -outwards, sigmas.medial_mm),
+        ("lateral", outwards, float(np.hypot(sigmas.lateral_mm, _ROUND_MM))),
+    ):
+        far = even @ direction
+        piece = dense[far > far.max() - _FLAT_MM]
+        middle = piece.mean(axis=0)
+        place = piece[np.argmin(np.linalg.norm(piece - middle, axis=1))]
+        likely = np.exp(-(((far.max() - far) / np.hypot(_FLAT_MM, _ALIKE * across)) ** 2) / 2)
+        along = np.sqrt(np.average(((dense - place) ** 2).sum(axis=1), weights=likely))
+        yield Landmark(
+            name=f"{name}_{side}",
+            points_world=place[None],
+            method="proposed: the boundary's end in this direction; to be confirmed by eye",
+            sigma_mm=float(np.linalg.norm([sigma, along, np.average(across, weights=likely)])),
+        )
+
+
+_MARGIN_MM = 15.0
+"""Nipples are not looked for nearer to the boundary than this, mm."""
+_AREOLA_CONTRAST = 0.05
+"""Least difference of ln(R/G), in linear light, between the areola and the skin around it. Pale areolae have .1."""
+_LEAST_TIP_MM = 1.2
+"""Least height of a nipple above the ring of skin 8 to 14 mm around it, beyond that of the skin up to 36 mm away,
+mm. A round breast has up to .5, a mound on a telephone's scan up to .7, a nipple 1.6 to 5."""
+_TIP_SIGMA_MM = 2.5
+"""Standard uncertainty of a tip within an areola, mm. It was 2.6 and 3.2 mm off on a virtual torso at .15 of full
+size."""
+_AREOLA_SIGMA_MM = 4.0
+"""Standard uncertainty of the middle of an areola without a tip, mm."""
+_APEX_TIP_SIGMA_MM = 4.0
+"""Standard uncertainty of a tip where no areola is seen, mm."""
+_AREOLA_TIP_PROBABILITY = 0.98
+"""Probability that a tip within an areola's colour is a nipple. This and the next two chosen by eye."""
+_AREOLA_PROBABILITY = 0.9
+"""Of an areola's colour without a tip."""
+_TIP_PROBABILITY = 0.6
+"""Probability that a tip without an areola's colour is a nipple: it may be a reconstructed nipple, a scan without
+colours, or a scar."""
+
+# All of these were chosen by eye.
+_SAMPLE_MM = 2.5  # one vertex is taken in every cube of this side
+_AREOLA_MM, _AREOLA_RING_MM = (
+    10.0,
+    (22.0, 36.0),
+)  # radius of the areola's disc, and of the ring of skin that it is compared with
+_TIP_MM, _FOOT_MM = 4.5, (8.0, 14.0)  # radius of the nipple's disc, and of the ring above which it stands
+_WIDEST_MM, _CENTRING_ROUNDS = 32.0, 8  # radius of the widest areola, and times that its middle is found from itself
+_NEAR_TIP_MM, _NEAR_APEX_MM = 14.0, 30.0  # how far a tip may lie from the areola's middle, and from the apex
+_HEIGHT = 0.85  # a tip without an areola lies at least this high, as a share of the apex's height
+_FEWEST = 60  # samples below which a piece of skin is too small to tell
+_EVERY = 10  # of the samples that a wide ring is computed from, one in so many
+_AREOLA_SCATTERS = 5.0
+"""Standard deviations of the colour difference over the breast by which an areola differs, so that mottled skin is not
+taken for one."""
+_GAMMA, _BLACK = 2.2, 2e-3  # of sRGB, approximately; added to linear light, so that black has a logarithm
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Pairs:
+    """Which samples lie around which, and how far away, mm."""
+
+    row: Array
+    column: Array
+    distance_mm: Array
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Samples:
+    points: Float64[Array, "n 3"]
+    normals: Float64[Array, "n 3"]
+    redness: Float64[Array, " n"]
+    edge_mm: Float64[Array, " n"]
+    """Distance from the boundary, mm."""
+    near: _Pairs
+    far: _Pairs
+    """Pairs with every tenth sample only: a wide ring needs no more."""
+
+
+def propose_nipple(
+    name: str, skin: TriangleMesh, colours: UInt8[Array, "n 3"], boundary_world: Float64[Array, "b 3"]
+) -> Landmark | None:
+    """Find the nipple of one breast.
+
+    Args:
+        name: name of the landmark, e.g. ``nipple_left``.
+        skin: the breast's skin within its boundary, open, mm, world frame.
+        colours: colour of each vertex, sRGB. Without any contrast the shape alone decides.
+        boundary_world: the breast's boundary, mm.
+
+    Returns:
+        The proposal near the skin, how it was found, how well, and how probably it is a nipple. None if neither areola
+        nor tip is seen.
+    """
+    samples = _sampled(skin, colours, boundary_world)
+    inner = samples.edge_mm > _MARGIN_MM
+    if inner.sum() < _FEWEST:
+        return None
+    protrusion = _protrusion(samples)
+    areola = _areola(samples, inner)
+    if areola is not None:
+        near = inner & (np.linalg.norm(samples.points - areola, axis=1) < _NEAR_TIP_MM)
+        tip = _tip(samples, protrusion, near, _LEAST_TIP_MM)
+        if tip is not None:
+            how = "half way between the middle of the areola's colour and the tip within it"
+            place, sigma = tip + _along_skin(samples, tip, (areola - tip) / 2), _TIP_SIGMA_MM
+            probability = _AREOLA_TIP_PROBABILITY
+        else:
+            how, place, sigma = "middle of the areola's colour; no tip stands out", areola, _AREOLA_SIGMA_MM
+            probability = _AREOLA_PROBABILITY
+    else:
+        centre = boundary_world.mean(axis=0)
+        normal = np.linalg.svd(boundary_world - centre, full_matrices=False)[2][2]
+        height = (samples.points - centre) @ normal
+        height *= np.sign(height[np.argmax(np.abs(height))])
+        apex = samples.points[np.argmax(np.where(inner, height, -np.inf))]
+        near = inner & (height > _HEIGHT * height.max())
+        near &= np.linalg.norm(samples.points - apex, axis=1) < _NEAR_APEX_MM
+        tip = _tip(samples, protrusion, near, _LEAST_TIP_MM)
+        if tip is None:
+            return None
+        how, place = "the tip near the most projecting point; no areola in the colours", tip
+        sigma, probability = _APEX_TIP_SIGMA_MM, _TIP_PROBABILITY
+    return Landmark(
+        name=name,
+        points_world=place[None],
+        method=f"proposed: {how}; to be confirmed by eye",
+        sigma_mm=sigma,
+        probability=probability,
+    )
+
+
+def _along_skin(samples: _Samples, at: Float64[Array, 3], offset: Float64[Array, 3]) -> Float64[Array, 3]:
+    """The part of an offset that runs along the skin: an areola's middle lies below the skin that curves around it."""
+    near = np.linalg.norm(samples.points - at, axis=1) < _AREOLA_RING_MM[0]
+    normal = samples.normals[near].mean(axis=0)
+    normal /= max(float(np.linalg.norm(normal)), 1e-9)
+    return np.asarray(offset - (offset @ normal) * normal)
+
+
+def _sampled(skin: TriangleMesh, colours: UInt8[Array, "n 3"], boundary: Float64[Array, "b 3"]) -> _Samples:
+    """One vertex in every cube of `_SAMPLE_MM`."""
+    cells = np.floor(skin.vertices / _SAMPLE_MM).astype(np.int64)
+    chosen = np.unique(cells, axis=0, return_index=True)[1]
+    points = skin.vertices[chosen]
+    linear = (colours[chosen].astype(np.float64) / 255) ** _GAMMA + _BLACK
+    loop = np.concatenate([boundary, (boundary + np.roll(boundary, -1, axis=0)) / 2])
+    return _Samples(
+        points=points,
+        normals=skin.vertex_normals()[chosen],
+        redness=np.log(linear[:, 0]) - np.log(linear[:, 1]),
+        edge_mm=np.asarray(point_tree(loop).query(points)[0]),
+        near=_pairs(points, np.arange(len(points)), _FOOT_MM[1]),
+        far=_pairs(points, np.arange(0, len(points), _EVERY), _AREOLA_RING_MM[1]),
+    )
+
+
+def _pairs(points: Float64[Array, "n 3"], chosen: Array, within_mm: float) -> _Pairs:
+    found = point_tree(points).sparse_distance_matrix(point_tree(points[chosen]), within_mm, output_type="ndarray")
+    return _Pairs(row=found["i"], column=chosen[found["j"]], distance_mm=found["v"])
+
+
+def _mean(
+    samples: _Samples, values: Float64[Array, "n k"], within_mm: float, beyond_mm: float = 0.0
+) -> Float64[Array, "n k"]:
+    """Mean over the samples at a distance from each sample. Its own value where there are none."""
+    pairs = samples.near if within_mm <= _FOOT_MM[1] else samples.far
+    kept = (pairs.distance_mm >= beyond_mm) & (pairs.distance_mm < within_mm)
+    row, column = pairs.row[kept], pairs.column[kept]
+    count = np.bincount(row, minlength=len(values))
+    sums = np.stack(
+        [np.bincount(row, column_values[column], minlength=len(values)) for column_values in values.T], axis=1
+    )
+    return np.where(count[:, None] > 0, sums / np.maximum(count, 1)[:, None], values)
+
+
+def _areola(samples: _Samples, inner: Bool[Array, " n"]) -> Float64[Array, 3] | None:
+    """Middle of a disc that is redder than the ring around it. None if none stands out from the scatter."""
+    redness = samples.redness[:, None]
+    contrast = (_mean(samples, redness, _AREOLA_MM) - _mean(samples, redness, _AREOLA_RING_MM[1], _AREOLA_RING_MM[0]))[
+        :, 0
+    ]
+    middle = float(np.median(contrast[inner]))
+    scatter = 1.4826 * float(np.median(np.abs(contrast[inner] - middle)))
+    best = int(np.argmax(np.where(inner, contrast, -np.inf)))
+    if contrast[best] - middle < max(_AREOLA_CONTRAST, _AREOLA_SCATTERS * scatter):
+        return None
+    red = _mean(samples, redness, 1.5 * _SAMPLE_MM)[:, 0] - float(np.median(samples.redness[inner]))
+    place = samples.points[best]
+    disc = np.linalg.norm(samples.points - place, axis=1) < _AREOLA_MM
+    coloured = red > np.median(red[disc]) / 2
+    for _ in range(_CENTRING_ROUNDS):
+        around = coloured & (np.linalg.norm(samples.points - place, axis=1) < _WIDEST_MM)
+        if not around.any():
+            break
+        place = samples.points[around].mean(axis=0)
+    return np.asarray(place)
+
+
+def _protrusion(samples: _Samples) -> Float64[Array, " n"]:
+    """Height of a small disc over the ring around it along the normal, less its surroundings', mm."""
+    tip = _mean(samples, samples.points, _TIP_MM)
+    foot = _mean(samples, samples.points, _FOOT_MM[1], _FOOT_MM[0])
+    out = np.asarray(((tip - foot) * _mean(samples, samples.normals, _FOOT_MM[1])).sum(axis=1))
+    return out - _mean(samples, out[:, None], _AREOLA_RING_MM[1], _FOOT_MM[1])[:, 0]
+
+
+def _tip(
+    samples: _Samples, protrusion: Float64[Array, " n"], near: Bool[Array, " n"], least_mm: float
+) -> Float64[Array, 3] | None:
+    if not near.any():
+        return None
+    best = int(np.argmax(np.where(near, protrusion, -np.inf)))
+    if protrusion[best] < least_mm:
+        return None
+    around = near & (np.linalg.norm(samples.points - samples.points[best], axis=1) < _FOOT_MM[0])
+    weight = np.where(around, np.clip(protrusion - protrusion[best] / 2, 0.0, None), 0.0)
+    return np.asarray((samples.points * weight[:, None]).sum(axis=0) / weight.sum())

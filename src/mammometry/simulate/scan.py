@@ -1,0 +1,317 @@
+"""Scans of a virtual body: its clean front, and what a telephone carried around it makes of it.
+
+Chosen so that fused scans look like those of telephones: noise that neighbouring pixels share, folds that are bridged
+since a pixel sees the mean of its surroundings, and rims that are lost raggedly where skin is seen at a slant.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+from scipy import ndimage
+from scipy.spatial import cKDTree
+
+from mammometry.base.machine.compiled import kernel
+from mammometry.base.value import value
+from mammometry.geometry import Array, Bool, Float32, Float64, Transform, TriangleMesh, UInt8
+from mammometry.simulate.rendering.develop import srgb_encoded
+from mammometry.simulate.rendering.skin import SKINS
+from mammometry.simulate.subjects.solid import Solid
+from mammometry.study.rays import RayScene
+from mammometry.surface.fusion.marching import march
+
+_FIELD_RAD = math.radians(50.0)  # of view, across; as of the front cameras of telephones
+_DISTANCE_MM = (480.0, 620.0)  # from the chest
+_WALK_DEG = (
+    *((-65, 0), (-45, 0), (-22, 0), (0, 0), (22, 0), (45, 0), (65, 0)),
+    *((50, -32), (18, -35), (-18, -35), (-50, -32)),
+    *((-45, 28), (-15, 30), (15, 30), (45, 28)),
+)  # azimuths and elevations of a walk around the front: below the breasts as well as above; chosen by eye
+_STEP_MM = 20.0  # of depth between neighbouring pixels: an edge of the body
+_BLUR_PX = 1.1  # standard deviation of the surroundings that one pixel sees
+_SHARED_PX, _SHARED = 2.5, 0.15  # pixels over which noise is alike, and this part's share of its variance
+_SLANT = (0.22, 0.12)  # cosine of incidence below which skin is lost, and by how much this limit wanders
+_WANDER_PX = 9.0  # over which it wanders
+_EDGE_LOST = 0.7  # share of the pixels at an edge of the body that are lost
+_POSE_MM, _POSE_RAD = 0.5, 0.0008  # error of a picture's place and direction, for 1 mm of noise
+
+
+@value(eq=False)
+class DepthPicture:
+    """One depth picture."""
+
+    depth_mm: Float32[Array, "h w"]
+    """Along the camera's axis, mm. NaN where nothing is seen."""
+    trust: Float32[Array, "h w"]
+    """Weight of each pixel: cosine of incidence."""
+    camera_from_world: Transform
+    """Where the telephone believes that it took the picture."""
+    focal_px: float
+    """Focal length. The axis meets the picture's middle."""
+
+
+def depth_pictures(
+    scene: RayScene, target: Float64[Array, 3], *, noise_mm: float, width_px: int, rng: np.random.Generator
+) -> Iterator[DepthPicture]:
+    """Take fifteen depth pictures around a body's front.
+
+    Args:
+        scene: the body, y to the head and z ahead, mm.
+        target: at which the telephone looks, about the chest's middle.
+        noise_mm: standard deviation of one pixel's depth at half a metre.
+        width_px: of a picture; its height is three quarters.
+        rng: of noise, places and lost pixels.
+    """
+    for azimuth, elevation in _WALK_DEG:
+        a, e = np.radians(np.array([azimuth, elevation]) + rng.normal(0.0, 3.0, 2))
+        away = np.array([math.sin(a) * math.cos(e), math.sin(e), math.cos(a) * math.cos(e)])
+        centre = target + rng.uniform(*_DISTANCE_MM) * away
+        yield _picture(scene, _looking(centre, target + rng.normal(0.0, 15.0, 3)), noise_mm, width_px, rng)
+
+
+def _looking(centre: Float64[Array, 3], target: Float64[Array, 3]) -> Transform:
+    """Frame of a camera that is held upright: x right, y down, z ahead."""
+    ahead = (target - centre) / np.linalg.norm(target - centre)
+    right = np.cross(ahead, [0.0, 1.0, 0.0])
+    right /= np.linalg.norm(right)
+    rotation = np.stack([right, np.cross(ahead, right), ahead])
+    return Transform(rotation=rotation, translation_mm=-rotation @ centre)
+
+
+def _picture(scene: RayScene, camera: Transform, noise_mm: float, width: int, rng: np.random.Generator) -> DepthPicture:
+    height, focal = 3 * width // 4, width / 2 / math.tan(_FIELD_RAD / 2)
+    row, column = np.mgrid[:height, :width].astype(np.float64)
+    rays = np.stack([(column - (width - 1) / 2) / focal, (row - (height - 1) / 2) / focal, np.ones_like(row)], axis=-1)
+    length = np.linalg.norm(rays, axis=-1)
+    rays /= length[..., None]
+    hits = scene.cast(-camera.rotation.T @ camera.translation_mm, rays @ camera.rotation)
+    depth, cosine = hits.range_mm / length, np.nan_to_num(hits.cosine)
+    depth = np.where(cosine > 0, depth, np.nan)
+    seen = np.isfinite(depth)
+    mean = _blurred(np.nan_to_num(depth), seen)
+    low, high = (which(np.where(seen, depth, mean), 3) for which in (ndimage.minimum_filter, ndimage.maximum_filter))
+    whole = ndimage.minimum_filter(seen, 3)
+    edge = ~whole | (high - low > _STEP_MM)
+    limit = _SLANT[0] + _SLANT[1] * _field(depth.shape, _WANDER_PX, rng)
+    kept = seen & (cosine > limit) & ~(edge & (rng.random(depth.shape) < _EDGE_LOST))
+    alone, shared = np.sqrt([1.0 - _SHARED, _SHARED])
+    noise = alone * _field(depth.shape, 0.0, rng) + shared * _field(depth.shape, _SHARED_PX, rng)
+    noise *= noise_mm * (mean / 500.0) ** 2 / np.sqrt(np.clip(cosine, 0.2, 1.0))
+    measured = np.where(kept, np.where(edge, depth, mean) + noise, np.nan).astype(np.float32)
+    drift = Transform.from_rotation_vector(
+        noise_mm * rng.normal(0.0, _POSE_RAD, 3), noise_mm * rng.normal(0.0, _POSE_MM, 3)
+    )
+    return DepthPicture(
+        depth_mm=measured,
+        trust=np.clip(cosine, 0.0, 1.0).astype(np.float32),
+        camera_from_world=drift @ camera,
+        focal_px=focal,
+    )
+
+
+def _blurred(depth: Float64[Array, "h w"], seen: Array) -> Float64[Array, "h w"]:
+    """Mean depth around each pixel, of what is seen."""
+    share = ndimage.gaussian_filter(seen.astype(np.float64), _BLUR_PX)
+    return np.asarray(ndimage.gaussian_filter(depth, _BLUR_PX) / np.maximum(share, 1e-9))
+
+
+def _field(shape: tuple[int, ...], alike_px: float, rng: np.random.Generator) -> Float64[Array, "h w"]:
+    """Random numbers of unit variance, alike over a few pixels."""
+    drawn = rng.normal(size=shape)
+    if alike_px:
+        drawn = ndimage.gaussian_filter(drawn, alike_px, mode="wrap")
+        drawn /= drawn.std()
+    return np.asarray(drawn)
+
+
+_TRUNCATION_CUBES = 4.0  # as voxel grids of telephones have; ARKit's and Open3D's samples: 3 to 5
+_MARGIN_CUBES = 3  # around the body, so that the level never meets the grid's edge
+_OFF_LEVEL = 1e-3  # share of a cube by which a value of 0 is moved, since marching cubes wants none
+_LEAST_WEIGHT = 0.5  # of a corner: about one picture that looks at it nearly straight
+
+
+def fuse(
+    pictures: Sequence[DepthPicture], low: Float64[Array, 3], high: Float64[Array, 3], cube_mm: float
+) -> TriangleMesh:
+    """Fuse depth pictures on a grid of cubes, and return the largest piece of the surface.
+
+    Args:
+        pictures: with the places at which the telephone believes that it took them.
+        low: lower corner of the box that is scanned, mm.
+        high: its upper corner, mm.
+        cube_mm: edge of a cube.
+    """
+    origin = low - _MARGIN_CUBES * cube_mm
+    shape = tuple((np.ceil((high - origin) / cube_mm) + _MARGIN_CUBES + 1).astype(int))
+    total, weight = np.zeros(shape, dtype=np.float32), np.zeros(shape, dtype=np.float32)
+    for picture in pictures:
+        camera = picture.camera_from_world
+        matrix = np.column_stack([camera.rotation * cube_mm, camera.apply(origin[None])[0]])
+        add_picture(
+            total, weight, picture.depth_mm, picture.trust, np.ascontiguousarray(matrix), picture.focal_px,
+            _TRUNCATION_CUBES * cube_mm,
+        )  # fmt: skip
+    seen = weight > _LEAST_WEIGHT
+    field = np.where(seen, total / np.maximum(weight, 1e-6), np.float32(_TRUNCATION_CUBES * cube_mm))
+    off = np.float32(_OFF_LEVEL * cube_mm)
+    field = np.where(np.abs(field) < off, np.where(field < 0, -off, off), field)
+    cells = np.ones(tuple(n - 1 for n in shape), dtype=bool)
+    for corner in np.ndindex(2, 2, 2):
+        cells &= seen[tuple(slice(c, n - 1 + c) for c, n in zip(corner, shape, strict=True))]
+    vertices, faces = march(field, cells)
+    mesh = TriangleMesh(vertices=origin + cube_mm * vertices, faces=faces)
+    _, label = mesh.components()
+    return mesh.submesh(label[mesh.faces[:, 0]] == np.argmax(np.bincount(label[mesh.faces[:, 0]])))
+
+
+@kernel
+def add_picture(
+    total: Float32[Array, "x y z"],
+    weight: Float32[Array, "x y z"],
+    depth: Float32[Array, "h w"],
+    trust: Float32[Array, "h w"],
+    camera_from_grid: Float64[Array, "3 4"],
+    focal_px: float,
+    truncation_mm: float,
+) -> None:
+    """Add one picture's truncated signed distances, weighted by its trust in each pixel.
+
+    A corner takes the nearest pixel's depth minus its own, at most `truncation_mm`. One that lies further behind the
+    skin is not seen and takes nothing.
+
+    Args:
+        total: sum of weighted distances, mm. Changed.
+        weight: sum of weights. Changed.
+        depth: along the camera's axis, mm. NaN where nothing is seen.
+        trust: weight of each pixel.
+        camera_from_grid: camera's frame, mm, from a corner's index.
+        focal_px: of a camera without distortion, whose axis meets the picture's middle.
+        truncation_mm: largest distance, mm.
+    """
+    height, width = depth.shape
+    nx, ny, nz = total.shape
+    middle_u, middle_v = (width - 1) / 2, (height - 1) / 2
+    m = camera_from_grid
+    for i in range(nx):
+        for j in range(ny):
+            for k in range(nz):
+                z = m[2, 0] * i + m[2, 1] * j + m[2, 2] * k + m[2, 3]
+                if z <= 0.0:
+                    continue
+                x = m[0, 0] * i + m[0, 1] * j + m[0, 2] * k + m[0, 3]
+                y = m[1, 0] * i + m[1, 1] * j + m[1, 2] * k + m[1, 3]
+                column = int(np.floor(focal_px * x / z + middle_u + 0.5))
+                row = int(np.floor(focal_px * y / z + middle_v + 0.5))
+                if row < 0 or column < 0 or row >= height or column >= width:
+                    continue
+                distance = depth[row, column] - z
+                if not distance > -truncation_mm:  # also where nothing is seen
+                    continue
+                share = trust[row, column]
+                total[i, j, k] += share * min(distance, truncation_mm)
+                weight[i, j, k] += share
+
+
+_LIGHT, _AMBIENT = 1.5, 0.45  # of the room's lamp, and the share of it that comes from all sides; chosen by eye
+_LAMP = np.array([0.25, 0.55, 0.8])  # where it hangs: above, before her
+_ASIDE_MM, _BELOW_MM, _ABOVE_MM, _BACK_MM = 235.0, 235.0, 190.0, 150.0  # scanned around the chest's middle
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ScanQuality:
+    """Errors and resolution of a body's scan."""
+
+    noise_mm: float
+    """Standard deviation of a pixel's depth at half a metre."""
+    cube_mm: float
+    """Edge of the cubes in which the pictures are fused."""
+    width_px: int
+    """Width of a depth picture."""
+
+
+QUALITIES: Mapping[str, ScanQuality] = MappingProxyType(
+    {
+        "fine": ScanQuality(noise_mm=0.5, cube_mm=2.0, width_px=480),
+        "telephone": ScanQuality(noise_mm=1.0, cube_mm=4.0, width_px=320),
+    }
+)
+"""Kinds of scans: a good scanner's or a new telephone's at its best, and a telephone's as is usual."""
+
+
+@value(eq=False)
+class VirtualScan:
+    """An open mesh and its colours, mm, in the solid's frame: y to the head, z ahead."""
+
+    mesh: TriangleMesh
+    colours: UInt8[Array, "n 3"]
+    """sRGB of each vertex."""
+
+    @property
+    def ply_colours(self) -> dict[str, UInt8[Array, " n"]]:
+        """Channel → value of each vertex, as a PLY file names them."""
+        return {name: np.ascontiguousarray(self.colours[:, k]) for k, name in enumerate(("red", "green", "blue"))}
+
+
+def clean_front(solid: Solid) -> VirtualScan:
+    """The body's own triangles from the back's edge forward, without noise."""
+    low, high = _box(solid)
+    inside = np.all((solid.mesh.vertices > low) & (solid.mesh.vertices < high), axis=1)
+    mesh = solid.mesh.submesh(inside[solid.mesh.faces].all(axis=1) & _faces_ahead(solid))
+    _, label = mesh.components()
+    mesh = mesh.submesh(label[mesh.faces[:, 0]] == np.argmax(np.bincount(label[mesh.faces[:, 0]])))
+    return VirtualScan(mesh=mesh, colours=_colours(solid, mesh))
+
+
+def scan(solid: Solid, quality: ScanQuality, seed: int) -> VirtualScan:
+    """Scan a body with a virtual telephone.
+
+    Args:
+        solid: the body.
+        quality: of the depth pictures and of their fusion.
+        seed: of everything random. Another seed scans the same body anew.
+    """
+    rng = np.random.default_rng([seed, 101])
+    low, high = _box(solid)
+    target = np.append((low + high)[:2] / 2, high[2] - 60.0)
+    pictures = list(
+        depth_pictures(
+            RayScene(solid.mesh), target, noise_mm=quality.noise_mm, width_px=quality.width_px, rng=rng
+        )
+    )  # fmt: skip
+    shift = rng.uniform(0.0, quality.cube_mm, 3)
+    mesh = fuse(pictures, low - shift, high, quality.cube_mm)
+    return VirtualScan(mesh=mesh, colours=_colours(solid, mesh))
+
+
+def _box(solid: Solid) -> tuple[Float64[Array, 3], Float64[Array, 3]]:
+    """Corners of what is scanned: the front with the shoulders and the upper arms."""
+    middle = solid.landmarks["midline"].mean(axis=0)
+    low = np.array([middle[0] - _ASIDE_MM, middle[1] - _BELOW_MM, middle[2] - _BACK_MM])
+    high = np.array([middle[0] + _ASIDE_MM, middle[1] + _ABOVE_MM, np.inf])
+    vertices = solid.mesh.vertices
+    return np.maximum(low, vertices.min(axis=0)), np.minimum(high, vertices.max(axis=0) + 1.0)
+
+
+def _faces_ahead(solid: Solid) -> Bool[Array, " m"]:
+    """Faces of the front: all but those that look back. Of a hanging breast some do."""
+    vectors = solid.mesh.face_vectors()
+    length = np.maximum(np.linalg.norm(vectors, axis=1), 1e-12)
+    ahead = np.asarray(vectors[:, 2] / length > -0.6)
+    for breast in solid.breasts.values():
+        ahead[breast.skin_faces] = True
+    return ahead
+
+
+def _colours(solid: Solid, mesh: TriangleMesh) -> UInt8[Array, "n 3"]:
+    nearest = cKDTree(solid.mesh.vertices).query(mesh.vertices)[1]
+    skin, share = SKINS["skin"], solid.areola[nearest][:, None].astype(np.float64)
+    colour = (1.0 - share) * np.array(skin.base_rgb) + share * np.array(skin.areola_rgb)
+    if solid.tint is not None:
+        colour = colour * solid.tint[nearest]
+    facing = np.clip(solid.mesh.vertex_normals()[nearest] @ (_LAMP / np.linalg.norm(_LAMP)), 0.0, 1.0)
+    light = _LIGHT * (_AMBIENT + (1.0 - _AMBIENT) * facing)[:, None]
+    return np.round(255.0 * srgb_encoded(np.clip(light * colour, 0.0, 1.0))).astype(np.uint8)
