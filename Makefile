@@ -38,7 +38,7 @@ test-slow: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -m slow -n auto --dist loadgroup --no-loadscope-reorder
 
 test-slow-rota: $(VENV)/.installed-dev
-	$(BIN)/python -m pytest -v -m slow --rota $(ROTA) --all-must-run --exitfirst -n auto --dist loadgroup --no-loadscope-reorder
+	$(BIN)/python -m pytest -v -m slow --rota $(ROTA) --exitfirst -n auto --dist loadgroup --no-loadscope-reorder
 
 # The clinic's tests once more, with a PostgreSQL server that they start and end themselves; exports with an Orthanc;
 # cameras with those that their makers simulate.

@@ -16,9 +16,9 @@ from PIL import Image
 
 from mammometry.simulate.rendering.develop import develop
 from mammometry.simulate.rendering.film import Film
-from mammometry.simulate.rendering.objects.skin import SKINS
 from mammometry.simulate.rendering.render import render_subject
 from mammometry.simulate.rendering.scene import Room, light_scene
+from mammometry.simulate.rendering.skin import SKINS
 from mammometry.simulate.rigs.build import flashes
 from mammometry.simulate.rigs.rig_file import make_rig
 from mammometry.simulate.subjects.registry import make_subject

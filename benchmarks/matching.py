@@ -37,7 +37,7 @@ from mammometry.matching.rectify import RectifiedPair
 from mammometry.matching.settings import MatchSettings
 from mammometry.simulate.recipe import SessionRecipe
 from mammometry.simulate.rendering.film import Film
-from mammometry.simulate.rendering.objects.skin import make_skin
+from mammometry.simulate.rendering.skin import make_skin
 from mammometry.simulate.session import write_session
 from mammometry.simulate.studio import Studio
 from mammometry.study.accuracy_matching import TrueDisparity, judge_disparity

@@ -36,13 +36,13 @@ from benchmarks.accuracy.scans import woman
 from mammometry.api.job import Job, open_session
 from mammometry.api.mesh import MeshFiles, MeshJob
 from mammometry.base.errors import MammometryError
-from mammometry.io.meshes.own_ply import write_ply
+from mammometry.io.meshes.own import write_ply
 from mammometry.job import products
 from mammometry.job.products import Key, Product
 from mammometry.job.stages.measure import measurements
 from mammometry.settings import Settings, names
 from mammometry.simulate.recipe import SessionRecipe, parse_situation
-from mammometry.simulate.scanning.scan import QUALITIES, scan
+from mammometry.simulate.scan import QUALITIES, scan
 from mammometry.simulate.session import write_session
 
 SOURCE = Path(mammometry.__file__).parent

@@ -32,8 +32,8 @@ from mammometry.matching.dense.match import match
 from mammometry.matching.foreground.foreground import Foreground
 from mammometry.matching.rectify import rectify
 from mammometry.matching.settings import MatchSettings
-from mammometry.report.figures.drawing.canvas import Sheet
-from mammometry.report.figures.drawing.shading import Scene, front_frame, picture_wh, standard_views
+from mammometry.report.figures.canvas import Sheet
+from mammometry.report.figures.shading import Scene, front_frame, picture_wh, standard_views
 from mammometry.report.figures.surface import show
 from mammometry.simulate.rigs.build import flashes
 from mammometry.simulate.rigs.rig_file import make_rig

@@ -30,7 +30,7 @@ from mammometry.api.truth import evaluate_session
 from mammometry.base.errors import MammometryError
 from mammometry.settings import paper_method
 from mammometry.simulate.recipe import SessionRecipe
-from mammometry.simulate.rendering.objects.skin import make_skin
+from mammometry.simulate.rendering.skin import make_skin
 from mammometry.simulate.session import write_session
 from mammometry.simulate.studio import Studio
 from mammometry.surface.ranges.range_image import triangulate

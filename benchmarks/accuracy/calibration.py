@@ -45,7 +45,7 @@ from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.transform import Transform
 from mammometry.io.cameras.own import cameras_from_table
 from mammometry.io.manifest import read_manifest
-from mammometry.study.accuracy_cameras import compare_rigs
+from mammometry.study.accuracy import compare_rigs
 
 CUBE_MM = 220.0
 _STEPS = 7

@@ -25,7 +25,7 @@ from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.settings import Settings
 from mammometry.simulate.recipe import SessionRecipe
 from mammometry.simulate.rendering.film import Film
-from mammometry.simulate.rendering.objects.skin import make_skin
+from mammometry.simulate.rendering.skin import make_skin
 from mammometry.simulate.session import write_session
 from mammometry.simulate.studio import Studio
 
@@ -49,8 +49,8 @@ _HELD_OUT_WOMEN = 2000
 _SKINS = ("skin", "dark-skin", "pale-skin", "sweat")
 _CONTRASTS = (None, 0.02, 0.08)
 _NOISE = (1.0, 0.5, 2.0, 1.5)
-_PIXELS_A_CUBE = 0.125
-"""Cubes' edge, mm, times the scale of the pictures: the default cubes are for a quarter's pixels."""
+_PIXELS_A_CUBE, _USUAL_CUBE_MM = 0.125, 0.7
+"""Cubes' edge, mm, times the scale of the pictures; only pictures so small that this is wider than a torso's usual."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -195,6 +195,11 @@ def measured(session: Path, scale: float) -> tuple[tuple[VolumeMeasurement, ...]
     return found, {side.name: side.why for side in absent}
 
 
+def settings_for(scale: float) -> Settings:
+    """Default settings; cubes as wide as small pictures' pixels."""
+    cube_mm = round(_PIXELS_A_CUBE / scale, 2)
+    return Settings().overridden([f"surface.extract.cube_mm={cube_mm}"] if cube_mm > _USUAL_CUBE_MM else [])
+
+
 def _job(session: Path, scale: float) -> Job:
-    cube_mm = round(max(0.5, _PIXELS_A_CUBE / scale), 2)
-    return open_session(session, Settings().overridden([f"surface.extract.cube_mm={cube_mm}"]))
+    return open_session(session, settings_for(scale))

@@ -19,6 +19,7 @@ from __future__ import annotations
 import argparse
 import json
 import shutil
+import sys
 import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -28,7 +29,7 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from benchmarks.accuracy.captures import take_over_calibration
+from benchmarks.accuracy.captures import settings_for, take_over_calibration
 from benchmarks.road import each_as_it_ends
 from mammometry.api.job import Job, open_session
 from mammometry.api.truth import current_results
@@ -37,24 +38,21 @@ from mammometry.base.progress import StageProgress
 from mammometry.geometry.arrays import Array, Bool
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
-from mammometry.io.meshes.own_ply import read_ply
+from mammometry.io.meshes.own import read_ply
 from mammometry.io.truth import read_truth
 from mammometry.measure.volume.measurement import VolumeMeasurement
-from mammometry.settings import Settings
 from mammometry.simulate.disturbances.draw import draw, is_held_out
 from mammometry.simulate.disturbances.registry import DISTURBANCES
 from mammometry.simulate.recipe import SessionRecipe, Situation, parse_situation
-from mammometry.simulate.rendering.objects.skin import make_skin
+from mammometry.simulate.rendering.skin import make_skin
 from mammometry.simulate.rigs.build import FULL_SIZE_WH
 from mammometry.simulate.session import write_session
 from mammometry.simulate.studio import Studio
 from mammometry.study.accuracy import SurfaceAccuracy, compare_surfaces
+from mammometry.study.evaluation import Truth
 from mammometry.study.rays import RayScene, seen_by_pairs
-from mammometry.study.truth import Truth
 
 _STUDIO = Studio(skin=make_skin("skin"))
-_CUBE_MM_AT_FULL_SIZE = 0.125
-"""Cubes' edge, mm, times the scale of the pictures: the default cubes are for a quarter's pixels."""
 _POINTS = 40_000
 """True vertices at which a surface is judged, at most."""
 _REMOVAL = ("removed", "scar", "loose-skin")
@@ -210,8 +208,7 @@ def measured(case: Case, out: Path) -> tuple[Found, Job]:
         plain = out / case.undisturbed.name
         if plain != session and _same_calibration(session, plain):
             take_over_calibration(session, plain)
-    cube_mm = round(max(0.5, _CUBE_MM_AT_FULL_SIZE / case.recipe.scale), 2)
-    job = open_session(session, Settings().overridden([f"surface.extract.cube_mm={cube_mm}"]))
+    job = open_session(session, settings_for(case.recipe.scale))
     refused, volumes = "", {}
     with threadpool_limits(limits=1, user_api="blas"):
         try:
@@ -323,22 +320,29 @@ HEAD = (
 
 
 def summary(all_found: Sequence[tuple[Found, Found | None]], ratios: Sequence[tuple[float, float]]) -> Iterator[str]:
-    """Yield the goals and what was reached.
+    """Yield the lines of a table of the goals and what was reached.
 
     `ratios`: of a surface's error with the disturbance to that without, in the median and RMS.
     """
-    disturbed = [found for found, _ in all_found]
-    volumes = [side for found in disturbed for side in found.sides if side.measured_cc is not None]
+    captures = [found for found, _ in all_found]
+    answered = [found for found in captures if not found.refused]
+    volumes = [side for found in answered for side in found.sides if side.measured_cc is not None]
+    breasts = [side for found in answered for side in found.sides if side.true_cc]
+    yield f"| {len(captures)} captures | found | goal |\n| --- | --- | --- |"
+    yield f"| refused | {_share(len(captures) - len(answered), len(captures))} | at most 5 % |"
+    without = _share(sum(side.held is None for side in breasts), len(breasts))
+    yield f"| breasts of the other captures without a volume | {without} | |"
     silent = [side for side in volumes if not (side.held and side.true_cc)]
-    refused = _share(sum(bool(one.refused) for one in disturbed), len(disturbed))
-    yield f"captures: {len(disturbed)}, refused: {refused} (goal: at most 5 %)"
-    yield f"silent errors: {_share(len(silent), len(volumes))} of the volumes measured (goal: at most 2 %)"
-    removed = [side for found in disturbed if not found.refused for side in found.sides if not side.true_cc]
-    yield f"volumes claimed where there is no breast: {len(removed)}"
+    yield f"| volumes outside their interval | {_share(len(silent), len(volumes))} | at most 2 % |"
+    yield f"| volumes claimed where there is no breast | {sum(not side.true_cc for side in volumes)} | 0 |"
+    errors = sorted(abs(side.error_cc or 0.0) / side.true_cc for side in volumes if side.true_cc)
+    if errors:
+        middle, most = 100 * errors[len(errors) // 2], 100 * errors[-1]
+        yield f"| error of a volume, median and worst | {middle:.1f} %, {most:.1f} % | |"
     pairs = [(found, plain) for found, plain in all_found if plain is not None]
     if pairs:
         alone = sum(bool(found.refused and not plain.refused) for found, plain in pairs)
-        yield f"refused where the same body without the disturbance is measured: {_share(alone, len(pairs))}"
+        yield f"| refused where the same body without the disturbance is measured | {_share(alone, len(pairs))} | 0 |"
     changes = []
     for found, plain in pairs:
         before = {side.name: side.measured_cc for side in plain.sides if side.measured_cc}
@@ -348,12 +352,12 @@ def summary(all_found: Sequence[tuple[Found, Found | None]], ratios: Sequence[tu
             if side.measured_cc is not None and side.name in before
         ]
     if changes:
-        within = sum(abs(change) <= _VOLUME_GOAL_PERCENT for change in changes)
-        share, worst = _share(within, len(changes)), max(changes, key=abs)
-        yield f"volumes within 1 % of the same body's without the disturbance: {share}, worst {worst:+.1f} %"
+        share = _share(sum(abs(change) <= _VOLUME_GOAL_PERCENT for change in changes), len(changes))
+        what = "volumes within 1 % of the same body's without the disturbance"
+        yield f"| {what} | {share}, worst {max(changes, key=abs):+.1f} % | all |"
     for word, each in zip(("median", "RMS"), zip(*ratios, strict=True), strict=False):
-        within = sum(ratio <= _SURFACE_GOAL for ratio in each)
-        yield f"surfaces with at most 1.2 times the error ({word}): {_share(within, len(each))}, worst {max(each):.1f}"
+        share = _share(sum(ratio <= _SURFACE_GOAL for ratio in each), len(each))
+        yield f"| surfaces with at most 1.2 times the error ({word}) | {share}, worst {max(each):.1f} | all |"
 
 
 def _share(part: int, whole: int) -> str:
@@ -370,7 +374,7 @@ def _numbers(text: str) -> list[int]:
 
 
 def main() -> None:
-    """Simulate, measure, and print the table and the goals."""
+    """Simulate, measure, and print what was reached; each capture as it ends on standard error."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seeds", type=_numbers, default=[], help="of drawn situations: 1-12, or 1,3,4")
     parser.add_argument("--difficulty", type=_numbers, default=[1], help="of drawn situations, 0 to 3: 1,2")
@@ -389,7 +393,7 @@ def main() -> None:
     arguments.out.mkdir(parents=True, exist_ok=True)
     wanted = {case.name: case for case in cases(arguments)}
     plain = {case.undisturbed.name: case.undisturbed for case in wanted.values()}
-    print(HEAD, flush=True)
+    print(HEAD, file=sys.stderr, flush=True)
     all_found: list[tuple[Found, Found | None]] = []
     ratios = []
     # First each body alone, once: what is compared with it finds it measured.
@@ -401,12 +405,11 @@ def main() -> None:
             if name not in wanted:
                 continue
             case = wanted[name]
-            print(done["row"], flush=True)
+            print(done["row"], file=sys.stderr, flush=True)
             if done["ratios"] is not None:
                 ratios.append(tuple(done["ratios"]))
             before = None if done["plain"] is None else _read(case.undisturbed, done["plain"])
             all_found.append((_read(case, done["found"]), before))
-    print()
     print("\n".join(summary(all_found, ratios)))
     table = [
         {"capture": found.case.name, "refused": found.refused, "sides": [asdict(side) for side in found.sides]}

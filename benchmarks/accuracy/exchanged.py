@@ -31,7 +31,7 @@ from mammometry.io.truth import read_true_cameras
 from mammometry.simulate.disturbances.draw import draw
 from mammometry.simulate.recipe import SessionRecipe, parse_situation
 from mammometry.simulate.rendering.film import Film
-from mammometry.simulate.rendering.objects.skin import make_skin
+from mammometry.simulate.rendering.skin import make_skin
 from mammometry.simulate.session import write_session
 from mammometry.simulate.studio import Studio
 

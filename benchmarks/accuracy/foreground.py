@@ -24,7 +24,7 @@ from benchmarks.pairs import foregrounds_of
 from mammometry.io.photographs.images import read_photograph
 from mammometry.io.truth import read_truth
 from mammometry.simulate.recipe import SessionRecipe
-from mammometry.simulate.rendering.objects.skin import make_skin
+from mammometry.simulate.rendering.skin import make_skin
 from mammometry.simulate.session import write_session
 from mammometry.simulate.studio import Studio
 from mammometry.study.accuracy_matching import judge_silhouette

@@ -20,7 +20,7 @@ from mammometry.base.progress import StageProgress
 from mammometry.matching.settings import MatchSettings
 from mammometry.simulate.recipe import SessionRecipe
 from mammometry.simulate.rendering.film import Film
-from mammometry.simulate.rendering.objects.skin import make_skin
+from mammometry.simulate.rendering.skin import make_skin
 from mammometry.simulate.rigs.build import FULL_SIZE_WH
 from mammometry.simulate.session import write_session
 from mammometry.simulate.studio import Studio

@@ -22,9 +22,9 @@ from mammometry.measure.boundary.boundary import find_base
 from mammometry.measure.boundary.cast_rim import mean_height, rim_candidates
 from mammometry.simulate.rendering.develop import develop
 from mammometry.simulate.rendering.film import Film
-from mammometry.simulate.rendering.objects.skin import Skin
 from mammometry.simulate.rendering.render import render_subject
 from mammometry.simulate.rendering.scene import Room, Scene, light_scene
+from mammometry.simulate.rendering.skin import Skin
 from mammometry.simulate.rigs.build import build_rig, flashes
 from mammometry.simulate.rigs.rig_file import find_plan
 from mammometry.simulate.subjects.solid import Solid, rig_from_solid, rounded_mesh

@@ -31,7 +31,7 @@ from mammometry.job.stages import match
 from mammometry.settings import Settings
 from mammometry.simulate.disturbances.draw import is_held_out
 from mammometry.simulate.recipe import SessionRecipe, parse_situation
-from mammometry.simulate.rendering.objects.skin import make_skin
+from mammometry.simulate.rendering.skin import make_skin
 from mammometry.simulate.session import write_session
 from mammometry.simulate.studio import Studio
 from mammometry.study.rays import RayScene, seen_by_pairs

@@ -33,13 +33,13 @@ from mammometry.api.mesh import MeshFiles, MeshJob
 from mammometry.base.errors import MammometryError
 from mammometry.base.machine.cores import available_cores
 from mammometry.io.meshes.foreign import read_foreign
-from mammometry.io.meshes.own_ply import write_ply
+from mammometry.io.meshes.own import write_ply
 from mammometry.io.write import write_text
 from mammometry.job.stages import measure
 from mammometry.measure.settings import POSTURES
 from mammometry.simulate.disturbances.registry import disturbed
 from mammometry.simulate.recipe import parse_situation
-from mammometry.simulate.scanning.scan import QUALITIES, clean_front, scan
+from mammometry.simulate.scan import QUALITIES, clean_front, scan
 from mammometry.simulate.subjects.registry import make_subject
 from mammometry.simulate.subjects.solid import Solid
 

@@ -39,8 +39,8 @@ from mammometry.job.products import Key, at_hand
 from mammometry.job.stages import calibrate, match, measure, surface
 from mammometry.settings import Settings
 from mammometry.study.accuracy import align_surfaces, compare_surfaces
+from mammometry.study.evaluation import Truth
 from mammometry.study.rays import RayScene, seen_by_pairs
-from mammometry.study.truth import Truth
 
 T = TypeVar("T")
 _EVERY = 20  # true vertices of which one is judged

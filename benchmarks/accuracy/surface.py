@@ -45,8 +45,8 @@ from mammometry.matching.rectify import rectify
 from mammometry.matching.settings import MatchSettings
 from mammometry.settings import Settings
 from mammometry.study.accuracy import compare_surfaces
+from mammometry.study.evaluation import Truth
 from mammometry.study.rays import RayScene, seen_by_pairs
-from mammometry.study.truth import Truth
 from mammometry.surface.fusion.fuse import extract
 from mammometry.surface.ranges.dents import remove_dents
 from mammometry.surface.ranges.range_image import RangeImage, triangulate

@@ -16,8 +16,8 @@ from pathlib import Path
 from tests.unit.capture.virtual_capture import make_pictures, rig_file
 
 from mammometry.base.machine.cores import available_cores
-from mammometry.capture.live import LiveView
 from mammometry.capture.loop import OpenRig
+from mammometry.capture.page import LiveView
 
 _FIRINGS, _ROUNDS = 5, 20
 

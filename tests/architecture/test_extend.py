@@ -18,7 +18,7 @@ from tests.unit.report import synthetic
 
 from mammometry.base.registry import Registry
 from mammometry.calibration.detection.finders import find
-from mammometry.calibration.features.found_points import FoundPoints
+from mammometry.calibration.features.pixels import FoundPoints
 from mammometry.calibration.targets.table import target_from_table
 from mammometry.calibration.targets.target import TARGETS
 from mammometry.capture.camera import BACKENDS, Devices
@@ -35,8 +35,8 @@ from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.open_breast import OpenBreast
 from mammometry.measure.wall.registry import CAST_WALLS, TORSO_WALLS
 from mammometry.report.figures import stage_results
+from mammometry.report.figures.canvas import CYCLE, caption_of
 from mammometry.report.figures.catalogue import PAPER_FIGURES, PREVIEWS
-from mammometry.report.figures.drawing.canvas import CYCLE, caption_of
 from mammometry.report.figures.product_graph import product_graph
 from mammometry.settings import Settings
 from mammometry.simulate.disturbances.about import Surroundings
@@ -44,9 +44,9 @@ from mammometry.simulate.disturbances.registry import DISTURBANCES, check, distu
 from mammometry.simulate.recipe import SessionRecipe, parse_situation
 from mammometry.simulate.rendering.develop import develop
 from mammometry.simulate.rendering.film import Film
-from mammometry.simulate.rendering.objects.skin import Skin
-from mammometry.simulate.rendering.objects.solid_target import render_target
 from mammometry.simulate.rendering.registry import RENDERERS
+from mammometry.simulate.rendering.skin import Skin
+from mammometry.simulate.rendering.solid_target import render_target
 from mammometry.simulate.rigs.build import flashes
 from mammometry.simulate.rigs.poses import draw_poses
 from mammometry.simulate.rigs.rig_file import make_rig

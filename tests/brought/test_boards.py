@@ -28,7 +28,7 @@ from mammometry.calibration.targets.target import Target
 from mammometry.geometry.transform import Transform
 from mammometry.simulate.rendering.develop import develop
 from mammometry.simulate.rendering.film import Film
-from mammometry.simulate.rendering.objects.solid_target import render_target
+from mammometry.simulate.rendering.solid_target import render_target
 from mammometry.simulate.rigs.build import flashes
 from mammometry.simulate.rigs.rig_file import reference_rig
 

@@ -10,7 +10,7 @@ import tifffile
 from PIL import Image, JpegImagePlugin
 
 from mammometry.base.errors import SessionError
-from mammometry.io.meshes.own_ply import read_ply
+from mammometry.io.meshes.own import read_ply
 from mammometry.io.truth import read_true_cameras, read_truth
 from mammometry.simulate import studio
 from mammometry.simulate.recipe import SessionRecipe, parse_situation

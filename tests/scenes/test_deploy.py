@@ -156,5 +156,6 @@ def test_the_containers_steps_make_a_clinic_that_is_served_and_backed_up(reposit
                     first.kill()  # and all in its namespace; a change of the user keeps it from ending with its parent
         assert len(list((root.folder / "srv/clinic/backups").glob("*.tar"))) == 1
     root.user = "root"
-    root.run("apt-get install -y -qq --no-install-recommends docker-compose")
+    root.run("apt-get install -y -qq --no-install-recommends docker-compose systemd")
     root.run("docker-compose -f /build/deploy/compose.yaml config --quiet")
+    assert root.run("systemd-analyze verify /build/deploy/*.service /build/deploy/*.timer") == ""

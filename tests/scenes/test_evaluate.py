@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from mammometry.cli import main
 from mammometry.io.truth import read_truth
-from mammometry.report.figures.drawing.canvas import caption_of
+from mammometry.report.figures.canvas import caption_of
 from mammometry.study.rays import RayScene, seen_by_pairs
 
 

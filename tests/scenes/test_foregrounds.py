@@ -14,7 +14,7 @@ from mammometry.io.truth import read_truth
 from mammometry.matching.foreground.all_cameras import find_subjects
 from mammometry.matching.foreground.foreground import blocks_of, estimate_foreground, subject_blocks
 from mammometry.simulate.recipe import SessionRecipe, parse_situation
-from mammometry.simulate.rendering.objects.skin import make_skin
+from mammometry.simulate.rendering.skin import make_skin
 from mammometry.simulate.session import write_session
 from mammometry.simulate.studio import Studio
 from mammometry.study.accuracy_matching import judge_silhouette

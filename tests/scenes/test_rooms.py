@@ -11,7 +11,7 @@ from mammometry.geometry.nearest import closest_on_mesh
 from mammometry.io.truth import read_truth
 from mammometry.job.stages import match
 from mammometry.simulate.recipe import SessionRecipe, parse_situation
-from mammometry.simulate.rendering.objects.skin import make_skin
+from mammometry.simulate.rendering.skin import make_skin
 from mammometry.simulate.session import write_session
 from mammometry.simulate.studio import Studio
 

@@ -26,8 +26,8 @@ from mammometry.io.photographs.images import read_photograph
 from mammometry.simulate import studio
 from mammometry.simulate.recipe import SessionRecipe
 from mammometry.simulate.rendering.film import Film
-from mammometry.simulate.rendering.objects.skin import make_skin
 from mammometry.simulate.rendering.render import subject_coverage
+from mammometry.simulate.rendering.skin import make_skin
 from mammometry.simulate.rigs.targets import make_target
 from mammometry.simulate.session import SimulatedSession, made_whole, true_volumes_cc, write_session
 from mammometry.simulate.studio import Studio

@@ -14,7 +14,7 @@ from mammometry.geometry.camera import Rig
 from mammometry.geometry.transform import Transform
 from mammometry.simulate.recipe import SessionRecipe
 from mammometry.simulate.rendering.film import Film
-from mammometry.simulate.rendering.objects.skin import make_skin
+from mammometry.simulate.rendering.skin import make_skin
 from mammometry.simulate.rigs.poses import draw_poses
 from mammometry.simulate.rigs.rig_file import make_rig
 from mammometry.simulate.rigs.targets import VIRTUAL_TARGETS, described, make_target, sees_target

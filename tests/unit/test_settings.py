@@ -110,6 +110,8 @@ def test_keys_of_stored_results_hold_what_they_held_when_there_were_168_settings
 RENAMED = {
     "matching.agreement_px": "DIRECTIONS_APART_PX",
     "measure.breast.reach_mm": "FARTHEST_BORDER_MM",
+    "measure.breast.fewest_mm": "MIN_PROMINENCE_MM",
+    "measure.breast.plain_mm": "SURE_PROMINENCE_MM",
     "measure.nipple.tip_mm": "LEAST_TIP_MM",
     "measure.layer.fewest": "FEWEST_LAYERS",
     "measure.layer.mean_mm": "MEAN_LAYER_MM",
@@ -123,9 +125,10 @@ ASSIGNED = re.compile(r"^_?([A-Z]\w*)(?:: [\w\[\], .]+)? = ([-\d.(][^#\n]*)", re
 NO_CONSTANTS = {
     "surface.repair.k_ext", "surface.repair.k_int", "measure.wall_u95_mm", "measure.base_rim.seed", "compare.doubt_deg",
     "surface.repair.repaired_reach_mm", "measure.nipple.apex_probability", "measure.nipple.apex_sigma_mm",
+    "surface.stillness.correct",
 }  # fmt: skip
-"""A default of `Stiffness` twice, what follows each wall's base now, a seed, what nothing asks any more, and what
-changed since with the version of what is made with it."""
+"""A default of `Stiffness` twice, what follows each wall's base now, a seed, what nothing asks any more, what
+changed since with the version of what is made with it, and a choice that nobody had."""
 
 
 def test_constants_that_were_settings_have_the_values_that_keys_hold(repository: Path) -> None:

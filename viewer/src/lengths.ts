@@ -8,22 +8,33 @@ export interface Length {
 }
 
 const SVG = "http://www.w3.org/2000/svg";
-const LINE_PX = 17; // height of a value's words
-const LETTER_PX = 7;
+const LINE_PX = 15; // height of a value's words
+const DOT_PX = 6;
+const ALONG = [0.5, 0.35, 0.65, 0.2, 0.8]; // places of a value on its line
+const AWAY = [0, -1, 1, -2, 2, -3, 3, -4, 4, -5, 5, -6, 6]; // and above or below it, in heights
+
+/** Where words stand, or a dot: their middle, and how far they reach. */
+interface Box {
+  x: number;
+  y: number;
+  width: number;
+  height: number;
+}
 
 export class Lengths {
   private readonly sheet = document.createElementNS(SVG, "svg");
-  private readonly drawn: { line: SVGLineElement; words: SVGTextElement; length: Length }[];
+  private readonly drawn: { line: SVGPathElement; words: SVGTextElement; width: number; length: Length }[];
 
   constructor(holder: HTMLElement, lengths: Length[]) {
     this.sheet.setAttribute("class", "mm-lengths");
     this.sheet.setAttribute("aria-hidden", "true"); // the page has the same numbers in a table
     this.drawn = lengths.map((length) => {
-      const line = this.sheet.appendChild(document.createElementNS(SVG, "line"));
+      const line = this.sheet.appendChild(document.createElementNS(SVG, "path"));
       const words = this.sheet.appendChild(document.createElementNS(SVG, "text"));
       words.textContent = length.words;
-      return { line, words, length };
+      return { line, words, width: 0, length };
     });
+    this.drawn.forEach(({ words }) => this.sheet.appendChild(words)); // over all lines
     if (lengths.length > 0) holder.appendChild(this.sheet);
   }
 
@@ -31,23 +42,28 @@ export class Lengths {
     this.sheet.toggleAttribute("hidden", !shown);
   }
 
-  /** Draw them where a point of the model is in the picture, px. No value covers another one. */
+  /** Draw them where a point of the model is in the picture, px. No value covers another one, or the end of a line. */
   place(onPicture: (point: Vector) => [number, number]): void {
-    const taken: { x: number; y: number; half: number }[] = [];
-    for (const { line, words, length } of this.drawn) {
-      const [first, second] = length.ends.map(onPicture) as [[number, number], [number, number]];
-      attributes(line, { x1: first[0], y1: first[1], x2: second[0], y2: second[1] });
-      const half = (LETTER_PX * length.words.length) / 2;
-      const x = (first[0] + second[0]) / 2;
-      let y = (first[1] + second[1]) / 2 - 5;
-      const covers = () => taken.some((other) => Math.abs(other.x - x) < other.half + half && Math.abs(other.y - y) < LINE_PX);
-      while (covers()) y += LINE_PX;
-      taken.push({ x, y, half });
-      attributes(words, { x, y });
-    }
+    const ends = this.drawn.map(({ length }) => length.ends.map(onPicture) as [[number, number], [number, number]]);
+    const taken: Box[] = ends.flat().map(([x, y]) => ({ x, y, width: DOT_PX, height: DOT_PX }));
+    this.drawn.forEach((one, number) => {
+      const [[x1, y1], [x2, y2]] = ends[number]!;
+      one.width ||= one.words.getComputedTextLength();
+      const boxes = AWAY.flatMap((away) =>
+        ALONG.map((t) => ({ x: x1 + t * (x2 - x1), y: y1 + t * (y2 - y1) + away * LINE_PX, width: one.width, height: LINE_PX })),
+      );
+      const box = boxes.find((free) => !taken.some((other) => cover(free, other))) ?? boxes[0]!;
+      taken.push(box);
+      const lead = boxes.indexOf(box) < ALONG.length ? "" : ` M${(x1 + x2) / 2} ${(y1 + y2) / 2}L${box.x} ${box.y}`;
+      one.line.setAttribute("d", `M${x1} ${y1}L${x2} ${y2}${lead}`);
+      one.words.setAttribute("x", box.x.toFixed(1));
+      one.words.setAttribute("y", box.y.toFixed(1));
+    });
   }
 }
 
-function attributes(element: SVGElement, values: Record<string, number>): void {
-  for (const [name, value] of Object.entries(values)) element.setAttribute(name, value.toFixed(1));
+function cover(one: Box, other: Box): boolean {
+  return (
+    2 * Math.abs(one.x - other.x) < one.width + other.width && 2 * Math.abs(one.y - other.y) < one.height + other.height
+  );
 }

@@ -69,7 +69,7 @@ class Dated:
 
     def frame(self) -> Float64[Array, "3 3"]:
         """Rows: the patient's left, the head, straight ahead. World frame."""
-        from mammometry.report.figures.drawing.shading import front_of
+        from mammometry.report.figures.shading import front_of
 
         return front_of(self.rig(), self.plan.value(measure.body))
 

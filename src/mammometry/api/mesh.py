@@ -29,8 +29,7 @@ from mammometry.base.identity import Identity
 from mammometry.base.machine.cores import one_blas_thread
 from mammometry.base.machine.system import peak_memory_mb
 from mammometry.base.progress import Progress, no_progress
-from mammometry.geometry.arrays import Array, Float64
-from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry import Array, Float64, TriangleMesh
 from mammometry.geometry.nearest import barycentric, closest_on_mesh
 from mammometry.io.drawn import (
     BOUNDARIES,
@@ -321,7 +320,7 @@ class MeshJob(Reported):
         return self._write_for_others(folder, privacy, gather, [self.files.mesh])
 
     def _gathered(self, progress: Progress, privacy: Privacy | None = None) -> ReportContent:
-        from mammometry.report.gather_mesh import MeshOrigin, gather_mesh
+        from mammometry.report.gather import MeshOrigin, gather_mesh
 
         origin = MeshOrigin(
             kind=self.kind, units=self.units, world=WORLD, scanner=self.scanner, notes=self.notes, posture=self.posture

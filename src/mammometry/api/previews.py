@@ -51,7 +51,7 @@ class Previews:
         Raises:
             StorageError: one is not as it was written, or no picture.
         """
-        from mammometry.report.figures.drawing.canvas import caption_of
+        from mammometry.report.figures.canvas import caption_of
 
         pictures = {Path(name).stem: png for name, png in self.store.files(previews_key(stage, self.plan)).items()}
         for name, png in pictures.items():

@@ -154,7 +154,7 @@ def seen(
     """
     from mammometry.calibration.judge.suspects import SuspectPhotographsError
     from mammometry.report.figures import refused
-    from mammometry.report.figures.drawing.shading import front_frame
+    from mammometry.report.figures.shading import front_frame
 
     if stage == "calibrate":
         looked = {pose: made() for pose, made in plan[calibrate.observation].items() if not made.missing}

@@ -1,1 +1,1 @@
-"""What everybody speaks of: errors, progress, photographs, cores, compiled kernels, memory."""
+"""Foundations of all packages: errors, progress, photographs, cores, compiled kernels, memory."""

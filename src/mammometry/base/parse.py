@@ -276,7 +276,7 @@ def shown(value: object) -> str:
 
 
 def error_text(error: BaseException) -> str:
-    """What somebody else's error says, on one line."""
+    """Text of another library's error, on one line."""
     text = f"no {error}" if isinstance(error, KeyError) else str(error)
     line = (text.splitlines() or [""])[0].strip() or type(error).__name__
     return line if len(line) <= _LONGEST else f"{line[:_LONGEST]}…"

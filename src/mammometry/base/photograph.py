@@ -1,7 +1,7 @@
-"""Photographs as the stages see them: pixels and a name, no file."""
+"""Photographs as the stages see them, pixels and a name, and points measured in them elsewhere."""
 
 import numpy as np
-from jaxtyping import Float32, Shaped
+from jaxtyping import Float32, Float64, Int64, Shaped
 
 from mammometry.base.errors import ImageError
 from mammometry.base.value import value
@@ -48,6 +48,18 @@ class Photograph:
         """Linear light, 0…1, by the inverse sRGB transfer function (IEC 61966-2-1)."""
         linear: Float32[np.ndarray, "h w *channels"] = linear_of(self.pixels.dtype)[self.pixels]
         return linear
+
+
+@value(eq=False)
+class MeasuredPoints:
+    """Image points of one photograph from a table, not yet checked. The check is against a target."""
+
+    name: str
+    """What to call the table in messages, e.g. ``calibration/00/front_left.csv``."""
+    ids: Int64[np.ndarray, " n"]
+    """Id of each point: its position in the target's list, from 0."""
+    uv: Float64[np.ndarray, "n 2"]
+    """Distorted pixels, integers at pixel centres."""
 
 
 def linear_of(kind: np.dtype) -> Float32[np.ndarray, " levels"]:

@@ -8,7 +8,7 @@ from typing import Literal
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BundleSettings:
-    """How the rig is adjusted to the detections."""
+    """Choices of the bundle adjustment."""
 
     model: Literal["brown", "paper"] = "brown"
     """Camera model. ``brown``: fx, fy, principal point, k1, k2, p1, p2. ``paper``: one focal length and two radial

@@ -14,9 +14,7 @@ import numpy as np
 from mammometry.base.value import value
 from mammometry.calibration.adjust.calibrated import Calibration
 from mammometry.calibration.judge.expected_error import derivatives, expected_error, shape_shifts, working_volume
-from mammometry.geometry.arrays import Array, Float64
-from mammometry.geometry.camera import Rig
-from mammometry.geometry.transform import Transform
+from mammometry.geometry import Array, Float64, Rig, Transform
 from mammometry.simulate.rigs.targets import sees_target, visible_points
 
 GOOD_MM = 0.05

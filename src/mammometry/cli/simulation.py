@@ -81,9 +81,9 @@ def _woman() -> Solid:
 
 def _scanned(woman: Solid) -> dict[str, bytes]:
     """Files of the scan's folder, as if a telephone's mesh were imported."""
-    from mammometry.io.meshes.own_ply import write_ply
+    from mammometry.io.meshes.own import write_ply
     from mammometry.io.meshes.scans import Scan, import_scan
-    from mammometry.simulate.scanning.scan import QUALITIES, scan
+    from mammometry.simulate.scan import QUALITIES, scan
 
     made = scan(woman, QUALITIES[_QUALITY], _SEED)
     with tempfile.TemporaryDirectory(prefix="mammometry-") as place:
@@ -219,7 +219,7 @@ def simulate(
     """Render a session of a virtual rig. The truth is written to OUT/truth."""
     from mammometry.simulate.disturbances.draw import draw
     from mammometry.simulate.disturbances.registry import check
-    from mammometry.simulate.rendering.objects.skin import make_skin
+    from mammometry.simulate.rendering.skin import make_skin
     from mammometry.simulate.rigs.targets import make_target
     from mammometry.simulate.session import write_session
     from mammometry.simulate.studio import Studio, refusing

@@ -124,7 +124,7 @@ def surface(options: Options, session: SessionFolder) -> Answer:
     from mammometry.job.stages.surface import stillness as product
 
     job, table = _stage("surface", session, options)
-    from mammometry.surface.motion.motion_messages import concerns, summary
+    from mammometry.surface.motion.motion_test import concerns, summary
 
     mesh, stillness = job.surface().repaired.mesh, job.plan[product]()
     path = job.session.results / "surface" / "mesh.ply"

@@ -13,8 +13,8 @@ from pydantic import ValidationError
 from mammometry.base.errors import MammometryError, StorageError
 from mammometry.editor.messages import Finish, Measure, Message, Save, sentence
 from mammometry.editor.session import Desk, Drawable
-from mammometry.io.drawn_changes import LateError
-from mammometry.report.figures.drawing.shading import front_frame
+from mammometry.io.drawn import LateError
+from mammometry.report.figures.shading import front_frame
 from mammometry.report.models import viewer_scene
 from mammometry.report.scene import json_in_page, to_json
 

@@ -17,10 +17,21 @@ from mammometry.base.identity import Identity
 from mammometry.base.machine.cores import one_blas_thread
 from mammometry.editor.drawing import DrawingBoard, Handle, LiveVolume, drawing_board, handle_indices
 from mammometry.editor.messages import Finish, Measure, Point, Save, Sketch
-from mammometry.geometry.arrays import Array, Float64
-from mammometry.geometry.camera import Rig
-from mammometry.io.drawn import BREASTS, DrawnBoundaries, origin_words, read_boundaries, read_landmarks
-from mammometry.io.drawn_changes import Change, Entry, Item, change_drawn, drawn_entries, drawn_entry, entry_digest
+from mammometry.geometry import Array, Float64, Rig
+from mammometry.io.drawn import (
+    BREASTS,
+    Change,
+    DrawnBoundaries,
+    Entry,
+    Item,
+    change_drawn,
+    drawn_entries,
+    drawn_entry,
+    entry_digest,
+    origin_words,
+    read_boundaries,
+    read_landmarks,
+)
 from mammometry.io.results.store import Store
 from mammometry.job.graph import Plan
 from mammometry.job.inputs import FinishedSurface, Inputs

@@ -130,7 +130,7 @@ class TriangleMesh:
         return np.flatnonzero(inside)
 
     def vertices_used_by(self, chosen_faces: Array) -> Bool[Array, " n"]:
-        """Whether each vertex is a corner of a chosen face. Faces are chosen by mask or index."""
+        """Mask of the vertices that are corners of chosen faces, given by mask or index."""
         used = np.zeros(len(self.vertices), dtype=bool)
         used[self.faces[chosen_faces]] = True
         return used

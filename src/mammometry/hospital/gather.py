@@ -17,7 +17,7 @@ from mammometry.io.photographs.images import EXTENSIONS
 from mammometry.job.stages import measure, surface
 from mammometry.measure.volume.attribution import Attribution
 from mammometry.report.content import Clinical, Signed
-from mammometry.report.words.lengths import quantities_of
+from mammometry.report.words.anthropometry import quantities_of
 
 if TYPE_CHECKING:
     from mammometry.api.job import Job
@@ -171,7 +171,7 @@ def stl(mesh: TriangleMesh) -> bytes:
 def covered(atlas: Atlas, measured: Sequence[VolumeMeasurement]) -> CoveredModels:
     """Cover the surface and the closed breasts with photographs."""
     from mammometry.geometry.mesh import TriangleMesh
-    from mammometry.io.meshes.models import material, obj_text
+    from mammometry.io.meshes.own import material, obj_text
     from mammometry.surface.texture.texture_atlas import jpeg_of, transferred
 
     made = [CoveredModel(name="surface", title=_WHOLE, side="", obj=obj_text(atlas, _MTL).encode())]

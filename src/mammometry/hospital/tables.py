@@ -8,7 +8,7 @@ from mammometry.base.csv_cells import csv_text
 from mammometry.base.errors import TableError
 from mammometry.hospital.codes import METHODS, NO_VOLUMES
 from mammometry.hospital.exported import Exported, Quantity
-from mammometry.measure.volume.definitions import Meaning
+from mammometry.measure.volume.measurement import Meaning
 
 TABLE, PARQUET, CODEBOOK = "measurements.csv", "measurements.parquet", "codebook.csv"
 FILES = (TABLE, PARQUET, CODEBOOK)

@@ -1,4 +1,7 @@
-"""CSV tables made by people, programs and spreadsheets of any country, and tables of paired measurements."""
+"""CSV tables made by people, programs and spreadsheets of any country.
+
+Among them tables of paired measurements, with the figures published from them.
+"""
 
 from __future__ import annotations
 
@@ -8,13 +11,16 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mammometry.base.errors import MammometryError, SessionError, TableError
 from mammometry.base.parse import error_text, number, parsing, read_text, shown, toml_table
 from mammometry.geometry.arrays import Array, Float64
-from mammometry.study.agreement import LEAST_SUBJECTS, PairedMeasurements, PublishedFigure
+
+if TYPE_CHECKING:
+    from mammometry.study.agreement import PairedMeasurements, PublishedFigure
 
 _OTHER = {",": ".", ".": ","}
 _GROUPED = {mark: re.compile(rf"[+-]?[1-9][0-9]{{0,2}}(?:[{mark}][0-9]{{3}})+", re.ASCII) for mark in _OTHER}
@@ -25,7 +31,7 @@ _LONG = re.compile(r"[+-]?[0-9]{4,}", re.ASCII)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DecimalMark:
-    """How a table writes its numbers."""
+    """A table's decimal mark and its mark between thousands."""
 
     mark: str
     """Before decimals: a point or a comma."""
@@ -78,7 +84,7 @@ def decimal_mark(columns: Iterable[Sequence[str]]) -> DecimalMark:
 
 
 def both_readings(cell: str) -> tuple[str, str] | None:
-    """What a cell such as ``1,860`` may mean: 1860 or 1.86. None where it means one number or none."""
+    """Both meanings of a cell such as ``1,860``, else None."""
     marks = {letter for letter in cell if letter in _OTHER}
     if len(marks) != 1 or not _GROUPED[mark := marks.pop()].fullmatch(cell) or cell.count(mark) != 1:
         return None
@@ -230,6 +236,8 @@ def read_pairs(path: Path, *, reference: str, measured: str) -> PairedMeasuremen
         TableError: it cannot be read, a column is missing, a value is missing or no number (named by row and column),
             or there are fewer than three rows.
     """
+    from mammometry.study.agreement import LEAST_SUBJECTS, PairedMeasurements
+
     table = read_table(path, str(path), "a CSV table, one row a subject", refusal=TableError)
     pairs = table.numbers(reference, measured)
     named = table.columns[0] not in (reference, measured)
@@ -256,6 +264,8 @@ def read_published(path: Path) -> tuple[PublishedFigure, ...]:
     Raises:
         TableError: it cannot be read, or is not of that form.
     """
+    from mammometry.study.agreement import PublishedFigure
+
     expected = '[[figure]] tables with what, figure and published = "11.12", and note if there is one'
     table = toml_table(
         read_text(path, str(path), expected, most_mib=1, refusal=TableError), str(path), expected, refusal=TableError

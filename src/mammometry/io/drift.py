@@ -30,7 +30,7 @@ _LOG = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraDrift:
-    """How far one camera stood from its calibration in one check."""
+    """Distance of one camera from its calibration in one check."""
 
     moved: bool
     shift_mm: float
@@ -59,7 +59,7 @@ class Entry:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class History:
-    """What is known of a rig's checks."""
+    """History of a rig's checks."""
 
     entries: tuple[Entry, ...] = ()
     """The oldest first."""
@@ -68,7 +68,7 @@ class History:
 
 
 def entry_of(result: RigCheck, *, when: str, image_set: str, calibration: str) -> Entry:
-    """What a check leaves in the history."""
+    """A check's entry in the history."""
     return Entry(
         when=when,
         image_set=image_set,

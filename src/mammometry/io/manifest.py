@@ -79,7 +79,7 @@ class RigEntry(BaseModel):
 
 
 class SubjectEntry(BaseModel):
-    """What was photographed."""
+    """The subject that was photographed."""
 
     model_config = _STRICT
 
@@ -118,7 +118,7 @@ class Manifest(BaseModel):
     date: datetime.date | None = None
     """Day of the photographs. It orders two dates in a comparison. No number depends on it."""
     target: dict[str, Any] | None = None
-    """Its keys depend on its kind: `calibration.target.target_from_table`."""
+    """Its keys depend on its kind: `calibration.targets.table.target_from_table`."""
     intrinsics: IntrinsicsEntry | None = None
 
 

@@ -33,13 +33,12 @@ from mammometry.base.errors import ImageError, SessionError
 from mammometry.base.identity import Identity
 from mammometry.base.parse import LimitSettings
 from mammometry.base.photograph import Photograph
-from mammometry.geometry.arrays import Array
-from mammometry.geometry.camera import Camera
+from mammometry.geometry import Array, Camera
 from mammometry.io.cameras.own import read_cameras, read_priors
 from mammometry.io.csv_tables import read_table
 from mammometry.io.drawn import boundaries_digest, landmarks_digest, read_boundaries, read_landmarks
 from mammometry.io.manifest import MANIFEST, Manifest, read_manifest
-from mammometry.io.meshes.own_ply import read_wall
+from mammometry.io.meshes.own import read_wall
 from mammometry.io.photographs.images import (
     EXTENSIONS,
     ImageHeader,
@@ -53,8 +52,8 @@ from mammometry.job.inputs import MISSING, Inputs
 from mammometry.job.products import Stage
 
 if TYPE_CHECKING:
+    from mammometry.base.photograph import MeasuredPoints
     from mammometry.calibration.adjust.projection import CameraPrior
-    from mammometry.calibration.detection.detect import MeasuredPoints
 
 K = TypeVar("K")
 V = TypeVar("V")
@@ -96,7 +95,7 @@ class Session:
 
     @property
     def results(self) -> Path:
-        """Where the results lie."""
+        """Folder of the results."""
         return self.path / "results"
 
     @property
@@ -414,7 +413,7 @@ class Session:
 
 
 def _read_points(path: Path, name: str) -> MeasuredPoints:
-    from mammometry.calibration.detection.detect import MeasuredPoints
+    from mammometry.base.photograph import MeasuredPoints
 
     table = read_table(
         path, name, "a first line id,u,v, then one point a line: its place in the target's list, its pixel"

@@ -12,11 +12,9 @@ import numpy as np
 
 from mammometry.base.errors import SessionError
 from mammometry.base.parse import json_value, numbers, read_text
-from mammometry.geometry.arrays import Array, Float64
-from mammometry.geometry.camera import Camera, Rig
-from mammometry.geometry.transform import Transform
-from mammometry.io.meshes.own_ply import read_ply
-from mammometry.study.truth import Truth
+from mammometry.geometry import Array, Camera, Float64, Rig, Transform
+from mammometry.io.meshes.own import read_ply
+from mammometry.study.evaluation import Truth
 
 _PATIENT = "patient_"
 

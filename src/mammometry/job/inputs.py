@@ -8,14 +8,12 @@ from typing import TYPE_CHECKING, Literal, TypeAlias
 
 from mammometry.base.errors import CalibrationError
 from mammometry.base.photograph import Photograph
-from mammometry.geometry.arrays import Array, Bool, Float64
-from mammometry.geometry.camera import Camera, Rig
-from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry import Array, Bool, Camera, Float64, Rig, TriangleMesh
 
 if TYPE_CHECKING:
+    from mammometry.base.photograph import MeasuredPoints
     from mammometry.calibration.adjust.calibrated import Calibration
     from mammometry.calibration.adjust.projection import CameraPrior
-    from mammometry.calibration.detection.detect import MeasuredPoints
     from mammometry.calibration.targets.target import Target
     from mammometry.measure.trunk.body import Mounting
     from mammometry.measure.volume.attribution import Attribution

@@ -38,7 +38,7 @@ STAGES: tuple[Stage, ...] = ("calibrate", "match", "surface", "measure", "report
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Key:
-    """What a product depends on. Equal digests mean equal products."""
+    """Digest of all that a product depends on. Equal digests mean equal products."""
 
     stage: Stage
     product: str
@@ -76,7 +76,7 @@ class Memo(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Context:
-    """What the function of a product gets beside other products."""
+    """Inputs, settings and progress, which the function of a product gets beside other products."""
 
     inputs: Inputs
     settings: Settings

@@ -171,7 +171,7 @@ def slope_ratio(
     there_mask: Bool[Array, "h w"],
     shift: Float32[Array, "h w"],
 ) -> float:
-    """How much steeper the other image is than this one.
+    """Ratio of the slopes of the other image and of this one.
 
     Root mean square, on every second row. The arguments are splines.
     """

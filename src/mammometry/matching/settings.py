@@ -8,7 +8,7 @@ import numpy as np
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ForegroundSettings:
-    """How the subject is found before the background, see `segment` and `silhouette`."""
+    """Choice of how the subject is separated from the background."""
 
     mode: Literal["auto", "all"] = "auto"
     """auto: a pale subject in front of a darker background. all: every pixel may be surface (cluttered scenes), and the

@@ -213,7 +213,7 @@ class BreastChange:
 
 @value(eq=False)
 class Change:
-    """What has changed between two dates."""
+    """Changes between two dates."""
 
     fit: TrunkFit
     """Fit of the later trunk onto the earlier one, and its agreement."""
@@ -276,7 +276,7 @@ def compare(
 
 
 def judged(fit: TrunkFit, settings: CompareSettings = CompareSettings()) -> tuple[Pairing, bool]:
-    """Whether both dates show one pose, and whether one body. The trunks decide.
+    """Judge by the trunks whether both dates show one pose, and whether one body.
 
     Raises:
         MeasureError: they are those of two bodies.

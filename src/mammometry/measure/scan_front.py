@@ -10,8 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from mammometry.base.errors import MeasureError
-from mammometry.geometry.arrays import Array, Bool, Float64
-from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry import Array, Bool, Float64, TriangleMesh
 from mammometry.geometry.nearest import point_tree
 from mammometry.measure.scan_repair import RepairedScan
 from mammometry.measure.solid.cut import above

@@ -15,8 +15,7 @@ from scipy.sparse.csgraph import connected_components
 
 from mammometry.base.errors import MeasureError
 from mammometry.base.value import value
-from mammometry.geometry import mesh_kernels
-from mammometry.geometry.arrays import Array, Bool, Float64, Int32, Int64
+from mammometry.geometry import Array, Bool, Float64, Int32, Int64, mesh_kernels
 from mammometry.geometry.mesh import TriangleMesh, edge_table, split_edges
 from mammometry.geometry.nearest import point_tree
 from mammometry.measure.solid.cut import opening_loops

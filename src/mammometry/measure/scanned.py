@@ -12,11 +12,9 @@ from dataclasses import replace
 import numpy as np
 
 from mammometry.base.errors import MeasureError
-from mammometry.geometry.arrays import Array, Bool, Float64
-from mammometry.geometry.camera import Camera, Rig
+from mammometry.geometry import Array, Bool, Camera, Float64, Rig, Transform
 from mammometry.geometry.mesh import TriangleMesh, edge_table, split_edges
 from mammometry.geometry.nearest import point_tree
-from mammometry.geometry.transform import Transform
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.boundary.breasts import roundest_side_per_mm
 from mammometry.measure.boundary.trace import check_beside_holes, edge_loop

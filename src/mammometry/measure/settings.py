@@ -18,7 +18,7 @@ _THICKEST_LAYER_MM = 100.0  # real women have 24 ± 8 mm where it is thickest; m
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BaseRimSettings:
-    """How the base of a cast is found from its visible rim. docs/method, volume."""
+    """Finding the base of a cast from its visible rim. docs/method, volume."""
 
     rim_radius_mm: float = 0.24
     """Assumed rounding radius of the rim if session.toml gives none, mm. A camera sees where the rounding turns away,
@@ -32,7 +32,7 @@ class BaseRimSettings:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NippleSettings:
-    """How a nipple is proposed, and how well a proposal is known."""
+    """Limit below which a proposed nipple is not used."""
 
     least_probability: float = 0.5
     """Least probability of a nipple from which lengths, quadrants and ptosis are measured."""
@@ -142,7 +142,7 @@ class MeasureSettings:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CompareSettings:
-    """How two dates of one patient are compared."""
+    """Limits of the comparison of two dates of one patient."""
 
     doubt_mm: float = 1.6
     """The trunks are doubted if a fifth of one is further than this from the other date's, mm. For one virtual body in

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 from mammometry.measure.volume.attribution import Attribution
 from mammometry.report.content import BreastReport, Clinical, LargeNumber, Picture, ReportContent, Signed
-from mammometry.report.figures.drawing.canvas import CYCLE
+from mammometry.report.figures.canvas import CYCLE
 from mammometry.report.words.volumes import date_words
 
 NOT_CONFIRMED = "not confirmed"

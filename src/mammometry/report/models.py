@@ -12,16 +12,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from PIL import Image
 
-from mammometry.geometry.arrays import Array, Float64
+from mammometry.geometry import Array, Float64, Transform
 from mammometry.geometry.mesh import TriangleMesh, joined
 from mammometry.geometry.nearest import point_tree
-from mammometry.geometry.transform import Transform
 from mammometry.measure.shape.lengths import LinearMeasure
 from mammometry.measure.shape.symmetry import Symmetry
 from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.report.figures.change import Dated
-from mammometry.report.figures.drawing.shading import NAMES, even_curve
 from mammometry.report.figures.measure import reach_mm
+from mammometry.report.figures.shading import NAMES, even_curve
 from mammometry.report.figures.surface import PROVENANCE_COLOURS
 from mammometry.report.scene import Layer, Model, Texture, ViewerScene
 from mammometry.surface.repair.repair import Provenance, RepairedSurface

@@ -8,8 +8,8 @@ from PIL import Image
 
 from mammometry.base.machine.cores import each_at_once
 from mammometry.report.content import Picture
+from mammometry.report.figures.canvas import caption_in
 from mammometry.report.figures.catalogue import is_on_paper
-from mammometry.report.figures.drawing.canvas import caption_in
 
 _PAPER_PX = 1400  # longer side of a picture on paper: about 190 dpi over the text width of A4
 _QUALITY = 88  # of WebP and JPEG, 0 to 100: a photograph as WebP then takes a third of a JPEG; chosen by eye

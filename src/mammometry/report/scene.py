@@ -17,9 +17,7 @@ from typing import Literal
 import numpy as np
 
 from mammometry.base.value import value
-from mammometry.geometry.arrays import Array, Float32, Float64, Int32, UInt8, bounds
-from mammometry.geometry.mesh import TriangleMesh
-from mammometry.geometry.transform import Transform
+from mammometry.geometry import Array, Float32, Float64, Int32, Transform, TriangleMesh, UInt8, bounds
 
 FORMAT_VERSION = 1  # of the data that the viewer reads
 _IN_PAGE = re.compile(r'<script type="application/json" id="mm-scene">(.*?)</script>', re.DOTALL)

@@ -1,4 +1,4 @@
-"""What a virtual session is made from, and its disturbances as written on the command line.
+"""Recipe of a virtual session, and its disturbances as written on the command line.
 
 A disturbance has a name and may have a size. ``rail,drift=0.02,removed=right`` is a rail in front of the body, every
 camera turned by 0.02° after the calibration, and the right breast removed. The names are those of

@@ -105,7 +105,7 @@ rim_radius_mm = 0.0   # the mesh ends in a sharp edge; measure a real cast with 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SimulatedSession:
-    """What was written, and what is true of it."""
+    """The written session, and its truth."""
 
     folder: Path
     rig: Rig

@@ -21,17 +21,17 @@ from mammometry.geometry import Array, Camera, Float32, Float64, Rig, Transform
 from mammometry.simulate.disturbances.exposure import Exposure
 from mammometry.simulate.rendering.develop import develop
 from mammometry.simulate.rendering.film import Film
-from mammometry.simulate.rendering.objects.skin import Skin
-from mammometry.simulate.rendering.objects.solid_target import render_target
 from mammometry.simulate.rendering.registry import BUILT_IN, RENDERERS
 from mammometry.simulate.rendering.scene import Room, Scene, Thing, light_scene, moved
+from mammometry.simulate.rendering.skin import Skin
+from mammometry.simulate.rendering.solid_target import render_target
 from mammometry.simulate.rigs.targets import BOARD, sees_target, visible_points
 from mammometry.simulate.subjects.solid import Solid
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Arrangement:
-    """What stands where in a virtual session. Rig frame, mm."""
+    """Places of everything in a virtual session, rig frame, mm."""
 
     exposure: Exposure
     """Cameras, then and now. Films, flashes and moments."""
@@ -63,7 +63,7 @@ _MEASURED_PX = 0.03
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Studio:
-    """How a session's pictures are taken, whatever stands before the cameras."""
+    """The taking of a session's pictures, whatever stands before the cameras."""
 
     target: Target = BOARD
     """What is photographed for calibration."""

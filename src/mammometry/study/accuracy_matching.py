@@ -33,7 +33,7 @@ _JUDGED_WIDTH_PX = 1400  # wider pictures are judged at every n-th pixel
 
 @value(eq=False)
 class TrueDisparity:
-    """What is true of the pixels of one rectified left picture."""
+    """Truth of the pixels of one rectified left picture."""
 
     step: int
     """Rows and columns of the map from one judged pixel to the next."""

@@ -142,7 +142,7 @@ class Agreement:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PublishedFigure:
-    """What a publication says of one figure."""
+    """One figure as a publication states it."""
 
     what: str
     """In the publication's words."""
@@ -247,7 +247,7 @@ def _key(form: str) -> str:
 
 
 def summary(data: PairedMeasurements, found: Agreement) -> list[str]:
-    """What a reader wants to know first, in sentences."""
+    """The main results of a study of agreement, in sentences."""
     unit = f" {data.unit}" if data.unit else ""
     bias, slope = found.mean_difference, found.trend.slope
     differs = "differs" if found.p < 0.05 else "does not differ significantly"

@@ -19,14 +19,16 @@ from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.study.accuracy import (
     ErrorMap,
+    RigAccuracy,
     SurfaceAccuracy,
     VolumeAccuracy,
     align_surfaces,
+    compare_rigs,
     compare_surfaces,
     compare_volumes,
     map_errors,
+    working_volume,
 )
-from mammometry.study.accuracy_cameras import RigAccuracy, compare_rigs, working_volume
 from mammometry.study.accuracy_matching import (
     MatchingAccuracy,
     RangeAccuracy,
@@ -39,8 +41,24 @@ from mammometry.study.accuracy_matching import (
 )
 from mammometry.study.rays import RayScene, seen_by_pairs
 from mammometry.study.tables import plain
-from mammometry.study.truth import Truth
 from mammometry.surface.ranges.range_image import RangeImage
+
+
+@value(eq=False)
+class Truth:
+    """Everything in the rig's frame, mm."""
+
+    rig: Rig
+    """The cameras that took the photographs, and their pairs."""
+    rig_from_target: Mapping[str, Transform]
+    """Pose → where the calibration target was. Empty where it is not known."""
+    mesh: TriangleMesh
+    """The subject as it stood."""
+    volumes_cc: Mapping[str, float]
+    """``model``, or the patient's ``left`` and ``right`` → true volume, cc. Empty where a volume means nothing."""
+    boundaries: Mapping[str, Float64[Array, "n 3"]]
+    """The same names → true closed boundary curve. Empty where there is none."""
+
 
 _STEP_MM = 0.1  # between points of a curve that is compared: far below any error of it
 

@@ -64,7 +64,7 @@ class DrawnSurface:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scatter:
-    """What single measurements of one breast differ by."""
+    """Scatter of single measurements of one breast."""
 
     sem: Estimate
     """Standard error of measurement: standard deviation of one measurement, cc."""
@@ -82,7 +82,7 @@ class Scatter:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Apart:
-    """How far two curves around one breast lie apart, by region. Over all pairs of drawings."""
+    """Distance of two curves around one breast by region, over all pairs of drawings."""
 
     pairs: int
     mean_mm: float
@@ -275,7 +275,7 @@ _KINDS = (("within", "one person again"), ("between", "whoever draws"))
 
 
 def observers_summary(found: ObserverStudy) -> list[str]:
-    """What a reader wants to know first, in sentences."""
+    """The main results of a study of observers, in sentences."""
     breasts, persons = (_counted(len(count), word) for count, word in
                         ((found.breasts, "breast"), (found.observers, "person")))  # fmt: skip
     lines = [f"{found.drawings} curves around {breasts} by {persons}; mean volume {number(found.mean_cc, '.0f')} cc."]

@@ -18,7 +18,7 @@ SEEN_INCIDENCE_DEG = 75.0
 
 @value(eq=False)
 class Hits:
-    """What rays met first."""
+    """First points that rays met."""
 
     range_mm: Float64[Array, "*n"]
     """Distance from the ray's origin, mm. NaN where nothing is met."""
@@ -27,7 +27,7 @@ class Hits:
 
     @property
     def hit(self) -> Bool[Array, "*n"]:
-        """Where something is met."""
+        """Mask of the rays that met something."""
         return np.isfinite(self.range_mm)
 
 
@@ -75,7 +75,7 @@ class RayScene:
         return Hits(range_mm=ranges.reshape(shape), cosine=cosines.reshape(shape))
 
     def hides(self, origin: Float64[Array, 3], points: Float64[Array, "n 3"]) -> Bool[Array, " n"]:
-        """Whether the mesh hides given points of its own. A ray may slip between two triangles there."""
+        """Mask of its own points that the mesh hides. A ray may slip between two triangles there."""
         offsets = points - origin
         distance = np.linalg.norm(offsets, axis=-1)
         return self.cast(origin, offsets / distance[:, None]).range_mm < distance - _SEEN_MM
@@ -98,7 +98,7 @@ def pixel_grid(camera: Camera, step: int = 1) -> Float64[Array, "h w 2"]:
 
 
 def inside(camera: Camera, uv: Float64[Array, "*n 2"]) -> Bool[Array, "*n"]:
-    """Whether image positions lie in the picture. NaN does not."""
+    """Mask of the image positions that lie in the picture. NaN does not."""
     with np.errstate(invalid="ignore"):
         return np.all((uv >= 0) & (uv <= np.array(camera.size_wh) - 1), axis=-1)
 

@@ -27,8 +27,7 @@ from scipy import ndimage
 
 from mammometry.base.machine.cores import each_at_once
 from mammometry.base.value import value
-from mammometry.geometry.arrays import Array, Bool, Float64, Int32
-from mammometry.geometry.camera import Camera, Rig
+from mammometry.geometry import Array, Bool, Camera, Float64, Int32, Rig
 from mammometry.geometry.projection import projected
 from mammometry.matching.foreground.foreground import Foreground
 from mammometry.surface.ranges import image_kernels
@@ -46,7 +45,7 @@ _WIDENING = 1.25  # of the widest blocked place: gaps as wide as what blocks the
 
 @value(eq=False)
 class Occlusion:
-    """Where one camera's view of the subject is blocked."""
+    """Places where one camera's view of the subject is blocked."""
 
     camera: str
     blocks: Bool[Array, "H W"]

@@ -14,7 +14,7 @@ _TORSO_CUBE_MM = 0.7  # docs/decisions/0040
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DecomposeSettings:
-    """How range images are compared with one another."""
+    """Comparison of range images with one another."""
 
     epsilon_mm: float = 0.5
     """Half-width of the overlapping zone, mm (ε of 2.6.1, where the paper's Results use 0.1)."""
@@ -22,7 +22,7 @@ class DecomposeSettings:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DentSettings:
-    """Which range data count as dented."""
+    """Rule by which range data count as dented."""
 
     rule: Literal["element", "patch", "none"] = "element"
     """``patch``: Eq. 2–3 as written, a patch judged by its centre. ``element``: each datum by its own normal."""
@@ -56,7 +56,7 @@ class ExtractSettings:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TriangulateSettings:
-    """Which disparities become range data."""
+    """Choice of the disparities that become range data."""
 
     spacing_mm: float = 0.25
     """Largest distance of elements on the surface, mm, as far as whole pixels allow: every second pixel of the
@@ -86,10 +86,8 @@ class RepairSettings:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StillnessSettings:
-    """When pairs that disagree are put right, and when refused."""
+    """Limits above which captures whose pairs disagree are refused."""
 
-    correct: bool = True
-    """Whether cameras are set to their most probable poses. If not, only the interval grows."""
     most_mm: float = 3.0
     """Largest RMS displacement of a pair's points that is corrected, mm. Above it, calibrate again."""
     most_unexplained_mm: float = 0.7
@@ -105,7 +103,7 @@ class SurfaceSettings:
     triangulate: TriangulateSettings = field(default_factory=TriangulateSettings)
     """Which disparities become range data."""
     stillness: StillnessSettings = field(default_factory=StillnessSettings)
-    """When pairs that disagree are put right, and when refused."""
+    """When captures whose pairs disagree are refused."""
     decompose: DecomposeSettings = field(default_factory=DecomposeSettings)
     """Labelling of range images against one another."""
     dents: DentSettings = field(default_factory=DentSettings)

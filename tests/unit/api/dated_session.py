@@ -14,8 +14,8 @@ from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
 from mammometry.io.cameras.own import cameras_table
-from mammometry.io.drawn_changes import Change, change_drawn, drawn_entry
-from mammometry.io.meshes.own_ply import write_ply
+from mammometry.io.drawn import Change, change_drawn, drawn_entry
+from mammometry.io.meshes.own import write_ply
 from mammometry.job.inputs import FinishedSurface
 from mammometry.job.stages import calibrate, measure
 from mammometry.job.stages.surface import corrected_cameras, mesh
@@ -103,18 +103,18 @@ def put_results(folder: Path, true: TrueVisit, boundaries: tuple[Boundary, ...] 
     back = job.inputs.wall
     breasts = open_breasts(edges, surface, settings, frame=frame, back=back)
     evidence = Evidence(surface=surface)
-    volumes = tuple(
+    measured = tuple(
         volumes.measure(breast.boundary, chest_wall.fit(breast), settings, evidence=evidence) for breast in breasts
     )
     own = Body(frame=frame, point_world=np.zeros(3), plane_sigma_mm=None, scatter_mm=None, how="")
-    marks = find_landmarks(surface.mesh, colours, volumes, job.inputs.landmarks, own, settings)
-    sizes = dimensions(surface.mesh, volumes, marks, frame, settings)
+    marks = find_landmarks(surface.mesh, colours, measured, job.inputs.landmarks, own, settings)
+    sizes = dimensions(surface.mesh, measured, marks, frame, settings)
     for definition, value in (
         (mesh, finished),
         (corrected_cameras, plan[calibrate.cameras]()),
         (measure.boundaries, edges),
         (measure.body, find_body(surface, frame, boundaries=[edge.points_world for edge in edges])),
-        (measure.measurements, volumes),
+        (measure.measurements, measured),
         (measure.landmarks, marks),
         (measure.dimensions, sizes),
     ):

@@ -11,7 +11,7 @@ from mammometry.base.errors import StorageError
 from mammometry.base.progress import Progress
 from mammometry.cli import main
 from mammometry.job.stages.report import previews_key
-from mammometry.report.figures.drawing.canvas import Caption, encode
+from mammometry.report.figures.canvas import Caption, encode
 
 
 def test_a_picture_that_is_none_is_one_sentence_although_its_record_agrees(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from mammometry.base.machine.system import peak_memory_mb
 
 PROGRAM = """
 import numpy as np, psutil
-from mammometry.base.machine.cores import return_freed_arrays
+from mammometry.base.machine.system import return_freed_arrays
 return_freed_arrays()
 first = np.ones(31 << 20, np.uint8)  # its release would raise glibc's own threshold to as much
 del first

@@ -15,7 +15,7 @@ from mammometry.calibration.detection.detect import Detection, Observations
 from mammometry.calibration.judge.scale import require_sides
 from mammometry.calibration.settings import BundleSettings, CalibrateSettings
 from mammometry.geometry.camera import Camera, Rig
-from mammometry.study.accuracy_cameras import compare_rigs
+from mammometry.study.accuracy import compare_rigs
 
 CAMERAS = cameras_in_rig()
 POSES = placements(8)

@@ -13,9 +13,8 @@ from mammometry.calibration.detection.detect import detect
 from mammometry.calibration.detection.finders import find
 from mammometry.calibration.features.constellation import read_constellation
 from mammometry.calibration.features.dots import measure_dots
-from mammometry.calibration.features.found_points import FoundPoints
 from mammometry.calibration.features.lattice import find_dots
-from mammometry.calibration.features.pixels import grey_bytes, linear_luma
+from mammometry.calibration.features.pixels import FoundPoints, grey_bytes, linear_luma
 from mammometry.calibration.targets.board import Board
 from mammometry.calibration.targets.pdf import target_pdf
 from mammometry.calibration.targets.sheet import Sheet
@@ -24,7 +23,7 @@ from mammometry.calibration.targets.target import TARGETS
 from mammometry.io.results.codecs import from_tree, to_tree
 from mammometry.simulate.rendering.develop import develop
 from mammometry.simulate.rendering.film import Film
-from mammometry.simulate.rendering.objects.solid_target import render_target
+from mammometry.simulate.rendering.solid_target import render_target
 from mammometry.simulate.rigs.build import flashes
 from mammometry.simulate.rigs.poses import draw_poses
 from mammometry.simulate.rigs.rig_file import make_rig

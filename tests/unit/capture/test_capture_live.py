@@ -7,11 +7,11 @@ from tests.unit.capture.virtual_capture import ball, rig_file
 
 from mammometry.base.photograph import Photograph
 from mammometry.calibration.targets.kinds.charuco import CharucoTarget
-from mammometry.capture.live import REGIONS, LiveView, aids
 from mammometry.capture.loop import OpenRig
+from mammometry.capture.page import REGIONS, LiveView, aids
 from mammometry.simulate.rendering.develop import develop
 from mammometry.simulate.rendering.film import Film
-from mammometry.simulate.rendering.objects.solid_target import render_target
+from mammometry.simulate.rendering.solid_target import render_target
 from mammometry.simulate.rigs.build import REFERENCE, build_rig, flashes
 from mammometry.simulate.rigs.poses import draw_poses
 

@@ -13,7 +13,7 @@ from mammometry.calibration.targets.lamps import LAMPS
 from mammometry.capture.skew import Moment, moment_of, read_moment, read_skew, skew_of, write_skew
 from mammometry.cli.main import run
 from mammometry.geometry.transform import Transform
-from mammometry.simulate.rendering.objects.lamps import LampScene, hold_lamps, render_lamps
+from mammometry.simulate.rendering.lamps import LampScene, hold_lamps, render_lamps
 from mammometry.simulate.rigs.build import REFERENCE, build_rig, flashes
 
 BOARD = CharucoTarget(squares=(14, 10), square_mm=25.0, marker_mm=18.0, dictionary="DICT_5X5_250")

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from mammometry.cli import main
-from mammometry.report.figures.drawing.canvas import caption_of
+from mammometry.report.figures.canvas import caption_of
 
 
 def answered(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, dict]:

@@ -125,7 +125,7 @@ def test_firing_again_replaces_and_never_what_was_sent(
     sent.write_bytes(b"another")
     answer = asked(client, visit, "fire", {})
     assert answer["status"] == 409
-    assert "Take them away first" in answer["error"]
+    assert "Set them aside first" in answer["error"]
     assert sent.read_bytes() == b"another"
 
 

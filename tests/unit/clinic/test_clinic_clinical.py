@@ -26,7 +26,7 @@ from mammometry.clinic.records.clinical import clinical_of, operation_words
 from mammometry.clinic.records.operations import Retention, phase_of, retentions
 from mammometry.clinic.records.results import latest
 from mammometry.clinic.roles import Role
-from mammometry.report.words.lengths import length_table
+from mammometry.report.words.anthropometry import length_table
 
 TODAY = timezone.localdate
 

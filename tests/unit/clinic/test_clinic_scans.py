@@ -26,7 +26,7 @@ from mammometry.clinic.jobs import queue, work
 from mammometry.clinic.models import Consent, Job, Patient, Scan, Visit
 from mammometry.clinic.roles import Role
 from mammometry.clinic.templatetags.pages import on_pages
-from mammometry.report.figures.drawing.canvas import Caption, encode
+from mammometry.report.figures.canvas import Caption, encode
 
 
 @pytest.fixture(scope="module")

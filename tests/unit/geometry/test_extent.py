@@ -3,7 +3,7 @@
 import numpy as np
 from scipy import ndimage
 
-from mammometry.geometry import raster_kernels
+from mammometry.geometry import mesh_kernels
 
 
 def test_the_extent_is_that_of_all_true_pixels():
@@ -12,4 +12,4 @@ def test_the_extent_is_that_of_all_true_pixels():
         mask = rng.random((40, 57)) < share
         found = ndimage.find_objects(mask.astype(np.uint8))
         expected = [end for axis in found[0] for end in (axis.start, axis.stop)] if found else [0, 0, 0, 0]
-        assert raster_kernels.extent(mask).tolist() == expected
+        assert mesh_kernels.extent(mask).tolist() == expected

@@ -164,7 +164,7 @@ def test_the_worklist_fills_patient_and_order(tmp_path: Path) -> None:
     settings = {"Worklists": {"Enable": True, "Database": str(folder)}}
     with orthanc.server(tmp_path / "orthanc", **settings) as archive:
         peer = Peer.parse(archive.peer)
-        assert len(entries(peer, day=datetime.date(2026, 3, 1))) == 2
+        assert len(entries(peer, day=datetime.date(2026, 3, 1)).entries) == 2
         found = only_entry(entries(peer, accession="A123"), peer, "A123")
         assert found.patient.name == "Zypernkatze^Quirina"
         assert found.patient.born == datetime.date(1980, 2, 29)

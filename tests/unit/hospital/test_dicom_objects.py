@@ -14,8 +14,7 @@ from pydicom.encaps import generate_frames
 from tests.unit.hospital.exports import ANNA, NAMES, ORDER, deidentified, exported, one_sided, signed
 
 from mammometry.hospital.dicom.frame import encoded
-from mammometry.hospital.dicom.objects import files, objects
-from mammometry.hospital.dicom.photographs import baseline
+from mammometry.hospital.dicom.objects import baseline, files, objects
 
 DCMTK = pytest.mark.skipif(shutil.which("dsrdump") is None, reason="dcmtk is not installed (apt-get install dcmtk)")
 

@@ -255,7 +255,9 @@ def test_a_renamed_field_keeps_its_first_name_on_disk(label: str, first_names: M
     names = {field.name for field in dataclasses.fields(getattr(importlib.import_module(module), name))}
     assert set(first_names) <= names
     assert names.isdisjoint(first_names.values())
-    tree = {"$value": label, **dict.fromkeys((*(names - set(first_names)), *first_names.values()), 1.0)}
+    own = {"name": "left", "why": "low", "unclear": True, "refused": False, "standing": None}  # types are checked
+    tree = {"$value": label, **{field: own.get(field, 1.0) for field in names - set(first_names)}}
+    tree |= {field: own.get(field, 1.0) for field in first_names.values()}
     assert to_tree(from_tree(tree, {}), {}) == tree
 
 

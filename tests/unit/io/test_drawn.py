@@ -10,8 +10,17 @@ import numpy as np
 import pytest
 
 from mammometry.base.errors import SessionError, StorageError
-from mammometry.io.drawn import boundaries_in, read_boundaries, read_landmarks
-from mammometry.io.drawn_changes import Change, LateError, change_drawn, drawn_entries, drawn_entry, entry_digest
+from mammometry.io.drawn import (
+    Change,
+    LateError,
+    boundaries_in,
+    change_drawn,
+    drawn_entries,
+    drawn_entry,
+    entry_digest,
+    read_boundaries,
+    read_landmarks,
+)
 from mammometry.measure.volume.attribution import Confirmation, curve_digest
 
 LEFT, RIGHT, NOTCH = ("boundaries", "left"), ("boundaries", "right"), ("landmarks", "sternal_notch")

@@ -12,7 +12,7 @@ import trimesh
 from mammometry.base.errors import MammometryError, SessionError, StorageError
 from mammometry.geometry.mesh_files.mesh_file import read_triangles
 from mammometry.io.meshes.foreign import read_foreign
-from mammometry.io.meshes.own_ply import read_ply, write_ply
+from mammometry.io.meshes.own import read_ply, write_ply
 from mammometry.io.results.formats import read_raster
 
 HEADER = """\

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from mammometry.base.errors import StorageError
 from mammometry.geometry.mesh import TriangleMesh, on_microns
-from mammometry.io.meshes.own_ply import read_ply, write_ply
+from mammometry.io.meshes.own import read_ply, write_ply
 
 
 def tetrahedron() -> TriangleMesh:

@@ -177,7 +177,7 @@ def test_a_cluttered_scene_is_cut_where_the_coarsest_level_is_the_last_of_both(m
     monkeypatch.setattr("mammometry.matching.dense.least_squares.FINEST_SPAN_PX", 100.0)
     levels = choose_levels("front", [pair.left_mask])
     assert levels.coarsest == levels.last_both > levels.finest
-    found = match(cluttered)
+    found = match(cluttered, MatchSettings(resolution="full"))
     assert found.valid.shape == pair.left_mask.shape
     judged = inner(pair.left_mask) & (np.arange(size_wh[0]) > 275)
     assert found.valid[judged].mean() > 0.95

@@ -9,7 +9,7 @@ from textured_pair import make_pair
 from mammometry.matching.dense.match import DisparityMap, match
 from mammometry.matching.quality import assess, concerns
 from mammometry.matching.rectify import RectifiedPair
-from mammometry.report.figures.drawing.thinning import thinned_map
+from mammometry.report.figures.thinning import thinned_map
 from mammometry.surface.motion.agreement import row_errors
 
 

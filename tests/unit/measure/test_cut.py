@@ -11,7 +11,7 @@ from solids import ball
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.measure.boundary.cast_base import Base, frame_towards
 from mammometry.measure.solid.cut import above, inside_curve, opening_loops
-from mammometry.measure.solid.sew import sew
+from mammometry.measure.solid.patch import sew
 
 unit_vectors = st.tuples(*[st.floats(-1, 1)] * 3).filter(lambda v: np.linalg.norm(v) > 0.1)
 

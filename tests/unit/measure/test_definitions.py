@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mammometry.measure.settings import LayerSettings
-from mammometry.measure.volume.definitions import DefinedVolume, HalfWidths, define, layer_before_muscle_mm
+from mammometry.measure.volume.measurement import DefinedVolume, HalfWidths, define, layer_before_muscle_mm
 
 
 def defined(**changes: object) -> tuple[DefinedVolume, ...]:

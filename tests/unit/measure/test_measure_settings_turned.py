@@ -16,13 +16,13 @@ from mammometry.measure.boundary.breasts import creased_share
 from mammometry.measure.boundary.cast_base import Base
 from mammometry.measure.boundary.cast_rim import AdjustedBase
 from mammometry.measure.boundary.crease import Crease, follow_crease
-from mammometry.measure.boundary.prominence import Standing
+from mammometry.measure.boundary.prominence import Prominence
 from mammometry.measure.change import Change, TrunkFit, judged
 from mammometry.measure.landmarks.proposals import propose_nipple
 from mammometry.measure.settings import CompareSettings, LayerSettings
 from mammometry.measure.trunk.skin_map import PIXEL_MM, Relief
 from mammometry.measure.trunk.thorax import Skin, Trunk, find_trunk, fit_thorax
-from mammometry.measure.volume.definitions import layer_before_muscle_mm
+from mammometry.measure.volume.measurement import layer_before_muscle_mm
 from mammometry.measure.volume.uncertainty import AXIS, Evidence, interval
 from mammometry.measure.wall.chest_wall import ChestWall
 
@@ -131,12 +131,12 @@ def two_caps(top_mm: float) -> Relief:
 
 def test_a_breast_must_stand_out() -> None:
     for top_mm, verdict in ((20.0, "breast"), (7.0, "none")):
-        assert Standing(top_mm=top_mm, volume_cc=100.0, area_cm2=95.0, creased=1.0).verdict() == verdict
+        assert Prominence(top_mm=top_mm, volume_cc=100.0, area_cm2=95.0, creased=1.0).verdict() == verdict
 
 
 def test_what_is_low_needs_more_of_a_crease() -> None:
     """16 mm lie half-way between 8 and 24 mm: the share asked for is the mean of .4 and .9."""
-    low = Standing(top_mm=16.0, volume_cc=100.0, area_cm2=95.0, creased=0.66)
+    low = Prominence(top_mm=16.0, volume_cc=100.0, area_cm2=95.0, creased=0.66)
     assert low.verdict() == "breast"
     assert replace(low, creased=0.64).verdict() == "unclear"
     flat = replace(low, volume_cc=50.0)  # on average 5.3 mm high: the chest's own form

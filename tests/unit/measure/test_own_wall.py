@@ -8,7 +8,7 @@ from solids import as_surface, rig_around
 from trunks import LEFT, RADIUS_MM, RIGHT, bump_mm, edge_of, trunk_mesh, volume_cc
 
 from mammometry.base.errors import MeasureError, SettingsError
-from mammometry.measure.solid.sew import Closed
+from mammometry.measure.solid.patch import Closed
 from mammometry.measure.trunk.body import rig_frame
 from mammometry.measure.volume import volumes
 from mammometry.measure.volume.uncertainty import Evidence

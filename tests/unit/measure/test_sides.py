@@ -14,7 +14,7 @@ from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
 from mammometry.measure.boundary.boundary import Boundary, outline_torso
 from mammometry.measure.boundary.breasts import _check_base
-from mammometry.measure.boundary.prominence import Standing, standing_out
+from mammometry.measure.boundary.prominence import Prominence, prominence_within
 from mammometry.measure.trunk.body import Body, Mounting, find_body, lies_across, rig_frame
 from mammometry.measure.trunk.skin_map import PIXEL_MM, Relief
 from mammometry.measure.trunk.thorax import Trunk, seen_skin
@@ -198,7 +198,7 @@ def test_a_camera_turned_about_its_axis_and_named_so_gives_the_same_frame(mounti
     ],
 )
 def test_what_counts_as_a_breast(top: float, volume: float, creased: float, astray: float | None, verdict: str) -> None:
-    found = Standing(top_mm=top, volume_cc=volume, area_cm2=110.0, creased=creased)
+    found = Prominence(top_mm=top, volume_cc=volume, area_cm2=110.0, creased=creased)
     assert found.verdict(astray) == verdict
 
 
@@ -212,7 +212,7 @@ def test_what_stands_out_of_a_slope_is_measured_before_the_slope() -> None:
         bulge_mm=30.0 * np.clip(1 - rho2, 0, None) ** 2 + 0.1 * x - 0.05 * y + 3.0,
         known=np.ones(x.shape, dtype=bool),
     )
-    found = standing_out(relief, rho2 < 1, 0.9)
+    found = prominence_within(relief, rho2 < 1, 0.9)
     assert found.volume_cc == pytest.approx(np.pi * 60.0**2 * 30.0 / 3 / 1000, rel=0.01)
     assert found.area_cm2 == pytest.approx(np.pi * 36.0, rel=0.02)
     assert 25.0 < found.top_mm < 30.0  # smoothed over 6 mm

@@ -15,9 +15,7 @@ from mammometry.measure.solid.cut import OpenPart
 from mammometry.measure.trunk.body import rig_frame
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.heights import plate
-from mammometry.measure.wall.kinds.coons import coons
-from mammometry.measure.wall.kinds.membranes import membrane, thin_plate
-from mammometry.measure.wall.kinds.plane import plane
+from mammometry.measure.wall.kinds.over_boundary import coons, membrane, plane, thin_plate
 from mammometry.measure.wall.open_breast import OpenBreast
 from mammometry.surface.repair.repair import RepairedSurface
 

@@ -8,8 +8,7 @@ from mammometry.measure.landmarks.landmarks import Landmark
 from mammometry.measure.shape.anthropometry import BreastShape, Dimensions
 from mammometry.measure.shape.lengths import LinearMeasure, Ptosis
 from mammometry.measure.shape.symmetry import Symmetry
-from mammometry.report.words.anthropometry import dimension_tables, planning_lengths, symmetry_facts
-from mammometry.report.words.lengths import quantities_of
+from mammometry.report.words.anthropometry import dimension_tables, planning_lengths, quantities_of, symmetry_facts
 
 
 def sizes_of_the_left() -> Dimensions:

@@ -21,7 +21,7 @@ from mammometry.report.words import describe
 
 ADDED = """
 import numpy as np
-from mammometry.report.figures.drawing.canvas import Caption, Sheet, encode
+from mammometry.report.figures.canvas import Caption, Sheet, encode
 from mammometry.report.figures.catalogue import paper_figure, preview
 
 @preview("stripes", stage="measure", place=9, photographs=False)

@@ -10,8 +10,8 @@ import synthetic
 
 from mammometry.calibration.judge.quality import assess
 from mammometry.measure.trunk.head import HEAD_NOT_SHOWN
-from mammometry.measure.volume.definitions import DefinedVolume, Meaning
-from mammometry.report.figures.drawing.thinning import thinned_ranges
+from mammometry.measure.volume.measurement import DefinedVolume, Meaning
+from mammometry.report.figures.thinning import thinned_ranges
 from mammometry.report.gather import RunResults, run_cautions, run_concerns, warnings
 from mammometry.report.words import describe
 from mammometry.report.words.anthropometry import comparison

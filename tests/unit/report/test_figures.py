@@ -20,12 +20,11 @@ from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
 from mammometry.measure.shape.symmetry import Symmetry
 from mammometry.measure.trunk.body import Body
-from mammometry.report.figures import stage_results, surface
-from mammometry.report.figures.drawing import canvas, shading
-from mammometry.report.figures.drawing.canvas import Caption
-from mammometry.report.figures.drawing.shading import front_frame, front_of
-from mammometry.report.figures.drawing.thinning import matched_shares, thinned_ranges
+from mammometry.report.figures import canvas, shading, stage_results, surface
+from mammometry.report.figures.canvas import Caption
+from mammometry.report.figures.shading import front_frame, front_of
 from mammometry.report.figures.stage_results import CalibrationResult, MatchingResult, SurfaceResult
+from mammometry.report.figures.thinning import matched_shares, thinned_ranges
 from mammometry.surface.repair.repair import Provenance
 
 

@@ -15,7 +15,7 @@ from mammometry.report import content
 from mammometry.report.content import ReportContent
 from mammometry.report.documents import html, pages
 from mammometry.report.figures import stage_results
-from mammometry.report.figures.drawing.canvas import Caption, encode
+from mammometry.report.figures.canvas import Caption, encode
 from mammometry.report.first_page import FirstPage, first_page
 from mammometry.report.pictures import all_encoded
 from mammometry.report.words import describe

@@ -6,7 +6,7 @@ import numpy as np
 from tests.unit.measure.solids import dome
 
 from mammometry.report.documents.study_pages import observers_files, observers_names
-from mammometry.report.figures.drawing.canvas import caption_of
+from mammometry.report.figures.canvas import caption_of
 from mammometry.study.observers import Drawing, DrawnSurface, observer_study
 
 

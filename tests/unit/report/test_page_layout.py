@@ -13,8 +13,8 @@ from mammometry.calibration.judge.quality import assess
 from mammometry.report import content
 from mammometry.report.documents import html
 from mammometry.report.figures import stage_results
-from mammometry.report.figures.drawing.shading import front_frame
-from mammometry.report.figures.drawing.thinning import thinned_ranges
+from mammometry.report.figures.shading import front_frame
+from mammometry.report.figures.thinning import thinned_ranges
 from mammometry.report.first_page import first_page
 from mammometry.report.gather import RunResults, warnings
 from mammometry.report.models import viewer_scene

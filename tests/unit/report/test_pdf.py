@@ -15,8 +15,8 @@ from mammometry.report import content
 from mammometry.report.content import Clinical, ReportContent, Signed
 from mammometry.report.documents import pdf
 from mammometry.report.figures import stage_results
+from mammometry.report.figures.canvas import Sheet
 from mammometry.report.figures.catalogue import PREVIEWS
-from mammometry.report.figures.drawing.canvas import Sheet
 from mammometry.report.figures.matching import disparity
 from mammometry.report.figures.stage_results import MatchingResult
 from mammometry.report.first_page import first_page

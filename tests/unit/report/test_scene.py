@@ -13,7 +13,7 @@ from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
 from mammometry.measure.shape.lengths import LinearMeasure
 from mammometry.measure.shape.symmetry import Symmetry
-from mammometry.report.figures.drawing.shading import front_frame
+from mammometry.report.figures.shading import front_frame
 from mammometry.report.models import thinned, viewer_scene, with_lengths
 from mammometry.report.scene import Layer, Model, ViewerScene, to_json
 from mammometry.surface.repair.repair import Provenance

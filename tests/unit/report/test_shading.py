@@ -8,7 +8,7 @@ from embreex.mesh_construction import TriangleMesh as EmbreeMesh
 from embreex.rtcore_scene import EmbreeScene
 
 from mammometry.geometry.mesh import TriangleMesh
-from mammometry.report.figures.drawing.shading import (
+from mammometry.report.figures.shading import (
     Scene,
     View,
     front_frame,

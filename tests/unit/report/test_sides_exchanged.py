@@ -9,7 +9,7 @@ from synthetic import measurement
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.measure.trunk.body import Body
 from mammometry.measure.volume.measurement import VolumeMeasurement
-from mammometry.report.gather_mesh import _warnings
+from mammometry.report.gather import _warnings
 
 BASE = np.array([[-50.0, -50, 0], [50, -50, 0], [50, 50, 0], [-50, 50, 0]])
 FACES = np.array([[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4], [0, 2, 1], [0, 3, 2]], dtype=np.int32)

@@ -5,7 +5,7 @@ import pytest
 import synthetic
 
 from mammometry.geometry.mesh import TriangleMesh
-from mammometry.report.figures.drawing.shading import front_frame
+from mammometry.report.figures.shading import front_frame
 from mammometry.report.models import viewer_scene
 from mammometry.report.words.describe import surface_report
 from mammometry.surface.texture.texture_atlas import Atlas

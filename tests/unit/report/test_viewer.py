@@ -19,7 +19,7 @@ from mammometry.geometry.mesh import TriangleMesh
 from mammometry.measure.landmarks.geodesic import geodesic
 from mammometry.report import content
 from mammometry.report.documents import html
-from mammometry.report.figures.drawing.shading import front_frame
+from mammometry.report.figures.shading import front_frame
 from mammometry.report.first_page import first_page
 from mammometry.report.models import viewer_scene
 from mammometry.report.scene import Model, to_json
@@ -56,6 +56,11 @@ def address(tmp_path_factory: pytest.TempPathFactory) -> str:
     measured = [synthetic.measurement("left"), synthetic.measurement("right")]
     changed, everything = describe.settings_facts(Settings())
     scene = viewer_scene(front_frame(synthetic.rig()), synthetic.repaired(ball), synthetic.textured(ball), measured)
+    crowded = tuple(
+        ("48.8 mm along the skin", np.array([[across - 5.0, 50.0, 0.0], [across + 5.0, 50.0, 0.0]]))
+        for across in range(-36, 37, 6)
+    )
+    shown = replace(scene.models[0], lengths=crowded)
     other = Model(name="furrowed", title="Furrowed", mesh=FURROWED, normals=FURROWED.vertex_normals())
     page_content = content.ReportContent(
         identity=Identity(name="Case"),
@@ -70,7 +75,7 @@ def address(tmp_path_factory: pytest.TempPathFactory) -> str:
         changed_settings=changed,
         all_settings=everything,
         versions=describe.versions(),
-        scene=to_json(replace(scene, models=(*scene.models, other))),
+        scene=to_json(replace(scene, models=(shown, *scene.models[1:], other))),
     )
     page = tmp_path_factory.mktemp("report") / "report.html"
     page.write_text(html.render(page_content, first_page(page_content, {}, None, named=True)), encoding="utf-8")
@@ -240,9 +245,17 @@ def test_a_screenshot_is_saved(viewer: Locator) -> None:
     assert np.ptp(saved[..., 3]) == 255  # the model on a clear ground
 
 
-def test_it_fits_a_telephone(viewer: Locator) -> None:
+def test_it_fits_a_telephone_and_no_length_covers_another(viewer: Locator) -> None:
     viewer.page.set_viewport_size({"width": 360, "height": 740})
     try:
+        viewer.page.wait_for_timeout(250)
+        boxes = viewer.locator(".mm-lengths text").evaluate_all(
+            "all => all.map(words => words.getBBox()).map(box => [box.x, box.y, box.width, box.height])"
+        )
+        places, sizes = np.hsplit(np.array(boxes), 2)
+        assert len(places) == 13
+        apart = np.abs(places[:, None] - places) > sizes.max(axis=0) - 0.6  # all have the same words
+        assert (apart.any(axis=2) | np.eye(13, dtype=bool)).all()
         assert viewer.page.evaluate("document.documentElement.scrollWidth") == 360
         box = viewer.locator("canvas").bounding_box()
         assert box is not None

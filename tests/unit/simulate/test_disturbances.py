@@ -16,9 +16,9 @@ from mammometry.simulate.disturbances.surfaces import ball, bar, box, merged, st
 from mammometry.simulate.recipe import parse_situation
 from mammometry.simulate.rendering.develop import magnified
 from mammometry.simulate.rendering.film import Film
-from mammometry.simulate.rendering.objects.skin import SKINS, Skin
 from mammometry.simulate.rendering.render import render_subject
 from mammometry.simulate.rendering.scene import Motion, Room, light_scene, moved
+from mammometry.simulate.rendering.skin import SKINS, Skin
 from mammometry.simulate.rigs.build import flashes
 from mammometry.simulate.rigs.rig_file import make_rig
 from mammometry.simulate.subjects.body import Body

@@ -13,8 +13,8 @@ from mammometry.geometry.transform import Transform
 from mammometry.simulate.rendering import kernels, shading
 from mammometry.simulate.rendering.develop import develop, srgb_encoded
 from mammometry.simulate.rendering.film import Film
-from mammometry.simulate.rendering.objects.solid_target import render_target
 from mammometry.simulate.rendering.sampling import lens_parameters, net_offsets
+from mammometry.simulate.rendering.solid_target import render_target
 
 _BOARD = CharucoTarget(squares=(5, 4), square_mm=25.0, marker_mm=18.0, dictionary="DICT_5X5_250")
 
@@ -83,7 +83,7 @@ def _board_twin(camera, target, light, background, fine=12):
 @pytest.mark.slow
 @pytest.mark.parametrize(("samples", "spread"), [(16, 0.015), (256, 0.0025)])
 def test_board_is_opencvs_drawing_seen_through_the_lens(camera, one_light, monkeypatch, samples, spread):
-    monkeypatch.setattr("mammometry.simulate.rendering.objects.solid_target._EDGE_SAMPLES", samples)
+    monkeypatch.setattr("mammometry.simulate.rendering.solid_target._EDGE_SAMPLES", samples)
     image = render_target(camera, Transform.identity(), _BOARD, one_light, background=0.01)
     twin = _board_twin(camera, _BOARD, one_light, 0.01)
     assert twin.max() > 0.5  # it is in view

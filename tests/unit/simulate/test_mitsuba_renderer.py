@@ -10,9 +10,9 @@ from mammometry.base.errors import SettingsError
 from mammometry.geometry.transform import Transform
 from mammometry.simulate.rendering import mitsuba_renderer
 from mammometry.simulate.rendering.mitsuba_renderer import _quartered, render_by_mitsuba
-from mammometry.simulate.rendering.objects.skin import Skin
 from mammometry.simulate.rendering.render import render_subject
 from mammometry.simulate.rendering.scene import light_scene
+from mammometry.simulate.rendering.skin import Skin
 from mammometry.simulate.rigs.build import flashes
 from mammometry.simulate.rigs.rig_file import make_rig
 from mammometry.simulate.studio import Studio

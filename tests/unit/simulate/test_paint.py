@@ -8,9 +8,9 @@ import pytest
 from mammometry.geometry.transform import Transform
 from mammometry.simulate.rendering import shading
 from mammometry.simulate.rendering.film import Film
-from mammometry.simulate.rendering.objects.skin import SKINS, Skin, make_skin
 from mammometry.simulate.rendering.render import render_subject
 from mammometry.simulate.rendering.scene import LIGHTS, SCATTER, Room, light_scene
+from mammometry.simulate.rendering.skin import SKINS, Skin, make_skin
 from mammometry.simulate.rigs.rig_file import make_rig
 from mammometry.simulate.subjects.shapes import sphere
 

@@ -11,10 +11,10 @@ from skimage.measure import find_contours
 from mammometry.geometry.camera import Camera
 from mammometry.geometry.transform import Transform
 from mammometry.simulate.rendering import kernels, render
-from mammometry.simulate.rendering.objects.skin import SKINS, Skin
 from mammometry.simulate.rendering.render import blocks, render_subject, subject_coverage
 from mammometry.simulate.rendering.sampling import PINHOLE, lens_parameters, net_offsets
 from mammometry.simulate.rendering.scene import Room, Scene, light_scene
+from mammometry.simulate.rendering.skin import SKINS, Skin
 from mammometry.simulate.rigs.build import flashes
 from mammometry.simulate.rigs.rig_file import make_rig
 from mammometry.simulate.subjects.plaster import PlasterShape, plaster

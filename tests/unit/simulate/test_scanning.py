@@ -11,7 +11,7 @@ from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.nearest import point_tree
 from mammometry.simulate.disturbances.registry import disturbed
 from mammometry.simulate.recipe import parse_situation
-from mammometry.simulate.scanning.scan import QUALITIES, ScanQuality, add_picture, clean_front, scan
+from mammometry.simulate.scan import QUALITIES, ScanQuality, add_picture, clean_front, scan
 from mammometry.simulate.subjects.registry import make_subject
 from mammometry.simulate.subjects.solid import Solid
 from mammometry.simulate.subjects.torso import torso_shape

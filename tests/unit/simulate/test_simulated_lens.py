@@ -13,14 +13,14 @@ from mammometry.calibration.targets.kinds.circles import CirclesTarget
 from mammometry.calibration.targets.kinds.cylinder import DottedCylinderTarget
 from mammometry.geometry.camera import Camera
 from mammometry.geometry.transform import Transform
+from mammometry.simulate.rendering import solid_target
 from mammometry.simulate.rendering.develop import develop
 from mammometry.simulate.rendering.film import Film
-from mammometry.simulate.rendering.objects import solid_target
-from mammometry.simulate.rendering.objects.skin import Skin
-from mammometry.simulate.rendering.objects.solid_target import render_target
 from mammometry.simulate.rendering.render import render_subject, subject_coverage
 from mammometry.simulate.rendering.sampling import PINHOLE, Aperture, disc_offsets, lens_rays, net_offsets
 from mammometry.simulate.rendering.scene import light_scene
+from mammometry.simulate.rendering.skin import Skin
+from mammometry.simulate.rendering.solid_target import render_target
 from mammometry.simulate.rigs.rig_file import make_rig
 from mammometry.simulate.subjects.shapes import sphere
 

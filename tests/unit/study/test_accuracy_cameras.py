@@ -9,7 +9,7 @@ import trimesh
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
-from mammometry.study.accuracy_cameras import compare_rigs, rigid, triangulate, working_volume
+from mammometry.study.accuracy import compare_rigs, rigid, triangulate, working_volume
 
 POINTS = working_volume(
     TriangleMesh(

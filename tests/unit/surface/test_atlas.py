@@ -6,7 +6,7 @@ from scipy import ndimage
 from spheres import camera_towards, rig_of, sphere_mesh
 
 from mammometry.base.photograph import Photograph
-from mammometry.io.meshes.models import write_glb, write_obj
+from mammometry.io.meshes.own import write_glb, write_obj
 from mammometry.surface.texture.simplify import thinned
 from mammometry.surface.texture.texture_atlas import Atlas, best_views, cover
 

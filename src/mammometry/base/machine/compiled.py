@@ -1,4 +1,4 @@
-"""How kernels are compiled, and kept on disk, valid on any common processor.
+"""Compilation of kernels, kept on disk, valid on any common processor.
 
 All kernels share their options, so that numba compiles once what they have in common, such as the making of arrays.
 None is compiled with ``parallel=True``, which takes several times as long: kernels hold no lock, and where it is worth

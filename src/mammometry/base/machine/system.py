@@ -1,4 +1,4 @@
-"""What systems do differently. Nothing else names modules and functions that one of them lacks.
+"""Differences between systems. Nothing else names modules and functions that one lacks.
 
 Tested on Linux. Where Windows has no counterpart, the function does nothing there.
 """

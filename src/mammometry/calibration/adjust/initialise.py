@@ -157,7 +157,7 @@ class TooFewViewsError(CalibrationError):
 
 @value(eq=False)
 class InitialRig:
-    """Where the adjustment starts. Good to a pixel or so."""
+    """First values of the adjustment, good to a pixel or so."""
 
     intrinsics: Mapping[str, Float64[Array, 10]]
     """Camera → fx, fy, cx, cy (px), k1, k2, p1, p2, k3, and no skew (px)."""

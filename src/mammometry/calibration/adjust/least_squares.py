@@ -108,7 +108,7 @@ class Problem(Protocol[S]):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Minimum(Generic[S]):
-    """Where the descent ended."""
+    """The minimum that the descent reached."""
 
     state: S
     cost: float

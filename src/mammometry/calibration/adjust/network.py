@@ -22,7 +22,7 @@ POSE_NAMES_STATION = ("rotation_x_rad", "rotation_y_rad", "rotation_z_rad", "x_m
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Network:
-    """What was observed, flattened. Views in order, their points one after the other."""
+    """The observations, flattened: views in order, their points one after the other."""
 
     cameras: tuple[str, ...]
     stations: tuple[str, ...]
@@ -82,15 +82,15 @@ class Network:
         return tuple(names)
 
     def columns_of_camera(self, camera: int | np.integer) -> Int64[Array, " k"]:
-        """Which parameters are a camera's."""
+        """Columns of a camera's parameters."""
         return camera * self.per_camera + np.arange(self.per_camera)
 
     def columns_of_station(self, station: int | np.integer) -> Int64[Array, 6]:
-        """Which parameters are a station's."""
+        """Columns of a station's parameters."""
         return len(self.cameras) * self.per_camera + 6 * station + np.arange(6)
 
     def columns_of_intrinsic(self, name: str) -> Int64[Array, " c"]:
-        """Which parameter is this intrinsic one of each camera. Empty where the model has none."""
+        """Column of one intrinsic parameter of each camera. Empty where the model has none."""
         if name not in self.intrinsic_names:
             return np.empty(0, np.int64)
         return np.arange(len(self.cameras)) * self.per_camera + self.intrinsic_names.index(name)

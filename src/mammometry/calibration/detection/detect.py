@@ -13,27 +13,14 @@ import cv2
 import numpy as np
 
 from mammometry.base.errors import CalibrationError, ImageError
-from mammometry.base.photograph import Photograph
+from mammometry.base.photograph import MeasuredPoints, Photograph
 from mammometry.base.progress import Progress, no_progress
 from mammometry.base.value import value
 from mammometry.calibration.detection.finders import explain_miss, find
 from mammometry.calibration.detection.finders.cylinder import numbered_alike
-from mammometry.calibration.features.found_points import Cause, FoundPoints
-from mammometry.calibration.features.pixels import grey_bytes, reduced
+from mammometry.calibration.features.pixels import Cause, FoundPoints, grey_bytes, reduced
 from mammometry.calibration.targets.target import Target
 from mammometry.geometry.arrays import Array, Float64, Int64, UInt8
-
-
-@value(eq=False)
-class MeasuredPoints:
-    """Image points of one photograph from a table, not yet checked. The check is against a target."""
-
-    name: str
-    """What to call the table in messages, e.g. ``calibration/00/front_left.csv``."""
-    ids: Int64[Array, " n"]
-    """Id of each point: its position in the target's list, from 0."""
-    uv: Float64[Array, "n 2"]
-    """Distorted pixels, integers at pixel centres."""
 
 
 def points_from_table(

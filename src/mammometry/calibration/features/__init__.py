@@ -1,1 +1,1 @@
-"""What is measured in a picture of a target: corners, dots, lattices."""
+"""Features measured in a picture of a target: corners, dots, lattices."""

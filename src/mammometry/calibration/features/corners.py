@@ -9,7 +9,7 @@ import numpy as np
 
 from mammometry.calibration.features.board_map import LENS_TOLERANCE, BoardMap, fit_board_map, monomials
 from mammometry.calibration.features.corner_kernels import fit_windows
-from mammometry.calibration.features.found_points import FoundPoints
+from mammometry.calibration.features.pixels import FoundPoints
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int64
 
 _GRID = np.linspace(-1.0, 1.0, 7)
@@ -27,7 +27,7 @@ class MarkerArea:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CornerFits:
-    """What the fit found at each corner. Rows of failed fits have `ok` False and carry no meaning."""
+    """Results of the fit at each corner. Rows of failed fits have `ok` False and carry no meaning."""
 
     uv: Float64[Array, "n 2"]
     """Corner, distorted pixels."""

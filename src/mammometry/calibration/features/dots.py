@@ -18,7 +18,7 @@ from typing import Literal
 import numpy as np
 from scipy import ndimage
 
-from mammometry.calibration.features.found_points import Cause
+from mammometry.calibration.features.pixels import Cause
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64
 
 _BLUR_PX = 2.0

@@ -1,13 +1,15 @@
-"""Small grey pictures to search in, and linear light to measure in."""
+"""Small grey pictures to search in, linear light to measure in, and the points that are found."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
 from mammometry.base.photograph import Photograph
 from mammometry.calibration.features.corner_kernels import weighted_levels
-from mammometry.geometry.arrays import Array, Float32, Float64, UInt8
+from mammometry.geometry.arrays import Array, Float32, Float64, Int64, UInt8
 
 _REC709 = np.array([[0.2126, 0.7152, 0.0722]], dtype=np.float32)
 
@@ -53,3 +55,25 @@ def linear_luma(photograph: Photograph) -> Float32[Array, "h w"]:
         return weighted_levels(photograph.pixels, *(levels * _REC709.T))
     linear = photograph.linear()
     return np.asarray(cv2.transform(linear, _REC709) if linear.ndim == 3 else linear, dtype=np.float32)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class FoundPoints:
+    """Points of the target in one photograph."""
+
+    ids: Int64[Array, " n"]
+    """Rows of ``target.points_target``, ascending."""
+    uv: Float64[Array, "n 2"]
+    """Distorted pixels of the original photograph."""
+    covariance_px2: Float64[Array, "n 2 2"]
+    """Covariance of each point's `uv` by the fit alone, px²."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Cause:
+    """Content of a photograph that shows no target that can be used."""
+
+    found: str
+    """What it shows, in words."""
+    remedy: str
+    """What to do. Empty if nothing is wrong: not every camera sees the target in every pose."""

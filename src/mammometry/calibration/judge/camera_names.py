@@ -1,4 +1,4 @@
-"""Whether photographs bear the right names, and nobody moved.
+"""Test whether photographs bear the right names, and nobody moved.
 
 Features that the two photographs of a pair share must lie on one another's epipolar lines, as the calibration has them,
 and the points they show must lie where the rig's cameras look. A photograph of another camera fails that nearly
@@ -38,7 +38,7 @@ then 2 to 20 mm off."""
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PairAgreement:
-    """How the matches of a pair's photographs fit its cameras."""
+    """Agreement of the matches of a pair's photographs with its cameras."""
 
     matches: int
     fitting: float
@@ -49,7 +49,7 @@ class PairAgreement:
 
     @property
     def tells(self) -> bool:
-        """Whether there are enough matches."""
+        """Whether there are enough matches to tell."""
         return self.matches >= _FEWEST
 
     @property
@@ -75,7 +75,7 @@ class PairAgreement:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Names:
-    """What the features say of the names."""
+    """Verdict of the features on the photographs' names."""
 
     pairs: Mapping[str, PairAgreement]
     exchanged: Mapping[str, str] = field(default_factory=dict)
@@ -353,7 +353,7 @@ def pair_agreement(
     uv_right: Float64[Array, "n 2"],
     middle: Float64[Array, 3] | None,
 ) -> PairAgreement:
-    """How well two pictures' features fit two cameras.
+    """Measure how well two pictures' features fit two cameras.
 
     Args:
         left: calibrated, as `right`.

@@ -94,7 +94,7 @@ class Reference:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CameraCheck:
-    """How one camera stands to those that did not move."""
+    """Motion of one camera against those that did not move."""
 
     camera: str
     moved: bool
@@ -107,7 +107,7 @@ class CameraCheck:
 
 @value(eq=False)
 class RigCheck:
-    """What a later exposure of the target says of a calibration."""
+    """Result of checking a calibration by a later exposure of the target."""
 
     verdict: CheckVerdict
     """``unmoved``: within noise. ``moved``: certain, but too small to matter. ``refuse``: calibrate again."""

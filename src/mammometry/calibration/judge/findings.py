@@ -11,7 +11,7 @@ import numpy as np
 from mammometry.base.sizes import fitting
 from mammometry.calibration.adjust.calibrated import Calibration
 from mammometry.calibration.detection.detect import Detection
-from mammometry.calibration.features.found_points import Cause
+from mammometry.calibration.features.pixels import Cause
 from mammometry.calibration.judge.pose_motion import Movement
 from mammometry.calibration.judge.reconstruction import PairQuality, ViewQuality, sees_badly
 from mammometry.calibration.judge.scale import calibrated_sizes

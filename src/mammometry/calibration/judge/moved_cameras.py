@@ -22,7 +22,7 @@ _MOST_SETS = 5000
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Motion:
-    """How a camera moved against those that stood still. World frame."""
+    """Motion of a camera against those that stood still, world frame."""
 
     motion: Transform
     """Transform from the calibrated to the current camera: of the simplest kind that fits."""

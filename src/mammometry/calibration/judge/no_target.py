@@ -11,7 +11,7 @@ from mammometry.base.errors import CalibrationError
 from mammometry.base.photograph import Photograph
 from mammometry.calibration.adjust.initialise import TooFewViewsError
 from mammometry.calibration.detection.detect import MissedView, Observations, detect_in
-from mammometry.calibration.features.found_points import Cause
+from mammometry.calibration.features.pixels import Cause
 from mammometry.calibration.targets.target import Target
 
 _TRIED = 4

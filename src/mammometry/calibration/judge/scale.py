@@ -1,4 +1,4 @@
-"""Whether a rig has the size of one that sees its subject, or its lengths are in another unit.
+"""Test whether a rig has the size of one that sees its subject, or is in another unit.
 
 A whole capture can be scaled without any residual. What betrays a wrong unit is how wide the pictures are where the
 subject stands: a cast or a body has to fit in.

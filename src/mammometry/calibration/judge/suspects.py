@@ -16,7 +16,7 @@ import numpy as np
 from mammometry.base.errors import CalibrationError
 from mammometry.calibration.adjust.calibrated import Calibration
 from mammometry.calibration.detection.detect import Observations
-from mammometry.calibration.features.found_points import Cause
+from mammometry.calibration.features.pixels import Cause
 from mammometry.calibration.judge.findings import BIAS_REFUSE, board_faults
 from mammometry.calibration.judge.quality import CalibrationQuality, assess
 from mammometry.calibration.settings import QualitySettings
@@ -53,7 +53,7 @@ class Suspects:
         return self.rest is not None and self.rest.verdict != "refuse"
 
     def rest_words(self) -> str:
-        """What is left without them, in a sentence."""
+        """The views that are left without them, in a sentence."""
         if self.rest is None:
             return "Without them, too few photographs are left to calibrate"
         worst_mm = max(self.rest.expected_mm.values(), default=float("nan"))

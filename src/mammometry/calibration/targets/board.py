@@ -125,7 +125,7 @@ class Board(Target):
 
     @property
     def pattern(self) -> Pattern | None:
-        """What is printed, as a regular pattern. None where it is none.
+        """The printed pattern, where it is a regular one, else None.
 
         Raises:
             SessionError: there is no marker dictionary of the target's name.
@@ -182,7 +182,7 @@ class SquaresBoard(Board):
     @property
     @abstractmethod
     def pattern(self) -> Pattern:
-        """What is printed in every square.
+        """The pattern printed in the squares.
 
         Raises:
             SessionError: there is no marker dictionary of the target's name.

@@ -1,4 +1,4 @@
-"""What is printed, as dark shapes on white paper, and the target as a solid for the simulation.
+"""The printed sheet, as dark shapes on white paper, and the target as a solid for the simulation.
 
 Nothing here knows of cameras or light. A ray is an origin and a direction in the target's frame, mm.
 """
@@ -80,7 +80,7 @@ class Pattern:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Hits:
-    """Where rays first meet a target. Target frame."""
+    """First points in which rays meet a target, target frame."""
 
     points: Float64[Array, "n 3"]
     normals: Float64[Array, "n 3"]
@@ -116,12 +116,12 @@ class Body(ABC):
 
     @property
     def looks_alike_turned(self) -> bool:
-        """Whether half a turn gives the same picture. Then only its direction in the picture decides."""
+        """Whether half a turn gives the same picture, so that only its direction decides."""
         return False
 
     @property
     def pattern(self) -> Pattern | None:
-        """What a flat body shows, where that is a regular pattern."""
+        """The regular pattern of a flat body, else None."""
         return None
 
     @abstractmethod

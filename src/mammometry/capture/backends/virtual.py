@@ -24,11 +24,10 @@ from mammometry.base.photograph import Photograph
 from mammometry.calibration.judge.expected_error import middle_world
 from mammometry.calibration.targets.lamps import LAMPS
 from mammometry.capture.camera import BACKENDS, CameraSettings, Devices, Frame, Health, failed
-from mammometry.geometry.camera import Rig
-from mammometry.geometry.transform import Transform
+from mammometry.geometry import Rig, Transform
 from mammometry.io.photographs.images import EXTENSIONS, read_photograph
 from mammometry.simulate.recipe import SessionRecipe
-from mammometry.simulate.rendering.objects.lamps import LampScene, hold_lamps, render_lamps
+from mammometry.simulate.rendering.lamps import LampScene, hold_lamps, render_lamps
 from mammometry.simulate.rigs.build import flashes
 from mammometry.simulate.rigs.targets import BOARD
 from mammometry.simulate.session import write_session

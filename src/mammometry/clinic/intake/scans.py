@@ -2,7 +2,7 @@
 
 A mesh with its material and pictures, or all of them as a ZIP.
 
-What was sent is looked at in a folder of its own. Nothing of it is kept but what `io.scans` makes of it.
+What was sent is looked at in a folder of its own. Nothing of it is kept but what `io.meshes.scans` makes of it.
 """
 
 from __future__ import annotations

@@ -13,7 +13,6 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any, BinaryIO, cast
 from zoneinfo import ZoneInfo
@@ -25,6 +24,7 @@ from django.db.migrations.loader import MigrationLoader
 from django.db.models import Model
 from filelock import FileLock, Timeout
 
+import mammometry
 from mammometry.base.errors import MammometryError
 from mammometry.clinic.config import FILE, KEY_FILE, OPENID_SECRET_FILE, ClinicConfig, ClinicError, write_private
 
@@ -275,7 +275,7 @@ def make_backup(config: ClinicConfig, target: Path | None = None) -> Path:
                     continue  # replaced or erased since the folder was read
             manifest = {
                 "format": FORMAT,
-                "software": version("mammometry"),
+                "software": mammometry.__version__,
                 "made_at": now.isoformat(),
                 "migrations": known_migrations(),
                 "sha256": digests,

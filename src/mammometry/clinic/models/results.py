@@ -135,7 +135,7 @@ class Volume(Keyed):
     refused = models.CharField(max_length=1500, blank=True)
     """Why there is no volume; empty: there is one."""
     leads = models.BooleanField(default=False)
-    """Its meaning leads the page among those of its side (`clinic.results.add_volumes`)."""
+    """Its meaning leads the page among those of its side (`clinic.records.results.add_volumes`)."""
 
     class Meta:
         ordering = ("definition", "side")

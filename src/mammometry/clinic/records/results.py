@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from mammometry.api.job import Job
     from mammometry.api.mesh import MeshJob
     from mammometry.report.documents.rendering import RenderedReport
-    from mammometry.report.figures.drawing.canvas import Caption
+    from mammometry.report.figures.canvas import Caption
 
 
 Interval = tuple[float, float]
@@ -141,7 +141,7 @@ def _side(volume: Volume) -> SideResult:
 
 
 _OF_THE_STATE = ("Nobody has confirmed the automatic boundary", "Boundaries are drawn and confirmed with")
-"""How warnings begin that the visit's state says already: `report.rendering` writes them."""
+"""How warnings begin that the visit's state says already: `report.documents.rendering` writes them."""
 _OF_PHOTOGRAPHS = ("Pose ", "Pair ", "Something hides part", "The subject was not separated")
 """How warnings begin that concern single photographs: `report.warnings` writes them."""
 _LARGEST = 64 << 20  # bytes of a report; ours have a few MB
@@ -169,7 +169,7 @@ def readable(path: Path) -> Path | None:
 
 def refusal_pictures(visit: Visit) -> dict[str, Caption]:
     """What the visit's refused measurement saw: name of each picture → its caption."""
-    from mammometry.report.figures.drawing.canvas import caption_of
+    from mammometry.report.figures.canvas import caption_of
 
     paths = sorted((visit.folder / "results" / FOLDER).glob("*.png"))
     return {path.stem: caption_of(path.read_bytes()) for path in paths if readable(path)}

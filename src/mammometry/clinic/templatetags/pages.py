@@ -23,7 +23,7 @@ from mammometry.clinic.records.confirmations import CHANGED
 from mammometry.clinic.records.operations import sides_of
 from mammometry.clinic.records.results import age
 from mammometry.clinic.roles import Role
-from mammometry.report.words.lengths import Length, length_words
+from mammometry.report.words.anthropometry import Length, length_words
 
 register = template.Library()
 

@@ -28,7 +28,7 @@ from mammometry.clinic.views.responses import download, not_now, person_of, seal
 from mammometry.editor.messages import Base, Breast, Message
 from mammometry.editor.page import EditorPage, read, refusal
 from mammometry.editor.session import Drawable
-from mammometry.io.drawn_changes import Group, drawn_entries, entry_digest
+from mammometry.io.drawn import Group, drawn_entries, entry_digest
 from mammometry.job.inputs import SubjectKind
 from mammometry.report.scene import json_in_page
 

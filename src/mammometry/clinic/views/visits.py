@@ -33,7 +33,7 @@ from mammometry.clinic.site import the_clinic
 from mammometry.clinic.views.patients import chosen_patient, is_part, search_context
 from mammometry.clinic.views.responses import Refused, json_view, person_of, visit_or_404
 from mammometry.io.photographs.images import FORMATS
-from mammometry.report.words.lengths import length_table
+from mammometry.report.words.anthropometry import length_table
 
 OPEN = ("queued", "running")
 

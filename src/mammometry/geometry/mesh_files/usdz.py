@@ -46,7 +46,7 @@ class UsdPart:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class UsdScene:
-    """What a USDZ shows."""
+    """Content of a USDZ."""
 
     parts: tuple[UsdPart, ...]
     pictures: dict[str, bytes]

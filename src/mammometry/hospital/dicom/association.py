@@ -1,11 +1,11 @@
 """A connection to another DICOM application."""
 
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from typing import Any
 
 from pydicom import Dataset
-from pynetdicom import AE
+from pynetdicom import AE, evt
 
 from mammometry.base.errors import ArchiveError
 from mammometry.hospital.peers import Peer, Tls
@@ -45,20 +45,22 @@ def associated(
             ae.add_requested_context(sop_class)
         else:
             ae.add_requested_context(sop_class, list(syntaxes))
-    association = ae.associate(
-        peer.host,
-        peer.port,
-        ae_title=peer.title,
-        tls_args=None if tls is None else (tls.context(), peer.host),
-        evt_handlers=list(handlers),
-    )
-    if not association.is_established:
-        raise _refused(peer, association, own_title, encrypted=tls is not None)
-    try:
-        yield association
-    finally:
-        if association.is_established:
-            association.release()
+    with ExitStack() as opened:  # pynetdicom leaves a socket open whose other side has gone
+        closes = (evt.EVT_CONN_OPEN, lambda event: opened.callback(event.assoc.dul.socket.socket.close))
+        association = ae.associate(
+            peer.host,
+            peer.port,
+            ae_title=peer.title,
+            tls_args=None if tls is None else (tls.context(), peer.host),
+            evt_handlers=[closes, *handlers],
+        )
+        if not association.is_established:
+            raise _refused(peer, association, own_title, encrypted=tls is not None)
+        try:
+            yield association
+        finally:
+            if association.is_established:
+                association.release()
 
 
 def accepts(association: Any, sop_class: str) -> bool:

@@ -15,8 +15,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from mammometry.base.parse import number, numbers, parsing, whole
-from mammometry.geometry.arrays import Array, Float64
-from mammometry.geometry.camera import Camera
+from mammometry.geometry import Array, Camera, Float64
 from mammometry.io.cameras.foreign_text import read_xml
 from mammometry.io.cameras.own import camera_from_entry, camera_name, unfit
 

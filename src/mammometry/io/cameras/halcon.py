@@ -16,9 +16,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from mammometry.base.parse import number, parsing, read_text, whole
-from mammometry.geometry import lens
-from mammometry.geometry.arrays import Array, Float64
-from mammometry.geometry.camera import Camera
+from mammometry.geometry import Array, Camera, Float64, lens
 from mammometry.io.cameras.own import camera_from_entry, camera_name, pair_of_two, unfit
 
 Lens: TypeAlias = Mapping[str, float]

@@ -16,8 +16,7 @@ import yaml
 
 from mammometry.base.errors import SessionError
 from mammometry.base.parse import numbers, parsing, read_text
-from mammometry.geometry.arrays import Array, Float64
-from mammometry.geometry.camera import Camera
+from mammometry.geometry import Array, Camera, Float64
 from mammometry.io.cameras.foreign_text import yaml_value
 from mammometry.io.cameras.own import camera_from_entry, camera_name, unfit
 

@@ -14,8 +14,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from mammometry.base.parse import number, numbers, parsing, read_text, whole
-from mammometry.geometry.arrays import Array, Float64
-from mammometry.geometry.camera import Camera
+from mammometry.geometry import Array, Camera, Float64
 from mammometry.io.cameras.foreign_text import read_xml, yaml_value
 from mammometry.io.cameras.own import camera_from_entry, pair_of_two, unfit
 

@@ -12,8 +12,7 @@ from mammometry.base.errors import SessionError
 from mammometry.base.parse import require_file
 from mammometry.base.sizes import subject_extent
 from mammometry.base.value import value
-from mammometry.geometry.arrays import Array, Float64, UInt8
-from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry import Array, Float64, TriangleMesh, UInt8
 from mammometry.geometry.mesh_files.mesh_file import KINDS, SUFFIXES, read_triangles
 from mammometry.geometry.mesh_files.usdz import read_usdz
 

@@ -23,11 +23,10 @@ from PIL import Image
 from mammometry.base.errors import SessionError
 from mammometry.base.identity import subject_id
 from mammometry.base.parse import LimitSettings, read_bytes, read_text, toml_table
-from mammometry.geometry.arrays import Array, Float64, UInt8
-from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry import Array, Float64, TriangleMesh, UInt8
 from mammometry.geometry.mesh_files.obj import parse_obj
 from mammometry.io.meshes.foreign import MM_PER_UNIT, ForeignMesh, read_foreign
-from mammometry.io.meshes.own_ply import read_ply, write_ply
+from mammometry.io.meshes.own import read_ply, write_ply
 from mammometry.io.meshes.textures import CoveredObj, covered_parts, read_covered_obj, texture_at
 from mammometry.io.photographs.images import read_photograph, read_plain_picture
 from mammometry.io.photographs.tags import without_tags
@@ -58,7 +57,7 @@ _MARK_BYTES = 4  # the longest of the marks
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scan:
-    """What is known of a scan beside its shape."""
+    """Facts of a scan beside its shape."""
 
     scanner: str
     """Name of the device, as entered."""

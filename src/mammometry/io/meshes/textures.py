@@ -13,8 +13,7 @@ import numpy as np
 
 from mammometry.base.errors import SessionError
 from mammometry.base.parse import LimitSettings, error_text, read_bytes
-from mammometry.geometry.arrays import Array, Float64, Int64, UInt8
-from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry import Array, Float64, Int64, TriangleMesh, UInt8
 from mammometry.geometry.mesh_files.mesh_file import check_glb
 from mammometry.geometry.mesh_files.obj import ObjFile, parse_obj
 from mammometry.geometry.mesh_files.usdz import read_usdz

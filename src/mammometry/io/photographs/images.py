@@ -146,7 +146,7 @@ _PNG_TAGS = {b"eXIf", b"tEXt", b"zTXt", b"iTXt"}  # where an orientation may sta
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImageHeader:
-    """What an image file says of itself, without its pixels."""
+    """Facts in an image file's header."""
 
     stored_wh: tuple[int, int]
     """Width and height as stored, pixels."""

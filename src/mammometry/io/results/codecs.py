@@ -69,7 +69,7 @@ STORED_TYPES: Mapping[str, str] = MappingProxyType(
         "measure.body:Body": "mammometry.measure.trunk.body:Body",
         "measure.boundary:Boundary": "mammometry.measure.boundary.boundary:Boundary",
         "measure.boundary:NoBreast": "mammometry.measure.boundary.breasts:NoBreast",
-        "measure.boundary:Standing": "mammometry.measure.boundary.prominence:Standing",
+        "measure.boundary:Standing": "mammometry.measure.boundary.prominence:Prominence",
         "measure.boundary:TorsoSides": "mammometry.measure.boundary.boundary:TorsoSides",
         "measure.lacking:Lacking": "mammometry.measure.volume.measurement:VolumeDeficit",
         "measure.landmarks:Landmark": "mammometry.measure.landmarks.landmarks:Landmark",
@@ -77,7 +77,7 @@ STORED_TYPES: Mapping[str, str] = MappingProxyType(
         "measure.linear:Ptosis": "mammometry.measure.shape.lengths:Ptosis",
         "measure.shape:BreastShape": "mammometry.measure.shape.anthropometry:BreastShape",
         "measure.symmetry:Symmetry": "mammometry.measure.shape.symmetry:Symmetry",
-        "measure.volume:DefinedVolume": "mammometry.measure.volume.definitions:DefinedVolume",
+        "measure.volume:DefinedVolume": "mammometry.measure.volume.measurement:DefinedVolume",
         "measure.volume:VolumeMeasurement": "mammometry.measure.volume.measurement:VolumeMeasurement",
         "surface.agreement:RowErrors": "mammometry.surface.motion.agreement:RowErrors",
         "surface.atlas:Atlas": "mammometry.surface.texture.texture_atlas:Atlas",
@@ -96,7 +96,10 @@ STORED_TYPES: Mapping[str, str] = MappingProxyType(
 moving code makes no result stale. Other kinds of target are labelled by their name.
 """
 STORED_FIELDS: Mapping[str, Mapping[str, str]] = MappingProxyType(
-    {"surface.stillness:Stillness": {"parameters": "asked", "distance_mm": "apart_mm"}}
+    {
+        "measure.boundary:NoBreast": {"prominence": "standing"},
+        "surface.stillness:Stillness": {"parameters": "asked", "distance_mm": "apart_mm"},
+    }
 )
 """Label → field → its first name, under which it stays on disk where it has another name now."""
 _TARGET = "target:"  # before the name of a kind of target
@@ -232,7 +235,7 @@ class DeflatedArchive(zipfile.ZipFile):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Format:
-    """How one kind of product lies on disk."""
+    """Format of one kind of product on disk."""
 
     write: Callable[[Path, Any], None]
     """Writes the value to a path with `ending`, and the format's other files beside it with the same stem."""

@@ -13,10 +13,9 @@ import numpy as np
 from mammometry.base.errors import MammometryError
 from mammometry.base.machine.cores import each_at_once
 from mammometry.base.parse import error_text
-from mammometry.geometry.camera import Rig
-from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry import Rig, TriangleMesh
 from mammometry.io.cameras.own import cameras_from_table, cameras_table
-from mammometry.io.meshes.own_ply import read_ply, write_ply
+from mammometry.io.meshes.own import read_ply, write_ply
 from mammometry.io.results.codecs import (
     FORMATS,
     Format,
@@ -273,7 +272,7 @@ FORMATS.add("measurement")(Format(write=_measurements_write, read=read_arrays, e
 
 def _model_write(path: Path, model: Atlas) -> None:
     # They bring compilers, which reading other results need not wait for.
-    from mammometry.io.meshes.models import write_glb, write_obj
+    from mammometry.io.meshes.own import write_glb, write_obj
     from mammometry.surface.texture.texture_atlas import without_picture
 
     write_arrays(path.with_suffix(".npz"), without_picture(model))

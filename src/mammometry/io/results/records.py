@@ -46,7 +46,7 @@ class FileRecord(BaseModel):
 
 
 class Record(BaseModel):
-    """What a product was made from, and its files."""
+    """Sources of a product, and its files."""
 
     model_config = _STRICT
 

@@ -159,7 +159,7 @@ class Store:
         path.rename(self.folder / f"{name}-{number}")
 
     def state(self, key: Key) -> State:
-        """Whether a product is present, whole, and current.
+        """State of a product: present, whole, and current.
 
         Current means made from these inputs and settings. Every file's bytes are read once in a process, and again
         when its times, size or inode have changed.
@@ -183,7 +183,7 @@ class Store:
         return self.state(key) == "current"
 
     def record(self, key: Key) -> Record | None:
-        """What provenance.json says of a product. None where it says nothing, or nothing valid."""
+        """A product's record in provenance.json. None where there is none, or no valid one."""
         return self._stage_records(key.stage).get(key.product)
 
     def files(self, key: Key) -> dict[str, bytes]:
@@ -210,7 +210,7 @@ class Store:
         return content
 
     def made_at(self, keys: Iterable[Key]) -> str | None:
-        """When the newest of these products was made, ISO 8601, UTC. None where none is there."""
+        """Time at which the newest of these products was made, ISO 8601, UTC. None where none is there."""
         records = map(self.record, keys)
         return max((record.made for record in records if record is not None), default=None)
 

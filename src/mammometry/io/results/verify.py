@@ -1,4 +1,4 @@
-"""Whether every byte of a results folder is as it was written. Changes nothing."""
+"""Verify that every byte of a results folder is as it was written. Changes nothing."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -28,7 +28,7 @@ class Damage:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Findings:
-    """What a check of all files came to."""
+    """Result of a check of all files."""
 
     products: int
     files: int

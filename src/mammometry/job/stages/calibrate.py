@@ -42,7 +42,7 @@ def _pose_inputs(job: Context) -> dict[str, str]:
     when=_calibrates,
 )
 def observation(*, job: Context) -> Observations:
-    """What all cameras saw of the target in one pose."""
+    """Points of the target that all cameras saw in one pose."""
     shots = _OnePose(job.inputs.calibration_photographs, job.item)
     assert job.inputs.target is not None
     return _detect(shots, job.inputs.target, job)
@@ -64,7 +64,7 @@ def _lens_inputs(job: Context) -> dict[str, str]:
     when=_calibrates,
 )
 def lens_observation(*, job: Context) -> Observations:
-    """What one camera saw of the intrinsics target, in photographs that give its lens."""
+    """Points of the intrinsics target that one camera saw, in photographs that give its lens."""
     assert job.inputs.intrinsics_target is not None
     return _detect(job.inputs.intrinsics_photographs[job.item], job.inputs.intrinsics_target, job)
 

@@ -26,7 +26,7 @@ _AT_ONCE = 4  # photographs in memory; at full size each has 40 MB
 
 @product("match", version=1, stored=False, check=True)
 def names(cameras: CameraSet, *, job: Context) -> Names:
-    """Whether each photograph has its camera's name, before anything is matched.
+    """Test of each photograph's name against its camera, before anything is matched.
 
     Nothing of it is stored: a run that is refused leaves the results as they were.
 
@@ -65,7 +65,7 @@ def _masks_missing(job: Context) -> bool:
 
 @product("match", version=2, settings="matching.foreground", inputs=("capture", "masks"), when=_masks_missing)
 def subjects(cameras: CameraSet, *, job: Context) -> Subjects:
-    """Where the subject stands, and its blocks in each photograph. Not sought where all masks are given."""
+    """Place of the subject, and its blocks in each photograph. None where all masks are given."""
     from mammometry.matching.foreground.all_cameras import find_subjects
 
     return find_subjects(cameras.rig, job.inputs.photographs, job.settings.matching.foreground, given=job.inputs.masks)
@@ -86,7 +86,7 @@ def _given_mask(job: Context) -> tuple[str, ...]:
     threads=1,
 )
 def foreground(photograph: Photograph, subjects: Subjects | None, *, job: Context) -> Foreground:
-    """Which pixels of one camera show the subject."""
+    """Pixels of one camera that show the subject."""
     from mammometry.matching.foreground.foreground import estimate_foreground
 
     given = job.inputs.masks.get(job.item)
@@ -119,7 +119,7 @@ def rectified(
 
 @product_of_each("pair", "match", version=16, settings="matching", large=True, threads=2)
 def disparity(rectified: RectifiedPair, *, job: Context) -> DisparityMap:
-    """Where each left pixel is seen on the right."""
+    """Place of each left pixel on the right."""
     from mammometry.matching.dense.match import match
 
     return match(rectified, job.settings.matching, progress=job.progress)

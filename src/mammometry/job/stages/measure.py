@@ -132,7 +132,7 @@ def evidence(
     *,
     job: Context,
 ) -> Evidence:
-    """What the earlier stages know of the errors of a volume."""
+    """The earlier stages' results on the errors of a volume."""
     from mammometry.measure.volume.uncertainty import EarlierErrors, Evidence, movement_of
     from mammometry.measure.volume.unseen_space import bounds
 
@@ -201,7 +201,7 @@ def absent(
 def lacking(
     repaired: RepairedSurface, measurements: tuple[VolumeMeasurement, ...], body: Body, *, job: Context
 ) -> tuple[VolumeDeficit, ...]:
-    """What the smaller side of a torso lacks to the mirrored larger one. No volume depends on it."""
+    """Volume that the smaller side of a torso lacks to the larger one, mirrored."""
     from mammometry.measure.volume.deficit import volume_deficit
 
     try:

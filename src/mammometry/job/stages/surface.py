@@ -44,7 +44,7 @@ def stillness(
     *,
     job: Context,
 ) -> Stillness:
-    """What moved between calibration and exposures, by pairs that see the same skin."""
+    """Motion between calibration and exposures, by pairs that see the same skin."""
     from mammometry.surface.motion import motion_test as stillness
 
     covariance = None if calibration is None else calibration.covariance
@@ -71,7 +71,7 @@ def keep_masks(
     *,
     job: Context,
 ) -> KeepMasks:
-    """Which range data survive the removal of dents. Paper 2.6.1 and 2.6.2."""
+    """Masks of the range data that survive the removal of dents (paper 2.6.1, 2.6.2)."""
     from mammometry.surface.ranges import dents
 
     settings, rig = job.settings.surface, cameras.rig
@@ -119,7 +119,7 @@ def solid(
     *,
     job: Context,
 ) -> Solid | None:
-    """Where a cast or torso may lie, by range data and silhouettes. None for an open surface. Paper 2.5."""
+    """Space of a cast or torso by range data and silhouettes (paper 2.5). None for an open surface."""
     from mammometry.surface import occlusion
     from mammometry.surface.fusion import fuse as extract
 

@@ -18,7 +18,7 @@ Window = tuple[slice, slice]
 
 
 def worth_matching(matches: Both[Estimate], masks: Both[Bool[Array, "h w"]]) -> tuple[Both[Bool[Array, "h w"]], Window]:
-    """What of the coarsest level is kept for the finer ones.
+    """Part of the coarsest level that is kept for the finer ones.
 
     The masks, and the rows and columns that hold them. Where both pictures show one subject, these are the masks
     themselves. In a cluttered scene most pixels have no partner; there only the surroundings of those that found one

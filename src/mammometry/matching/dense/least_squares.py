@@ -52,7 +52,7 @@ _FINEST_LEVEL = 1  # of a large subject: optics leave little on the photograph's
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LevelWork:
-    """What is done on one level that both pictures solve."""
+    """Work on one level that both pictures solve."""
 
     level: int
     """Halvings of the rectified pictures."""
@@ -137,7 +137,7 @@ _T = TypeVar("_T")
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LevelStart:
-    """What a level starts from in one direction. The semi-global start, or the coarser level's matches."""
+    """Start of a level in one direction: semi-global, or the coarser level's matches."""
 
     shift: Float32[Array, "h w"]
     """Pixels of this level."""

@@ -24,7 +24,7 @@ _LARGEST_VARIANCE_PX2 = np.float32(1.0)  # a step is never larger than 1 px
 
 @fast_kernel
 def agreeing(ours: Float32[Array, "h w"], theirs: Float32[Array, "h w"], limit: float) -> Bool[Array, "h w"]:
-    """Whether both directions agree at each pixel.
+    """Mask of the pixels at which both directions agree.
 
     A pixel that goes to the other image and back lands nearer to itself than the limit, pixels.
     """

@@ -66,7 +66,7 @@ _HALO_ROWS = 64  # even; 4.4 σ of two passes of the widest smoothing
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Refined:
-    """What is known of the left picture on one level. And of the right one, to check it."""
+    """The left picture's matches on one level, and the right one's, to check them."""
 
     matches: Estimate
     """The last step's."""
@@ -160,7 +160,7 @@ _ISLAND_WINDOWS = 4  # of a Gaussian window's area, 4πσ²: smaller islands are
 
 @value(eq=False)
 class DisparityMap:
-    """Where each left pixel is seen in the right image. (u, v) → (u − d_h, v − d_v)."""
+    """Place of each left pixel in the right image: (u, v) → (u − d_h, v − d_v)."""
 
     name: str
     left: Camera
@@ -192,7 +192,7 @@ class DisparityMap:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Start:
-    """What matching starts from."""
+    """Pyramids and first disparities, from which matching starts."""
 
     levels: Levels
     images: tuple[Both[Level], ...]
@@ -205,7 +205,7 @@ class Start:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SolvedBoth:
-    """What the levels came to that both pictures solve."""
+    """Result of the levels that both pictures solve."""
 
     images: tuple[Both[Level], ...]
     """Levels cut to the window: the last one solved, and before it those refined from the left picture only."""
@@ -217,7 +217,7 @@ class SolvedBoth:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Finest:
-    """What the finest level came to, in its own pixels."""
+    """Result of the finest level, in its own pixels."""
 
     levels: Levels
     image: Level

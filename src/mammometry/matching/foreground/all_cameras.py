@@ -31,7 +31,7 @@ _AT_ONCE = 4  # photographs in memory; at full size each has 40 MB
 
 @value(eq=False)
 class Subjects:
-    """Where the subject stands, and its blocks in each photograph."""
+    """Place of the subject, and its blocks in each photograph."""
 
     middle_world: Float64[Array, 3] | None
     """Point about which it stands, world frame, mm. None where no pair sees anything."""

@@ -21,7 +21,7 @@ from scipy.special import log_ndtr, ndtr
 from skimage.measure import find_contours
 
 from mammometry.base.value import value
-from mammometry.geometry import raster_kernels
+from mammometry.geometry import mesh_kernels
 from mammometry.geometry.arrays import Array, Bool, Float64
 from mammometry.geometry.nearest import point_tree
 from mammometry.matching.foreground.foreground import Foreground
@@ -139,7 +139,7 @@ def _misfit(
 
 def _longest_contour(foreground: Foreground) -> Float64[Array, "n 2"]:
     """`uv` corners about a pixel apart."""
-    top, bottom, left, right = raster_kernels.extent(foreground.mask).tolist()
+    top, bottom, left, right = mesh_kernels.extent(foreground.mask).tolist()
     if top == bottom:
         return np.empty((0, 2))
     top, left = max(top - 2, 0), max(left - 2, 0)

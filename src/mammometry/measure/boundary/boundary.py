@@ -11,8 +11,7 @@ import numpy as np
 from mammometry.base.errors import MeasureError
 from mammometry.base.progress import Progress, no_progress
 from mammometry.base.value import value
-from mammometry.geometry.arrays import Array, Float64
-from mammometry.geometry.camera import Rig
+from mammometry.geometry import Array, Float64, Rig
 from mammometry.matching.foreground.foreground import Foreground
 from mammometry.measure.boundary import TO_BE_CONFIRMED
 from mammometry.measure.boundary.breasts import NoBreast, Outline, find_breasts
@@ -117,13 +116,13 @@ def find_boundaries(
     """
     if subject_kind == "surface":
         return ()
-    found: tuple[Boundary, ...]
+    boundaries: tuple[Boundary, ...]
     if subject_kind == "model":
-        found = (_cast_boundary(surface, foregrounds, rig, rim_radius_mm, settings),)
+        boundaries = (_cast_boundary(surface, foregrounds, rig, rim_radius_mm, settings),)
     else:
-        found = outline_torso(surface, rig_frame(rig)).boundaries
+        boundaries = outline_torso(surface, rig_frame(rig)).boundaries
     progress(1.0)
-    return found
+    return boundaries
 
 
 def _cast_boundary(
@@ -138,10 +137,10 @@ def _cast_boundary(
     measured = surface.provenance == Provenance.MEASURED
     seen = surface.mesh.vertices[measured] if measured.any() else surface.mesh.vertices
     viewer = -np.mean([camera.axis_world for camera in rig.cameras.values()], axis=0)
-    found, rivals = find_base(candidates, seen, viewer, settings.base_rim)
+    adjusted, rivals = find_base(candidates, seen, viewer, settings.base_rim)
     rim = settings.base_rim
     rounded_mm = rim.rim_radius_mm if rim_radius_mm is None else rim_radius_mm
-    base = moved(found.base, np.array([0.0, 0.0, -_UNSEEN_SHARE * rounded_mm]), 1.0)
+    base = moved(adjusted.base, np.array([0.0, 0.0, -_UNSEEN_SHARE * rounded_mm]), 1.0)
     part = above(surface.mesh, base.height)
     if not part.loops:
         raise MeasureError(
@@ -151,21 +150,21 @@ def _cast_boundary(
             remedy="Look at the silhouettes in the previews: the cast must be whole and clear of its surroundings",
         )
     shape = "plane" if base.is_plane else f"convex cylinder of radius {1 / base.curvature_per_mm:.0f} mm"
-    held = found.weights > _HELD
+    held = adjusted.weights > _HELD
     loop = part.mesh.vertices[part.loops[0]]
-    height_mm = mean_height(found.base, loop)
+    height_mm = mean_height(adjusted.base, loop)
     doubt_mm = max((abs(mean_height(rival, loop) - height_mm) / 2 for rival in rivals), default=0.0)
     return Boundary(
         name="model",
         points_world=loop,
         method=(
             f"base rim: {int(held.sum())} of {len(held)} silhouette points, seen by "
-            f"{len(np.unique(candidates.camera[held]))} cameras, agree on a {shape} within {found.scale_px:.2f} px. "
+            f"{len(np.unique(candidates.camera[held]))} cameras, agree on a {shape} within {adjusted.scale_px:.2f} px. "
             f"The radius of the rim is {'assumed' if rim_radius_mm is None else 'given'} as {rounded_mm:g} mm. "
             "The cast is assumed to end at its rim, and its back, which no camera sees, to continue the rim"
         ),
         evidence_world=candidates.points_world[held],
-        sigma_mm=float(np.linalg.norm([found.sigma_mm(loop), doubt_mm, _UNSEEN_SHARE * RIM_RADIUS_SIGMA_MM])),
+        sigma_mm=float(np.linalg.norm([adjusted.sigma_mm(loop), doubt_mm, _UNSEEN_SHARE * RIM_RADIUS_SIGMA_MM])),
     )
 
 
@@ -197,25 +196,25 @@ def find_base(
     cylinder = adjust_base(rough.cylinder, candidates, bend=True)
     tried: list[AdjustedBase] = []
     whole = leaving_whole([plane, cylinder], surface_points)
-    if min(_disagreement(each, _FINEST_PX) for each in whole) > _AGREED_PX**2:
+    if min(_disagreement(base, _FINEST_PX) for base in whole) > _AGREED_PX**2:
         tried = _ways_to_fit(plane, rough.cylinder, candidates, surface_points)
         cylinder = adjust_base(tried[0].base, candidates, bend=True)
     best = min(plane.scale_px, cylinder.scale_px)
-    flat, bent = (_disagreement(each, best) for each in (plane, cylinder))
+    flat, bent = (_disagreement(base, best) for base in (plane, cylinder))
     curved = cylinder.base.curvature_per_mm * cylinder.extent_mm**2 / 2 > _FLAT_MM
-    found, other = (cylinder, plane) if curved and flat > BEND_GAIN * bent else (plane, cylinder)
-    whole = leaving_whole([found, other], surface_points)
-    found = whole[0]
+    chosen, other = (cylinder, plane) if curved and flat > BEND_GAIN * bent else (plane, cylinder)
+    whole = leaving_whole([chosen, other], surface_points)
+    chosen = whole[0]
     middle = np.median(surface_points, axis=0)
-    sectors = sectors_held(candidates.points_world[found.weights > _HELD], middle, found.base, SECTORS)
+    sectors = sectors_held(candidates.points_world[chosen.weights > _HELD], middle, chosen.base, SECTORS)
     if sectors < settings.minimum_sectors:
         raise no_rim(f"rim points in {sectors} of {SECTORS} directions", settings)
     rivals = [
-        each for each in tried if _disagreement(each, _FINEST_PX) < BEND_GAIN * _disagreement(tried[0], _FINEST_PX)
+        base for base in tried if _disagreement(base, _FINEST_PX) < BEND_GAIN * _disagreement(tried[0], _FINEST_PX)
     ]
     if max(flat, bent) < _RIVAL_GAIN * min(flat, bent):
         rivals += whole
-    return found, tuple(each.base for each in rivals)
+    return chosen, tuple(rival.base for rival in rivals)
 
 
 def _ways_to_fit(
@@ -232,8 +231,8 @@ def _ways_to_fit(
     def adjusted(start: Base, *, bend: bool) -> AdjustedBase:
         return adjust_base(start, few, bend=bend, coarse_px=_COARSE_PX)
 
-    def disagreement(each: AdjustedBase) -> float:
-        return _disagreement(each, _FINEST_PX)
+    def disagreement(base: AdjustedBase) -> float:
+        return _disagreement(base, _FINEST_PX)
 
     settled: list[AdjustedBase] = []
     for turned in ways_to_bend(plane.base):
@@ -242,27 +241,27 @@ def _ways_to_fit(
             settled.append(adjusted(replace(base, curvature_per_mm=share / plane.extent_mm), bend=False))
             base = settled[-1].base
     settled.sort(key=disagreement)
-    tried = [adjusted(start, bend=True) for start in (cylinder, *(each.base for each in settled[:_FINISHED]))]
+    tried = [adjusted(start, bend=True) for start in (cylinder, *(start.base for start in settled[:_FINISHED]))]
     return sorted(leaving_whole(tried, surface_points), key=disagreement)
 
 
 def leaving_whole(tried: list[AdjustedBase], surface_points: Float64[Array, "m 3"]) -> list[AdjustedBase]:
     """Bases that cut off no more measured surface than the best one. The surface is in mm, world frame."""
-    below = [float((each.base.height(surface_points) < -INLIER_MM).mean()) for each in tried]
-    return [each for each, cut in zip(tried, below, strict=True) if cut <= min(below) + _CUT_SHARE]
+    below = [float((attempt.base.height(surface_points) < -INLIER_MM).mean()) for attempt in tried]
+    return [attempt for attempt, cut in zip(tried, below, strict=True) if cut <= min(below) + _CUT_SHARE]
 
 
-def _disagreement(found: AdjustedBase, scale_px: float) -> float:
+def _disagreement(base: AdjustedBase, scale_px: float) -> float:
     """Mean squared distance from the common rim, px².
 
     Each distance is limited to five standard deviations.
     """
-    return float(np.minimum(found.residuals_px**2, (_CUT_OFF * scale_px) ** 2).mean())
+    return float(np.minimum(base.residuals_px**2, (_CUT_OFF * scale_px) ** 2).mean())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TorsoSides:
-    """What was found on either side of a torso."""
+    """Boundaries found on either side of a torso, or reasons why there is none."""
 
     boundaries: tuple[Boundary, ...]
     """Of each breast, the patient's left first."""
@@ -328,12 +327,12 @@ def landmark_boundaries(
         MeasureError: landmarks are missing, lie off the surface, on the wrong side or not around a breast.
     """
     marks = picked_landmarks(picked, surface.mesh, frame, sigma_mm=PICKED_SIGMA_MM)
-    found = outline_by_protocol(marks, surface, frame, settings.protocol_join)
+    outlines = outline_by_protocol(marks, surface, frame, settings.protocol_join)
     names: tuple[BreastName, ...] = ("left", "right")
     return tuple(
-        Boundary(name=name, points_world=found[name].points_world, method=found[name].definition)
+        Boundary(name=name, points_world=outlines[name].points_world, method=outlines[name].definition)
         for name in names
-        if name in found
+        if name in outlines
     )
 
 

@@ -9,19 +9,18 @@ from scipy.ndimage import median_filter
 
 from mammometry.base.errors import MeasureError
 from mammometry.base.value import value
-from mammometry.geometry.arrays import Array, Bool, Float64
-from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry import Array, Bool, Float64, TriangleMesh
 from mammometry.geometry.nearest import closest_on_mesh
 from mammometry.measure.boundary.crease import CREASE_PER_MM, Crease, follow_crease
 from mammometry.measure.boundary.prominence import (
     LEAST_CREASED,
     LOW_CREASED,
     Middle,
+    Prominence,
     SideName,
-    Standing,
     Verdict,
     breast_middles,
-    standing_out,
+    prominence_within,
 )
 from mammometry.measure.trunk.body import Body, find_body
 from mammometry.measure.trunk.head import check_head, head_signs
@@ -78,7 +77,7 @@ class NoBreast:
     """The patient's "left" or "right"."""
     place_world: Float64[Array, 3]
     """The highest place on that side, on the skin, mm, world frame."""
-    standing: Standing | None
+    prominence: Prominence | None
     """What stands out there. None if nothing does."""
     why: str
     """What the result rests on, one sentence."""
@@ -134,8 +133,8 @@ def find_breasts(surface: RepairedSurface, frame: Float64[Array, "3 3"], *, head
             refused.append(error)
             place = _on_skin(side.middle[None], relief, thorax, surface.mesh)[0]
             why = f"What stands out there cannot be outlined: found {error.found}, expected {error.expected}"
-            results[name] = NoBreast(name=name, place_world=place, standing=side.standing, why=why, unclear=True)
-    if refused and not any(isinstance(each, Outline) for each in results.values()):
+            results[name] = NoBreast(name=name, place_world=place, prominence=side.prominence, why=why, unclear=True)
+    if refused and not any(isinstance(side, Outline) for side in results.values()):
         raise refused[0]
     return Breasts(left=results["left"], right=results["right"], thorax=thorax, body=body, head=head)
 
@@ -157,7 +156,7 @@ class _Side:
 
     middle: Float64[Array, 2]
     crease: Crease
-    standing: Standing | None
+    prominence: Prominence | None
     verdict: Verdict
 
 
@@ -176,7 +175,7 @@ def _trunk_beside(
         thorax = fit_thorax(trunk, skin.chosen(outside), breasts_left_out=not outside.all(), breastbone_mm=between_mm)
         relief = lay_flat(thorax, samples)
         middles = breast_middles(relief, trunk)
-        domes = sorted((each for each in middles.values() if each is not None), key=lambda each: -each.roundness_per_mm)
+        domes = sorted((dome for dome in middles.values() if dome is not None), key=lambda dome: -dome.roundness_per_mm)
         if not domes:
             break
         between_mm = 0.0 if body.plane is not None else _between_mm(middles)
@@ -200,7 +199,7 @@ def _between_mm(middles: dict[SideName, Middle | None]) -> float:
 
 
 def _sides(relief: Relief, trunk: Trunk, middles: dict[SideName, Middle | None]) -> dict[SideName, _Side]:
-    found: dict[SideName, _Side] = {}
+    sides: dict[SideName, _Side] = {}
     between_mm = _between_mm(middles)
     widest_mm = _WIDEST_RAD * trunk.half_width_mm
     for name, middle in middles.items():
@@ -213,19 +212,19 @@ def _sides(relief: Relief, trunk: Trunk, middles: dict[SideName, Middle | None])
                 seen=np.ones(3, dtype=bool),
                 sigma_mm=np.zeros(3),
             )
-            found[name] = _Side(middle=place, crease=empty, standing=None, verdict="none")
+            sides[name] = _Side(middle=place, crease=empty, prominence=None, verdict="none")
             continue
         ends = sorted((between_mm + sign * _MIDLINE_MM, between_mm + sign * widest_mm))
         crease = follow_crease(relief, middle.flat, side=name, base_mm=middle.base_mm, between_mm=(ends[0], ends[1]))
         creased = float((crease.concavity_per_mm > CREASE_PER_MM).mean())
-        standing = standing_out(relief, _pixels_within(relief, crease.flat), creased)
-        found[name] = _Side(middle=middle.flat, crease=crease, standing=standing, verdict=standing.verdict())
-    for name, side in found.items():
-        other = found[_OTHER[name]]
-        if side.verdict == "unclear" and side.standing is not None and other.verdict == "breast":
+        prominence = prominence_within(relief, _pixels_within(relief, crease.flat), creased)
+        sides[name] = _Side(middle=middle.flat, crease=crease, prominence=prominence, verdict=prominence.verdict())
+    for name, side in sides.items():
+        other = sides[_OTHER[name]]
+        if side.verdict == "unclear" and side.prominence is not None and other.verdict == "breast":
             astray_mm = float(np.linalg.norm(side.middle - other.middle * [-1.0, 1.0]))
-            found[name] = replace(side, verdict=side.standing.verdict(astray_mm))
-    return found
+            sides[name] = replace(side, verdict=side.prominence.verdict(astray_mm))
+    return sides
 
 
 def _pixels_within(relief: Relief, outline: Float64[Array, "k 2"]) -> Bool[Array, "h w"]:
@@ -247,7 +246,7 @@ def _highest(relief: Relief, sign: float, trunk: Trunk) -> Float64[Array, 2]:
 
 
 def within_outline(flat: Float64[Array, "n 2"], outline: Float64[Array, "k 2"]) -> Bool[Array, " n"]:
-    """Whether points are inside a closed, star-shaped curve. It is star-shaped about its mean."""
+    """Mask of the points inside a closed curve that is star-shaped about its mean."""
     middle = outline.mean(axis=0)
     around = np.arctan2(*(outline - middle).T[::-1])
     away = np.linalg.norm(outline - middle, axis=1)
@@ -270,9 +269,9 @@ def _result(
     """
     if side.verdict == "none":
         place = _on_skin(side.middle[None], relief, thorax, surface.mesh)[0]
-        return NoBreast(name=name, place_world=place, standing=side.standing, why=_why_none(side.standing))
+        return NoBreast(name=name, place_world=place, prominence=side.prominence, why=_why_none(side.prominence))
     crease = side.crease
-    assert side.standing is not None  # else it is none
+    assert side.prominence is not None  # else it is none
     creased = creased_share(crease, name)
     if side.verdict == "unclear":
         raise _no_crease(creased, name, LOW_CREASED)
@@ -289,12 +288,12 @@ def _result(
     )
 
 
-def _why_none(standing: Standing | None) -> str:
-    if standing is None:
+def _why_none(prominence: Prominence | None) -> str:
+    if prominence is None:
         return "Nothing on that side stands out from the trunk all around"
     return (
-        f"The highest place stands out {standing.top_mm:.0f} mm from the skin around it, and "
-        f"{standing.mean_mm:.0f} mm on average: a chest's form, not a breast's"
+        f"The highest place stands out {prominence.top_mm:.0f} mm from the skin around it, and "
+        f"{prominence.mean_mm:.0f} mm on average: a chest's form, not a breast's"
     )
 
 

@@ -58,7 +58,7 @@ class Base:
 
     @property
     def kind(self) -> BaseKind:
-        """What it is, as results name it."""
+        """Kind of the base, as results name it."""
         return "plane" if self.is_plane else "convex-cylinder"
 
     def height(self, points_world: Float64[Array, "n 3"]) -> Float64[Array, " n"]:

@@ -22,8 +22,7 @@ import numpy as np
 from scipy.sparse import csr_array, hstack
 
 from mammometry.base.value import value
-from mammometry.geometry.arrays import Array, Bool, Float64, Int64
-from mammometry.geometry.camera import Camera, Rig
+from mammometry.geometry import Array, Bool, Camera, Float64, Int64, Rig
 from mammometry.geometry.nearest import point_tree
 from mammometry.matching.foreground.contour import Contour, outline
 from mammometry.matching.foreground.foreground import Foreground
@@ -80,18 +79,18 @@ def rim_candidates(surface: RepairedSurface, foregrounds: Mapping[str, Foregroun
     density = len(surface.mesh.vertices) / max(surface.mesh.area_mm2(), 1e-9)
     seen = seen[:: max(1, int(density / _PER_MM2))]
     vertices, normals = surface.mesh.vertices[seen], surface.mesh.vertex_normals()[seen]
-    found: list[tuple[Float64[Array, ...], ...]] = []
+    pierced: list[tuple[Float64[Array, ...], ...]] = []
     for number, (name, camera) in enumerate(rig.cameras.items()):
         foreground = foregrounds.get(name)
         if foreground is None or foreground.everything:
             continue
         columns = _pierced(camera, outline(foreground), vertices, normals)
-        found.append((*columns, np.full(len(columns[0]), number)))
-    if not found:
+        pierced.append((*columns, np.full(len(columns[0]), number)))
+    if not pierced:
         empty = np.empty((0, 3))
-        found = [(empty, empty, empty, empty, np.empty(0), np.empty(0))]
+        pierced = [(empty, empty, empty, empty, np.empty(0), np.empty(0))]
     points, centres, rays, outward, mm_per_px, number_of = (
-        np.concatenate(column) for column in zip(*found, strict=True)
+        np.concatenate(column) for column in zip(*pierced, strict=True)
     )
     return RimCandidates(
         points_world=points,

@@ -282,7 +282,7 @@ def _smeared_mm(concavity: Float64[Array, "d s"], fine: Float64[Array, "d s"], w
     height as 1/σ². So two scales tell which it is.
     """
     near = way[:, None] + np.arange(-_NEAR_STEPS, _NEAR_STEPS + 1)
-    coarse_peak, fine_peak = (np.clip(_at_steps(each, near).max(axis=1), 1e-9, None) for each in (concavity, fine))
+    coarse_peak, fine_peak = (np.clip(_at_steps(table, near).max(axis=1), 1e-9, None) for table in (concavity, fine))
     order = np.clip(np.log(fine_peak / coarse_peak) / np.log(_SIGMA_MM / _FINE_MM), 0.0, 2.0)
     order *= np.clip(coarse_peak / CREASE_PER_MM - 0.5, 0.0, 1.0)  # no leap where there is just no crease
     smeared_mm = _SIGMA_MM * np.interp(order, np.arange(3), _HALVED_SIGMAS)

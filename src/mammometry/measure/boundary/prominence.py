@@ -101,17 +101,17 @@ def _middle(relief: Relief, dome: Float64[Array, "h w"], peak: Float64[Array, 2]
     )
 
 
-FEWEST_MM = 8.0
+MIN_PROMINENCE_MM = 8.0
 """A breast stands out at least this far from the skin along its outline, mm. If nothing does, there is no breast on
 that side.
 """
-PLAIN_MM = 24.0
+SURE_PROMINENCE_MM = 24.0
 """Height over the skin along its outline above which something is a breast even without a crease around all of it,
 mm.
 """
 LOW_CREASED = 0.9
-"""Share of the outline that must run in a crease for something as low as `FEWEST_MM` to be a breast, and not the
-chest's own form. In between the share is interpolated.
+"""Share of the outline that must run in a crease for something as low as `MIN_PROMINENCE_MM` to be a breast, and not
+the chest's own form. In between the share is interpolated.
 """
 CHEST_MM = 6.0
 """Mean height up to which something without a crease around nearly all of it is the chest's own form, mm. Chests
@@ -132,8 +132,8 @@ _SMOOTHED_MM = 6.0  # a low mound's top is looked for in relief smoothed over th
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Standing:
-    """What stands out in front of a membrane stretched over an outline."""
+class Prominence:
+    """Relief in front of a membrane stretched over an outline."""
 
     top_mm: float
     """Height of its top, mm."""
@@ -150,7 +150,7 @@ class Standing:
         return 10 * self.volume_cc / max(self.area_cm2, 1e-9)
 
     def verdict(self, astray_mm: float | None = None) -> Verdict:
-        """What it is.
+        """Breast, none, or unclear.
 
         What stands out little on average, without a crease around nearly all of it, is the chest's own form if it lies
         elsewhere than the other side's breast, mirrored. What is low must have more of a crease to be a breast, and
@@ -159,19 +159,19 @@ class Standing:
         Args:
             astray_mm: how far it lies from the mirrored middle of the other side's breast, mm; None if there is none.
         """
-        if self.top_mm < FEWEST_MM:
+        if self.top_mm < MIN_PROMINENCE_MM:
             return "none"
         mirrored = astray_mm is not None and astray_mm <= _ELSEWHERE_MM
         low_creased = min(_MIRRORED_CREASED, LOW_CREASED) if mirrored else LOW_CREASED
         if self.mean_mm < CHEST_MM and self.creased < low_creased:
             return "none" if astray_mm is not None and not mirrored else "unclear"
-        share = np.clip((PLAIN_MM - self.top_mm) / (PLAIN_MM - FEWEST_MM), 0.0, 1.0)
+        share = np.clip((SURE_PROMINENCE_MM - self.top_mm) / (SURE_PROMINENCE_MM - MIN_PROMINENCE_MM), 0.0, 1.0)
         if self.creased >= LEAST_CREASED + share * (low_creased - LEAST_CREASED):
             return "breast"
         return "unclear"
 
 
-def standing_out(relief: Relief, inside: Bool[Array, "h w"], creased: float) -> Standing:
+def prominence_within(relief: Relief, inside: Bool[Array, "h w"], creased: float) -> Prominence:
     """Measure what stands out within an outline laid flat.
 
     The membrane is harmonic over (half width × θ, y) and equal to the bulge along the outline, as the default wall is.
@@ -186,7 +186,7 @@ def standing_out(relief: Relief, inside: Bool[Array, "h w"], creased: float) -> 
     number = np.full(inside.shape, -1)
     count = int(inside.sum())
     if not count:
-        return Standing(top_mm=0.0, volume_cc=0.0, area_cm2=0.0, creased=creased)
+        return Prominence(top_mm=0.0, volume_cc=0.0, area_cm2=0.0, creased=creased)
     number[inside] = np.arange(count)
     row, column = np.nonzero(inside)
     right = np.zeros(count)
@@ -196,12 +196,12 @@ def standing_out(relief: Relief, inside: Bool[Array, "h w"], creased: float) -> 
         within = beside >= 0
         entries.append((np.flatnonzero(within), beside[within]))
         right[~within] += relief.bulge_mm[row + down, column + aside][~within]
-    rows, columns = (np.concatenate(each) for each in zip(*entries, strict=True))
+    rows, columns = (np.concatenate(places) for places in zip(*entries, strict=True))
     laplace = 4 * identity(count) - coo_matrix((np.ones(len(rows)), (rows, columns)), shape=(count, count))
     wall_mm = spsolve(laplace.tocsc(), right)
     height_mm = relief.bulge_mm[inside] - wall_mm
     smooth_mm = relief.smooth_mm(_SMOOTHED_MM)[inside] - wall_mm
-    return Standing(
+    return Prominence(
         top_mm=float(np.quantile(smooth_mm, _TOP)),
         volume_cc=float(height_mm.sum() * PIXEL_MM**2 / 1000),
         area_cm2=float(count * PIXEL_MM**2 / 100),

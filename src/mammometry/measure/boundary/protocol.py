@@ -14,8 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mammometry.base.errors import MeasureError
-from mammometry.geometry.arrays import Array, Float64
-from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry import Array, Float64, TriangleMesh
 from mammometry.geometry.nearest import closest_on_mesh
 from mammometry.measure.landmarks.geodesic import geodesic
 from mammometry.measure.landmarks.landmarks import Landmark

@@ -10,8 +10,7 @@ from scipy.sparse import coo_matrix, csr_matrix
 from scipy.sparse.csgraph import connected_components, dijkstra
 
 from mammometry.base.errors import CrossingError, MeasureError
-from mammometry.geometry import mesh_kernels
-from mammometry.geometry.arrays import Array, Float64, Int64
+from mammometry.geometry import Array, Float64, Int64, mesh_kernels
 from mammometry.geometry.mesh import TriangleMesh, unique_edges
 from mammometry.geometry.nearest import closest_on_mesh, point_tree
 from mammometry.measure.solid.cut import OpenPart

@@ -16,7 +16,6 @@ import numpy as np
 from mammometry.base.errors import MeasureError
 from mammometry.base.value import value
 from mammometry.geometry import Array, Float64, TriangleMesh
-from mammometry.geometry.nearest import closest_on_mesh
 
 LandmarkKind: TypeAlias = Literal["point", "line"]
 
@@ -73,7 +72,7 @@ PROPOSED = "proposed"
 
 @value(eq=False)
 class Landmark:
-    """Where a landmark lies.
+    """Place of a landmark, with its uncertainty.
 
     Raises:
         ValueError: no point, or one that is not finite.
@@ -123,6 +122,8 @@ def picked_landmarks(
     """
     if not places:
         return ()
+    from mammometry.geometry.nearest import closest_on_mesh  # whoever needs only the names need not wait for a compiler
+
     nearest = closest_on_mesh(np.concatenate(list(places.values())), mesh)
     found, stop = [], 0
     for name, points in places.items():

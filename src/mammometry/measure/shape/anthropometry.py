@@ -1,4 +1,4 @@
-"""Measures of a breast beside its volume: landmarks, extent of its base, distribution of its volume, lengths, ptosis.
+"""Measures of a breast beside its volume: landmarks, base, distribution, lengths, ptosis.
 
 Volumes on one side of a plane are exact for the mesh, without caps. The divergence theorem gives the volume of a solid
 as a sum over its faces of the tetrahedra that they make with any origin. With the origin on the cutting planes, the cut
@@ -13,8 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from mammometry.base.value import value
-from mammometry.geometry import Array, Float64, TriangleMesh, UInt8
-from mammometry.geometry.arrays import Bool
+from mammometry.geometry import Array, Bool, Float64, TriangleMesh, UInt8
 from mammometry.geometry.nearest import closest_on_mesh, point_tree
 from mammometry.measure.boundary.boundary import Boundary, BreastName
 from mammometry.measure.landmarks.landmarks import PICKED_SIGMA_MM, Landmark, picked_landmarks

@@ -22,7 +22,7 @@ _FARTHEST_MM = 80.0  # a counterpart is looked for within this distance; chosen 
 
 @value(eq=False)
 class Symmetry:
-    """How both breasts of a torso differ."""
+    """Differences of both breasts of a torso."""
 
     plane_point_world: Float64[Array, 3]
     """A point of the mid-sagittal plane, mm."""
@@ -123,7 +123,7 @@ def trunk_skin(
 def signed_mm(
     skin: TriangleMesh, other: TriangleMesh, *, selected: Bool[Array, " n"] | None = None
 ) -> Float64[Array, " n"]:
-    """How far each vertex stands out of another, finely triangulated surface, mm.
+    """Distance of each vertex out of another, finely triangulated surface, mm.
 
     NaN without a counterpart. This is the distance to the tangent plane at the nearest vertex. There is no counterpart
     beyond the other's edge, where the way to the nearest place runs along the surface, or further away than 80 mm.

@@ -20,9 +20,7 @@ from scipy.sparse.csgraph import breadth_first_order, maximum_flow
 
 from mammometry.base.errors import MeasureError
 from mammometry.base.value import value
-from mammometry.geometry import mesh_kernels
-from mammometry.geometry.arrays import Array, Bool, Float64, Int64, read_only
-from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry import Array, Bool, Float64, Int64, TriangleMesh, mesh_kernels, read_only
 from mammometry.geometry.mesh_kernels import edge_rings, face_parts
 
 _CELL_MM = 6.0  # of the first, coarse search; a neck is wider
@@ -254,7 +252,7 @@ def _smaller_part(near: TriangleMesh, curve: Int64[Array, " n"], *, goes_on: boo
 
 
 def sides_on(mesh: TriangleMesh, curve: Int64[Array, " n"]) -> Bool[Array, " h"]:
-    """Which sides of faces lie on a closed curve of edges.
+    """Sides of faces that lie on a closed curve of edges, as a mask.
 
     Side 3 f + k runs from corner k of face f to the next.
     """

@@ -1,4 +1,4 @@
-"""Fill closed loops in a plane with triangles, and interpolate values.
+"""Fill closed loops in a plane with triangles, and sew such a patch onto a skin's opening.
 
 Values are carried from the loops over them. No vertex is added on a loop, so that a patch can be sewn to the mesh
 which the loop came from.
@@ -6,8 +6,8 @@ which the loop came from.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import manifold3d
@@ -16,10 +16,10 @@ from scipy.ndimage import binary_dilation
 from scipy.sparse import coo_matrix, csr_matrix
 from scipy.sparse.linalg import splu
 
-from mammometry.base.errors import CrossingError
+from mammometry.base.errors import CrossingError, MeasureError
 from mammometry.base.value import value
-from mammometry.geometry.arrays import Array, Bool, Float64, Int64
-from mammometry.measure.solid.cut import opening_loops
+from mammometry.geometry import Array, Bool, Float64, Int64, TriangleMesh
+from mammometry.measure.solid.cut import OpenPart, opening_loops
 from mammometry.measure.solid.untangle import rounded, signed_area_mm2, uncrossed
 
 
@@ -168,3 +168,68 @@ def _cells_inside(loops: Sequence[Float64[Array, "_ 2"]], height: int, width: in
 
 def _cross(u: Float64[Array, "n 2"], v: Float64[Array, "n 2"]) -> Float64[Array, " n"]:
     return u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
+
+
+Lift = Callable[[Patch], Float64[Array, "k 3"]]
+"""World positions, mm, of a patch's inner points."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Closed:
+    """A skin and the wall that closes it, world frame, mm."""
+
+    wall: TriangleMesh
+    """The wall alone, open, its normals pointing away from the skin."""
+    skin: TriangleMesh
+    """The skin alone, open."""
+    solid: TriangleMesh
+    """Both, sewn together without a gap. The skin's faces come first."""
+    kind: str | None = None
+    """Name of the resulting wall, if not the requested one: a cylinder may turn out flat."""
+    definition: str | None = None
+    """Definition of the wall, one sentence, if it depends on the breast: the radius of a cylinder."""
+
+
+def sew(
+    part: OpenPart, flat_loops: tuple[Float64[Array, "_ 2"], ...], lift: Lift, *, spacing_mm: float | None, subject: str
+) -> Closed:
+    """Close an open skin.
+
+    Args:
+        part: the skin; its loops run counter-clockwise around it for a viewer outside.
+        flat_loops: each loop laid flat as that viewer sees it, mm.
+        lift: where the wall's inner points go.
+        spacing_mm: distance of the wall's inner points; None for a flat wall, which needs none.
+        subject: whose skin, for messages.
+
+    Raises:
+        MeasureError: the skin has no opening, or the opening laid flat runs the wrong way.
+    """
+    if not part.loops:
+        raise MeasureError(
+            subject,
+            found="a surface without an opening where the wall should meet it",
+            expected="a wall that cuts the surface",
+            remedy="Check the boundary: it must run around the breast, on the surface",
+        )
+    turning = sum(signed_area_mm2(loop) for loop in flat_loops)
+    if turning <= 0:
+        raise CrossingError(
+            subject,
+            found="a boundary that runs the wrong way round when laid flat",
+            expected="a simple closed curve around the breast",
+            remedy="Redraw the boundary, or choose another wall with --set measure.wall=plane",
+        )
+    patch = fill(flat_loops, spacing_mm)
+    loop = np.concatenate(part.loops)
+    inner = lift(patch) if len(patch.points) > patch.n_loop else np.empty((0, 3))
+    faces = patch.faces[:, ::-1]
+    wall = TriangleMesh(
+        vertices=np.concatenate([part.mesh.vertices[loop], inner]), faces=np.ascontiguousarray(faces, dtype=np.int32)
+    )
+    number = np.concatenate([loop, len(part.mesh.vertices) + np.arange(len(inner))])
+    closed = TriangleMesh(
+        vertices=np.concatenate([part.mesh.vertices, inner]),
+        faces=np.concatenate([part.mesh.faces, number[faces].astype(np.int32)]),
+    )
+    return Closed(wall=wall, skin=part.mesh, solid=closed)

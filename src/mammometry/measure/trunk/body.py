@@ -286,7 +286,7 @@ def _frame(left: Float64[Array, 3], up: Float64[Array, 3], ahead: Float64[Array,
 
 
 def within_boundary(points: Float64[Array, "n 3"], boundary: Float64[Array, "b 3"]) -> Bool[Array, " n"]:
-    """Whether points lie inside a boundary, or within a centimetre of it.
+    """Mask of the points inside a boundary, or within a centimetre of it.
 
     A point lies inside if it is nearer to the boundary's middle than the boundary is in that direction, seen along the
     boundary's normal. Skin that hangs over the boundary is inside too.

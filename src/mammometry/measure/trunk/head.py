@@ -1,4 +1,4 @@
-"""Which end of the trunk is the head's. The body itself shows it.
+"""Find which end of the trunk is the head's, by the body itself.
 
 Four signs, each between −1 and 1 at most, and each with the other sign once the body is turned over. None of them holds
 for every body: arms that hang are seen at all heights, and mounds are as full above as below. So they are added.
@@ -42,7 +42,7 @@ _SHOWN = 0.5
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HeadSigns:
-    """What the body shows of its head. Each from −1 (the head is at the other end) to 1. 0 says nothing."""
+    """Signs of the head on the body, each from −1 (at the other end) to 1. 0 says nothing."""
 
     arms: float
     """Arms leave the trunk at the head's end."""

@@ -174,7 +174,7 @@ class Relief:
         return sampled
 
     def within(self, flat: Float64[Array, "*n 2"]) -> Bool[Array, "*n"]:
-        """Whether positions lie on the picture."""
+        """Mask of the positions that lie on the picture."""
         column, row = np.moveaxis((flat - self.low) / PIXEL_MM, -1, 0)
         height, width = self.bulge_mm.shape
         return np.asarray((column >= 0) & (row >= 0) & (column <= width - 1) & (row <= height - 1))

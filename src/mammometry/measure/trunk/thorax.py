@@ -115,7 +115,7 @@ class Thorax:
         return -2 * around @ self.coefficients[2 * AROUND :] / HEIGHT_WINDOW_MM**2
 
     def bulge_mm(self, points_world: Float64[Array, "n 3"]) -> Float64[Array, " n"]:
-        """How far points stand out from the trunk without breasts, mm."""
+        """Height of points over the trunk without breasts, mm."""
         cylindrical = self.trunk.cylindrical(points_world)
         return cylindrical[:, 2] - self.radius_mm(cylindrical[:, :2])
 
@@ -378,7 +378,7 @@ def _facing_out(skin: Skin, trunk: Trunk) -> Float64[Array, " n"]:
 
 
 def on_trunk(cylindrical: Float64[Array, "n 3"], trunk: Trunk) -> Bool[Array, " n"]:
-    """Which places on the trunk do not belong to an arm.
+    """Places on the trunk that do not belong to an arm, as a mask.
 
     Places are (half width × θ, y, r), mm. By their distance to the side.
     """

@@ -36,7 +36,7 @@ class Confirmation:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Attribution:
-    """How one boundary came to be, as boundaries.json tells."""
+    """Origin of one boundary, as boundaries.json has it."""
 
     method: str | None = None
     """How it was drawn, without names. None where nobody says, or where it is found automatically."""

@@ -12,8 +12,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from mammometry.base.errors import MeasureError
-from mammometry.geometry import Array, Float64, TriangleMesh, mesh_kernels
-from mammometry.geometry.arrays import Bool, Int64
+from mammometry.geometry import Array, Bool, Float64, Int64, TriangleMesh, mesh_kernels
 from mammometry.geometry.nearest import point_tree
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.boundary.trace import REACH_MM, edge_loop

@@ -33,7 +33,7 @@ eye."""
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Movement:
-    """What moved, and the rig that measured."""
+    """Motion of cameras or body, and the rig that measured."""
 
     found: Stillness
     rig: Rig
@@ -150,7 +150,7 @@ class EarlierErrors:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Evidence:
-    """What earlier stages know about the errors of a volume. Each may be unknown."""
+    """Earlier stages' results on the errors of a volume. Each may be unknown."""
 
     surface: RepairedSurface | None = None
     """Where the skin was measured, repaired and invented. None: all of it counts as measured."""

@@ -1,4 +1,4 @@
-"""How far unmeasured skin could stand out unseen.
+"""Distance by which unmeasured skin could stand out unseen.
 
 Nothing of the subject lies outside a silhouette, or in front of skin that a pair measured: the pair looked through
 there. An outline may be not the subject's own edge but the border of a shadow on it (`contour`). There the edge is
@@ -13,7 +13,7 @@ import numpy as np
 
 from mammometry.base.machine.cores import each_at_once
 from mammometry.base.value import value
-from mammometry.geometry import Array, Bool, Camera, Float32, Float64, Int64, Rig, raster_kernels
+from mammometry.geometry import Array, Bool, Camera, Float32, Float64, Int64, Rig, mesh_kernels
 from mammometry.geometry.nearest import point_tree
 from mammometry.matching.foreground.contour import follow
 from mammometry.matching.foreground.foreground import Foreground
@@ -44,7 +44,7 @@ class Silhouette:
     """How far outside each point the subject may end, pixels."""
 
     def excludes(self, points_world: Float64[Array, "n 3"]) -> Bool[Array, " n"]:
-        """Which points lie outside the silhouette by more than its doubt. Points are in mm, world frame."""
+        """Points, mm, world frame, outside the silhouette by more than its doubt, as a mask."""
         seen, column, row = _pixels(self.camera, points_world)
         outside = seen[self.background[row, column]]
         uv = self.camera.project(points_world[outside])
@@ -54,7 +54,7 @@ class Silhouette:
 
 @value(eq=False)
 class SeenThrough:
-    """What one pair measured. Nothing stands in front of it."""
+    """Range data of one pair. Nothing stands in front of them."""
 
     camera: Camera
     """The pair's left one, of the whole range image."""
@@ -70,7 +70,7 @@ class SeenThrough:
     @classmethod
     def of(cls, image: RangeImage, margin_mm: float) -> SeenThrough:
         """Cut out what holds data. The rest of a range image excludes nothing."""
-        top, bottom, left, right = raster_kernels.extent(image.valid).tolist()
+        top, bottom, left, right = mesh_kernels.extent(image.valid).tolist()
         window = (slice(top, bottom), slice(left, right))
         return cls(
             camera=image.camera,
@@ -82,7 +82,7 @@ class SeenThrough:
         )
 
     def excludes(self, points_world: Float64[Array, "n 3"]) -> Bool[Array, " n"]:
-        """Which points, mm, world frame, stand in front of a datum."""
+        """Points, mm, world frame, that stand in front of a datum, as a mask."""
         seen, column, row = _pixels(self.camera, points_world)
         row, column = row - self.first[0], column - self.first[1]
         height, width = self.valid.shape

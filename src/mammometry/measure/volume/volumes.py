@@ -20,8 +20,14 @@ from mammometry.measure.boundary.breasts import NoBreast
 from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.trunk.body import Body
 from mammometry.measure.volume import boundary_jitter
-from mammometry.measure.volume.definitions import MUSCLE_WALL, DefinedVolume, HalfWidths, define, other_terms_cc
-from mammometry.measure.volume.measurement import VolumeMeasurement
+from mammometry.measure.volume.measurement import (
+    MUSCLE_WALL,
+    DefinedVolume,
+    HalfWidths,
+    VolumeMeasurement,
+    define,
+    other_terms_cc,
+)
 from mammometry.measure.volume.uncertainty import WALL, WALL_FIT_U95_MM, Evidence, Uncertainty, interval
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.chest_wall import ChestWall
@@ -205,11 +211,10 @@ _ASIDE_MM = 80.0  # of the midline, where a removed breast is marked; a breast's
 
 
 def refused_side(breast: OpenBreast) -> NoBreast:
-    """Why a side of a torso has no volume, by another attempt.
+    """Find by another attempt why a side of a torso has no volume.
 
     Args:
         breast: whose volume was refused.
-
     """
     points = breast.boundary.points_world
     vertices = breast.surface.mesh.vertices
@@ -221,7 +226,7 @@ def refused_side(breast: OpenBreast) -> NoBreast:
     return NoBreast(
         name=cast(Literal["left", "right"], breast.boundary.name),
         place_world=vertices[np.linalg.norm(vertices - points.mean(axis=0), axis=1).argmin()],
-        standing=None,
+        prominence=None,
         why=why,
         unclear=True,
         refused=True,
@@ -259,4 +264,6 @@ def removed_side(name: Literal["left", "right"], body: Body, surface: RepairedSu
     vertices = surface.mesh.vertices
     from_middle = (vertices - body.point_world) @ np.stack([aside, body.up, body.frame[2]], axis=1)
     distance = np.hypot(from_middle[:, 0] - _ASIDE_MM, from_middle[:, 1]) - from_middle[:, 2]
-    return NoBreast(name=name, place_world=vertices[np.argmin(distance)], standing=None, why="It is said to be removed")
+    return NoBreast(
+        name=name, place_world=vertices[np.argmin(distance)], prominence=None, why="It is said to be removed"
+    )

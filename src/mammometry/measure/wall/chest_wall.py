@@ -8,11 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from mammometry.base.errors import CrossingError, MeasureError
-from mammometry.geometry import mesh_kernels
-from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry import TriangleMesh, mesh_kernels
 from mammometry.geometry.nearest import point_tree
 from mammometry.measure.solid.cut import OpenPart
-from mammometry.measure.solid.sew import Closed
+from mammometry.measure.solid.patch import Closed
 from mammometry.measure.wall.open_breast import OpenBreast
 from mammometry.measure.wall.registry import DEFAULT, in_order
 from mammometry.surface.repair.repair import Provenance

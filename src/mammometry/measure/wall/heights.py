@@ -18,8 +18,7 @@ from mammometry.base.value import value
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.measure.boundary.cast_base import frame_towards
 from mammometry.measure.solid.cut import OpenPart
-from mammometry.measure.solid.patch import Patch, harmonic
-from mammometry.measure.solid.sew import Closed, sew
+from mammometry.measure.solid.patch import Closed, Patch, harmonic, sew
 from mammometry.measure.solid.untangle import signed_area_mm2
 from mammometry.measure.trunk.thorax import Trunk
 

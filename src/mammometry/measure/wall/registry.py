@@ -10,7 +10,7 @@ from mammometry.base.errors import SettingsError
 from mammometry.base.registry import Registry
 
 if TYPE_CHECKING:
-    from mammometry.measure.solid.sew import Closed
+    from mammometry.measure.solid.patch import Closed
     from mammometry.measure.wall.open_breast import OpenBreast
 
 Close: TypeAlias = "Callable[[OpenBreast], Closed]"

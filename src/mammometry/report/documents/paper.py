@@ -10,7 +10,7 @@ from xml.sax.saxutils import escape
 from PIL import Image
 
 from mammometry.report.content import DISCLAIMER, Fact, Picture
-from mammometry.report.figures.drawing.canvas import INK
+from mammometry.report.figures.canvas import INK
 from mammometry.study.tables import Table
 
 _MARGIN_MM = 14.0  # of the page; chosen by eye

@@ -23,7 +23,7 @@ from mammometry.report.documents.paper import (
     table,
     text,
 )
-from mammometry.report.figures.drawing.canvas import INK
+from mammometry.report.figures.canvas import INK
 from mammometry.report.first_page import FirstPage, signature
 from mammometry.report.words.volumes import MEANINGS_INTRODUCTION
 from mammometry.study.tables import Table

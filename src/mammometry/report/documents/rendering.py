@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from mammometry.measure.boundary import TO_BE_CONFIRMED
 from mammometry.measure.volume.attribution import Attribution, Confirmation, attributed_words
 from mammometry.report.content import BreastReport, Clinical, ReportContent, sentence
-from mammometry.report.figures.drawing.shading import NAMES
+from mammometry.report.figures.shading import NAMES
 from mammometry.report.first_page import first_page
 
 

@@ -11,12 +11,11 @@ from mammometry.calibration.adjust.calibrated import Calibration
 from mammometry.calibration.detection.detect import Detection
 from mammometry.calibration.judge import expected_error as judge
 from mammometry.calibration.judge.expected_error import middle_world
-from mammometry.geometry.arrays import Array, Float64
-from mammometry.geometry.camera import Camera, Rig
+from mammometry.geometry import Array, Camera, Float64, Rig
+from mammometry.report.figures import canvas
+from mammometry.report.figures.canvas import Sheet
 from mammometry.report.figures.catalogue import preview
-from mammometry.report.figures.drawing import canvas
-from mammometry.report.figures.drawing.canvas import Sheet
-from mammometry.report.figures.drawing.shading import front_frame
+from mammometry.report.figures.shading import front_frame
 from mammometry.report.figures.stage_results import CalibrationResult
 from mammometry.study.tables import thousands
 

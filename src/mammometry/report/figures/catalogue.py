@@ -18,7 +18,7 @@ from mammometry.settings import Settings
 
 if TYPE_CHECKING:
     from mammometry.job.products import Stage
-    from mammometry.report.figures.drawing.canvas import Sheet
+    from mammometry.report.figures.canvas import Sheet
 
 
 Draw: TypeAlias = Callable[..., "bytes | None"]

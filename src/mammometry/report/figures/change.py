@@ -8,15 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from mammometry.geometry.arrays import Array, Float64
-from mammometry.geometry.mesh import TriangleMesh
-from mammometry.geometry.transform import Transform
+from mammometry.geometry import Array, Float64, Transform, TriangleMesh
 from mammometry.measure.change import Change
 from mammometry.measure.volume.measurement import VolumeMeasurement
-from mammometry.report.figures.drawing import canvas
-from mammometry.report.figures.drawing.canvas import Sheet
-from mammometry.report.figures.drawing.shading import NAMES, Scene, join_segments, picture_wh, section, views_of
+from mammometry.report.figures import canvas
+from mammometry.report.figures.canvas import Sheet
 from mammometry.report.figures.measure import curve
+from mammometry.report.figures.shading import NAMES, Scene, join_segments, picture_wh, section, views_of
 from mammometry.report.figures.surface import show
 from mammometry.surface.repair.repair import RepairedSurface
 from mammometry.surface.texture.texture import TexturedMesh

@@ -8,14 +8,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mammometry.base.photograph import Photograph
-from mammometry.geometry.arrays import Array, Float32, UInt8
-from mammometry.geometry.camera import Camera
+from mammometry.geometry import Array, Camera, Float32, UInt8
 from mammometry.matching.dense.match import DisparityMap
+from mammometry.report.figures import canvas
+from mammometry.report.figures.canvas import Sheet
 from mammometry.report.figures.catalogue import preview
-from mammometry.report.figures.drawing import canvas
-from mammometry.report.figures.drawing.canvas import Sheet
-from mammometry.report.figures.drawing.thinning import source_grid
 from mammometry.report.figures.stage_results import MatchingResult
+from mammometry.report.figures.thinning import source_grid
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -7,15 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from mammometry.geometry.arrays import Array, Float64, bounds
-from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry import Array, Float64, TriangleMesh, bounds
 from mammometry.measure.boundary.breasts import NoBreast
 from mammometry.measure.shape.symmetry import Symmetry
 from mammometry.measure.volume.measurement import VolumeMeasurement
+from mammometry.report.figures import canvas
+from mammometry.report.figures.canvas import Sheet
 from mammometry.report.figures.catalogue import preview
-from mammometry.report.figures.drawing import canvas
-from mammometry.report.figures.drawing.canvas import Sheet
-from mammometry.report.figures.drawing.shading import (
+from mammometry.report.figures.shading import (
     NAMES,
     Scene,
     View,

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from mammometry.geometry.arrays import Array
-from mammometry.report.figures.drawing import canvas
-from mammometry.report.figures.drawing.canvas import Sheet
-from mammometry.report.figures.drawing.shading import Scene, picture_wh, standard_views
+from mammometry.report.figures import canvas
+from mammometry.report.figures.canvas import Sheet
 from mammometry.report.figures.measure import curve
+from mammometry.report.figures.shading import Scene, picture_wh, standard_views
 from mammometry.report.figures.surface import show
 from mammometry.study.agreement import Agreement, Estimate, PairedMeasurements
 from mammometry.study.observers import WHOLE, Apart, Drawing, DrawnSurface, ObserverStudy

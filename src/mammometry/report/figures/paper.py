@@ -10,14 +10,14 @@ from pathlib import Path
 import numpy as np
 
 from mammometry.base.errors import SessionError
-from mammometry.geometry.arrays import Array, Bool, Float64, UInt8
-from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry import Array, Bool, Float64, TriangleMesh, UInt8
 from mammometry.job.graph import Plan
 from mammometry.job.stages import calibrate, match, surface
+from mammometry.report.figures import canvas
+from mammometry.report.figures.canvas import Sheet
 from mammometry.report.figures.catalogue import Source, find_paper_figure, paper_figure
-from mammometry.report.figures.drawing import canvas
-from mammometry.report.figures.drawing.canvas import Sheet
-from mammometry.report.figures.drawing.shading import (
+from mammometry.report.figures.matching import resampled
+from mammometry.report.figures.shading import (
     Scene,
     View,
     front_frame,
@@ -26,7 +26,6 @@ from mammometry.report.figures.drawing.shading import (
     section,
     views_of,
 )
-from mammometry.report.figures.matching import resampled
 from mammometry.report.figures.surface import show
 from mammometry.surface.ranges.dents import DentGrid
 from mammometry.surface.ranges.range_image import RangeImage

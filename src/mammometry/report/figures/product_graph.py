@@ -7,7 +7,7 @@ from typing import Any
 
 from mammometry.job.graph import Plan
 from mammometry.job.products import STAGES, Definition
-from mammometry.report.figures.drawing.canvas import INK
+from mammometry.report.figures.canvas import INK
 
 _BOX_WH, _ROW, _COLUMN, _LEFT, _TOP = (156, 38), 58, 172, 96, 16  # px; chosen by eye
 _FILLS = {"current": "#dff0e4", "stale": "#fdf0c4", "damaged": "#f8d7d0", "absent": "#ffffff"}

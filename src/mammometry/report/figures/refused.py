@@ -11,10 +11,10 @@ from mammometry.calibration.detection.detect import Observations
 from mammometry.geometry.arrays import Array, Bool, Float64
 from mammometry.job.inputs import FinishedSurface
 from mammometry.measure.boundary.boundary import Boundary
-from mammometry.report.figures.drawing import canvas
-from mammometry.report.figures.drawing.canvas import Sheet
-from mammometry.report.figures.drawing.shading import NAMES, Scene, picture_wh, standard_views
+from mammometry.report.figures import canvas
+from mammometry.report.figures.canvas import Sheet
 from mammometry.report.figures.measure import curve
+from mammometry.report.figures.shading import NAMES, Scene, picture_wh, standard_views
 from mammometry.report.figures.surface import show
 from mammometry.surface.texture.unmeasured import WORDS, shown_colours
 

@@ -10,9 +10,7 @@ from typing import ClassVar, TypeAlias
 
 from mammometry.base.photograph import Photograph
 from mammometry.calibration.adjust.calibrated import Calibration
-from mammometry.geometry.arrays import Array, Float64
-from mammometry.geometry.camera import Rig
-from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry import Array, Float64, Rig, TriangleMesh
 from mammometry.job.graph import Plan
 from mammometry.job.inputs import Inputs
 from mammometry.job.products import Stage, Uncached
@@ -25,10 +23,10 @@ from mammometry.measure.boundary.breasts import NoBreast
 from mammometry.measure.shape.symmetry import Symmetry
 from mammometry.measure.trunk.body import Body, Mounting
 from mammometry.measure.volume.measurement import VolumeDeficit, VolumeMeasurement
+from mammometry.report.figures import canvas
 from mammometry.report.figures.catalogue import previews_of
-from mammometry.report.figures.drawing import canvas
-from mammometry.report.figures.drawing.shading import Scene, View, front_frame, front_of, standard_views
-from mammometry.report.figures.drawing.thinning import (
+from mammometry.report.figures.shading import Scene, View, front_frame, front_of, standard_views
+from mammometry.report.figures.thinning import (
     LARGEST_WIDTH_PX,
     ThinnedRange,
     matched_shares,

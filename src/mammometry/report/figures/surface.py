@@ -7,13 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from mammometry.geometry.arrays import Array, Float32, Float64, UInt8
-from mammometry.geometry.camera import Rig
-from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry import Array, Float32, Float64, Rig, TriangleMesh, UInt8
+from mammometry.report.figures import canvas
+from mammometry.report.figures.canvas import Sheet
 from mammometry.report.figures.catalogue import preview
-from mammometry.report.figures.drawing import canvas
-from mammometry.report.figures.drawing.canvas import Sheet
-from mammometry.report.figures.drawing.shading import Scene, View, front_frame, picture_wh, standard_views
+from mammometry.report.figures.shading import Scene, View, front_frame, picture_wh, standard_views
 from mammometry.report.figures.stage_results import SurfaceResult
 from mammometry.study.accuracy import ErrorMap
 from mammometry.study.tables import thousands

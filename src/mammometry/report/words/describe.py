@@ -14,8 +14,7 @@ from mammometry.base.machine.cores import available_cores
 from mammometry.calibration.adjust.calibrated import Calibration
 from mammometry.calibration.judge.quality import CalibrationQuality
 from mammometry.calibration.targets.target import Target
-from mammometry.geometry.arrays import Array, Float32, bounds
-from mammometry.geometry.camera import Rig
+from mammometry.geometry import Array, Float32, Rig, bounds
 from mammometry.geometry.nearest import point_tree
 from mammometry.matching.foreground.foreground import Foreground
 from mammometry.matching.quality import MatchQuality
@@ -25,9 +24,9 @@ from mammometry.measure.trunk.head import HEAD_NOT_SHOWN
 from mammometry.measure.volume.attribution import curve_digest
 from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.report.content import BreastReport, Fact, LargeNumber, Meaning, StageReport, sentence
-from mammometry.report.figures.drawing.shading import NAMES, wall_faces
-from mammometry.report.figures.drawing.thinning import ThinnedRange
+from mammometry.report.figures.shading import NAMES, wall_faces
 from mammometry.report.figures.surface import provenance_shares
+from mammometry.report.figures.thinning import ThinnedRange
 from mammometry.report.words.volumes import (
     MEANINGS,
     definition_words,
@@ -109,7 +108,7 @@ def meanings(measurements: Sequence[VolumeMeasurement]) -> tuple[Meaning, ...]:
 
 def absent_report(absent: NoBreast) -> BreastReport:
     """Content for a side without a breast, with the evidence for that."""
-    seen = absent.standing
+    seen = absent.prominence
     facts = [Fact("It rests on", sentence(absent.why))]
     if seen is not None:
         facts.append(Fact("What stands out there at most", f"{seen.volume_cc:.0f} cc"))

@@ -15,11 +15,11 @@ from mammometry.job.stages import match, surface
 from mammometry.matching.foreground.foreground import Foreground
 from mammometry.matching.quality import MatchQuality
 from mammometry.report.content import StageReport
-from mammometry.report.figures.drawing.thinning import matched_shares, thinned_foreground, thinned_maps, thinned_ranges
 from mammometry.report.figures.stage_results import MatchingResult, SurfaceResult, draw, stage_result
+from mammometry.report.figures.thinning import matched_shares, thinned_foreground, thinned_maps, thinned_ranges
 from mammometry.report.scene import ViewerScene
 from mammometry.report.words.describe import surface_report
-from mammometry.surface.motion.motion_messages import summary
+from mammometry.surface.motion.motion_test import summary
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

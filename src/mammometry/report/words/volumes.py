@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime
 
-from mammometry.measure.volume.definitions import DENSITY_G_PER_CC, DefinedVolume
+from mammometry.measure.volume.measurement import DENSITY_G_PER_CC, DefinedVolume
 
 _COARSE_CC = 10.0
 """Width of an interval from which tenths of a cc are left out: a tenth is then 1 % of it. Chosen by eye."""

@@ -9,9 +9,9 @@ import numpy as np
 
 from mammometry.geometry.transform import Transform
 from mammometry.simulate.disturbances.surfaces import Outside
-from mammometry.simulate.rendering.objects.props import Props
-from mammometry.simulate.rendering.objects.skin import Skin
+from mammometry.simulate.rendering.props import Props
 from mammometry.simulate.rendering.scene import Thing
+from mammometry.simulate.rendering.skin import Skin
 from mammometry.simulate.subjects.solid import Solid
 
 Colour = tuple[float, float, float]

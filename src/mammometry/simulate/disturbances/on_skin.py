@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from mammometry.simulate.disturbances.registry import Number, Word, disturbance
-from mammometry.simulate.rendering.objects.skin import SKINS, Skin
+from mammometry.simulate.rendering.skin import SKINS, Skin
 from mammometry.simulate.subjects.marks import Mark
 from mammometry.simulate.subjects.torso import SIDES, TorsoShape
 

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial import ConvexHull
 
 from mammometry.geometry import Array, Float64, Int32, TriangleMesh
-from mammometry.simulate.rendering.objects.props import Props
+from mammometry.simulate.rendering.props import Props
 
 _NOT_FOUND_MM = 150.0
 """Radius assumed where a ray from the axis meets no skin, as beyond a body's cut ends, mm."""

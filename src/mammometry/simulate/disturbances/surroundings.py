@@ -13,7 +13,7 @@ import numpy as np
 from mammometry.simulate.disturbances.about import Surroundings
 from mammometry.simulate.disturbances.registry import Number, Word, disturbance
 from mammometry.simulate.disturbances.surfaces import ball, bar, box, sheet, straight, together
-from mammometry.simulate.rendering.objects.props import Props
+from mammometry.simulate.rendering.props import Props
 from mammometry.simulate.subjects.solid import waves
 
 _STEEL, _RUBBER, _NAVY = (0.42, 0.43, 0.45), (0.05, 0.05, 0.055), (0.03, 0.04, 0.09)

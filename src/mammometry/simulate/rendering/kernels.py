@@ -268,7 +268,7 @@ def develop(
     table: Array,
     photograph: Array,
 ) -> None:
-    """What the sensor makes of radiance: blur, vignetting, noise, transfer curve.
+    """Turn radiance into what the sensor reads: blur, vignetting, noise, transfer curve.
 
     Args:
         image: float32 (h, w, 1 or 3), 1 is full scale.

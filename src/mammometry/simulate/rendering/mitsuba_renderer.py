@@ -18,12 +18,12 @@ import numpy as np
 
 from mammometry.base.errors import SettingsError
 from mammometry.geometry import Array, Camera, Float32, Float64, Int32, TriangleMesh
-from mammometry.simulate.rendering.objects.skin import Skin
 from mammometry.simulate.rendering.registry import add_renderer
 from mammometry.simulate.rendering.render import AMBIENT, blocks, paint_seed, sample_rays
 from mammometry.simulate.rendering.sampling import PINHOLE, Aperture
 from mammometry.simulate.rendering.scene import LIGHTS, SOFT_BOX_RADIUS_MM, Scene
 from mammometry.simulate.rendering.shading import paint_at
+from mammometry.simulate.rendering.skin import Skin
 
 _VARIANT = "scalar_rgb"
 _BOUNCES = 4  # of light between surfaces; skin of reflectance 0.6 keeps a tenth after as many

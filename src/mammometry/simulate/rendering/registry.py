@@ -10,9 +10,9 @@ from mammometry.base.registry import Registry
 
 if TYPE_CHECKING:
     from mammometry.geometry import Array, Camera, Float32
-    from mammometry.simulate.rendering.objects.skin import Skin
     from mammometry.simulate.rendering.sampling import Aperture
     from mammometry.simulate.rendering.scene import Scene
+    from mammometry.simulate.rendering.skin import Skin
 
 BUILT_IN = "built-in"
 """The renderer that needs no optional package."""

@@ -11,7 +11,6 @@ from scipy.ndimage import maximum_filter, minimum_filter
 
 from mammometry.geometry import Array, Bool, Camera, Float32, Int32, Int64
 from mammometry.simulate.rendering import kernels, shading
-from mammometry.simulate.rendering.objects.skin import Skin
 from mammometry.simulate.rendering.registry import BUILT_IN, add_renderer
 from mammometry.simulate.rendering.sampling import (
     PINHOLE,
@@ -23,6 +22,7 @@ from mammometry.simulate.rendering.sampling import (
     picture_window,
 )
 from mammometry.simulate.rendering.scene import Scene
+from mammometry.simulate.rendering.skin import Skin
 
 _NOTHING = -1  # number of a face where a ray hits none
 _PLAIN_SAMPLES = 4  # rays for a pixel within the subject, through a pinhole

@@ -17,9 +17,9 @@ from scipy.sparse import csr_matrix
 
 from mammometry.base.value import value
 from mammometry.geometry import Array, Bool, Float32, Float64, Int32, Transform, TriangleMesh, UInt8
-from mammometry.simulate.rendering.objects import props
-from mammometry.simulate.rendering.objects.props import Props
-from mammometry.simulate.rendering.objects.skin import Skin
+from mammometry.simulate.rendering import props
+from mammometry.simulate.rendering.props import Props
+from mammometry.simulate.rendering.skin import Skin
 from mammometry.simulate.subjects.solid import Solid
 
 
@@ -39,7 +39,7 @@ class Motion:
     """Standard deviation of the breath's motion around its centre: that of a chest, chosen by eye."""
 
     def at(self, points: Float64[Array, "n 3"], seconds: float) -> Float64[Array, "n 3"]:
-        """Where points are after so many seconds.
+        """Places of points after so many seconds.
 
         Turns are small: the second order, a micrometre, is left out.
         """
@@ -123,7 +123,7 @@ class Scene:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Room:
-    """What stands about the subject, or lies on its skin."""
+    """Things that stand about the subject, or lie on its skin."""
 
     backdrop: bool = False
     """Whether a dark board of 270 × 290 mm stands 0.8 mm behind the lowest point of the solid's back."""

@@ -83,7 +83,7 @@ def described(target: Target) -> dict[str, object]:
 
 
 def visible_points(camera: Camera, rig_from_target: Transform, target: Target) -> Bool[Array, " n"]:
-    """Which target points are in the picture and face the camera.
+    """Mask of the target points that are in the picture and face the camera.
 
     Points seen too aslant do not count. All targets are convex, so nothing else can hide a point.
     """

@@ -101,7 +101,7 @@ class Body:
         return -_union(-_cut(both, y - _TOP_MM), -_cut(both, _BOTTOM_MM - y), 1.0)
 
     def in_arm(self, points: Float64[Array, "n 3"]) -> Bool[Array, " n"]:
-        """Whether points belong to an arm rather than to the trunk."""
+        """Mask of the points that belong to an arm rather than to the trunk."""
         trunk, arm = self._parts(points)
         return arm < trunk
 

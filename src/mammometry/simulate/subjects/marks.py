@@ -43,7 +43,7 @@ class Mark:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Marked:
-    """What marks do to a mesh's vertices."""
+    """Effect of marks on a mesh's vertices."""
 
     height_mm: Mapping[str, Float64[Array, " n"]]
     """Side → how far the skin is lifted along that breast's axis."""

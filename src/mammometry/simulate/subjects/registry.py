@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SubjectRequest:
-    """What the user asks for."""
+    """The user's choice of a subject."""
 
     name: str
     """Name from the command line: ``plaster_5``, or the path of a mesh."""

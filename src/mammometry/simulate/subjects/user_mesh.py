@@ -24,7 +24,7 @@ _FACES_AT_MOST = 1_500_000  # long edges are split no further: the light is comp
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MeshFile:
-    """How a mesh file is to be read."""
+    """A mesh file, and how to read it."""
 
     mm_per_unit: float | None = None
     """Millimetres per unit of the file. There is no default, since no such file states its unit."""

@@ -7,9 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mammometry.base.machine.compiled import kernel
-from mammometry.geometry import lens_kernels
-from mammometry.geometry.arrays import Array, Float64
-from mammometry.geometry.camera import Camera
+from mammometry.geometry import Array, Camera, Float64, lens_kernels
 
 COLUMNS = 24
 """Of a row: the fields of `View`, one after another."""

@@ -15,9 +15,7 @@ from scipy import ndimage
 
 from mammometry.base.machine.cores import each_at_once, in_bands
 from mammometry.base.value import value
-from mammometry.geometry import raster_kernels
-from mammometry.geometry.arrays import Array, Bool, Float32, Float64
-from mammometry.geometry.camera import Camera, Rig
+from mammometry.geometry import Array, Bool, Camera, Float32, Float64, Rig, mesh_kernels
 from mammometry.matching.foreground.contour import follow
 from mammometry.matching.foreground.foreground import Foreground
 from mammometry.surface.fusion import field_kernels as kernels
@@ -263,7 +261,7 @@ def silhouette_distance_px(foreground: Foreground, step: int = 1, lost_slope: fl
     """
     height, width = (-(-side // step) for side in foreground.coverage.shape)
     mask = foreground.mask
-    top, bottom, left, right = raster_kernels.extent(mask).tolist()
+    top, bottom, left, right = mesh_kernels.extent(mask).tolist()
     if bottom - top == mask.shape[0] and right - left == mask.shape[1] and mask.all():
         return np.full((height, width), -1e4, dtype=np.float32)
     window = tuple(

@@ -1,4 +1,4 @@
-"""Compiled kernels: signed distance of the solid at millions of corners, and pieces of a silhouette's contour.
+"""Compiled kernels: signed distance of the solid at millions of corners, contours of silhouettes.
 
 Their plain NumPy twins stand in tests/unit/surface/.
 """
@@ -326,7 +326,7 @@ def view_elements(
     extend_weight: float,
     sigma_floor_mm: float,
 ) -> Float32[Array, "h w 3"]:
-    """What one range image says at each pixel, as `sample_field` reads it.
+    """A range image's values at each pixel, as `sample_field` reads them.
 
     See `field.view_elements`. `normals`: camera frame; `rows`, `columns`: the nearest datum with a normal, −1 where
     there is none at all; `spans_mm`: of `image_kernels.spans`.

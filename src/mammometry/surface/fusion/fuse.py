@@ -12,9 +12,7 @@ import numpy as np
 
 from mammometry.base.errors import SurfaceError
 from mammometry.base.progress import Progress, no_progress, part
-from mammometry.geometry import mesh_kernels
-from mammometry.geometry.arrays import Array, Float64, bounds
-from mammometry.geometry.camera import Rig
+from mammometry.geometry import Array, Float64, Rig, bounds, mesh_kernels
 from mammometry.geometry.mesh import TriangleMesh, on_microns
 from mammometry.matching.foreground.foreground import Foreground
 from mammometry.surface.fusion.field import (

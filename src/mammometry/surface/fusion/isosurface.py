@@ -18,9 +18,7 @@ from scipy import ndimage
 
 from mammometry.base.machine.cores import available_cores
 from mammometry.base.progress import Progress, no_progress
-from mammometry.geometry import mesh_kernels
-from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32, Int64
-from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry import Array, Bool, Float32, Float64, Int32, Int64, TriangleMesh, mesh_kernels
 from mammometry.surface.fusion.marching import march, without_saddles
 from mammometry.surface.fusion.voxels import BLOCK, FAR_CUBES, TRANSITION, BlockGrid
 

@@ -4,7 +4,7 @@ So the cost grows with area, not with volume. Space is cut in blocks of 8³ cube
 block is evaluated when the coarser field changes sign in it, when measured data lie in it, or when an evaluated
 neighbour's face shows the other sign: the surface is followed until it closes. The rest is inside or outside as its
 centre says. Far from all data, where the surface is only closed, the large cubes are meshed themselves: see
-`isosurface`, `stitch`.
+`isosurface`.
 """
 
 from __future__ import annotations

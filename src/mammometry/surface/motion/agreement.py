@@ -13,8 +13,7 @@ import numpy as np
 
 from mammometry.base.machine.cores import each_at_once
 from mammometry.base.value import value
-from mammometry.geometry.arrays import Array, Float64, Int64
-from mammometry.geometry.camera import Camera
+from mammometry.geometry import Array, Camera, Float64, Int64
 from mammometry.matching.dense.match import DisparityMap
 from mammometry.surface.ranges.range_image import RangeImage, thinned_camera
 from mammometry.surface.ranges.visibility import CommonSkin, common_skin

@@ -1,4 +1,4 @@
-"""Detect and correct motion between calibration and capture.
+"""Detect and correct motion between calibration and capture, and say what moved.
 
 A camera that turned after the calibration, or a body that moved between the pairs' exposures, makes pairs disagree
 about common skin, and rows of a pair miss one another. `rigid_motion` finds what most probably moved. If nothing did,
@@ -8,7 +8,7 @@ apart, as when the chest breathes, their points are moved smoothly as well (docs
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,9 +17,7 @@ from scipy import ndimage
 from mammometry.base.errors import SurfaceError
 from mammometry.base.value import value
 from mammometry.calibration.adjust.calibrated import ParameterCovariance
-from mammometry.geometry.arrays import Array, Float64
-from mammometry.geometry.camera import Camera, Rig, StereoPair
-from mammometry.geometry.transform import Transform
+from mammometry.geometry import Array, Camera, Float64, Rig, StereoPair, Transform
 from mammometry.surface.motion.agreement import RowErrors, differences
 from mammometry.surface.motion.rigid_motion import (
     BREATHS_MM,
@@ -59,7 +57,7 @@ _UNEXPLAINED_MM = 0.12
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Turn:
-    """How a camera turned about its own centre."""
+    """Turn of a camera about its own centre."""
 
     camera: str
     turn_deg: float
@@ -188,7 +186,7 @@ def find(
     if not (matters or found.unexplained):
         return _nothing(parameters, distance_mm=before_mm, evidence=evidence)
     _refuse(found, settings, honest_mm)
-    if settings.correct and evidence >= LEAST_EVIDENCE:
+    if evidence >= LEAST_EVIDENCE:
         return replace(found, corrected=True)
     return replace(found, covariance=found.covariance + np.outer(found.motions, found.motions))
 
@@ -389,3 +387,67 @@ def _nearest(
     with np.errstate(divide="ignore", invalid="ignore"):
         distance: Float64[Array, " n"] = (rays @ baseline - cosine * (others @ baseline)) / (1 - cosine**2)
     return distance
+
+
+_MOST_PART, _LITTLE = 0.7, 0.35
+"""Share of a displacement above which only the body moved, and below which only cameras did. Chosen by eye."""
+_NAMED = 3  # cameras in a sentence, at most
+
+
+def concerns(found: Stillness) -> Iterator[str]:
+    """Sentences that a user must read beside the volume. None where nothing moved."""
+    if not found.moved:
+        return
+    before_mm, after_mm = found.distance_mm
+    worst = found.displaced[0]
+    done = (
+        f"That was corrected: the pairs now agree to {after_mm:.2f} mm ({before_mm:.2f} mm before)"
+        if found.corrected
+        else f"That was not corrected, and the pairs disagree by {before_mm:.2f} mm"
+    )
+    yield (
+        f"{cause(found)} Pair {worst.pair} measured its points {worst.effect_mm:.2f} ± {worst.std_mm:.2f} mm away from "
+        f"where the others do. {done}; the interval covers what is left."
+    )
+    if found.unexplained:
+        yield (
+            f"Pairs still disagree by {found.rest_mm:.2f} mm in a way that no motion of cameras or pairs explains, as "
+            "when an arm or a fold moves between exposures. The interval covers it. Expose all cameras together."
+        )
+
+
+def cause(found: Stillness) -> str:
+    """The thing that moved, and the remedy, in two sentences."""
+    worst = found.displaced[0]
+    share = worst.body_mm / worst.effect_mm if worst.effect_mm > 0 else 0.0
+    named = ", ".join(f"{turn.camera} by {turn.turn_deg:.3f} ± {turn.std_deg:.3f}°" for turn in found.turns[:_NAMED])
+    if found.alone in found.parameters.cameras:
+        turned = f"after the calibration: {named}" if named else f"after the calibration, probably {found.alone}"
+        return f"A camera turned {turned}. Calibrate again before the next capture."
+    if share >= _MOST_PART or found.alone is not None:
+        who = "The body breathed or swayed" if found.breathed else "The body, or a pair of cameras as a whole, moved"
+        return (
+            f"{who} between the exposures of the pairs, most for pair {worst.pair}: {worst.body_mm:.2f} mm. Expose all "
+            "cameras together."
+        )
+    who = f"Cameras turned after the calibration ({named or 'which ones is not certain'})"
+    if share > _LITTLE:
+        return (
+            f"{who}, and body or pairs moved by {worst.body_mm:.2f} mm. Calibrate again, expose all cameras together."
+        )
+    return f"{who}. Calibrate again before the next capture."
+
+
+def summary(found: Stillness) -> str:
+    """One line for the technician."""
+    if not found.compared:
+        return "not compared: no two pairs see the same skin"
+    if not found.moved:
+        return f"nothing moved; pairs agree to {found.distance_mm[0]:.3f} mm (RMS)"
+    pairs = ", ".join(
+        f"{displacement.pair} {displacement.effect_mm:.2f} ± {displacement.std_mm:.2f} mm"
+        for displacement in found.displaced
+    )
+    return (
+        f"{'put right' if found.corrected else 'not put right'}: {pairs}; pairs agree to {found.distance_mm[1]:.3f} mm"
+    )

@@ -21,8 +21,7 @@ from mammometry.base.value import value
 from mammometry.calibration.adjust.calibrated import ParameterCovariance
 from mammometry.calibration.adjust.network import POSE_NAMES_CAMERA
 from mammometry.calibration.judge.pose_motion import shifts
-from mammometry.geometry.arrays import Array, Bool, Float64, Int64
-from mammometry.geometry.camera import Rig
+from mammometry.geometry import Array, Bool, Float64, Int64, Rig
 from mammometry.surface.motion.agreement import Differences, RowErrors
 
 _CELL_MM = 0.06
@@ -125,7 +124,7 @@ class MotionParameters:
 
 
 def motion_parameters(rig: Rig, pairs: Sequence[str], centre_world: Float64[Array, 3]) -> MotionParameters:
-    """What may have moved of these pairs of a rig."""
+    """Parameters of all motions that these pairs of a rig may have made."""
     groups: list[tuple[set[str], list[str]]] = []
     for pair in pairs:
         cameras, names = set(rig.pair_names[pair]), [pair]
@@ -400,7 +399,7 @@ def without_contradicted_rows(seen: Observed, parameters: MotionParameters) -> O
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Found:
-    """What the observations say of motions."""
+    """Motions that the observations show."""
 
     still: Fit
     """The best fit without any motion."""

@@ -1,4 +1,4 @@
-"""Removal of range data that are not the subject's skin: dents (paper 2.6.1, 2.6.2, Eq. 2–3) and foreign pieces.
+"""Removal of range data that are no skin of the subject: dents (paper 2.6.2) and foreign pieces.
 
 Dents are smeared depth discontinuities, seen at grazing angles. What lies far behind the subject's middle is
 background, where no silhouette kept it out. What hangs together with the largest surface that the pairs see is the
@@ -89,7 +89,7 @@ class ValidPatches:
 
 @value(eq=False)
 class KeepMasks:
-    """Which range data survived. With the range images it gives `ValidPatches`."""
+    """Masks of the range data that survived. With the range images they give `ValidPatches`."""
 
     keep: tuple[Bool[Array, "h w"], ...]
     """Per view and element, whether its datum survived."""
@@ -289,7 +289,7 @@ def _without_islands(keep: Bool[Array, "h w"]) -> Bool[Array, "h w"]:
     return np.asarray(sizes >= _SMALLEST_ISLAND)[numbers]
 
 
-_BEHIND = 1.4  # of the middle's depth, as in `matching.coarse_depth`
+_BEHIND = 1.4  # of the middle's depth, as in `matching.coarse_stereo`
 _STEP_PX = (
     5.0  # edge of a cell, of a pixel's width on the surface: what lies in cells that touch hangs together; by eye
 )

@@ -11,9 +11,8 @@ import numpy as np
 
 from mammometry.base.machine.cores import in_bands
 from mammometry.base.value import value
-from mammometry.geometry import raster_kernels
+from mammometry.geometry import Camera, mesh_kernels
 from mammometry.geometry.arrays import SIGMA_BITS, Array, Bool, Float32, Float64, Int64, to_bits, to_step
-from mammometry.geometry.camera import Camera
 from mammometry.matching.dense.match import DisparityMap
 from mammometry.surface.ranges import image_kernels, ray_kernels
 from mammometry.surface.settings import TriangulateSettings
@@ -103,7 +102,7 @@ class RangeImage:
         normals = np.full((*self.camera.shape_hw, 3), np.nan, dtype=np.float32)
         if not self.valid.any():
             return normals
-        top, bottom, left, right = raster_kernels.extent(self.valid).tolist()
+        top, bottom, left, right = mesh_kernels.extent(self.valid).tolist()
         rows, columns = slice(top, bottom), slice(left, right)
         fx, fy, cx, cy = self.camera.intrinsics
         normals[rows, columns] = image_kernels.inverse_depth_planes(

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mammometry.base.machine.cores import in_bands
-from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32, Int64
-from mammometry.geometry.camera import Camera
+from mammometry.geometry import Array, Bool, Camera, Float32, Float64, Int32, Int64
 from mammometry.surface.ranges import image_kernels
 from mammometry.surface.ranges.range_image import NORMAL_MM, SIGMA_FLOOR_MM, RangeImage, thinned_camera
 from mammometry.surface.repair import elastic_kernels
@@ -21,7 +20,7 @@ _LEAST_COSINE = 0.05  # 87°: a smaller cosine would divide the spacing to infin
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Gates:
-    """Which data are plausible for a vertex. The fields of `repair.RepairSettings` of the same names."""
+    """Limits of plausible data for a vertex: the constants of `repair` of the same names."""
 
     reach_mm: float
     normal_angle_deg: float

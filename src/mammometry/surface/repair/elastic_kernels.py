@@ -261,7 +261,7 @@ def feet(
 def turned_over(
     vertices: Float64[Array, "n 3"], moved: Float64[Array, "n 3"], faces: Int32[Array, "m 3"]
 ) -> Bool[Array, " m"]:
-    """Whether moving the vertices turns each face's normal over 90°."""
+    """Mask of the faces whose normals turn over 90° when the vertices move."""
     turned = np.zeros(len(faces), dtype=np.bool_)
     for face in range(len(faces)):
         a, b, c = faces[face, 0], faces[face, 1], faces[face, 2]

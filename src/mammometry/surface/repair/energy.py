@@ -15,8 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import csr_array, diags_array
 
-from mammometry.geometry.arrays import Array, Float64, Int32, Int64
-from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry import Array, Float64, Int32, Int64, TriangleMesh
 from mammometry.surface.repair import elastic_kernels
 
 

@@ -11,8 +11,7 @@ from mammometry.base.errors import SurfaceError
 from mammometry.base.machine.cores import each_at_once
 from mammometry.base.progress import Progress, no_progress
 from mammometry.base.value import value
-from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32, UInt8, bounds
-from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry import Array, Bool, Float32, Float64, Int32, TriangleMesh, UInt8, bounds
 from mammometry.geometry.nearest import point_tree
 from mammometry.surface.ranges.dents import ValidPatches
 from mammometry.surface.repair import elastic_kernels
@@ -44,7 +43,7 @@ _CELL_MM = 4.0  # of the grid that finds the faces near data: coarse, for speed 
 
 
 class Provenance(IntEnum):
-    """Where a vertex comes from. The numbers stand in mesh.ply, and stay."""
+    """Origin of a vertex. The numbers stand in mesh.ply, and stay."""
 
     INVENTED = 0
     """Nothing was seen there: closed plainly."""

@@ -9,8 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from mammometry.base.child_process import ChildProcess
-from mammometry.geometry.arrays import Array, Float32, Int32
-from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry import Array, Float32, Int32, TriangleMesh
 
 _LARGE = 300_000  # triangles from which a process of its own, which takes half a second to begin, is worth it
 

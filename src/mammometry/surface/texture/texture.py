@@ -15,7 +15,7 @@ from mammometry.base.value import value
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int64, Integer, UInt8, read_only
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.mesh import TriangleMesh
-from mammometry.geometry.raster_kernels import nearest_faces
+from mammometry.geometry.mesh_kernels import nearest_faces
 from mammometry.surface.fusion.camera_records import view_row
 from mammometry.surface.texture import texture_kernels
 

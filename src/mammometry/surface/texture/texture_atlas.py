@@ -31,9 +31,7 @@ from mammometry.base.machine.cores import in_bands
 from mammometry.base.photograph import Photograph
 from mammometry.base.progress import Progress, no_progress, part
 from mammometry.base.value import value
-from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32, Int64, UInt8
-from mammometry.geometry.camera import Rig
-from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry import Array, Bool, Float32, Float64, Int32, Int64, Rig, TriangleMesh, UInt8
 from mammometry.geometry.nearest import barycentric, closest_on_mesh, closest_on_triangles
 from mammometry.geometry.projection import projected
 from mammometry.surface.repair.energy import graph_of_mesh, laplacian

@@ -1,4 +1,4 @@
-"""Compiled code that looks points up in photographs, and lays photographs into the picture of a viewing mesh.
+"""Compiled code that looks points up in photographs, and lays photographs on a viewing mesh.
 
 Photographs are read as they were recorded, so that no copy of them in floating point is made. Where the picture is
 coarser, step × step of their pixels count as one, which has their mean. Plain NumPy twins stand in tests/unit/surface/

@@ -1,4 +1,4 @@
-"""How targets are found in photographs: a file a kind."""
+"""Finders of targets in photographs: a file a kind."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from mammometry.calibration.detection.finders.chessboard import explain_missed_c
 from mammometry.calibration.detection.finders.circles import find_circles
 from mammometry.calibration.detection.finders.cylinder import find_cylinder
 from mammometry.calibration.detection.finders.points import find_points
-from mammometry.calibration.features.found_points import Cause, FoundPoints
+from mammometry.calibration.features.pixels import Cause, FoundPoints
 from mammometry.calibration.targets.kinds.charuco import CharucoTarget
 from mammometry.calibration.targets.kinds.chessboard import ChessboardTarget
 from mammometry.calibration.targets.kinds.circles import CirclesTarget

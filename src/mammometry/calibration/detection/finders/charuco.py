@@ -13,8 +13,7 @@ from mammometry.base.photograph import Photograph
 from mammometry.calibration.features.board_map import LENS_TOLERANCE, BoardMap, fit_board_map
 from mammometry.calibration.features.corners import CornerGrid, MarkerArea, refine_corners
 from mammometry.calibration.features.dots import mark_size
-from mammometry.calibration.features.found_points import Cause, FoundPoints
-from mammometry.calibration.features.pixels import enlarge, grey_bytes, linear_luma, reduced
+from mammometry.calibration.features.pixels import Cause, FoundPoints, enlarge, grey_bytes, linear_luma, reduced
 from mammometry.calibration.targets.kinds.charuco import CharucoTarget, charuco_board
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int64, UInt8
 

@@ -8,8 +8,7 @@ import numpy as np
 from mammometry.base.photograph import Photograph
 from mammometry.calibration.features.board_map import LENS_TOLERANCE, BoardMap, fit_board_map
 from mammometry.calibration.features.corners import CornerGrid, refine_corners
-from mammometry.calibration.features.found_points import Cause, FoundPoints
-from mammometry.calibration.features.pixels import enlarge, grey_bytes, linear_luma, reduced
+from mammometry.calibration.features.pixels import Cause, FoundPoints, enlarge, grey_bytes, linear_luma, reduced
 from mammometry.calibration.targets.kinds.chessboard import ChessboardTarget
 from mammometry.geometry.arrays import Array, Float32, Float64, Int64, UInt8
 

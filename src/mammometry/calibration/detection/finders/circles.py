@@ -8,8 +8,7 @@ import numpy as np
 from mammometry.base.photograph import Photograph
 from mammometry.calibration.features.board_map import LENS_TOLERANCE, BoardMap, fit_board_map
 from mammometry.calibration.features.dots import mark_size, measure_dots
-from mammometry.calibration.features.found_points import Cause, FoundPoints
-from mammometry.calibration.features.pixels import enlarge, grey_bytes, linear_luma, reduced
+from mammometry.calibration.features.pixels import Cause, FoundPoints, enlarge, grey_bytes, linear_luma, reduced
 from mammometry.calibration.targets.kinds.circles import CirclesTarget
 from mammometry.geometry.arrays import Array, Float64, UInt8
 

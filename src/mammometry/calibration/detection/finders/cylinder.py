@@ -16,9 +16,8 @@ from mammometry.base.errors import CalibrationError
 from mammometry.base.photograph import Photograph
 from mammometry.calibration.features.board_map import fit_polynomial, monomials
 from mammometry.calibration.features.dots import mark_size, measure_dots
-from mammometry.calibration.features.found_points import Cause, FoundPoints
 from mammometry.calibration.features.lattice import find_dots, index_lattice
-from mammometry.calibration.features.pixels import enlarge, grey_bytes, linear_luma, reduced
+from mammometry.calibration.features.pixels import Cause, FoundPoints, enlarge, grey_bytes, linear_luma, reduced
 from mammometry.calibration.targets.kinds.cylinder import DottedCylinderTarget
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int64, UInt8
 

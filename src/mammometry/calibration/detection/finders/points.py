@@ -14,9 +14,8 @@ from mammometry.calibration.features.constellation import (
     read_constellation,
 )
 from mammometry.calibration.features.dots import Dots, ToImage, measure_dots
-from mammometry.calibration.features.found_points import Cause, FoundPoints
 from mammometry.calibration.features.lattice import find_dots
-from mammometry.calibration.features.pixels import enlarge, grey_bytes, linear_luma, reduced
+from mammometry.calibration.features.pixels import Cause, FoundPoints, enlarge, grey_bytes, linear_luma, reduced
 from mammometry.calibration.targets.kinds.points import PointsTarget
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64
 

@@ -93,7 +93,7 @@ def charuco_board(target: CharucoTarget) -> cv2.aruco.CharucoBoard:
 
 @cache
 def printed_cells(target: CharucoTarget) -> UInt8[Array, "rows columns c c"]:
-    """What is printed in every square, as `Pattern.cells` has it.
+    """Cells printed in every square, as `Pattern.cells` has them.
 
     A marker's black rim of one cell is included.
 

@@ -67,7 +67,7 @@ class DottedCylinderTarget(Target):
 
     @property
     def closes(self) -> bool:
-        """Whether the columns go all the way round. Then the last is the first one's neighbour."""
+        """Whether the columns go all round, so that the last is the first one's neighbour."""
         girth_mm = 2 * math.pi * self.radius_mm
         return abs(self.dots[1] * self.column_pitch_mm - girth_mm) < _CLOSING_PITCH * self.column_pitch_mm
 

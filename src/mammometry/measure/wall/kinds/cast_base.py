@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from mammometry.measure.boundary.cast_base import Base
-from mammometry.measure.solid.sew import Closed, sew
+from mammometry.measure.solid.patch import Closed, sew
 from mammometry.measure.wall.open_breast import OpenBreast
 from mammometry.measure.wall.registry import CAST_WALLS, add_wall
 

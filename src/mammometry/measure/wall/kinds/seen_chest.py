@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from mammometry.base.errors import MeasureError
-from mammometry.measure.boundary.prominence import FEWEST_MM
-from mammometry.measure.solid.sew import Closed
+from mammometry.measure.boundary.prominence import MIN_PROMINENCE_MM
+from mammometry.measure.solid.patch import Closed
 from mammometry.measure.trunk.thorax import on_trunk
 from mammometry.measure.wall.heights import Chart, TrunkChart, best_plane, layer, through
 from mammometry.measure.wall.open_breast import OpenBreast
@@ -53,7 +53,7 @@ def mirrored(breast: OpenBreast) -> Closed:
     other = other[near & on_trunk(other, trunk)]
     core = np.linalg.norm((other[:, :2] - (low + high) / 2) / ((high - low) / 2), axis=1) < _CORE
     bulge = other[core, 2] - thorax.radius_mm(other[core, :2] * [-1.0, 1.0])
-    if not core.any() or np.quantile(bulge, _STANDING_OUT) > FEWEST_MM:
+    if not core.any() or np.quantile(bulge, _STANDING_OUT) > MIN_PROMINENCE_MM:
         raise MeasureError(
             "mirrored wall",
             found="a breast on the other side" if core.any() else "no skin seen on the other side",

@@ -12,8 +12,8 @@ from mammometry.calibration.targets.lamps import LAMPS, LampStrip
 from mammometry.geometry import Array, Camera, Float64, Rig, Transform
 from mammometry.simulate.rendering.develop import develop
 from mammometry.simulate.rendering.film import Film
-from mammometry.simulate.rendering.objects.solid_target import render_target
 from mammometry.simulate.rendering.sampling import net_offsets
+from mammometry.simulate.rendering.solid_target import render_target
 from mammometry.simulate.rigs.poses import draw_poses
 
 _FILM = Film()
@@ -23,7 +23,7 @@ _SAMPLES = 16  # rays for a pixel: a lamp's edge is then right to a few hundredt
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LampScene:
-    """What is before the cameras while the lamps count."""
+    """Scene before the cameras while the lamps count."""
 
     board: Board
     """To which the strip is clamped."""

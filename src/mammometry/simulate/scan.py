@@ -19,7 +19,7 @@ from mammometry.base.machine.compiled import kernel
 from mammometry.base.value import value
 from mammometry.geometry import Array, Bool, Float32, Float64, Transform, TriangleMesh, UInt8
 from mammometry.simulate.rendering.develop import srgb_encoded
-from mammometry.simulate.rendering.objects.skin import SKINS
+from mammometry.simulate.rendering.skin import SKINS
 from mammometry.simulate.subjects.solid import Solid
 from mammometry.study.rays import RayScene
 from mammometry.surface.fusion.marching import march
@@ -223,7 +223,7 @@ _ASIDE_MM, _BELOW_MM, _ABOVE_MM, _BACK_MM = 235.0, 235.0, 190.0, 150.0  # scanne
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ScanQuality:
-    """How a body is scanned."""
+    """Errors and resolution of a body's scan."""
 
     noise_mm: float
     """Standard deviation of a pixel's depth at half a metre."""

@@ -7,12 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mammometry.geometry.arrays import Array, Bool, Float32, Float64
-from mammometry.geometry.camera import Camera, Rig
+from mammometry.geometry import Array, Bool, Camera, Float32, Float64, Rig
 from mammometry.matching.dense.match import DisparityMap
 from mammometry.matching.foreground.foreground import Foreground
 from mammometry.matching.quality import MatchQuality, assess
-from mammometry.report.figures.drawing.canvas import thinned
+from mammometry.report.figures.canvas import thinned
 from mammometry.surface.ranges.dents import ValidPatches
 from mammometry.surface.ranges.range_image import RangeImage, thinned_camera
 

@@ -1,15 +1,17 @@
-"""Walls stretched over the boundary: membranes, a thin plate, and one that goes on at the skin's slope."""
+"""Walls through a breast's boundary: membranes, a thin plate, Coons' patch, a plane, the skin's slope."""
 
 from __future__ import annotations
+
+from itertools import pairwise
 
 import numpy as np
 from scipy.sparse.linalg import splu
 
 from mammometry.base.errors import MeasureError
-from mammometry.geometry.arrays import Array, Float64
+from mammometry.geometry import Array, Float64, TriangleMesh
 from mammometry.geometry.nearest import point_tree
-from mammometry.measure.solid.patch import Patch, cotangent_laplacian, harmonic
-from mammometry.measure.solid.sew import Closed, sew
+from mammometry.measure.solid.patch import Closed, Patch, cotangent_laplacian, fill, harmonic, sew
+from mammometry.measure.solid.untangle import signed_area_mm2
 from mammometry.measure.trunk.thorax import on_trunk
 from mammometry.measure.wall.heights import SPACING_MM, TrunkChart, best_plane, plate, through
 from mammometry.measure.wall.open_breast import OpenBreast
@@ -170,3 +172,109 @@ def _one_each(ring: Float64[Array, "n 3"], rim: Float64[Array, "m 3"]) -> Float6
     sector = ((np.arctan2(offset[:, 1], offset[:, 0]) / (2 * np.pi) + 0.5) * _SECTORS).astype(int) % _SECTORS
     found = [np.median(ring[sector == number], axis=0) for number in range(_SECTORS) if (sector == number).any()]
     return np.array(found).reshape(-1, 3)
+
+
+@add_wall(
+    TORSO_WALLS,
+    name="plane",
+    place=8,
+    flat_u95_mm=9.5,
+    sees_the_chest=False,
+    definition="the boundary's best-fitting plane, joined to it by a skirt along the plane's normal",
+)
+def plane(breast: OpenBreast) -> Closed:
+    """The boundary's best plane, joined to it by a skirt. The skirt runs along the plane's normal."""
+    part = breast.part
+    chart = best_plane(part)
+    patch = fill(tuple(chart.flatten(part.mesh.vertices[loop])[:, :2] for loop in part.loops))
+    loop = np.concatenate(part.loops)
+    n, n_skin = len(loop), len(part.mesh.vertices)
+    sunk = chart.world(np.concatenate([patch.points, np.zeros((n, 1))], axis=1))
+    upper, follower = [], []
+    start = 0
+    for ring in part.loops:
+        index = np.arange(start, start + len(ring))
+        upper.append(index)
+        follower.append(np.roll(index, -1))
+        start += len(ring)
+    a, b = np.concatenate(upper), np.concatenate(follower)
+    skirt = np.concatenate([np.stack([b, a, a + n], axis=1), np.stack([b, a + n, b + n], axis=1)])
+    faces = np.concatenate([skirt, patch.faces[:, ::-1] + n])
+    wall = TriangleMesh(vertices=np.concatenate([part.mesh.vertices[loop], sunk]), faces=faces.astype(np.int32))
+    number = np.concatenate([loop, n_skin + np.arange(n)])
+    closed = TriangleMesh(
+        vertices=np.concatenate([part.mesh.vertices, sunk]),
+        faces=np.concatenate([part.mesh.faces, number[faces].astype(np.int32)]),
+    )
+    return Closed(wall=wall, skin=part.mesh, solid=closed)
+
+
+@add_wall(
+    TORSO_WALLS,
+    CAST_WALLS,
+    name="coons",
+    place=7,
+    sees_the_chest=False,
+    definition="Coons' bilinearly blended patch between the boundary's four sides",
+)
+def coons(breast: OpenBreast) -> Closed:
+    """Coons' bilinearly blended patch between the sides above, below, towards and off the midline.
+
+    Raises:
+        MeasureError: the skin has more openings than one, or the boundary has no four sides.
+    """
+    part = breast.part
+    if len(part.loops) != 1:
+        raise MeasureError(
+            "coons wall",
+            found=f"{len(part.loops)} openings",
+            expected="one boundary with four sides",
+            remedy="Choose another wall with --set measure.wall=default",
+        )
+    points = part.mesh.vertices[part.loops[0]]
+    laid = best_plane(part).flatten(points)[:, :2]
+    corners = [int(np.argmax(laid @ direction)) for direction in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+    turned = np.roll(np.arange(len(points)), -corners[0])
+    starts = [(corner - corners[0]) % len(points) for corner in corners] + [len(points)]
+    if np.any(np.diff(starts) < 1):
+        raise MeasureError(
+            "coons wall",
+            found="a boundary without four sides",
+            expected="a simple closed curve around the breast",
+            remedy="Choose another wall with --set measure.wall=default",
+        )
+    closed = np.concatenate([points[turned], points[turned[:1]]])
+    sides, shares = [], []
+    for first, last in pairwise(starts):
+        side = closed[first : last + 1]
+        along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(side, axis=0), axis=1))])
+        sides.append(side)
+        shares.append(along / along[-1])
+    zero, one = np.zeros_like, np.ones_like
+    square = np.concatenate(
+        [
+            np.stack(place, axis=1)[:-1]
+            for place in (
+                (shares[0], zero(shares[0])),
+                (one(shares[1]), shares[1]),
+                (1 - shares[2], one(shares[2])),
+                (zero(shares[3]), 1 - shares[3]),
+            )
+        ]
+    )
+    scale = float(np.sqrt(max(signed_area_mm2(laid), 1.0)))
+    unit = np.empty_like(square)
+    unit[turned] = square * scale
+
+    def at(number: int, share: Float64[Array, " n"]) -> Float64[Array, "n 3"]:
+        return np.stack([np.interp(share, shares[number], sides[number][:, axis]) for axis in range(3)], axis=1)
+
+    def lift(patch: Patch) -> Float64[Array, "k 3"]:
+        s, t = (patch.points[patch.n_loop :] / scale).T
+        below, right, above, left = at(0, s), at(1, t), at(2, 1 - s), at(3, 1 - t)
+        s, t = s[:, None], t[:, None]
+        low = (1 - s) * sides[0][0] + s * sides[1][0]
+        high = (1 - s) * sides[3][0] + s * sides[2][0]
+        return (1 - t) * below + t * above + (1 - s) * left + s * right - (1 - t) * low - t * high
+
+    return sew(part, (unit,), lift, spacing_mm=SPACING_MM, subject="coons wall")

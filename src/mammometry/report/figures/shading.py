@@ -14,11 +14,9 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from mammometry.base.value import value
-from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32, Int64, UInt8, bounds
-from mammometry.geometry.camera import Rig
-from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry import Array, Bool, Float32, Float64, Int32, Int64, Rig, TriangleMesh, UInt8, bounds
+from mammometry.geometry.mesh_kernels import nearest_faces
 from mammometry.geometry.nearest import closest_on_mesh
-from mammometry.geometry.raster_kernels import nearest_faces
 from mammometry.measure.trunk.body import Body, Mounting, camera_up
 from mammometry.measure.volume.measurement import VolumeMeasurement
 

@@ -1,4 +1,4 @@
-"""How a surface looks: colours, mottling, pores, moles, veins, sheen, softness, hair.
+"""Appearance of a surface: colours, mottling, pores, moles, veins, sheen, softness, hair.
 
 Numbers only: kernels paint. All of it is a function of the place on the surface, so that every camera sees the same
 paint.

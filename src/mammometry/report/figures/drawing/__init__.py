@@ -1,1 +1,0 @@
-"""Canvas, shading and thinning that all pictures are drawn with."""

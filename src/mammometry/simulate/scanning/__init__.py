@@ -1,1 +1,0 @@
-"""A virtual telephone: depth pictures of a body, and the scan that they are fused to."""
