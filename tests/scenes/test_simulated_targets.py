@@ -89,7 +89,7 @@ def test_an_unknown_renderer_is_refused_with_the_known_ones():
 def test_a_session_with_this_target_calibrates(name, tmp_path):
     made = write_session(
         tmp_path / "s",
-        SessionRecipe(rig="reference:front,left", subject="sphere", scale=0.2, poses=10),
+        SessionRecipe(subject="sphere", scale=0.2, poses=10),
         Studio(target=make_target(name)),
     )
     found = open_session(tmp_path / "s").calibrate().rig
