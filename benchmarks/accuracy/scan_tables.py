@@ -144,6 +144,7 @@ def _apart(points: Float64[Array, "n 3"], truth: Float64[Array, "m 3"]) -> float
 
 
 def _landmarks(rows: Sequence[Row]) -> Iterator[str]:
+    rows = [row for row in rows if row["truth"]["landmarks"]]
     names = sorted({name for row in rows for name in row["landmarks"] if _is_point(name)})
     if not names:
         return
@@ -152,7 +153,7 @@ def _landmarks(rows: Sequence[Row]) -> Iterator[str]:
     for stem in dict.fromkeys(name.removesuffix("_left").removesuffix("_right") for name in names):
         own_names = [name for name in names if name in (stem, f"{stem}_left", f"{stem}_right")]
         for quality in dict.fromkeys(row["quality"] for row in rows):
-            own = [row for row in rows if row["quality"] == quality and row["truth"]["landmarks"]]
+            own = [row for row in rows if row["quality"] == quality]
             there = [(row, name) for row in own for name in own_names if name in row["truth"]["landmarks"]]
             error = [
                 float(np.linalg.norm(np.subtract(row["landmarks"][name], row["truth"]["landmarks"][name][0])))
