@@ -10,7 +10,7 @@ from pathlib import Path
 from zlib import crc32
 
 RECORDED = Path(__file__).with_name("seconds.txt")
-SHARES = 10
+SHARES = 12
 """So many runs in a row take all slow tests: a share is four to five minutes of two cores (decision 35)."""
 
 

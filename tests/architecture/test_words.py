@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from tests.architecture.test_imports import modules, syntax
+from tests.architecture.test_imports import modules, nodes, syntax
 
 BETTER = {
     "each": "what it is one of: camera, pair, row",
@@ -37,7 +37,7 @@ MODULES = {
 
 def bound(tree: ast.AST) -> Iterator[tuple[int, str]]:
     """Line and name of all that a module defines: classes, functions, parameters, values."""
-    for node in ast.walk(tree):
+    for node in nodes(tree):
         if isinstance(node, ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
             yield node.lineno, node.name
         elif isinstance(node, ast.arg):

@@ -50,6 +50,7 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     return made
 
 
+@pytest.mark.slow
 def test_the_second_process_draws_the_same_bytes(
     job: Job, drawn: dict[Path, bytes], calls: list[Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -88,9 +88,7 @@ def test_an_unknown_renderer_is_refused_with_the_known_ones():
 @pytest.mark.parametrize("name", [name for name in VIRTUAL_TARGETS if name != "charuco"])
 def test_a_session_with_this_target_calibrates(name, tmp_path):
     made = write_session(
-        tmp_path / "s",
-        SessionRecipe(rig="reference:front,left", subject="sphere", scale=0.2, poses=10),
-        Studio(target=make_target(name)),
+        tmp_path / "s", SessionRecipe(subject="sphere", scale=0.2, poses=10), Studio(target=make_target(name))
     )
     found = open_session(tmp_path / "s").calibrate().rig
     # Relative pose of the cameras of each pair, and focal lengths: whatever frame the target made the world.

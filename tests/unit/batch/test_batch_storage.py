@@ -169,6 +169,7 @@ def test_results_go_elsewhere_where_that_is_wanted(address, tmp_path):
     assert (tmp_path / "out" / "one" / pointer["results"] / "measure" / "volumes.json").read_text() == "1"
 
 
+@pytest.mark.parametrize("address", ["file"], indirect=True)  # a pointer is read alike on either
 @pytest.mark.parametrize(
     "text", ["", "[]", '{"results": "../../other"}', '{"results": 5}', '{"results": "results-/../.."}']
 )

@@ -59,7 +59,7 @@ def test_a_faultless_firing_becomes_the_session_s_capture(place):
         ('front_left = "late=0.003"', {("", "times", "refuse")}, 8),
         ('front_left = "swapped=left_right"', {("", "names", "refuse")}, 8),
         pytest.param('floor_left = "swapped=floor_right"', {("", "names", "refuse")}, 8, marks=pytest.mark.slow),
-        ('front_left = "moved"', {("", "moved", "refuse")}, 8),
+        pytest.param('front_left = "moved"', {("", "moved", "refuse")}, 8, marks=pytest.mark.slow),
         pytest.param('left_left = "blurred"', {("left_left", "sharpness", "warn")}, 8, marks=pytest.mark.slow),
     ],
 )

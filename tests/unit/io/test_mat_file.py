@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from scipy.io import loadmat, savemat
 
+from mammometry.io.cameras import matlab
 from mammometry.io.cameras.matlab import read_variables
 
 NUMBERS = arrays.arrays(
@@ -66,10 +67,11 @@ def test_a_damaged_file_is_refused_or_read(data: st.DataObject) -> None:
         read_variables(bytes(content))
 
 
-def test_a_variable_that_unpacks_to_gigabytes_is_refused() -> None:
-    packed = zlib.compress(bytes(300 << 20))
+def test_a_variable_that_unpacks_to_more_than_is_allowed_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(matlab, "_MOST_BYTES", 2 << 20)
+    packed = zlib.compress(bytes(3 << 20))
     head = b"MATLAB 5.0 MAT-file".ljust(124) + struct.pack("<HH", 0x0100, 0x4D49)
-    with pytest.raises(ValueError, match="more than 256 MiB"):
+    with pytest.raises(ValueError, match="more than 2 MiB"):
         read_variables(head + struct.pack("<II", 15, len(packed)) + packed)
 
 

@@ -62,85 +62,6 @@ DIRECTIONS_APART_PX = 0.5
 """Largest disagreement between both matching directions, pixels of the finest level matched from both."""
 _BAND_ROWS = 384  # bounds memory: a full-size torso under a gigabyte (docs/decisions/0020)
 _HALO_ROWS = 64  # even; 4.4 σ of two passes of the widest smoothing
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Refined:
-    """The left picture's matches on one level, and the right one's, to check them."""
-
-    matches: Estimate
-    """The last step's."""
-    shift: Float32[Array, "h w"]
-    """Finally smoothed, pixels of the level."""
-    variance: Float32[Array, "h w"]
-    """Expected of it, px² of the level."""
-    other: Float32[Array, "h w"]
-    """The right picture's shift after the last level matched from both and final smoothing, pixels of this level."""
-    halvings: int
-    """How many levels coarser that one was."""
-
-
-def refined(
-    images: Both[Level], coarse: Refined, vertical: Vertical, level: int, settings: MatchSettings, pool: Executor
-) -> Refined:
-    """The left picture's matches on the next finer level, by two steps."""
-    shape = images[0].mask.shape
-    sigma = settings.window_sigma_px
-    limit = DIRECTIONS_APART_PX * 2**coarse.halvings
-    known = upsampled_start(coarse.matches, coarse.shift, agreeing(coarse.shift, coarse.other, limit), shape)
-    here, there = both(pool, prepare_side, (images[0], aligned(vertical, images[1], level)), (sigma, sigma))
-    fine = Refined(
-        matches=Estimate(
-            **{name: np.empty(shape, dtype=np.float32) for name in ("shift", "step", "correlation", "variance")},
-            plausible=np.empty(shape, dtype=bool),
-        ),
-        shift=np.empty(shape, dtype=np.float32),
-        variance=np.empty(shape, dtype=np.float32),
-        other=finer_shift(coarse.other, shape),
-        halvings=coarse.halvings + 1,
-    )
-    apart = AGREEMENT_PX * 2**fine.halvings
-
-    def band(top: int) -> None:
-        bottom = min(top + _BAND_ROWS, shape[0])
-        read = slice(max(0, top - _HALO_ROWS), min(shape[0], bottom + _HALO_ROWS))
-        part = _rows(known, read)
-        ours, theirs, other = _side(here, read), _side(there, read), fine.other[read]
-
-        def stepped(shift: Float32[Array, "h w"], *, widely: bool) -> Estimate:
-            found = step(ours, theirs, shift, sigma, widely=widely)
-            return judged(found, agreeing(found.shift, other, apart), part)
-
-        found = stepped(part.shift, widely=False)
-        weights = smoothing_weights(found.variance, found.plausible, ours.mask)
-        before = smooth(found.shift, weights, LAST_SMOOTHING_PX, part.shift)
-        found = stepped(before, widely=True)
-        shift, variance = finally_smoothed(found, ours.mask, before, settings)
-        inner = slice(top - read.start, bottom - read.start)
-        for name in Estimate.__dataclass_fields__:
-            getattr(fine.matches, name)[top:bottom] = getattr(found, name)[inner]
-        fine.shift[top:bottom], fine.variance[top:bottom] = shift[inner], variance[inner]
-
-    list(pool.map(band, range(0, shape[0], _BAND_ROWS)))
-    return fine
-
-
-def _side(side: Side, rows: slice) -> Side:
-    return Side(image=side.image[rows], coefficients=side.coefficients[rows], mask=side.mask[rows])
-
-
-def _rows(known: LevelStart, rows: slice) -> LevelStart:
-    """Some rows of what a level of half as many knows. The first row is even."""
-    half = slice(rows.start // 2, (rows.stop + 1) // 2)
-    return LevelStart(
-        shift=known.shift[rows],
-        correlation=known.correlation[half],
-        variance=known.variance[half],
-        plausible=known.plausible[half],
-        halved=known.halved,
-    )
-
-
 SEARCH_SHARE = 0.25
 """Range of the search, as a share of the subject's width, to either side of the shift between both silhouettes."""
 ERODE_PX = 2
@@ -188,6 +109,22 @@ class DisparityMap:
     def pair_px(self) -> float:
         """Pixels of the rectified pair in one of the map."""
         return 2.0**self.halvings
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Refined:
+    """The left picture's matches on one level, and the right one's, to check them."""
+
+    matches: Estimate
+    """The last step's."""
+    shift: Float32[Array, "h w"]
+    """Finally smoothed, pixels of the level."""
+    variance: Float32[Array, "h w"]
+    """Expected of it, px² of the level."""
+    other: Float32[Array, "h w"]
+    """The right picture's shift after the last level matched from both and final smoothing, pixels of this level."""
+    halvings: int
+    """How many levels coarser that one was."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -354,6 +291,67 @@ def _solve_both(begun: Start, settings: MatchSettings, pool: Executor, progress:
 
 
 # --- 3. Finish -------------------------------------------------------------------------------------------------------
+
+
+def refined(
+    images: Both[Level], coarse: Refined, vertical: Vertical, level: int, settings: MatchSettings, pool: Executor
+) -> Refined:
+    """The left picture's matches on the next finer level, by two steps."""
+    shape = images[0].mask.shape
+    sigma = settings.window_sigma_px
+    limit = DIRECTIONS_APART_PX * 2**coarse.halvings
+    known = upsampled_start(coarse.matches, coarse.shift, agreeing(coarse.shift, coarse.other, limit), shape)
+    here, there = both(pool, prepare_side, (images[0], aligned(vertical, images[1], level)), (sigma, sigma))
+    fine = Refined(
+        matches=Estimate(
+            **{name: np.empty(shape, dtype=np.float32) for name in ("shift", "step", "correlation", "variance")},
+            plausible=np.empty(shape, dtype=bool),
+        ),
+        shift=np.empty(shape, dtype=np.float32),
+        variance=np.empty(shape, dtype=np.float32),
+        other=finer_shift(coarse.other, shape),
+        halvings=coarse.halvings + 1,
+    )
+    apart = AGREEMENT_PX * 2**fine.halvings
+
+    def band(top: int) -> None:
+        bottom = min(top + _BAND_ROWS, shape[0])
+        read = slice(max(0, top - _HALO_ROWS), min(shape[0], bottom + _HALO_ROWS))
+        part = _rows(known, read)
+        ours, theirs, other = _side(here, read), _side(there, read), fine.other[read]
+
+        def stepped(shift: Float32[Array, "h w"], *, widely: bool) -> Estimate:
+            found = step(ours, theirs, shift, sigma, widely=widely)
+            return judged(found, agreeing(found.shift, other, apart), part)
+
+        found = stepped(part.shift, widely=False)
+        weights = smoothing_weights(found.variance, found.plausible, ours.mask)
+        before = smooth(found.shift, weights, LAST_SMOOTHING_PX, part.shift)
+        found = stepped(before, widely=True)
+        shift, variance = finally_smoothed(found, ours.mask, before, settings)
+        inner = slice(top - read.start, bottom - read.start)
+        for name in Estimate.__dataclass_fields__:
+            getattr(fine.matches, name)[top:bottom] = getattr(found, name)[inner]
+        fine.shift[top:bottom], fine.variance[top:bottom] = shift[inner], variance[inner]
+
+    list(pool.map(band, range(0, shape[0], _BAND_ROWS)))
+    return fine
+
+
+def _side(side: Side, rows: slice) -> Side:
+    return Side(image=side.image[rows], coefficients=side.coefficients[rows], mask=side.mask[rows])
+
+
+def _rows(known: LevelStart, rows: slice) -> LevelStart:
+    """Some rows of what a level of half as many knows. The first row is even."""
+    half = slice(rows.start // 2, (rows.stop + 1) // 2)
+    return LevelStart(
+        shift=known.shift[rows],
+        correlation=known.correlation[half],
+        variance=known.variance[half],
+        plausible=known.plausible[half],
+        halved=known.halved,
+    )
 
 
 def finish(pair: RectifiedPair, found: Finest, settings: MatchSettings, pool: Executor) -> DisparityMap:

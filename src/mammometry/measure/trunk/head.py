@@ -19,6 +19,8 @@ HEAD_NOT_SHOWN = "does not show where the head is"
 """Words in a boundary's method that make left and right rest on the cameras' mounting alone."""
 _SHOULDERS = (1.15, 1.7)  # half widths from the axis at which arms leave the trunk; chosen by eye
 _FEWEST = 200  # samples of skin for a sign to say anything
+_LEAST_ARMS = 0.05
+"""Share of all skin seen, below which it is no arm: a shelf beside a body without arms gave .015, arms .10 to .17."""
 _CLEAR_SHOULDERS = 0.6
 """Balance of that skin below which it says nothing: arms that hang are seen at all heights (−.7 to .6 on upright
 bodies); raised ones, or on a frame, gave .7 to 1."""
@@ -140,7 +142,7 @@ def _arms(local: Float64[Array, "n 3"], trunk: Trunk) -> float:
     near, far = _SHOULDERS
     aside = np.abs(local[:, 0]) / trunk.half_width_mm
     heights = local[(aside > near) & (aside < far), 1]
-    balance = float(np.sign(heights).mean()) if len(heights) >= _FEWEST else 0.0
+    balance = float(np.sign(heights).mean()) if len(heights) >= max(_FEWEST, _LEAST_ARMS * len(local)) else 0.0
     return balance if abs(balance) >= _CLEAR_SHOULDERS else 0.0
 
 
