@@ -94,14 +94,15 @@ def test_dates_of_the_manifests_decide_the_order(found: Comparison, folders: tup
 def test_change_and_verdicts_are_those_of_the_bodies(found: Comparison) -> None:
     left, right = found.change.breasts
     true_cc = body(*AFTER).volume_cc("left") - body(*BEFORE).volume_cc("left")
-    assert left.volume.difference_cc == pytest.approx(true_cc, abs=3.0)
+    # The rounded wall takes 2 to 6 % off what stands before a chest as straight as this one (decision 29).
+    assert left.volume.difference_cc == pytest.approx(true_cc, rel=0.04)
     assert left.volume.beyond_error
     assert not right.volume.beyond_error
     # The cameras came ready-made: nothing is known of a scale that both would share.
     assert "scale" not in left.volume.terms_cc
     table = json.loads((found.folder / "compare.json").read_text())
     assert table == json.loads(json.dumps(found.table))
-    assert table["breasts"]["left"]["change_cc"] == pytest.approx(true_cc, abs=3.0)
+    assert table["breasts"]["left"]["change_cc"] == pytest.approx(true_cc, rel=0.04)
     assert table["registration"]["pairing"] == "same pose"
 
 

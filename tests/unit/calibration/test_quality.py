@@ -171,6 +171,7 @@ def test_pair_without_a_common_pose_is_a_warning() -> None:
 def test_limits_refuse_and_unsettled_adjustments_are_said(clean: Calibration) -> None:
     findings = "mammometry.calibration.judge.findings."
     with pytest.MonkeyPatch.context() as strict:
+        strict.setattr(findings + "_GEOMETRY_WARN_MM", 0.001)
         strict.setattr(findings + "_GEOMETRY_REFUSE_MM", 0.002)
         assert assess(clean).verdict == "refuse"
     with pytest.MonkeyPatch.context() as strict:

@@ -119,22 +119,27 @@ def _sizes(rig: Rig, depths_mm: Mapping[str, float], subject_kind: str, where: s
         for name, depth_mm in depths_mm.items()
         if depth_mm > 0
     ]
-    baseline = Size(
-        mm=float(np.median(baselines)),
-        possible_mm=_BASELINE_MM,
-        usual_mm=_USUAL_BASELINE_MM,
-        words="the two cameras of a pair stand {} apart",
-    )
-    if not views:
-        return (baseline,)
-    least_mm = _MARGIN * (_BREAST_MM if subject_kind == "torso" else SUBJECT_MM[0])
-    view = Size(
-        mm=float(np.median(views)),
-        possible_mm=(least_mm, SUBJECT_MM[1]),
-        usual_mm=_USUAL_VIEW_MM,
-        words=f"the pictures' shorter side is {{}} {where}",
-    )
-    return view, baseline
+    sizes = []
+    if views:
+        least_mm = _MARGIN * (_BREAST_MM if subject_kind == "torso" else SUBJECT_MM[0])
+        sizes.append(
+            Size(
+                mm=float(np.median(views)),
+                possible_mm=(least_mm, SUBJECT_MM[1]),
+                usual_mm=_USUAL_VIEW_MM,
+                words=f"the pictures' shorter side is {{}} {where}",
+            )
+        )
+    if baselines:
+        sizes.append(
+            Size(
+                mm=float(np.median(baselines)),
+                possible_mm=_BASELINE_MM,
+                usual_mm=_USUAL_BASELINE_MM,
+                words="the two cameras of a pair stand {} apart",
+            )
+        )
+    return tuple(sizes)
 
 
 def require_sides(rig: Rig, upside_down: Collection[str]) -> None:
