@@ -175,6 +175,7 @@ def test_limits_refuse_and_unsettled_adjustments_are_said(clean: Calibration) ->
         strict.setattr(findings + "_GEOMETRY_REFUSE_MM", 0.002)
         assert assess(clean).verdict == "refuse"
     with pytest.MonkeyPatch.context() as strict:
+        strict.setattr(findings + "_EXPECTED_WARN_MM", 1e-4)
         strict.setattr(findings + "_EXPECTED_REFUSE_MM", 2e-4)
         uncertain = assess(clean)
     assert uncertain.verdict == "refuse"
