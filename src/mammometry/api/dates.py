@@ -134,7 +134,7 @@ def compare_visits(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Request:
-    """How two dates are compared."""
+    """Settings of a comparison of two dates."""
 
     settings: Settings
     out: Path | None

@@ -59,7 +59,7 @@ class Reported(ABC):
     @property
     @abstractmethod
     def _page_inputs(self) -> PageInputs:
-        """What the report shows beside products."""
+        """Content of a report that stands in no product."""
 
     def _page_key(self, page: PageInputs) -> Key:
         return page.key(self.plan.products())

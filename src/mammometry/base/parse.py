@@ -202,7 +202,7 @@ def require_sane(tree: object, *, finite: bool = True) -> None:
 
 
 def _dotted(place: tuple[object, ...]) -> str:
-    """Where a value stands, before it in a message: ``pairs[0].along[2]: ``."""
+    """Place of a value, as it begins a message: ``pairs[0].along[2]: ``."""
     path = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in place).lstrip(".")
     return f"{path[-_VALUE:]}: " if path else ""
 

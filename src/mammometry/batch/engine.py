@@ -162,7 +162,7 @@ class Engine:
 
     @contextmanager
     def _connected(self) -> Iterator[None]:
-        """Hear what workers report meanwhile; drop what is at work in the end.
+        """Context in which workers' reports are heard, at whose end running tasks are dropped.
 
         Raises:
             BatchError: a request to the scheduler was cut off: it is gone.
@@ -197,7 +197,7 @@ class Engine:
             yield from self._next()
 
     def _next(self) -> Iterator[Event]:
-        """What happens next, if it is soon."""
+        """Next event, if it is soon."""
         try:
             item = self._events.get(timeout=_LOOK_S)
         except queue.Empty:
@@ -245,7 +245,7 @@ class Engine:
         future.add_done_callback(self._events.put)
 
     def _ended(self, future: Any) -> Ended | None:
-        """What a future came to. None where it is tried again, or was dropped."""
+        """Result of a future, or None where it is tried again or was dropped."""
         name = self._names.pop(future.key)
         if name not in self._at_work or self._at_work[name][0].key != future.key:
             return None
@@ -282,7 +282,7 @@ class Engine:
         )
 
     def _answer_of(self, future: Any) -> dict[str, Any]:
-        """What the worker answered. ``killed`` where it did not live to."""
+        """Answer of the worker, ``killed`` where it did not live to give one."""
         from distributed import KilledWorker
 
         try:

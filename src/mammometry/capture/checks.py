@@ -90,7 +90,7 @@ def not_only_a_photograph(path: Path) -> str | None:
 
 
 def _behind(head: bytes, tail: bytes) -> bytes:
-    """What follows the end of the picture.
+    """Bytes that follow the end of the picture.
 
     A camera may put a second, smaller picture or its own notes there.
     """

@@ -57,7 +57,7 @@ class Progress:
 
 
 def opening(pair_names: tuple[str, ...], taken: int) -> str:
-    """What to do while there is no calibration yet. The board is turned towards each pair."""
+    """Place of the board while there is no calibration yet, turned towards each pair."""
     if not taken:
         return "Hold the board in the middle, so that as many cameras as possible see it."
     pair = pair_names[(taken - 1) % len(pair_names)]
@@ -122,7 +122,7 @@ def suggest(calibration: Calibration) -> Suggestion | None:
 def _information_of(
     calibration: Calibration, placed: Transform, names: tuple[str, ...], weight: float
 ) -> Float64[Array, "p p"] | None:
-    """What a view of the board there says of the cameras, wherever the board really is (Schur's complement)."""
+    """Information on the cameras in a view of the board, its place eliminated (Schur's complement)."""
     target = calibration.observations.target
     size = len(names)
     own, cross, pose = np.zeros((size, size)), np.zeros((size, 6)), np.zeros((6, 6))

@@ -181,7 +181,7 @@ def _sharpness(grey: UInt8[Array, "h w"], step: int) -> Float64[Array, "4 6"]:
 
 
 def _whole(small: UInt8[Array, "h w *c"], subject_kind: str) -> Finding:
-    """What `checks.pixels` says, of a picture that is small already."""
+    """Findings of `checks.pixels` on a picture that is small already."""
     encoded = np.atleast_3d(small)[::_COARSER, ::_COARSER].astype(np.float32) / 255
     unit = float(np.hypot(*encoded.shape[:2])) / (2 * _UNIT_PX)
     subject = segment(encoded, unit)
@@ -202,7 +202,7 @@ def _whole(small: UInt8[Array, "h w *c"], subject_kind: str) -> Finding:
 def _target_in(
     photograph: Photograph, camera: str, target: Target, before: Bool[Array, "4 6"]
 ) -> tuple[int, Bool[Array, "4 6"]]:
-    """How many points of the target are seen, and the regions in which it has been seen."""
+    """Number of the target's points that are seen, and the regions in which it has been seen."""
     points = detect_in(photograph, target, camera=camera, pose="", search_width_px=_SEARCH_PX)
     if points is None:
         return 0, before

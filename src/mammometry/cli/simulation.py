@@ -300,7 +300,7 @@ def target(
 
 
 def _mesh_file(subject: str, units: str | None, mm_per_unit: float | None, turn: str) -> MeshFile | None:
-    """How to read the subject's mesh file. None for a subject that is not a file."""
+    """Options for reading the subject's mesh file, None for a subject that is not a file."""
     from mammometry.simulate.subjects.user_mesh import MM_PER_UNIT, MeshFile, names_a_mesh
 
     if not names_a_mesh(subject):

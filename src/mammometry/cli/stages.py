@@ -43,7 +43,7 @@ def _stage(stage: Stage, session: Path, options: Options) -> tuple[Job, dict[str
 
 
 def _summary(job: Job, stage: Stage, begun: float) -> dict[str, Any]:
-    """What a stage made and took since `begun`, by `time.monotonic`."""
+    """Results and seconds of a stage since `begun`, by `time.monotonic`."""
     from mammometry.base.machine.system import peak_memory_mb
 
     return {

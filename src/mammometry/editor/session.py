@@ -62,7 +62,7 @@ class Drawable(Protocol):
 
     @property
     def identity(self) -> Identity:
-        """Whose breasts are drawn on."""
+        """Identity of the person whose breasts are drawn on."""
         ...
 
     @property

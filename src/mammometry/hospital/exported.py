@@ -47,7 +47,7 @@ def as_patient_id(subject: str) -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Patient:
-    """Whose results these are, as other systems call the patient."""
+    """Patient as other systems know them."""
 
     id: str = ""
     """Number of the patient's record, or a pseudonym."""

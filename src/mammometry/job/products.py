@@ -325,7 +325,7 @@ def _flat(parents: Iterable[Parents]) -> Iterator[Product[Any]]:
 
 
 def _values(parents: Parents) -> Any:
-    """What a function gets of one parameter."""
+    """Value that a function gets for one parameter."""
     if parents is None:
         return None
     if isinstance(parents, Product):

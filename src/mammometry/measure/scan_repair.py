@@ -260,7 +260,7 @@ def _facing_out(mesh: TriangleMesh, notes: list[str]) -> TriangleMesh | None:
 def _turned_apart(
     count: int, one: Int64[Array, " e"], other: Int64[Array, " e"], unlike: Bool[Array, " e"]
 ) -> Bool[Array, " m"] | None:
-    """Which faces to turn so that neighbours agree. None where no choice makes them.
+    """Faces to turn so that neighbours agree, None where no choice makes them.
 
     Every face stands for two nodes, as it is and turned. Neighbours that disagree are joined crosswise.
     """

@@ -246,7 +246,7 @@ def _nearest(of: TriangleMesh, to: TriangleMesh) -> Array:
 
 
 def _layers(repaired: RepairedSurface, origin: Array) -> tuple[Layer, ...]:
-    """Where the surface comes from, and how well it is known."""
+    """Origin of the surface, and how well it is known."""
     sigma_mm = repaired.sigma_mm[origin]
     known = sigma_mm[np.isfinite(sigma_mm)]
     worst_mm = max(float(np.quantile(known, 0.98)) if len(known) else 0.0, 0.01)

@@ -161,7 +161,7 @@ class _View:
         )
 
     def places(self, points_world: Float64[Array, "n 3"]) -> tuple[_Places, Float64[Array, " k"]]:
-        """Where the picture holds which points, and how deep. Depths are along the optical axis, mm."""
+        """Points in each of the picture's places, with their depths along the optical axis, mm."""
         height, width = self.subject.shape
         column, row, depth_mm = projected(self.camera, points_world).T
         column, row = column / self.step, row / self.step

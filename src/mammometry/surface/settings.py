@@ -48,7 +48,7 @@ class ExtractSettings:
     """
 
     def of(self, subject_kind: str) -> Self:
-        """The same, with the edge of the cubes that suits the subject."""
+        """Settings with the edge of the cubes that suits the subject."""
         if self.cube_mm:
             return self
         return replace(self, cube_mm=_TORSO_CUBE_MM if subject_kind == "torso" else CUBE_MM)

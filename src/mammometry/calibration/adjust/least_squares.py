@@ -43,7 +43,7 @@ class NormalEquations:
         return diagonal
 
     def scaled(self, scale: Float64[Array, " q"]) -> NormalEquations:
-        """The same for parameters multiplied by `scale`."""
+        """Normal equations for parameters multiplied by `scale`."""
         size = len(self.matrix)
         first, last = scale[:size], scale[size:].reshape(-1, 3)
         return NormalEquations(
@@ -76,7 +76,7 @@ class NormalEquations:
         return replace(self, matrix=matrix, cross=cross, gradient=gradient)
 
     def damped(self, damping: float) -> NormalEquations:
-        """The same with a term added to the whole diagonal."""
+        """Normal equations with a term added to the whole diagonal."""
         return replace(
             self, matrix=self.matrix + damping * np.eye(len(self.matrix)), triples=self.triples + damping * np.eye(3)
         )

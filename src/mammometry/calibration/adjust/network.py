@@ -96,7 +96,7 @@ class Network:
         return np.arange(len(self.cameras)) * self.per_camera + self.intrinsic_names.index(name)
 
     def of_views(self, views: Sequence[int]) -> Network:
-        """The same cameras, stations and points, seen in these views only."""
+        """Network of the same cameras, stations and points, seen in these views only."""
         rows = np.concatenate([np.arange(self.view_start[i], self.view_start[i + 1]) for i in views])
         chosen = np.asarray(views)
         return replace(

@@ -457,7 +457,7 @@ def _field(target: Target) -> str:
 
 
 def _place(target: Target, pose: str, camera: str) -> str:
-    """Where a camera's photograph lies below its target's folder, less the ending.
+    """Path of a camera's photograph below its target's folder, less the ending.
 
     Raises:
         UploadError: a calibration's photograph without a pose, or one that is no folder's name.

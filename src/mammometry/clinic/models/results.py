@@ -11,7 +11,7 @@ class Comparison(Keyed):
     """Two visits of one patient, laid onto one another."""
 
     class State(models.TextChoices):
-        """How far it is."""
+        """State of its progress."""
 
         QUEUED = "queued"
         DONE = "done"
@@ -40,7 +40,7 @@ class Job(Keyed):
     """One thing to compute."""
 
     class Kind(models.TextChoices):
-        """What is computed."""
+        """Kind of a computation."""
 
         MEASURE = "measure"
         CALIBRATE = "calibrate"
@@ -48,7 +48,7 @@ class Job(Keyed):
         COMPARE = "compare"
 
     class State(models.TextChoices):
-        """How far it is."""
+        """State of its progress."""
 
         QUEUED = "queued"
         RUNNING = "running"
@@ -156,7 +156,7 @@ class Drawing(Keyed):
     """Who drew or confirmed a boundary or landmark. The curve itself lies in the session folder."""
 
     class Action(models.TextChoices):
-        """What somebody did."""
+        """Action of a person."""
 
         DRAWN = "drawn"
         CONFIRMED = "confirmed"
@@ -195,7 +195,7 @@ class Confirmation(Keyed):
 
 
 class Conclusion(Keyed):
-    """What a clinician concluded of a visit, signed. A later one amends it and overwrites none."""
+    """Conclusion of a clinician on a visit, signed: a later one amends it and overwrites none."""
 
     visit = models.ForeignKey(Visit, on_delete=models.CASCADE, related_name="conclusions")
     measurement = models.ForeignKey(Measurement, null=True, on_delete=models.SET_NULL, related_name="conclusions")
@@ -215,7 +215,7 @@ class Correction(Keyed):
     """One change of a record, with its reason. It can be undone for 30 days."""
 
     class Kind(models.TextChoices):
-        """What was changed."""
+        """Kind of a correction."""
 
         MOVED = "moved", "Visit moved to another patient"
         DATED = "dated", "Date of a visit corrected"
@@ -246,7 +246,7 @@ class Destination(Keyed):
     """An archive."""
 
     class Kind(models.TextChoices):
-        """How it is spoken to."""
+        """Protocol of a destination."""
 
         DICOM = "dicom", "DICOM (C-STORE)"
         STOW = "stow", "DICOMweb (STOW-RS)"
@@ -278,7 +278,7 @@ class Destination(Keyed):
 
 
 class VisitOrder(Keyed):
-    """What was ordered for a visit, as the worklist said."""
+    """Order of a visit, as the worklist said."""
 
     visit = models.OneToOneField(Visit, on_delete=models.CASCADE, related_name="order")
     accession = models.CharField(max_length=64, blank=True)
@@ -295,7 +295,7 @@ class Delivery(Keyed):
     """One visit's results on their way to an archive."""
 
     class State(models.TextChoices):
-        """How far it is."""
+        """State of its progress."""
 
         QUEUED = "queued"
         SENDING = "sending"

@@ -55,7 +55,7 @@ def measured_digests(before: Visit, after: Visit) -> str:
 
 
 def refusal_of(digests: str) -> str:
-    """What a refused comparison is of: the same measurements may do with another version of the software."""
+    """Key of a refused comparison: another version of the software may compare the same measurements."""
     return f"{digests} {mammometry.__version__}"
 
 

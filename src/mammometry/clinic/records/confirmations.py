@@ -111,7 +111,7 @@ def next_step(visit: Visit, job: Job | None, measurement: Measurement | None, pe
 
 
 def _judgement(visit: Visit, measurement: Measurement, *, clinician: bool) -> NextStep:
-    """What clinicians do with a measured visit, and what others wait for."""
+    """Next step of a measured visit: a clinician's, or what others wait for."""
     if visit.state != Visit.State.CONFIRMED:
         if not clinician:
             return NextStep(words="Measured. A clinician looks at the boundaries and confirms them.")

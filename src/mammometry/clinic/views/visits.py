@@ -144,7 +144,7 @@ def conclude(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
 
 
 def jobs(request: HttpRequest) -> HttpResponse:
-    """What is being computed, what waits, and how the last ones ended."""
+    """Page of running, waiting and recently ended computations."""
     all_jobs = queue.of_visits_in_use().select_related(
         "visit__patient", "comparison__before", "comparison__after__patient", "calibration__rig", "check_of_day__rig"
     )

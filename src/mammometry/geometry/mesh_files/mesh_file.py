@@ -310,7 +310,7 @@ def _of_parts(parts: Sequence[UsdPart]) -> tuple[Float64[Array, "n 3"], Int64[Ar
 
 
 def _other_content(path: Path, head: bytes) -> str | None:
-    """What a file holds that its ending does not say. None where they fit, or nothing is known."""
+    """Format of a file whose ending says another, None where they fit or nothing is known."""
     letters, between = head[:_SIGN:2], head[1:_SIGN:2]
     kind = path.suffix.lower()
     if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):

@@ -260,7 +260,7 @@ class PaperCamera:
         )
 
     def camera(self, name: str, size_wh: tuple[int, int]) -> Camera:
-        """The same camera as ours, with what the eleven parameters lack."""
+        """Our camera of the eleven parameters, with what they lack."""
         rotation = _turn(2, self.gamma_rad) @ _turn(1, self.beta_rad) @ _turn(0, self.alpha_rad)
         return Camera(
             name=name,

@@ -106,7 +106,7 @@ def read_ply(path: Path) -> tuple[TriangleMesh, dict[str, Array], tuple[str, ...
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Header:
-    """What a PLY says of its content."""
+    """Description of a PLY's content."""
 
     vertices: int
     faces: int

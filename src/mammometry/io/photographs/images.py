@@ -444,7 +444,7 @@ def _truncated(name: str) -> ImageError:
 
 
 def _other_format(path: Path) -> str | None:
-    """Which format a picture has that is not read here, by its first bytes."""
+    """Name of a picture's format that is not read here, by its first bytes."""
     with path.open("rb") as file:
         head = file.read(16)
     return next((words for place, mark, words in _OTHER_FORMATS if head[place:].startswith(mark)), None)

@@ -158,7 +158,7 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Warp:
-    """What the bands of one step have in common."""
+    """Values that the bands of one step have in common."""
 
     here: Side
     there: Side

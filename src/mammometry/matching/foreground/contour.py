@@ -177,7 +177,7 @@ def _sampled_contour(foreground: Foreground) -> Contour:
 
 
 def _edge_in_px(contour: Contour, foreground: Foreground) -> Float64[Array, " n"]:
-    """How far inside the contour the edge lies, pixels. NaN where there is none."""
+    """Distance of the edge inside the contour, pixels, NaN where there is none."""
 
     def across(x: Float64[Array, " k"]) -> Float64[Array, "n k"]:
         u, v = np.moveaxis(contour.uv[:, None] + x[:, None] * contour.inward[:, None], 2, 0)

@@ -152,7 +152,7 @@ def roundest_side_per_mm(surface: RepairedSurface, frame: Float64[Array, "3 3"])
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Side:
-    """What was seen on one side."""
+    """Findings of the search on one side."""
 
     middle: Float64[Array, 2]
     crease: Crease

@@ -199,7 +199,7 @@ def follow_crease(
 
 
 def _unlike(steps: Float64[Array, " s"], angles: Float64[Array, " d"]) -> Float64[Array, "k d s"]:
-    """What a distance costs that real women's boundaries do not have in that direction, for each size.
+    """Cost of a distance that real women's boundaries do not have in that direction, for each size.
 
     Args:
         steps: distances from the middle, mm.
@@ -222,7 +222,7 @@ def _centroid(flat: Float64[Array, "n 2"]) -> Float64[Array, 2]:
 
 
 def _beyond_the_top(bulge: Float64[Array, "d s"]) -> Bool[Array, "d s"]:
-    """Where a breast may end, as a mask.
+    """Mask of the places at which a breast may end.
 
     From where it has fallen to half its height until the skin rises again for good, or the trunk ends.
     """
@@ -238,8 +238,9 @@ def _beyond_the_top(bulge: Float64[Array, "d s"]) -> Bool[Array, "d s"]:
 
 
 def _own(bulge: Float64[Array, "d s"]) -> Float64[Array, "d s"]:
-    """How far a crease is the breast's own, 0 to 1: skin falls to it from inside at least as much as it rises outside.
+    """Degree to which a crease is the breast's own, 0 to 1.
 
+    Skin falls to its own crease from inside at least as much as it rises outside.
     At the foot of something else (arm, belly, the other breast hanging lower than the trunk goes) it only rises.
     """
     reach = round(2 * _SIGMA_MM / _STEP_MM)
@@ -276,7 +277,7 @@ def _outer_flank_mm(concavity: Float64[Array, "d s"], allowed: Bool[Array, "d s"
 
 
 def _smeared_mm(concavity: Float64[Array, "d s"], fine: Float64[Array, "d s"], way: Array) -> Float64[Array, " d"]:
-    """How far outside the crease smoothing has put the place at which the concavity halves, mm.
+    """Distance outside the crease to which smoothing moved the place of half concavity, mm.
 
     With the scale σ the concavity of a step in curvature stays, that of a step in slope falls as 1/σ, that of a step in
     height as 1/σ². So two scales tell which it is.

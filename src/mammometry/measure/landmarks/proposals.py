@@ -237,7 +237,7 @@ _GAMMA, _BLACK = 2.2, 2e-3  # of sRGB, approximately; added to linear light, so 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Pairs:
-    """Which samples lie around which, and how far away, mm."""
+    """Samples around each sample, and their distances, mm."""
 
     row: Array
     column: Array

@@ -146,7 +146,7 @@ def shape_of(
 
 
 def _projection_sigma_mm(measured: VolumeMeasurement, boundary_sigma_mm: float) -> float:
-    """How far the boundary's best plane moves when the whole boundary lies one sigma further out on the skin, mm.
+    """Movement of the boundary's best plane by a boundary one sigma further out on the skin, mm.
 
     An observer who draws wider does so all around: errors along the curve are taken as one.
     """

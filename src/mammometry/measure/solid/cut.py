@@ -79,7 +79,7 @@ def _before_cut(
     width_mm: Float64[Array, " k"],
     ends: tuple[Int64[Array, " i"], Int64[Array, " j"]],
 ) -> tuple[Bool[Array, " count"], float]:
-    """Which nodes lie before the narrowest place between two ends, and its width, mm."""
+    """Nodes before the narrowest place between two ends, and its width, mm."""
     between = a != b
     source, sink = count, count + 1
     first, last = np.unique(ends[0]), np.unique(ends[1])

@@ -166,7 +166,7 @@ def _flanks(local: Float64[Array, "n 3"], normals: Float64[Array, "n 3"], trunk:
 
 
 def _front(local: Float64[Array, "n 3"], normals: Float64[Array, "n 3"]) -> float:
-    """How much more the midline's skin faces the head above the middle than it faces the feet below.
+    """Excess of the midline's skin that faces the head above the middle over what faces the feet below.
 
     Parts of the strip are compared with those as far below, so that it does not matter how much was pictured.
     """

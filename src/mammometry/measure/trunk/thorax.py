@@ -264,7 +264,7 @@ def _front(
 
 
 def _middle(across: Float64[Array, " n"], ahead: Float64[Array, " n"]) -> float:
-    """Where half of the skin, as it is seen from straight ahead, lies on either side.
+    """Middle with half of the skin, as it is seen from straight ahead, on either side.
 
     An arm that was seen on one side alone hardly moves it. A breast does not: it covers as much as a flat chest.
     """
@@ -299,7 +299,7 @@ def _between_sides(front: _Front, frame: Float64[Array, "3 3"], *, symmetric: bo
 
 
 def _nearer_than_arm(out_mm: Float64[Array, " n"]) -> Bool[Array, " n"]:
-    """Which side skin is the trunk's own: none beyond the first gap as wide as an arm, mm from the breastbone."""
+    """Mask of side skin that is the trunk's own: none beyond the first gap as wide as an arm."""
     ordered = np.sort(out_mm)
     gaps = _FEWEST_SIDE - 1 + np.flatnonzero(np.diff(ordered[_FEWEST_SIDE - 1 :]) > _ARM_MM)
     return out_mm <= ordered[gaps[0] if len(gaps) else -1]

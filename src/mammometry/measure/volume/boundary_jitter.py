@@ -68,7 +68,7 @@ class Band:
         return open_part(self._whole, faces, self._vertices[curve])
 
     def _beside(self, faces: Bool[Array, " m"]) -> Bool[Array, " b"]:
-        """Which of the band's faces share a vertex with others outside it."""
+        """Mask of the band's faces that share a vertex with others outside it."""
         near = self._whole.vertices_used_by(faces)[self._vertices]
         a, b, c = self.mesh.faces.T
         return np.asarray(near[a] | near[b] | near[c])

@@ -169,7 +169,7 @@ def define(
 
 
 def _too_few(side: str, settings: LayerSettings) -> str:
-    """What is said if thicknesses were entered that do not count."""
+    """Note on thicknesses that were entered and do not count."""
     entered = sum(thickness > 0 for thickness in settings.of(side))
     return f" ({entered} measured, {FEWEST_LAYERS} are needed to count)" if 0 < entered < FEWEST_LAYERS else ""
 

@@ -154,7 +154,7 @@ def outward_room_mm(
 def _pixels(
     camera: Camera, points_world: Float64[Array, "n 3"]
 ) -> tuple[Int64[Array, " k"], Int64[Array, " k"], Int64[Array, " k"]]:
-    """Which points are in the picture, and their pixels' column and row."""
+    """Mask of the points in the picture, and their pixels' column and row."""
     uv = camera.project(points_world)
     with np.errstate(invalid="ignore"):
         within = np.flatnonzero((uv > -0.5).all(axis=1) & (uv < np.array(camera.size_wh) - 0.5).all(axis=1))

@@ -148,7 +148,7 @@ def _signed(first: FirstPage) -> Iterator[Any]:
 
 
 def _in_words(content: ReportContent, first: FirstPage, width: float) -> Iterator[Any]:
-    """What the numbers mean and rest on, breast by breast."""
+    """Meaning and basis of the numbers, breast by breast."""
     if first.conclusion is not None and len(first.conclusion.text) > _LONGEST_CONCLUSION:
         yield text("Conclusion", size=12, bold=True)
         yield from _signed(first)

@@ -153,7 +153,7 @@ def _lines(places: Mapping[Definition[Any], tuple[float, float]], parents: Graph
 
 
 def _way(x0: float, x1: float, boxes: Sequence[float], taken: Sequence[float]) -> float:
-    """Where a line may pass boxes of some rows, the least aside."""
+    """Place at which a line may pass boxes of some rows, the least aside."""
     aside = [_BOX_WH[0] / 2 + 7 * (1 + number) for number in range(len(taken) + 1)]
     ways = [x0, x1, *(box + sign * step for box in boxes for step in aside for sign in (-1, 1))]
     free = [

@@ -139,7 +139,7 @@ def quantities_of(dimensions: Dimensions) -> Iterator[dict[str, Any]]:
 
 
 def projections_of(dimensions: Dimensions) -> Iterator[dict[str, Any]]:
-    """How far each breast stands out, for the table. Exports have it beside the volume, with its boundary."""
+    """Projection of each breast for the table: exports have it beside the volume."""
     for shape in dimensions.shapes:
         value, sigma = shape.projection_mm, shape.projection_sigma_mm
         yield _quantity("projection", "Projection", shape.name, value, sigma, method="plane-distance")
@@ -249,7 +249,7 @@ def planning_lengths(dimensions: Dimensions | None, landmarks: Sequence[Landmark
 
 
 def _lacks(deficit: VolumeDeficit) -> Fact:
-    """What a side lacks, in words."""
+    """Words for what a side lacks."""
     volume = "nothing" if deficit.volume_cc < 0 else volume_words(deficit.volume_cc, deficit.interval_cc)
     interval = "" if deficit.interval_cc is None else f", {interval_words(deficit.interval_cc)}"
     return Fact(f"Volume that the {deficit.name} side lacks", f"{volume}{interval}. {sentence(deficit.note)}")

@@ -215,7 +215,7 @@ class Isosurface:
         return pieces
 
     def _reaching(self, chunk: tuple[int, ...]) -> Bool[Array, " n"]:
-        """Which of the healed places reach into a chunk."""
+        """Healed places that reach into a chunk."""
         edge = BLOCK * self._grid.cube_mm
         blocks = self._blocks(chunk)
         low = self._grid.origin + np.array([axis.start for axis in blocks]) * edge

@@ -115,7 +115,7 @@ class MotionParameters:
         return np.concatenate([np.full(3 * len(self.cameras), turn_rad), np.tile(group, len(self.groups)), breath])
 
     def breathing(self, rig: Rig, points: Float64[Array, "n 3"]) -> MotionParameters:
-        """The same, with smooth motions of the skin that is compared at these points."""
+        """Parameters with smooth motions of the skin that is compared at these points."""
         towards = -np.mean([rig.cameras[name].axis_world for name in self.cameras], axis=0)
         direction = towards / np.linalg.norm(towards)
         across = np.linalg.svd(direction[None])[2][1:]

@@ -41,6 +41,6 @@ def _collapsed(
 def _collapsed_apart(
     vertices: Float32[Array, "n 3"], faces: Int32[Array, "m 3"], triangles: int
 ) -> tuple[Float32[Array, "k 3"], Int32[Array, "l 3"]]:
-    """The same in a process of its own."""
+    """Simplified mesh, made in a process of its own."""
     with ChildProcess() as child:
         return child.call(_collapsed, vertices, faces, triangles)
