@@ -237,7 +237,7 @@ def test_every_file_of_the_results_carries_the_subject(identified: Run) -> None:
     endings = {path.suffix for path in files}
     assert endings == {".json", ".npz", ".tif", ".ply", ".glb", ".obj", ".mtl", ".jpg", ".png", ".html", ".pdf", ".zip"}
     without = [path.name for path in files if ID.encode() not in path.read_bytes()]
-    assert without == ["warnings.json"]  # a list of sentences, which has no room for it
+    assert without == []
 
 
 @whole_run

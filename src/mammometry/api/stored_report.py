@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 
 WARNINGS = "warnings.json"
-"""The report's warnings, for programs: a list of sentences."""
+"""The report's warnings, for programs: sentences under ``warnings``."""
 
 
 class Reported(ABC):
@@ -165,7 +165,7 @@ class Reported(ABC):
 
             def write(folder: Path, progress: Progress) -> None:
                 made = self._render(None)
-                words = json.dumps(list(made.warnings), ensure_ascii=False, indent=1) + "\n"
+                words = json.dumps({"warnings": list(made.warnings)}, ensure_ascii=False, indent=1) + "\n"
                 _write(folder, {html.PAGE: made.html, pdf.DOCUMENT: made.pdf, WARNINGS: words.encode()})
 
             return write

@@ -113,7 +113,7 @@ def _when_free(run: Callable[[], _R]) -> _R:
 
 
 def _row_of(job: Job, peak_mb: float | None) -> Row:
-    warnings = json.loads((job.session.results / "report" / WARNINGS).read_text(encoding="utf-8"))
+    warnings = json.loads((job.session.results / "report" / WARNINGS).read_text(encoding="utf-8"))["warnings"]
     made = [job.store.record(key) for stage in STAGES for key in job.keys(stage)]
     return Row(
         session=job.identity.name,

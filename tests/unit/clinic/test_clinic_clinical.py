@@ -437,7 +437,7 @@ def test_no_page_of_a_visit_names_a_command(visit: Visit, client_of: Callable[..
     ]
     folder = visit.folder / "results" / "report"
     folder.mkdir(parents=True)
-    (folder / "warnings.json").write_text(json.dumps(sentences))
+    (folder / "warnings.json").write_text(json.dumps({"warnings": sentences}))
     measurement = Measurement.objects.create(visit=visit, digest="1", made_at=timezone.now(), software="1")
     why = "Draw its boundary with `mammometry edit`."
     Volume.objects.create(measurement=measurement, side="left", definition="any", refused=why)

@@ -185,10 +185,11 @@ def facts(visit: Visit) -> Facts:
     """Warnings of the report, without what the visit's state says."""
     path = report_file(visit, "warnings.json")
     try:
-        warnings = [] if path is None else json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        warnings = []
-    sentences = [str(warning) for warning in warnings] if isinstance(warnings, list) else []
+        table = {} if path is None else json.loads(path.read_text(encoding="utf-8"))
+        warnings = table if isinstance(table, list) else table["warnings"]  # a list until version 1.0
+        sentences = [str(warning) for warning in warnings]
+    except (OSError, ValueError, TypeError, KeyError):
+        sentences = []
     sentences = [sentence for sentence in sentences if not sentence.startswith(_OF_THE_STATE)]
     return Facts(
         tuple(sentence for sentence in sentences if not sentence.startswith(_OF_PHOTOGRAPHS)),
