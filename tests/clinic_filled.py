@@ -58,7 +58,7 @@ def visit_of(calibration: Any, session: Path | None, number: int = 1) -> Any:
             name=f"capture/{camera}.jpg",
             size_bytes=1,
             state="placed",
-            sha256=camera.ljust(64),
+            sha256=f"{number} {camera}".ljust(64),  # no two visits have the same photographs
         )
     if session is not None:
         ready_folder(visit)
