@@ -89,9 +89,9 @@ _NEAR_STEPS = 6  # steps on either side of the path in which the crease is looke
 _EVEN_DIRECTIONS = 3.0  # over which abruptness is averaged; chosen by eye
 _VANISH_MM = 2.0  # height over the thorax fit at which a breast ends; the fit's own scatter is 1–2 mm
 _CREASE = 0.6  # worth of a crease of .017 per mm; a fold's, .1 per mm, is 1.4
-_HEIGHT_COST, _MOST_HEIGHT_COST = 0.05, 0.3
-"""Cost of a border on skin that stands as high again above that level, and its limit. Weak: it only keeps the border
-out of the nipple's and other creases on the breast. A trunk that is fitted beside breasts is off by more above them."""
+_HEIGHT_COST, _MOST_HEIGHT_COST = 0.05, 0.8
+"""Cost of a border on skin that stands as high again above that level, and its limit. Weak where the trunk that is
+fitted beside breasts may be off: by 10 to 20 mm above them. A limit of .3 let the border run over a breast's flank."""
 _STIFFNESS = 0.1
 """Cost of a border that moves in or out by 1 mm from one direction to the next. Grows with the square of the movement.
 Chosen by eye."""
@@ -111,6 +111,7 @@ _NATS, _SIZE_NATS = 2.0, 0.2
 directions err alike, so that a size has less evidence than their sum. Calibrated on virtual women (decision 43)."""
 _ERR_ALIKE = 2.4
 """Error of a border over its paths' spread, for the same reason: 1 on virtual scans, 2.6 on the hanging families."""
+_GOES_ON = 1 / 3  # of its height: a breast whose skin stands out more, outside its border, goes on; chosen by eye
 _FALLEN = 0.9  # share of the height to which a breast has fallen before it may end; chosen by eye
 _RISE_MM = 6.0  # skin that rises again by this much belongs to something else (arm, belly, other breast)
 _SUNK_MM = 12.0
@@ -194,8 +195,20 @@ def follow_crease(
         flat=flat,
         concavity_per_mm=_at_steps(concavity, way[:, None])[:, 0],
         seen=relief.at(flat, relief.known.astype(np.float64)) > 0.5,
-        sigma_mm=_ERR_ALIKE * _STEP_MM * spread,
+        sigma_mm=np.hypot(_ERR_ALIKE * _STEP_MM * spread, _goes_on_mm(bulge, way)),
     )
+
+
+def _goes_on_mm(bulge: Float64[Array, "d s"], way: Float64[Array, " d"]) -> Float64[Array, " d"]:
+    """Distance from a path to where the breast's skin has fallen to a third of its height, mm.
+
+    0 where it has fallen within two σ, by which a fold is smoothed. Elsewhere the path runs over the breast.
+    """
+    ahead_mm = _STEP_MM * (np.arange(bulge.shape[1]) - way[:, None])
+    fallen = (bulge <= _GOES_ON * bulge[ahead_mm < 0].max(initial=0.0)) & (ahead_mm >= 2 * _SIGMA_MM)
+    fallen[:, -1] = True
+    first = np.argmax(fallen, axis=1)[:, None]
+    return np.maximum(np.take_along_axis(ahead_mm, first, axis=1)[:, 0] - 2 * _SIGMA_MM - _STEP_MM, 0.0)
 
 
 def _unlike(steps: Float64[Array, " s"], angles: Float64[Array, " d"]) -> Float64[Array, "k d s"]:

@@ -28,8 +28,8 @@ _PEAK_RADIUS_MM = 25.0  # a peak is the highest place within this distance, in b
 _AROUND_MM = 50.0  # of a peak, over which the middle is taken; chosen by eye
 _SMOOTHED_MM = 6.0  # a breast's top is looked for in relief smoothed over this; chosen by eye
 _BASE_OVER_HALF = 1.89
-"""Root of a base's area over that of the part that stands out at least half as high as the top: 1.89 ± .13 on 87 breasts
-of eight families, hanging, standing, leaning and lying (docs/decisions/0043)."""
+"""Root of a base's area over that of what is at least half as high: 1.89 ± .13 on 87 breasts of
+eight families, hanging, standing, leaning and lying (docs/decisions/0043)."""
 _USUAL_BASE_MM, _TELLING = 130.0, 0.84
 """Root of the usual base's area (real women: 170 ± 28 cm²), and how much the upper half counts beside it."""
 _WIDEST_RAD = np.deg2rad(80.0)  # a breast's middle lies no further around the trunk than this; chosen by eye
