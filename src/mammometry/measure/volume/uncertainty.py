@@ -11,12 +11,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse.linalg import splu
 
 from mammometry.base.value import value
-from mammometry.geometry import Array, Bool, Float64, Int32, Rig, TriangleMesh
+from mammometry.geometry import Array, Bool, Float64, Int32, Rig, TriangleMesh, mesh_kernels
 from mammometry.geometry.nearest import point_tree
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.settings import MeasureSettings
+from mammometry.measure.solid.patch import cotangent_laplacian
 from mammometry.measure.volume.boundary_jitter import UNSEEN_SLOPE
 from mammometry.measure.volume.unseen_space import Bound, outward_room_mm
 from mammometry.measure.wall.chest_wall import ChestWall
@@ -199,7 +201,7 @@ def interval(
     - *movement*, where cameras or body moved: what was not put right (`movement_std_cc`).
     - *matching*: what windows make of convex skin, over the measured skin, and each vertex's own σ over its share.
     - *repaired* and *invented surface*: over theirs. They grow with the distance from measured skin, and with how far
-      the skin could stand out without being seen.
+      the skin could stand out without being seen. Invented skin that lies in a pit may be off by all of the pit.
     - *base*, of a cast: scatter of the rim, silhouettes off by a fraction of a pixel, and how the rim is rounded.
     - *boundary*, of a torso: drawn again (`boundary_jitter`).
     - *chest wall*, of a torso: a height over the base, in proportion to the base's width.
@@ -313,9 +315,26 @@ def _of_skin(
         {
             "matching" if surface.pair_names else "scanner": float(np.hypot(common, scatter)),
             "repaired surface": unseen(repaired, REPAIRED_SIGMA_MM),
-            "invented surface": unseen(invented, INVENTED_SIGMA_MM),
+            "invented surface": float(np.hypot(unseen(invented, INVENTED_SIGMA_MM), _pits_mm3(skin, invented))),
         }
     )
+
+
+def _pits_mm3(skin: TriangleMesh, invented: Bool[Array, " n"]) -> float:
+    """Volume by which invented skin lies behind what spans it from its edge, mm³. 0 where it stands out.
+
+    Skin has no pits: a view carved it away that something before it, such as a rail, led astray.
+    """
+    held = ~invented
+    held[mesh_kernels.open_vertices(len(skin.vertices), skin.faces)] = True
+    if held.all() or not held.any():
+        return 0.0
+    laplacian = cotangent_laplacian(skin.vertices, skin.faces.astype(np.int64))
+    spanned = skin.vertices.copy()
+    spanned[~held] = splu(laplacian[~held][:, ~held].tocsc()).solve(-(laplacian[~held][:, held] @ skin.vertices[held]))
+    middle = skin.vertices.mean(axis=0)
+    pits_mm3 = mesh_kernels.volume(spanned, skin.faces, middle) - mesh_kernels.volume(skin.vertices, skin.faces, middle)
+    return max(float(pits_mm3), 0.0)
 
 
 def _at_95(std_mm3: Mapping[str, float]) -> dict[str, float]:
