@@ -153,6 +153,18 @@ def test_where_nothing_shows_the_border_it_runs_as_real_womens_do_and_says_that_
     assert found.sigma_mm[top] > 1.5 * found.sigma_mm[bottom]
 
 
+def test_a_border_that_runs_over_the_breast_says_how_far_the_breast_goes_on() -> None:
+    """It may end no further than 25 mm from the top, and falls to a third of its height 52 mm from it."""
+    whole = follow_crease(relief_of(cap(80.0, 90.0)), np.zeros(2))
+    cut = follow_crease(relief_of(cap(80.0, 90.0)), np.zeros(2), between_mm=(-np.inf, 25.0))
+    assert whole.sigma_mm.max() < 8
+    assert cut.sigma_mm[0] > 15
+    assert cut.sigma_mm[len(cut.sigma_mm) // 2] < 8
+    touching = np.maximum(cap(80.0, 90.0), np.roll(cap(80.0, 90.0), 60, axis=1))  # 120 mm beside it: a valley between
+    valley = follow_crease(relief_of(touching), np.zeros(2), between_mm=(-np.inf, 62.0))
+    assert valley.sigma_mm[0] < 8
+
+
 def test_a_border_stays_on_its_own_side() -> None:
     found = follow_crease(relief_of(cap(60.0, 45.0)), np.array([5.0, 0.0]), between_mm=(-40.0, np.inf))
     assert found.flat[:, 0].min() > -45

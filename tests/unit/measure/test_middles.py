@@ -61,3 +61,17 @@ def test_a_wide_dome_has_a_wide_base() -> None:
         bases.append(left.base_mm)
         assert left.base_mm == pytest.approx(np.sqrt(np.pi) * reach, rel=0.25)
     assert bases[1] > 1.2 * bases[0]
+
+
+def test_a_high_breast_whose_top_gravity_gathers_has_the_base_of_its_half_height() -> None:
+    """Its dome alone would tell a base of 121 mm for 160. A low breast's half height would add a muscle to it."""
+    away = np.hypot(X - 95, Y)
+    form = 0.6 * np.clip(1 - (away / 90) ** 2, 0, None) + 0.4 * np.exp(-((away / 20) ** 2) / 2)
+    high = breast_middles(relief_of(100 * form), TRUNK)["left"]
+    low = breast_middles(relief_of(30 * form), TRUNK)["left"]
+    over_a_muscle = breast_middles(relief_of(30 * form + 18 * np.clip((Y + 20) / 40, 0, 1)), TRUNK)["left"]
+    assert high is not None
+    assert low is not None
+    assert over_a_muscle is not None
+    assert high.base_mm == pytest.approx(np.sqrt(np.pi) * 90, rel=0.12)
+    assert over_a_muscle.base_mm == pytest.approx(low.base_mm, rel=0.1)

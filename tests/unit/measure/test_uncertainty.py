@@ -112,6 +112,20 @@ def test_invented_skin_is_the_less_known_the_farther_it_lies_from_measured_skin(
     assert "invented surface" not in nothing.terms_cc  # how far it is from measured skin cannot be said
 
 
+def test_invented_skin_in_a_pit_may_be_off_by_all_of_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A pit of a pyramid's form, 40 × 40 mm and 30 mm deep: 16 cc. What stands out as far is no pit."""
+    monkeypatch.setattr(f"{UNCERTAINTY}.INVENTED_SIGMA_MM", 0.0)
+    away = np.abs(SHEET.vertices[:, :2] - 50).max(axis=1)
+    origin = np.where(away < 20, Provenance.INVENTED, Provenance.MEASURED)
+    boundary = Boundary(name="model", points_world=RIM, method="", sigma_mm=0.05)
+    for sign, expected_cc in ((-1, 16.0), (1, 0.0)):
+        bent = SHEET.vertices + sign * np.outer(30 * np.clip(1 - away / 20, 0, None), [0.0, 0, 1])
+        own = replace(SHEET, vertices=bent)
+        surface, closing = replace(skin(origin), mesh=own), replace(wall("plane"), skin=own)
+        found = interval(boundary, closing, 400.0, evidence=Evidence(surface=surface))
+        assert found.terms_cc.get("invented surface", 0.0) == pytest.approx(1.96 * expected_cc, rel=0.02)
+
+
 def test_skin_that_could_not_stand_out_unseen_is_known_better(monkeypatch: pytest.MonkeyPatch) -> None:
     """As before, before a camera that sees the sheet from its edge, whose picture is dark more than 6 mm above it.
 

@@ -111,7 +111,9 @@ _NATS, _SIZE_NATS = 2.0, 0.2
 directions err alike, so that a size has less evidence than their sum. Calibrated on virtual women (decision 43)."""
 _ERR_ALIKE = 2.4
 """Error of a border over its paths' spread, for the same reason: 1 on virtual scans, 2.6 on the hanging families."""
-_GOES_ON = 1 / 3  # of its height: a breast whose skin stands out more, outside its border, goes on; chosen by eye
+_GOES_ON, _GOES_ON_MM = 1 / 3, 20.0
+"""Share of its height, and height, above which skin outside a border is the breast's: a trunk that lies too deep above
+the breasts makes muscles stand out by 10 to 20 mm. Chosen by eye."""
 _FALLEN = 0.9  # share of the height to which a breast has fallen before it may end; chosen by eye
 _RISE_MM = 6.0  # skin that rises again by this much belongs to something else (arm, belly, other breast)
 _SUNK_MM = 12.0
@@ -200,14 +202,17 @@ def follow_crease(
 
 
 def _goes_on_mm(bulge: Float64[Array, "d s"], way: Float64[Array, " d"]) -> Float64[Array, " d"]:
-    """Distance from a path to where the breast's skin has fallen to a third of its height, mm.
+    """Distance from a path to where skin no longer stands out as the breast does, or rises again, mm.
 
-    0 where it has fallen within two σ, by which a fold is smoothed. Elsewhere the path runs over the breast.
+    0 where that lies within two σ, by which a fold is smoothed. Elsewhere the path runs over the breast.
     """
     ahead_mm = _STEP_MM * (np.arange(bulge.shape[1]) - way[:, None])
-    fallen = (bulge <= _GOES_ON * bulge[ahead_mm < 0].max(initial=0.0)) & (ahead_mm >= 2 * _SIGMA_MM)
-    fallen[:, -1] = True
-    first = np.argmax(fallen, axis=1)[:, None]
+    high_mm = max(_GOES_ON * float(bulge[ahead_mm < 0].max(initial=0.0)), _GOES_ON_MM)
+    lowest = np.minimum.accumulate(np.where(ahead_mm >= 0, bulge, np.inf), axis=1)
+    ended = (bulge <= high_mm) & (ahead_mm >= 2 * _SIGMA_MM)
+    ended |= (ahead_mm >= 0) & (bulge > lowest + _LEVEL_MM)
+    ended[:, -1] = True
+    first = np.argmax(ended, axis=1)[:, None]
     return np.maximum(np.take_along_axis(ahead_mm, first, axis=1)[:, 0] - 2 * _SIGMA_MM - _STEP_MM, 0.0)
 
 
