@@ -114,6 +114,9 @@ _ERR_ALIKE = 2.4
 _GOES_ON, _GOES_ON_MM = 1 / 3, 20.0
 """Share of its height, and height, above which skin outside a border is the breast's: a trunk that lies too deep above
 the breasts makes muscles stand out by 10 to 20 mm. Chosen by eye."""
+_ENDED_MM, _UNSEEN_SCATTER = 18.0, 0.3
+"""A border this near to the end of the seen skin may be anywhere beyond: its scatter there, as a share of its distance
+from the middle. Chosen by eye: large breasts of held-out captures go on by 30 to 50 mm above what is laid flat."""
 _FALLEN = 0.9  # share of the height to which a breast has fallen before it may end; chosen by eye
 _RISE_MM = 6.0  # skin that rises again by this much belongs to something else (arm, belly, other breast)
 _SUNK_MM = 12.0
@@ -193,11 +196,14 @@ def follow_crease(
     apart = float(np.mean(reach)) * 2 * np.pi / DIRECTIONS
     reach = np.asarray(gaussian_filter1d(reach, _SIGMA_MM / apart, mode="wrap"))
     flat = middle + rays * reach[:, None]
+    ended = 1 - relief.at(flat, relief.within_its_end(_ENDED_MM))
     return Crease(
         flat=flat,
         concavity_per_mm=_at_steps(concavity, way[:, None])[:, 0],
         seen=relief.at(flat, relief.known.astype(np.float64)) > 0.5,
-        sigma_mm=np.hypot(_ERR_ALIKE * _STEP_MM * spread, _goes_on_mm(bulge, way)),
+        sigma_mm=np.linalg.norm(
+            [_ERR_ALIKE * _STEP_MM * spread, _goes_on_mm(bulge, way), _UNSEEN_SCATTER * ended * reach], axis=0
+        ),
     )
 
 
