@@ -89,9 +89,11 @@ _NEAR_STEPS = 6  # steps on either side of the path in which the crease is looke
 _EVEN_DIRECTIONS = 3.0  # over which abruptness is averaged; chosen by eye
 _VANISH_MM = 2.0  # height over the thorax fit at which a breast ends; the fit's own scatter is 1–2 mm
 _CREASE = 0.6  # worth of a crease of .017 per mm; a fold's, .1 per mm, is 1.4
-_HEIGHT_COST, _MOST_HEIGHT_COST = 0.05, 0.8
-"""Cost of a border on skin that stands as high again above that level, and its limit. Weak where the trunk that is
-fitted beside breasts may be off: by 10 to 20 mm above them. A limit of .3 let the border run over a breast's flank."""
+_HEIGHT_COST, _MOST_HEIGHT_COST, _MOST_FLANK_COST = 0.05, 0.3, 0.5
+"""Cost of a border on skin that stands as high again above that level, and its limit. Weak: it only keeps the border
+out of the nipple's and other creases on the breast. A trunk that is fitted beside breasts is off by more above them.
+The same again, with its own limit, for skin that stands out by more than such a trunk is off: a breast's flank."""
+_TRUNK_OFF_MM = 20.0  # by which a trunk may lie too deep above the breasts, 10 to 20 mm: a muscle stands out by that
 _STIFFNESS = 0.1
 """Cost of a border that moves in or out by 1 mm from one direction to the next. Grows with the square of the movement.
 Chosen by eye."""
@@ -111,9 +113,7 @@ _NATS, _SIZE_NATS = 2.0, 0.2
 directions err alike, so that a size has less evidence than their sum. Calibrated on virtual women (decision 43)."""
 _ERR_ALIKE = 2.4
 """Error of a border over its paths' spread, for the same reason: 1 on virtual scans, 2.6 on the hanging families."""
-_GOES_ON, _GOES_ON_MM = 1 / 3, 20.0
-"""Share of its height, and height, above which skin outside a border is the breast's: a trunk that lies too deep above
-the breasts makes muscles stand out by 10 to 20 mm. Chosen by eye."""
+_GOES_ON = 1 / 3  # of its height: where skin outside its border stands out more, the breast goes on; chosen by eye
 _ENDED_MM, _UNSEEN_SCATTER = 18.0, 0.3
 """A border this near to the end of the seen skin may be anywhere beyond: its scatter there, as a share of its distance
 from the middle. Chosen by eye: large breasts of held-out captures go on by 30 to 50 mm above what is laid flat."""
@@ -180,6 +180,9 @@ def follow_crease(
         allowed &= (places[..., 0] > between_mm[0]) & (places[..., 0] < between_mm[1])
         worth = _CREASE * np.log1p(np.clip(concavity, 0.0, None) / CREASE_PER_MM) * _own(bulge)
         worth = worth - np.minimum(np.clip(bulge / _VANISH_MM - 1, 0.0, None) * _HEIGHT_COST, _MOST_HEIGHT_COST)
+        worth = worth - np.minimum(
+            np.clip(bulge - _TRUNK_OFF_MM, 0.0, None) / _VANISH_MM * _HEIGHT_COST, _MOST_FLANK_COST
+        )
         tables = _NATS * np.maximum(np.where(allowed, worth, _FORBIDDEN) - unlike, 4 * _FORBIDDEN)
         paths = weigh_paths(tables, _NATS * _STIFFNESS)
         share = softmax(_SIZE_NATS * (paths.evidence / _NATS - size_cost))
@@ -213,7 +216,7 @@ def _goes_on_mm(bulge: Float64[Array, "d s"], way: Float64[Array, " d"]) -> Floa
     0 where that lies within two σ, by which a fold is smoothed. Elsewhere the path runs over the breast.
     """
     ahead_mm = _STEP_MM * (np.arange(bulge.shape[1]) - way[:, None])
-    high_mm = max(_GOES_ON * float(bulge[ahead_mm < 0].max(initial=0.0)), _GOES_ON_MM)
+    high_mm = max(_GOES_ON * float(bulge[ahead_mm < 0].max(initial=0.0)), _TRUNK_OFF_MM)
     lowest = np.minimum.accumulate(np.where(ahead_mm >= 0, bulge, np.inf), axis=1)
     ended = (bulge <= high_mm) & (ahead_mm >= 2 * _SIGMA_MM)
     ended |= (ahead_mm >= 0) & (bulge > lowest + _LEVEL_MM)
