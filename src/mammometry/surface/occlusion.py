@@ -248,6 +248,13 @@ def _joined(hit: Bool[Array, "H W"], subject: Bool[Array, "H W"]) -> Bool[Array,
     closed = (ndimage.distance_transform_edt(near) > radius)[pad:-pad, pad:-pad]
     around = ndimage.distance_transform_edt(~large) <= 2 * radius
     joined: Bool[Array, "H W"] = (closed & around & ~subject) | large
+    # Between blocked places, with the subject on both sides, the same bar goes on.
+    labels, _ = ndimage.label(ndimage.binary_fill_holes(joined | subject) & ~(joined | subject))
+    radius = _WIDENING * _half_width(joined)
+    for number in np.unique(labels[ndimage.binary_dilation(joined)]):
+        part = labels == number
+        if number and _half_width(part) <= radius:
+            joined |= part
     return joined
 
 

@@ -25,6 +25,7 @@ from mammometry.surface.repair.repair import RepairedSurface
 
 TWIN = (-LEFT[0], *LEFT[1:])
 MIDDLE = Body(frame=np.eye(3), point_world=np.zeros(3), plane_sigma_mm=0.1, scatter_mm=0.3, how="known")
+ROLLED = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # cameras on their side
 FLAT = 0.72  # depth over width of a body's trunk
 
 
@@ -118,12 +119,11 @@ def test_a_round_trunk_shows_no_plane_and_says_so() -> None:
 
 @pytest.mark.requirement("R-SIDE-1")
 def test_a_trunk_across_the_cameras_is_refused() -> None:
-    rolled = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     skin = seen_skin(one_sided())
-    assert lies_across(skin, rolled)
+    assert lies_across(skin, ROLLED)
     assert not lies_across(skin, np.eye(3))
     with pytest.raises(MeasureError, match=r"lies across.*rig\.mounting"):
-        find_body(one_sided(), rolled)
+        find_body(one_sided(), ROLLED)
 
 
 def test_two_boundaries_show_which_way_a_low_front_lies() -> None:
@@ -135,7 +135,23 @@ def test_two_boundaries_show_which_way_a_low_front_lies() -> None:
         find_body(surface, np.eye(3))
     assert find_body(surface, np.eye(3), boundaries=curves).up[1] > 0.9
     with pytest.raises(MeasureError, match="lies across"):
-        find_body(surface, np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), boundaries=curves)
+        find_body(surface, ROLLED, boundaries=curves)
+
+
+def test_two_breasts_show_which_way_a_trunk_lies_whose_sides_are_covered() -> None:
+    """As by a gown. One breast alone does not."""
+    high = (*LEFT[:3], 75.0)
+    for breasts, reach_mm in (((high, (-high[0], *high[1:])), 80), ((high,), 50)):
+        mesh = torso_with(*breasts, flat=FLAT).mesh
+        shown = (np.abs(mesh.vertices[:, 1]) < reach_mm) & (mesh.vertices[:, 2] > 80)
+        front = mesh.submesh(mesh.faces_within(shown))
+        surface = as_surface(front, np.ones(len(front.vertices), dtype=bool))
+        assert lies_across(seen_skin(surface), np.eye(3))
+        if len(breasts) == 2:
+            assert [each.name for each in outline_torso(surface, np.eye(3)).boundaries] == ["left", "right"]
+        else:
+            with pytest.raises(MeasureError, match="lies across"):
+                outline_torso(surface, np.eye(3))
 
 
 @pytest.mark.slow

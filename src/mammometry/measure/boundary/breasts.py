@@ -20,15 +20,20 @@ from mammometry.measure.boundary.prominence import (
     SideName,
     Verdict,
     breast_middles,
+    pair_roundness_per_mm,
     prominence_within,
 )
-from mammometry.measure.trunk.body import Body, find_body
+from mammometry.measure.trunk.body import Body, find_body, lies_across
 from mammometry.measure.trunk.head import check_head, head_signs
 from mammometry.measure.trunk.skin_map import PIXEL_MM, Relief, dense_samples, lay_flat
 from mammometry.measure.trunk.thorax import Skin, Thorax, Trunk, find_trunk, fit_thorax, seen_faces, seen_skin
 from mammometry.surface.repair.repair import RepairedSurface
 
 _OTHER: dict[SideName, SideName] = {"left": "right", "right": "left"}
+_ROLLED = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # by 90°
+_PAIR_PER_MM, _CLEARER = 0.006, 2.0
+"""Least roundness of a pair of breasts that shows which way a trunk lies, and by which factor it is rounder than what
+lies level when the cameras are rolled."""
 _ROUNDS = 3  # times that trunk and middles are found, each from the other; chosen by eye
 _DISC_MM = 75.0
 """Skin this near to a breast's middle, laid flat, is not the trunk's: half the height of real women's bases is 84 mm,
@@ -118,7 +123,8 @@ def find_breasts(surface: RepairedSurface, frame: Float64[Array, "3 3"], *, head
             seen, or its head is where the cameras have the feet.
     """
     skin = seen_skin(surface)
-    body = find_body(surface, frame, skin=skin, stated=head_stated)
+    upright = head_stated or not lies_across(skin, frame) or _lie_level(surface, skin, frame)
+    body = find_body(surface, frame, skin=skin, stated=upright)
     thorax, relief, middles = _trunk_beside(surface, skin, body)
     sides = _sides(relief, thorax.trunk, middles)
     outlined = [side.crease for side in sides.values() if side.verdict == "breast"]
@@ -148,6 +154,22 @@ def roundest_side_per_mm(surface: RepairedSurface, frame: Float64[Array, "3 3"])
     skin = seen_skin(surface)
     _, _, middles = _trunk_beside(surface, skin, find_body(surface, frame, skin=skin, stated=True))
     return max(0.0 if middle is None else middle.roundness_per_mm for middle in middles.values())
+
+
+def _lie_level(surface: RepairedSurface, skin: Skin, frame: Float64[Array, "3 3"]) -> bool:
+    """Whether two breasts lie beside each other in the frame, and not one above the other.
+
+    Where a gown covers the trunk's sides its skin does not show which way it lies, but two breasts do.
+    """
+    samples = dense_samples(surface.mesh.submesh(seen_faces(surface)))
+    pairs = []
+    for turned in (frame, _ROLLED @ frame):
+        try:
+            trunk = find_trunk(skin, turned)
+            pairs.append(pair_roundness_per_mm(breast_middles(lay_flat(fit_thorax(trunk, skin), samples), trunk)))
+        except MeasureError:
+            pairs.append(0.0)
+    return pairs[0] > max(_PAIR_PER_MM, _CLEARER * pairs[1])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

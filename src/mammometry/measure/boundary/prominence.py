@@ -6,6 +6,7 @@ and the collar bone are round in one direction alone, and belly and shoulders en
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
@@ -67,14 +68,32 @@ def breast_middles(relief: Relief, trunk: Trunk) -> dict[SideName, Middle | None
     chosen: list[int | None] = [int(side[np.argmax(worth[side])]) if len(side) else None for side in sides]
     if all(len(side) for side in sides):
         left, right = sides[0][:, None], sides[1][None]
-        apart = np.hypot(peaks[left, 1] - peaks[right, 1], peaks[left, 0] + peaks[right, 0])
-        alike = worth[left] * worth[right] * np.exp(-((apart / _LIKE_MM) ** 2))
-        pair = np.unravel_index(np.argmax(alike), apart.shape)
+        alike = _alike(peaks[left], worth[left], peaks[right], worth[right])
+        pair = np.unravel_index(np.argmax(alike), alike.shape)
         chosen = [int(sides[0][pair[0]]), int(sides[1][pair[1]])]
     return {
         name: None if peak is None else _middle(relief, dome, peaks[peak], float(worth[peak]))
         for name, peak in zip(SIDES, chosen, strict=True)
     }
+
+
+def pair_roundness_per_mm(middles: Mapping[SideName, Middle | None]) -> float:
+    """How much two domes are a pair of breasts: as round as this, and alike on both sides, 1/mm. 0 without a pair."""
+    left, right = middles["left"], middles["right"]
+    if left is None or right is None:
+        return 0.0
+    return float(np.sqrt(_alike(left.flat, left.roundness_per_mm, right.flat, right.roundness_per_mm)))
+
+
+def _alike(
+    left: Float64[Array, "*n 2"],
+    worth: Float64[Array, "*n"] | float,
+    right: Float64[Array, "*m 2"],
+    other_worth: Float64[Array, "*m"] | float,
+) -> Float64[Array, "*k"]:
+    """Product of two domes' roundness, less where their places are no mirror images."""
+    apart = np.hypot(left[..., 1] - right[..., 1], left[..., 0] + right[..., 0])
+    return np.asarray(worth * other_worth * np.exp(-((apart / _LIKE_MM) ** 2)))
 
 
 def roundness_per_mm(relief: Relief) -> Float64[Array, "h w"]:
