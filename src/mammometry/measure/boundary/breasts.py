@@ -20,20 +20,25 @@ from mammometry.measure.boundary.prominence import (
     SideName,
     Verdict,
     breast_middles,
-    pair_roundness_per_mm,
+    level_pair,
     prominence_within,
 )
 from mammometry.measure.trunk.body import Body, find_body, lies_across
 from mammometry.measure.trunk.head import check_head, head_signs
 from mammometry.measure.trunk.skin_map import PIXEL_MM, Relief, dense_samples, lay_flat
-from mammometry.measure.trunk.thorax import Skin, Thorax, Trunk, find_trunk, fit_thorax, seen_faces, seen_skin
+from mammometry.measure.trunk.thorax import (
+    Skin,
+    Thorax,
+    Trunk,
+    find_trunk,
+    fit_thorax,
+    orthonormal,
+    seen_faces,
+    seen_skin,
+)
 from mammometry.surface.repair.repair import RepairedSurface
 
 _OTHER: dict[SideName, SideName] = {"left": "right", "right": "left"}
-_ROLLED = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # by 90°
-_PAIR_PER_MM, _CLEARER = 0.006, 2.0
-"""Least roundness of a pair of breasts that shows which way a trunk lies, and by which factor it is rounder than what
-lies level when the cameras are rolled."""
 _ROUNDS = 3  # times that trunk and middles are found, each from the other; chosen by eye
 _DISC_MM = 75.0
 """Skin this near to a breast's middle, laid flat, is not the trunk's: half the height of real women's bases is 84 mm,
@@ -161,15 +166,9 @@ def _lie_level(surface: RepairedSurface, skin: Skin, frame: Float64[Array, "3 3"
 
     Where a gown covers the trunk's sides its skin does not show which way it lies, but two breasts do.
     """
+    trunk = find_trunk(skin, frame)
     samples = dense_samples(surface.mesh.submesh(seen_faces(surface)))
-    pairs = []
-    for turned in (frame, _ROLLED @ frame):
-        try:
-            trunk = find_trunk(skin, turned)
-            pairs.append(pair_roundness_per_mm(breast_middles(lay_flat(fit_thorax(trunk, skin), samples), trunk)))
-        except MeasureError:
-            pairs.append(0.0)
-    return pairs[0] > max(_PAIR_PER_MM, _CLEARER * pairs[1])
+    return level_pair(lay_flat(fit_thorax(trunk, skin), samples)) is not None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -196,6 +195,14 @@ def _trunk_beside(
         trunk = find_trunk(skin, frame, height_of=height_of, middle_of=middle_of)
         thorax = fit_thorax(trunk, skin.chosen(outside), breasts_left_out=not outside.all(), breastbone_mm=between_mm)
         relief = lay_flat(thorax, samples)
+        pair = level_pair(relief) if body.plane is None else None
+        if pair is not None:  # then both breasts show the body's left, and its middle
+            frame, middle_of = _between(pair, relief, thorax)
+            trunk = find_trunk(skin, frame, height_of=height_of, middle_of=middle_of)
+            thorax = fit_thorax(
+                trunk, skin.chosen(outside), breasts_left_out=not outside.all(), breastbone_mm=between_mm
+            )
+            relief = lay_flat(thorax, samples)
         middles = breast_middles(relief, trunk)
         domes = sorted((dome for dome in middles.values() if dome is not None), key=lambda dome: -dome.roundness_per_mm)
         if not domes:
@@ -212,6 +219,17 @@ def _trunk_beside(
         # At the height of the rounder breast, which does not depend on what the other side has.
         height_of = trunk.world(np.array([[0.0, domes[0].flat[1], 0.0]]))[0]
     return thorax, relief, middles
+
+
+def _between(
+    pair: tuple[Float64[Array, 2], Float64[Array, 2]], relief: Relief, thorax: Thorax
+) -> tuple[Float64[Array, "3 3"], Float64[Array, 3]]:
+    """Frame with two domes level, rows left, head, ahead, and the point between them."""
+    flat = np.stack(pair)
+    radius = thorax.radius_mm(flat) + relief.at(flat, relief.bulge_mm)
+    left, right = thorax.trunk.world(np.concatenate([flat, radius[:, None]], axis=1))
+    up = thorax.trunk.frame[1]
+    return orthonormal(up, np.cross(left - right, up)), (left + right) / 2
 
 
 def _between_mm(middles: dict[SideName, Middle | None]) -> float:

@@ -6,7 +6,6 @@ and the collar bone are round in one direction alone, and belly and shoulders en
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
@@ -37,6 +36,10 @@ some 20 and 12 %."""
 _WIDEST_RAD = np.deg2rad(80.0)  # a breast's middle lies no further around the trunk than this; chosen by eye
 _TALLEST_MM = 110.0  # nor further above or below the breasts' height; chosen by eye
 _LIKE_MM = 60.0  # a pair whose places differ by this from mirrored ones counts 1/e; chosen by eye
+_CLEAR_PER_MM, _CLEAR_SHARE = 0.006, 0.4
+"""Least roundness of both of two breasts that show where the body's left is, and of the flatter over the rounder: women
+have .015 to .03, and .7 to 1, what else is round on a chest up to .003."""
+_BESIDE_MM = 60.0  # least distance between such domes across the body; chosen by eye
 _MIDLINE_MM = 4.0  # a peak nearer to the midline is on neither side; chosen by eye
 
 
@@ -58,18 +61,16 @@ def breast_middles(relief: Relief, trunk: Trunk) -> dict[SideName, Middle | None
     Where both sides have domes, the pair is taken that is roundest and lies most alike on both sides.
     """
     dome = roundness_per_mm(relief)
-    gathered = gaussian_filter(dome, _GATHERED_MM / PIXEL_MM)
-    size = 2 * int(_PEAK_RADIUS_MM / PIXEL_MM) + 1
-    row, column = np.nonzero((gathered == maximum_filter(gathered, size=size)) & (gathered > _LEAST_PER_MM))
-    peaks = relief.low + np.stack([column, row], axis=1) * PIXEL_MM
-    usable = (np.abs(peaks[:, 0]) < _WIDEST_RAD * trunk.half_width_mm) & (np.abs(peaks[:, 1]) < _TALLEST_MM)
-    peaks, worth = peaks[usable], gathered[row, column][usable]
+    peaks, worth = _peaks(relief, dome)
+    usable = np.abs(peaks[:, 0]) < _WIDEST_RAD * trunk.half_width_mm
+    peaks, worth = peaks[usable], worth[usable]
     sides = [np.flatnonzero(peaks[:, 0] * sign > _MIDLINE_MM) for sign in (1, -1)]
     chosen: list[int | None] = [int(side[np.argmax(worth[side])]) if len(side) else None for side in sides]
     if all(len(side) for side in sides):
         left, right = sides[0][:, None], sides[1][None]
-        alike = _alike(peaks[left], worth[left], peaks[right], worth[right])
-        pair = np.unravel_index(np.argmax(alike), alike.shape)
+        apart = np.hypot(peaks[left, 1] - peaks[right, 1], peaks[left, 0] + peaks[right, 0])
+        alike = worth[left] * worth[right] * np.exp(-((apart / _LIKE_MM) ** 2))
+        pair = np.unravel_index(np.argmax(alike), apart.shape)
         chosen = [int(sides[0][pair[0]]), int(sides[1][pair[1]])]
     return {
         name: None if peak is None else _middle(relief, dome, peaks[peak], float(worth[peak]))
@@ -77,23 +78,30 @@ def breast_middles(relief: Relief, trunk: Trunk) -> dict[SideName, Middle | None
     }
 
 
-def pair_roundness_per_mm(middles: Mapping[SideName, Middle | None]) -> float:
-    """How much two domes are a pair of breasts: as round as this, and alike on both sides, 1/mm. 0 without a pair."""
-    left, right = middles["left"], middles["right"]
-    if left is None or right is None:
-        return 0.0
-    return float(np.sqrt(_alike(left.flat, left.roundness_per_mm, right.flat, right.roundness_per_mm)))
+def level_pair(relief: Relief) -> tuple[Float64[Array, 2], Float64[Array, 2]] | None:
+    """Left and right of the two roundest domes, laid flat, mm, wherever the midline is.
+
+    None unless both are clearly breasts, and lie beside each other rather than one above the other.
+    """
+    peaks, worth = _peaks(relief, roundness_per_mm(relief))
+    first, second = (int(place) for place in np.argsort(worth)[:-3:-1]) if len(worth) > 1 else (0, 0)
+    if first == second or worth[second] < max(_CLEAR_PER_MM, _CLEAR_SHARE * worth[first]):
+        return None
+    across, up = np.abs(peaks[first] - peaks[second])
+    if across < max(up, _BESIDE_MM):
+        return None
+    left, right = sorted((peaks[first], peaks[second]), key=lambda peak: -float(peak[0]))
+    return left, right
 
 
-def _alike(
-    left: Float64[Array, "*n 2"],
-    worth: Float64[Array, "*n"] | float,
-    right: Float64[Array, "*m 2"],
-    other_worth: Float64[Array, "*m"] | float,
-) -> Float64[Array, "*k"]:
-    """Product of two domes' roundness, less where their places are no mirror images."""
-    apart = np.hypot(left[..., 1] - right[..., 1], left[..., 0] + right[..., 0])
-    return np.asarray(worth * other_worth * np.exp(-((apart / _LIKE_MM) ** 2)))
+def _peaks(relief: Relief, dome: Float64[Array, "h w"]) -> tuple[Float64[Array, "k 2"], Float64[Array, " k"]]:
+    """Places where a dome is roundest, laid flat, mm, and their gathered roundness, 1/mm."""
+    gathered = gaussian_filter(dome, _GATHERED_MM / PIXEL_MM)
+    size = 2 * int(_PEAK_RADIUS_MM / PIXEL_MM) + 1
+    row, column = np.nonzero((gathered == maximum_filter(gathered, size=size)) & (gathered > _LEAST_PER_MM))
+    peaks = relief.low + np.stack([column, row], axis=1) * PIXEL_MM
+    level = np.abs(peaks[:, 1]) < _TALLEST_MM
+    return peaks[level], gathered[row, column][level]
 
 
 def roundness_per_mm(relief: Relief) -> Float64[Array, "h w"]:
