@@ -13,7 +13,7 @@ from mammometry.base.errors import MeasureError
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
 from mammometry.measure.boundary.boundary import Boundary, outline_torso
-from mammometry.measure.boundary.breasts import _check_base
+from mammometry.measure.boundary.breasts import _check_base, _trunk_beside
 from mammometry.measure.boundary.prominence import Prominence, prominence_within
 from mammometry.measure.trunk.body import Body, Mounting, find_body, lies_across, rig_frame
 from mammometry.measure.trunk.skin_map import PIXEL_MM, Relief
@@ -24,8 +24,10 @@ from mammometry.measure.wall.open_breast import open_breasts
 from mammometry.surface.repair.repair import RepairedSurface
 
 TWIN = (-LEFT[0], *LEFT[1:])
+HIGH = (*LEFT[:3], 75.0)  # as round as women's breasts
 MIDDLE = Body(frame=np.eye(3), point_world=np.zeros(3), plane_sigma_mm=0.1, scatter_mm=0.3, how="known")
 ROLLED = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # cameras on their side
+ASIDE = Rotation.from_euler("y", 55, degrees=True).as_matrix()
 FLAT = 0.72  # depth over width of a body's trunk
 
 
@@ -117,6 +119,18 @@ def test_a_round_trunk_shows_no_plane_and_says_so() -> None:
     assert "no plane of symmetry" in body.how
 
 
+def test_two_breasts_show_left_where_the_trunk_shows_no_plane() -> None:
+    """Before cameras that stand 55° to one side of the patient, both breasts lie on one side of the middle."""
+    surface = torso_with(HIGH, (-HIGH[0], *HIGH[1:]))
+    unknown = replace(MIDDLE, frame=ASIDE, plane_sigma_mm=None)
+    thorax, _, middles = _trunk_beside(surface, seen_skin(surface), unknown)
+    np.testing.assert_allclose(thorax.trunk.frame[0], [1, 0, 0], atol=0.05)
+    for name, sign in (("left", 1), ("right", -1)):
+        middle = middles[name]
+        assert middle is not None
+        assert middle.flat == pytest.approx((sign * HIGH[0] * thorax.trunk.half_width_mm, 0), abs=8)
+
+
 @pytest.mark.requirement("R-SIDE-1")
 def test_a_trunk_across_the_cameras_is_refused() -> None:
     skin = seen_skin(one_sided())
@@ -138,10 +152,17 @@ def test_two_boundaries_show_which_way_a_low_front_lies() -> None:
         find_body(surface, ROLLED, boundaries=curves)
 
 
+@pytest.mark.slow
+def test_two_boundaries_show_left_where_the_trunk_shows_no_plane() -> None:
+    curves = [edge_of(each, "left").points_world for each in (LEFT, TWIN)]
+    body = find_body(torso_with(HIGH, (-HIGH[0], *HIGH[1:])), ASIDE, boundaries=curves)
+    assert body.plane is None
+    np.testing.assert_allclose(body.left, [1, 0, 0], atol=0.01)
+
+
 def test_two_breasts_show_which_way_a_trunk_lies_whose_sides_are_covered() -> None:
     """As by a gown. One breast alone does not."""
-    high = (*LEFT[:3], 75.0)
-    for breasts, reach_mm in (((high, (-high[0], *high[1:])), 80), ((high,), 50)):
+    for breasts, reach_mm in (((HIGH, (-HIGH[0], *HIGH[1:])), 80), ((HIGH,), 50)):
         mesh = torso_with(*breasts, flat=FLAT).mesh
         shown = (np.abs(mesh.vertices[:, 1]) < reach_mm) & (mesh.vertices[:, 2] > 80)
         front = mesh.submesh(mesh.faces_within(shown))
