@@ -37,8 +37,8 @@ _WIDEST_RAD = np.deg2rad(80.0)  # a breast's middle lies no further around the t
 _TALLEST_MM = 110.0  # nor further above or below the breasts' height; chosen by eye
 _LIKE_MM = 60.0  # a pair whose places differ by this from mirrored ones counts 1/e; chosen by eye
 _CLEAR_PER_MM, _CLEAR_SHARE = 0.006, 0.4
-"""Least roundness of both of two breasts that show where the body's left is, and of the flatter over the rounder: women
-have .015 to .03, and .7 to 1, what else is round on a chest up to .003."""
+"""Least roundness of both of two breasts that show where the body's left is, and of the flatter over the rounder.
+Bodies with two have .012 to .03, and .8 to 1; what else is round on a chest has up to .005 (docs/decisions/0026)."""
 _BESIDE_MM = 60.0  # least distance between such domes across the body; chosen by eye
 _MIDLINE_MM = 4.0  # a peak nearer to the midline is on neither side; chosen by eye
 
