@@ -22,6 +22,7 @@ def rig_session(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Rig, di
     folder = tmp_path_factory.mktemp("rig") / "session"
     folder.mkdir()
     rig, placed = write_board_session(folder, POSES)
+    assert main.run(["calibrate", str(folder)]) == 0
     return folder, rig, placed
 
 

@@ -17,9 +17,9 @@ from mammometry.geometry.arrays import Array, Bool, Float64, Int64
 from mammometry.geometry.mesh import TriangleMesh, edge_table
 from mammometry.geometry.nearest import closest_on_mesh
 
-_ROUNDS = ((0, 1.16), (1, 1.04), (4, 1.006), (12, 1.0))
-"""Points on each edge, and ratio to the shortest length up to which a path stays in the next round's belt. Along edges
-alone a path is up to 2/√3 = 1.155 times too long."""
+_ROUNDS = ((0, 1.16), (1, 1.04), (4, 1.006), (12, None))
+"""Points on each edge, and ratio to the shortest length up to which a path stays in the next round's belt (none follows
+the last). Along edges alone a path is up to 2/√3 = 1.155 times too long."""
 _BELT = 0.4  # edge lengths by which the belt is wider: on a coarse mesh more than one row of faces; chosen by eye
 _PAIRS = 2_000_000  # of points that see one another, at most in a round; a fine mesh needs fewer points on each edge
 _ROOMS = ((1.12, 10.0), (1.6, 40.0), (np.inf, 0.0))
@@ -100,13 +100,16 @@ def _path(local: TriangleMesh, ends: Float64[Array, "2 3"]) -> SurfacePath | Non
             pairs = np.concatenate([pairs, np.stack([np.full(len(own), first + k), own], axis=1)])
         length = np.linalg.norm(places[pairs[:, 0]] - places[pairs[:, 1]], axis=1) + 1e-12
         graph = coo_matrix((length, tuple(pairs.T)), shape=(n, n)).tocsr()
-        distance, before = dijkstra(graph, directed=False, indices=[first, first + 1], return_predecessors=True)
+        sources = [first] if slack is None else [first, first + 1]
+        distance, before = dijkstra(graph, directed=False, indices=sources, return_predecessors=True)
         if not np.isfinite(distance[0, first + 1]):
             return None
         way = [first + 1]
         while way[-1] != first:
             way.append(int(before[0, way[-1]]))
         points = places[way[::-1]]
+        if slack is None:
+            break
         best = distance[0, first + 1]
         keep = distance.sum(axis=0)[of_face].min(axis=1) <= best * slack + belt_mm
         keep[last] = True
