@@ -249,13 +249,13 @@ def _joined(hit: Bool[Array, "H W"], subject: Bool[Array, "H W"]) -> Bool[Array,
     around = ndimage.distance_transform_edt(~large) <= 2 * radius
     joined: Bool[Array, "H W"] = (closed & around & ~subject) | large
     # Between blocked places, with the subject on both sides, the same bar goes on.
-    labels, _ = ndimage.label(ndimage.binary_fill_holes(joined | subject) & ~(joined | subject))
-    radius = _WIDENING * _half_width(joined)
-    for number in np.unique(labels[ndimage.binary_dilation(joined)]):
-        part = labels == number
-        if number and _half_width(part) <= radius:
-            joined |= part
-    return joined
+    enclosed = ndimage.binary_fill_holes(joined | subject) & ~(joined | subject)
+    labels, count = ndimage.label(enclosed)
+    half_widths = ndimage.maximum(ndimage.distance_transform_edt(enclosed), labels, np.arange(count + 1))
+    bar = np.bincount(labels[ndimage.binary_dilation(joined)], minlength=count + 1) > 0
+    bar &= half_widths <= _WIDENING * _half_width(joined)
+    bar[0] = False
+    return np.asarray(joined | bar[labels])
 
 
 def _half_width(place: Bool[Array, "H W"]) -> float:
