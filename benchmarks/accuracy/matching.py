@@ -60,8 +60,8 @@ def _row(case: Case, settings: MatchSettings) -> dict[str, Any]:
     return {
         **asdict(judged),
         "range_bias_mm": ranges.bias_mm,
-        "silhouette_mean_px": float(np.mean([outline.mean_px for outline in outlines])),
-        "silhouette_p95_px": float(np.max([outline.p95_px for outline in outlines])),
+        "silhouette_mean_px": float(np.mean([outline.mean_px for outline in outlines])) if outlines else None,
+        "silhouette_p95_px": max((outline.p95_px for outline in outlines), default=None),
         "prepare_seconds": case.prepare_seconds,
         "match_cpu_seconds": seconds,
     }
@@ -86,9 +86,14 @@ COLUMNS = {
 def table(rows: list[dict[str, Any]]) -> str:
     """Markdown."""
     head = ["subject", "pair", *(title for title, _ in COLUMNS.values())]
-    lines = [head, ["---"] * len(head)]
+    lines, columns = [head, ["---"] * len(head)], COLUMNS.items()
     lines += [
-        [row["subject"], row["pair"], *(format(row[key], form) for key, (_, form) in COLUMNS.items())] for row in rows
+        [
+            row["subject"],
+            row["pair"],
+            *("–" if row[key] is None else format(row[key], form) for key, (_, form) in columns),
+        ]
+        for row in rows
     ]
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
