@@ -248,7 +248,14 @@ def _joined(hit: Bool[Array, "H W"], subject: Bool[Array, "H W"]) -> Bool[Array,
     closed = (ndimage.distance_transform_edt(near) > radius)[pad:-pad, pad:-pad]
     around = ndimage.distance_transform_edt(~large) <= 2 * radius
     joined: Bool[Array, "H W"] = (closed & around & ~subject) | large
-    return joined
+    # Between blocked places, with the subject on both sides, the same bar goes on.
+    enclosed = ndimage.binary_fill_holes(joined | subject) & ~(joined | subject)
+    labels, count = ndimage.label(enclosed)
+    half_widths = ndimage.maximum(ndimage.distance_transform_edt(enclosed), labels, np.arange(count + 1))
+    bar = np.bincount(labels[ndimage.binary_dilation(joined)], minlength=count + 1) > 0
+    bar &= half_widths <= _WIDENING * _half_width(joined)
+    bar[0] = False
+    return np.asarray(joined | bar[labels])
 
 
 def _half_width(place: Bool[Array, "H W"]) -> float:

@@ -13,7 +13,7 @@ from mammometry.base.errors import MeasureError
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
 from mammometry.measure.boundary.boundary import Boundary, outline_torso
-from mammometry.measure.boundary.breasts import _check_base
+from mammometry.measure.boundary.breasts import _check_base, _trunk_beside
 from mammometry.measure.boundary.prominence import Prominence, prominence_within
 from mammometry.measure.trunk.body import Body, Mounting, find_body, lies_across, rig_frame
 from mammometry.measure.trunk.skin_map import PIXEL_MM, Relief
@@ -24,7 +24,10 @@ from mammometry.measure.wall.open_breast import open_breasts
 from mammometry.surface.repair.repair import RepairedSurface
 
 TWIN = (-LEFT[0], *LEFT[1:])
+HIGH = (*LEFT[:3], 75.0)  # as round as women's breasts
 MIDDLE = Body(frame=np.eye(3), point_world=np.zeros(3), plane_sigma_mm=0.1, scatter_mm=0.3, how="known")
+ROLLED = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # cameras on their side
+ASIDE = Rotation.from_euler("y", 55, degrees=True).as_matrix()
 FLAT = 0.72  # depth over width of a body's trunk
 
 
@@ -116,14 +119,25 @@ def test_a_round_trunk_shows_no_plane_and_says_so() -> None:
     assert "no plane of symmetry" in body.how
 
 
+def test_two_breasts_show_left_where_the_trunk_shows_no_plane() -> None:
+    """Before cameras that stand 55° to one side of the patient, both breasts lie on one side of the middle."""
+    surface = torso_with(HIGH, (-HIGH[0], *HIGH[1:]))
+    unknown = replace(MIDDLE, frame=ASIDE, plane_sigma_mm=None)
+    thorax, _, middles = _trunk_beside(surface, seen_skin(surface), unknown)
+    np.testing.assert_allclose(thorax.trunk.frame[0], [1, 0, 0], atol=0.05)
+    for name, sign in (("left", 1), ("right", -1)):
+        middle = middles[name]
+        assert middle is not None
+        assert middle.flat == pytest.approx((sign * HIGH[0] * thorax.trunk.half_width_mm, 0), abs=8)
+
+
 @pytest.mark.requirement("R-SIDE-1")
 def test_a_trunk_across_the_cameras_is_refused() -> None:
-    rolled = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     skin = seen_skin(one_sided())
-    assert lies_across(skin, rolled)
+    assert lies_across(skin, ROLLED)
     assert not lies_across(skin, np.eye(3))
     with pytest.raises(MeasureError, match=r"lies across.*rig\.mounting"):
-        find_body(one_sided(), rolled)
+        find_body(one_sided(), ROLLED)
 
 
 def test_two_boundaries_show_which_way_a_low_front_lies() -> None:
@@ -135,7 +149,30 @@ def test_two_boundaries_show_which_way_a_low_front_lies() -> None:
         find_body(surface, np.eye(3))
     assert find_body(surface, np.eye(3), boundaries=curves).up[1] > 0.9
     with pytest.raises(MeasureError, match="lies across"):
-        find_body(surface, np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), boundaries=curves)
+        find_body(surface, ROLLED, boundaries=curves)
+
+
+@pytest.mark.slow
+def test_two_boundaries_show_left_where_the_trunk_shows_no_plane() -> None:
+    curves = [edge_of(each, "left").points_world for each in (LEFT, TWIN)]
+    body = find_body(torso_with(HIGH, (-HIGH[0], *HIGH[1:])), ASIDE, boundaries=curves)
+    assert body.plane is None
+    np.testing.assert_allclose(body.left, [1, 0, 0], atol=0.01)
+
+
+def test_two_breasts_show_which_way_a_trunk_lies_whose_sides_are_covered() -> None:
+    """As by a gown. One breast alone does not."""
+    for breasts, reach_mm in (((HIGH, (-HIGH[0], *HIGH[1:])), 80), ((HIGH,), 50)):
+        mesh = torso_with(*breasts, flat=FLAT).mesh
+        shown = (np.abs(mesh.vertices[:, 1]) < reach_mm) & (mesh.vertices[:, 2] > 80)
+        front = mesh.submesh(mesh.faces_within(shown))
+        surface = as_surface(front, np.ones(len(front.vertices), dtype=bool))
+        assert lies_across(seen_skin(surface), np.eye(3))
+        if len(breasts) == 2:
+            assert [each.name for each in outline_torso(surface, np.eye(3)).boundaries] == ["left", "right"]
+        else:
+            with pytest.raises(MeasureError, match="lies across"):
+                outline_torso(surface, np.eye(3))
 
 
 @pytest.mark.slow

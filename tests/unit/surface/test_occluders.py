@@ -7,7 +7,7 @@ import pytest
 from spheres import camera_towards, ellipsoid_range, range_image, rig_of, silhouette
 
 from mammometry.surface.fusion.fuse import extract
-from mammometry.surface.occlusion import find_occlusions, without_occluded
+from mammometry.surface.occlusion import _joined, find_occlusions, without_occluded
 from mammometry.surface.settings import ExtractSettings
 
 RADIUS_MM = 30.0
@@ -108,3 +108,17 @@ def test_a_band_that_no_camera_matches_takes_nothing():
     # 8 mm of a sphere of 30 mm, less what the band itself could bulge: a cap between two chords, 8² / (8 · 30) = .3 mm.
     opened = without_occluded(banded, blocked)
     assert extract(unmeasured, opened, rig, settings).volume_mm3() == pytest.approx(whole_mm3, rel=0.03)
+
+
+def test_between_two_blocked_places_a_bar_goes_on_but_a_window_is_none():
+    subject = np.zeros((60, 160), dtype=bool)
+    subject[5:55, 5:155] = True
+    subject[25:35, :] = False  # a bar across the subject, hit at both ends
+    subject[40:52, 60:100] = False  # background seen through the subject, beside nothing that is blocked
+    hit = np.zeros_like(subject)
+    hit[25:35, 5:40] = hit[25:35, 120:155] = True
+    joined = _joined(hit, subject)
+    assert joined[25:35, 5:155].all()
+    assert not joined[40:52, 60:100].any()
+    subject[10:25, 60:100] = False  # a window that the bar crosses
+    assert not _joined(hit, subject)[10:35, 72:88].any()

@@ -48,7 +48,7 @@ def _frame(cameras: CameraSet, job: Context, body: Body | None = None) -> Float6
     return rig_frame(cameras.rig, job.inputs.mounting) if body is None else body.frame
 
 
-@product("measure", version=13, settings="measure", inputs=("subject", "mounting"), when=_outlined)
+@product("measure", version=15, settings="measure", inputs=("subject", "mounting"), when=_outlined)
 def sides(corrected_cameras: CameraSet, repaired: RepairedSurface, *, job: Context) -> TorsoSides:
     """Breasts found on a torso, and sides without one."""
     from mammometry.measure.boundary.boundary import outline_torso
@@ -111,15 +111,22 @@ def boundaries(
     return tuple(sorted((*given, *wanted), key=lambda curve: curve.name))
 
 
-@product("measure", version=6, settings="measure.thorax", inputs=("mounting",), when=_torso)
+@product("measure", version=8, settings="measure.thorax", inputs=("mounting",), when=_torso)
 def body(
-    corrected_cameras: CameraSet, repaired: RepairedSurface, boundaries: tuple[Boundary, ...], *, job: Context
+    corrected_cameras: CameraSet,
+    repaired: RepairedSurface,
+    sides: TorsoSides | None,
+    boundaries: tuple[Boundary, ...],
+    *,
+    job: Context,
 ) -> Body:
     """A torso's own axes (left, up, ahead) and mid-sagittal plane, the breasts left out."""
     from mammometry.measure.trunk.body import find_body
 
     curves, frame = [curve.points_world for curve in boundaries], _frame(corrected_cameras, job)
-    return find_body(repaired, frame, boundaries=curves, stated=job.inputs.head_stated)
+    # One curve does not show which way the trunk lies; where the sides were looked for, that is known.
+    stated = job.inputs.head_stated or (sides is not None and len(curves) < 2)
+    return find_body(repaired, frame, boundaries=curves, stated=stated)
 
 
 @product("measure", when=_has_volume, large=True)

@@ -20,12 +20,22 @@ from mammometry.measure.boundary.prominence import (
     SideName,
     Verdict,
     breast_middles,
+    level_pair,
     prominence_within,
 )
-from mammometry.measure.trunk.body import Body, find_body
+from mammometry.measure.trunk.body import Body, find_body, lies_across
 from mammometry.measure.trunk.head import check_head, head_signs
 from mammometry.measure.trunk.skin_map import PIXEL_MM, Relief, dense_samples, lay_flat
-from mammometry.measure.trunk.thorax import Skin, Thorax, Trunk, find_trunk, fit_thorax, seen_faces, seen_skin
+from mammometry.measure.trunk.thorax import (
+    Skin,
+    Thorax,
+    Trunk,
+    find_trunk,
+    fit_thorax,
+    orthonormal,
+    seen_faces,
+    seen_skin,
+)
 from mammometry.surface.repair.repair import RepairedSurface
 
 _OTHER: dict[SideName, SideName] = {"left": "right", "right": "left"}
@@ -118,7 +128,8 @@ def find_breasts(surface: RepairedSurface, frame: Float64[Array, "3 3"], *, head
             seen, or its head is where the cameras have the feet.
     """
     skin = seen_skin(surface)
-    body = find_body(surface, frame, skin=skin, stated=head_stated)
+    upright = head_stated or not lies_across(skin, frame) or _lie_level(surface, skin, frame)
+    body = find_body(surface, frame, skin=skin, stated=upright)
     thorax, relief, middles = _trunk_beside(surface, skin, body)
     sides = _sides(relief, thorax.trunk, middles)
     outlined = [side.crease for side in sides.values() if side.verdict == "breast"]
@@ -150,6 +161,16 @@ def roundest_side_per_mm(surface: RepairedSurface, frame: Float64[Array, "3 3"])
     return max(0.0 if middle is None else middle.roundness_per_mm for middle in middles.values())
 
 
+def _lie_level(surface: RepairedSurface, skin: Skin, frame: Float64[Array, "3 3"]) -> bool:
+    """Whether two breasts lie beside each other in the frame, and not one above the other.
+
+    Where a gown covers the trunk's sides its skin does not show which way it lies, but two breasts do.
+    """
+    trunk = find_trunk(skin, frame)
+    samples = dense_samples(surface.mesh.submesh(seen_faces(surface)))
+    return level_pair(lay_flat(fit_thorax(trunk, skin), samples)) is not None
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Side:
     """Findings of the search on one side."""
@@ -174,6 +195,14 @@ def _trunk_beside(
         trunk = find_trunk(skin, frame, height_of=height_of, middle_of=middle_of)
         thorax = fit_thorax(trunk, skin.chosen(outside), breasts_left_out=not outside.all(), breastbone_mm=between_mm)
         relief = lay_flat(thorax, samples)
+        pair = level_pair(relief) if body.plane is None else None
+        if pair is not None:  # then both breasts show the body's left, and its middle
+            frame, middle_of = _between(pair, relief, thorax)
+            trunk = find_trunk(skin, frame, height_of=height_of, middle_of=middle_of)
+            thorax = fit_thorax(
+                trunk, skin.chosen(outside), breasts_left_out=not outside.all(), breastbone_mm=between_mm
+            )
+            relief = lay_flat(thorax, samples)
         middles = breast_middles(relief, trunk)
         domes = sorted((dome for dome in middles.values() if dome is not None), key=lambda dome: -dome.roundness_per_mm)
         if not domes:
@@ -190,6 +219,17 @@ def _trunk_beside(
         # At the height of the rounder breast, which does not depend on what the other side has.
         height_of = trunk.world(np.array([[0.0, domes[0].flat[1], 0.0]]))[0]
     return thorax, relief, middles
+
+
+def _between(
+    pair: tuple[Float64[Array, 2], Float64[Array, 2]], relief: Relief, thorax: Thorax
+) -> tuple[Float64[Array, "3 3"], Float64[Array, 3]]:
+    """Frame with two domes level, rows left, head, ahead, and the point between them."""
+    flat = np.stack(pair)
+    radius = thorax.radius_mm(flat) + relief.at(flat, relief.bulge_mm)
+    left, right = thorax.trunk.world(np.concatenate([flat, radius[:, None]], axis=1))
+    up = thorax.trunk.frame[1]
+    return orthonormal(up, np.cross(left - right, up)), (left + right) / 2
 
 
 def _between_mm(middles: dict[SideName, Middle | None]) -> float:

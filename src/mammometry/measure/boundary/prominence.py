@@ -41,6 +41,10 @@ _USUAL_BASE_MM = 130.0  # root of the usual base's area: real women have 170 ± 
 _WIDEST_RAD = np.deg2rad(80.0)  # a breast's middle lies no further around the trunk than this; chosen by eye
 _TALLEST_MM = 110.0  # nor further above or below the breasts' height; chosen by eye
 _LIKE_MM = 60.0  # a pair whose places differ by this from mirrored ones counts 1/e; chosen by eye
+_CLEAR_PER_MM, _CLEAR_SHARE = 0.006, 0.4
+"""Least roundness of both of two breasts that show where the body's left is, and of the flatter over the rounder.
+Bodies with two have .012 to .03, and .8 to 1; what else is round on a chest has up to .005 (docs/decisions/0026)."""
+_BESIDE_MM = 60.0  # least distance between such domes across the body; chosen by eye
 _MIDLINE_MM = 4.0  # a peak nearer to the midline is on neither side; chosen by eye
 
 
@@ -62,12 +66,9 @@ def breast_middles(relief: Relief, trunk: Trunk) -> dict[SideName, Middle | None
     Where both sides have domes, the pair is taken that is roundest and lies most alike on both sides.
     """
     dome = roundness_per_mm(relief)
-    gathered = gaussian_filter(dome, _GATHERED_MM / PIXEL_MM)
-    size = 2 * int(_PEAK_RADIUS_MM / PIXEL_MM) + 1
-    row, column = np.nonzero((gathered == maximum_filter(gathered, size=size)) & (gathered > _LEAST_PER_MM))
-    peaks = relief.low + np.stack([column, row], axis=1) * PIXEL_MM
-    usable = (np.abs(peaks[:, 0]) < _WIDEST_RAD * trunk.half_width_mm) & (np.abs(peaks[:, 1]) < _TALLEST_MM)
-    peaks, worth = peaks[usable], gathered[row, column][usable]
+    peaks, worth = _peaks(relief, dome)
+    usable = np.abs(peaks[:, 0]) < _WIDEST_RAD * trunk.half_width_mm
+    peaks, worth = peaks[usable], worth[usable]
     sides = [np.flatnonzero(peaks[:, 0] * sign > _MIDLINE_MM) for sign in (1, -1)]
     chosen: list[int | None] = [int(side[np.argmax(worth[side])]) if len(side) else None for side in sides]
     if all(len(side) for side in sides):
@@ -80,6 +81,32 @@ def breast_middles(relief: Relief, trunk: Trunk) -> dict[SideName, Middle | None
         name: None if peak is None else _middle(relief, dome, peaks[peak], float(worth[peak]))
         for name, peak in zip(SIDES, chosen, strict=True)
     }
+
+
+def level_pair(relief: Relief) -> tuple[Float64[Array, 2], Float64[Array, 2]] | None:
+    """Left and right of the two roundest domes, laid flat, mm, wherever the midline is.
+
+    None unless both are clearly breasts, and lie beside each other rather than one above the other.
+    """
+    peaks, worth = _peaks(relief, roundness_per_mm(relief))
+    first, second = (int(place) for place in np.argsort(worth)[:-3:-1]) if len(worth) > 1 else (0, 0)
+    if first == second or worth[second] < max(_CLEAR_PER_MM, _CLEAR_SHARE * worth[first]):
+        return None
+    across, up = np.abs(peaks[first] - peaks[second])
+    if across < max(up, _BESIDE_MM):
+        return None
+    left, right = sorted((peaks[first], peaks[second]), key=lambda peak: -float(peak[0]))
+    return left, right
+
+
+def _peaks(relief: Relief, dome: Float64[Array, "h w"]) -> tuple[Float64[Array, "k 2"], Float64[Array, " k"]]:
+    """Places where a dome is roundest, laid flat, mm, and their gathered roundness, 1/mm."""
+    gathered = gaussian_filter(dome, _GATHERED_MM / PIXEL_MM)
+    size = 2 * int(_PEAK_RADIUS_MM / PIXEL_MM) + 1
+    row, column = np.nonzero((gathered == maximum_filter(gathered, size=size)) & (gathered > _LEAST_PER_MM))
+    peaks = relief.low + np.stack([column, row], axis=1) * PIXEL_MM
+    level = np.abs(peaks[:, 1]) < _TALLEST_MM
+    return peaks[level], gathered[row, column][level]
 
 
 def roundness_per_mm(relief: Relief) -> Float64[Array, "h w"]:

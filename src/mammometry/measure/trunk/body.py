@@ -126,7 +126,7 @@ def find_body(
         stated: whether the user said where the head is: then no sign contradicts it.
 
     Returns:
-        The frame. Where the trunk shows no axis or no plane, that of the cameras, and `how` says so.
+        The frame. Where the trunk shows no axis or no plane, that of two breasts or of the cameras, and `how` says so.
 
     Raises:
         MeasureError: the trunk lies across the rough frame's up.
@@ -147,12 +147,15 @@ def find_body(
         frame, point = trunk.frame, trunk.origin
         plane = _plane(skin, trunk, boundaries, middle)
     except MeasureError as error:
+        left_as = "roughly as given"
+        if len(boundaries) == 2:
+            frame, left_as = _level_with(boundaries, frame), "as the breasts lie"
         return Body(
             frame=frame,
             point_world=point,
             plane_sigma_mm=None,
             scatter_mm=None,
-            how=f"Left and ahead are roughly as given, because the trunk shows no plane of symmetry ({error.found})",
+            how=f"Left and ahead are {left_as}, because the trunk shows no plane of symmetry ({error.found})",
         )
     return Body(
         frame=_frame(plane.normal_world, trunk.frame[1], trunk.frame[2]),
@@ -248,6 +251,12 @@ def _one_above_the_other(curves: Sequence[Float64[Array, "_ 3"]], frame: Float64
     """Whether both breasts lie along the frame's up, as they do where the trunk lies across it."""
     aside, up, _ = frame @ (curves[0].mean(axis=0) - curves[1].mean(axis=0))
     return bool(abs(up) > abs(aside))
+
+
+def _level_with(curves: Sequence[Float64[Array, "_ 3"]], frame: Float64[Array, "3 3"]) -> Float64[Array, "3 3"]:
+    """The frame turned about its up so that two curves lie level with its left."""
+    across = curves[0].mean(axis=0) - curves[1].mean(axis=0)
+    return orthonormal(frame[1], np.cross(across if across @ frame[0] > 0 else -across, frame[1]))
 
 
 def _plane(
