@@ -75,7 +75,7 @@ def changed(row: int, column: int, value: object) -> list[list[Any]]:
         ({"image_size": [600_000, 750]}, "at most 65535"),
         ({"image_size": "ab"}, "'ab' where a number is expected"),
         ({"dist": [0.1, 0, 0, 0, float("nan")]}, "nan"),
-        ({"dist": [-3.0, 0, 0, 0, 0]}, "folds back at 66% of the way to the image's corner"),
+        ({"dist": [-5.0, 0, 0, 0, 0]}, "folds back at 93% of the way to the image's nearer edge"),
         ({"R": (-np.eye(3)).tolist()}, "not a proper rotation"),
         ({"R": np.diag([1.0, 1.0, -1.0]).tolist()}, "determinant -1"),
         ({"R": np.zeros((3, 3)).tolist()}, "not a proper rotation"),

@@ -56,3 +56,21 @@ def test_a_field_that_is_large_only_in_a_corner_is_not_applied() -> None:
     even = field.changed(np.array([0.15, 0, 0, 0, 0, 0]), terms)
     assert even.matters(0)
     assert not even.matters(1), "0.15 px are less than 0.1 of a coarser level's pixels"
+
+
+def test_a_strip_of_skin_that_is_not_steep_does_not_tell_the_rest() -> None:
+    """As on a plate seen at 50°: a quadratic through one edge was −494 px at the other."""
+    rng = np.random.default_rng(5)
+    columns = np.broadcast_to(np.arange(WIDTH, dtype=np.float64), (HEIGHT, WIDTH))
+    rows = np.broadcast_to(np.arange(HEIGHT, dtype=np.float64)[:, None], (HEIGHT, WIDTH))
+    shift = 0.3 * np.minimum(columns - 138, 0)
+    left = ndimage.map_coordinates(texture(), [rows, columns + shift], order=5, mode="nearest")
+    noisy = (left + 0.01 * rng.standard_normal(left.shape)).astype(np.float32)
+    right = (texture() + 0.01 * rng.standard_normal(left.shape)).astype(np.float32)
+    coefficients = ndimage.spline_filter1d(right, order=3, axis=1, mode="mirror", output=np.float32)
+    off = shift + 0.1 * np.sin(rows / 9 + columns / 3)  # what smoothing leaves
+    trusted = (columns > 10) & (columns < 150) & (rows > 6) & (rows < HEIGHT - 6)
+    field = VerticalField(size_wh=(WIDTH, HEIGHT))
+    for _ in range(2):
+        field = refine(field, noisy, coefficients, off.astype(np.float32), trusted, level=0)
+    assert np.abs(field.coefficients_px).max() < 0.3

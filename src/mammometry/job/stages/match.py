@@ -117,7 +117,7 @@ def rectified(
     )
 
 
-@product_of_each("pair", "match", version=16, settings="matching", large=True, threads=2)
+@product_of_each("pair", "match", version=17, settings="matching", large=True, threads=2)
 def disparity(rectified: RectifiedPair, *, job: Context) -> DisparityMap:
     """Place of each left pixel on the right."""
     from mammometry.matching.dense.match import match

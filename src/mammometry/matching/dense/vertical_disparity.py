@@ -38,6 +38,9 @@ _ENOUGH_PIXELS = 20_000  # 1,500 for each of thirteen unknowns; chosen by eye, b
 _BAND_ROWS = 128  # bounds memory
 _CALM_PX = 1.0  # Gaussian σ over which pictures and slopes are averaged first; chosen by eye
 _LARGEST_SLOPE_RESIDUAL = 3.0  # times the median residual: beyond, a pixel tells nothing; chosen by eye
+_USUAL_PX = 0.5  # of each coefficient, in a level's pixels: what is left after the levels before
+_SHARED_PX2 = 25  # area that shares one error, since neighbours share a matching window
+_MAD = 1.4826  # standard deviation of a normal distribution over its median absolute deviation
 _SMALL_STEP_PX = 0.3  # a match that still moves by more says nothing about the rows; chosen by eye
 
 
@@ -163,7 +166,8 @@ def refine(
 
     After the right image was aligned with `before`. Linear least squares of left ≈ gain·right + vertical slope·δ(x, y)
     + horizontal slope·ε(x, y) over trusted pixels on a grid, δ and ε quadratic: ε keeps errors of the horizontal shift
-    out of the vertical one.
+    out of the vertical one. Coefficients are 0 ± half a pixel beforehand: where a strip of skin alone is not steep,
+    it would tell any quadratic beside it.
     """
     height, width = shift.shape
     every = max(1, int(np.sqrt(np.count_nonzero(trusted) / _ENOUGH_PIXELS)))
@@ -189,12 +193,17 @@ def refine(
     design = np.stack([value, *(vertical * term for term in terms), *(slope * term for term in terms)], axis=1)
     solution = np.linalg.lstsq(design, target, rcond=1e-6)[0]
     residual = np.abs(target - design @ solution)
-    keep = residual < _LARGEST_SLOPE_RESIDUAL * np.median(residual)
-    solution = np.linalg.lstsq(design[keep], target[keep], rcond=1e-6)[0]
+    typical = np.median(residual)
+    keep = residual < _LARGEST_SLOPE_RESIDUAL * typical
+    alike = max(1.0, _SHARED_PX2 / every**2)  # pixels of the grid
+    usual = np.sqrt(alike) * _MAD * typical / _USUAL_PX * np.eye(13)[1:]
+    solution = np.linalg.lstsq(
+        np.concatenate([design[keep], usual]), np.append(target[keep], np.zeros(12)), rcond=None
+    )[0]
     if solution[0] <= 0:
         return before
     aligned_by = before.coefficients_px if before.matters(level) else np.zeros(6)
-    return before.changed(aligned_by - 2**level * solution[1:7] / solution[0], terms)
+    return before.changed(aligned_by - 2**level * solution[1:7] / solution[0], [term[keep] for term in terms])
 
 
 _LARGEST_STEP_PX = 1.0  # as of the horizontal step
