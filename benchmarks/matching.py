@@ -177,10 +177,10 @@ def _piece(pair: RectifiedPair) -> RectifiedPair:
     rows, columns = np.nonzero(pair.left_mask & pair.right_mask)
     top, left = (max(0, int(np.median(c)) - _WARMING_PX // 2) for c in (rows, columns))
     part = (slice(top, top + _WARMING_PX), slice(left, left + _WARMING_PX))
-    whole = np.ones(pair.left_image[part].shape, dtype=bool)
+    height, width = pair.left_image[part].shape
+    whole = np.ones((height, width), dtype=bool)
     cameras = [
-        replace(camera, size_wh=(whole.shape[1], whole.shape[0]), matrix=camera.matrix.copy())
-        for camera in (pair.left, pair.right)
+        replace(camera, size_wh=(width, height), matrix=camera.matrix.copy()) for camera in (pair.left, pair.right)
     ]
     image = np.ascontiguousarray(pair.left_image[part])  # with itself: a match is certain
     return RectifiedPair(

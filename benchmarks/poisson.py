@@ -41,7 +41,7 @@ def screened_poisson(
     indicator = solved(alpha_per_mm * sheet, -divergence, spacing_mm)
     for axis in range(3):  # what the data leave open is closed at the box
         np.moveaxis(indicator, axis, 0)[[0, -1]] = 0.5
-    vertices, faces = marching_cubes(indicator, 0.0, gradient_direction="descent")[:2]
+    vertices, faces = marching_cubes(indicator, 0.0, gradient_direction="descent")[:2]  # type: ignore[no-untyped-call]
     mesh = TriangleMesh(vertices=low + vertices.astype(np.float64) * spacing_mm, faces=faces.astype(np.int32))
     return largest_part(mesh)
 

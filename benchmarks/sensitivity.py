@@ -92,7 +92,7 @@ def _turned(value: Any, factor: float) -> Any:
     if isinstance(value, tuple):
         return tuple(_turned(part, factor) for part in value)
     if isinstance(value, np.generic):
-        return type(value)(value * factor)
+        return type(value)(value.item() * factor)
     if isinstance(value, int):
         step = max(1, round(abs(value) * abs(factor - 1)))
         return value + step if factor > 1 else value - step

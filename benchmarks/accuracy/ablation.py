@@ -35,6 +35,7 @@ from mammometry.matching.settings import MatchSettings
 from mammometry.report.figures.canvas import Sheet
 from mammometry.report.figures.shading import Scene, front_frame, picture_wh, standard_views
 from mammometry.report.figures.surface import show
+from mammometry.simulate.disturbances.exposure import plain_exposure
 from mammometry.simulate.rigs.build import flashes
 from mammometry.simulate.rigs.rig_file import make_rig
 from mammometry.simulate.studio import Arrangement, Studio, photograph
@@ -64,8 +65,15 @@ def capture(name: str, folder: Path, scale: float, seed: int) -> tuple[Rig, Tria
     rig, place = make_rig("reference", scale, seed), rig_from_solid(solid, seed)
     if not (folder / "capture").is_dir():
         folder.mkdir(parents=True, exist_ok=True)
-        stands = Arrangement(rig=rig, lights=flashes(), rig_from_target={}, solid=solid, rig_from_solid=place)
-        photograph(folder, stands, Studio(), seed=seed)
+        studio = Studio()
+        stands = Arrangement(
+            exposure=plain_exposure(rig, flashes(), studio.film),
+            lights=flashes(),
+            rig_from_target={},
+            solid=solid,
+            rig_from_solid=place,
+        )
+        photograph(folder, stands, studio, seed=seed)
     return rig, solid.mesh.transformed(place)
 
 

@@ -111,7 +111,7 @@ def colour_gains(case: Case) -> tuple[float, float]:
             Photograph(name=photograph.name, pixels=np.ascontiguousarray(photograph.pixels[..., channel]))
             for photograph in case.photographs
         )
-        pair = rectify(case.true_cameras, left, right, *case.foregrounds, _SETTINGS.rectify)
+        pair = rectify(case.true_cameras, left, right, *case.foregrounds)
         here, there = (
             prepare_side(Level(image=image, mask=np.ones(image.shape, dtype=bool)), _SIGMA_PX)
             for image in (pair.left_image, pair.right_image)

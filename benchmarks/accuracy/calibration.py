@@ -171,12 +171,12 @@ def opencv(capture: Capture) -> dict[str, Any]:
     detected, detected_cpu = time.perf_counter(), time.process_time()
     table = capture.target.points_target.astype(np.float32)
     lenses: dict[str, tuple[Array, Array]] = {}
-    for name, camera in capture.true.cameras.items():
+    for name, true in capture.true.cameras.items():
         views = [view for view in seen.values() if view.camera == name]
         _, matrix, lens, *_ = cv2.calibrateCamera(
             [table[view.ids].reshape(-1, 1, 3) for view in views],
             [view.uv.astype(np.float32).reshape(-1, 1, 2) for view in views],
-            camera.size_wh,
+            true.size_wh,
             None,
             None,
             flags=cv2.CALIB_FIX_K3,

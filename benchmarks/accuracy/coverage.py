@@ -43,7 +43,7 @@ from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.open_breast import OpenBreast, open_breasts
 from mammometry.simulate.rigs.build import FULL_SIZE_WH
 from mammometry.simulate.subjects.registry import make_subject
-from mammometry.simulate.subjects.solid import waves
+from mammometry.simulate.subjects.solid import Solid, waves
 
 _SINK_MM = 3.0
 _AS_DEFINED, _TO_MUSCLE, _SIDES = ", as defined", ", to the muscle", "left less right"
@@ -137,11 +137,17 @@ def _torso(true: TrueTorso, seed: int, settings: MeasureSettings) -> Iterator[He
         found = volumes.measure(boundary, wall, settings, evidence=evidence)
         yield Held(true.solid.name, boundary.name, found.volume_cc - truth_cc[boundary.name], half_width_cc(found))
         yield as_defined(found, true, settings)
-        if "muscle_volumes_cc" in true.solid.facts:
-            of_muscle = to_muscle(found, true.solid.facts["muscle_volumes_cc"][boundary.name])
+        if muscle_cc := _muscle_cc(true.solid):
+            of_muscle = to_muscle(found, muscle_cc[boundary.name])
             yield replace(of_muscle, subject=true.solid.name)
         both.append(found)
     yield replace(_of_both_sides(both, truth_cc), subject=true.solid.name)
+
+
+def _muscle_cc(solid: Solid) -> Mapping[str, float]:
+    volumes_cc = solid.facts.get("muscle_volumes_cc", {})
+    assert isinstance(volumes_cc, Mapping)
+    return volumes_cc
 
 
 def _cast(name: str, seed: int, settings: MeasureSettings) -> Held:
@@ -230,7 +236,7 @@ def one_capture(progress: StageProgress, number: int, out: str, scale: float) ->
     if found and "model" not in truth_cc:
         true = true_torso(wanted.subject, wanted.seed)
         held += [replace(as_defined(one, true), subject=wanted.name) for one in found]
-        muscle_cc = true.solid.facts.get("muscle_volumes_cc", {})
+        muscle_cc = _muscle_cc(true.solid)
         held += [replace(to_muscle(one, muscle_cc[one.name]), subject=wanted.name) for one in found if muscle_cc]
     if len(found) == 2:
         held.append(replace(_of_both_sides(found, truth_cc), subject=wanted.name))

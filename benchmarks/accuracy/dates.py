@@ -177,14 +177,15 @@ def rows(count: int, first: int = 1, settings: MeasureSettings = MeasureSettings
 
 def _wall_mm(before: TrueVisit, after: TrueVisit, side: str, true_cc: float, settings: MeasureSettings) -> float:
     """What the walls of both dates do not share, on true skin within true boundaries."""
-    volumes, areas = [], []
+    volumes: list[float] = []
+    areas: list[float] = []
     for visit in (before, after):
         torso_ = visit.torso
         breasts = open_breasts(torso_.boundaries, torso_.surface, settings)
         wall = fit(next(each for each in breasts if each.boundary.name == side))
         volumes.append(wall.closed.volume_mm3() / 1000)
         areas.append(wall.mesh.area_mm2() / 100)
-    return float(10 * abs(volumes[1] - volumes[0] - true_cc) / (np.hypot(*areas) / np.sqrt(2)))
+    return float(10 * abs(volumes[1] - volumes[0] - true_cc) / (np.hypot(areas[0], areas[1]) / np.sqrt(2)))
 
 
 def trunk_fits(count: int) -> Iterator[tuple[str, TrunkFit | None]]:

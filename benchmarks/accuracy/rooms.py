@@ -120,7 +120,8 @@ def judged(one: Case, out: Path, settings: Settings) -> tuple[bool, str]:
             return False, f"{head}refused: {' '.join(str(error).split())[:200]} |"
     truth = read_truth(session / "truth", job.inputs.pair_names)
     finished = job.surface()
-    worlds = [pose for pose, at in job.calibration().world_from_target.items()] if not one.given else []
+    calibration = None if one.given else job.calibration()
+    worlds = [] if calibration is None else list(calibration.world_from_target)
     truth_from_world = truth.rig_from_target[worlds[0]] if worlds else Transform.identity()
     mesh = finished.repaired.mesh.transformed(truth_from_world)
     points, by_pair = seen_by_pairs(RayScene(truth.mesh), truth.rig)

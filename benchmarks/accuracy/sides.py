@@ -89,6 +89,7 @@ def cases(number: int, seed: int) -> Iterator[Case]:
         volumes = {side: solid.closed_breast(side).volume_mm3() / 1000 for side in edges}
         if kind == "removed":
             inside = np.unique(faces[solid.breasts["right"].skin_faces])
+            assert solid.wall_vertices is not None  # every torso has one
             vertices[inside] = solid.wall_vertices[inside]
             volumes["right"] = 0.0
             del edges["right"]

@@ -120,14 +120,15 @@ def measured(job: Job, rig: Rig, settings: Settings, judge: Judge) -> Iterator[d
     }
     memo = _MatchedOnce()
     for correct in (True, False):
-        stillness = replace(settings.surface.stillness, correct=correct)
-        chosen = replace(settings, surface=replace(settings.surface, stillness=stillness))
-        plan = Plan(job.inputs, chosen, memo, given=given)
+        plan = Plan(job.inputs, settings, memo, given=given)
         for disparity in plan[match.disparity].values():
             disparity()  # what it refuses is an error here
         row: dict[str, Any] = {"put right": correct}
         try:
             found = plan[surface.stillness]()
+            if not correct:
+                left = at_hand(replace(found, corrected=False), stage="surface", name="stillness", version=0, inputs={})
+                plan = Plan(job.inputs, settings, memo, given=given | {surface.stillness: left})
             repaired = plan[surface.repaired]()
             measurements = plan[measure.measurements]()
         except MammometryError as error:

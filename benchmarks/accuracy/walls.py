@@ -119,11 +119,11 @@ def table(rows: list[dict[str, object]]) -> Iterator[str]:
         np.array([volume - truth for (_, side), (truth, volume, _) in found[default].items() if side == name])
         for name in SIDES
     )
-    truth = np.array(list(found[default].values()))[:, 0]
+    volumes_cc = np.array(list(found[default].values()))[:, 0]
     yield ""
     common = float(np.corrcoef(left, right)[0, 1])
     yield (
-        f"breasts of {truth.min():.0f} to {truth.max():.0f} cc; {default}: errors of both sides correlate "
+        f"breasts of {volumes_cc.min():.0f} to {volumes_cc.max():.0f} cc; {default}: errors of both sides correlate "
         f"{common:.2f}; 95 % of what they do not share {np.quantile(unshared[:, 1], 0.95):.2f} mm"
     )
     holds = [

@@ -58,7 +58,9 @@ class Boards:
 
 def of_sessions(folders: Sequence[Path], images: int) -> Boards:
     """The first `images` calibration photographs of simulated sessions."""
-    paths, cameras, placed = {}, {}, {}
+    paths: dict[tuple[str, str], Path] = {}
+    cameras: dict[tuple[str, str], Camera] = {}
+    placed: dict[str, Transform] = {}
     for folder in folders:
         capture = read_capture(folder)
         for (pose, name), path in capture.photographs.paths.items():

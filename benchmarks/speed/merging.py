@@ -86,7 +86,8 @@ def camera(name: str, direction: Array, pixel_mm: float, extent_mm: float) -> Ca
 def scene(size_mm: Array, pixel_mm: float) -> tuple[list[RangeImage], dict[str, Foreground], Rig]:
     """What four views see of the body, exactly, but for elements turned away by more than 80°."""
     rays = RayScene(body(size_mm, 1.0))
-    images, foregrounds, cameras = [], {}, {}
+    images, foregrounds = [], {}
+    cameras: dict[str, Camera] = {}
     for name, direction in _PLACES.items():
         view = camera(f"{name}_left", np.array(direction), pixel_mm, float(size_mm.max()))
         hits = rays.cast(view.centre_world, view.rays_world(pixel_grid(view)))

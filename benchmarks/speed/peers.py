@@ -146,7 +146,7 @@ def _points(depth: np.ndarray, matrix: np.ndarray, turn: np.ndarray, centre: np.
     return centre + (rays * depth[row, column, None]) @ turn
 
 
-@njit(cache=True, nogil=True)  # type: ignore[misc]  # numba has no types
+@njit(cache=True, nogil=True)
 def _fuse(
     total: np.ndarray,
     weight: np.ndarray,
@@ -212,8 +212,8 @@ def main() -> None:
     parser.add_argument("--work", nargs=3, metavar=("MAKER", "WARM", "SESSION"), help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.work:
-        maker, *folders = arguments.work
-        work(maker, *map(Path, folders), arguments.reach)
+        maker, warm, session = arguments.work
+        work(maker, Path(warm), Path(session), arguments.reach)
         return
     warm = make_session(arguments.out / "warm", _WARM, _SUBJECTS[0])
     sessions = arguments.sessions or [

@@ -33,7 +33,7 @@ class Reference:
         return f"reference work: {self.wall_s:.2f} s by the clock, {self.processor_s:.2f} processor s"
 
 
-@njit(cache=True)  # type: ignore[misc]  # numba has no types
+@njit(cache=True)
 def _swept(image: np.ndarray) -> float:
     for _ in range(_SWEEPS):
         for row in range(1, image.shape[0]):

@@ -14,6 +14,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+from mammometry.simulate.disturbances.exposure import plain_exposure
 from mammometry.simulate.recipe import SessionRecipe
 from mammometry.simulate.rigs.build import flashes
 from mammometry.simulate.rigs.rig_file import make_rig
@@ -41,14 +42,15 @@ def main() -> None:
         def capture() -> None:
             (folder / "capture").mkdir()
             solid = make_subject("plaster_5", 7, edge_mm=max(0.4, 0.7 * 0.25 / scale))
+            studio = Studio()
             arrangement = Arrangement(
-                rig=make_rig("reference", scale, 7),
+                exposure=plain_exposure(make_rig("reference", scale, 7), flashes(), studio.film),
                 lights=flashes(),
                 rig_from_target={},
                 solid=solid,
                 rig_from_solid=rig_from_solid(solid, 7),
             )
-            photograph(folder / "capture", arrangement, Studio(), seed=7)
+            photograph(folder / "capture", arrangement, studio, seed=7)
 
         print(f"{len(os.sched_getaffinity(0))} cores\n")
         print("| what | wall s | processor s | limit s |\n| --- | --- | --- | --- |")
