@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 from benchmarks.rendered import make_session, subjects
@@ -82,21 +82,19 @@ def cases(capture: Capture, pairs: list[str], settings: MatchSettings, rig: Rig 
     names = open_session(capture.session).session.pair_names
     truth = read_truth(capture.truth, names)
     scene = RayScene(truth.mesh)
+    begun = time.perf_counter()
+    known = truth.rig if rig is None else rig
+    files = {name: next((capture.session / "capture").glob(f"{name}.*")) for name in known.cameras}
+    photographs = {name: read_photograph(file, name) for name, file in files.items()}
+    found = foregrounds_of(known, photographs, settings.foreground)
+    shared_seconds = (time.perf_counter() - begun) / len(names)
     for name in pairs or names:
         begun = time.perf_counter()
-        true = truth.rig.pair(name)
-        believed = true if rig is None else rig.pair(name)
-        left, right = (
-            read_photograph(next((capture.session / "capture").glob(f"{camera.name}.*")), camera.name)
-            for camera in (believed.left, believed.right)
-        )
-        cameras = {believed.left.name: believed.left, believed.right.name: believed.right}
-        known = truth.rig if rig is None else rig
-        alone = replace(known, cameras=cameras, pair_names={name: (believed.left.name, believed.right.name)})
-        found = foregrounds_of(alone, {believed.left.name: left, believed.right.name: right}, settings.foreground)
+        true, believed = truth.rig.pair(name), known.pair(name)
+        left, right = photographs[believed.left.name], photographs[believed.right.name]
         foregrounds = found[believed.left.name], found[believed.right.name]
         pair = rectify(believed, left, right, *foregrounds)
-        seconds = time.perf_counter() - begun
+        seconds = shared_seconds + time.perf_counter() - begun
         yield Case(
             pair=pair,
             truth=true_disparity(scene, true, believed, pair.left, pair.right),
