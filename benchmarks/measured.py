@@ -101,7 +101,7 @@ def make(entry: Entry, by: str, folder: Path) -> Result:
         words = [word.replace("OUT", str(out)) for word in arguments]
         begin = [sys.executable, "-m", "mammometry"] if program == "mammometry" else [sys.executable]
         done = subprocess.run([*begin, *words], cwd=ROOT, stdout=subprocess.PIPE, text=True, check=True)
-        outputs.append(done.stdout)
+        outputs.append(done.stdout.replace(str(out), "OUT"))
         begun.write_text(json.dumps([outputs, time.monotonic() - started]), encoding="utf-8")
     if entry.file:
         outputs.append(Path(entry.file.replace("OUT", str(out))).read_text(encoding="utf-8"))
