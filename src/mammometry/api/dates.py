@@ -204,7 +204,7 @@ _WHICH = ("earlier", "later")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Heading:
-    """Whose dates the page shows. Names and dates of the page come from here only."""
+    """Identities whose dates the page shows: its names and dates come from here only."""
 
     title: str
     subtitle: str

@@ -166,7 +166,7 @@ def look(photograph: Photograph, *, looked_at_px: float = _LOOKED_AT_PX) -> Seen
 
 
 def _blur(pixels: Array, where: Bool[Array, "h w"], step: int, side_px: int) -> float:
-    """Of the middle of the subject, at full resolution. Texture and edges count, flat parts do not."""
+    """Blur of the subject's middle at full resolution, by its texture and edges."""
     rows, columns = np.nonzero(where)
     part = []
     for places, length in ((rows, pixels.shape[0]), (columns, pixels.shape[1])):

@@ -166,7 +166,10 @@ def aids(
 
 
 def _sharpness(grey: UInt8[Array, "h w"], step: int) -> Float64[Array, "4 6"]:
-    """Energy of differences of neighbours over that of pixels four apart, by region; rows thinned for speed."""
+    """Energy of differences of neighbours over that of pixels four apart, by region.
+
+    Rows are thinned for speed.
+    """
     rows, columns = REGIONS
     thin = grey[step // 2 :: 2 * step].astype(np.float32)
     near = np.square(thin[:, 1:-4] - thin[:, :-5])

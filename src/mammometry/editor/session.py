@@ -1,4 +1,4 @@
-"""Between page and session. What can be drawn on, and what somebody changed or confirmed."""
+"""Drawing on a session or scan: what can be drawn on, and what somebody changed or confirmed."""
 
 from __future__ import annotations
 

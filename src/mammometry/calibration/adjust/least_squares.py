@@ -54,7 +54,7 @@ class NormalEquations:
         )
 
     def without_triples(self) -> NormalEquations:
-        """Those of the parameters that hang together alone, the triples being fixed."""
+        """Normal equations of the coupled parameters alone, with the triples fixed."""
         size = len(self.matrix)
         return replace(self, cross=self.cross[:, :0], triples=self.triples[:0], gradient=self.gradient[:size])
 

@@ -74,7 +74,7 @@ class Vertical(Protocol):
         """d_v at columns u of the right image, on every row. Pixels of the level."""
 
     def cut(self, window: tuple[slice, slice], level: int) -> Vertical:
-        """The same for a part of a level's rows and columns."""
+        """Vertical disparity of a part of a level's rows and columns."""
 
     def refined(self, state: LevelState) -> Vertical:
         """Add what is left of it after the right image was aligned."""
@@ -133,7 +133,7 @@ class VerticalField:
         return [np.ones_like(x), x, y, x * x, x * y, y * y]
 
     def cut(self, window: tuple[slice, slice], level: int) -> VerticalField:
-        """The same polynomial in the pixels of a part of the image."""
+        """Vertical disparity in the pixels of a part of the image, by the same polynomial."""
         return replace(self, origin_uv=(window[1].start << level, window[0].start << level))
 
     def refined(self, state: LevelState) -> VerticalField:
@@ -143,7 +143,7 @@ class VerticalField:
         return refine(self, left.image, right.coefficients, state.shifts[0], settled, state.level)
 
     def changed(self, coefficients_px: Float64[Array, " 6"], terms: Sequence[Float64[Array, " n"]]) -> VerticalField:
-        """The same with other coefficients, supported at points whose monomials are given."""
+        """Vertical disparity by other coefficients, supported at points whose monomials are given."""
         moved = replace(self, coefficients_px=coefficients_px)
         values = moved._polynomial(terms)
         return replace(

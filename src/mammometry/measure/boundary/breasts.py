@@ -166,9 +166,8 @@ def _lie_level(surface: RepairedSurface, skin: Skin, frame: Float64[Array, "3 3"
 
     Where a gown covers the trunk's sides its skin does not show which way it lies, but two breasts do.
     """
-    trunk = find_trunk(skin, frame)
-    samples = dense_samples(surface.mesh.submesh(seen_faces(surface)))
-    return level_pair(lay_flat(fit_thorax(trunk, skin), samples)) is not None
+    thorax = fit_thorax(find_trunk(skin, frame), skin)
+    return level_pair(lay_flat(thorax, dense_samples(surface.mesh.submesh(seen_faces(surface))))) is not None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -191,18 +190,18 @@ def _trunk_beside(
     height_of: Float64[Array, 3] | None = None
     between_mm: float | None = None
     frame = body.frame
-    for _ in range(_ROUNDS):
+
+    def about_trunk() -> tuple[Trunk, Thorax, Relief]:
         trunk = find_trunk(skin, frame, height_of=height_of, middle_of=middle_of)
         thorax = fit_thorax(trunk, skin.chosen(outside), breasts_left_out=not outside.all(), breastbone_mm=between_mm)
-        relief = lay_flat(thorax, samples)
+        return trunk, thorax, lay_flat(thorax, samples)
+
+    for _ in range(_ROUNDS):
+        trunk, thorax, relief = about_trunk()
         pair = level_pair(relief) if body.plane is None else None
         if pair is not None:  # then both breasts show the body's left, and its middle
             frame, middle_of = _between(pair, relief, thorax)
-            trunk = find_trunk(skin, frame, height_of=height_of, middle_of=middle_of)
-            thorax = fit_thorax(
-                trunk, skin.chosen(outside), breasts_left_out=not outside.all(), breastbone_mm=between_mm
-            )
-            relief = lay_flat(thorax, samples)
+            trunk, thorax, relief = about_trunk()
         middles = breast_middles(relief, trunk)
         domes = sorted((dome for dome in middles.values() if dome is not None), key=lambda dome: -dome.roundness_per_mm)
         if not domes:

@@ -93,12 +93,21 @@ def _filled(loops: Sequence[Float64[Array, "_ 2"]], spacing_mm: float | None) ->
 
 def harmonic(patch: Patch, boundary_values: Float64[Array, "b k"]) -> Float64[Array, "n k"]:
     """Harmonic values over the patch, from values on its loops. Linear finite elements."""
-    laplacian = cotangent_laplacian(patch.points, patch.faces)
-    b = patch.n_loop
-    values = np.zeros((len(patch.points), boundary_values.shape[1]))
-    values[:b] = boundary_values
-    if len(patch.points) > b:
-        values[b:] = splu(laplacian[b:, b:].tocsc()).solve(-(laplacian[b:, :b] @ boundary_values))
+    return harmonic_between(patch.points, patch.faces, np.arange(len(patch.points)) < patch.n_loop, boundary_values)
+
+
+def harmonic_between(
+    points: Float64[Array, "n d"],
+    faces: Int64[Array, "m 3"],
+    held: Bool[Array, " n"],
+    values_held: Float64[Array, "h k"],
+) -> Float64[Array, "n k"]:
+    """Harmonic values over triangles in the plane or in space, from values at the points that are held."""
+    values = np.empty((len(points), values_held.shape[1]))
+    values[held] = values_held
+    if not held.all():
+        rows = cotangent_laplacian(points, faces)[~held]
+        values[~held] = splu(rows[:, ~held].tocsc()).solve(-(rows[:, held] @ values_held))
     return values
 
 

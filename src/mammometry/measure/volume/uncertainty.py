@@ -11,14 +11,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse.linalg import splu
 
 from mammometry.base.value import value
 from mammometry.geometry import Array, Bool, Float64, Int32, Rig, TriangleMesh, mesh_kernels
 from mammometry.geometry.nearest import point_tree
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.settings import MeasureSettings
-from mammometry.measure.solid.patch import cotangent_laplacian
+from mammometry.measure.solid.patch import harmonic_between
 from mammometry.measure.volume.boundary_jitter import UNSEEN_SLOPE
 from mammometry.measure.volume.unseen_space import Bound, outward_room_mm
 from mammometry.measure.wall.chest_wall import ChestWall
@@ -329,9 +328,7 @@ def _pits_mm3(skin: TriangleMesh, invented: Bool[Array, " n"]) -> float:
     held[mesh_kernels.open_vertices(len(skin.vertices), skin.faces)] = True
     if held.all() or not held.any():
         return 0.0
-    laplacian = cotangent_laplacian(skin.vertices, skin.faces.astype(np.int64))
-    spanned = skin.vertices.copy()
-    spanned[~held] = splu(laplacian[~held][:, ~held].tocsc()).solve(-(laplacian[~held][:, held] @ skin.vertices[held]))
+    spanned = harmonic_between(skin.vertices, skin.faces.astype(np.int64), held, skin.vertices[held])
     middle = skin.vertices.mean(axis=0)
     pits_mm3 = mesh_kernels.volume(spanned, skin.faces, middle) - mesh_kernels.volume(skin.vertices, skin.faces, middle)
     return max(float(pits_mm3), 0.0)

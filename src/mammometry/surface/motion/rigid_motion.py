@@ -298,9 +298,10 @@ class _Reduced:
 
 
 def _reduced(seen: Observed, rest_mm: float) -> _Reduced:
-    """Whitened block by block: as many pairs' noise in one matrix would take the sixth power of their number.
+    """Observations divided by their noise, block by block.
 
-    What calibration adds has few terms. It is taken off by the Woodbury identity.
+    All pairs' noise in one matrix would take the sixth power of their number. What calibration adds has few terms:
+    it is taken off by the Woodbury identity.
     """
     both = np.column_stack([seen.by_unknown, seen.values, seen.common])
     products, log_det = np.zeros((both.shape[1],) * 2), 0.0
