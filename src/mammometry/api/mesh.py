@@ -13,8 +13,11 @@ Boundaries, walls, interval, files and report are the same.
 from __future__ import annotations
 
 import hashlib
+import logging
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -22,11 +25,13 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
+from mammometry.api.previews import load
 from mammometry.api.results import Results, show_refusal, withdraw_refusal
 from mammometry.api.stored_report import Reported
+from mammometry.base.child_process import ChildProcess, Ended, NotDone
 from mammometry.base.errors import MeasureError, SessionError
 from mammometry.base.identity import Identity
-from mammometry.base.machine.cores import one_blas_thread
+from mammometry.base.machine.cores import available_cores, one_blas_thread
 from mammometry.base.machine.system import peak_memory_mb
 from mammometry.base.progress import Progress, no_progress
 from mammometry.geometry import Array, Float64, TriangleMesh
@@ -54,7 +59,7 @@ from mammometry.measure.landmarks.landmarks import PICKED_SIGMA_MM
 from mammometry.settings import Settings
 
 if TYPE_CHECKING:
-    from mammometry.report.content import ReportContent
+    from mammometry.report.content import Picture, ReportContent
     from mammometry.report.privacy import Privacy
     from mammometry.surface.repair.repair import RepairedSurface
 
@@ -66,6 +71,8 @@ SURFACE_STD_MM = 0.1
 """Standard uncertainty of a scanner's whole surface along its normal if none is given, mm."""
 _NAMES = ("model", "left", "right")
 _COMMAND = "measure"
+_LOG = logging.getLogger(__name__)
+_LEAST_FACES = 10_000  # from which a second process that draws, one processor second to begin, is worth it
 _DENSE = 300_000  # faces, from which the colours of vertices are as fine as a page shows them
 _DARK, _LIGHT = 70.0, 160.0  # 8-bit grey of a colourless mesh in shade, and what full light adds; chosen by eye
 WORLD = "The mesh file's own frame, in mm."
@@ -266,7 +273,11 @@ class MeshJob(Reported):
         """
         begun, before = time.monotonic(), len(self.store.made)
         take_folder(self.store.folder, command=_COMMAND)
-        with self.store.taken(), one_blas_thread():
+        drawn_beside = report and len(self.finished.repaired.mesh.faces) >= _LEAST_FACES and available_cores() > 1
+        with self.store.taken(), one_blas_thread(), ExitStack() as beside:
+            drawn = None
+            if drawn_beside and not self.store.has(self.content_key):
+                drawn = beside.enter_context(self._drawn_beside())
             try:
                 self.plan.ensure("measure")
             except MeasureError as error:
@@ -278,7 +289,7 @@ class MeshJob(Reported):
             no_breast: dict[str, str] = {side.name: side.why for side in self.plan.value(measure.absent) or ()}
             seconds = time.monotonic() - begun
             if report:
-                self._write_report(self._gathered)
+                self._write_report(partial(self._gathered, drawn=drawn))
         return Results(
             measurements=measurements,
             watertight=all(measured.watertight for measured in measurements.values()),
@@ -295,6 +306,32 @@ class MeshJob(Reported):
                 [*(product.key for product in self.plan.products()), *([self.content_key] if report else [])]
             ),
         )
+
+    @contextmanager
+    def _drawn_beside(self) -> Iterator[Callable[[], Mapping[str, Picture]]]:
+        """Draw the pictures in a second process as soon as both breasts are measured."""
+        from mammometry.report.gather import drawn_mesh, mesh_result
+
+        def draw() -> Mapping[str, Picture]:
+            shown = mesh_result(self.plan, self.rig, self.finished.textured)
+            try:
+                return child.call(drawn_mesh, shown)
+            except Ended:
+                raise
+            except NotDone as why:
+                _LOG.warning("the pictures are drawn here: %s", why)
+                return drawn_mesh(shown)
+
+        with ThreadPoolExecutor(2) as pool, ChildProcess() as child:
+            pool.submit(child.call, load)
+            drawn = pool.submit(draw)
+
+            def wait() -> Mapping[str, Picture]:
+                from mammometry.report.documents import html, pdf  # noqa: F401  # the pages need them next
+
+                return drawn.result()
+
+            yield wait
 
     def _seen(self) -> Mapping[str, bytes]:
         """Pictures for the page of a refusal: the mesh, and the boundaries where they were found."""
@@ -319,14 +356,25 @@ class MeshJob(Reported):
 
         return self._write_for_others(folder, privacy, gather, [self.files.mesh])
 
-    def _gathered(self, progress: Progress, privacy: Privacy | None = None) -> ReportContent:
+    def _gathered(
+        self,
+        progress: Progress,
+        privacy: Privacy | None = None,
+        drawn: Callable[[], Mapping[str, Picture]] | None = None,
+    ) -> ReportContent:
         from mammometry.report.gather import MeshOrigin, gather_mesh
 
         origin = MeshOrigin(
             kind=self.kind, units=self.units, world=WORLD, scanner=self.scanner, notes=self.notes, posture=self.posture
         )
         return gather_mesh(
-            self.plan, self.finished, self.rig, self._page_inputs, origin, privacy=privacy, progress=progress
+            self.plan,
+            self.rig,
+            self._page_inputs,
+            origin,
+            drawn=drawn,
+            privacy=privacy,
+            progress=progress,
         )
 
     def _page_key(self, page: PageInputs) -> Key:

@@ -78,7 +78,7 @@ class Previews:
             yield Drawing(self._ensure, None)
             return
         with ThreadPoolExecutor(1) as pool, ChildProcess() as child:
-            pool.submit(child.call, _load)
+            pool.submit(child.call, load)
             drawing = Drawing(lambda stage: self._ensure(stage, child), pool)
             try:
                 yield drawing
@@ -151,8 +151,20 @@ class Drawing:
         return {stage: future.result() for stage, future in self._begun.items()}
 
 
-def _load() -> None:
-    """Import, in the second process, what draws."""
+def load() -> None:
+    """Import, in the second process, what draws: by drawing something."""
+    import numpy as np
+
+    from mammometry.geometry import TriangleMesh
+    from mammometry.report.figures.canvas import Sheet
+    from mammometry.report.figures.catalogue import previews_of
+    from mammometry.report.figures.shading import Scene, standard_views
+
+    previews_of("measure")
+    triangle = TriangleMesh(vertices=np.eye(3), faces=np.array([[0, 1, 2]], dtype=np.int32))
+    sheet = Sheet(1, 1, (8, 8))
+    sheet.panel(0, "title").imshow(Scene(triangle).render(standard_views(triangle, np.eye(3))[0], size_px=8))
+    sheet.png("", "")
 
 
 def _draw(session: Session, settings: Settings, stage: Stage) -> tuple[dict[str, bytes], Facts]:

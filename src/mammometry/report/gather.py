@@ -3,7 +3,7 @@
 So little is held in memory.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 
@@ -28,7 +28,7 @@ from mammometry.measure.trunk.body import Body
 from mammometry.measure.trunk.head import HEAD_NOT_SHOWN
 from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.report import content
-from mammometry.report.content import Fact, ReportContent, StageReport, sentence
+from mammometry.report.content import Fact, Picture, ReportContent, StageReport, sentence
 from mammometry.report.figures import stage_results
 from mammometry.report.figures.shading import NAMES, front_of
 from mammometry.report.figures.stage_results import MeasureResult, draw_stage
@@ -336,11 +336,11 @@ class MeshOrigin:
 
 def gather_mesh(
     plan: Plan,
-    finished: FinishedSurface,
     viewer: Rig,
     page: PageInputs,
     origin: MeshOrigin,
     *,
+    drawn: Callable[[], Mapping[str, Picture]] | None = None,
     privacy: Privacy | None = None,
     progress: Progress = no_progress,
 ) -> ReportContent:
@@ -348,13 +348,14 @@ def gather_mesh(
 
     Args:
         plan: of its measurement.
-        finished: the mesh, with its colours where it has any.
         viewer: who looks at it in the pictures.
         page: what the report shows beside products, all of it part of the report's key.
         origin: what is known of the mesh beside its shape.
+        drawn: waits for the pictures where they are drawn elsewhere, in all colours.
         privacy: what to leave out. None: nothing.
         progress: gets the fraction done.
     """
+    finished = plan[surface.mesh]()
     measurements = plan.value(measure.measurements) or ()
     marks = plan.value(measure.landmarks) or ()
     sizes = plan.value(measure.dimensions)
@@ -369,22 +370,14 @@ def gather_mesh(
         guarded = guard(textured, privacy, subject_kind=origin.kind, up_world=frame[1], landmarks=places)
         textured, contains = guarded.textured, guarded.contains
         page = replace(page, identity=NAMELESS) if privacy.deidentify else page
-    shown = MeasureResult(
-        rig=viewer,
-        measurements=measurements,
-        textured=textured,
-        repaired=finished.repaired,
-        body=body,
-        absent=absent,
-        lacking=less,
-    )
-    pictures = {"measure": stage_results.draw(shown)}
-    progress(0.5)
     words = describe.measure_report(measurements)
     lengths, lengths_note = planning_lengths(sizes, marks)
     changed, everything = describe.settings_facts(page.settings)
     scene = viewer_scene(frame, finished.repaired, textured, measurements, symmetry=sides)
     scene = scene if sizes is None else with_lengths(scene, sizes.lengths)
+    packed = to_json(scene)
+    progress(0.5)
+    pictures = drawn_mesh(mesh_result(plan, viewer, textured)) if drawn is None else drawn()
     progress(0.9)
     return ReportContent(
         identity=page.identity,
@@ -411,10 +404,29 @@ def gather_mesh(
         changed_settings=changed,
         all_settings=everything,
         versions=describe.versions(),
-        pictures=all_encoded(pictures),
+        pictures={"measure": pictures},
         contains=contains,
-        scene=to_json(scene),
+        scene=packed,
     )
+
+
+def mesh_result(plan: Plan, viewer: Rig, textured: TexturedMesh) -> MeasureResult:
+    """What the pictures of a measured mesh are drawn from, made where it is missing."""
+    return MeasureResult(
+        rig=viewer,
+        measurements=plan.value(measure.measurements) or (),
+        textured=textured,
+        repaired=plan[surface.mesh]().repaired,
+        symmetry=plan.value(measure.symmetry),
+        body=plan.value(measure.body),
+        absent=plan.value(measure.absent) or (),
+        lacking=plan.value(measure.lacking) or (),
+    )
+
+
+def drawn_mesh(result: MeasureResult) -> Mapping[str, Picture]:
+    """Pictures of a measured mesh."""
+    return all_encoded({"measure": stage_results.draw(result)})["measure"]
 
 
 def _warnings(measurements: Sequence[VolumeMeasurement], body: Body | None) -> Iterator[str]:

@@ -10,7 +10,10 @@ import trimesh
 from tests.unit.measure.solids import dome
 from tests.unit.measure.trunks import LEFT, RIGHT, edge_of, trunk_mesh, volume_cc
 
+from mammometry.api import mesh as api_mesh
 from mammometry.api.mesh import MeshFiles, MeshJob
+from mammometry.api.stored_report import CONTENT, unpacked
+from mammometry.base.child_process import NotDone
 from mammometry.base.errors import MeasureError
 from mammometry.cli import main
 from mammometry.geometry.mesh import TriangleMesh
@@ -43,6 +46,35 @@ def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
     code, table = answer(capsys, *arguments)
     assert code in (3, 8)
     return str(table["error"])
+
+
+@pytest.mark.slow
+def test_a_second_process_draws_the_same_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    mesh = export(dome(sink_mm=10.0), tmp_path / "dome.ply")
+    files = MeshFiles(mesh=mesh, units="mm", boundary=curves(tmp_path / "b.json", model=RIM))
+    contents = []
+    for name, least, cores in (("here", 10**9, 2), ("beside", 0, 2), ("alone", 0, 1)):
+        monkeypatch.setattr(api_mesh, "_LEAST_FACES", least)
+        monkeypatch.setattr(api_mesh, "available_cores", lambda cores=cores: cores)
+        job = MeshJob(files, tmp_path / name)
+        job.run()
+        contents.append(unpacked((tmp_path / name / "report" / CONTENT).read_bytes()).pictures)
+    assert contents[0] == contents[1] == contents[2]
+    assert {"front", "closed-model", "sections-model"} <= set(contents[0]["measure"])
+
+
+def test_what_the_second_process_cannot_draw_is_drawn_here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    mesh = export(dome(sink_mm=10.0), tmp_path / "dome.ply")
+    files = MeshFiles(mesh=mesh, units="mm", boundary=curves(tmp_path / "b.json", model=RIM))
+
+    def fails(self: object, function: object, *arguments: object) -> None:
+        raise NotDone("no memory")
+
+    monkeypatch.setattr(api_mesh, "_LEAST_FACES", 0)
+    monkeypatch.setattr(api_mesh, "available_cores", lambda: 2)
+    monkeypatch.setattr(api_mesh.ChildProcess, "call", fails)
+    MeshJob(files, tmp_path / "out").run()
+    assert (tmp_path / "out" / "report" / "report.pdf").is_file()
 
 
 @pytest.mark.parametrize(

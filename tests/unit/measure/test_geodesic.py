@@ -4,12 +4,15 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import dijkstra
 from solids import ball
 from trunks import RADIUS_MM, trunk_mesh
 
 from mammometry.base.errors import MeasureError
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.measure.landmarks.geodesic import geodesic
+from mammometry.measure.landmarks.geodesic_kernels import shortest
 
 BALL = ball(60.0, subdivisions=4)
 TRUNK = trunk_mesh(step_mm=6.0)
@@ -25,6 +28,26 @@ def test_great_circles(first: tuple[float, ...], second: tuple[float, ...]) -> N
     # 0.5 % is asked for; 0.2 mm is the facets' sag at both ends (8 mm edges on a ball of 60 mm).
     assert path.length_mm == pytest.approx(60.0 * angle, rel=0.005, abs=0.2)
     assert np.linalg.norm(np.diff(path.points_world, axis=0), axis=1).sum() == pytest.approx(path.length_mm)
+
+
+def test_lengths_are_those_of_scipys_dijkstra() -> None:
+    """Along a ball's edges: right for every place that may lie on a way of 1.2 times the shortest length and 3 mm."""
+    faces, points = BALL.faces.astype(np.int64), BALL.vertices
+    pairs = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    apart = np.linalg.norm(points[pairs[:, 0]] - points[pairs[:, 1]], axis=1)
+    graph = coo_matrix((apart, tuple(pairs.T)), shape=(len(points), len(points))).tocsr()
+    from_start, from_stop = dijkstra(graph, directed=True, indices=[0, 700])
+    length, before = shortest(points, faces, 0, 700, 1.2, 3.0)
+    most = 1.2 * from_start[700] + 3.0
+    near = from_start + from_stop <= most
+    assert 100 < near.sum() < len(points) - 100
+    np.testing.assert_allclose(length[near], from_start[near], rtol=1e-12)
+    assert (length >= from_start - 1e-9).all()
+    assert np.isinf(length[from_start + np.linalg.norm(points - points[700], axis=1) > most + 20]).all()
+    way = [700]
+    while way[-1] != 0:
+        way.append(before[way[-1]])
+    assert np.linalg.norm(np.diff(points[way], axis=0), axis=1).sum() == pytest.approx(from_start[700])
 
 
 def test_helices_on_a_cylinder() -> None:

@@ -48,7 +48,7 @@ def _frame(cameras: CameraSet, job: Context, body: Body | None = None) -> Float6
     return rig_frame(cameras.rig, job.inputs.mounting) if body is None else body.frame
 
 
-@product("measure", version=15, settings="measure", inputs=("subject", "mounting"), when=_outlined)
+@product("measure", version=16, settings="measure", inputs=("subject", "mounting"), when=_outlined)
 def sides(corrected_cameras: CameraSet, repaired: RepairedSurface, *, job: Context) -> TorsoSides:
     """Breasts found on a torso, and sides without one."""
     from mammometry.measure.boundary.boundary import outline_torso
@@ -111,7 +111,7 @@ def boundaries(
     return tuple(sorted((*given, *wanted), key=lambda curve: curve.name))
 
 
-@product("measure", version=8, settings="measure.thorax", inputs=("mounting",), when=_torso)
+@product("measure", version=9, settings="measure.thorax", inputs=("mounting",), when=_torso)
 def body(
     corrected_cameras: CameraSet,
     repaired: RepairedSurface,
@@ -234,7 +234,7 @@ def landmarks(
     return find_landmarks(textured.mesh, textured.colours, measurements, picked, body, settings, boundaries=boundaries)
 
 
-@product("measure", version=3, when=_has_volume, threads=1)
+@product("measure", version=4, when=_has_volume, threads=1)
 def symmetry(
     corrected_cameras: CameraSet,
     mesh: FinishedSurface,
@@ -254,7 +254,7 @@ def symmetry(
         return None
 
 
-@product("measure", version=6, settings="measure", inputs=("mounting",), when=_has_volume, threads=1)
+@product("measure", version=7, settings="measure", inputs=("mounting",), when=_has_volume, threads=1)
 def dimensions(
     corrected_cameras: CameraSet,
     mesh: FinishedSurface,

@@ -8,18 +8,17 @@ belt that can still hold the shortest path. The length found is never below the 
 from __future__ import annotations
 
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import dijkstra
 
 from mammometry.base.errors import MeasureError
 from mammometry.base.value import value
 from mammometry.geometry.arrays import Array, Bool, Float64, Int64
 from mammometry.geometry.mesh import TriangleMesh, edge_table
 from mammometry.geometry.nearest import closest_on_mesh
+from mammometry.measure.landmarks.geodesic_kernels import shortest
 
-_ROUNDS = ((0, 1.16), (1, 1.04), (4, 1.006), (12, None))
-"""Points on each edge, and ratio to the shortest length up to which a path stays in the next round's belt (none follows
-the last). Along edges alone a path is up to 2/√3 = 1.155 times too long."""
+_ROUNDS = ((0, 1.16), (1, 1.04), (4, 1.006), (12, 1.0))
+"""Points on each edge, and ratio to the shortest length up to which a path stays in the next round's belt (1: none
+follows). Along edges alone a path is up to 2/√3 = 1.155 times too long."""
 _BELT = 0.4  # edge lengths by which the belt is wider: on a coarse mesh more than one row of faces; chosen by eye
 _PAIRS = 2_000_000  # of points that see one another, at most in a round; a fine mesh needs fewer points on each edge
 _ROOMS = ((1.12, 10.0), (1.6, 40.0), (np.inf, 0.0))
@@ -91,56 +90,35 @@ def _path(local: TriangleMesh, ends: Float64[Array, "2 3"]) -> SurfacePath | Non
     points = np.empty((0, 3))
     for wanted, slack in _ROUNDS:
         fitting = int(np.sqrt(_PAIRS / (3 * len(corners)) + 0.25) - 0.5)  # 3 k (k + 1) pairs a face
-        per_edge = min(wanted, max(fitting, 1))
-        places, pairs, of_face = _steiner_graph(local.vertices, corners, per_edge)
+        places, of_face = _spread(local.vertices, corners, min(wanted, max(fitting, 1)))
+        start, stop = len(places), len(places) + 1
         places = np.concatenate([places, nearest.points])
-        first, n = len(places) - 2, len(places)
-        for k in range(2):
-            own = of_face[last[k]]
-            pairs = np.concatenate([pairs, np.stack([np.full(len(own), first + k), own], axis=1)])
-        length = np.linalg.norm(places[pairs[:, 0]] - places[pairs[:, 1]], axis=1) + 1e-12
-        graph = coo_matrix((length, tuple(pairs.T)), shape=(n, n)).tocsr()
-        sources = [first] if slack is None else [first, first + 1]
-        distance, before = dijkstra(graph, directed=False, indices=sources, return_predecessors=True)
-        if not np.isfinite(distance[0, first + 1]):
+        own = np.full((len(corners), 1), -1)  # a third kind of place: start and stop, each in its face
+        own[last, 0] = start, stop
+        of_face = np.concatenate([of_face, own], axis=1)
+        distance, before = shortest(places, of_face, start, stop, slack, belt_mm)
+        if not np.isfinite(distance[stop]):
             return None
-        way = [first + 1]
-        while way[-1] != first:
-            way.append(int(before[0, way[-1]]))
+        way = [stop]
+        while way[-1] != start:
+            way.append(int(before[way[-1]]))
         points = places[way[::-1]]
-        if slack is None:
+        if slack == 1:
             break
-        best = distance[0, first + 1]
-        keep = distance.sum(axis=0)[of_face].min(axis=1) <= best * slack + belt_mm
+        both = distance + shortest(places, of_face, stop, start, slack, belt_mm)[0]
+        keep = both[of_face[:, :-1]].min(axis=1) <= distance[stop] * slack + belt_mm
         keep[last] = True
         corners, last = corners[keep], (np.cumsum(keep) - 1)[last]
     return SurfacePath(points_world=points, length_mm=float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum()))
 
 
-def _steiner_graph(
+def _spread(
     vertices: Float64[Array, "n 3"], faces: Int64[Array, "m 3"], per_edge: int
-) -> tuple[Float64[Array, "k 3"], Int64[Array, "p 2"], Int64[Array, "m c"]]:
-    """Places on corners and edges, and pairs visible within a face.
-
-    Also the places of each face. Every pair occurs once: along edges only neighbours are joined, across a face all on
-    different edges.
-    """
+) -> tuple[Float64[Array, "k 3"], Int64[Array, "m c"]]:
+    """Places on corners and evenly spread on edges, and the places of each face."""
     edges, of_face = edge_table(faces.astype(np.int32))
-    n = len(vertices)
     share = ((np.arange(per_edge) + 1) / (per_edge + 1))[None, :, None]
     a, b = vertices[edges[:, 0], None], vertices[edges[:, 1], None]
     places = np.concatenate([vertices, (a + (b - a) * share).reshape(-1, 3)])
-    on_edge = n + np.arange(len(edges) * per_edge).reshape(len(edges), per_edge)
-    chain = np.concatenate([edges[:, :1], on_edge, edges[:, 1:]], axis=1)
-    pairs = [np.stack([chain[:, :-1].ravel(), chain[:, 1:].ravel()], axis=1)]
-    on_face = on_edge[of_face]  # (face, side, point); side k runs from corner k to corner k + 1
-    for side in range(3):
-        opposite = faces[:, (side + 2) % 3]
-        pairs.append(_all_pairs(opposite[:, None], on_face[:, side]))
-        pairs.append(_all_pairs(on_face[:, side], on_face[:, (side + 1) % 3]))
-    return places, np.concatenate(pairs), np.concatenate([faces, on_face.reshape(len(faces), -1)], axis=1)
-
-
-def _all_pairs(first: Int64[Array, "m a"], second: Int64[Array, "m b"]) -> Int64[Array, "p 2"]:
-    left, right = np.broadcast_arrays(first[:, :, None], second[:, None, :])
-    return np.stack([left.ravel(), right.ravel()], axis=1)
+    on_edge = len(vertices) + np.arange(len(edges) * per_edge).reshape(len(edges), per_edge)
+    return places, np.concatenate([faces, on_edge[of_face].reshape(len(faces), -1)], axis=1)

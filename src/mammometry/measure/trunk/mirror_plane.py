@@ -13,7 +13,7 @@ from mammometry.geometry import Array, Float64, Transform
 from mammometry.geometry.nearest import point_tree
 
 _SAMPLES = 6000  # points that are moved; chosen for speed
-_ROUNDS = 60  # at most; it ends when a step is below _AT_REST
+_ROUNDS = 60  # at most
 _FEWEST = 200  # partners needed; chosen by eye
 _FACING = 0.7  # cosine of the angle between partners' normals at least; chosen by eye
 _TUKEY = 4.0  # scatters at which a partner counts no more; chosen by eye
@@ -24,7 +24,9 @@ _MAD = 1.4826  # standard deviation of a normal distribution over its median abs
 _NARROWING, _REACH, _LEAST_REACH_MM = 0.8, 6.0, 3.0
 """Search distance for partners: it shrinks by this factor each round, but not below so many scatters and so many mm.
 Chosen by eye."""
-_AT_REST = 1e-4  # a step below this, mm (turns as mm at the surface's radius), ends the search
+_AT_REST = 0.01
+"""A step below this share of the motion's uncertainty ends the search. Smaller steps never end where partners change to
+and fro."""
 _COUNTS = 0.1  # weight from which a point counts as used
 
 
@@ -99,7 +101,7 @@ def register(
         turn = Rotation.from_rotvec(step[:3] / size).as_matrix()
         motion = Transform(rotation=turn, translation_mm=middle + step[3:] - turn @ middle) @ motion
         weakest = scale / float(np.sqrt(max(np.linalg.eigvalsh(normal_matrix)[0] / _SHARED, 1e-9)))
-        if np.abs(step).max() < _AT_REST and reach <= max(_REACH * scale, _LEAST_REACH_MM):
+        if np.abs(step).max() < _AT_REST * weakest and reach <= max(_REACH * scale, _LEAST_REACH_MM):
             break
         reach = max(reach * _NARROWING, _REACH * scale, _LEAST_REACH_MM) if reach > _LEAST_REACH_MM else reach
     return Registration(

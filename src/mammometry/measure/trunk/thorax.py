@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -140,6 +141,7 @@ def seen_faces(surface: RepairedSurface) -> Int64[Array, " k"]:
     return np.flatnonzero(seen) if seen.any() else np.arange(len(surface.mesh.faces))
 
 
+@lru_cache(maxsize=1)  # the steps of a measurement ask in turn for that of the same surface
 def seen_skin(surface: RepairedSurface, at_most: int = 400_000) -> Skin:
     """Sample the visible faces evenly by area and over the surface.
 

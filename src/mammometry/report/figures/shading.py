@@ -19,10 +19,15 @@ from mammometry.geometry.mesh_kernels import nearest_faces
 from mammometry.geometry.nearest import closest_on_mesh
 from mammometry.measure.trunk.body import Body, Mounting, camera_up
 from mammometry.measure.volume.measurement import VolumeMeasurement
+from mammometry.report.figures.shading_kernels import shaded
 
 _LIGHTS = ((0.25, 0.45, 0.86, 0.72), (-0.75, 0.1, 0.65, 0.28), (0.1, -0.8, 0.6, 0.18))
 """Directions towards three lights (right, up, towards the viewer) and their strengths. Ambient light comes on top."""
 _EVEN_MM = 6.0  # standard deviation along a curve over which it is evened out to be drawn; chosen by eye
+_STRENGTHS = np.array(
+    [strength / np.linalg.norm(towards) * np.array(towards) for *towards, strength in _LIGHTS], dtype=np.float32
+)
+"""Direction towards each light, times its strength."""
 _AMBIENT = 0.16  # strength of the ambient light; chosen by eye
 _FOOT = 0.09
 """Height of the strip for the scale bar, relative to the mesh's."""
@@ -122,36 +127,15 @@ class Scene:
                 colours must not be mistaken for shadows.
         """
         cast = self.cast(view, 2 * size_px)
-        hit = cast.hit
-        picture = np.zeros((*hit.shape, 4), dtype=np.float32)
-        if not hit.any():
-            return _halved(picture)
-        corners = self.mesh.faces[cast.faces[hit]]
-        weights = cast.weights[hit]
-        if face_colours is not None:
-            surface = face_colours[cast.faces[hit]]
-        elif colours is None:
-            surface = np.broadcast_to(np.array(_PLASTER, dtype=np.float32), (len(corners), 3))
-        else:
-            values = colours.astype(np.float32) / (255 if colours.dtype == np.uint8 else 1)
-            surface = _interpolated(values, corners, weights)
-        if lit:
-            light = self._light(view, corners, weights)[:, None]
-            surface = surface * (1 + np.float32(lit) * (light - 1))
-        picture[hit, :3] = np.clip(surface, 0, 1)
-        picture[hit, 3] = 1
-        return _halved(picture)
-
-    def _light(self, view: View, corners: Array, weights: Float32[Array, "k 3"]) -> Float32[Array, " k"]:
-        normals = _interpolated(self.normals @ view.view_from_world.T.astype(np.float32), corners, weights)
-        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
-        # A mesh that is open at its back is seen from inside there: light it as if it were the outside.
-        normals *= np.where(normals[:, 2:] < 0, np.float32(-1), np.float32(1))
-        light = np.full(len(normals), _AMBIENT, dtype=np.float32)
-        for *direction, strength in _LIGHTS:
-            towards_light = np.array(direction, dtype=np.float32) / np.float32(np.linalg.norm(direction))
-            light += np.float32(strength) * np.clip(normals @ towards_light, 0, None)
-        return light
+        given = colours if face_colours is None else face_colours
+        by_face = colours is None
+        if given is None:
+            given = np.broadcast_to(np.array(_PLASTER, dtype=np.float32), (len(self.mesh.faces), 3))
+        values = np.ascontiguousarray(given, dtype=np.float32) / np.float32(255 if given.dtype == np.uint8 else 1)
+        normals = self.normals @ view.view_from_world.T.astype(np.float32)
+        return shaded(
+            cast.faces, cast.weights, self.mesh.faces, values, by_face, normals, float(lit), _STRENGTHS, _AMBIENT
+        )
 
 
 def picture_wh(view: View, size_px: int) -> tuple[int, int]:
@@ -294,24 +278,6 @@ def _walk(start: int, neighbours: dict[int, list[int]]) -> Sequence[int]:
         neighbours[following].remove(here)
         path.append(following)
     return path
-
-
-def _interpolated(
-    values: Float32[Array, "n 3"], corners: Array, weights: Float32[Array, "k 3"]
-) -> Float32[Array, "k 3"]:
-    total = values[corners[:, 0]] * weights[:, :1]
-    total += values[corners[:, 1]] * weights[:, 1:2]
-    total += values[corners[:, 2]] * weights[:, 2:]
-    return total
-
-
-def _halved(picture: Float32[Array, "h w 4"]) -> UInt8[Array, "h2 w2 4"]:
-    """Mean of 2 × 2 pixels. Colour is averaged where there is any."""
-    sums = picture[::2, ::2] + picture[1::2, ::2] + picture[::2, 1::2] + picture[1::2, 1::2]
-    alpha = sums[..., 3:]
-    sums[..., :3] /= np.maximum(alpha, 1)
-    sums[..., 3:] = alpha / 4
-    return (sums * 255 + 0.5).astype(np.uint8)
 
 
 def _unit(vector: Float64[Array, 3], *, fallback: Float64[Array, 3]) -> Float64[Array, 3]:
