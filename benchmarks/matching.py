@@ -29,7 +29,7 @@ import cv2
 import numpy as np
 
 from benchmarks.pairs import Capture, calibrated, captures, cases
-from mammometry.base.machine.system import return_freed_arrays
+from mammometry.base.machine.system import reuse_freed_memory
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.transform import Transform
 from mammometry.matching.dense.match import DisparityMap, match
@@ -147,7 +147,7 @@ def run_alone(name: str, pair: RectifiedPair, searched: Range) -> Run:
 
 def _run(name: str, pair: RectifiedPair, searched: Range) -> Run:
     cv2.setNumThreads(1)
-    return_freed_arrays()  # as the job does
+    reuse_freed_memory()  # as the job does
     MATCHERS[name](_piece(pair), _narrowed(searched))
     Path("/proc/self/clear_refs").write_text("5")  # the peak counts from here
     before = _memory_kb("VmRSS")

@@ -32,7 +32,7 @@ from mammometry.base.errors import (
     SurfaceError,
 )
 from mammometry.base.machine.cores import one_blas_thread
-from mammometry.base.machine.system import peak_memory_mb, return_freed_arrays
+from mammometry.base.machine.system import peak_memory_mb, reuse_freed_memory
 from mammometry.base.progress import Progress, no_progress
 from mammometry.geometry.camera import Rig
 from mammometry.io.outputs import require_apart, require_free, write_output
@@ -92,7 +92,7 @@ class Job(Reported):
             MammometryError: whatever stands in the way, in one sentence.
         """
         self.session.require(stage)
-        return_freed_arrays()
+        reuse_freed_memory()
         stages = STAGES[: STAGES.index(stage) + 1]
         with (
             self.store.taken(),

@@ -23,7 +23,7 @@ from typing import IO, Any, Self, TypeVar
 
 from mammometry.base.errors import MammometryError
 from mammometry.base.machine.cores import CORES
-from mammometry.base.machine.system import own_group, peak_memory_mb, return_freed_arrays
+from mammometry.base.machine.system import own_group, peak_memory_mb, reuse_freed_memory
 from mammometry.base.progress import StageProgress
 
 _R = TypeVar("_R")
@@ -141,7 +141,7 @@ class ChildProcess:
 
 def main() -> None:
     """Make the calls of standard input until it closes."""
-    return_freed_arrays()
+    reuse_freed_memory()
     messages = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what libraries print is no message
     orders: queue.SimpleQueue[bytes] = queue.SimpleQueue()

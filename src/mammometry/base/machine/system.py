@@ -74,23 +74,20 @@ def sync_folder(folder: Path) -> None:
         os.close(descriptor)
 
 
-_TRIM_THRESHOLD, _MMAP_THRESHOLD, _ARENA_MAX = -1, -3, -8  # mallopt(3): the numbers of what it sets
-_LEAST_BYTES = 1 << 23
-"""8 MB: smaller than an image's working arrays, so that all of them are returned. Chosen by eye."""
-_KEPT_BYTES = 1 << 27
-"""128 MB of smaller ones are kept for reuse at most. Chosen by eye."""
+_TRIM_THRESHOLD, _MMAP_MAX, _ARENA_MAX = -1, -4, -8  # mallopt(3): the numbers of what it sets
+_KEPT_BYTES = 1 << 28
+"""256 MB of freed memory are kept for reuse at the heap's end at most. Chosen by eye."""
 
 
 @cache
-def return_freed_arrays() -> None:
-    """Return the memory of large arrays to the system once freed.
+def reuse_freed_memory() -> None:
+    """Take all arrays from one heap, and keep what was freed for reuse.
 
-    Does nothing without glibc. glibc soon takes arrays of up to 32 MB from one heap a thread and keeps freed memory
-    for reuse. Without this call, the arrays of one matching step stay resident beside those of the next. Smaller ones
-    come from one heap for all threads begun afterwards, which gives less back: the system clears each page that it
-    hands out, a fifth of a torso's time.
+    Does nothing without glibc. glibc asks the system for each large array anew, which clears every page that it hands
+    out: a sixth of a torso's processor seconds (docs/decisions/0042). And threads have a heap each, in which the arrays
+    of one matching step stay beside those of the next.
     """
     with suppress(OSError, AttributeError, TypeError):  # another C library
         library = ctypes.CDLL(None)
-        for what, value in ((_MMAP_THRESHOLD, _LEAST_BYTES), (_TRIM_THRESHOLD, _KEPT_BYTES), (_ARENA_MAX, 1)):
+        for what, value in ((_MMAP_MAX, 0), (_TRIM_THRESHOLD, _KEPT_BYTES), (_ARENA_MAX, 1)):
             library.mallopt(what, value)
