@@ -1,5 +1,6 @@
 """Annotated shapes and dtypes are checked while the tests run; third-party data are found or skipped."""
 
+import gc
 import os
 import signal
 import subprocess
@@ -14,6 +15,8 @@ from jaxtyping import install_import_hook
 from tests.not_run import NotRun
 from tests.record_seconds import Recorder
 from tests.rota import RECORDED, chosen, function_of, longest_first, turn
+
+gc.disable()  # until all is collected
 
 # Images of containers often forbid bytecode. Each worker and command would compile all of it anew: 20 s and more.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
@@ -49,9 +52,22 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_sessionstart(session: pytest.Session) -> None:
-    """Compile every kernel before workers start: they would all compile the same ones at the same time."""
+    """Compile every kernel before workers start: they would all compile the same ones at the same time.
+
+    A second process begins at the list's end; where they meet, each finds on disk what the other compiled.
+    """
     if session.config.getoption("numprocesses", None):
-        subprocess.run([sys.executable, "-m", "mammometry.cli.compile_cache"], check=True)
+        from_end = "from mammometry.cli.compile_cache import *; compile_kernels(reversed(listed()))"
+        with subprocess.Popen([sys.executable, "-c", from_end]) as second:
+            subprocess.run([sys.executable, "-m", "mammometry.cli.compile_cache"], check=True)
+        assert second.returncode == 0
+
+
+def pytest_collection_finish(session: pytest.Session) -> None:
+    """Look for garbage among what tests make only, and seldom: modules and tests stay, two million objects."""
+    gc.freeze()
+    gc.set_threshold(50_000)
+    gc.enable()
 
 
 @pytest.hookimpl(trylast=True)  # after -m and -k have chosen
