@@ -5,13 +5,15 @@ import os
 import signal
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 # Tests fill the cores already; BLAS reads this when NumPy is loaded first, by the next import at the earliest.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+import jaxtyping
 import pytest
-from jaxtyping import install_import_hook
 from tests.not_run import NotRun
 from tests.record_seconds import Recorder
 from tests.rota import RECORDED, chosen, function_of, longest_first, turn
@@ -32,7 +34,21 @@ _WITHOUT_KERNELS = [
     for path in (_PACKAGE / package).rglob("*.py")
     if path.stem not in ("__init__", "lens") and "machine.compiled import" not in path.read_text(encoding="utf-8")
 ]
-install_import_hook([f"mammometry.{name}" for name in (*_CHECKED, *_WITHOUT_KERNELS)], "beartype.beartype")
+
+
+def _check_arrays(checked: Any = jaxtyping.jaxtyped, **checker: Any) -> Callable[[Any], Any]:
+    """Check what names an array; a check costs as much as a short function, and the other types are mypy's."""
+
+    def decorate(item: Any) -> Any:
+        function = item.__init__ if isinstance(item, type) else item
+        named = map(str, getattr(function, "__annotations__", {}).values())
+        return checked(item, **checker) if any("Array" in name or "jaxtyping" in name for name in named) else item
+
+    return decorate
+
+
+jaxtyping.jaxtyped = _check_arrays  # by which the hook decorates
+jaxtyping.install_import_hook([f"mammometry.{name}" for name in (*_CHECKED, *_WITHOUT_KERNELS)], "beartype.beartype")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
