@@ -1,19 +1,24 @@
 """Annotated shapes and dtypes are checked while the tests run; third-party data are found or skipped."""
 
+import gc
 import os
 import signal
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 # Tests fill the cores already; BLAS reads this when NumPy is loaded first, by the next import at the earliest.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+import jaxtyping
 import pytest
-from jaxtyping import install_import_hook
 from tests.not_run import NotRun
 from tests.record_seconds import Recorder
 from tests.rota import RECORDED, chosen, function_of, longest_first, turn
+
+gc.disable()  # until all is collected
 
 # Images of containers often forbid bytecode. Each worker and command would compile all of it anew: 20 s and more.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
@@ -29,7 +34,21 @@ _WITHOUT_KERNELS = [
     for path in (_PACKAGE / package).rglob("*.py")
     if path.stem not in ("__init__", "lens") and "machine.compiled import" not in path.read_text(encoding="utf-8")
 ]
-install_import_hook([f"mammometry.{name}" for name in (*_CHECKED, *_WITHOUT_KERNELS)], "beartype.beartype")
+
+
+def _check_arrays(checked: Any = jaxtyping.jaxtyped, **checker: Any) -> Callable[[Any], Any]:
+    """Check what names an array; a check costs as much as a short function, and the other types are mypy's."""
+
+    def decorate(item: Any) -> Any:
+        function = item.__init__ if isinstance(item, type) else item
+        named = map(str, getattr(function, "__annotations__", {}).values())
+        return checked(item, **checker) if any("Array" in name or "jaxtyping" in name for name in named) else item
+
+    return decorate
+
+
+jaxtyping.jaxtyped = _check_arrays  # by which the hook decorates
+jaxtyping.install_import_hook([f"mammometry.{name}" for name in (*_CHECKED, *_WITHOUT_KERNELS)], "beartype.beartype")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -49,9 +68,22 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_sessionstart(session: pytest.Session) -> None:
-    """Compile every kernel before workers start: they would all compile the same ones at the same time."""
+    """Compile every kernel before workers start: they would all compile the same ones at the same time.
+
+    A second process begins at the list's end; where they meet, each finds on disk what the other compiled.
+    """
     if session.config.getoption("numprocesses", None):
-        subprocess.run([sys.executable, "-m", "mammometry.cli.compile_cache"], check=True)
+        from_end = "from mammometry.cli.compile_cache import *; compile_kernels(reversed(listed()))"
+        with subprocess.Popen([sys.executable, "-c", from_end]) as second:
+            subprocess.run([sys.executable, "-m", "mammometry.cli.compile_cache"], check=True)
+        assert second.returncode == 0
+
+
+def pytest_collection_finish(session: pytest.Session) -> None:
+    """Look for garbage among what tests make only, and seldom: modules and tests stay, two million objects."""
+    gc.freeze()
+    gc.set_threshold(50_000)
+    gc.enable()
 
 
 @pytest.hookimpl(trylast=True)  # after -m and -k have chosen

@@ -8,7 +8,7 @@ job finds them on disk, and compiles itself what it does not find.
 import importlib
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from importlib.resources import files
 from pathlib import Path
@@ -74,11 +74,16 @@ def main() -> None:
     folder.mkdir(parents=True, exist_ok=True)
     try:
         with FileLock(folder / "compiling.lock", timeout=0):
-            for name, types in listed():
-                # Types, not text: numba would file the kernel under the text.
-                kernel_named(name).compile(argument_types(types))
+            compile_kernels(listed())
     except Timeout:
         return
+
+
+def compile_kernels(kernels: Iterable[tuple[str, str]]) -> None:
+    """Compile kernels, given by name and argument types, where they are not on disk."""
+    for name, types in kernels:
+        # Types, not text: numba would file the kernel under the text.
+        kernel_named(name).compile(argument_types(types))
 
 
 if __name__ == "__main__":

@@ -59,9 +59,9 @@ def table() -> list[tuple[str, Access]]:
 @pytest.mark.requirement("R-SEC-1")
 def test_the_whole_table_for_each_role(clinic: object, client_of: Callable[..., Client], role: Role | None) -> None:
     wrong = []
+    client = Client(raise_request_exception=False) if role is None else client_of(role)
     for path, access in table():
         resolve(path)  # the sample is of this table
-        client = Client(raise_request_exception=False) if role is None else client_of(role)
         for method in (client.get, client.post):
             if access.roles is None:
                 expected = "in"
