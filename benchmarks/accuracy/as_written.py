@@ -17,6 +17,7 @@ import json
 import runpy
 import sys
 from collections.abc import Iterator
+from contextlib import redirect_stdout
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -85,7 +86,8 @@ def tube(sample_data: Path, method: str, out: Path) -> dict[str, Any]:
     """Measure MultiDIC's tube from its first pair; its truth is that it is a cylinder."""
     folder = out / f"tube_{method.replace(' ', '_')}"
     arguments, sys.argv = sys.argv, ["make_sessions.py", str(sample_data), str(folder)]
-    runpy.run_path(str(ROOT / "examples" / "multidic" / "make_sessions.py"), run_name="__main__")
+    with redirect_stdout(sys.stderr):  # what it says is no row of the table
+        runpy.run_path(str(ROOT / "examples" / "multidic" / "make_sessions.py"), run_name="__main__")
     sys.argv = arguments
     job = mm.open_session(folder / "1", METHODS[method].overridden([SETTINGS]))
     rig = job.calibrate().rig
