@@ -430,6 +430,7 @@ def table(rows: Mapping[Any, Mapping[str, Any]], *, everything: bool) -> Iterato
             yield f"| `{name}` | " + " | ".join(cells) + " |"
     still = sum(one <= MOVED for one in largest.values())
     never = sum(all(cell == ["·"] for cell in cells.values()) for cells in by_name.values())
+    yield ""
     yield f"{still} of {len(largest)} move nothing by more than a tenth; {never} of them are reached on no capture."
 
 
