@@ -7,6 +7,7 @@ Anything else that escapes is a defect of ours. The command line turns each clas
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 _LONGEST = 500  # characters of one part; names and values out of damaged files may be longer
 
@@ -30,6 +31,14 @@ class MammometryError(Exception):
         self.page: Path | None = None
         """Shows what was seen, where a page was written."""
         super().__init__(f"{self.subject}: found {self.found}, expected {self.expected}. {self.remedy.rstrip('.')}.")
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Of what an exception's copy is made in another process: without, a refusal there breaks the whole pool."""
+        return _copied, (type(self), self.args), self.__dict__
+
+
+def _copied(kind: type[MammometryError], arguments: tuple[Any, ...]) -> MammometryError:
+    return kind.__new__(kind, *arguments)
 
 
 def _on_one_line(text: str) -> str:

@@ -40,6 +40,7 @@ _SAMPLES = 300_000  # of a view's data that are looked up: a dozen a block that 
 _LEAST_SHARE = 2e-4  # of the subject's blocks that a blocked place covers, at least: fewer are outliers; chosen by eye
 _GAP_BLOCKS = 4  # gaps between data that are narrower than twice this belong to the place, at least; chosen by eye
 _ROUNDS = 4  # of votes, at most; two are usual
+_LONG = 3.5  # widths² that a bar covers at least: most rails and bands 5 to 10, hair below 3.7 (docs/decisions/0025)
 _WIDENING = 1.25  # of the widest blocked place: gaps as wide as what blocks the view belong to it; chosen by eye
 
 
@@ -241,26 +242,34 @@ def _joined(hit: Bool[Array, "H W"], subject: Bool[Array, "H W"]) -> Bool[Array,
     if not large.any():
         return large
     # A bar is about as wide where nobody has measured the skin behind it.
-    radius = max(_GAP_BLOCKS, _WIDENING * _half_width(large))
-    pad = int(radius) + 2
-    whole = np.pad(large | subject, pad, mode="edge")
-    near = ndimage.distance_transform_edt(~whole) <= radius
-    closed = (ndimage.distance_transform_edt(near) > radius)[pad:-pad, pad:-pad]
+    radius = max(_GAP_BLOCKS, _WIDENING * float(_depths(large).max()))
+    closed = _closed(large | subject, radius)
     around = ndimage.distance_transform_edt(~large) <= 2 * radius
     joined: Bool[Array, "H W"] = (closed & around & ~subject) | large
-    # Between blocked places, with the subject on both sides, the same bar goes on.
-    enclosed = ndimage.binary_fill_holes(joined | subject) & ~(joined | subject)
-    labels, count = ndimage.label(enclosed)
-    half_widths = ndimage.maximum(ndimage.distance_transform_edt(enclosed), labels, np.arange(count + 1))
-    bar = np.bincount(labels[ndimage.binary_dilation(joined)], minlength=count + 1) > 0
-    bar &= half_widths <= _WIDENING * _half_width(joined)
-    bar[0] = False
-    return np.asarray(joined | bar[labels])
+    # With the subject on both sides, a bar goes on to where it leaves the subject. Hair is as wide as it is long.
+    labels, count = ndimage.label(joined, structure=np.ones((3, 3)))
+    half_widths = ndimage.maximum(_depths(joined), labels, np.arange(count + 1))
+    bars = np.bincount(labels.ravel()) >= _LONG * (2 * half_widths) ** 2
+    bars[0] = False
+    if not bars.any():
+        return joined
+    half_width = float(half_widths[bars].max())
+    onwards = _closed(joined | subject, _WIDENING * half_width) & ~subject & ~joined
+    ahead, count = ndimage.label(onwards)
+    ends = np.bincount(ahead[ndimage.binary_dilation(bars[labels])], minlength=count + 1)
+    return np.asarray(joined | ((ends >= half_width)[ahead] & onwards))
 
 
-def _half_width(place: Bool[Array, "H W"]) -> float:
-    """Half the width of a place where it is widest, blocks."""
-    return float(ndimage.distance_transform_edt(np.pad(place, 1))[1:-1, 1:-1].max())
+def _closed(place: Bool[Array, "H W"], radius: float) -> Bool[Array, "H W"]:
+    """A place with gaps closed that are narrower than twice the radius, blocks."""
+    pad = int(radius) + 2
+    near = ndimage.distance_transform_edt(~np.pad(place, pad, mode="edge")) <= radius
+    return np.asarray((ndimage.distance_transform_edt(near) > radius)[pad:-pad, pad:-pad])
+
+
+def _depths(place: Bool[Array, "H W"]) -> Float64[Array, "H W"]:
+    """Distance of each block from the place's edge, blocks: half of its width where that is greatest."""
+    return np.asarray(ndimage.distance_transform_edt(np.pad(place, 1))[1:-1, 1:-1])
 
 
 _LEAST = np.ones((3, 3), dtype=bool)  # blocks of a slit: one line alone is an outlier

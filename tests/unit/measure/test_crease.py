@@ -165,6 +165,18 @@ def test_a_border_that_runs_over_the_breast_says_how_far_the_breast_goes_on() ->
     assert valley.sigma_mm[0] < 8
 
 
+def test_a_border_beside_the_end_of_the_trunk_may_lie_beyond_it() -> None:
+    """A breast reaches 110 mm aside. 74 mm are known, and closing turned the last 12 mm back behind the trunk."""
+    x, _ = np.meshgrid(AXES, AXES)
+    breast = cap(110.0, 30.0)
+    ended = follow_crease(relief_of(np.where(x > 62, breast - 4 * (x - 62), breast), x < 74), np.zeros(2), base_mm=95.0)
+    assert ended.flat[0, 0] < 74
+    assert ended.flat[0, 0] + 2 * ended.sigma_mm[0] > 110
+    assert ended.sigma_mm[len(ended.sigma_mm) // 2] < 12
+    slit = follow_crease(relief_of(cap(80.0, 45.0), (x < 82) | (x > 94)), np.zeros(2))
+    assert slit.sigma_mm[0] < 12  # the trunk is seen again behind it
+
+
 def test_a_border_stays_on_its_own_side() -> None:
     found = follow_crease(relief_of(cap(60.0, 45.0)), np.array([5.0, 0.0]), between_mm=(-40.0, np.inf))
     assert found.flat[:, 0].min() > -45

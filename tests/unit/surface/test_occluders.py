@@ -122,3 +122,19 @@ def test_between_two_blocked_places_a_bar_goes_on_but_a_window_is_none():
     assert not joined[40:52, 60:100].any()
     subject[10:25, 60:100] = False  # a window that the bar crosses
     assert not _joined(hit, subject)[10:35, 72:88].any()
+
+
+def test_a_blocked_bar_is_opened_to_where_it_leaves_the_subject():
+    subject = np.zeros((60, 160), dtype=bool)
+    subject[5:55, 20:140] = True
+    subject[25:35, :] = False  # a bar before all of it, hit in its middle alone
+    subject[5:25, 80:84] = False  # a slit of background, narrower than half of the bar
+    hit = np.zeros_like(subject)
+    hit[25:35, 60:100] = True
+    joined = _joined(hit, subject)
+    assert joined[25:35, 25:135].all()
+    assert not joined[:, :18].any()
+    assert not joined[:, 142:].any()
+    assert not joined[5:12, 80:84].any()
+    short = hit & (np.arange(160) >= 94)  # shorter than wide, as hair may be
+    assert not _joined(short, subject)[26:34, 25:70].any()

@@ -100,7 +100,7 @@ def valid_patches(
     return keep_masks.of([stillness.carry(image, cameras.rig) for image in range_images.values()])
 
 
-@product("surface", version=7, name="blocked")
+@product("surface", version=8, name="blocked")
 def occlusions(
     corrected_cameras: CameraSet, valid_patches: ValidPatches, foregrounds: Mapping[str, Foreground], *, job: Context
 ) -> Mapping[str, Occlusion]:

@@ -19,7 +19,7 @@ from scipy.special import softmax
 
 from mammometry.base.value import value
 from mammometry.geometry.arrays import Array, Bool, Float64
-from mammometry.measure.trunk.skin_map import PIXEL_MM, Relief
+from mammometry.measure.trunk.skin_map import KNOWN_MM, PIXEL_MM, Relief
 
 _TURNS = 2  # around the middle: in the first the start is forgotten
 _FURTHEST_STEPS = 3  # that a path may move in or out from one direction to the next; 50° from the tangent at 60 mm
@@ -199,14 +199,13 @@ def follow_crease(
     apart = float(np.mean(reach)) * 2 * np.pi / DIRECTIONS
     reach = np.asarray(gaussian_filter1d(reach, _SIGMA_MM / apart, mode="wrap"))
     flat = middle + rays * reach[:, None]
-    ended = 1 - relief.at(flat, relief.within_its_end(_ENDED_MM))
+    trunk = (relief.at(places, relief.known.astype(np.float64)) > 0.5) & relief.within(places) & (bulge > -_SUNK_MM)
+    hidden_mm = _hidden_mm(trunk, _uncreased(concavity, way), reach)
     return Crease(
         flat=flat,
         concavity_per_mm=_at_steps(concavity, way[:, None])[:, 0],
         seen=relief.at(flat, relief.known.astype(np.float64)) > 0.5,
-        sigma_mm=np.linalg.norm(
-            [_ERR_ALIKE * _STEP_MM * spread, _goes_on_mm(bulge, way), _UNSEEN_SCATTER * ended * reach], axis=0
-        ),
+        sigma_mm=np.linalg.norm([_ERR_ALIKE * _STEP_MM * spread, _goes_on_mm(bulge, way), hidden_mm], axis=0),
     )
 
 
@@ -223,6 +222,33 @@ def _goes_on_mm(bulge: Float64[Array, "d s"], way: Float64[Array, " d"]) -> Floa
     ended[:, -1] = True
     first = np.argmax(ended, axis=1)[:, None]
     return np.maximum(np.take_along_axis(ahead_mm, first, axis=1)[:, 0] - 2 * _SIGMA_MM - _STEP_MM, 0.0)
+
+
+def _uncreased(concavity: Float64[Array, "d s"], way: Float64[Array, " d"]) -> Float64[Array, " d"]:
+    """Degree to which a path has no crease within two σ, 0 to 1."""
+    away_mm = _STEP_MM * np.abs(np.arange(concavity.shape[1]) - way[:, None])
+    most = np.max(concavity, axis=1, initial=0.0, where=away_mm <= 2 * _SIGMA_MM)
+    return np.clip(1 - most / CREASE_PER_MM, 0.0, 1.0)
+
+
+def _hidden_mm(
+    trunk: Bool[Array, "d s"], uncreased: Float64[Array, " d"], reach: Float64[Array, " d"]
+) -> Float64[Array, " d"]:
+    """Scatter of a border beyond which the trunk is not seen, mm.
+
+    A border with a crease is in doubt where the trunk ends beside it: half of the crease may be hidden. One without may
+    lie anywhere within its scatter, and beyond the end. Where the trunk is seen again, it lies before that.
+    """
+    ahead_mm = _STEP_MM * (1 + np.arange(trunk.shape[1])) - reach[:, None]
+    hidden = (ahead_mm >= 0) & ~trunk
+    hidden[:, -1] = True
+    first = np.argmax(hidden, axis=1)[:, None]
+    again = np.where((ahead_mm >= np.take_along_axis(ahead_mm, first, axis=1)) & trunk, ahead_mm, np.inf).min(axis=1)
+    ends_mm = np.take_along_axis(ahead_mm, first, axis=1)[:, 0]
+    scatter_mm = _UNSEEN_SCATTER * reach
+    near_mm = _ENDED_MM + uncreased * np.maximum(2 * scatter_mm - _ENDED_MM, 0.0)
+    share = np.clip((near_mm - ends_mm) / (near_mm - KNOWN_MM), 0.0, 1.0)
+    return np.asarray(share * np.minimum(scatter_mm + uncreased * ends_mm, again / 2))
 
 
 def _unlike(steps: Float64[Array, " s"], angles: Float64[Array, " d"]) -> Float64[Array, "k d s"]:

@@ -128,7 +128,7 @@ PIXEL_MM = 2.0  # side of a pixel; half the scale at which creases are looked at
 _SPECK = 3  # pixels; smaller specks of an outer layer are taken out
 _FINEST_MM = 1.5  # distance of samples on the skin, below a pixel so that none is missed
 _MOST_SAMPLES = 1_000_000  # of the skin; chosen for memory
-_KNOWN_MM = 5.0  # a pixel is known if skin was seen this near; chosen by eye
+KNOWN_MM = 5.0  # a pixel is known if skin was seen this near; chosen by eye
 _EDGE_MM = 13.0  # from the end of the seen skin: three scales of 4 mm at which creases are looked at, and a pixel
 _STEEP_MM = 60.0  # bulges above this count as this; chosen by eye
 
@@ -165,7 +165,7 @@ class Relief:
         around = np.pad(~self.known, 1, constant_values=True)
         parts, _ = label(around)
         away_mm = distance_transform_edt(parts != parts[0, 0])[1:-1, 1:-1] * PIXEL_MM
-        return np.clip((away_mm - _KNOWN_MM) / (reach_mm - _KNOWN_MM), 0.0, 1.0)
+        return np.clip((away_mm - KNOWN_MM) / (reach_mm - KNOWN_MM), 0.0, 1.0)
 
     def at(self, flat: Float64[Array, "*n 2"], values: Float64[Array, "h w"]) -> Float64[Array, "*n"]:
         """Sample a picture at (half width × θ, y), mm, bilinearly. Beyond its edge take the nearest value."""
@@ -216,7 +216,7 @@ def lay_flat(thorax: Thorax, points_world: Float64[Array, "n 3"]) -> Relief:
     away, nearest = distance_transform_edt(~known, return_indices=True)
     # A few pixels under an overhang may have been sampled on its outer layer only.
     bulge_mm = grey_opening(inner[tuple(nearest)], size=(_SPECK, _SPECK))
-    return Relief(low=low, bulge_mm=bulge_mm, known=np.asarray(away * PIXEL_MM < _KNOWN_MM))
+    return Relief(low=low, bulge_mm=bulge_mm, known=np.asarray(away * PIXEL_MM < KNOWN_MM))
 
 
 def dense_samples(mesh: TriangleMesh, spacing_mm: float = _FINEST_MM) -> Float64[Array, "n 3"]:

@@ -1,0 +1,33 @@
+"""Errors keep what they say on their way through a pool of processes."""
+
+import copy
+import pickle
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
+
+import pytest
+
+from mammometry.base import errors
+from mammometry.base.errors import CrossingError, MammometryError, MeasureError
+
+KINDS = [kind for kind in vars(errors).values() if isinstance(kind, type) and issubclass(kind, MammometryError)]
+
+
+def refused() -> None:
+    raise CrossingError("left", found="a knot", expected="a curve", remedy="Draw", mesh_remedy="Scan")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_copy_says_the_same(kind: type[MammometryError]) -> None:
+    error = kind("left", found="a knot", expected="a curve", remedy="Draw it again")
+    error.page = Path("refused.html")
+    for again in (pickle.loads(pickle.dumps(error)), copy.copy(error)):
+        assert type(again) is kind
+        assert (str(again), again.args, vars(again)) == (str(error), error.args, vars(error))
+
+
+def test_a_refusal_comes_back_from_a_pool_of_processes() -> None:
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool, pytest.raises(MeasureError) as raised:
+        pool.submit(refused).result()
+    assert raised.value.of_mesh().remedy == "Scan"
