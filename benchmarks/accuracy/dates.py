@@ -216,7 +216,9 @@ def _trunk(true: TrueVisit) -> TrunkSkin:
 
 
 def summary(found: list[Row]) -> Iterator[str]:
-    """One line a pairing."""
+    """One line a pairing. Nothing where there is no row."""
+    if not found:
+        return
     columns = (
         *("dates", "breasts", "SD of the error cc", "half width cc", "held", "unchanged called changed"),
         *("changed and found: by more than the half width; all", "wall, 95 % mm"),
