@@ -426,7 +426,7 @@ def main() -> None:
         rows += aloe(arguments.aloe)
     if arguments.session is not None:
         head = ["pair", "matcher", *(title for title, _ in _COLUMNS.values())]
-        print("| " + " | ".join(head) + " |\n| " + " | ".join(["---"] * len(head)) + " |")
+        print(f"{arguments.session.name}\n\n| " + " | ".join(head) + " |\n| " + " | ".join(["---"] * len(head)) + " |")
         with tempfile.TemporaryDirectory() as scratch:
             (capture,) = captures(arguments.session, [arguments.subject], Path(scratch))
             rig = calibrated(capture.session) if arguments.cameras == "estimated" else None
