@@ -273,18 +273,19 @@ class MeshJob(Reported):
         """
         begun, before = time.monotonic(), len(self.store.made)
         take_folder(self.store.folder, command=_COMMAND)
-        drawn_beside = report and len(self.finished.repaired.mesh.faces) >= _LEAST_FACES and available_cores() > 1
-        with self.store.taken(), one_blas_thread(), ExitStack() as beside:
-            drawn = None
-            if drawn_beside and not self.store.has(self.content_key):
-                drawn = beside.enter_context(self._drawn_beside())
+        beside = report and len(self.finished.repaired.mesh.faces) >= _LEAST_FACES and available_cores() > 1
+        with self.store.taken(), one_blas_thread(), ExitStack() as stack:
+            begin = None
+            if beside and not self.store.has(self.content_key):
+                begin = stack.enter_context(self._drawing_beside())
             try:
+                made = self.plan.value(measure.measurements) or ()
+                drawn = None if begin is None else begin()
                 self.plan.ensure("measure")
             except MeasureError as error:
                 show_refusal(self.store.folder, self.identity, error, self._seen)
                 raise
             withdraw_refusal(self.store.folder)
-            made = self.plan.value(measure.measurements) or ()
             measurements = {str(measured.name): measured for measured in made}
             no_breast: dict[str, str] = {side.name: side.why for side in self.plan.value(measure.absent) or ()}
             seconds = time.monotonic() - begun
@@ -308,8 +309,12 @@ class MeshJob(Reported):
         )
 
     @contextmanager
-    def _drawn_beside(self) -> Iterator[Callable[[], Mapping[str, Picture]]]:
-        """Draw the pictures in a second process as soon as both breasts are measured."""
+    def _drawing_beside(self) -> Iterator[Callable[[], Callable[[], Mapping[str, Picture]]]]:
+        """Begin a second process that draws.
+
+        Yields:
+            A function that begins to draw, once the breasts are measured, and returns one that waits for the pictures.
+        """
         from mammometry.report.gather import drawn_mesh, mesh_result
 
         def draw() -> Mapping[str, Picture]:
@@ -322,8 +327,7 @@ class MeshJob(Reported):
                 _LOG.warning("the pictures are drawn here: %s", why)
                 return drawn_mesh(shown)
 
-        with ThreadPoolExecutor(2) as pool, ChildProcess() as child:
-            pool.submit(child.call, load)
+        def begin() -> Callable[[], Mapping[str, Picture]]:
             drawn = pool.submit(draw)
 
             def wait() -> Mapping[str, Picture]:
@@ -331,7 +335,11 @@ class MeshJob(Reported):
 
                 return drawn.result()
 
-            yield wait
+            return wait
+
+        with ThreadPoolExecutor(2) as pool, ChildProcess() as child:
+            pool.submit(child.call, load)
+            yield begin
 
     def _seen(self) -> Mapping[str, bytes]:
         """Pictures for the page of a refusal: the mesh, and the boundaries where they were found."""

@@ -33,7 +33,7 @@ class MammometryError(Exception):
         super().__init__(f"{self.subject}: found {self.found}, expected {self.expected}. {self.remedy.rstrip('.')}.")
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Of what an exception's copy is made in another process: without, a refusal there breaks the whole pool."""
+        """Parts to copy or unpickle the error from; without them a refusal breaks a pool of processes."""
         return _copied, (type(self), self.args), self.__dict__
 
 
@@ -112,7 +112,7 @@ class MeasureError(MammometryError):
         self._mesh_remedy = mesh_remedy or remedy
 
     def of_mesh(self) -> MeasureError:
-        """The same in words of a mesh, which has no session and no cameras."""
+        """The same error in words of a mesh, which has no session and no cameras."""
         return type(self)(self.subject, found=self.found, expected=self.expected, remedy=self._mesh_remedy)
 
 

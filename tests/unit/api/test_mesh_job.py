@@ -2,6 +2,7 @@
 
 import json
 import re
+import time
 from pathlib import Path
 
 import numpy as np
@@ -61,6 +62,25 @@ def test_a_second_process_draws_the_same_report(tmp_path: Path, monkeypatch: pyt
         contents.append(unpacked((tmp_path / name / "report" / CONTENT).read_bytes()).pictures)
     assert contents[0] == contents[1] == contents[2]
     assert {"front", "closed-model", "sections-model"} <= set(contents[0]["measure"])
+
+
+def test_what_is_refused_is_measured_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whoever draws beside waits until there is something to draw, and does not try the measurement again."""
+    mesh = export(dome(sink_mm=10.0), tmp_path / "dome.ply")
+    files = MeshFiles(mesh=mesh, units="mm", boundary=curves(tmp_path / "b.json", model=RIM))
+    tried = []
+
+    def refuses(*arguments: object, **options: object) -> None:
+        tried.append(1)
+        time.sleep(0.2)
+        raise MeasureError("breast", found="a knot", expected="a curve", remedy="Draw it again")
+
+    monkeypatch.setattr(api_mesh, "_LEAST_FACES", 0)
+    monkeypatch.setattr(api_mesh, "available_cores", lambda: 2)
+    monkeypatch.setattr("mammometry.measure.volume.volumes.measured_or_refused", refuses)
+    with pytest.raises(MeasureError, match="a knot"):
+        MeshJob(files, tmp_path / "out").run()
+    assert len(tried) == 1
 
 
 def test_what_the_second_process_cannot_draw_is_drawn_here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -76,6 +76,8 @@ def test_colours_of_vertices_and_faces_arrive_unlit_as_they_are(ball: TriangleMe
     picture = Scene(ball).render(view, size_px=100, face_colours=half, lit=False)
     assert tuple(picture[50, 70, :3]) == (255, 0, 0)
     assert tuple(picture[50, 30, :3]) == (0, 255, 0)
+    both = Scene(ball).render(view, size_px=100, colours=blue, face_colours=half, lit=False)
+    np.testing.assert_array_equal(both, picture)
 
 
 def _shaded_twin(seen, weights, faces, colours, by_face, normals, lit, lights, ambient):

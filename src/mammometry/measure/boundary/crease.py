@@ -268,7 +268,7 @@ def _unlike(steps: Float64[Array, " s"], angles: Float64[Array, " d"]) -> Float6
 
 
 def _centroid(flat: Float64[Array, "n 2"]) -> Float64[Array, 2]:
-    """Of the area within a closed curve."""
+    """Centroid of the area within a closed curve."""
     following = np.roll(flat, -1, axis=0)
     twice = flat[:, 0] * following[:, 1] - following[:, 0] * flat[:, 1]
     return np.asarray(((flat + following) * twice[:, None]).sum(axis=0) / (3 * twice.sum()))

@@ -127,8 +127,8 @@ class Scene:
                 colours must not be mistaken for shadows.
         """
         cast = self.cast(view, 2 * size_px)
+        by_face = colours is None or face_colours is not None
         given = colours if face_colours is None else face_colours
-        by_face = colours is None
         if given is None:
             given = np.broadcast_to(np.array(_PLASTER, dtype=np.float32), (len(self.mesh.faces), 3))
         values = np.ascontiguousarray(given, dtype=np.float32) / np.float32(255 if given.dtype == np.uint8 else 1)

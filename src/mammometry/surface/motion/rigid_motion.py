@@ -202,7 +202,7 @@ class Observed:
 
     @property
     def variance(self) -> Float64[Array, " m"]:
-        """Of each observation's noise."""
+        """Variance of each observation's noise."""
         return np.concatenate([np.diag(block) for block in self.own]) + np.sum(self.common**2, axis=1)
 
     def of_blocks(self, values: Array) -> list[Array]:
