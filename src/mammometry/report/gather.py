@@ -411,7 +411,7 @@ def gather_mesh(
 
 
 def mesh_result(plan: Plan, viewer: Rig, textured: TexturedMesh) -> MeasureResult:
-    """Result that the pictures of a measured mesh are drawn from; what is missing is made."""
+    """Result that the pictures of a measured mesh are drawn from."""
     return MeasureResult(
         rig=viewer,
         measurements=plan.value(measure.measurements) or (),
