@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mammometry.base.value import value
-from mammometry.geometry import Array, Bool, Float64, Int32, Rig, TriangleMesh, mesh_kernels
+from mammometry.geometry import Array, Bool, Float64, Int32, Rig, TriangleMesh, mesh_kernels, read_only
 from mammometry.geometry.nearest import point_tree
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.settings import MeasureSettings
@@ -328,7 +328,7 @@ def _pits_mm3(skin: TriangleMesh, invented: Bool[Array, " n"]) -> float:
     held[mesh_kernels.open_vertices(len(skin.vertices), skin.faces)] = True
     if held.all() or not held.any():
         return 0.0
-    spanned = harmonic_between(skin.vertices, skin.faces.astype(np.int64), held, skin.vertices[held])
+    spanned = read_only(harmonic_between(skin.vertices, skin.faces.astype(np.int64), held, skin.vertices[held]))
     middle = skin.vertices.mean(axis=0)
     pits_mm3 = mesh_kernels.volume(spanned, skin.faces, middle) - mesh_kernels.volume(skin.vertices, skin.faces, middle)
     return max(float(pits_mm3), 0.0)

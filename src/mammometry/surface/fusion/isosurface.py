@@ -18,7 +18,7 @@ from scipy import ndimage
 
 from mammometry.base.machine.cores import available_cores
 from mammometry.base.progress import Progress, no_progress
-from mammometry.geometry import Array, Bool, Float32, Float64, Int32, Int64, TriangleMesh, mesh_kernels
+from mammometry.geometry import Array, Bool, Float32, Float64, Int32, Int64, TriangleMesh, mesh_kernels, read_only
 from mammometry.surface.fusion.marching import march, without_saddles
 from mammometry.surface.fusion.voxels import BLOCK, FAR_CUBES, TRANSITION, BlockGrid
 
@@ -75,7 +75,7 @@ def stitched(fine: OpenMesh, coarse: OpenMesh, step: int) -> OpenMesh | None:
 def _border(mesh: OpenMesh) -> tuple[Int64[Array, "e 2"], Int64[Array, " e"]]:
     """Directed sides of faces that no other face shares, with their faces."""
     n = len(mesh.vertices)
-    ends = mesh_kernels.open_vertices(n, mesh.faces)
+    ends = mesh_kernels.open_vertices(n, read_only(mesh.faces))
     a, b, c = ends[mesh.faces.T]
     near = np.flatnonzero((a & b) | (b & c) | (c & a))
     edges = mesh.faces[near][:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64)
