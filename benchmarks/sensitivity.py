@@ -3,10 +3,13 @@
     python -m benchmarks.sensitivity --out build/sensitivity
 
 Four small captures are rendered by seed: a cast, a torso, a torso with a rail before it whose cameras have turned, and
-a telephone's scan. Each is measured once. Then each number is turned alone, in a process of its own that takes over
-every product which the number cannot reach: those made without a function that reads it, from unchanged products. A
-number moves a volume if the volume, or its interval's width, changes by more than a tenth of that width, or if
-something is refused. The rows lie in OUT/rows.jsonl; a second call goes on where the first one ended.
+a telephone's scan. Each is measured once. Then numbers are turned, up to sixteen at once, in a process of their own
+that takes over every product which they cannot reach: those made without a function that reads one of them, from
+unchanged products. They move a volume if the volume, or its interval's width, changes by more than a tenth of that
+width, or if something is refused. Numbers that do are halved and turned again, until each that moves it stands alone
+(sequential bifurcation: Bettonvil and Kleijnen, European Journal of Operational Research 96, 1997). Two that move it by
+the same amount to opposite sides, and are turned together, go unseen; `--together 1` turns each alone. The rows lie in
+OUT/rows.jsonl; a second call goes on where the first one ended.
 
 Numbers that compiled kernels hold themselves are not turned, and count as not reached.
 """
@@ -155,19 +158,26 @@ def _constants_in(text: str, module: str, everything: bool) -> Iterator[tuple[st
                     yield name.id, known[name.id]
 
 
-def turn(number: Number, factor: float) -> Settings:
-    """Turn a number in this process: in the settings that are returned, or in every module that knows it."""
-    value = number.turned(factor)
-    if not number.module:
-        return Settings().overridden([f"{number.name}={list(value) if isinstance(value, tuple) else value}"])
-    own = sys.modules[number.module]
-    _assign(own, number.variable, value)
-    for module in list(sys.modules.values()):
-        if module is not own and module.__name__.startswith("mammometry."):
-            there = vars(module).get(number.variable)
-            if not number.variable.startswith("_") and isinstance(there, type(number.value)) and there == number.value:
-                _assign(module, number.variable, value)
-    return Settings()
+def turn(numbers: Sequence[Number], factor: float) -> Settings:
+    """Turn numbers in this process: in the settings that are returned, or in every module that knows them."""
+    overrides = []
+    for number in numbers:
+        value = number.turned(factor)
+        if not number.module:
+            overrides.append(f"{number.name}={list(value) if isinstance(value, tuple) else value}")
+            continue
+        own = sys.modules[number.module]
+        _assign(own, number.variable, value)
+        for module in list(sys.modules.values()):
+            if module is not own and module.__name__.startswith("mammometry."):
+                known = vars(module).get(number.variable)
+                if not number.variable.startswith("_") and _is_same(known, number.value):
+                    _assign(module, number.variable, value)
+    return Settings().overridden(overrides)
+
+
+def _is_same(known: Any, value: Any) -> bool:
+    return isinstance(known, type(value)) and known == value
 
 
 def _assign(module: Any, name: str, value: Any) -> None:
@@ -245,28 +255,29 @@ class Base:
         self.made[key.product] = Made(value, digest_of(value), key.settings, ran)
         return value
 
-    def reached(self, number: Number) -> bool:
-        """Whether a function that ran reads the number."""
-        return any(map(partial(_reads, readers(number)), self._ran()))
-
-    def _ran(self) -> set[CodeType]:
-        return self.opening.union(*(made.ran for made in self.made.values()))
-
-    def turned(self, number: Number, factor: float) -> dict[str, Any]:
-        """Measure again with a number turned."""
+    def reached(self, number: Number) -> float:
+        """Place of the first product whose functions read the number: −1 for opening, infinite for none."""
         reading = readers(number)
+        for place, ran in enumerate([self.opening, *(made.ran for made in self.made.values())], -1):
+            if any(_reads(reading, code) for code in ran):
+                return place
+        return np.inf
+
+    def turned(self, numbers: Sequence[Number], factor: float) -> dict[str, Any]:
+        """Measure again with numbers turned."""
+        of_modules = set[str]().union(*(readers(one) for one in numbers if one.module))
+        of_settings = set[str]().union(*(readers(one) for one in numbers if not one.module))
         changed: set[str] = set()
-        settings = turn(number, factor)
-        job = self._opened(settings)
+        job = self._opened(turn(numbers, factor))
         parents = {product.key.product: stored_parents(product) for product in job.plan.products()}
-        afresh = any(_reads(reading, code) for code in self.opening) and isinstance(self._opened, partial)
+        everything = of_modules | of_settings
+        afresh = any(_reads(everything, code) for code in self.opening) and isinstance(self._opened, partial)
 
         def recall(key: Key, prepare: Callable[[], Callable[[Any], Any]]) -> Any:
             base = self.made.get(key.product)
             if base is not None and key.product not in changed and not afresh:
-                own = bool(number.module) or key.settings != base.settings
-                read = own and any(_reads(reading, code) for code in base.ran)
-                if not read and changed.isdisjoint(parents[key.product]):
+                reading = everything if key.settings != base.settings else of_modules
+                if changed.isdisjoint(parents[key.product]) and not any(_reads(reading, code) for code in base.ran):
                     return base.value
             value = prepare()(lambda fraction: None)
             if base is None or digest_of(value) != base.digest:
@@ -347,15 +358,13 @@ def moved_by(row: Mapping[str, Any], base: Mapping[str, Any]) -> float:
     return max(shares)
 
 
-def _one(base: Base, number: Number, factor: float, row: dict[str, Any], path: Path) -> None:
+def _one(base: Base, numbers: Sequence[Number], factor: float, sender: Any) -> None:
     begun = time.monotonic()
     try:
-        row |= base.turned(number, factor)
+        row = base.turned(numbers, factor)
     except Exception as error:
-        row["refused"] = f"{type(error).__name__}: {error}"
-    row["moved"] = moved_by(row, base.measured)
-    row["seconds"] = round(time.monotonic() - begun, 2)
-    _write(row, path)
+        row = {"refused": f"{type(error).__name__}: {error}"}
+    sender.send({**row, "moved": moved_by(row, base.measured), "seconds": round(time.monotonic() - begun, 2)})
 
 
 def _write(row: Mapping[str, Any], path: Path) -> None:
@@ -374,42 +383,69 @@ def rows_in(path: Path) -> dict[tuple[str, str, float], dict[str, Any]]:
     return known
 
 
-def turn_all(name: str, numbers: Sequence[Number], factors: Sequence[float], out: Path, workers: int) -> None:
+def turn_all(
+    name: str, numbers: Sequence[Number], factors: Sequence[float], out: Path, *, together: int, workers: int
+) -> None:
     """Turn all numbers on one capture, as far as that is not done."""
     path = out / "rows.jsonl"
     known = rows_in(path)
-    left = [(number, factor) for factor in factors for number in numbers if (name, number.name, factor) not in known]
-    if not left:
+    left = {factor: [one for one in numbers if (name, one.name, factor) not in known] for factor in factors}
+    if not any(left.values()):
         return
     base = Base(opener(name, out))
-    print(f"{name}: {base.measured} in {base.seconds:.0f} s, {len(left)} turns", flush=True)
+    print(f"{name}: {base.measured} in {base.seconds:.0f} s, {sum(map(len, left.values()))} turns", flush=True)
     if "volumes" not in base.measured:
         raise SystemExit(f"{name} cannot be measured")
-    fork, running = multiprocessing.get_context("fork"), []
-    for number, factor in left:
-        row: dict[str, Any] = {"capture": name, "name": number.name, "factor": factor}
-        if not base.reached(number):
-            _write({**row, "moved": 0.0, "reached": False}, path)
-            continue
-        process = fork.Process(target=_one, args=(base, number, factor, row, path))
-        process.start()
-        running.append((process, row, time.monotonic()))
-        while len(running) >= workers:
-            running = [one for one in running if not _ended(*one, base.seconds * _SLOW, path)]
-            time.sleep(0.02)
-    while running:
-        running = [one for one in running if not _ended(*one, base.seconds * _SLOW, path)]
+    place = {one.name: base.reached(one) for one in numbers}
+    waiting: list[tuple[Sequence[Number], float]] = []
+    for factor, some in left.items():
+        for one in some:
+            if place[one.name] == np.inf:
+                row = {"capture": name, "name": one.name, "factor": factor, "moved": 0.0, "reached": False}
+                _write(row, path)
+        # Those that reach the same products first stand together, so that a group makes little anew.
+        reached = sorted((one for one in some if place[one.name] < np.inf), key=lambda one: place[one.name])
+        waiting += [(reached[at : at + together], factor) for at in range(0, len(reached), together)]
+    fork = multiprocessing.get_context("fork")
+    running: list[tuple[Any, Any, Sequence[Number], float, float]] = []
+    while waiting or running:
+        while waiting and len(running) < workers:
+            group, factor = waiting.pop(0)
+            receiver, sender = fork.Pipe(duplex=False)
+            process = fork.Process(target=_one, args=(base, group, factor, sender))
+            process.start()
+            sender.close()
+            running.append((process, receiver, group, factor, time.monotonic()))
+        for turned in list(running):
+            process, receiver, group, factor, begun = turned
+            found = _result(process, receiver, late=time.monotonic() - begun > base.seconds * _SLOW)
+            if found is None:
+                continue
+            running.remove(turned)
+            if len(group) > 1 and found["moved"] > MOVED:
+                half = len(group) // 2
+                waiting = [(group[:half], factor), (group[half:], factor), *waiting]
+                continue
+            for number in group:
+                said = {"capture": name, "name": number.name, "factor": factor, "together": len(group)}
+                _write({**said, **found}, path)
         time.sleep(0.02)
 
 
-def _ended(process: Any, row: dict[str, Any], begun: float, limit: float, path: Path) -> bool:
-    if process.is_alive():
-        if time.monotonic() - begun < limit:
-            return False
+def _result(process: Any, receiver: Any, *, late: bool) -> dict[str, Any] | None:
+    """What a process found. None: it is still at work."""
+    if receiver.poll():
+        with suppress(EOFError):  # it was killed, for want of memory say
+            row: dict[str, Any] = receiver.recv()
+            process.join()
+            return row
+        process.join()
+        return {"moved": np.inf, "refused": f"its process ended with {process.exitcode}"}
+    if late:
         process.kill()
-        _write({**row, "moved": np.inf, "refused": "takes too long"}, path)
-    process.join()
-    return True
+        process.join()
+        return {"moved": np.inf, "refused": "takes too long"}
+    return None
 
 
 def table(rows: Mapping[Any, Mapping[str, Any]], *, everything: bool) -> Iterator[str]:
@@ -442,6 +478,7 @@ def main() -> None:
     parser.add_argument("--only", nargs="+", help="names of numbers, or what they begin with")
     parser.add_argument("--all-constants", action="store_true", help="also those that were measured")
     parser.add_argument("--turns", nargs="+", type=float, default=list(TURNS))
+    parser.add_argument("--together", type=int, default=16, help="numbers that are turned at once, at first")
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--table", action="store_true", help="of what is there; turns nothing")
     parser.add_argument("--whole", action="store_true", help="show also what moves nothing")
@@ -452,7 +489,9 @@ def main() -> None:
         numbers = [one for one in numbers if one.name.startswith(tuple(arguments.only))]
     if not arguments.table:
         for name in arguments.captures:
-            turn_all(name, numbers, arguments.turns, arguments.out, arguments.workers)
+            turn_all(
+                name, numbers, arguments.turns, arguments.out, together=arguments.together, workers=arguments.workers
+            )
     print("\n".join(table(rows_in(arguments.out / "rows.jsonl"), everything=arguments.whole)))
 
 
