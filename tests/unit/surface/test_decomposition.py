@@ -143,6 +143,19 @@ def test_views_of_one_sphere_agree_and_a_moved_camera_is_named():
         check_agreement([views[0], moved, views[2]])
 
 
+def test_skin_that_is_hidden_from_the_other_view_contradicts_nothing():
+    """One camera sees a small sphere; the other sees the large one behind it, there alone. Both face alike."""
+    near = camera_towards("near", (0, 0, 1))
+    near = range_image(near, ellipsoid_range(near, (20.0,) * 3, (0, 0, 60)))
+    whole = camera_towards("hidden", (0.5, 0, 1))
+    whole = range_image(whole, ellipsoid_range(whole, (40.0,) * 3))
+    behind = np.zeros(whole.valid.shape, dtype=bool)
+    behind[whole.valid] = gap_mm(whole.valid_points_world(), near) < -20
+    hidden = range_image(whole.camera, np.where(behind, whole.range_mm, np.nan))
+    assert behind.sum() > 400
+    check_agreement([near, hidden], smallest=100)
+
+
 @pytest.mark.parametrize(("sigma_mm", "refused"), [(0.1, True), (0.4, True), (1.0, False)])
 def test_errors_that_the_views_expect_of_themselves_are_no_moved_camera(sigma_mm, refused):
     """One view is 2 mm too near all over: more than three times .1 · √2 and .4 · √2 mm, less than three times √2 mm."""

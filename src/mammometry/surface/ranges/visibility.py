@@ -25,7 +25,7 @@ from mammometry.surface.ranges import image_kernels
 from mammometry.surface.ranges.range_image import RangeImage
 
 _AGREEMENT_SAMPLES = 20000  # data of a view that are compared: their median is good to 1 %
-_JUMP_MM = 5.0  # neighbouring ranges that differ by more show two surfaces; chosen by eye
+_JUMP_MM = 5.0  # ranges that differ by more show two surfaces; chosen by eye
 _CULPRIT_RATIO = 1.2  # a pair is named as the moved one where its differences exceed the next by this; chosen by eye
 _HONEST_SIGMAS = 3.0  # honest errors stay below .7 σ in the median: see `check_agreement`
 _ALIKE_DEG = 20.0  # between normals of two views that show the same skin; chosen by eye
@@ -90,8 +90,8 @@ def compare(
 def check_agreement(range_images: Sequence[RangeImage], *, limit_mm: float = 1.0, smallest: int = 500) -> None:
     """Refuse views that contradict one another.
 
-    A camera has moved, or the calibration is wrong. Two views are compared where their surfaces face the same way
-    (where one hides the other, they rarely do): half of those data must lie within `limit_mm` of one another, along
+    A camera has moved, or the calibration is wrong. Two views are compared where their surfaces face the same way and
+    neither may hide the other: half of those data must lie within `limit_mm` of one another, along
     the normal, or within three times what their own expected errors make (σ) where that is more, as in small or noisy
     photographs of weak texture. Clean captures stay below .1 mm, and half of honest errors below .7 σ. Views with
     fewer than `smallest` common data are not compared.
@@ -150,10 +150,12 @@ def _distances_across(
     """Unsigned distances of one view's data from the other's surface, mm.
 
     Along the normal, where both face alike. Beside each the standard deviation of it that both data's own expected
-    errors make.
+    errors make. Data far behind are left out: the other's surface may hide them. Where two views do contradict one
+    another, what lies behind for one of them stands in front for the other.
     """
     common = common_skin(image, normals, other, other_normals)
-    return np.stack([np.abs(common.distance_mm), common.sigma_mm], axis=1)
+    told = common.distance_mm > -_JUMP_MM
+    return np.stack([np.abs(common.distance_mm[told]), common.sigma_mm[told]], axis=1)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
