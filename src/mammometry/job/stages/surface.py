@@ -62,7 +62,7 @@ def _dent_settings(job: Context) -> object:
     return job.settings.surface.decompose, job.settings.surface.dents
 
 
-@product("surface", version=5, name="valid", settings=_dent_settings, inputs=("subject",), large=True)
+@product("surface", version=6, name="valid", settings=_dent_settings, inputs=("subject", "capture"), large=True)
 def keep_masks(
     cameras: CameraSet,
     stillness: Stillness,
@@ -71,11 +71,18 @@ def keep_masks(
     *,
     job: Context,
 ) -> KeepMasks:
-    """Masks of the range data that survive the removal of dents (paper 2.6.1, 2.6.2)."""
+    """Masks of the range data that survive the removal of dents (paper 2.6.1, 2.6.2) and of hair before a torso."""
     from mammometry.surface.ranges import dents
+    from mammometry.surface.ranges.strands import strands
 
-    settings, rig = job.settings.surface, cameras.rig
+    settings, rig, photographs = job.settings.surface, cameras.rig, job.inputs.photographs
     images = tuple(stillness.carry(image, rig) for image in range_images.values())
+    if job.inputs.subject_kind == "torso":
+        left = {name: pair[0] for name, pair in rig.pair_names.items()}
+        images = tuple(
+            image.keeping(~strands(image, photographs[left[image.name]], rig.cameras[left[image.name]]))
+            for image in images
+        )
     patches = dents.decompose(images, settings.decompose) if settings.dents.rule == "patch" else None
     valid = dents.remove_dents(images, patches, settings.dents)
     keep = [image.valid for image in valid.range_images]

@@ -1,0 +1,66 @@
+"""Hair, straps and cords that lie before the skin: narrow things, far darker than what is around them.
+
+Matching measures them as if they were skin. Colour alone does not tell, for a fold, a tattoo or a mole is as dark; nor
+does depth, for a nipple stands out as far. What is both dark and stands before its surroundings is no skin.
+"""
+
+import numpy as np
+from scipy import ndimage
+
+from mammometry.base.photograph import LUMA, Photograph
+from mammometry.geometry.arrays import Array, Bool, Float32
+from mammometry.geometry.camera import Camera
+from mammometry.surface.ranges.range_image import RangeImage
+
+_REFERENCE_DIAGONAL_PX = 1353.0  # of the 1126 × 750 images on which widths were measured, as in `surface.occlusion`
+_BLOCK_PX = 2.0  # pixels a block, at that size
+_EDGE_PX = 6.0  # of data beside a strand that lean towards it, at that size: half a window
+_WIDEST_MM = 30.0  # of what is narrow: an areola is wider, a lock of hair is not
+_DARK = 0.3  # of its surroundings' encoded luma: hair .1 to .25, an areola in the shade .35 and more
+_BEFORE_MM, _SIGMAS = 1.0, 3.0  # before its surroundings, and in multiples of the datum's own σ
+_STANDING = 0.25  # of a dark place's data that stand out: the rest of a strand lies on the skin
+
+
+def strands(image: RangeImage, photograph: Photograph, camera: Camera) -> Bool[Array, "h w"]:
+    """Mask of the data that show something dark and narrow before the skin, and of those beside it.
+
+    Args:
+        image: of a pair.
+        photograph: of one of its cameras.
+        camera: that took it.
+    """
+    shape = image.valid.shape
+    unit = max(1.0, float(np.hypot(*shape)) / _REFERENCE_DIAGONAL_PX)
+    step = round(_BLOCK_PX * unit)
+    sampled = Photograph(name=photograph.name, pixels=photograph.pixels[::step, ::step]).encoded()
+    luma = sampled if sampled.ndim == 2 else sampled @ LUMA
+    valid, range_mm = image.valid[::step, ::step], image.range_mm[::step, ::step]
+    row, column = np.nonzero(valid)
+    if not len(row):
+        return np.zeros(shape, dtype=bool)
+    block_mm = step * image.pixel_mm()
+    surroundings = _levelled(luma, _WIDEST_MM / block_mm)
+    rays = image.camera.rays_world(np.stack([column, row], axis=1) * float(step))
+    points = image.camera.centre_world + rays * range_mm[row, column].astype(np.float64)[:, None]
+    places = np.rint(camera.project(points) / step)
+    inside = np.all((places >= 0) & (places < luma.shape[::-1]), axis=1)
+    u, v = places[inside].astype(np.intp).T
+    dark = np.zeros(valid.shape, dtype=bool)
+    dark[row[inside], column[inside]] = luma[v, u] < _DARK * surroundings[v, u]
+    behind_mm = _levelled(np.where(valid, range_mm, -np.inf), _WIDEST_MM / block_mm)
+    sigma_mm = image.sigma_mm[::step, ::step]
+    before = dark & (behind_mm - range_mm > np.maximum(_BEFORE_MM, _SIGMAS * sigma_mm))
+    labels, count = ndimage.label(dark, structure=np.ones((3, 3)))
+    standing = np.asarray(ndimage.mean(before, labels, np.arange(count + 1))) >= _STANDING
+    standing[0] = False
+    if not standing.any():
+        return np.zeros(shape, dtype=bool)
+    beside = ndimage.distance_transform_edt(~standing[labels]) * step <= _EDGE_PX * unit
+    return np.asarray(beside.repeat(step, axis=0).repeat(step, axis=1)[: shape[0], : shape[1]])
+
+
+def _levelled(values: Float32[Array, "h w"], width: float) -> Float32[Array, "h w"]:
+    """Values without valleys narrower than a width, blocks. What is −∞ is not known."""
+    size = max(3, round(width) | 1)
+    highest = ndimage.maximum_filter(values, size)
+    return np.asarray(ndimage.minimum_filter(np.where(highest == -np.inf, np.float32(np.inf), highest), size))
