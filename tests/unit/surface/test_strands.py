@@ -7,7 +7,7 @@ import pytest
 from spheres import camera_towards, ellipsoid_range, range_image
 
 from mammometry.base.photograph import Photograph
-from mammometry.surface.ranges.strands import strands
+from mammometry.surface.ranges.strands import strands_in
 
 CAMERA = camera_towards("left", (0, 0, 1))  # pixels of 1 mm
 WIDE = slice(40, 80)
@@ -28,7 +28,7 @@ def seen(*, columns=STRAND, luma=40, before_mm=3.0, skin=200, dtype=np.uint8):
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
 @pytest.mark.parametrize("skin", [200, 100])
 def test_a_dark_strand_before_the_skin_is_found_with_what_lies_beside_it(skin, dtype):
-    mask = strands(*seen(skin=skin, luma=skin // 5, dtype=dtype), CAMERA)
+    mask = strands_in(*seen(skin=skin, luma=skin // 5, dtype=dtype), CAMERA)
     assert mask[:, STRAND].all()
     assert not mask[:, : STRAND.start - EDGE].any()
     assert not mask[:, STRAND.stop + EDGE :].any()
@@ -37,7 +37,7 @@ def test_a_dark_strand_before_the_skin_is_found_with_what_lies_beside_it(skin, d
 def test_colours_count_as_their_luma():
     image, grey = seen()
     colour = replace(grey, pixels=np.repeat(grey.pixels[..., None], 3, axis=2))
-    np.testing.assert_array_equal(strands(image, colour, CAMERA), strands(image, grey, CAMERA))
+    np.testing.assert_array_equal(strands_in(image, colour, CAMERA), strands_in(image, grey, CAMERA))
 
 
 @pytest.mark.parametrize(
@@ -50,14 +50,14 @@ def test_colours_count_as_their_luma():
     ],
 )
 def test_what_is_not_dark_narrow_and_before_the_skin_is_kept(what):
-    assert not strands(*seen(**what), CAMERA).any()
+    assert not strands_in(*seen(**what), CAMERA).any()
 
 
 def test_a_strand_that_its_own_error_explains_is_kept():
     image, photograph = seen(before_mm=3.0)
-    assert not strands(replace(image, sigma_mm=np.full_like(image.sigma_mm, 1.5)), photograph, CAMERA).any()
+    assert not strands_in(replace(image, sigma_mm=np.full_like(image.sigma_mm, 1.5)), photograph, CAMERA).any()
 
 
 def test_a_view_without_data_has_no_strands():
     image, photograph = seen()
-    assert not strands(image.keeping(np.zeros_like(image.valid)), photograph, CAMERA).any()
+    assert not strands_in(image.keeping(np.zeros_like(image.valid)), photograph, CAMERA).any()

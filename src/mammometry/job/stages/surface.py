@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from mammometry.geometry.arrays import Array, Bool
 from mammometry.job.inputs import CameraSet, FinishedSurface
 from mammometry.job.products import Context, product, product_of_each
 
@@ -62,27 +63,37 @@ def _dent_settings(job: Context) -> object:
     return job.settings.surface.decompose, job.settings.surface.dents
 
 
-@product("surface", version=6, name="valid", settings=_dent_settings, inputs=("subject", "capture"), large=True)
+@product("surface", version=1, stored=False, inputs=("capture",), when=lambda job: job.inputs.subject_kind == "torso")
+def strands(
+    cameras: CameraSet, range_images: Mapping[str, RangeImage], *, job: Context
+) -> Mapping[str, Bool[Array, "h w"]]:
+    """Pair → data that show hair, straps or cords before a torso's skin."""
+    from mammometry.surface.ranges.strands import strands_in
+
+    left = {name: pair[0] for name, pair in cameras.rig.pair_names.items()}
+    return {
+        name: strands_in(image, job.inputs.photographs[left[name]], cameras.rig.cameras[left[name]])
+        for name, image in range_images.items()
+    }
+
+
+@product("surface", version=5, name="valid", settings=_dent_settings, inputs=("subject",), large=True)
 def keep_masks(
     cameras: CameraSet,
     stillness: Stillness,
     range_images: Mapping[str, RangeImage],
+    strands: Mapping[str, Bool[Array, "h w"]] | None,
     subjects: Subjects | None,
     *,
     job: Context,
 ) -> KeepMasks:
-    """Masks of the range data that survive the removal of dents (paper 2.6.1, 2.6.2) and of hair before a torso."""
+    """Masks of the range data that survive the removal of dents (paper 2.6.1, 2.6.2) and of strands."""
     from mammometry.surface.ranges import dents
-    from mammometry.surface.ranges.strands import strands
 
-    settings, rig, photographs = job.settings.surface, cameras.rig, job.inputs.photographs
+    settings, rig = job.settings.surface, cameras.rig
     images = tuple(stillness.carry(image, rig) for image in range_images.values())
-    if job.inputs.subject_kind == "torso":
-        left = {name: pair[0] for name, pair in rig.pair_names.items()}
-        images = tuple(
-            image.keeping(~strands(image, photographs[left[image.name]], rig.cameras[left[image.name]]))
-            for image in images
-        )
+    if strands is not None:
+        images = tuple(image.keeping(~strands[image.name]) for image in images)
     patches = dents.decompose(images, settings.decompose) if settings.dents.rule == "patch" else None
     valid = dents.remove_dents(images, patches, settings.dents)
     keep = [image.valid for image in valid.range_images]

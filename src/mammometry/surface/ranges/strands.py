@@ -21,7 +21,7 @@ _BEFORE_MM, _SIGMAS = 1.0, 3.0  # before its surroundings, and in multiples of t
 _STANDING = 0.25  # of a dark place's data that stand out: the rest of a strand lies on the skin
 
 
-def strands(image: RangeImage, photograph: Photograph, camera: Camera) -> Bool[Array, "h w"]:
+def strands_in(image: RangeImage, photograph: Photograph, camera: Camera) -> Bool[Array, "h w"]:
     """Mask of the data that show something dark and narrow before the skin, and of those beside it.
 
     Args:
