@@ -1,4 +1,4 @@
-"""Hair before the skin: dark, narrow, and nearer than what is around it."""
+"""Hair before the skin: dark, long, narrow, and nearer than what is around it."""
 
 from dataclasses import replace
 
@@ -15,12 +15,12 @@ STRAND = slice(55, 60)
 EDGE = 7  # px: half a window of 6, in blocks of 2
 
 
-def seen(*, columns=STRAND, luma=40, before_mm=3.0, skin=200, dtype=np.uint8):
+def seen(*, columns=STRAND, rows=slice(None), luma=40, before_mm=3.0, skin=200, dtype=np.uint8):
     """A chest of 200 mm, and a stripe of another colour that stands so far before it."""
     range_mm = ellipsoid_range(CAMERA, (200.0,) * 3, (0, 0, -200.0))
-    range_mm[:, columns] -= before_mm
+    range_mm[rows, columns] -= before_mm
     pixels = np.full((120, 120), skin, dtype=np.uint8)
-    pixels[:, columns] = luma
+    pixels[rows, columns] = luma
     photograph = Photograph(name="capture/left.png", pixels=pixels.astype(dtype) * (np.iinfo(dtype).max // 255))
     return range_image(CAMERA, range_mm), photograph
 
@@ -47,9 +47,10 @@ def test_colours_count_as_their_luma():
         {"before_mm": -4.0},  # a fold in its shadow
         {"luma": 120},  # an areola, a scar, a strap of the skin's colour
         {"columns": WIDE},  # a shirt
+        {"rows": slice(50, 65)},  # a nipple
     ],
 )
-def test_what_is_not_dark_narrow_and_before_the_skin_is_kept(what):
+def test_what_is_not_dark_long_narrow_and_before_the_skin_is_kept(what):
     assert not strands_in(*seen(**what), CAMERA).any()
 
 

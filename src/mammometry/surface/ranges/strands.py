@@ -1,7 +1,7 @@
-"""Hair, straps and cords that lie before the skin: narrow things, far darker than what is around them.
+"""Hair, straps and cords that lie before the skin: long and narrow things, far darker than what is around them.
 
-Matching measures them as if they were skin. Colour alone does not tell, for a fold, a tattoo or a mole is as dark; nor
-does depth, for a nipple stands out as far. What is both dark and stands before its surroundings is no skin.
+Matching measures them as if they were skin. Colour alone does not tell, for a fold, a scar or a tattoo may be as dark;
+nor does depth, for a nipple stands out as far. What is long, dark, and before its surroundings is no skin.
 """
 
 import numpy as np
@@ -15,8 +15,9 @@ from mammometry.surface.ranges.range_image import RangeImage
 _REFERENCE_DIAGONAL_PX = 1353.0  # of the 1126 × 750 images on which widths were measured, as in `surface.occlusion`
 _BLOCK_PX = 2.0  # pixels a block, at that size
 _EDGE_PX = 6.0  # of data beside a strand that lean towards it, at that size: half a window
-_WIDEST_MM = 30.0  # of what is narrow: an areola is wider, a lock of hair is not
-_DARK = 0.3  # of its surroundings' encoded luma: hair .1 to .25, an areola in the shade .35 and more
+_WIDEST_MM = 16.0  # of what is narrow: areolae and the shade below a breast are wider
+_LONGER_MM = 25.0  # than this, across which no nipple is
+_DARK = 0.5  # of its surroundings' encoded luma: hair .1 to .45, nipples .6 and more
 _BEFORE_MM, _SIGMAS = 1.0, 3.0  # before its surroundings, and in multiples of the datum's own σ
 _STANDING = 0.25  # of a dark place's data that stand out: the rest of a strand lies on the skin
 
@@ -39,23 +40,24 @@ def strands_in(image: RangeImage, photograph: Photograph, camera: Camera) -> Boo
     if not len(row):
         return np.zeros(shape, dtype=bool)
     block_mm = step * image.pixel_mm()
-    surroundings = _levelled(luma, _WIDEST_MM / block_mm)
+    dark = luma < _DARK * _levelled(luma, _WIDEST_MM / block_mm)
+    places, count = ndimage.label(dark, structure=np.ones((3, 3)))
+    sides = [[side.stop - side.start for side in box] for box in ndimage.find_objects(places)]
     rays = image.camera.rays_world(np.stack([column, row], axis=1) * float(step))
     points = image.camera.centre_world + rays * range_mm[row, column].astype(np.float64)[:, None]
-    places = np.rint(camera.project(points) / step)
-    inside = np.all((places >= 0) & (places < luma.shape[::-1]), axis=1)
-    u, v = places[inside].astype(np.intp).T
-    dark = np.zeros(valid.shape, dtype=bool)
-    dark[row[inside], column[inside]] = luma[v, u] < _DARK * surroundings[v, u]
+    uv = np.rint(camera.project(points) / step)
+    inside = np.all((uv >= 0) & (uv < luma.shape[::-1]), axis=1)
+    u, v = uv[inside].astype(np.intp).T
+    shown = np.zeros(valid.shape, dtype=places.dtype)
+    shown[row[inside], column[inside]] = places[v, u]
     behind_mm = _levelled(np.where(valid, range_mm, -np.inf), _WIDEST_MM / block_mm)
-    sigma_mm = image.sigma_mm[::step, ::step]
-    before = dark & (behind_mm - range_mm > np.maximum(_BEFORE_MM, _SIGMAS * sigma_mm))
-    labels, count = ndimage.label(dark, structure=np.ones((3, 3)))
-    standing = np.asarray(ndimage.mean(before, labels, np.arange(count + 1))) >= _STANDING
-    standing[0] = False
-    if not standing.any():
+    before = behind_mm - range_mm > np.maximum(_BEFORE_MM, _SIGMAS * image.sigma_mm[::step, ::step])
+    data, standing = (np.bincount(some.ravel(), minlength=count + 1) for some in (shown, shown[before]))
+    strand = (data > 0) & (standing >= _STANDING * data)
+    strand &= [False, *(np.hypot(*side) > _LONGER_MM / block_mm for side in sides)]
+    if not strand.any():
         return np.zeros(shape, dtype=bool)
-    beside = ndimage.distance_transform_edt(~standing[labels]) * step <= _EDGE_PX * unit
+    beside = ndimage.distance_transform_edt(~strand[shown]) * step <= _EDGE_PX * unit
     return np.asarray(beside.repeat(step, axis=0).repeat(step, axis=1)[: shape[0], : shape[1]])
 
 
