@@ -68,13 +68,14 @@ def strands(
     cameras: CameraSet, range_images: Mapping[str, RangeImage], *, job: Context
 ) -> Mapping[str, Bool[Array, "h w"]]:
     """Pair → data that show hair, straps or cords before a torso's skin."""
+    from mammometry.base.machine.cores import each_at_once
     from mammometry.surface.ranges.strands import strands_in
 
-    left = {name: pair[0] for name, pair in cameras.rig.pair_names.items()}
-    return {
-        name: strands_in(image, job.inputs.photographs[left[name]], cameras.rig.cameras[left[name]])
-        for name, image in range_images.items()
-    }
+    def found(name: str) -> Bool[Array, "h w"]:
+        left, _ = cameras.rig.pair_names[name]
+        return strands_in(range_images[name], job.inputs.photographs[left], cameras.rig.cameras[left])
+
+    return dict(zip(range_images, each_at_once(found, list(range_images)), strict=True))
 
 
 @product("surface", version=5, name="valid", settings=_dent_settings, inputs=("subject",), large=True)
