@@ -96,6 +96,11 @@ class KeepMasks:
     angles_rad: tuple[Float32[Array, "h w"], ...]
     """As of `ValidPatches`."""
 
+    def without(self, masks: Sequence[Bool[Array, "h w"]]) -> KeepMasks:
+        """These masks without what others show, one per view."""
+        keep = tuple(keep & ~mask for keep, mask in zip(self.keep, masks, strict=True))
+        return KeepMasks(keep=keep, angles_rad=self.angles_rad)
+
     def of(self, range_images: Sequence[RangeImage]) -> ValidPatches:
         """The data that survived, of the views they were chosen from."""
         images = tuple(image.keeping(keep) for image, keep in zip(range_images, self.keep, strict=True))

@@ -8,7 +8,8 @@ import numpy as np
 from scipy import ndimage
 
 from mammometry.base.photograph import LUMA, Photograph
-from mammometry.geometry.arrays import Array, Bool, Float32
+from mammometry.base.value import value
+from mammometry.geometry.arrays import Array, Bool, Float32, Float64
 from mammometry.geometry.camera import Camera
 from mammometry.surface.ranges.range_image import RangeImage
 
@@ -20,6 +21,16 @@ _LONGER_MM = 25.0  # than this, across which no nipple is
 _DARK = 0.5  # of its surroundings' encoded luma: hair .1 to .45, nipples .6 and more
 _BEFORE_MM, _SIGMAS = 1.0, 3.0  # before its surroundings, and in multiples of the datum's own σ
 _STANDING = 0.25  # of a dark place's data that stand out: the rest of a strand lies on the skin
+
+
+@value(eq=False)
+class Strands:
+    """What one pair measured of strands."""
+
+    mask: Bool[Array, "h w"]
+    """Of the range image: data of strands, and beside them."""
+    points_world: Float64[Array, "n 3"]
+    """Those of them that survived the removal of dents, mm."""
 
 
 def strands_in(image: RangeImage, photograph: Photograph, camera: Camera) -> Bool[Array, "h w"]:
