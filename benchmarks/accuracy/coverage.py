@@ -35,7 +35,7 @@ from mammometry.io.truth import read_volumes
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.volume import volumes
-from mammometry.measure.volume.boundary_jitter import boundary_std_cc, displacements_mm, redraw
+from mammometry.measure.volume.boundary_jitter import displacements_mm, redraw
 from mammometry.measure.volume.difference import difference
 from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.measure.volume.uncertainty import EarlierErrors, Evidence
