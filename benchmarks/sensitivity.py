@@ -32,6 +32,7 @@ from pathlib import Path
 from types import CodeType, FrameType
 from typing import Any
 
+import cv2
 import numpy as np
 
 import mammometry
@@ -488,6 +489,7 @@ def main() -> None:
     if arguments.only:
         numbers = [one for one in numbers if one.name.startswith(tuple(arguments.only))]
     if not arguments.table:
+        cv2.setNumThreads(1)  # a fork has none of its parent's threads, and would wait for them
         for name in arguments.captures:
             turn_all(
                 name, numbers, arguments.turns, arguments.out, together=arguments.together, workers=arguments.workers
