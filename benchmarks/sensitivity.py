@@ -394,7 +394,8 @@ def turn_all(
     if not any(left.values()):
         return
     base = Base(opener(name, out))
-    print(f"{name}: {base.measured} in {base.seconds:.0f} s, {sum(map(len, left.values()))} turns", flush=True)
+    turns = sum(map(len, left.values()))
+    print(f"{name}: {base.measured} in {base.seconds:.0f} s, {turns} turns", file=sys.stderr)
     if "volumes" not in base.measured:
         raise SystemExit(f"{name} cannot be measured")
     place = {one.name: base.reached(one) for one in numbers}
