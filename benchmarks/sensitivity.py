@@ -467,7 +467,7 @@ def table(rows: Mapping[Any, Mapping[str, Any]], *, everything: bool) -> Iterato
             cells = (", ".join(dict.fromkeys(by_name[name].get(capture, ["–"]))) for capture in captures)
             yield f"| `{name}` | " + " | ".join(cells) + " |"
     still = sum(one <= MOVED for one in largest.values())
-    never = sum(all(cell == ["·"] for cell in cells.values()) for cells in by_name.values())
+    never = sum(all(set(cell) == {"·"} for cell in cells.values()) for cells in by_name.values())
     yield ""
     yield f"{still} of {len(largest)} move nothing by more than a tenth; {never} of them are reached on no capture."
 
