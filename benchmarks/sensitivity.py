@@ -394,7 +394,8 @@ def turn_all(
     if not any(left.values()):
         return
     base = Base(opener(name, out))
-    print(f"{name}: {base.measured} in {base.seconds:.0f} s, {sum(map(len, left.values()))} turns", flush=True)
+    turns = sum(map(len, left.values()))
+    print(f"{name}: {base.measured} in {base.seconds:.0f} s, {turns} turns", file=sys.stderr)
     if "volumes" not in base.measured:
         raise SystemExit(f"{name} cannot be measured")
     place = {one.name: base.reached(one) for one in numbers}
@@ -466,7 +467,7 @@ def table(rows: Mapping[Any, Mapping[str, Any]], *, everything: bool) -> Iterato
             cells = (", ".join(dict.fromkeys(by_name[name].get(capture, ["–"]))) for capture in captures)
             yield f"| `{name}` | " + " | ".join(cells) + " |"
     still = sum(one <= MOVED for one in largest.values())
-    never = sum(all(cell == ["·"] for cell in cells.values()) for cells in by_name.values())
+    never = sum(all(set(cell) == {"·"} for cell in cells.values()) for cells in by_name.values())
     yield ""
     yield f"{still} of {len(largest)} move nothing by more than a tenth; {never} of them are reached on no capture."
 
