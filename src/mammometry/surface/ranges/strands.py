@@ -1,4 +1,4 @@
-"""Hair, straps and cords that lie before the skin: long and narrow things, far darker than what is around them.
+"""Hair, straps and cords before the skin: long, narrow, nearer and far darker than its surroundings.
 
 Matching measures them as if they were skin. Colour alone does not tell, for a fold, a scar or a tattoo may be as dark;
 nor does depth, for a nipple stands out as far. What is long, dark, and before its surroundings is no skin.

@@ -154,8 +154,8 @@ def _distances_across(
     another, what lies behind for one of them stands in front for the other.
     """
     common = common_skin(image, normals, other, other_normals)
-    told = common.distance_mm > -_JUMP_MM
-    return np.stack([np.abs(common.distance_mm[told]), common.sigma_mm[told]], axis=1)
+    shown = common.distance_mm > -_JUMP_MM
+    return np.stack([np.abs(common.distance_mm[shown]), common.sigma_mm[shown]], axis=1)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
