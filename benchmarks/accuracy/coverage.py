@@ -35,7 +35,7 @@ from mammometry.io.truth import read_volumes
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.volume import volumes
-from mammometry.measure.volume.boundary_jitter import boundary_std_cc, displacements_mm, redraw
+from mammometry.measure.volume.boundary_jitter import displacements_mm, redraw
 from mammometry.measure.volume.difference import difference
 from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.measure.volume.uncertainty import EarlierErrors, Evidence
@@ -132,9 +132,7 @@ def _torso(true: TrueTorso, seed: int, settings: MeasureSettings) -> Iterator[He
         drawn.append(redraw(moved, rng.normal(size=len(modes)) @ modes, surface.mesh))
     truth_cc, both = true.solid.volumes_cc, []
     for breast in open_breasts(drawn, surface, settings):
-        boundary, wall = breast.boundary, chest_wall.fit(breast)
-        evidence = Evidence(surface=surface, earlier=earlier, boundary_std_cc=boundary_std_cc(breast, wall))
-        found = volumes.measure(boundary, wall, settings, evidence=evidence)
+        boundary, found = breast.boundary, volumes.measure_volume(breast, Evidence(earlier=earlier))
         yield Held(true.solid.name, boundary.name, found.volume_cc - truth_cc[boundary.name], half_width_cc(found))
         yield as_defined(found, true, settings)
         if muscle_cc := _muscle_cc(true.solid):
