@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import argparse
 import csv
+import itertools
 import json
 import re
 import shlex
@@ -119,6 +120,18 @@ def markdown(outputs: Sequence[str]) -> str:
     return with_minus("\n\n".join(output.strip() for output in outputs if output.strip()))
 
 
+def first_table(outputs: Sequence[str]) -> str:
+    """The first table of each output, under one heading, without what else is printed."""
+    rows: list[str] = []
+    for output in outputs:
+        lines = output.splitlines()
+        heads = [number for number, line in enumerate(lines) if line.startswith("| ---")]
+        rest = lines[heads[0] + 1 : heads[1] - 1 if len(heads) > 1 else None]
+        rows += [] if rows else lines[heads[0] - 1 : heads[0] + 1]
+        rows += itertools.takewhile(lambda line: line.startswith("|"), rest)
+    return with_minus("\n".join(rows))
+
+
 def demo(outputs: Sequence[str]) -> str:
     """Volume and interval of the demo beside the truth."""
     answer = json.loads(outputs[-1])
@@ -166,6 +179,7 @@ def paper_table(outputs: Sequence[str]) -> str:
 
 FORMS: Mapping[str, Callable[[Sequence[str]], str]] = {
     "markdown": markdown,
+    "first-table": first_table,
     "demo": demo,
     "casts": casts,
     "paper-depth": paper_depth,

@@ -148,6 +148,7 @@ def main() -> None:
             print(f"{name}: {kind}: {outcome}")
     outcomes = ("right", "named", "refused", "undecided", "missed")
     print(f"| {len(captures)} captures | cases | {' | '.join(outcomes)} |")
+    print("| --- " * (2 + len(outcomes)) + "|")
     for kind, counts in counted.items():
         print(f"| {kind} | {counts.total()} | {' | '.join(str(counts[one]) for one in outcomes)} |")
     slowest = max(captures, key=lambda one: one.seconds)
