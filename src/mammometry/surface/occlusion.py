@@ -21,7 +21,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 
 import numpy as np
 from scipy import ndimage
@@ -63,10 +62,7 @@ class Occlusion:
 
 
 def find_occlusions(
-    range_images: Sequence[RangeImage],
-    foregrounds: Mapping[str, Foreground],
-    rig: Rig,
-    further_world: Mapping[str, Float64[Array, "n 3"]] = MappingProxyType({}),
+    range_images: Sequence[RangeImage], foregrounds: Mapping[str, Foreground], rig: Rig
 ) -> dict[str, Occlusion]:
     """Find the places where cameras see something before the subject.
 
@@ -77,7 +73,6 @@ def find_occlusions(
         range_images: measured skin of each pair, without what is dented.
         foregrounds: silhouettes by camera; those that are not known have no say.
         rig: the calibrated cameras.
-        further_world: pair → what it measured close before the skin, mm.
 
     Returns:
         Camera → where it is blocked, for the cameras that are.
@@ -91,8 +86,6 @@ def find_occlusions(
     further = each_at_once(continued_world, range_images)
     for image, past in zip(range_images, further, strict=True):
         points = image.valid_points_world()
-        if image.name in further_world:
-            points = np.concatenate([points, further_world[image.name]])
         own = [views[name] for name in rig.pair_names[image.name] if name in views]
         others = [name for name in views if name not in rig.pair_names[image.name]]
         for seen in (points, _shown(past, own)):

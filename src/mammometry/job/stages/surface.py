@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from mammometry.geometry.arrays import Array, Bool
 from mammometry.job.inputs import CameraSet, FinishedSurface
 from mammometry.job.products import Context, product, product_of_each
 
@@ -21,7 +22,6 @@ if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a pla
     from mammometry.surface.occlusion import Occlusion
     from mammometry.surface.ranges.dents import KeepMasks, ValidPatches
     from mammometry.surface.ranges.range_image import RangeImage
-    from mammometry.surface.ranges.strands import Strands
     from mammometry.surface.repair.repair import RepairedSurface
     from mammometry.surface.texture.texture_atlas import Atlas
 
@@ -88,34 +88,19 @@ def keep_masks(
     return dents.KeepMasks(keep=tuple(keep), angles_rad=valid.angles_rad)
 
 
-@product(
-    "surface",
-    version=1,
-    stored=False,
-    inputs=("capture",),
-    when=lambda job: job.inputs.subject_kind == "torso",
-    large=True,
-)
+@product("surface", version=1, stored=False, inputs=("capture",), when=lambda job: job.inputs.subject_kind == "torso")
 def strands(
-    cameras: CameraSet,
-    stillness: Stillness,
-    range_images: Mapping[str, RangeImage],
-    keep_masks: KeepMasks,
-    *,
-    job: Context,
-) -> Mapping[str, Strands]:
-    """Pair → what it measured of hair, straps or cords before a torso's skin."""
+    cameras: CameraSet, range_images: Mapping[str, RangeImage], *, job: Context
+) -> Mapping[str, Bool[Array, "h w"]]:
+    """Pair → data that show hair, straps or cords before a torso's skin."""
     from mammometry.base.machine.cores import each_at_once
-    from mammometry.surface.ranges.strands import Strands, strands_in
+    from mammometry.surface.ranges.strands import strands_in
 
-    def found(at: int) -> Strands:
-        image = list(range_images.values())[at]
-        left, _ = cameras.rig.pair_names[image.name]
-        mask = strands_in(image, job.inputs.photographs[left], cameras.rig.cameras[left])
-        kept = stillness.carry(image, cameras.rig).keeping(mask & keep_masks.keep[at])
-        return Strands(mask=mask, points_world=kept.valid_points_world())
+    def found(name: str) -> Bool[Array, "h w"]:
+        left, _ = cameras.rig.pair_names[name]
+        return strands_in(range_images[name], job.inputs.photographs[left], cameras.rig.cameras[left])
 
-    return dict(zip(range_images, each_at_once(found, range(len(range_images))), strict=True))
+    return dict(zip(range_images, each_at_once(found, list(range_images)), strict=True))
 
 
 @product("surface", version=1, name="data", stored=False, large=True)
@@ -124,30 +109,23 @@ def valid_patches(
     stillness: Stillness,
     range_images: Mapping[str, RangeImage],
     keep_masks: KeepMasks,
-    strands: Mapping[str, Strands] | None,
+    strands: Mapping[str, Bool[Array, "h w"]] | None,
     *,
     job: Context,
 ) -> ValidPatches:
     """Range data that survive and show no strand, taken from the range images when they are wanted."""
-    masks = keep_masks if strands is None else keep_masks.without([strands[name].mask for name in range_images])
+    masks = keep_masks if strands is None else keep_masks.without([strands[name] for name in range_images])
     return masks.of([stillness.carry(image, cameras.rig) for image in range_images.values()])
 
 
 @product("surface", version=8, name="blocked")
 def occlusions(
-    corrected_cameras: CameraSet,
-    valid_patches: ValidPatches,
-    strands: Mapping[str, Strands] | None,
-    foregrounds: Mapping[str, Foreground],
-    *,
-    job: Context,
+    corrected_cameras: CameraSet, valid_patches: ValidPatches, foregrounds: Mapping[str, Foreground], *, job: Context
 ) -> Mapping[str, Occlusion]:
     """Camera → places with something in front of the subject, for cameras that have such places."""
     from mammometry.surface.occlusion import find_occlusions
 
-    # Hair on the skin shows as well as the skin itself where a silhouette is wrong.
-    further = {name: one.points_world for name, one in (strands or {}).items()}
-    return find_occlusions(valid_patches.range_images, foregrounds, corrected_cameras.rig, further_world=further)
+    return find_occlusions(valid_patches.range_images, foregrounds, corrected_cameras.rig)
 
 
 @product("surface", large=True)

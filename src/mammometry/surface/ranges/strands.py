@@ -8,44 +8,30 @@ import numpy as np
 from scipy import ndimage
 
 from mammometry.base.photograph import LUMA, Photograph
-from mammometry.base.value import value
-from mammometry.geometry.arrays import Array, Bool, Float32, Float64
+from mammometry.geometry.arrays import Array, Bool, Float32
 from mammometry.geometry.camera import Camera
+from mammometry.matching.foreground.foreground import blocks_of
 from mammometry.surface.ranges.range_image import RangeImage
 
-_REFERENCE_DIAGONAL_PX = 1353.0  # of the 1126 × 750 images on which widths were measured, as in `surface.occlusion`
-_BLOCK_PX = 2.0  # pixels a block, at that size
-_EDGE_PX = 6.0  # of data beside a strand that lean towards it, at that size: half a window
-_WIDEST_MM = 16.0  # of what is narrow: areolae and the shade below a breast are wider
-_LONGER_MM = 25.0  # than this, across which no nipple is
-_DARK = 0.5  # of its surroundings' encoded luma: hair .1 to .45, nipples .6 and more
-_BEFORE_MM, _SIGMAS = 1.0, 3.0  # before its surroundings, and in multiples of the datum's own σ
-_STANDING = 0.25  # of a dark place's data that stand out: the rest of a strand lies on the skin
-
-
-@value(eq=False)
-class Strands:
-    """What one pair measured of strands."""
-
-    mask: Bool[Array, "h w"]
-    """Of the range image: data of strands, and beside them."""
-    points_world: Float64[Array, "n 3"]
-    """Those of them that survived the removal of dents, mm."""
+_EDGE_PX = 6.0  # of data beside a strand that lean towards it, at the foreground's reference size: half a window
+_WIDEST_MM = 16.0  # of what is narrow: areolae and the shade below a breast are wider; chosen by eye
+_LONGER_MM = 25.0  # than this, across which no nipple is; chosen by eye
+_DARK = 0.5  # of its surroundings' encoded luma: hair .1 to .45, nipples .6 and more; chosen by eye
+_BEFORE_MM, _SIGMAS = 1.0, 3.0  # before its surroundings, and in multiples of the datum's own σ; chosen by eye
+_STANDING = 0.25  # of a dark place's data that stand out: the rest of a strand lies on the skin; chosen by eye
 
 
 def strands_in(image: RangeImage, photograph: Photograph, camera: Camera) -> Bool[Array, "h w"]:
-    """Mask of the data that show something dark and narrow before the skin, and of those beside it.
+    """Mask of the data that show something dark, long and narrow before the skin, and of those beside it.
 
     Args:
         image: of a pair.
         photograph: of one of its cameras.
         camera: that took it.
     """
-    shape = image.valid.shape
-    unit = max(1.0, float(np.hypot(*shape)) / _REFERENCE_DIAGONAL_PX)
-    step = round(_BLOCK_PX * unit)
-    sampled = Photograph(name=photograph.name, pixels=photograph.pixels[::step, ::step]).encoded()
-    luma = sampled if sampled.ndim == 2 else sampled @ LUMA
+    shape, blocks = image.valid.shape, blocks_of(photograph)
+    step = blocks.step
+    luma = blocks.encoded @ LUMA if blocks.encoded.shape[2] == 3 else blocks.encoded[..., 0]
     valid, range_mm = image.valid[::step, ::step], image.range_mm[::step, ::step]
     row, column = np.nonzero(valid)
     if not len(row):
@@ -56,7 +42,7 @@ def strands_in(image: RangeImage, photograph: Photograph, camera: Camera) -> Boo
     sides = [[side.stop - side.start for side in box] for box in ndimage.find_objects(places)]
     rays = image.camera.rays_world(np.stack([column, row], axis=1) * float(step))
     points = image.camera.centre_world + rays * range_mm[row, column].astype(np.float64)[:, None]
-    uv = np.rint(camera.project(points) / step)
+    uv = np.floor((camera.project(points) + 0.5) / step)  # of blocks
     inside = np.all((uv >= 0) & (uv < luma.shape[::-1]), axis=1)
     u, v = uv[inside].astype(np.intp).T
     shown = np.zeros(valid.shape, dtype=places.dtype)
@@ -68,7 +54,7 @@ def strands_in(image: RangeImage, photograph: Photograph, camera: Camera) -> Boo
     strand &= [False, *(np.hypot(*side) > _LONGER_MM / block_mm for side in sides)]
     if not strand.any():
         return np.zeros(shape, dtype=bool)
-    beside = ndimage.distance_transform_edt(~strand[shown]) * step <= _EDGE_PX * unit
+    beside = ndimage.distance_transform_edt(~strand[shown]) * step <= _EDGE_PX * blocks.unit
     return np.asarray(beside.repeat(step, axis=0).repeat(step, axis=1)[: shape[0], : shape[1]])
 
 
