@@ -1,5 +1,6 @@
 """Photographs under wrong names, of another patient or rig, by features of known points."""
 
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -9,6 +10,7 @@ from mammometry.calibration.features.keypoints import Keypoints
 from mammometry.calibration.judge.camera_names import check_names, wrong_photographs
 from mammometry.calibration.judge.expected_error import meeting_point
 from mammometry.geometry.camera import Rig
+from mammometry.geometry.transform import Transform
 from mammometry.simulate.rigs.build import REFERENCE, build_rig
 
 POINTS, NOISE_PX = 250, 0.3  # of a subject; of a feature's place
@@ -64,6 +66,30 @@ def test_two_pairs_that_are_exchanged_are_named(rig, seen):
     names = check_names(rig, mixed)
     assert names.exchanged == {one: third, third: one, other: fourth, fourth: other}
     assert {frozenset(cycle) for cycle in names.cycles} == {frozenset((one, third)), frozenset((other, fourth))}
+
+
+def test_two_pairs_that_nearly_mirror_one_another_are_named_when_they_are_exchanged(rig):
+    """By the features of either pair under the other's name, most fit: only the comparison tells."""
+    cameras = dict(rig.cameras)
+    middle = meeting_point(rig)
+    pairs = {pair: rig.pair_names[pair] for pair in ("left", "right")}
+    half_turn = Transform.from_rotation_vector(np.array([0.0, np.pi, 0.0]), np.zeros(3))
+    to_middle = Transform(rotation=np.eye(3), translation_mm=-middle)
+    turn = to_middle.inverse() @ half_turn @ to_middle
+    for own, its_twin, lean_deg in zip(pairs["left"], pairs["right"], (0.0, 2.5), strict=True):
+        lean = Transform.from_rotation_vector(np.array([0.0, 0.0, np.deg2rad(lean_deg)]), np.zeros(3))
+        camera = cameras[own]
+        cameras[its_twin] = replace(camera, camera_from_world=lean @ camera.camera_from_world @ turn)
+    alike = Rig(
+        name="alike", cameras={name: cameras[name] for both in pairs.values() for name in both}, pair_names=pairs
+    )
+    seen = photographs(alike)
+    assert check_names(alike, seen).right
+    (one, other), (third, fourth) = pairs.values()
+    mixed = {**seen, one: seen[third], other: seen[fourth], third: seen[one], fourth: seen[other]}
+    names = check_names(alike, mixed)
+    assert all(found.sure for found in names.pairs.values())  # by themselves nothing is wrong
+    assert names.exchanged == {one: third, third: one, other: fourth, fourth: other}
 
 
 @pytest.mark.requirement("R-FIRE-5")

@@ -31,6 +31,7 @@ _RICH = 200  # features of a photograph, from which a sixteenth and more is foun
 _BY_CHANCE = 5  # fitting matches; photographs of different things have none to two, likewise
 _WIDER = 1.3  # times the angle at which other pairs share features, up to which a pair must, too
 _ASTRAY_MM = 3.0  # offset from the lines that no touch of a camera explains; what moved less is put right later
+_CLEARLY = 0.1  # more of the matches of two pairs fit after an exchange; of right names 0.3 less and more, likewise
 _STILL_MM = 1.0  # offset from the epipolar lines at the subject: a calibrated rig's are below 0.1 mm
 """A pair's own two photographs exchanged fit by 0 to 0.9, the more the better both cameras mirror one another, and are
 then 2 to 20 mm off."""
@@ -199,6 +200,7 @@ def check_names(rig: Rig, seen: Mapping[str, Keypoints]) -> Names:
     exchanged: dict[str, str] = {}
     if suspects:  # mostly photographs are exchanged among the pairs that look wrong; some do so by chance only
         exchanged = _best_exchange(suspects, own, agreement) or _best_exchange(pairs, own, agreement)
+    exchanged = exchanged or _mirrored_pairs(pairs, own, agreement)
     unsolved = {pair: both for pair, both in suspects.items() if not set(both) & set(exchanged)}
     poor = {pair: both for pair, both in unsolved.items() if own[pair].fitting < _FOREIGN}
     shared = [pair for pair in unsolved if own[pair].matches >= _MANY]
@@ -285,6 +287,21 @@ def _best_exchange(
         gained = sum(agreement(*pairs[pair], *named[pair]).fitting - own[pair].fitting for pair in touched)
         if moves and set(moves) == set(moves.values()) and gained > 0.0:
             return moves
+    return {}
+
+
+def _mirrored_pairs(
+    pairs: Mapping[str, _Cameras], own: Mapping[str, PairAgreement], agreement: _Agreement
+) -> dict[str, str]:
+    """Exchange two pairs that agree under each other's names, and better than under their own.
+
+    Pairs that mirror one another, as a rig's left and right ones, have much the same epipolar lines.
+    """
+    for one, other in combinations((pair for pair in pairs if own[pair].sure), 2):
+        in_others = agreement(*pairs[one], *pairs[other]), agreement(*pairs[other], *pairs[one])
+        gained = sum(found.fitting for found in in_others) - own[one].fitting - own[other].fitting
+        if all(found.sure for found in in_others) and gained > 2 * _CLEARLY and not set(pairs[one]) & set(pairs[other]):
+            return dict(zip(pairs[one] + pairs[other], pairs[other] + pairs[one], strict=True))
     return {}
 
 
