@@ -40,6 +40,7 @@ from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
 from mammometry.io.meshes.own import read_ply
 from mammometry.io.truth import read_truth
+from mammometry.job.stages.measure import measurements
 from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.simulate.disturbances.draw import draw, is_held_out
 from mammometry.simulate.disturbances.registry import DISTURBANCES
@@ -209,10 +210,12 @@ def measured(case: Case, out: Path) -> tuple[Found, Job]:
         if plain != session and _same_calibration(session, plain):
             take_over_calibration(session, plain)
     job = open_session(session, settings_for(case.recipe.scale))
-    refused, volumes = "", {}
+    refused = ""
+    volumes: dict[str, VolumeMeasurement] = {}
     with threadpool_limits(limits=1, user_api="blas"):
         try:
-            volumes = dict(job.run(report=False).measurements)
+            job.ensure("measure", drawn=False)
+            volumes |= {one.name: one for one in job.plan.value(measurements) or ()}
         except MammometryError as error:
             refused = " ".join(str(error).split())
     truth = read_truth(session / "truth", job.inputs.pair_names)
