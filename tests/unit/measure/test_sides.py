@@ -13,8 +13,8 @@ from mammometry.base.errors import MeasureError
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
 from mammometry.measure.boundary.boundary import Boundary, outline_torso
-from mammometry.measure.boundary.breasts import _check_base, _trunk_beside
-from mammometry.measure.boundary.prominence import Prominence, prominence_within
+from mammometry.measure.boundary.breasts import _check_base, _sides, _trunk_beside
+from mammometry.measure.boundary.prominence import Middle, Prominence, prominence_within
 from mammometry.measure.trunk.body import Body, Mounting, find_body, lies_across, rig_frame
 from mammometry.measure.trunk.skin_map import PIXEL_MM, Relief
 from mammometry.measure.trunk.thorax import Trunk, seen_skin
@@ -253,6 +253,25 @@ def test_what_stands_out_of_a_slope_is_measured_before_the_slope() -> None:
     assert found.volume_cc == pytest.approx(np.pi * 60.0**2 * 30.0 / 3 / 1000, rel=0.01)
     assert found.area_cm2 == pytest.approx(np.pi * 36.0, rel=0.02)
     assert 25.0 < found.top_mm < 30.0  # smoothed over 6 mm
+
+
+def test_a_flank_that_goes_far_around_the_trunk_is_not_cut() -> None:
+    """To 97° on a held-out torso, about an axis that was found too far ahead."""
+    across, up = np.meshgrid(np.arange(-280.0, 280.1, PIXEL_MM), np.arange(-140.0, 140.1, PIXEL_MM))
+    middle, reach_mm = np.array([130.0, 0.0]), 90.0
+    ends_deg = np.rad2deg((middle[0] + reach_mm) / 130.0)
+    rho2 = ((np.abs(across) - middle[0]) ** 2 + up**2) / reach_mm**2
+    relief = Relief(
+        low=np.array([-280.0, -140.0]),
+        bulge_mm=70.0 * np.clip(1 - rho2, 0, None) ** 2,
+        known=np.ones(across.shape, dtype=bool),
+    )
+    dome = Middle(flat=middle, roundness_per_mm=0.02, base_mm=np.sqrt(np.pi) * reach_mm)
+    domes = {"left": dome, "right": replace(dome, flat=middle * [-1.0, 1.0])}
+    trunk = Trunk(frame=np.eye(3), origin=np.zeros(3), half_width_mm=130.0)
+    for name, sign in (("left", 1), ("right", -1)):
+        outlined = _sides(relief, trunk, domes)[name].crease.flat
+        assert np.rad2deg((sign * outlined[:, 0]).max() / 130.0) == pytest.approx(ends_deg, abs=2.5)  # 97°; 6 mm
 
 
 @pytest.mark.slow

@@ -46,7 +46,6 @@ half the width 60."""
 _FAINT = 0.25  # a dome this much flatter than the other side's is left in the trunk; chosen by eye
 _HIGHEST_SIGMA_MM = 8.0  # the relief is smoothed over this to look for the highest place; chosen by eye
 _BESIDE_MM = 25.0  # the highest place of a side lies this far from the midline; chosen by eye
-_WIDEST_RAD = np.deg2rad(78.0)  # a border lies no further around the trunk than this, before the armpit; chosen by eye
 _OUTSIDE_MM = 4.0  # outside a curve at a fold the innermost skin is the trunk's, and not the breast's; two pixels
 _NEAR_MM = 20.0  # surface around an outline onto which it is laid; chosen by eye
 _SHEET_TURN = 0.15  # of a turn, over which an outline's running median is taken: 60 to 80 mm; chosen by eye
@@ -240,7 +239,6 @@ def _between_mm(middles: dict[SideName, Middle | None]) -> float:
 def _sides(relief: Relief, trunk: Trunk, middles: dict[SideName, Middle | None]) -> dict[SideName, _Side]:
     sides: dict[SideName, _Side] = {}
     between_mm = _between_mm(middles)
-    widest_mm = _WIDEST_RAD * trunk.half_width_mm
     for name, middle in middles.items():
         sign = 1.0 if name == "left" else -1.0
         if middle is None:
@@ -253,8 +251,9 @@ def _sides(relief: Relief, trunk: Trunk, middles: dict[SideName, Middle | None])
             )
             sides[name] = _Side(middle=place, crease=empty, prominence=None, verdict="none")
             continue
-        ends = sorted((between_mm + sign * _MIDLINE_MM, between_mm + sign * widest_mm))
-        crease = follow_crease(relief, middle.flat, side=name, base_mm=middle.base_mm, between_mm=(ends[0], ends[1]))
+        medial_mm = between_mm + sign * _MIDLINE_MM
+        ends = (medial_mm, np.inf) if name == "left" else (-np.inf, medial_mm)
+        crease = follow_crease(relief, middle.flat, side=name, base_mm=middle.base_mm, between_mm=ends)
         creased = float((crease.concavity_per_mm > CREASE_PER_MM).mean())
         prominence = prominence_within(relief, _pixels_within(relief, crease.flat), creased)
         sides[name] = _Side(middle=middle.flat, crease=crease, prominence=prominence, verdict=prominence.verdict())
