@@ -256,7 +256,7 @@ def test_what_stands_out_of_a_slope_is_measured_before_the_slope() -> None:
 
 
 def test_a_flank_that_goes_far_around_the_trunk_is_not_cut() -> None:
-    """To 97° on a held-out torso, about an axis that was found too far ahead."""
+    """A leaning torso with arms at its sides reached 97° about the axis that its seen skin told."""
     across, up = np.meshgrid(np.arange(-280.0, 280.1, PIXEL_MM), np.arange(-140.0, 140.1, PIXEL_MM))
     middle, reach_mm = np.array([130.0, 0.0]), 90.0
     ends_deg = np.rad2deg((middle[0] + reach_mm) / 130.0)

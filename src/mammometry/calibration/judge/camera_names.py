@@ -31,7 +31,7 @@ _RICH = 200  # features of a photograph, from which a sixteenth and more is foun
 _BY_CHANCE = 5  # fitting matches; photographs of different things have none to two, likewise
 _WIDER = 1.3  # times the angle at which other pairs share features, up to which a pair must, too
 _ASTRAY_MM = 3.0  # offset from the lines that no touch of a camera explains; what moved less is put right later
-_CLEARLY = 0.1  # more of the matches of two pairs fit after an exchange; of right names 0.3 less and more, likewise
+_GAIN = 0.2  # of both shares that fit, summed, by the exchange of two pairs: of wrong names .4, of right ones none
 _STILL_MM = 1.0  # offset from the epipolar lines at the subject: a calibrated rig's are below 0.1 mm
 """A pair's own two photographs exchanged fit by 0 to 0.9, the more the better both cameras mirror one another, and are
 then 2 to 20 mm off."""
@@ -300,7 +300,7 @@ def _mirrored_pairs(
     for one, other in combinations((pair for pair in pairs if own[pair].sure), 2):
         in_others = agreement(*pairs[one], *pairs[other]), agreement(*pairs[other], *pairs[one])
         gained = sum(found.fitting for found in in_others) - own[one].fitting - own[other].fitting
-        if all(found.sure for found in in_others) and gained > 2 * _CLEARLY and not set(pairs[one]) & set(pairs[other]):
+        if all(found.sure for found in in_others) and gained > _GAIN and not set(pairs[one]) & set(pairs[other]):
             return dict(zip(pairs[one] + pairs[other], pairs[other] + pairs[one], strict=True))
     return {}
 
