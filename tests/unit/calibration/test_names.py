@@ -2,15 +2,18 @@
 
 from dataclasses import replace
 from itertools import combinations
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from mammometry.base.errors import MatchingError
 from mammometry.calibration.features.keypoints import Keypoints
 from mammometry.calibration.judge.camera_names import check_names, wrong_photographs
 from mammometry.calibration.judge.expected_error import meeting_point
 from mammometry.geometry.camera import Rig
 from mammometry.geometry.transform import Transform
+from mammometry.job.stages import match
 from mammometry.simulate.rigs.build import REFERENCE, build_rig
 
 POINTS, NOISE_PX = 250, 0.3  # of a subject; of a feature's place
@@ -66,6 +69,19 @@ def test_two_pairs_that_are_exchanged_are_named(rig, seen):
     names = check_names(rig, mixed)
     assert names.exchanged == {one: third, third: one, other: fourth, fourth: other}
     assert {frozenset(cycle) for cycle in names.cycles} == {frozenset((one, third)), frozenset((other, fourth))}
+
+
+def test_one_refusal_names_all_photographs_that_are_exchanged(rig, seen, monkeypatch):
+    monkeypatch.setattr("mammometry.calibration.features.keypoints.keypoints", lambda photograph: photograph.features)
+    (one, other), (third, fourth) = (rig.pair_names[pair] for pair in ("front", "left"))
+    shown = {**seen, one: seen[third], other: seen[fourth], third: seen[one], fourth: seen[other]}
+    photographs = {
+        name: SimpleNamespace(pixels=np.empty(rig.cameras[name].size_wh[::-1]), features=shown[name]) for name in shown
+    }
+    job = SimpleNamespace(inputs=SimpleNamespace(pair_names=rig.pair_names, photographs=photographs))
+    with pytest.raises(MatchingError) as refused:
+        match.names.function(SimpleNamespace(rig=rig), job=job)
+    assert f"{one} and {third}; {other} and {fourth}: found photographs that seem to be exchanged" in str(refused.value)
 
 
 def test_two_pairs_that_nearly_mirror_one_another_are_named_when_they_are_exchanged(rig):

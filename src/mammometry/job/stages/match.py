@@ -47,9 +47,11 @@ def names(cameras: CameraSet, *, job: Context) -> Names:
     # Where sizes differ, rectification says so.
     fitting = {name: points for name, (size_wh, points) in seen.items() if size_wh == cameras.rig.cameras[name].size_wh}
     compared = check_names(cameras.rig, fitting)
-    for wrong in wrong_photographs(compared, job.inputs.pair_names):
+    wrong = list(wrong_photographs(compared, job.inputs.pair_names))
+    if wrong:
+        alike = "; ".join(one.listed for one in wrong if one.found == wrong[0].found)
         expected = "each camera's own photograph, all of one exposure"
-        raise MatchingError(f"capture, {wrong.listed}", found=wrong.found, expected=expected, remedy=wrong.remedy)
+        raise MatchingError(f"capture, {alike}", found=wrong[0].found, expected=expected, remedy=wrong[0].remedy)
     return compared
 
 

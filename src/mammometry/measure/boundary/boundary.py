@@ -301,7 +301,7 @@ def _creased(name: BreastName, outline: Outline, head: str) -> Boundary:
         "automatic: along the outer side of the crease between breast and trunk. The crease was found around "
         f"{100 * outline.creased:.0f} % of the breast{elsewhere}. The curve is known to "
         f"± {surest:.0f} to {vaguest:.0f} mm (standard uncertainty). "
-        f"{100 * outline.seen:.0f} % of it lies on measured skin. "
+        f"{100 * outline.seen:.0f} % of it lies on measured or bridged skin. "
         f"{fold}{head[:1].upper()}{head[1:]}; {TO_BE_CONFIRMED}"
     )
     return Boundary(name=name, points_world=outline.points_world, method=method, across_mm=outline.sigma_mm)
