@@ -117,7 +117,7 @@ _GOES_ON = 1 / 3  # of its height: where skin outside its border stands out more
 _ENDED_MM, _UNSEEN_SCATTER = 18.0, 0.3
 """A border this near to the end of the seen skin may be anywhere beyond: its scatter there, as a share of its distance
 from the middle. Chosen by eye: large breasts of held-out captures go on by 30 to 50 mm above what is laid flat."""
-_FALLEN = 0.9  # share of the height to which a breast has fallen before it may end; chosen by eye
+_FALLEN = 0.9  # share of the height to which a breast has fallen before it may end; .68 moves 4 % of an interval
 _RISE_MM = 6.0  # skin that rises again by this much belongs to something else (arm, belly, other breast)
 _SUNK_MM = 12.0
 """Skin this far behind the thorax fit is no trunk: it has ended there. The fit itself takes skin beyond 12 mm (three

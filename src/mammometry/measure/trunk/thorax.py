@@ -24,7 +24,7 @@ _STEEPEST_LEAN_DEG = 50.0
 axis. Patients lean forward by up to 42° in front of the rig, and the cameras are not quite upright on average."""
 _HARMONICS = 4  # Fourier order of the radius around the trunk; 4 follows a thorax and not a breast
 AROUND = 2 * _HARMONICS + 1  # Fourier terms
-_HEIGHT_DEGREE = 2  # of the polynomial of each Fourier coefficient along the trunk; chosen by eye
+_HEIGHT_DEGREE = 2  # of the polynomial of each Fourier coefficient along the trunk: its bend is one (`bend_per_mm`)
 _SIDE_AZIMUTH_DEG = (75.0, 100.0)
 """Skin whose normal points this far to the side of straight ahead shows where the trunk's axis lies, degrees.
 docs/decisions/0009 says what 70 to 90 gave instead."""
@@ -50,7 +50,7 @@ _FIT_SAMPLES = 20_000  # of the skin to which the radius is fitted; chosen for s
 _FIT_ROUNDS = 25  # of reweighting the skin; chosen by eye
 _BONE_MM = 25.0  # skin this near to the middle between both breasts is the breastbone's; chosen by eye
 _LEAN = 0.2  # sine of the angle between normal and level at which a normal counts half; chosen by eye
-ARM = 1.15  # skin further to the side than this many half widths is an arm's; chosen by eye
+ARM = 1.15  # skin this many half widths to the side is an arm's; 1.44 moves 1 % of an interval, .86 16 to 26 %
 _RIDGE = 1e-4  # slight pull of the higher harmonics to zero, since the back is not seen; chosen by eye
 _FACING_OUT = 0.5
 """Least share of a unit normal that points away from the axis, for skin to show the trunk's radius. The trunk's end,
