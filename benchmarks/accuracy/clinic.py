@@ -152,7 +152,8 @@ def cases(arguments: argparse.Namespace) -> Iterator[Case]:
     for seed in arguments.seeds:
         if is_held_out(seed) == arguments.held_out:
             for difficulty in arguments.difficulty:
-                yield _patient(seed, arguments.scale, draw(seed, difficulty))
+                patient = _patient(seed, arguments.scale, draw(seed, difficulty))
+                yield replace(patient, mounting_said=arguments.mounting_said)
 
 
 def _case(subject: str, seed: int, scale: float, situation: Situation) -> Case:
