@@ -126,7 +126,7 @@ def _session(folder: Path, settings: Settings, watch: Watch) -> Dated:
     return Dated(
         path=job.session.path,
         date=job.session.manifest.date,
-        posture=job.session.manifest.subject.posture,
+        posture=job.session.manifest.subject.patient_posture,
         identity=job.identity,
         brought=tuple(job.session.brought),
         inputs=job.inputs,

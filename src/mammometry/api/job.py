@@ -262,7 +262,7 @@ class Job(Reported):
             identity=self.identity,
             settings=self.settings,
             stage_seconds=self._all_seconds(),
-            posture=self.session.manifest.subject.posture,
+            posture=self.session.manifest.subject.patient_posture,
         )
 
     def keys(self, stage: Stage) -> tuple[Key, ...]:

@@ -89,13 +89,18 @@ class SubjectEntry(BaseModel):
     rim_radius_mm: float | None = Field(default=None, ge=0, le=10)
     """Radius by which a cast's rim is rounded, mm, if measured."""
     posture: Posture = "leaning"
-    """How a patient held herself before the rig."""
+    """How a patient held herself before the rig; of no meaning for other subjects."""
 
     @model_validator(mode="after")
     def _only_a_cast_has_a_rim(self) -> SubjectEntry:
         if self.rim_radius_mm is not None and self.kind != "model":
             raise ValueError("no rim_radius_mm: only a cast, kind model, has a rim")
         return self
+
+    @property
+    def patient_posture(self) -> str:
+        """The posture of a patient; empty for a cast or another surface."""
+        return self.posture if self.kind == "torso" else ""
 
 
 class IntrinsicsEntry(BaseModel):

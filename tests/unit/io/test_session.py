@@ -212,6 +212,12 @@ def test_the_template_is_a_manifest(rig: str, target: str) -> None:
     assert target_from_table(manifest.target).kind == target
 
 
+@pytest.mark.parametrize(("kind", "posture"), [("torso", "leaning"), ("model", ""), ("surface", "")])
+def test_only_a_patient_has_a_posture(kind: str, posture: str) -> None:
+    manifest = parse_manifest(MANIFEST.replace('kind = "model"', f'kind = "{kind}"'))
+    assert (manifest.subject.kind, manifest.subject.patient_posture) == (kind, posture)
+
+
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
