@@ -232,7 +232,6 @@ class MeshJob(Reported):
             by_drawing: digests of the drawing, where it decides the viewer's place.
         """
         from mammometry.measure.trunk.body import rig_frame
-        from mammometry.surface.ranges.dents import ValidPatches
         from mammometry.surface.texture.texture import TexturedMesh
 
         closest = closest_on_mesh(repaired.mesh.vertices, foreign.mesh)
@@ -247,7 +246,6 @@ class MeshJob(Reported):
         textured = TexturedMesh(mesh=repaired.mesh, colours=colours)
         self.finished = FinishedSurface(repaired=repaired, textured=textured)
         cameras = CameraSet(rig=self.rig, std={}, world=WORLD, rms_px=None)
-        valid = ValidPatches(range_images=(), angles_rad=())
         digests = {"mesh": self.inputs.digests["mesh"]}
         given = partial(at_hand, stage="surface")
         self.plan = Plan(
@@ -259,7 +257,6 @@ class MeshJob(Reported):
                 surface.corrected_cameras: given(
                     cameras, name="cameras", version=calibrate.cameras.version, inputs={**digests, **by_drawing}
                 ),
-                surface.valid_patches: given(valid, name="valid", version=surface.keep_masks.version, inputs=digests),
                 surface.repaired: given(repaired, name="repaired", version=surface.repaired.version, inputs=digests),
                 surface.mesh: given(self.finished, name="mesh", version=surface.mesh.version, inputs=digests),
             },

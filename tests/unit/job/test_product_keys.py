@@ -15,7 +15,7 @@ import pytest
 from planned_sessions import Planned, sessions
 
 from mammometry.job.graph import Plan
-from mammometry.job.stages import surface
+from mammometry.job.stages import measure, surface
 from mammometry.settings import key_table, keyed
 
 STORED: dict[str, dict[str, Any]] = json.loads(Path(__file__).with_name("product_keys.json").read_text())
@@ -53,3 +53,11 @@ def test_no_stored_result_becomes_stale(name: str, planned: Planned) -> None:
     assert {product: key.digest for product, key in products.items()} == {
         product: digest(product) for product in stored
     }
+
+
+def test_views_bound_the_unseen_skin_of_a_cast_alone() -> None:
+    """A patient's hidden fold is closed too far out: that no view leaves it room outwards does not make it known."""
+    planned = sessions()
+    plans = {name: Plan(one.inputs, one.settings, None) for name, one in planned.items()}
+    bounded = {name for name, plan in plans.items() if plan.get(measure.views) is not None}
+    assert bounded == {name for name, one in planned.items() if one.inputs.subject_kind == "model"} != set()

@@ -21,6 +21,7 @@ if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a pla
     from mammometry.measure.trunk.body import Body
     from mammometry.measure.volume.measurement import VolumeDeficit, VolumeMeasurement
     from mammometry.measure.volume.uncertainty import Evidence
+    from mammometry.measure.volume.unseen_space import Bound
     from mammometry.surface.motion.motion_test import Stillness
     from mammometry.surface.ranges.dents import ValidPatches
     from mammometry.surface.repair.repair import RepairedSurface
@@ -28,6 +29,10 @@ if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a pla
 
 def _torso(job: Context) -> bool:
     return job.inputs.subject_kind == "torso"
+
+
+def _photographed_cast(job: Context) -> bool:
+    return job.inputs.subject_kind == "model" and bool(job.inputs.pair_names)
 
 
 def _has_volume(job: Context) -> bool:
@@ -129,29 +134,41 @@ def body(
     return find_body(repaired, frame, boundaries=curves, stated=stated)
 
 
+@product("measure", when=_photographed_cast, large=True)
+def views(
+    corrected_cameras: CameraSet, valid_patches: ValidPatches, foregrounds: Mapping[str, Foreground], *, job: Context
+) -> tuple[Bound, ...]:
+    """What each view says about where a cast is not."""
+    from mammometry.measure.volume.unseen_space import bounds
+
+    return bounds(foregrounds, valid_patches.range_images, corrected_cameras.rig)
+
+
 @product("measure", when=_has_volume, large=True)
 def evidence(
     corrected_cameras: CameraSet,
-    valid_patches: ValidPatches,
-    foregrounds: Mapping[str, Foreground],
+    views: tuple[Bound, ...] | None,
     calibration: Calibration | None,
     stillness: Stillness | None,
     *,
     job: Context,
 ) -> Evidence:
-    """The earlier stages' results on the errors of a volume."""
-    from mammometry.measure.volume.uncertainty import EarlierErrors, Evidence, movement_of
-    from mammometry.measure.volume.unseen_space import bounds
+    """The earlier stages' results on the errors of a volume.
 
-    rig, scale_std = corrected_cameras.rig, job.inputs.scale_std
+    Views bound a cast alone: it is round where it is not seen. A patient's folds are closed too far out, and no view
+    says how far in the skin lies (docs/decisions/0043).
+    """
+    from mammometry.measure.volume.uncertainty import EarlierErrors, Evidence, movement_of
+
+    scale_std = job.inputs.scale_std
     return Evidence(
-        views=bounds(foregrounds, valid_patches.range_images, rig),
+        views=views or (),
         earlier=earlier_errors(calibration) if scale_std is None else EarlierErrors(scale_std=scale_std),
-        movement=None if stillness is None else movement_of(stillness, rig),
+        movement=None if stillness is None else movement_of(stillness, corrected_cameras.rig),
     )
 
 
-@product("measure", version=22, name="measurement", settings="measure", inputs=("wall", "scale"), when=_has_volume)
+@product("measure", version=23, name="measurement", settings="measure", inputs=("wall", "scale"), when=_has_volume)
 def measurements(
     repaired: RepairedSurface, boundaries: tuple[Boundary, ...], body: Body | None, evidence: Evidence, *, job: Context
 ) -> tuple[VolumeMeasurement, ...]:

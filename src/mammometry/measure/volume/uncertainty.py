@@ -156,7 +156,7 @@ class Evidence:
     surface: RepairedSurface | None = None
     """Where the skin was measured, repaired and invented. None: all of it counts as measured."""
     views: Sequence[Bound] = ()
-    """What the views say about where the subject is not (`unseen_space.bounds`)."""
+    """What the views say about where a cast is not (`unseen_space.bounds`). A patient's folds they do not bound."""
     earlier: EarlierErrors = EarlierErrors()
     """What the calibration knows about its own errors."""
     boundary_std_cc: float | None = None
@@ -199,8 +199,8 @@ def interval(
     - *calibration*: the expected error of a point along the normal, over the skin.
     - *movement*, where cameras or body moved: what was not put right (`movement_std_cc`).
     - *matching*: what windows make of convex skin, over the measured skin, and each vertex's own σ over its share.
-    - *repaired* and *invented surface*: over theirs. They grow with the distance from measured skin, and with how far
-      the skin could stand out without being seen. Invented skin that lies in a pit may be off by all of the pit.
+    - *repaired* and *invented surface*: over theirs. They grow with the distance from measured skin, on a photographed
+      cast no further than skin could stand out unseen. Invented skin that lies in a pit may be off by all of the pit.
     - *base*, of a cast: scatter of the rim, silhouettes off by a fraction of a pixel, and how the rim is rounded.
     - *boundary*, of a torso: drawn again (`boundary_jitter`).
     - *chest wall*, of a torso: a height over the base, in proportion to the base's width.
