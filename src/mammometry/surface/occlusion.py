@@ -361,8 +361,8 @@ class _Side:
 
 def _side(outward_mm: Float64[Array, " k"], block_per_mm: float) -> _Side | None:
     """Skin from a slit's edge outward. None unless it is measured up to the edge and faces the camera."""
-    known = np.isfinite(outward_mm[: 4 * _LEAST_BLOCKS + _EDGE_BLOCKS])
-    if not known[:_EDGE_BLOCKS].any():
+    known = np.isfinite(outward_mm[:_EDGE_BLOCKS])
+    if not known.any():
         return None
     reach = max(2 * _LEAST_BLOCKS, int(_SIDE_MM / (block_per_mm * outward_mm[np.argmax(known)])))
     at = np.flatnonzero(np.isfinite(outward_mm[:reach]))
