@@ -389,7 +389,7 @@ def continued_world(image: RangeImage) -> Float64[Array, "n 3"]:
     nearer to an edge than half a window say no more than that.
     """
     unit = max(1.0, float(np.hypot(*image.valid.shape)) / _REFERENCE_DIAGONAL_PX)
-    if not image.valid.any() or image.valid.all():  # no data, or none with an edge
+    if image.valid.all():  # no datum has an edge
         return np.empty((0, 3))
     sound = image_kernels.distance_px(~image.valid) > _EDGE_PX * unit
     if not sound.any():
