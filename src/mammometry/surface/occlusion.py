@@ -32,6 +32,7 @@ from mammometry.geometry.projection import projected
 from mammometry.matching.foreground.foreground import Foreground
 from mammometry.surface.ranges import image_kernels
 from mammometry.surface.ranges.range_image import RangeImage
+from mammometry.surface.ranges.strands import EDGE_PX
 
 _REFERENCE_DIAGONAL_PX = 1353.0  # of the 1126 × 750 images on which widths were measured, as in `matching.foreground`
 _BLOCK_PX = 2.0  # pixels a block, at that size: a bar of 4 px is seen, and a million data are looked up in a second
@@ -375,8 +376,6 @@ def _side(outward_mm: Float64[Array, " k"], block_per_mm: float) -> _Side | None
     return _Side(float(inverse), float(-slope))
 
 
-_EDGE_PX = 6.0  # of data beside an edge that lean towards what is there, at that size: half a window; chosen by eye
-_PAST_PX = 6.0  # past the edge, at that size, as far again; chosen by eye
 _NEIGHBOURHOOD_MM = 6.0  # half-width of the window that gives the skin's direction; chosen by eye
 _TURNED_MM = 0.5  # by which data lie behind the tangent plane where skin turns away; chosen by eye
 _LEAST_COSINE = 0.5  # 60° off the normal: skin that is seen more obliquely may end there, as beside a slit
@@ -391,7 +390,7 @@ def continued_world(image: RangeImage) -> Float64[Array, "n 3"]:
     unit = max(1.0, float(np.hypot(*image.valid.shape)) / _REFERENCE_DIAGONAL_PX)
     if image.valid.all():  # no datum has an edge
         return np.empty((0, 3))
-    sound = image_kernels.distance_px(~image.valid) > _EDGE_PX * unit
+    sound = image_kernels.distance_px(~image.valid) > EDGE_PX * unit
     if not sound.any():
         return np.empty((0, 3))
     normals = image.keeping(sound).normals_camera(_NEIGHBOURHOOD_MM)
@@ -399,7 +398,7 @@ def continued_world(image: RangeImage) -> Float64[Array, "n 3"]:
     rows, columns = image_kernels.nearest_true(sound)
     own_row, own_column = np.nonzero(~sound)
     row, column = rows[own_row, own_column], columns[own_row, own_column]
-    near = np.hypot(row - own_row, column - own_column) <= (_EDGE_PX + _PAST_PX) * unit
+    near = np.hypot(row - own_row, column - own_column) <= 2 * EDGE_PX * unit  # as far past the edge
     near &= cosines[row, column] >= _LEAST_COSINE  # never where there is no normal
     own_row, own_column, row, column = (indices[near] for indices in (own_row, own_column, row, column))
     # Not `image.ray_directions`: of a whole picture they take 90 MB.

@@ -13,7 +13,10 @@ from mammometry.geometry.camera import Camera
 from mammometry.matching.foreground.foreground import blocks_of
 from mammometry.surface.ranges.range_image import RangeImage
 
-_EDGE_PX = 6.0  # of data beside a strand that lean towards it, at the foreground's reference size: half a window
+EDGE_PX = 6.0
+"""Of data beside an edge that lean towards what is there, at the foreground's reference size: half a window. Chosen by
+eye.
+"""
 _WIDEST_MM = 16.0  # of what is narrow: areolae and the shade below a breast are wider; chosen by eye
 _LONGER_MM = 25.0  # than this, across which no nipple is; chosen by eye
 _DARK = 0.5  # of its surroundings' encoded luma: hair .1 to .45, nipples .6 and more; chosen by eye
@@ -54,7 +57,7 @@ def strands_in(image: RangeImage, photograph: Photograph, camera: Camera) -> Boo
     strand &= [False, *(np.hypot(*side) > _LONGER_MM / block_mm for side in sides)]
     if not strand.any():
         return np.zeros(shape, dtype=bool)
-    beside = ndimage.distance_transform_edt(~strand[shown]) * step <= _EDGE_PX * blocks.unit
+    beside = ndimage.distance_transform_edt(~strand[shown]) * step <= EDGE_PX * blocks.unit
     return np.asarray(beside.repeat(step, axis=0).repeat(step, axis=1)[: shape[0], : shape[1]])
 
 
