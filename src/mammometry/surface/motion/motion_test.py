@@ -33,7 +33,7 @@ from mammometry.surface.motion.rigid_motion import (
     without_contradicted_rows,
     without_outliers,
 )
-from mammometry.surface.ranges.range_image import RangeImage
+from mammometry.surface.ranges.range_image import SIGMAS, RangeImage
 from mammometry.surface.settings import StillnessSettings
 
 LEAST_EVIDENCE = 10.0
@@ -49,8 +49,6 @@ _FIRST_OTHER_SKIN_MM = 12.0
 _ROUNDS = 2  # after the first, pairs are compared where the corrected cameras see them
 _LEAST_SIGMAS = 2.0  # of a displacement, before anything is done: small, noisy pictures show rows that are none
 _SURE = 5.0  # times the least evidence: something moved, even if what it did to each pair is not certain
-_HONEST_SIGMAS = 3.0  # of what pairs expect of themselves, before a rest is refused, as in `visibility`
-_CERTAIN_SIGMAS = 3.0  # of a turn, before its camera is named
 _UNEXPLAINED_MM = 0.12
 """Rest above which something moved that is not rigid, mm. Clean captures leave .05 at most (docs/decisions/0027)."""
 
@@ -289,7 +287,7 @@ def _turn(name: str, best: Fit, parameters: MotionParameters) -> Turn | None:
     turn, spread = best.motions[where], best.covariance[where, where]
     size = float(np.linalg.norm(turn))
     std = float(np.sqrt(turn @ spread @ turn) / size) if size > 0 else 0.0
-    certain = size > _CERTAIN_SIGMAS * std and size > 0
+    certain = size > SIGMAS * std and size > 0
     return Turn(camera=name, turn_deg=float(np.degrees(size)), std_deg=float(np.degrees(std))) if certain else None
 
 
@@ -298,7 +296,7 @@ def _rms(vectors: Float64[Array, "n 3"]) -> float:
 
 
 def _refuse(found: Stillness, settings: StillnessSettings, honest_mm: float) -> None:
-    if found.rest_mm > max(settings.most_unexplained_mm, _HONEST_SIGMAS * honest_mm):
+    if found.rest_mm > max(settings.most_unexplained_mm, SIGMAS * honest_mm):
         raise SurfaceError(
             "pairs of the capture",
             found=f"surfaces {found.distance_mm[0]:.2f} mm apart (RMS), {found.distance_mm[1]:.2f} mm with the best "

@@ -17,7 +17,7 @@ from mammometry.base.machine.cores import each_at_once
 from mammometry.base.value import value
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32, UInt8, to_step
 from mammometry.geometry.projection import projected
-from mammometry.surface.ranges.range_image import RangeImage
+from mammometry.surface.ranges.range_image import SIGMAS, RangeImage
 from mammometry.surface.ranges.visibility import Label, compare, gap_mm
 from mammometry.surface.settings import DecomposeSettings, DentSettings
 
@@ -66,12 +66,11 @@ def _components(labels: UInt8[Array, "h w"], valid: Bool[Array, "h w"]) -> Int32
 
 
 SEEN_THROUGH_MM = 1.0
-"""Distance in front of another view's surface at which a datum is dropped, mm, besides three σ of both."""
+"""Distance in front of another view's surface at which a datum is dropped, mm, besides `SIGMAS` of both."""
 _MIN_PATCH = 3  # points that determine a normal
 _SMALLEST_ISLAND = 30  # connected data; fewer are crumbs that the other rules leave (rule ``element``); chosen by eye
 _COMMON_MM = 3.0  # data of two views closer than this show the same skin; chosen by eye
 _ANGLE_STEP_RAD = 2.0**-6  # of the angles handed on, a degree: they shade a picture
-_SIGMAS = 3.0  # of both data, that a gap must exceed before a datum counts as seen through
 
 
 @value(eq=False)
@@ -278,7 +277,7 @@ def _seen_through(
         known = np.isfinite(gap)
         uv = np.rint(projected(other.camera, points[known])[:, :2]).astype(np.intp)
         sigma, angle = other.sigma_mm[uv[:, 1], uv[:, 0]], other_angle[uv[:, 1], uv[:, 0]]
-        tolerance = np.maximum(SEEN_THROUGH_MM, _SIGMAS * np.hypot(own_sigma[known], sigma))
+        tolerance = np.maximum(SEEN_THROUGH_MM, SIGMAS * np.hypot(own_sigma[known], sigma))
         # A gap along a grazing ray exaggerates the distance between the surfaces: measure it across the surface.
         through[known] |= (gap[known] * np.cos(angle) > tolerance) & (angle <= own_angle[known])
     result = np.zeros(image.valid.shape, dtype=bool)

@@ -27,6 +27,8 @@ NORMAL_MM = 1.5
 """Half-width of the window for a datum's normal, in the first surface and the repair, mm. Chosen by eye."""
 SIGMA_FLOOR_MM = 0.05
 """Added in quadrature to each datum's σ, mm: no datum is better than the calibration."""
+SIGMAS = 3.0
+"""Multiple of its expected standard deviation above which a difference is no error of measuring."""
 
 
 @value(eq=False)

@@ -22,12 +22,11 @@ from mammometry.base.errors import SurfaceError
 from mammometry.base.machine.cores import each_at_once, in_bands
 from mammometry.geometry.arrays import Array, Float32, Float64, Int64, UInt8
 from mammometry.surface.ranges import image_kernels
-from mammometry.surface.ranges.range_image import RangeImage
+from mammometry.surface.ranges.range_image import SIGMAS, RangeImage
 
 _AGREEMENT_SAMPLES = 20000  # data of a view that are compared: their median is good to 1 %
 _JUMP_MM = 5.0  # ranges that differ by more show two surfaces; chosen by eye
 _CULPRIT_RATIO = 1.2  # a pair is named as the moved one where its differences exceed the next by this; chosen by eye
-_HONEST_SIGMAS = 3.0  # honest errors stay below .7 σ in the median: see `check_agreement`
 _ALIKE_DEG = 20.0  # between normals of two views that show the same skin; chosen by eye
 _LEAST_COSINE = 0.5  # 60° off the normal: data seen more obliquely are not compared
 
@@ -101,7 +100,7 @@ def check_agreement(range_images: Sequence[RangeImage], *, limit_mm: float = 1.0
     """
     found = disagreement_mm(range_images, smallest=smallest)
     differences = {names: distance_mm for names, (distance_mm, _) in found.items()}
-    limits = {names: max(limit_mm, _HONEST_SIGMAS * sigma_mm) for names, (_, sigma_mm) in found.items()}
+    limits = {names: max(limit_mm, SIGMAS * sigma_mm) for names, (_, sigma_mm) in found.items()}
     bad = {names: value for names, value in differences.items() if value > limits[names]}
     if not bad:
         return
