@@ -287,7 +287,7 @@ def _turn(name: str, best: Fit, parameters: MotionParameters) -> Turn | None:
     turn, spread = best.motions[where], best.covariance[where, where]
     size = float(np.linalg.norm(turn))
     std = float(np.sqrt(turn @ spread @ turn) / size) if size > 0 else 0.0
-    certain = size > SIGMAS * std and size > 0
+    certain = size > SIGMAS * std
     return Turn(camera=name, turn_deg=float(np.degrees(size)), std_deg=float(np.degrees(std))) if certain else None
 
 
