@@ -46,7 +46,6 @@ error.
 """
 _FIRST_OTHER_SKIN_MM = 12.0
 """`OTHER_SKIN_MM` of the first round, mm: a camera of the reference rig turned by .1° moves skin so far."""
-_ROUNDS = 2  # after the first, pairs are compared where the corrected cameras see them
 _LEAST_SIGMAS = 2.0  # of a displacement, before anything is done: small, noisy pictures show rows that are none
 _SURE = 5.0  # times the least evidence: something moved, even if what it did to each pair is not certain
 _UNEXPLAINED_MM = 0.12
@@ -168,12 +167,12 @@ def find(
     if smooth.expected.log_evidence - rigid.expected.log_evidence >= LEAST_EVIDENCE:
         parameters, moved, breaths_mm = breathing, smooth, BREATHS_MM
         evidence = moved.expected.log_evidence - moved.still.log_evidence
-    for _ in range(1, _ROUNDS):
-        so_far = moved.expected.motions
-        images = [_carried(image, rig, parameters, so_far) for image in range_images]
-        again = observed(_moved_rig(rig, parameters, so_far), differences(images), rows, covariance, parameters)
-        values = again.values + np.where(again.distances, again.by_unknown @ so_far, 0.0)
-        seen, moved = most_probably(replace(again, values=values), parameters, breaths_mm)
+    # Once more, with the pairs compared where the corrected cameras see them.
+    so_far = moved.expected.motions
+    images = [_carried(image, rig, parameters, so_far) for image in range_images]
+    again = observed(_moved_rig(rig, parameters, so_far), differences(images), rows, covariance, parameters)
+    values = again.values + np.where(again.distances, again.by_unknown @ so_far, 0.0)
+    seen, moved = most_probably(replace(again, values=values), parameters, breaths_mm)
     best = moved.expected
     found = replace(_judged(rig, rows, moved, parameters), unexplained=best.rest_mm >= limit_mm)
     found = replace(found, evidence=evidence, distance_mm=(before_mm, seen.rms_mm(best.motions)))
