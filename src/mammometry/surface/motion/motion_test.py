@@ -140,10 +140,10 @@ def find(
     """
     apart = differences(range_images, _FIRST_OTHER_SKIN_MM)
     compared = {name for comparison in apart for name in (comparison.first, comparison.second)}
-    pairs = [name for name in rig.pair_names if name in compared or (name in rows and len(rows[name].points))]
+    rows = {name: rows[name] for name in rig.pair_names if name in rows and len(rows[name].points)}
+    pairs = [name for name in rig.pair_names if name in compared or name in rows]
     centre = np.concatenate([comparison.points for comparison in apart]).mean(axis=0) if apart else np.zeros(3)
     parameters = motion_parameters(rig, pairs, centre)
-    rows = {name: rows[name] for name in pairs if name in rows and len(rows[name].points)}
     if not apart:
         return _nothing(parameters, compared=False)
 
