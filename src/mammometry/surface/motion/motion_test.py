@@ -34,6 +34,7 @@ from mammometry.surface.motion.rigid_motion import (
     without_outliers,
 )
 from mammometry.surface.ranges.range_image import SIGMAS, RangeImage
+from mammometry.surface.ranges.visibility import JUMP_MM
 from mammometry.surface.settings import StillnessSettings
 
 LEAST_EVIDENCE = 10.0
@@ -315,7 +316,6 @@ def _refuse(found: Stillness, settings: StillnessSettings, honest_mm: float) -> 
 
 
 _WHOLE = 0.999  # of four neighbours' weight: all are data
-_JUMP_MM = 5.0  # neighbouring ranges that differ by more show two surfaces, as in `visibility`
 
 
 def retriangulated(image: RangeImage, before: StereoPair, after: StereoPair) -> RangeImage:
@@ -364,7 +364,7 @@ def displaced(image: RangeImage, shift_world: Float64[Array, "n 3"]) -> RangeIma
     range_mm = sum(ndimage.map_coordinates(part, at, order=1, mode="nearest") for part in known)
     nearest = tuple(np.clip(np.rint(at).astype(np.intp), 0, np.array(image.valid.shape)[:, None] - 1))
     whole = ndimage.map_coordinates(image.valid.astype(np.float32), at, order=1, mode="constant") > _WHOLE
-    whole &= np.abs(range_mm - image.range_mm[nearest]) < _JUMP_MM
+    whole &= np.abs(range_mm - image.range_mm[nearest]) < JUMP_MM
     moved, kept = np.zeros_like(image.range_mm), np.zeros_like(image.valid)
     moved[image.valid], kept[image.valid] = np.where(whole, range_mm, 0.0), whole
     return replace(image, range_mm=moved, valid=kept).keeping(kept)

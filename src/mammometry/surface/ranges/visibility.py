@@ -25,7 +25,8 @@ from mammometry.surface.ranges import image_kernels
 from mammometry.surface.ranges.range_image import SIGMAS, RangeImage
 
 _AGREEMENT_SAMPLES = 20000  # data of a view that are compared: their median is good to 1 %
-_JUMP_MM = 5.0  # ranges that differ by more show two surfaces; chosen by eye
+JUMP_MM = 5.0
+"""Ranges that differ by more show two surfaces, mm. Chosen by eye."""
 _CULPRIT_RATIO = 1.2  # a pair is named as the moved one where its differences exceed the next by this; chosen by eye
 _ALIKE_DEG = 20.0  # between normals of two views that show the same skin; chosen by eye
 _LEAST_COSINE = 0.5  # 60° off the normal: data seen more obliquely are not compared
@@ -63,7 +64,7 @@ def gap_mm(points_world: Float64[Array, "n 3"], range_image: RangeImage) -> Floa
             range_image.camera.intrinsics,
             range_image.range_mm,
             range_image.valid,
-            _JUMP_MM,
+            JUMP_MM,
         )
 
     return np.concatenate(in_bands(gaps, len(points_world)))
@@ -153,7 +154,7 @@ def _distances_across(
     another, what lies behind for one of them stands in front for the other.
     """
     common = common_skin(image, normals, other, other_normals)
-    shown = common.distance_mm > -_JUMP_MM
+    shown = common.distance_mm > -JUMP_MM
     return np.stack([np.abs(common.distance_mm[shown]), common.sigma_mm[shown]], axis=1)
 
 
