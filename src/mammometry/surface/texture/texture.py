@@ -26,7 +26,8 @@ CLEARANCE_MM = 0.7
 _LEAST_COSINE = 0.1  # 84° off the normal: a photograph shows nothing of skin seen more obliquely
 _LEAST_COMMON = 200  # vertices that two photographs both see before they are levelled; chosen by eye
 _LEAST_BRIGHT = 0.02  # of full scale: darker values are noise, whose ratio says nothing; chosen by eye
-_UNSEEN = 128.0  # mid grey, sRGB
+UNSEEN = 128
+"""Mid grey, sRGB: where no camera sees the surface."""
 _SHADOW_MM = 0.5  # on the skin: side of the pixels in which one part is found to hide another, about a cube's edge
 _LEVELLED = 20_000  # vertices of which two photographs' ratio is taken: its median is known to a thousandth
 
@@ -56,7 +57,7 @@ def paint(
     """
     _, weights, samples = view_samples(mesh, photographs, rig, progress=progress)
     total = weights.sum(axis=0)
-    colours = np.where(total[:, None] > 0, np.clip(blended(weights, samples), 0.0, 1.0) * 255.0, _UNSEEN)
+    colours = np.where(total[:, None] > 0, np.clip(blended(weights, samples), 0.0, 1.0) * 255.0, UNSEEN)
     progress(1.0)
     return TexturedMesh(mesh=mesh, colours=np.rint(colours).astype(np.uint8))
 
