@@ -47,8 +47,8 @@ ATLAS_PX = 8192
 """Largest width and height of the viewing mesh's picture, pixels."""
 _PADDING_PX = 3  # around a chart's piece of photograph, for programs that read between pixels
 _SMOOTHING_ROUNDS = 12  # edges over which the weights are smoothed before faces choose; chosen by eye
-_LEVEL_PX = 24.0  # σ of the smoothing by which photographs are levelled: wider than any detail; chosen by eye
-_LEVEL_STEP_PX = 4  # grid on which the levelling is known; it is smooth over six times that
+_LEVEL_STEP_PX = 4  # grid on which the levelling of photographs is known; chosen by eye
+_LEVEL_PX = 6.0 * _LEVEL_STEP_PX  # σ of its smoothing: wider than any detail
 _PLACES = 1 << 24  # places along a picture's side that count as different: finer than a float32
 _MOST_REDUCED = 16  # pixels a side that one pixel of the covering picture may stand for
 
