@@ -19,7 +19,6 @@ from mammometry.geometry import Array, Bool, Camera, Float32, Float64, Rig, mesh
 from mammometry.matching.foreground.contour import follow
 from mammometry.matching.foreground.foreground import Foreground
 from mammometry.surface.fusion import field_kernels as kernels
-from mammometry.surface.fusion import field_kernels as outline_kernels
 from mammometry.surface.fusion.camera_records import COLUMNS, view_row
 from mammometry.surface.ranges import image_kernels
 from mammometry.surface.ranges.range_image import NORMAL_MM, SIGMA_FLOOR_MM, RangeImage, thinned_camera
@@ -262,8 +261,6 @@ def silhouette_distance_px(foreground: Foreground, step: int = 1, lost_slope: fl
     height, width = (-(-side // step) for side in foreground.coverage.shape)
     mask = foreground.mask
     top, bottom, left, right = mesh_kernels.extent(mask).tolist()
-    if bottom - top == mask.shape[0] and right - left == mask.shape[1] and mask.all():
-        return np.full((height, width), -1e4, dtype=np.float32)
     window = tuple(
         slice(max(start // step - _AROUND_PX, 0) * step, min((stop // step + _AROUND_PX) * step, side))
         for start, stop, side in zip((top, left), (bottom, right), mask.shape, strict=True)
@@ -276,7 +273,7 @@ def silhouette_distance_px(foreground: Foreground, step: int = 1, lost_slope: fl
     if inside.all():
         return np.full((height, width), -1e4, dtype=np.float32)
     ends = np.array([end for axis in window for end in (axis.start, axis.stop)], dtype=np.int64)
-    starts, steps = outline_kernels.contour_pieces(
+    starts, steps = kernels.contour_pieces(
         np.ascontiguousarray(foreground.coverage), ends, np.ascontiguousarray(holes), step, foreground.contour_level
     )
     distances = np.full((height, width), np.float32(_AROUND_PX))
