@@ -88,7 +88,7 @@ def sample_blocks(
     shape = shape * FAR_CUBES
     empty = kernels.empty_cells(seeds, origin, BLOCK * cube_mm, (int(shape[0]), int(shape[1]), int(shape[2])))
     reach = near_mm / cube_mm + np.sqrt(3) * (TRANSITION + BLOCK)  # between centres of blocks, in cubes
-    far = ndimage.distance_transform_edt(empty) * BLOCK > reach if np.isfinite(near_mm) else np.zeros_like(empty)
+    far = ndimage.distance_transform_edt(empty) * BLOCK > reach
     half = BLOCK // FAR_CUBES // 2
     outside = coarse[half::2, half::2, half::2] > 0
     corners = sliding_window_view(coarse > 0, (3, 3, 3))[::2, ::2, ::2]
