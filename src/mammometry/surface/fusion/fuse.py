@@ -139,7 +139,7 @@ def meshed(
     surface, mesh = _surface(solid, settings, NEAR_MM, part(progress, 0.1, 0.9))
     best = largest_part(mesh)
     candidate: TriangleMesh | None = best
-    for attempt in range(_HEALING_ATTEMPTS if SMOOTHING_CUBES > 0 and len(best.faces) else 0):
+    for attempt in range(_HEALING_ATTEMPTS if len(best.faces) else 0):
         if candidate is None or _euler_number(best) == 2:
             break
         wider = _HEALING_GROWTH**attempt

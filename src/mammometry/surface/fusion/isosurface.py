@@ -190,7 +190,7 @@ class Isosurface:
         self._pieces = self._meshed(chunks, progress)
         self._far = self._far_piece() if grid.far.any() else None
 
-    def heal(self, points: Float64[Array, "n 3"], *, reach_mm: float = 6.0, sigma_mm: float = 2.0) -> None:
+    def heal(self, points: Float64[Array, "n 3"], *, reach_mm: float, sigma_mm: float) -> None:
         """Blend the field into the coarse one near the points.
 
         Fully within `reach_mm`, and less so up to twice that far. There the coarse field is smoothed by a Gaussian of
