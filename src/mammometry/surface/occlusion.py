@@ -33,6 +33,7 @@ from mammometry.matching.foreground.foreground import Foreground
 from mammometry.surface.ranges import image_kernels
 from mammometry.surface.ranges.range_image import RangeImage
 from mammometry.surface.ranges.strands import EDGE_PX
+from mammometry.surface.ranges.visibility import LEAST_COSINE
 
 _REFERENCE_DIAGONAL_PX = 1353.0  # of the 1126 × 750 images on which widths were measured, as in `matching.foreground`
 _BLOCK_PX = 2.0  # pixels a block, at that size: a bar of 4 px is seen, and a million data are looked up in a second
@@ -378,7 +379,6 @@ def _side(outward_mm: Float64[Array, " k"], block_per_mm: float) -> _Side | None
 
 _NEIGHBOURHOOD_MM = 6.0  # half-width of the window that gives the skin's direction; chosen by eye
 _TURNED_MM = 0.5  # by which data lie behind the tangent plane where skin turns away; chosen by eye
-_LEAST_COSINE = 0.5  # 60° off the normal: skin that is seen more obliquely may end there, as beside a slit
 
 
 def continued_world(image: RangeImage) -> Float64[Array, "n 3"]:
@@ -399,7 +399,7 @@ def continued_world(image: RangeImage) -> Float64[Array, "n 3"]:
     own_row, own_column = np.nonzero(~sound)
     row, column = rows[own_row, own_column], columns[own_row, own_column]
     near = np.hypot(row - own_row, column - own_column) <= 2 * EDGE_PX * unit  # as far past the edge
-    near &= cosines[row, column] >= _LEAST_COSINE  # never where there is no normal
+    near &= cosines[row, column] >= LEAST_COSINE  # never where there is no normal
     own_row, own_column, row, column = (indices[near] for indices in (own_row, own_column, row, column))
     # Not `image.ray_directions`: of a whole picture they take 90 MB.
     datum, ray = (
@@ -409,10 +409,10 @@ def continued_world(image: RangeImage) -> Float64[Array, "n 3"]:
     there = datum * image.range_mm[row, column][:, None]
     normal = normals[row, column] @ image.camera.camera_from_world.rotation
     steep = -np.einsum("ni,ni->n", normal, ray)
-    range_mm = -np.einsum("ni,ni->n", normal, there) / np.maximum(steep, _LEAST_COSINE / 2)
+    range_mm = -np.einsum("ni,ni->n", normal, there) / np.maximum(steep, LEAST_COSINE / 2)
     behind = image.valid[own_row, own_column] & (image.range_mm[own_row, own_column] > range_mm + _TURNED_MM)
     turned = np.zeros(image.valid.shape, dtype=bool)
     turned[row[behind], column[behind]] = True
-    kept = (steep >= _LEAST_COSINE / 2) & ~turned[row, column]  # a plane seen so obliquely runs off
+    kept = (steep >= LEAST_COSINE / 2) & ~turned[row, column]  # a plane seen so obliquely runs off
     points: Float64[Array, "n 3"] = image.camera.centre_world + ray[kept] * range_mm[kept, None]
     return points

@@ -29,7 +29,8 @@ JUMP_MM = 5.0
 """Ranges that differ by more show two surfaces, mm. Chosen by eye."""
 _CULPRIT_RATIO = 1.2  # a pair is named as the moved one where its differences exceed the next by this; chosen by eye
 _ALIKE_DEG = 20.0  # between normals of two views that show the same skin; chosen by eye
-_LEAST_COSINE = 0.5  # 60° off the normal: data seen more obliquely are not compared
+LEAST_COSINE = 0.5
+"""60° off the normal: data seen more obliquely are not compared, and skin may end there."""
 
 
 class Label(IntEnum):
@@ -207,7 +208,7 @@ def common_skin(
     theirs = other_normals[uv[:, 1], uv[:, 0]] @ other.camera.camera_from_world.rotation
     cosine = _cosine(theirs, other.camera.centre_world - points)
     with np.errstate(invalid="ignore"):
-        alike = (np.einsum("ij,ij->i", own, theirs) > np.cos(np.radians(_ALIKE_DEG))) & (cosine > _LEAST_COSINE)
+        alike = (np.einsum("ij,ij->i", own, theirs) > np.cos(np.radians(_ALIKE_DEG))) & (cosine > LEAST_COSINE)
     rows, columns, uv, points, gap, cosine = (array[alike] for array in (rows, columns, uv, points, gap, cosine))
     sigma = np.hypot(image.sigma_mm[rows, columns], other.sigma_mm[uv[:, 1], uv[:, 0]])
     return CommonSkin(
