@@ -21,6 +21,7 @@ from mammometry.geometry import Array, Camera, Float64, Rig, StereoPair, Transfo
 from mammometry.surface.motion.agreement import RowErrors, differences
 from mammometry.surface.motion.rigid_motion import (
     BREATHS_MM,
+    LEAST_EVIDENCE,
     Fit,
     Found,
     MotionParameters,
@@ -37,10 +38,6 @@ from mammometry.surface.ranges.range_image import SIGMAS, RangeImage
 from mammometry.surface.ranges.visibility import JUMP_MM
 from mammometry.surface.settings import StillnessSettings
 
-LEAST_EVIDENCE = 10.0
-"""Rise of the log probability of all observations above which something is taken to have moved: e¹⁰ is 1 in 22,000.
-Clean captures reach 0 to 3.
-"""
 LEAST_MM = 0.06
 """RMS displacement of the worst pair's points below which nothing is corrected, mm: two thirds of a clean surface's
 error.
