@@ -271,7 +271,7 @@ def _seen_through(
     own_angle = angles[index][image.valid]
     through = np.zeros(len(points), dtype=bool)
     for other, other_angle in zip(images, angles, strict=True):
-        if other is image or not other.valid.any():
+        if other is image:
             continue
         gap = gap_mm(points, other)
         known = np.isfinite(gap)
