@@ -85,11 +85,10 @@ def closing_box(range_images: Sequence[RangeImage], *, back_mm: float, around_mm
     others `around_mm` outside. One datum in fifty thousand at either end is taken for an outlier: what little is seen
     of an arm stays inside.
     """
-    seen = [image for image in range_images if image.valid.any()]
-    points = block_seeds(seen)
-    inward = np.sum([image.camera.axis_world for image in seen], axis=0)
-    if np.linalg.norm(inward) < 1e-3 * len(seen):  # cameras all around: any direction will do
-        inward = seen[0].camera.axis_world
+    points = block_seeds(range_images)
+    inward = np.sum([image.camera.axis_world for image in range_images], axis=0)
+    if np.linalg.norm(inward) < 1e-3 * len(range_images):  # cameras all around: any direction will do
+        inward = range_images[0].camera.axis_world
     inward = inward / np.linalg.norm(inward)
     across = np.eye(3)[np.argmin(np.abs(inward))]
     across = across - (across @ inward) * inward
@@ -139,22 +138,21 @@ class Field:
 def build_field(
     range_images: Sequence[RangeImage], foregrounds: Mapping[str, Foreground], rig: Rig, box: ClosingBox, rule: Rule
 ) -> Field:
-    """Pack views with their weights, and all silhouettes."""
-    seen = [image for image in range_images if image.valid.any()]
-    starts = np.cumsum([0, *(image.valid.size for image in seen)])
+    """Pack views with their weights, and all silhouettes. Each view has data (`fuse.usable`)."""
+    starts = np.cumsum([0, *(image.valid.size for image in range_images)])
     elements = np.empty((starts[-1], 3), dtype=np.float32)
     view_rows = [
-        view_row(image.camera, image.valid.shape, start) for image, start in zip(seen, starts[:-1], strict=True)
+        view_row(image.camera, image.valid.shape, start) for image, start in zip(range_images, starts[:-1], strict=True)
     ]
 
     def fill(number: int) -> None:
-        image = seen[number]
+        image = range_images[number]
         left = rig.pair(image.name).left
-        others_mm = nearest_of_others_mm(image, seen)
+        others_mm = nearest_of_others_mm(image, range_images)
         rows = view_elements(image, left, foregrounds.get(left.name), others_mm)
         elements[starts[number] : starts[number + 1]] = rows.reshape(-1, 3)
 
-    each_at_once(fill, range(len(seen)))
+    each_at_once(fill, range(len(range_images)))
     outlined = {
         name: foreground
         for name, foreground in foregrounds.items()
@@ -329,4 +327,4 @@ def _subject_mask(image: RangeImage, left: Camera, foreground: Foreground | None
 
 def block_seeds(range_images: Sequence[RangeImage]) -> Float64[Array, "n 3"]:
     """Return all measured points, world frame, mm. The surface certainly passes near them."""
-    return np.concatenate([image.valid_points_world() for image in range_images if image.valid.any()])
+    return np.concatenate([image.valid_points_world() for image in range_images])
