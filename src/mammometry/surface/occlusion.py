@@ -38,7 +38,8 @@ from mammometry.surface.ranges.visibility import LEAST_COSINE
 _REFERENCE_DIAGONAL_PX = 1353.0  # of the 1126 × 750 images on which widths were measured, as in `matching.foreground`
 _BLOCK_PX = 2.0  # pixels a block, at that size: a bar of 4 px is seen, and a million data are looked up in a second
 _GUARD_PX = 3.0  # nearer to a silhouette than this, at that size, a datum's own error may put it beside; chosen by eye
-_SAMPLES = 300_000  # of a view's data that are looked up: a dozen a block that the subject fills
+SAMPLES = 300_000
+"""Of a view's data that are looked up in others: a dozen a block that the subject fills."""
 _LEAST_SHARE = 2e-4  # of the subject's blocks that a blocked place covers, at least: fewer are outliers; chosen by eye
 _GAP_BLOCKS = 4  # gaps between data that are narrower than twice this belong to the place, at least; chosen by eye
 _ROUNDS = 4  # of votes, at most; two are usual
@@ -91,7 +92,7 @@ def find_occlusions(
         own = [views[name] for name in rig.pair_names[image.name] if name in views]
         others = [name for name in views if name not in rig.pair_names[image.name]]
         for seen in (points, _shown(past, own)):
-            some = seen[:: max(1, len(seen) // _SAMPLES)]
+            some = seen[:: max(1, len(seen) // SAMPLES)]
             places = {}
             for name, view in views.items():
                 places[name], depth_mm = view.places(some)

@@ -20,6 +20,7 @@ from mammometry.matching.foreground.contour import follow
 from mammometry.matching.foreground.foreground import Foreground
 from mammometry.surface.fusion import field_kernels as kernels
 from mammometry.surface.fusion.camera_records import COLUMNS, view_row
+from mammometry.surface.occlusion import SAMPLES
 from mammometry.surface.ranges import image_kernels
 from mammometry.surface.ranges.range_image import NORMAL_MM, SIGMA_FLOOR_MM, RangeImage, thinned_camera
 from mammometry.surface.settings import TAPER_MM
@@ -58,7 +59,6 @@ _BOX_SAMPLES = 1_000_000  # data that the box's percentiles are taken of
 _SMALLEST_HOLE_SHARE = 2e-3  # of the subject's area: a larger hole in a mask is a gap between limbs; chosen by eye
 _SLOPE_MM = 4.0  # over which the slope of skin beside a gap is taken; chosen by eye
 _BLOCK_PX = 4  # side of the blocks in which other views' data are looked up; some data fall into each
-_SAMPLES = 300_000  # of another view's data that are looked up
 _BEFORE_MM = 5.0  # a datum of another view further before a span contradicts it; chosen by eye
 _CLOSING_MM = 4.0  # gaps in a view's data narrower than twice this belong to the subject without a silhouette; by eye
 
@@ -201,7 +201,7 @@ def nearest_of_others_mm(image: RangeImage, all_images: Sequence[RangeImage]) ->
         if other is image:
             continue
         points = other.valid_points_world()
-        points = points[:: max(1, len(points) // _SAMPLES)]
+        points = points[:: max(1, len(points) // SAMPLES)]
         uv = image.camera.project(points)
         with np.errstate(invalid="ignore"):
             inside = ((uv > -0.5) & (uv < [width - 0.5, height - 0.5])).all(axis=1)
