@@ -27,6 +27,8 @@ from mammometry.surface.ranges.range_image import SIGMAS, RangeImage
 _AGREEMENT_SAMPLES = 20000  # data of a view that are compared: their median is good to 1 %
 JUMP_MM = 5.0
 """Ranges that differ by more show two surfaces, mm. Chosen by eye."""
+_APART_MM = 1.0  # in the median, that views may be at most
+_FEWEST_COMMON = 500  # data of two views, before they are compared
 _CULPRIT_RATIO = 1.2  # a pair is named as the moved one where its differences exceed the next by this; chosen by eye
 _ALIKE_DEG = 20.0  # between normals of two views that show the same skin; chosen by eye
 LEAST_COSINE = 0.5
@@ -88,21 +90,21 @@ def compare(
     return labels
 
 
-def check_agreement(range_images: Sequence[RangeImage], *, limit_mm: float = 1.0, smallest: int = 500) -> None:
+def check_agreement(range_images: Sequence[RangeImage]) -> None:
     """Refuse views that contradict one another.
 
     A camera has moved, or the calibration is wrong. Two views are compared where their surfaces face the same way and
-    neither may hide the other: half of those data must lie within `limit_mm` of one another, along
+    neither may hide the other: half of those data must lie within a millimetre of one another, along
     the normal, or within three times what their own expected errors make (σ) where that is more, as in small or noisy
     photographs of weak texture. Clean captures stay below .1 mm, and half of honest errors below .7 σ. Views with
-    fewer than `smallest` common data are not compared.
+    fewer than 500 common data are not compared.
 
     Raises:
         SurfaceError: names the pairs that disagree, and the one that disagrees most where it stands out.
     """
-    found = disagreement_mm(range_images, smallest=smallest)
+    found = disagreement_mm(range_images)
     differences = {names: distance_mm for names, (distance_mm, _) in found.items()}
-    limits = {names: max(limit_mm, SIGMAS * sigma_mm) for names, (_, sigma_mm) in found.items()}
+    limits = {names: max(_APART_MM, SIGMAS * sigma_mm) for names, (_, sigma_mm) in found.items()}
     bad = {names: value for names, value in differences.items() if value > limits[names]}
     if not bad:
         return
@@ -122,13 +124,11 @@ def check_agreement(range_images: Sequence[RangeImage], *, limit_mm: float = 1.0
     )
 
 
-def disagreement_mm(
-    range_images: Sequence[RangeImage], *, smallest: int = 500
-) -> dict[tuple[str, str], tuple[float, float]]:
+def disagreement_mm(range_images: Sequence[RangeImage]) -> dict[tuple[str, str], tuple[float, float]]:
     """Median distance along the normal between each two views, mm.
 
     Only where both face alike (20°). Its expected σ comes with it. Data that neither sees within 60° of its normal are
-    left out; so are views with fewer than `smallest` common data.
+    left out; so are views with fewer than 500 common data.
     """
     normals = each_at_once(RangeImage.normals_camera, range_images)
     result: dict[tuple[str, str], tuple[float, float]] = {}
@@ -139,7 +139,7 @@ def disagreement_mm(
                 _distances_across(other, normals[b], image, normals[a]),
             ]
             common = np.concatenate(samples)
-            if len(common) >= smallest:
+            if len(common) >= _FEWEST_COMMON:
                 distance_mm, sigma_mm = np.median(common, axis=0).tolist()
                 result[image.name, other.name] = distance_mm, sigma_mm
     return result
