@@ -2,14 +2,11 @@
 
 No other module does this. The paper uses the same words for opposite things. Section 2.5 calls a cube *visible* when
 it lies in front of the surface; section 2.6.1 calls a point *visible* when it lies behind the other range image's
-surface. Ours: ================ ================ =====================
-======================================================= label section 2.5 section 2.6.1 meaning ================
-================ ===================== ======================================================= ``IN_FRONT`` visible
-invisible nearer than the seen surface: the view looks through it ``BEHIND`` invisible visible further than the seen
-surface: hidden from the view ``OVERLAPPING`` on surface overlapping within ε of the seen surface ``OUTSIDE`` (not
-said) unprocessed outside the image, behind the camera, or no datum there ================ ================
-===================== ======================================================= The compiled form of the same comparison,
-for the millions of cubes of the first surface, is `kernels.sample_field`.
+surface. Ours (2.5; 2.6.1): `IN_FRONT` (visible; invisible), `BEHIND` (invisible; visible), `OVERLAPPING` (on surface;
+overlapping), `OUTSIDE` (not said; unprocessed).
+
+The compiled form of the same comparison, for the millions of cubes of the first surface, is
+`field_kernels.sample_field`.
 """
 
 from collections.abc import Sequence
@@ -73,9 +70,7 @@ def gap_mm(points_world: Float64[Array, "n 3"], range_image: RangeImage) -> Floa
     return np.concatenate(in_bands(gaps, len(points_world)))
 
 
-def compare(
-    points_world: Float64[Array, "n 3"], range_image: RangeImage, epsilon_mm: float = 0.5
-) -> UInt8[Array, " n"]:
+def compare(points_world: Float64[Array, "n 3"], range_image: RangeImage, epsilon_mm: float) -> UInt8[Array, " n"]:
     """Label world points against one range image (paper 2.6.1).
 
     Overlapping is |r_B − D| ≤ ε. World frame, mm. Departure: the paper prints the overlapping case without the
