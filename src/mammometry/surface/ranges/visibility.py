@@ -17,7 +17,7 @@ import numpy as np
 
 from mammometry.base.errors import SurfaceError
 from mammometry.base.machine.cores import each_at_once, in_bands
-from mammometry.geometry.arrays import Array, Float32, Float64, Int64, UInt8
+from mammometry.geometry.arrays import Array, Float32, Float64, UInt8
 from mammometry.surface.ranges import image_kernels
 from mammometry.surface.ranges.range_image import SIGMAS, RangeImage
 
@@ -158,11 +158,6 @@ def _distances_across(
 class CommonSkin:
     """Some data of one view, where another one sees the same skin."""
 
-    rows: Int64[Array, " n"]
-    columns: Int64[Array, " n"]
-    """Of the view's image."""
-    other_uv: Int64[Array, "n 2"]
-    """The other image's element at each."""
     points: Float64[Array, "n 3"]
     """World frame, mm."""
     normals: Float64[Array, "n 3"]
@@ -207,9 +202,6 @@ def common_skin(
     rows, columns, uv, points, gap, cosine = (array[alike] for array in (rows, columns, uv, points, gap, cosine))
     sigma = np.hypot(image.sigma_mm[rows, columns], other.sigma_mm[uv[:, 1], uv[:, 0]])
     return CommonSkin(
-        rows=rows,
-        columns=columns,
-        other_uv=uv,
         points=points,
         normals=theirs[alike],
         own_cosine=_cosine(own[alike], image.camera.centre_world - points),
