@@ -275,7 +275,6 @@ def _depths(place: Bool[Array, "H W"]) -> Float64[Array, "H W"]:
     return np.asarray(ndimage.distance_transform_edt(np.pad(place, 1))[1:-1, 1:-1])
 
 
-_LEAST = np.ones((3, 3), dtype=bool)  # blocks of a slit: one line alone is an outlier
 _WIDEST_MM = 90.0  # between both sides of a slit: a band or a rail has 15 to 50 mm; chosen by eye
 _SIDE_MM = 12.0  # of skin on each side, from which its direction and bend are taken; chosen by eye
 _LEAST_BLOCKS = 4  # of measured skin on each side
@@ -313,7 +312,8 @@ def spanned_mm(
                 shorter = len(across_mm) < width[slit]
                 span[slit][shorter] = across_mm[shorter]
                 width[slit][shorter] = len(across_mm)
-    spans[~ndimage.binary_opening(np.isfinite(spans), _LEAST)] = np.inf
+    whole = ndimage.binary_opening(np.isfinite(spans), np.ones((3, 3), dtype=bool))  # one line alone is an outlier
+    spans[~whole] = np.inf
     return spans
 
 

@@ -294,9 +294,7 @@ def _without_islands(keep: Bool[Array, "h w"]) -> Bool[Array, "h w"]:
 
 
 _BEHIND = 1.4  # of the middle's depth, as in `matching.coarse_stereo`
-_STEP_PX = (
-    5.0  # edge of a cell, of a pixel's width on the surface: what lies in cells that touch hangs together; by eye
-)
+_STEP_PX = 5.0  # edge of a cell, in pixels' widths on the surface: what lies in cells that touch hangs together; by eye
 _MOST_CELLS = 256  # along a side
 _SMALLEST = 0.05  # of the largest piece, counted in cells; by eye
 
