@@ -16,7 +16,7 @@ from mammometry.geometry.nearest import point_tree
 from mammometry.surface.ranges.dents import ValidPatches
 from mammometry.surface.repair import elastic_kernels
 from mammometry.surface.repair.correspond import Correspondences, Gates, ViewData, correspond, view_data
-from mammometry.surface.repair.energy import Graph, Stiffness, graph_of_mesh, minimum
+from mammometry.surface.repair.energy import Graph, graph_of_mesh, minimum
 from mammometry.surface.repair.untangle import touching, without_crossings, without_flips
 from mammometry.surface.settings import RepairSettings
 
@@ -223,7 +223,7 @@ def _solve(
         wish,
         weights,
         graph,
-        Stiffness(rho=settings.rho),
+        settings.rho,
         start=wish if displacement is None else displacement,
         tolerance=_TOLERANCE,
         max_iterations=_MAX_ITERATIONS,
