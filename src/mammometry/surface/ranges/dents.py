@@ -30,8 +30,6 @@ class Patches:
     """(A, B) → label of each element of A against B (`visibility.Label`). OUTSIDE where A has no datum."""
     patches: Mapping[tuple[str, str], Int32[Array, "h w"]]
     """(A, B) → patch of each element of A, from 1: connected elements of one label. 0 without datum."""
-    epsilon_mm: float
-    """Half-width of the overlapping zone used, mm."""
 
 
 def decompose(range_images: Sequence[RangeImage], settings: DecomposeSettings = DecomposeSettings()) -> Patches:
@@ -51,7 +49,7 @@ def decompose(range_images: Sequence[RangeImage], settings: DecomposeSettings = 
             label[image.valid] = compare(points, other, settings.epsilon_mm)
             labels[image.name, other.name] = label
             patches[image.name, other.name] = _components(label, image.valid)
-    return Patches(labels=labels, patches=patches, epsilon_mm=settings.epsilon_mm)
+    return Patches(labels=labels, patches=patches)
 
 
 def _components(labels: UInt8[Array, "h w"], valid: Bool[Array, "h w"]) -> Int32[Array, "h w"]:
