@@ -340,7 +340,6 @@ def fading_pixels(
 
 
 _QUALITY = 92  # of the JPEG, 1…100: the viewer's file stays small; chosen by eye
-_NO_PICTURE = (0, 0, 3)  # shape of what stands for a picture that its JPEG gives
 
 
 def as_jpeg(atlas: Atlas) -> Atlas:
@@ -362,7 +361,7 @@ def jpeg_of(atlas: Atlas) -> bytes:
 
 def without_picture(atlas: Atlas) -> Atlas:
     """The mesh with its JPEG only, to be kept."""
-    return replace(as_jpeg(atlas), picture=np.zeros(_NO_PICTURE, dtype=np.uint8))
+    return replace(as_jpeg(atlas), picture=np.zeros((0, 0, 3), dtype=np.uint8))
 
 
 def with_picture(atlas: Atlas) -> Atlas:
