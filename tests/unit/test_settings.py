@@ -127,7 +127,7 @@ NO_CONSTANTS = {
     "surface.repair.repaired_reach_mm", "measure.nipple.apex_probability", "measure.nipple.apex_sigma_mm",
     "surface.stillness.correct",
 }  # fmt: skip
-"""A default of `Stiffness` twice, what follows each wall's base now, a seed, what nothing asks any more, what
+"""Elastic moduli, which are 1, what follows each wall's base now, a seed, what nothing asks any more, what
 changed since with the version of what is made with it, and a choice that nobody had."""
 
 

@@ -32,11 +32,14 @@ from mammometry.geometry.projection import projected
 from mammometry.matching.foreground.foreground import Foreground
 from mammometry.surface.ranges import image_kernels
 from mammometry.surface.ranges.range_image import RangeImage
+from mammometry.surface.ranges.strands import EDGE_PX
+from mammometry.surface.ranges.visibility import LEAST_COSINE
 
 _REFERENCE_DIAGONAL_PX = 1353.0  # of the 1126 × 750 images on which widths were measured, as in `matching.foreground`
 _BLOCK_PX = 2.0  # pixels a block, at that size: a bar of 4 px is seen, and a million data are looked up in a second
 _GUARD_PX = 3.0  # nearer to a silhouette than this, at that size, a datum's own error may put it beside; chosen by eye
-_SAMPLES = 300_000  # of a view's data that are looked up: a dozen a block that the subject fills
+SAMPLES = 300_000
+"""Of a view's data that are looked up in others: a dozen a block that the subject fills."""
 _LEAST_SHARE = 2e-4  # of the subject's blocks that a blocked place covers, at least: fewer are outliers; chosen by eye
 _GAP_BLOCKS = 4  # gaps between data that are narrower than twice this belong to the place, at least; chosen by eye
 _ROUNDS = 4  # of votes, at most; two are usual
@@ -89,7 +92,7 @@ def find_occlusions(
         own = [views[name] for name in rig.pair_names[image.name] if name in views]
         others = [name for name in views if name not in rig.pair_names[image.name]]
         for seen in (points, _shown(past, own)):
-            some = seen[:: max(1, len(seen) // _SAMPLES)]
+            some = seen[:: max(1, len(seen) // SAMPLES)]
             places = {}
             for name, view in views.items():
                 places[name], depth_mm = view.places(some)
@@ -272,7 +275,6 @@ def _depths(place: Bool[Array, "H W"]) -> Float64[Array, "H W"]:
     return np.asarray(ndimage.distance_transform_edt(np.pad(place, 1))[1:-1, 1:-1])
 
 
-_LEAST = np.ones((3, 3), dtype=bool)  # blocks of a slit: one line alone is an outlier
 _WIDEST_MM = 90.0  # between both sides of a slit: a band or a rail has 15 to 50 mm; chosen by eye
 _SIDE_MM = 12.0  # of skin on each side, from which its direction and bend are taken; chosen by eye
 _LEAST_BLOCKS = 4  # of measured skin on each side
@@ -310,7 +312,8 @@ def spanned_mm(
                 shorter = len(across_mm) < width[slit]
                 span[slit][shorter] = across_mm[shorter]
                 width[slit][shorter] = len(across_mm)
-    spans[~ndimage.binary_opening(np.isfinite(spans), _LEAST)] = np.inf
+    whole = ndimage.binary_opening(np.isfinite(spans), np.ones((3, 3), dtype=bool))  # one line alone is an outlier
+    spans[~whole] = np.inf
     return spans
 
 
@@ -361,8 +364,8 @@ class _Side:
 
 def _side(outward_mm: Float64[Array, " k"], block_per_mm: float) -> _Side | None:
     """Skin from a slit's edge outward. None unless it is measured up to the edge and faces the camera."""
-    known = np.isfinite(outward_mm[: 4 * _LEAST_BLOCKS + _EDGE_BLOCKS])
-    if not known[:_EDGE_BLOCKS].any():
+    known = np.isfinite(outward_mm[:_EDGE_BLOCKS])
+    if not known.any():
         return None
     reach = max(2 * _LEAST_BLOCKS, int(_SIDE_MM / (block_per_mm * outward_mm[np.argmax(known)])))
     at = np.flatnonzero(np.isfinite(outward_mm[:reach]))
@@ -375,11 +378,8 @@ def _side(outward_mm: Float64[Array, " k"], block_per_mm: float) -> _Side | None
     return _Side(float(inverse), float(-slope))
 
 
-_EDGE_PX = 6.0  # of data beside an edge that lean towards what is there, at that size: half a window; chosen by eye
-_PAST_PX = 6.0  # past the edge, at that size, as far again; chosen by eye
 _NEIGHBOURHOOD_MM = 6.0  # half-width of the window that gives the skin's direction; chosen by eye
 _TURNED_MM = 0.5  # by which data lie behind the tangent plane where skin turns away; chosen by eye
-_LEAST_COSINE = 0.5  # 60° off the normal: skin that is seen more obliquely may end there, as beside a slit
 
 
 def continued_world(image: RangeImage) -> Float64[Array, "n 3"]:
@@ -389,9 +389,9 @@ def continued_world(image: RangeImage) -> Float64[Array, "n 3"]:
     nearer to an edge than half a window say no more than that.
     """
     unit = max(1.0, float(np.hypot(*image.valid.shape)) / _REFERENCE_DIAGONAL_PX)
-    if not image.valid.any() or image.valid.all():  # no data, or none with an edge
+    if image.valid.all():  # no datum has an edge
         return np.empty((0, 3))
-    sound = image_kernels.distance_px(~image.valid) > _EDGE_PX * unit
+    sound = image_kernels.distance_px(~image.valid) > EDGE_PX * unit
     if not sound.any():
         return np.empty((0, 3))
     normals = image.keeping(sound).normals_camera(_NEIGHBOURHOOD_MM)
@@ -399,8 +399,8 @@ def continued_world(image: RangeImage) -> Float64[Array, "n 3"]:
     rows, columns = image_kernels.nearest_true(sound)
     own_row, own_column = np.nonzero(~sound)
     row, column = rows[own_row, own_column], columns[own_row, own_column]
-    near = np.hypot(row - own_row, column - own_column) <= (_EDGE_PX + _PAST_PX) * unit
-    near &= cosines[row, column] >= _LEAST_COSINE  # never where there is no normal
+    near = np.hypot(row - own_row, column - own_column) <= 2 * EDGE_PX * unit  # as far past the edge
+    near &= cosines[row, column] >= LEAST_COSINE  # never where there is no normal
     own_row, own_column, row, column = (indices[near] for indices in (own_row, own_column, row, column))
     # Not `image.ray_directions`: of a whole picture they take 90 MB.
     datum, ray = (
@@ -410,10 +410,10 @@ def continued_world(image: RangeImage) -> Float64[Array, "n 3"]:
     there = datum * image.range_mm[row, column][:, None]
     normal = normals[row, column] @ image.camera.camera_from_world.rotation
     steep = -np.einsum("ni,ni->n", normal, ray)
-    range_mm = -np.einsum("ni,ni->n", normal, there) / np.maximum(steep, _LEAST_COSINE / 2)
+    range_mm = -np.einsum("ni,ni->n", normal, there) / np.maximum(steep, LEAST_COSINE / 2)
     behind = image.valid[own_row, own_column] & (image.range_mm[own_row, own_column] > range_mm + _TURNED_MM)
     turned = np.zeros(image.valid.shape, dtype=bool)
     turned[row[behind], column[behind]] = True
-    kept = (steep >= _LEAST_COSINE / 2) & ~turned[row, column]  # a plane seen so obliquely runs off
+    kept = (steep >= LEAST_COSINE / 2) & ~turned[row, column]  # a plane seen so obliquely runs off
     points: Float64[Array, "n 3"] = image.camera.centre_world + ray[kept] * range_mm[kept, None]
     return points

@@ -372,7 +372,7 @@ def test_a_tunnel_is_found_and_healed_in_its_place():
     # the bore leaves the ball at (11, 0, ±√(15² − 11²)); cells are 6 mm wide
     mouths = np.array([[11.0, 0.0, 10.2], [11.0, 0.0, -10.2]])
     assert np.linalg.norm(places[:, None] - mouths, axis=2).min(axis=1).max() < 6.0
-    surface.heal(places)
+    surface.heal(places, reach_mm=6.0, sigma_mm=2.0)
     healed = surface.mesh()
     assert is_closed_ball(largest_part(healed))
     far = (
@@ -383,7 +383,7 @@ def test_a_tunnel_is_found_and_healed_in_its_place():
     )  # twice the reach, and a coarse cube
     # untouched elsewhere
     np.testing.assert_allclose(np.sort(torus.vertices[far], axis=0), np.sort(healed.vertices[kept], axis=0))
-    surface.heal(np.array([[-15.0, 0.0, 0.0]]))  # elsewhere: what was healed stays so
+    surface.heal(np.array([[-15.0, 0.0, 0.0]]), reach_mm=6.0, sigma_mm=2.0)  # elsewhere: what was healed stays so
     assert is_closed_ball(largest_part(surface.mesh()))
     assert not len(tunnel_places(Isosurface(grid_of_ball(), smoothing=0.0).mesh(), 6.0))
 

@@ -135,7 +135,7 @@ def test_normals_of_a_sphere_point_to_its_outside():
     image = range_image(camera, ellipsoid_range(camera, (50.0,) * 3))
     normals = image.normals_world(2.5)
     true = image.points_world() / 50.0
-    inner = image.incidence_rad() < np.radians(60)
+    inner = image.incidence_rad(2.5) < np.radians(60)
     angle = np.degrees(np.arccos(np.clip(np.einsum("ijk,ijk->ij", normals, true), -1, 1)))
     assert inner.sum() > 4000
     assert np.nanmax(angle[inner]) < 1.5
@@ -143,7 +143,7 @@ def test_normals_of_a_sphere_point_to_its_outside():
     towards = camera.centre_world - image.points_world()
     towards /= np.linalg.norm(towards, axis=-1, keepdims=True)
     expected = np.arccos(np.einsum("ijk,ijk->ij", true, towards))
-    assert np.nanmax(np.abs(image.incidence_rad() - expected)[inner]) < np.radians(1.5)
+    assert np.nanmax(np.abs(image.incidence_rad(2.5) - expected)[inner]) < np.radians(1.5)
 
 
 def test_a_tilted_plane_has_its_normal_exactly():

@@ -19,8 +19,8 @@ from mammometry.geometry import Array, Bool, Camera, Float32, Float64, Rig, mesh
 from mammometry.matching.foreground.contour import follow
 from mammometry.matching.foreground.foreground import Foreground
 from mammometry.surface.fusion import field_kernels as kernels
-from mammometry.surface.fusion import field_kernels as outline_kernels
 from mammometry.surface.fusion.camera_records import COLUMNS, view_row
+from mammometry.surface.occlusion import SAMPLES
 from mammometry.surface.ranges import image_kernels
 from mammometry.surface.ranges.range_image import NORMAL_MM, SIGMA_FLOOR_MM, RangeImage, thinned_camera
 from mammometry.surface.settings import TAPER_MM
@@ -59,7 +59,6 @@ _BOX_SAMPLES = 1_000_000  # data that the box's percentiles are taken of
 _SMALLEST_HOLE_SHARE = 2e-3  # of the subject's area: a larger hole in a mask is a gap between limbs; chosen by eye
 _SLOPE_MM = 4.0  # over which the slope of skin beside a gap is taken; chosen by eye
 _BLOCK_PX = 4  # side of the blocks in which other views' data are looked up; some data fall into each
-_SAMPLES = 300_000  # of another view's data that are looked up
 _BEFORE_MM = 5.0  # a datum of another view further before a span contradicts it; chosen by eye
 _CLOSING_MM = 4.0  # gaps in a view's data narrower than twice this belong to the subject without a silhouette; by eye
 
@@ -86,11 +85,10 @@ def closing_box(range_images: Sequence[RangeImage], *, back_mm: float, around_mm
     others `around_mm` outside. One datum in fifty thousand at either end is taken for an outlier: what little is seen
     of an arm stays inside.
     """
-    seen = [image for image in range_images if image.valid.any()]
-    points = block_seeds(seen)
-    inward = np.sum([image.camera.axis_world for image in seen], axis=0)
-    if np.linalg.norm(inward) < 1e-3 * len(seen):  # cameras all around: any direction will do
-        inward = seen[0].camera.axis_world
+    points = block_seeds(range_images)
+    inward = np.sum([image.camera.axis_world for image in range_images], axis=0)
+    if np.linalg.norm(inward) < 1e-3 * len(range_images):  # cameras all around: any direction will do
+        inward = range_images[0].camera.axis_world
     inward = inward / np.linalg.norm(inward)
     across = np.eye(3)[np.argmin(np.abs(inward))]
     across = across - (across @ inward) * inward
@@ -140,22 +138,21 @@ class Field:
 def build_field(
     range_images: Sequence[RangeImage], foregrounds: Mapping[str, Foreground], rig: Rig, box: ClosingBox, rule: Rule
 ) -> Field:
-    """Pack views with their weights, and all silhouettes."""
-    seen = [image for image in range_images if image.valid.any()]
-    starts = np.cumsum([0, *(image.valid.size for image in seen)])
+    """Pack views with their weights, and all silhouettes. Each view has data (`fuse.usable`)."""
+    starts = np.cumsum([0, *(image.valid.size for image in range_images)])
     elements = np.empty((starts[-1], 3), dtype=np.float32)
     view_rows = [
-        view_row(image.camera, image.valid.shape, start) for image, start in zip(seen, starts[:-1], strict=True)
+        view_row(image.camera, image.valid.shape, start) for image, start in zip(range_images, starts[:-1], strict=True)
     ]
 
     def fill(number: int) -> None:
-        image = seen[number]
+        image = range_images[number]
         left = rig.pair(image.name).left
-        others_mm = nearest_of_others_mm(image, seen)
+        others_mm = nearest_of_others_mm(image, range_images)
         rows = view_elements(image, left, foregrounds.get(left.name), others_mm)
         elements[starts[number] : starts[number + 1]] = rows.reshape(-1, 3)
 
-    each_at_once(fill, range(len(seen)))
+    each_at_once(fill, range(len(range_images)))
     outlined = {
         name: foreground
         for name, foreground in foregrounds.items()
@@ -204,7 +201,7 @@ def nearest_of_others_mm(image: RangeImage, all_images: Sequence[RangeImage]) ->
         if other is image:
             continue
         points = other.valid_points_world()
-        points = points[:: max(1, len(points) // _SAMPLES)]
+        points = points[:: max(1, len(points) // SAMPLES)]
         uv = image.camera.project(points)
         with np.errstate(invalid="ignore"):
             inside = ((uv > -0.5) & (uv < [width - 0.5, height - 0.5])).all(axis=1)
@@ -262,8 +259,6 @@ def silhouette_distance_px(foreground: Foreground, step: int = 1, lost_slope: fl
     height, width = (-(-side // step) for side in foreground.coverage.shape)
     mask = foreground.mask
     top, bottom, left, right = mesh_kernels.extent(mask).tolist()
-    if bottom - top == mask.shape[0] and right - left == mask.shape[1] and mask.all():
-        return np.full((height, width), -1e4, dtype=np.float32)
     window = tuple(
         slice(max(start // step - _AROUND_PX, 0) * step, min((stop // step + _AROUND_PX) * step, side))
         for start, stop, side in zip((top, left), (bottom, right), mask.shape, strict=True)
@@ -276,7 +271,7 @@ def silhouette_distance_px(foreground: Foreground, step: int = 1, lost_slope: fl
     if inside.all():
         return np.full((height, width), -1e4, dtype=np.float32)
     ends = np.array([end for axis in window for end in (axis.start, axis.stop)], dtype=np.int64)
-    starts, steps = outline_kernels.contour_pieces(
+    starts, steps = kernels.contour_pieces(
         np.ascontiguousarray(foreground.coverage), ends, np.ascontiguousarray(holes), step, foreground.contour_level
     )
     distances = np.full((height, width), np.float32(_AROUND_PX))
@@ -332,4 +327,4 @@ def _subject_mask(image: RangeImage, left: Camera, foreground: Foreground | None
 
 def block_seeds(range_images: Sequence[RangeImage]) -> Float64[Array, "n 3"]:
     """Return all measured points, world frame, mm. The surface certainly passes near them."""
-    return np.concatenate([image.valid_points_world() for image in range_images if image.valid.any()])
+    return np.concatenate([image.valid_points_world() for image in range_images])

@@ -75,6 +75,7 @@ _HEALING_REACH_MM, _HEALING_SIGMA_MM = 4.0, 1.0  # radius of the first attempt, 
 _TUNNEL_CELL_MM = 6.0  # a cell holds a tunnel's whole curvature, and no bend of a body that curves as much
 _MIN_DATA = 50  # a view with fewer says nothing; chosen by eye
 _SILHOUETTE_SAMPLES = 5000  # data looked up in a mask: the share that misses it, to 1 %
+_MOST_BESIDE = 0.5  # share of a view's data that another camera may see beside the subject
 _LEAST_IN_PICTURE = 0.2  # share of a view's data that a camera must have in its picture to judge them; chosen by eye
 _LONGEST_SIDE_PX = 4.0  # of an open surface's triangles: neighbours on skin at 75° are that far apart
 
@@ -139,7 +140,7 @@ def meshed(
     surface, mesh = _surface(solid, settings, NEAR_MM, part(progress, 0.1, 0.9))
     best = largest_part(mesh)
     candidate: TriangleMesh | None = best
-    for attempt in range(_HEALING_ATTEMPTS if SMOOTHING_CUBES > 0 and len(best.faces) else 0):
+    for attempt in range(_HEALING_ATTEMPTS if len(best.faces) else 0):
         if candidate is None or _euler_number(best) == 2:
             break
         wider = _HEALING_GROWTH**attempt
@@ -247,9 +248,7 @@ def usable(range_images: Sequence[RangeImage]) -> list[RangeImage]:
     return seen
 
 
-def check_silhouettes(
-    range_images: Sequence[RangeImage], foregrounds: Mapping[str, Foreground], rig: Rig, *, limit: float = 0.5
-) -> None:
+def check_silhouettes(range_images: Sequence[RangeImage], foregrounds: Mapping[str, Foreground], rig: Rig) -> None:
     """Refuse a view that has matched the background.
 
     Other cameras see most of its data beside the subject. Other cameras tell whose foreground is known and in whose
@@ -273,7 +272,7 @@ def check_silhouettes(
             if inside.mean() > _LEAST_IN_PICTURE:
                 excluded[name] = float((~mask[row, column]).mean())
         worst = max(excluded, key=lambda name: excluded[name], default=None)
-        if worst is not None and excluded[worst] > limit:
+        if worst is not None and excluded[worst] > _MOST_BESIDE:
             raise SurfaceError(
                 f"pair {image.name}",
                 found=f"range data of which camera {worst} sees {100 * excluded[worst]:.0f} % beside the subject",

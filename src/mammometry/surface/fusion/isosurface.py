@@ -114,19 +114,17 @@ def _chains(border: Int64[Array, "e 2"], ends: set[int]) -> dict[tuple[int, int]
         else:
             following[start] = end
     chains: dict[tuple[int, int], list[int]] = {}
-    used = len(starts)
     for start, vertex in starts:
         between: list[int] = []
         while vertex not in ends:
-            if len(between) > len(border) or vertex not in following:
+            if vertex not in following:
                 return None
             between.append(vertex)
-            vertex = following[vertex]
+            vertex = following.pop(vertex)
         if (start, vertex) in chains:
             return None
         chains[start, vertex] = between
-        used += len(between)
-    return chains if used == len(border) else None  # a loop without an end would stay open
+    return None if following else chains  # a loop without an end would stay open
 
 
 def _fans(
@@ -190,7 +188,7 @@ class Isosurface:
         self._pieces = self._meshed(chunks, progress)
         self._far = self._far_piece() if grid.far.any() else None
 
-    def heal(self, points: Float64[Array, "n 3"], *, reach_mm: float = 6.0, sigma_mm: float = 2.0) -> None:
+    def heal(self, points: Float64[Array, "n 3"], *, reach_mm: float, sigma_mm: float) -> None:
         """Blend the field into the coarse one near the points.
 
         Fully within `reach_mm`, and less so up to twice that far. There the coarse field is smoothed by a Gaussian of

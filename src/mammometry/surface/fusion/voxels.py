@@ -80,7 +80,7 @@ def sample_blocks(
     around = ndimage.generate_binary_structure(3, 3)
     wanted = ndimage.binary_dilation(outside, around) & ndimage.binary_dilation(~outside, around)
     wanted |= ~kernels.empty_cells(seeds, origin, far_edge, wanted.shape)
-    index, values = _followed(sample, origin, cube_mm * FAR_CUBES, outside, wanted)
+    index, values = _followed(sample, origin, cube_mm * FAR_CUBES, outside, wanted, barred=np.zeros_like(wanted))
     coarse = _dense(index, outside, values, truncation_mm, np.zeros(3, np.int64), shape + 1)
     coarse = coarse[tuple(slice(0, n * BLOCK + 1) for n in shape)]
     progress(0.2)
@@ -88,7 +88,7 @@ def sample_blocks(
     shape = shape * FAR_CUBES
     empty = kernels.empty_cells(seeds, origin, BLOCK * cube_mm, (int(shape[0]), int(shape[1]), int(shape[2])))
     reach = near_mm / cube_mm + np.sqrt(3) * (TRANSITION + BLOCK)  # between centres of blocks, in cubes
-    far = ndimage.distance_transform_edt(empty) * BLOCK > reach if np.isfinite(near_mm) else np.zeros_like(empty)
+    far = ndimage.distance_transform_edt(empty) * BLOCK > reach
     half = BLOCK // FAR_CUBES // 2
     outside = coarse[half::2, half::2, half::2] > 0
     corners = sliding_window_view(coarse > 0, (3, 3, 3))[::2, ::2, ::2]
@@ -113,7 +113,7 @@ def _followed(
     outside: Bool[Array, "x y z"],
     wanted: Bool[Array, "x y z"],
     *,
-    barred: Bool[Array, "x y z"] | None = None,
+    barred: Bool[Array, "x y z"],
     progress: Progress = no_progress,
 ) -> tuple[Int32[Array, "x y z"], Float32[Array, "b 8 8 8"]]:
     """Evaluate the wanted blocks, then follow the surface.
@@ -124,7 +124,7 @@ def _followed(
     parts = [np.zeros((0, BLOCK, BLOCK, BLOCK), dtype=np.float32)]
     count = 0
     while True:
-        new = np.argwhere(wanted & (index < 0) if barred is None else wanted & (index < 0) & ~barred)
+        new = np.argwhere(wanted & (index < 0) & ~barred)
         if not len(new):
             break
         index[tuple(new.T)] = np.arange(count, count + len(new), dtype=np.int32)

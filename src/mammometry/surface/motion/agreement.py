@@ -16,7 +16,7 @@ from mammometry.base.value import value
 from mammometry.geometry import Array, Camera, Float64, Int64
 from mammometry.matching.dense.match import DisparityMap
 from mammometry.surface.ranges.range_image import RangeImage, thinned_camera
-from mammometry.surface.ranges.visibility import CommonSkin, common_skin
+from mammometry.surface.ranges.visibility import LEAST_COSINE, CommonSkin, common_skin
 from mammometry.surface.settings import TAPER_MM
 
 _CELL_MM = 16.0
@@ -24,7 +24,6 @@ _CELL_MM = 16.0
 """
 _SPACING_MM = 0.8  # between the data that are compared; chosen for speed
 _FEWEST_DATA = 6  # of a cell, for its median; chosen by eye
-_LEAST_COSINE = 0.5  # 60° off the normal: data seen more obliquely are not compared
 OTHER_SKIN_MM = 4.0
 """Two pairs further apart than this, mm, see different skin, such as an arm in front of the trunk. Chosen by eye."""
 _INSIDE = 0.99  # trust of data that no edge of the data touches
@@ -107,7 +106,7 @@ def _thinned(image: RangeImage) -> RangeImage:
 def _well_seen(
     common: CommonSkin, sign: float, other_skin_mm: float
 ) -> tuple[Float64[Array, "n 3"], Float64[Array, "n 3"], Float64[Array, " n"], Float64[Array, " n"]]:
-    well = (common.own_cosine > _LEAST_COSINE) & (np.abs(common.distance_mm) < other_skin_mm)
+    well = (common.own_cosine > LEAST_COSINE) & (np.abs(common.distance_mm) < other_skin_mm)
     return common.points[well], common.normals[well], sign * common.distance_mm[well], common.sigma_mm[well]
 
 

@@ -21,6 +21,7 @@ from mammometry.geometry import Array, Camera, Float64, Rig, StereoPair, Transfo
 from mammometry.surface.motion.agreement import RowErrors, differences
 from mammometry.surface.motion.rigid_motion import (
     BREATHS_MM,
+    LEAST_EVIDENCE,
     Fit,
     Found,
     MotionParameters,
@@ -33,24 +34,18 @@ from mammometry.surface.motion.rigid_motion import (
     without_contradicted_rows,
     without_outliers,
 )
-from mammometry.surface.ranges.range_image import RangeImage
+from mammometry.surface.ranges.range_image import SIGMAS, RangeImage
+from mammometry.surface.ranges.visibility import JUMP_MM
 from mammometry.surface.settings import StillnessSettings
 
-LEAST_EVIDENCE = 10.0
-"""Rise of the log probability of all observations above which something is taken to have moved: e¹⁰ is 1 in 22,000.
-Clean captures reach 0 to 3.
-"""
 LEAST_MM = 0.06
 """RMS displacement of the worst pair's points below which nothing is corrected, mm: two thirds of a clean surface's
 error.
 """
 _FIRST_OTHER_SKIN_MM = 12.0
 """`OTHER_SKIN_MM` of the first round, mm: a camera of the reference rig turned by .1° moves skin so far."""
-_ROUNDS = 2  # after the first, pairs are compared where the corrected cameras see them
 _LEAST_SIGMAS = 2.0  # of a displacement, before anything is done: small, noisy pictures show rows that are none
 _SURE = 5.0  # times the least evidence: something moved, even if what it did to each pair is not certain
-_HONEST_SIGMAS = 3.0  # of what pairs expect of themselves, before a rest is refused, as in `visibility`
-_CERTAIN_SIGMAS = 3.0  # of a turn, before its camera is named
 _UNEXPLAINED_MM = 0.12
 """Rest above which something moved that is not rigid, mm. Clean captures leave .05 at most (docs/decisions/0027)."""
 
@@ -143,10 +138,10 @@ def find(
     """
     apart = differences(range_images, _FIRST_OTHER_SKIN_MM)
     compared = {name for comparison in apart for name in (comparison.first, comparison.second)}
-    pairs = [name for name in rig.pair_names if name in compared or (name in rows and len(rows[name].points))]
+    rows = {name: rows[name] for name in rig.pair_names if name in rows and len(rows[name].points)}
+    pairs = [name for name in rig.pair_names if name in compared or name in rows]
     centre = np.concatenate([comparison.points for comparison in apart]).mean(axis=0) if apart else np.zeros(3)
     parameters = motion_parameters(rig, pairs, centre)
-    rows = {name: rows[name] for name in pairs if name in rows and len(rows[name].points)}
     if not apart:
         return _nothing(parameters, compared=False)
 
@@ -170,12 +165,12 @@ def find(
     if smooth.expected.log_evidence - rigid.expected.log_evidence >= LEAST_EVIDENCE:
         parameters, moved, breaths_mm = breathing, smooth, BREATHS_MM
         evidence = moved.expected.log_evidence - moved.still.log_evidence
-    for _ in range(1, _ROUNDS):
-        so_far = moved.expected.motions
-        images = [_carried(image, rig, parameters, so_far) for image in range_images]
-        again = observed(_moved_rig(rig, parameters, so_far), differences(images), rows, covariance, parameters)
-        values = again.values + np.where(again.distances, again.by_unknown @ so_far, 0.0)
-        seen, moved = most_probably(replace(again, values=values), parameters, breaths_mm)
+    # Once more, with the pairs compared where the corrected cameras see them.
+    so_far = moved.expected.motions
+    images = [_carried(image, rig, parameters, so_far) for image in range_images]
+    again = observed(_moved_rig(rig, parameters, so_far), differences(images), rows, covariance, parameters)
+    values = again.values + np.where(again.distances, again.by_unknown @ so_far, 0.0)
+    seen, moved = most_probably(replace(again, values=values), parameters, breaths_mm)
     best = moved.expected
     found = replace(_judged(rig, rows, moved, parameters), unexplained=best.rest_mm >= limit_mm)
     found = replace(found, evidence=evidence, distance_mm=(before_mm, seen.rms_mm(best.motions)))
@@ -289,7 +284,7 @@ def _turn(name: str, best: Fit, parameters: MotionParameters) -> Turn | None:
     turn, spread = best.motions[where], best.covariance[where, where]
     size = float(np.linalg.norm(turn))
     std = float(np.sqrt(turn @ spread @ turn) / size) if size > 0 else 0.0
-    certain = size > _CERTAIN_SIGMAS * std and size > 0
+    certain = size > SIGMAS * std
     return Turn(camera=name, turn_deg=float(np.degrees(size)), std_deg=float(np.degrees(std))) if certain else None
 
 
@@ -298,7 +293,7 @@ def _rms(vectors: Float64[Array, "n 3"]) -> float:
 
 
 def _refuse(found: Stillness, settings: StillnessSettings, honest_mm: float) -> None:
-    if found.rest_mm > max(settings.most_unexplained_mm, _HONEST_SIGMAS * honest_mm):
+    if found.rest_mm > max(settings.most_unexplained_mm, SIGMAS * honest_mm):
         raise SurfaceError(
             "pairs of the capture",
             found=f"surfaces {found.distance_mm[0]:.2f} mm apart (RMS), {found.distance_mm[1]:.2f} mm with the best "
@@ -318,7 +313,6 @@ def _refuse(found: Stillness, settings: StillnessSettings, honest_mm: float) -> 
 
 
 _WHOLE = 0.999  # of four neighbours' weight: all are data
-_JUMP_MM = 5.0  # neighbouring ranges that differ by more show two surfaces, as in `visibility`
 
 
 def retriangulated(image: RangeImage, before: StereoPair, after: StereoPair) -> RangeImage:
@@ -367,7 +361,7 @@ def displaced(image: RangeImage, shift_world: Float64[Array, "n 3"]) -> RangeIma
     range_mm = sum(ndimage.map_coordinates(part, at, order=1, mode="nearest") for part in known)
     nearest = tuple(np.clip(np.rint(at).astype(np.intp), 0, np.array(image.valid.shape)[:, None] - 1))
     whole = ndimage.map_coordinates(image.valid.astype(np.float32), at, order=1, mode="constant") > _WHOLE
-    whole &= np.abs(range_mm - image.range_mm[nearest]) < _JUMP_MM
+    whole &= np.abs(range_mm - image.range_mm[nearest]) < JUMP_MM
     moved, kept = np.zeros_like(image.range_mm), np.zeros_like(image.valid)
     moved[image.valid], kept[image.valid] = np.where(whole, range_mm, 0.0), whole
     return replace(image, range_mm=moved, valid=kept).keeping(kept)

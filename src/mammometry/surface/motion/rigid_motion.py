@@ -54,7 +54,10 @@ _FIRST_TURN_DEG, _FIRST_SHIFT_MM, _FIRST_REST_MM = 0.05, 1.0, 0.1
 _OUTLIER_SIGMAS = 4.0  # robust, of a cell's difference; chosen by eye
 _CONTRADICTION = 2.0  # times the distance between pairs, that rows of one pair alone may move skin; chosen by eye
 _OUTLIER_ROUNDS = 5  # times that outliers are looked for; fewer if none changes
-_UNLIKELY = 10.0  # natural logarithm of a share of the probability that is left out
+LEAST_EVIDENCE = 10.0
+"""Rise of the log probability of all observations above which something is taken to have moved, and fall below which a
+motion is left out: e¹⁰ is 1 in 22,000. Clean captures reach 0 to 3.
+"""
 _MAD = 1.4826  # standard deviation over median of the absolute deviations, of a normal distribution
 
 
@@ -423,7 +426,7 @@ def most_probable(seen: Observed, parameters: MotionParameters, breaths_mm: Sequ
     sizes = [parameters.prior_std(*size) for size in product(np.radians(_TURNS_DEG).tolist(), _SHIFTS_MM, breaths_mm)]
     tried = [_sized(known, std) for known, std in product(reduced, sizes)]
     top = max(tried, key=lambda size: size.log_evidence)
-    likely = [_fit(size) for size in tried if size.log_evidence > top.log_evidence - _UNLIKELY]
+    likely = [_fit(size) for size in tried if size.log_evidence > top.log_evidence - LEAST_EVIDENCE]
     parts = ((name, _sized(top.known, std)) for name, std in _alone(parameters))
     name, alone = max(parts, key=lambda named: named[1].log_evidence)
     return Found(

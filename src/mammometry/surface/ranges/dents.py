@@ -17,7 +17,7 @@ from mammometry.base.machine.cores import each_at_once
 from mammometry.base.value import value
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32, UInt8, to_step
 from mammometry.geometry.projection import projected
-from mammometry.surface.ranges.range_image import RangeImage
+from mammometry.surface.ranges.range_image import SIGMAS, RangeImage
 from mammometry.surface.ranges.visibility import Label, compare, gap_mm
 from mammometry.surface.settings import DecomposeSettings, DentSettings
 
@@ -30,8 +30,6 @@ class Patches:
     """(A, B) → label of each element of A against B (`visibility.Label`). OUTSIDE where A has no datum."""
     patches: Mapping[tuple[str, str], Int32[Array, "h w"]]
     """(A, B) → patch of each element of A, from 1: connected elements of one label. 0 without datum."""
-    epsilon_mm: float
-    """Half-width of the overlapping zone used, mm."""
 
 
 def decompose(range_images: Sequence[RangeImage], settings: DecomposeSettings = DecomposeSettings()) -> Patches:
@@ -51,7 +49,7 @@ def decompose(range_images: Sequence[RangeImage], settings: DecomposeSettings = 
             label[image.valid] = compare(points, other, settings.epsilon_mm)
             labels[image.name, other.name] = label
             patches[image.name, other.name] = _components(label, image.valid)
-    return Patches(labels=labels, patches=patches, epsilon_mm=settings.epsilon_mm)
+    return Patches(labels=labels, patches=patches)
 
 
 def _components(labels: UInt8[Array, "h w"], valid: Bool[Array, "h w"]) -> Int32[Array, "h w"]:
@@ -66,12 +64,11 @@ def _components(labels: UInt8[Array, "h w"], valid: Bool[Array, "h w"]) -> Int32
 
 
 SEEN_THROUGH_MM = 1.0
-"""Distance in front of another view's surface at which a datum is dropped, mm, besides three σ of both."""
+"""Distance in front of another view's surface at which a datum is dropped, mm, besides `SIGMAS` of both."""
 _MIN_PATCH = 3  # points that determine a normal
 _SMALLEST_ISLAND = 30  # connected data; fewer are crumbs that the other rules leave (rule ``element``); chosen by eye
 _COMMON_MM = 3.0  # data of two views closer than this show the same skin; chosen by eye
 _ANGLE_STEP_RAD = 2.0**-6  # of the angles handed on, a degree: they shade a picture
-_SIGMAS = 3.0  # of both data, that a gap must exceed before a datum counts as seen through
 
 
 @value(eq=False)
@@ -272,13 +269,13 @@ def _seen_through(
     own_angle = angles[index][image.valid]
     through = np.zeros(len(points), dtype=bool)
     for other, other_angle in zip(images, angles, strict=True):
-        if other is image or not other.valid.any():
+        if other is image:
             continue
         gap = gap_mm(points, other)
         known = np.isfinite(gap)
         uv = np.rint(projected(other.camera, points[known])[:, :2]).astype(np.intp)
         sigma, angle = other.sigma_mm[uv[:, 1], uv[:, 0]], other_angle[uv[:, 1], uv[:, 0]]
-        tolerance = np.maximum(SEEN_THROUGH_MM, _SIGMAS * np.hypot(own_sigma[known], sigma))
+        tolerance = np.maximum(SEEN_THROUGH_MM, SIGMAS * np.hypot(own_sigma[known], sigma))
         # A gap along a grazing ray exaggerates the distance between the surfaces: measure it across the surface.
         through[known] |= (gap[known] * np.cos(angle) > tolerance) & (angle <= own_angle[known])
     result = np.zeros(image.valid.shape, dtype=bool)
@@ -295,9 +292,7 @@ def _without_islands(keep: Bool[Array, "h w"]) -> Bool[Array, "h w"]:
 
 
 _BEHIND = 1.4  # of the middle's depth, as in `matching.coarse_stereo`
-_STEP_PX = (
-    5.0  # edge of a cell, of a pixel's width on the surface: what lies in cells that touch hangs together; by eye
-)
+_STEP_PX = 5.0  # edge of a cell, in pixels' widths on the surface: what lies in cells that touch hangs together; by eye
 _MOST_CELLS = 256  # along a side
 _SMALLEST = 0.05  # of the largest piece, counted in cells; by eye
 

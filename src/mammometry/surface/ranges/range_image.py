@@ -15,7 +15,7 @@ from mammometry.geometry import Camera, mesh_kernels
 from mammometry.geometry.arrays import SIGMA_BITS, Array, Bool, Float32, Float64, Int64, to_bits, to_step
 from mammometry.matching.dense.match import DisparityMap
 from mammometry.surface.ranges import image_kernels, ray_kernels
-from mammometry.surface.settings import TriangulateSettings
+from mammometry.surface.settings import DentSettings, TriangulateSettings
 
 MAX_SIGMA_MM = 3.0
 """Expected error above which a datum is dropped, mm: it would lie outside every fusion band."""
@@ -25,8 +25,12 @@ RANGE_STEP_MM = 2.0**-9
 """Of a range image: its rounding has a σ of .0006 mm, a datum .007 at least (docs/decisions/0039)."""
 NORMAL_MM = 1.5
 """Half-width of the window for a datum's normal, in the first surface and the repair, mm. Chosen by eye."""
+NEIGHBOURHOOD_MM = DentSettings().neighbourhood_mm
+"""Half-width of the window for a datum's normal where views are compared, mm."""
 SIGMA_FLOOR_MM = 0.05
 """Added in quadrature to each datum's σ, mm: no datum is better than the calibration."""
+SIGMAS = 3.0
+"""Multiple of its expected standard deviation above which a difference is no error of measuring."""
 
 
 @value(eq=False)
@@ -92,7 +96,7 @@ class RangeImage:
         ranges = ranges[:: max(1, len(ranges) // _SAMPLES)]
         return float(np.median(ranges) / self.camera.matrix[0, 0]) if len(ranges) else float("nan")
 
-    def normals_camera(self, neighbourhood_mm: float = 2.5) -> Float32[Array, "h w 3"]:
+    def normals_camera(self, neighbourhood_mm: float = NEIGHBOURHOOD_MM) -> Float32[Array, "h w 3"]:
         """Unit normals towards the camera, camera frame.
 
         NaN where not valid or too few neighbours. Inverse depth is linear in the image on a plane, ``1/z = a x + b y +
@@ -113,11 +117,11 @@ class RangeImage:
         )
         return normals
 
-    def normals_world(self, neighbourhood_mm: float = 2.5) -> Float64[Array, "h w 3"]:
+    def normals_world(self, neighbourhood_mm: float = NEIGHBOURHOOD_MM) -> Float64[Array, "h w 3"]:
         """`normals_camera`, in the world frame."""
         return self.normals_camera(neighbourhood_mm) @ self.camera.camera_from_world.rotation
 
-    def incidence_rad(self, neighbourhood_mm: float = 2.5) -> Float32[Array, "h w"]:
+    def incidence_rad(self, neighbourhood_mm: float) -> Float32[Array, "h w"]:
         """Angle between the local normal and the direction to the camera, rad. NaN where there is no normal."""
         cosine = image_kernels.incidence_cosines(self.normals_camera(neighbourhood_mm), self.camera.intrinsics)
         return np.arccos(np.clip(cosine, -1.0, 1.0))

@@ -11,13 +11,16 @@ from mammometry.base.photograph import LUMA, Photograph
 from mammometry.geometry.arrays import Array, Bool, Float32
 from mammometry.geometry.camera import Camera
 from mammometry.matching.foreground.foreground import blocks_of
-from mammometry.surface.ranges.range_image import RangeImage
+from mammometry.surface.ranges.range_image import SIGMAS, RangeImage
 
-_EDGE_PX = 6.0  # of data beside a strand that lean towards it, at the foreground's reference size: half a window
+EDGE_PX = 6.0
+"""Of data beside an edge that lean towards what is there, at the foreground's reference size: half a window. Chosen by
+eye.
+"""
 _WIDEST_MM = 16.0  # of what is narrow: areolae and the shade below a breast are wider; chosen by eye
 _LONGER_MM = 25.0  # than this, across which no nipple is; chosen by eye
 _DARK = 0.5  # of its surroundings' encoded luma: hair .1 to .45, nipples .6 and more; chosen by eye
-_BEFORE_MM, _SIGMAS = 1.0, 3.0  # before its surroundings, and in multiples of the datum's own σ; chosen by eye
+_BEFORE_MM = 1.0  # before its surroundings, besides `SIGMAS` of the datum's own σ; chosen by eye
 _STANDING = 0.25  # of a dark place's data that stand out: the rest of a strand lies on the skin; chosen by eye
 
 
@@ -48,13 +51,13 @@ def strands_in(image: RangeImage, photograph: Photograph, camera: Camera) -> Boo
     shown = np.zeros(valid.shape, dtype=places.dtype)
     shown[row[inside], column[inside]] = places[v, u]
     behind_mm = _levelled(np.where(valid, range_mm, -np.inf), _WIDEST_MM / block_mm)
-    before = behind_mm - range_mm > np.maximum(_BEFORE_MM, _SIGMAS * image.sigma_mm[::step, ::step])
+    before = behind_mm - range_mm > np.maximum(_BEFORE_MM, SIGMAS * image.sigma_mm[::step, ::step])
     data, standing = (np.bincount(some.ravel(), minlength=count + 1) for some in (shown, shown[before]))
     strand = (data > 0) & (standing >= _STANDING * data)
     strand &= [False, *(np.hypot(*side) > _LONGER_MM / block_mm for side in sides)]
     if not strand.any():
         return np.zeros(shape, dtype=bool)
-    beside = ndimage.distance_transform_edt(~strand[shown]) * step <= _EDGE_PX * blocks.unit
+    beside = ndimage.distance_transform_edt(~strand[shown]) * step <= EDGE_PX * blocks.unit
     return np.asarray(beside.repeat(step, axis=0).repeat(step, axis=1)[: shape[0], : shape[1]])
 
 

@@ -2,14 +2,11 @@
 
 No other module does this. The paper uses the same words for opposite things. Section 2.5 calls a cube *visible* when
 it lies in front of the surface; section 2.6.1 calls a point *visible* when it lies behind the other range image's
-surface. Ours: ================ ================ =====================
-======================================================= label section 2.5 section 2.6.1 meaning ================
-================ ===================== ======================================================= ``IN_FRONT`` visible
-invisible nearer than the seen surface: the view looks through it ``BEHIND`` invisible visible further than the seen
-surface: hidden from the view ``OVERLAPPING`` on surface overlapping within ε of the seen surface ``OUTSIDE`` (not
-said) unprocessed outside the image, behind the camera, or no datum there ================ ================
-===================== ======================================================= The compiled form of the same comparison,
-for the millions of cubes of the first surface, is `kernels.sample_field`.
+surface. Ours (2.5; 2.6.1): `IN_FRONT` (visible; invisible), `BEHIND` (invisible; visible), `OVERLAPPING` (on surface;
+overlapping), `OUTSIDE` (not said; unprocessed).
+
+The compiled form of the same comparison, for the millions of cubes of the first surface, is
+`field_kernels.sample_field`.
 """
 
 from collections.abc import Sequence
@@ -20,16 +17,19 @@ import numpy as np
 
 from mammometry.base.errors import SurfaceError
 from mammometry.base.machine.cores import each_at_once, in_bands
-from mammometry.geometry.arrays import Array, Float32, Float64, Int64, UInt8
+from mammometry.geometry.arrays import Array, Float32, Float64, UInt8
 from mammometry.surface.ranges import image_kernels
-from mammometry.surface.ranges.range_image import RangeImage
+from mammometry.surface.ranges.range_image import SIGMAS, RangeImage
 
 _AGREEMENT_SAMPLES = 20000  # data of a view that are compared: their median is good to 1 %
-_JUMP_MM = 5.0  # ranges that differ by more show two surfaces; chosen by eye
+JUMP_MM = 5.0
+"""Ranges that differ by more show two surfaces, mm. Chosen by eye."""
+_APART_MM = 1.0  # in the median, that views may be at most
+_FEWEST_COMMON = 500  # data of two views, before they are compared
 _CULPRIT_RATIO = 1.2  # a pair is named as the moved one where its differences exceed the next by this; chosen by eye
-_HONEST_SIGMAS = 3.0  # honest errors stay below .7 σ in the median: see `check_agreement`
 _ALIKE_DEG = 20.0  # between normals of two views that show the same skin; chosen by eye
-_LEAST_COSINE = 0.5  # 60° off the normal: data seen more obliquely are not compared
+LEAST_COSINE = 0.5
+"""60° off the normal: data seen more obliquely are not compared, and skin may end there."""
 
 
 class Label(IntEnum):
@@ -64,15 +64,13 @@ def gap_mm(points_world: Float64[Array, "n 3"], range_image: RangeImage) -> Floa
             range_image.camera.intrinsics,
             range_image.range_mm,
             range_image.valid,
-            _JUMP_MM,
+            JUMP_MM,
         )
 
     return np.concatenate(in_bands(gaps, len(points_world)))
 
 
-def compare(
-    points_world: Float64[Array, "n 3"], range_image: RangeImage, epsilon_mm: float = 0.5
-) -> UInt8[Array, " n"]:
+def compare(points_world: Float64[Array, "n 3"], range_image: RangeImage, epsilon_mm: float) -> UInt8[Array, " n"]:
     """Label world points against one range image (paper 2.6.1).
 
     Overlapping is |r_B − D| ≤ ε. World frame, mm. Departure: the paper prints the overlapping case without the
@@ -87,21 +85,21 @@ def compare(
     return labels
 
 
-def check_agreement(range_images: Sequence[RangeImage], *, limit_mm: float = 1.0, smallest: int = 500) -> None:
+def check_agreement(range_images: Sequence[RangeImage]) -> None:
     """Refuse views that contradict one another.
 
     A camera has moved, or the calibration is wrong. Two views are compared where their surfaces face the same way and
-    neither may hide the other: half of those data must lie within `limit_mm` of one another, along
+    neither may hide the other: half of those data must lie within a millimetre of one another, along
     the normal, or within three times what their own expected errors make (σ) where that is more, as in small or noisy
     photographs of weak texture. Clean captures stay below .1 mm, and half of honest errors below .7 σ. Views with
-    fewer than `smallest` common data are not compared.
+    fewer than 500 common data are not compared.
 
     Raises:
         SurfaceError: names the pairs that disagree, and the one that disagrees most where it stands out.
     """
-    found = disagreement_mm(range_images, smallest=smallest)
+    found = disagreement_mm(range_images)
     differences = {names: distance_mm for names, (distance_mm, _) in found.items()}
-    limits = {names: max(limit_mm, _HONEST_SIGMAS * sigma_mm) for names, (_, sigma_mm) in found.items()}
+    limits = {names: max(_APART_MM, SIGMAS * sigma_mm) for names, (_, sigma_mm) in found.items()}
     bad = {names: value for names, value in differences.items() if value > limits[names]}
     if not bad:
         return
@@ -121,13 +119,11 @@ def check_agreement(range_images: Sequence[RangeImage], *, limit_mm: float = 1.0
     )
 
 
-def disagreement_mm(
-    range_images: Sequence[RangeImage], *, smallest: int = 500
-) -> dict[tuple[str, str], tuple[float, float]]:
+def disagreement_mm(range_images: Sequence[RangeImage]) -> dict[tuple[str, str], tuple[float, float]]:
     """Median distance along the normal between each two views, mm.
 
     Only where both face alike (20°). Its expected σ comes with it. Data that neither sees within 60° of its normal are
-    left out; so are views with fewer than `smallest` common data.
+    left out; so are views with fewer than 500 common data.
     """
     normals = each_at_once(RangeImage.normals_camera, range_images)
     result: dict[tuple[str, str], tuple[float, float]] = {}
@@ -138,7 +134,7 @@ def disagreement_mm(
                 _distances_across(other, normals[b], image, normals[a]),
             ]
             common = np.concatenate(samples)
-            if len(common) >= smallest:
+            if len(common) >= _FEWEST_COMMON:
                 distance_mm, sigma_mm = np.median(common, axis=0).tolist()
                 result[image.name, other.name] = distance_mm, sigma_mm
     return result
@@ -154,7 +150,7 @@ def _distances_across(
     another, what lies behind for one of them stands in front for the other.
     """
     common = common_skin(image, normals, other, other_normals)
-    shown = common.distance_mm > -_JUMP_MM
+    shown = common.distance_mm > -JUMP_MM
     return np.stack([np.abs(common.distance_mm[shown]), common.sigma_mm[shown]], axis=1)
 
 
@@ -162,11 +158,6 @@ def _distances_across(
 class CommonSkin:
     """Some data of one view, where another one sees the same skin."""
 
-    rows: Int64[Array, " n"]
-    columns: Int64[Array, " n"]
-    """Of the view's image."""
-    other_uv: Int64[Array, "n 2"]
-    """The other image's element at each."""
     points: Float64[Array, "n 3"]
     """World frame, mm."""
     normals: Float64[Array, "n 3"]
@@ -207,13 +198,10 @@ def common_skin(
     theirs = other_normals[uv[:, 1], uv[:, 0]] @ other.camera.camera_from_world.rotation
     cosine = _cosine(theirs, other.camera.centre_world - points)
     with np.errstate(invalid="ignore"):
-        alike = (np.einsum("ij,ij->i", own, theirs) > np.cos(np.radians(_ALIKE_DEG))) & (cosine > _LEAST_COSINE)
+        alike = (np.einsum("ij,ij->i", own, theirs) > np.cos(np.radians(_ALIKE_DEG))) & (cosine > LEAST_COSINE)
     rows, columns, uv, points, gap, cosine = (array[alike] for array in (rows, columns, uv, points, gap, cosine))
     sigma = np.hypot(image.sigma_mm[rows, columns], other.sigma_mm[uv[:, 1], uv[:, 0]])
     return CommonSkin(
-        rows=rows,
-        columns=columns,
-        other_uv=uv,
         points=points,
         normals=theirs[alike],
         own_cosine=_cosine(own[alike], image.camera.centre_world - points),

@@ -2,10 +2,11 @@
 
 With displacements δ = v − v̄ from the first surface's positions v̄, Eq. 4 is::
 
-    E(δ) = Σ_i ω_i k_ext |δ_i − t_i|²  +  ρ k_int Σ_edges |δ_i − δ_j|²,    t_i = ṽ_i − v̄_i
+    E(δ) = Σ_i ω_i |δ_i − t_i|²  +  ρ Σ_edges |δ_i − δ_j|²,    t_i = ṽ_i − v̄_i
 
-whose minimum solves ``(k_ext Ω + ρ k_int L) δ = k_ext Ω t`` for each coordinate, with Ω = diag(ω) and L the graph
-Laplacian of the mesh's edges. Each edge counts once; the paper's double sum would count it twice (it only rescales ρ).
+whose minimum solves ``(Ω + ρ L) δ = Ω t`` for each coordinate, with Ω = diag(ω) and L the graph Laplacian of the mesh's
+edges. The moduli k_ext and k_int (Eq. 5, 6) are 1: only ρ k_int / k_ext matters. Each edge counts once; the paper's
+double sum would count it twice (it only rescales ρ).
 """
 
 from __future__ import annotations
@@ -59,23 +60,11 @@ def laplacian(graph: Graph) -> csr_array:
     return csr_array(diags_array(graph.degree.astype(np.float64)) - adjacency)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Stiffness:
-    """Constants of the elastic energy (Eq. 4), dimensionless."""
-
-    rho: float
-    """Weight of the internal energy."""
-    k_ext: float = 1.0
-    """External modulus (Eq. 5). Only the ratio of the three matters: ρ alone is a setting."""
-    k_int: float = 1.0
-    """Internal modulus (Eq. 6)."""
-
-
 def minimum(
     wish: Float64[Array, "n 3"],
     weights: Float64[Array, " n"],
     graph: Graph,
-    stiffness: Stiffness,
+    rho: float,
     *,
     start: Float64[Array, "n 3"],
     tolerance: float,
@@ -90,7 +79,7 @@ def minimum(
         wish: t_i = ṽ_i − v̄_i, mm.
         weights: ω_i.
         graph: the mesh's edges.
-        stiffness: constants of the energy.
+        rho: weight ρ of the internal energy, dimensionless.
         start: where to begin, mm.
         tolerance: residual, relative to the right side, of each coordinate at which to stop.
         max_iterations: and when at the latest.
@@ -98,8 +87,8 @@ def minimum(
     solved, iterations = elastic_kernels.minimised(
         graph.indptr,
         graph.indices,
-        (stiffness.k_ext * weights).astype(np.float32),
-        stiffness.rho * stiffness.k_int,
+        weights.astype(np.float32),
+        rho,
         wish.astype(np.float32),
         start.astype(np.float32),
         tolerance,

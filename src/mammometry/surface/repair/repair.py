@@ -16,7 +16,7 @@ from mammometry.geometry.nearest import point_tree
 from mammometry.surface.ranges.dents import ValidPatches
 from mammometry.surface.repair import elastic_kernels
 from mammometry.surface.repair.correspond import Correspondences, Gates, ViewData, correspond, view_data
-from mammometry.surface.repair.energy import Graph, Stiffness, graph_of_mesh, minimum
+from mammometry.surface.repair.energy import Graph, graph_of_mesh, minimum
 from mammometry.surface.repair.untangle import touching, without_crossings, without_flips
 from mammometry.surface.settings import RepairSettings
 
@@ -39,7 +39,6 @@ bridged, mm. Repaired skin is off by .7 mm on average, bridged skin by millimetr
 _MAX_ITERATIONS = 400  # of the conjugate gradients; about 125 are usual (docs/decisions/0007)
 _TOLERANCE = 1e-3  # relative residual at which they stop; 1e-6 changed nothing
 _FADED = 10.0  # fading lengths after which a displacement is nothing: e⁻¹⁰ of it is left
-_CELL_MM = 4.0  # of the grid that finds the faces near data: coarse, for speed alone
 
 
 class Provenance(IntEnum):
@@ -183,17 +182,18 @@ def _near_data(mesh: TriangleMesh, valid: ValidPatches, settings: RepairSettings
     if settings.fade_mm == 0:
         return np.ones(len(mesh.faces), dtype=bool)
     reach_mm = REACH_MM + max(BRIDGED_REACH_MM, _FADED * settings.fade_mm)
+    cell_mm = REACH_MM  # coarse, for speed alone
     low, high = bounds(mesh.vertices)
     low -= REACH_MM
-    cell = ((mesh.vertices - low) / _CELL_MM).astype(np.int32)
-    empty = np.ones(((high - low) / _CELL_MM).astype(np.int32) + 1 + int(REACH_MM / _CELL_MM), dtype=bool)
+    cell = ((mesh.vertices - low) / cell_mm).astype(np.int32)
+    empty = np.ones(((high - low) / cell_mm).astype(np.int32) + 2, dtype=bool)
     for image in valid.range_images:
-        of_data = np.floor((image.valid_points_world() - low) / _CELL_MM).astype(np.int64)
+        of_data = np.floor((image.valid_points_world() - low) / cell_mm).astype(np.int64)
         empty[tuple(of_data[((of_data >= 0) & (of_data < empty.shape)).all(axis=1)].T)] = False
     if empty.all():
         return np.ones(len(mesh.faces), dtype=bool)
     # Centres of cells lie up to a cell's diagonal further from one another than points in them.
-    close = ndimage.distance_transform_edt(empty) * _CELL_MM <= reach_mm + np.sqrt(3) * _CELL_MM
+    close = ndimage.distance_transform_edt(empty) * cell_mm <= reach_mm + np.sqrt(3) * cell_mm
     return touching(np.asarray(close[tuple(cell.T)]), mesh.faces)
 
 
@@ -223,7 +223,7 @@ def _solve(
         wish,
         weights,
         graph,
-        Stiffness(rho=settings.rho),
+        settings.rho,
         start=wish if displacement is None else displacement,
         tolerance=_TOLERANCE,
         max_iterations=_MAX_ITERATIONS,

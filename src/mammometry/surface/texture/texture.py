@@ -26,7 +26,8 @@ CLEARANCE_MM = 0.7
 _LEAST_COSINE = 0.1  # 84° off the normal: a photograph shows nothing of skin seen more obliquely
 _LEAST_COMMON = 200  # vertices that two photographs both see before they are levelled; chosen by eye
 _LEAST_BRIGHT = 0.02  # of full scale: darker values are noise, whose ratio says nothing; chosen by eye
-_UNSEEN = 128.0  # mid grey, sRGB
+UNSEEN = 128
+"""Mid grey, sRGB: where no camera sees the surface."""
 _SHADOW_MM = 0.5  # on the skin: side of the pixels in which one part is found to hide another, about a cube's edge
 _LEVELLED = 20_000  # vertices of which two photographs' ratio is taken: its median is known to a thousandth
 
@@ -56,7 +57,7 @@ def paint(
     """
     _, weights, samples = view_samples(mesh, photographs, rig, progress=progress)
     total = weights.sum(axis=0)
-    colours = np.where(total[:, None] > 0, np.clip(blended(weights, samples), 0.0, 1.0) * 255.0, _UNSEEN)
+    colours = np.where(total[:, None] > 0, np.clip(blended(weights, samples), 0.0, 1.0) * 255.0, UNSEEN)
     progress(1.0)
     return TexturedMesh(mesh=mesh, colours=np.rint(colours).astype(np.uint8))
 
@@ -83,8 +84,8 @@ def view_samples(
     samples = np.zeros((len(names), n, 3), dtype=np.float32)
     for k, (name, photograph) in enumerate(zip(names, read_ahead(photographs, names), strict=True)):
         camera = rig.cameras[name]
-        weights[k], places = _facing(mesh, normals, camera, SHARPNESS)
-        weights[k, _hidden(mesh, camera, places, weights[k] > 0, CLEARANCE_MM)] = 0.0
+        weights[k], places = _facing(mesh, normals, camera)
+        weights[k, _hidden(mesh, camera, places, weights[k] > 0)] = 0.0
         seen = np.flatnonzero(weights[k])
         samples[k, seen] = picture_of(photograph).colours_at(places[seen, :2])
         progress(0.9 * (k + 1) / len(names))
@@ -105,14 +106,14 @@ def read_ahead(photographs: Mapping[str, Photograph], names: Sequence[str]) -> I
 
 
 def _facing(
-    mesh: TriangleMesh, normals: Float64[Array, "n 3"], camera: Camera, sharpness: float
+    mesh: TriangleMesh, normals: Float64[Array, "n 3"], camera: Camera
 ) -> tuple[Float32[Array, " n"], Float64[Array, "n 3"]]:
     """Weight of a photograph at every vertex, its place there and its inverse depth (`texture_kernels.facing`)."""
     row = view_row(camera, camera.shape_hw, 0)
 
     def of(band: slice) -> tuple[Float32[Array, " k"], Float64[Array, "k 3"]]:
         return texture_kernels.facing(
-            np.array(mesh.vertices[band]), normals[band], row, camera.centre_world, _LEAST_COSINE, sharpness
+            np.array(mesh.vertices[band]), normals[band], row, camera.centre_world, _LEAST_COSINE, SHARPNESS
         )
 
     weights, places = zip(*in_bands(of, len(normals)), strict=True)
@@ -120,7 +121,7 @@ def _facing(
 
 
 def _hidden(
-    mesh: TriangleMesh, camera: Camera, places: Float64[Array, "n 3"], shown: Bool[Array, " n"], clearance_mm: float
+    mesh: TriangleMesh, camera: Camera, places: Float64[Array, "n 3"], shown: Bool[Array, " n"]
 ) -> Int64[Array, " k"]:
     """The shown vertices before which something of the mesh stands."""
     index = np.flatnonzero(shown)
@@ -134,7 +135,7 @@ def _hidden(
     corners[:, :2] = (corners[:, :2] + 0.5) / step - 0.5
     faces = read_only(mesh.faces[inside[a] & inside[b] & inside[c]])
     _, _, inverse_depths = nearest_faces(corners, faces, height, width)
-    return index[texture_kernels.hidden(corners[index], inverse_depths, clearance_mm)]
+    return index[texture_kernels.hidden(corners[index], inverse_depths, CLEARANCE_MM)]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

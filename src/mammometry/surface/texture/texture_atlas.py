@@ -37,7 +37,7 @@ from mammometry.geometry.projection import projected
 from mammometry.surface.repair.energy import graph_of_mesh, laplacian
 from mammometry.surface.texture import texture_kernels
 from mammometry.surface.texture.simplify import thinned
-from mammometry.surface.texture.texture import blended, picture_of, read_ahead, view_samples
+from mammometry.surface.texture.texture import UNSEEN, blended, picture_of, read_ahead, view_samples
 
 TRIANGLES = 200_000
 """Triangles of the viewing mesh, which carries the photographs at full resolution. The measured mesh keeps all of
@@ -46,10 +46,9 @@ its own.
 ATLAS_PX = 8192
 """Largest width and height of the viewing mesh's picture, pixels."""
 _PADDING_PX = 3  # around a chart's piece of photograph, for programs that read between pixels
-_GREY = 128  # sRGB; where no camera sees the surface
 _SMOOTHING_ROUNDS = 12  # edges over which the weights are smoothed before faces choose; chosen by eye
-_LEVEL_PX = 24.0  # σ of the smoothing by which photographs are levelled: wider than any detail; chosen by eye
-_LEVEL_STEP_PX = 4  # grid on which the levelling is known; it is smooth over six times that
+_LEVEL_STEP_PX = 4  # grid on which the levelling of photographs is known; chosen by eye
+_LEVEL_PX = 6.0 * _LEVEL_STEP_PX  # σ of its smoothing: wider than any detail
 _PLACES = 1 << 24  # places along a picture's side that count as different: finer than a float32
 _MOST_REDUCED = 16  # pixels a side that one pixel of the covering picture may stand for
 
@@ -115,7 +114,7 @@ def cover(
         if max(size_wh) <= ATLAS_PX or step == _MOST_REDUCED:
             break
         step = min(-(-step * max(size_wh) // ATLAS_PX), _MOST_REDUCED) - 1
-    sheet = np.full((size_wh[1], size_wh[0], 3), _GREY, dtype=np.uint8)
+    sheet = np.full((size_wh[1], size_wh[0], 3), UNSEEN, dtype=np.uint8)
     fading = fading_pixels(mesh, view, fading_weights(mesh, view, weights > 0), uv_px, size_wh)
     mixed = np.zeros((len(fading.row), 3), dtype=np.float32)
     for k, (photograph, uv) in enumerate(zip(read_ahead(photographs, names), pixels, strict=True)):
@@ -341,7 +340,6 @@ def fading_pixels(
 
 
 _QUALITY = 92  # of the JPEG, 1…100: the viewer's file stays small; chosen by eye
-_NO_PICTURE = (0, 0, 3)  # shape of what stands for a picture that its JPEG gives
 
 
 def as_jpeg(atlas: Atlas) -> Atlas:
@@ -363,7 +361,7 @@ def jpeg_of(atlas: Atlas) -> bytes:
 
 def without_picture(atlas: Atlas) -> Atlas:
     """The mesh with its JPEG only, to be kept."""
-    return replace(as_jpeg(atlas), picture=np.zeros(_NO_PICTURE, dtype=np.uint8))
+    return replace(as_jpeg(atlas), picture=np.zeros((0, 0, 3), dtype=np.uint8))
 
 
 def with_picture(atlas: Atlas) -> Atlas:
