@@ -47,8 +47,6 @@ _LENS_RATIO = 3.0
 CheckVerdict: TypeAlias = Literal["unmoved", "moved", "refuse"]
 _ROUNDS = 3
 """Linearisations about the placements. Chosen by eye."""
-_LEAST_POINTS = 6
-"""Fewest points that place a target."""
 _UNKNOWN_ERRORS = 5.0  # what ready-made cameras may disagree by more than one exposure's noise says
 
 
@@ -245,8 +243,6 @@ def _sightings(reference: Reference, observations: Observations) -> tuple[Sighti
 
 
 def _start(camera: Camera, detection: Detection, points: Float64[Array, "p 3"]) -> Transform | None:
-    if len(detection.ids) < _LEAST_POINTS:
-        return None
     placed = resect(points[detection.ids], detection.uv, intrinsics_of(camera))
     return None if placed is None else camera.camera_from_world.inverse() @ placed
 

@@ -139,7 +139,7 @@ def sightings(calibration: Calibration) -> tuple[Sighting, ...]:
     for detection, residual_px in zip(calibration.observations.detections, calibration.residuals_px, strict=True):
         good = np.isfinite(residual_px).all(axis=1)
         start = calibration.world_from_target.get(detection.pose)
-        if start is None or good.sum() < _LEAST_POINTS:
+        if start is None:
             continue
         seen = sight(
             calibration.rig.cameras[detection.camera],
