@@ -127,8 +127,8 @@ _MAX_INITIAL_VIEWS = 15
 
 _LEAST_VIEWS = 3
 """Fewest views of a flat target that determine a camera's intrinsics (Zhang 2000)."""
-_LEAST_POINTS = 6
-"""Fewest points of a view that is used."""
+LEAST_POINTS = 6
+"""Fewest points by which a target is placed, recognised or compared."""
 _FLAT = 1e-6
 """Points thinner than this share of their extent are flat: rounding only."""
 _VIEW_ERROR_RATIO = 3.0
@@ -210,7 +210,7 @@ def initialise(
                 f"camera {camera}",
                 cameras=[camera],
                 found="no usable view of the rig's target",
-                expected=f"at least one with {_LEAST_POINTS} points",
+                expected=f"at least one with {LEAST_POINTS} points",
                 remedy="Check its photographs: focus, light, and that the target is inside the frame",
             )
     require_connected(list(camera_from_target))
@@ -276,7 +276,7 @@ def _usable(observations: Observations) -> list[Detection]:
     points = observations.target.points_target
     usable = []
     for detection in observations.detections:
-        if len(detection.ids) < _LEAST_POINTS:
+        if len(detection.ids) < LEAST_POINTS:
             continue
         seen = points[detection.ids] - points[detection.ids].mean(axis=0)
         spread = np.linalg.svd(seen, compute_uv=False)
@@ -414,7 +414,7 @@ def resect(
     distorted = (uv - intrinsics[2:4]) / intrinsics[:2]
     ideal = undistort(distorted, intrinsics[4:9])
     good: Bool[Array, " n"] = np.isfinite(ideal).all(axis=1)
-    if good.sum() < _LEAST_POINTS:
+    if good.sum() < LEAST_POINTS:
         return None
     points, ideal = points[good], ideal[good]
     method = cv2.SOLVEPNP_IPPE if _is_flat(points) else cv2.SOLVEPNP_SQPNP

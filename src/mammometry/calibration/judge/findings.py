@@ -10,6 +10,7 @@ import numpy as np
 
 from mammometry.base.sizes import fitting
 from mammometry.calibration.adjust.calibrated import Calibration
+from mammometry.calibration.adjust.initialise import LEAST_POINTS
 from mammometry.calibration.detection.detect import Detection
 from mammometry.calibration.features.pixels import Cause
 from mammometry.calibration.judge.pose_motion import Movement
@@ -19,8 +20,6 @@ from mammometry.calibration.settings import QualitySettings
 from mammometry.calibration.targets.board import Board
 from mammometry.geometry.arrays import Array, Float64
 
-_LEAST_POINTS = 6
-"""Fewest points by which a picture is recognised."""
 _FITS_NOISES = 10.0
 """Largest median error of a picture that fits a shot, in RMS residuals."""
 _FITS_PX = 0.1
@@ -41,7 +40,7 @@ def true_shot(calibration: Calibration, detection: Detection) -> Shot | None:
     for pose, placed in calibration.world_from_target.items():
         points = placed.apply(calibration.target_points[detection.ids])
         for name, camera in calibration.rig.cameras.items():
-            if (name, pose) != (detection.camera, detection.pose) and len(points) >= _LEAST_POINTS:
+            if (name, pose) != (detection.camera, detection.pose) and len(points) >= LEAST_POINTS:
                 offset = np.linalg.norm(camera.project(points) - detection.uv, axis=1)
                 off_px = float(np.nanmedian(offset)) if np.isfinite(offset).any() else np.inf
                 if off_px < least:

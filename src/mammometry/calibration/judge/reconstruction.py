@@ -8,13 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from mammometry.calibration.adjust.calibrated import Calibration
+from mammometry.calibration.adjust.initialise import LEAST_POINTS
 from mammometry.calibration.detection.detect import Detection
 from mammometry.geometry import Array, Camera, Float64, StereoPair
 
 _FLAT = 1e-6
 """Points thinner than this share of their extent are flat: rounding only."""
-_LEAST_POINTS = 6
-"""Fewest common points of a pose that are reconstructed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -50,7 +49,7 @@ def moved_pair(pair: StereoPair, left: Camera, right: Camera, points_world: Floa
     seen = np.ones(len(points_world), bool)
     for camera, at in zip((left, right), uv, strict=True):
         seen &= ((at > -0.5) & (at < np.array(camera.size_wh) - 0.5)).all(axis=1)
-    if seen.sum() < _LEAST_POINTS:
+    if seen.sum() < LEAST_POINTS:
         return None
     true = points_world[seen]
     found = triangulate(pair, uv[0][seen], uv[1][seen])
@@ -94,7 +93,7 @@ def reconstruct(calibration: Calibration, pair: StereoPair) -> PairQuality:
         left, left_good = seen[pair.left.name, pose]
         right, right_good = seen[pair.right.name, pose]
         ids, at_left, at_right = np.intersect1d(left.ids[left_good], right.ids[right_good], return_indices=True)
-        if len(ids) < _LEAST_POINTS:
+        if len(ids) < LEAST_POINTS:
             continue
         points = triangulate(pair, left.uv[left_good][at_left], right.uv[right_good][at_right])
         scale, error_mm = _aligned(target[ids], points)
