@@ -287,17 +287,18 @@ def _usable(observations: Observations) -> list[Detection]:
 
 def least_views(target: Target) -> int:
     """Fewest views of a target by which a camera's own parameters are found."""
-    return _LEAST_VIEWS if _is_flat(target.points_target) else 1
+    return _LEAST_VIEWS if is_flat(target.points_target) else 1
 
 
-def _is_flat(points: Float64[Array, "n 3"]) -> bool:
+def is_flat(points: Float64[Array, "n 3"]) -> bool:
+    """Whether points lie in a plane."""
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     return bool(spread[2] < _FLAT * spread[0])
 
 
 def _intrinsics(camera: str, source: Observations, views: Sequence[Detection], most: int) -> Float64[Array, 10]:
     points = source.target.points_target
-    flat = _is_flat(points)
+    flat = is_flat(points)
     least = least_views(source.target)
     if len(views) < least:
         raise TooFewViewsError(
@@ -417,7 +418,7 @@ def resect(
     if good.sum() < LEAST_POINTS:
         return None
     points, ideal = points[good], ideal[good]
-    method = cv2.SOLVEPNP_IPPE if _is_flat(points) else cv2.SOLVEPNP_SQPNP
+    method = cv2.SOLVEPNP_IPPE if is_flat(points) else cv2.SOLVEPNP_SQPNP
     try:
         _, turns, shifts, _ = cv2.solvePnPGeneric(points, ideal, np.eye(3), None, flags=method)
     except cv2.error:

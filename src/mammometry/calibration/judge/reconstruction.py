@@ -8,12 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from mammometry.calibration.adjust.calibrated import Calibration
-from mammometry.calibration.adjust.initialise import LEAST_POINTS
+from mammometry.calibration.adjust.initialise import LEAST_POINTS, is_flat
 from mammometry.calibration.detection.detect import Detection
 from mammometry.geometry import Array, Camera, Float64, StereoPair
-
-_FLAT = 1e-6
-"""Points thinner than this share of their extent are flat: rounding only."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -84,8 +81,7 @@ def reconstruct(calibration: Calibration, pair: StereoPair) -> PairQuality:
         for detection, residual_px in zip(calibration.observations.detections, calibration.residuals_px, strict=True)
     }
     target = calibration.target_points
-    nominal = calibration.observations.target.points_target
-    flat = _plane_rms(nominal) < _FLAT * float(nominal.std())
+    flat = is_flat(calibration.observations.target.points_target)
     scales, weights, shape_errors, plane_errors = [], [], [], []
     for pose in calibration.observations.poses:
         if (pair.left.name, pose) not in seen or (pair.right.name, pose) not in seen:
@@ -131,7 +127,6 @@ def _plane_rms(points: Float64[Array, "n 3"]) -> float:
 
 
 _FAR_PX = 1e6  # residual of a point behind its camera
-"""Points thinner than this share of their extent are flat: rounding only."""
 _GRAZING_COSINE = float(np.cos(np.radians(75.0)))  # beyond, a board stays dark and its markers are too narrow
 
 
@@ -168,11 +163,9 @@ def sees_badly(calibration: Calibration, camera: str, pose: str) -> bool:
     points = placed.apply(calibration.target_points)
     uv = seer.project(points)
     inside = np.all((uv > -0.5) & (uv < np.array(seer.size_wh) - 0.5), axis=1)
-    nominal = calibration.observations.target.points_target
-    spread = np.linalg.svd(nominal - nominal.mean(axis=0), compute_uv=False)
     towards = seer.centre_world - points.mean(axis=0)
     cosine = float(-placed.rotation[:, 2] @ towards / np.linalg.norm(towards))
-    aslant = spread[2] < _FLAT * spread[0] and cosine < _GRAZING_COSINE
+    aslant = is_flat(calibration.observations.target.points_target) and cosine < _GRAZING_COSINE
     return bool(aslant or inside.mean() < 0.5)
 
 
