@@ -10,6 +10,7 @@ import numpy as np
 from mammometry.calibration.adjust.calibrated import Calibration
 from mammometry.calibration.adjust.initialise import LEAST_POINTS, is_flat
 from mammometry.calibration.detection.detect import Detection
+from mammometry.calibration.judge.expected_error import in_picture, sees
 from mammometry.geometry import Array, Camera, Float64, StereoPair
 
 
@@ -42,14 +43,12 @@ class MovedPair:
 
 def moved_pair(pair: StereoPair, left: Camera, right: Camera, points_world: Float64[Array, "n 3"]) -> MovedPair | None:
     """Points measured by a pair whose true cameras are `left` and `right`. None if it sees too few."""
-    uv = [camera.project(points_world) for camera in (left, right)]
-    seen = np.ones(len(points_world), bool)
-    for camera, at in zip((left, right), uv, strict=True):
-        seen &= ((at > -0.5) & (at < np.array(camera.size_wh) - 0.5)).all(axis=1)
+    uv_left, uv_right = left.project(points_world), right.project(points_world)
+    seen = in_picture(left, uv_left) & in_picture(right, uv_right)
     if seen.sum() < LEAST_POINTS:
         return None
     true = points_world[seen]
-    found = triangulate(pair, uv[0][seen], uv[1][seen])
+    found = triangulate(pair, uv_left[seen], uv_right[seen])
     scale, shape_mm = _aligned(true, found)
     return MovedPair(
         displacement_mm=float(np.sqrt(np.mean(np.sum((found - true) ** 2, axis=1)))),
@@ -161,12 +160,10 @@ def sees_badly(calibration: Calibration, camera: str, pose: str) -> bool:
     if placed is None or seer is None:
         return False
     points = placed.apply(calibration.target_points)
-    uv = seer.project(points)
-    inside = np.all((uv > -0.5) & (uv < np.array(seer.size_wh) - 0.5), axis=1)
     towards = seer.centre_world - points.mean(axis=0)
     cosine = float(-placed.rotation[:, 2] @ towards / np.linalg.norm(towards))
     aslant = is_flat(calibration.observations.target.points_target) and cosine < _GRAZING_COSINE
-    return bool(aslant or inside.mean() < 0.5)
+    return bool(aslant or sees(seer, points).mean() < 0.5)
 
 
 def pooled_rms(views: Sequence[ViewQuality]) -> float:
