@@ -80,7 +80,6 @@ def fit_cylinder_map(
     centre_px = uv.mean(axis=0)
     scale_px = float(np.abs(uv - centre_px).max())
     to_ideal, to_distorted = np.zeros((10, 2)), np.zeros((10, 2))
-    fitted = None
     for round_ in range(_MAP_ROUNDS):
         if used.sum() < max(_LEAST, 0.5 * len(uv)):
             return None
@@ -102,7 +101,7 @@ def fit_cylinder_map(
         error = np.linalg.norm(fitted.image(unrolled_mm) - uv, axis=1)
         pitch_px = np.abs(np.linalg.det(fitted.jacobian(unrolled_mm))) ** 0.5 * target.row_pitch_mm
         used = error < np.maximum(5.0 * 1.4826 * np.median(error), _FORM_TOLERANCE * pitch_px)
-    return None if fitted is None else (fitted, used)
+    return fitted, used
 
 
 def _direct_linear(points: Float64[Array, "n 3"], uv: Float64[Array, "n 2"]) -> Float64[Array, "3 4"]:
@@ -215,13 +214,11 @@ def find_cylinder(
             half_mm=half_mm,
             pitch_mm=(float(pitch_mm[0]), float(pitch_mm[1])),
         )
-        if dots.ok.sum() < 2 * _MIN_ROW_DOTS:
-            return None
-        if target.dot_mm is None:
-            half_mm = 0.5 * float(np.sqrt(np.median(dots.mass_mm2[dots.ok])))
         fitted = fit_cylinder_map(target, places[dots.ok], dots.uv[dots.ok])
         if fitted is None:
             return None
+        if target.dot_mm is None:
+            half_mm = 0.5 * float(np.sqrt(np.median(dots.mass_mm2[dots.ok])))
         if round_ < _ROUNDS - 1:
             cylinder = fitted[0]
     # A dot far from where its neighbours put it was covered or smeared; a row that was printed aslant is not.
@@ -267,8 +264,6 @@ def _locate(
         cylinder, used = found
         used &= cylinder.facing(unrolled) > _START_FACING
         uv, places = uv[used], places[used]
-        if not len(places):
-            return None
         count = np.bincount(places[:, 0])
         full = np.flatnonzero(count >= _MIN_ROW_DOTS)
         if not len(full) or full[-1] - full[0] + 1 != target.dots[0]:
@@ -409,8 +404,6 @@ def _correlate(a: CylinderView, b: CylinderView, shift: int) -> float:
     for small in range(-_WIGGLE, _WIGGLE + 1):
         first_a, first_b = max(shift + small, 0), max(-shift - small, 0)
         length = min(a.labels.shape[1] - first_a, b.labels.shape[1] - first_b)
-        if length <= 0:
-            continue
         part_a, part_b = slice(first_a, first_a + length), slice(first_b, first_b + length)
         weight = a.label_weight[part_a] * b.label_weight[part_b]
         if (weight > 0).sum() < _MIN_COMMON_COLUMNS * len(a.labels):
