@@ -193,8 +193,8 @@ def find_cylinder(
     linear = linear_luma(photograph)
     pitch_mm = np.array([target.column_pitch_mm, target.row_pitch_mm])
     half_mm = target.dot_mm / 2 if target.dot_mm else _START_HALF * float(pitch_mm.min())
-    cylinder, last_row, (first, last) = start
-    row, column = (grid.ravel() for grid in np.mgrid[0 : last_row + 1, first : last + 1])
+    cylinder, (first, last) = start
+    row, column = (grid.ravel() for grid in np.mgrid[0 : target.dots[0], first : last + 1])
     unrolled = np.stack([column, row], axis=1) * pitch_mm
     if target.dot_mm is not None:
         nearest_mm = float(pitch_mm.min())
@@ -247,11 +247,8 @@ def find_cylinder(
 
 def _locate(
     small: UInt8[Array, "h w"], scale: Float64[Array, 2], target: DottedCylinderTarget, neighbourhood: float
-) -> tuple[CylinderMap, int, tuple[int, int]] | None:
-    """Locate the cylinder from blobs alone.
-
-    Returns its map, last row, and first and last columns that may be seen.
-    """
+) -> tuple[CylinderMap, tuple[int, int]] | None:
+    """Locate the cylinder from blobs alone: its map, and the first and last columns that may be seen."""
     blobs = find_dots(small, neighbourhood)
     points, places = index_lattice(blobs)
     uv = enlarge(blobs[points], scale)
@@ -271,7 +268,7 @@ def _locate(
         keep = (places[:, 0] >= full[0]) & (places[:, 0] <= full[-1])
         uv, places = uv[keep], places[keep] - np.array([full[0], 0])
     columns = places[:, 1]
-    return cylinder, target.dots[0] - 1, (int(columns.min()) - 1, int(columns.max()) + 1)
+    return cylinder, (int(columns.min()) - 1, int(columns.max()) + 1)
 
 
 def _unroll_labels(
@@ -365,9 +362,9 @@ def _within_target(
     columns = target.dots[1]
     if target.closes:
         return {name: first % columns for name, first in start.items()}
-    least = min(start.values(), default=0)
-    shifted = {name: first - min(least, 0) for name, first in start.items()}
-    most = max((first + int(views[name].columns.max()) for name, first in shifted.items()), default=0)
+    least = min(start.values())
+    shifted = {name: first - least for name, first in start.items()}
+    most = max(first + int(views[name].columns.max()) for name, first in shifted.items())
     if most >= columns:
         raise CalibrationError(
             "columns of the dotted cylinder",
