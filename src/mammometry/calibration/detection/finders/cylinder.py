@@ -15,7 +15,7 @@ import numpy as np
 from mammometry.base.errors import CalibrationError
 from mammometry.base.photograph import Photograph
 from mammometry.calibration.features.board_map import fit_polynomial, monomials
-from mammometry.calibration.features.dots import mark_size, measure_dots
+from mammometry.calibration.features.dots import ROUNDS, SIZE_OFF, mark_size, measure_dots
 from mammometry.calibration.features.lattice import find_dots, index_lattice
 from mammometry.calibration.features.pixels import Cause, FoundPoints, enlarge, grey_bytes, linear_luma, reduced
 from mammometry.calibration.targets.kinds.cylinder import DottedCylinderTarget
@@ -145,10 +145,6 @@ _START_HALF = 0.18
 """Starting half side of a dot of unknown size, in pitches. Chosen by eye."""
 _MIN_ROW_DOTS = 3
 """Fewest dots that make a row. Chosen by eye."""
-_ROUNDS = 2
-"""Measurements, each with the map of the one before. Chosen by eye."""
-_SIZE_OFF = 0.1
-"""Share by which dots may differ from their stated size: rulers and ink err by .5 mm of a small dot."""
 _LABEL_HEIGHTS = (0.4, 1.4)
 """The labels' strip beyond the last row, in row pitches."""
 _STRIP_SAMPLES = 24
@@ -200,10 +196,10 @@ def find_cylinder(
         nearest_mm = float(pitch_mm.min())
         facing = unrolled[cylinder.facing(unrolled) > _MIN_FACING]
         size = mark_size(linear, cylinder.image, facing, shape="square", reach_mm=nearest_mm / 2)
-        if size is not None and size.contradicts(half_mm, _SIZE_OFF):
+        if size is not None and size.contradicts(half_mm, SIZE_OFF):
             pitch_key = "row_pitch_mm" if target.row_pitch_mm == nearest_mm else "column_pitch_mm"
             return size.cause(("dot_mm", target.dot_mm), (pitch_key, nearest_mm))
-    for round_ in range(_ROUNDS):
+    for round_ in range(ROUNDS):
         faces = cylinder.facing(unrolled) > _MIN_FACING
         places = unrolled[faces]
         dots = measure_dots(
@@ -219,7 +215,7 @@ def find_cylinder(
             return None
         if target.dot_mm is None:
             half_mm = 0.5 * float(np.sqrt(np.median(dots.mass_mm2[dots.ok])))
-        if round_ < _ROUNDS - 1:
+        if round_ < ROUNDS - 1:
             cylinder = fitted[0]
     # A dot far from where its neighbours put it was covered or smeared; a row that was printed aslant is not.
     error_px = np.linalg.norm(cylinder.image(places) - dots.uv, axis=1)
