@@ -25,6 +25,11 @@ _RIDGE = 1e-6
 """Share of the number of points added to the normal equations' diagonal, for points in a line."""
 
 
+def search_tolerance_px(size_wh: tuple[int, int], scale: Float64[Array, 2]) -> float:
+    """How far points found in a reduced picture, of that scale, may lie from a plain homography, pixels."""
+    return LENS_TOLERANCE * max(size_wh) + 2.0 * float(scale.max())
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class BoardMap:
     """A smooth map between the board's plane, mm, and the photograph, pixels. Both ways."""

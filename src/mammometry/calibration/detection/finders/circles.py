@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from mammometry.base.photograph import Photograph
-from mammometry.calibration.features.board_map import LENS_TOLERANCE, BoardMap, fit_board_map
+from mammometry.calibration.features.board_map import BoardMap, fit_board_map, search_tolerance_px
 from mammometry.calibration.features.dots import MAX_OFF, ROUNDS, SIZE_OFF, mark_size, measure_dots
 from mammometry.calibration.features.pixels import Cause, FoundPoints, enlarge, grey_bytes, linear_luma, reduced
 from mammometry.calibration.targets.kinds.circles import CirclesTarget
@@ -29,7 +29,7 @@ def find_circles(target: CirclesTarget, photograph: Photograph, search_width_px:
     if grid is None:
         return None
     centres_mm = target.points_target[:, :2].copy()
-    tolerance_px = LENS_TOLERANCE * max(photograph.size_wh) + 2.0 * float(scale.max())
+    tolerance_px = search_tolerance_px(photograph.size_wh, scale)
     board_map = _orient(enlarge(grid, scale), centres_mm, target, tolerance_px)
     if board_map is None:
         return None
