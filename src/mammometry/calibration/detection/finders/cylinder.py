@@ -49,8 +49,9 @@ class CylinderMap:
         ideal = _project(self.projection, self.target.on_surface(unrolled_mm[..., 0], unrolled_mm[..., 1]))
         return ideal + monomials((ideal - self.centre_px) / self.scale_px) @ self.to_distorted
 
-    def jacobian(self, unrolled_mm: Float64[Array, "*n 2"], step_mm: float = 0.2) -> Float64[Array, "*n 2 2"]:
+    def jacobian(self, unrolled_mm: Float64[Array, "*n 2"]) -> Float64[Array, "*n 2 2"]:
         """Derivative of uv by unrolled coordinates, pixels per mm. Column j belongs to coordinate j."""
+        step_mm = 0.2
         steps = np.eye(2) * step_mm
         columns = [(self.image(unrolled_mm + step) - self.image(unrolled_mm - step)) / (2 * step_mm) for step in steps]
         return np.stack(columns, axis=-1)
