@@ -200,7 +200,7 @@ def initialise(
         if camera in known:
             intrinsics[camera] = known[camera].intrinsics
         else:
-            intrinsics[camera] = _intrinsics(camera, source, views, _MAX_INITIAL_VIEWS)
+            intrinsics[camera] = _intrinsics(camera, source, views)
         if camera in own:
             own_camera_from_target |= _poses(views, source, intrinsics[camera])
         mine = [view for view in usable if view.camera == camera]
@@ -230,8 +230,6 @@ def require_connected(views: Sequence[tuple[str, str]]) -> None:
         CalibrationError: some do not; names them.
     """
     groups = components(views)
-    if len(groups) > 1 and len(groups[0][0]) == len({camera for camera, _ in views}):
-        return  # only poses without a camera of their own are left, which cannot be
     if len(groups) > 1:
         rest = [" with ".join(sorted(cameras)) for cameras, _ in groups[1:]]
         raise TooFewViewsError(
@@ -296,7 +294,7 @@ def is_flat(points: Float64[Array, "n 3"]) -> bool:
     return bool(spread[2] < _FLAT * spread[0])
 
 
-def _intrinsics(camera: str, source: Observations, views: Sequence[Detection], most: int) -> Float64[Array, 10]:
+def _intrinsics(camera: str, source: Observations, views: Sequence[Detection]) -> Float64[Array, 10]:
     points = source.target.points_target
     flat = is_flat(points)
     least = least_views(source.target)
@@ -308,7 +306,7 @@ def _intrinsics(camera: str, source: Observations, views: Sequence[Detection], m
             expected=f"at least {least}" + (", tilted differently" if flat else ""),
             remedy=f"Add {least - len(views)} or more calibration poses that this camera sees",
         )
-    best = sorted(views, key=lambda view: -len(view.ids))[:most]
+    best = sorted(views, key=lambda view: -len(view.ids))[:_MAX_INITIAL_VIEWS]
     if not flat:
         return _direct_linear(camera, points[best[0].ids], best[0].uv)
     keep = list(best)

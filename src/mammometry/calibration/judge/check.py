@@ -177,7 +177,7 @@ def check(reference: Reference, observations: Observations, settings: CheckSetti
         )
         candidates = agreement.explanations(_CHANCE)
     chosen = candidates[0]
-    checks = {name: _camera_check(agreement, reference.rig.cameras[name], chosen, _CHANCE) for name in cameras}
+    checks = {name: _camera_check(agreement, reference.rig.cameras[name], chosen) for name in cameras}
     pairs = _moved_pairs(reference, agreement, checks)
     verdict: CheckVerdict = "unmoved"
     if chosen:
@@ -260,9 +260,9 @@ def _nearest_to_all(seen: Sequence[Sighting]) -> dict[str, Transform]:
     return placed
 
 
-def _camera_check(agreement: Agreement, camera: Camera, chosen: Sequence[str], chance: float) -> CameraCheck:
+def _camera_check(agreement: Agreement, camera: Camera, chosen: Sequence[str]) -> CameraCheck:
     mine = [sighting for sighting in agreement.seen if sighting.camera == camera.name]
-    motion = agreement.motion(camera, chosen, chance)
+    motion = agreement.motion(camera, chosen, _CHANCE)
     return CameraCheck(
         camera=camera.name,
         moved=camera.name in chosen,
