@@ -18,7 +18,7 @@ from mammometry.base.progress import Progress, no_progress
 from mammometry.base.value import value
 from mammometry.calibration.detection.finders import explain_miss, find
 from mammometry.calibration.detection.finders.cylinder import numbered_alike
-from mammometry.calibration.features.pixels import Cause, FoundPoints, grey_bytes, reduced
+from mammometry.calibration.features.pixels import MIN_POINTS, Cause, FoundPoints, grey_bytes, reduced
 from mammometry.calibration.targets.target import Target
 from mammometry.geometry.arrays import Array, Float64, Int64, UInt8
 
@@ -115,8 +115,6 @@ SEARCH_WIDTH_PX = 1100
 measurement uses the original pixels."""
 _FLOOR_PX = 0.01
 """Standard deviation added to every point's own, px: what no fit of one point can show (print, pixel grid)."""
-MIN_POINTS = 8
-"""Fewest points of a usable view. Fewer show little and are more often wrong."""
 _THREADS = 2
 """Photographs processed in parallel. Each needs about 200 MB at 13 megapixels."""
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from mammometry.calibration.features.pixels import MIN_POINTS
 from mammometry.geometry.arrays import Array, Float64
 
 LENS_TOLERANCE = 0.006
@@ -74,12 +75,12 @@ def fit_board_map(
         uv: where they were seen, pixels.
         tolerance_px: how far a good point may lie from a plain homography, lens distortion included.
     """
-    if len(board_mm) < 8:
+    if len(board_mm) < MIN_POINTS:
         return None
     homography, inside = cv2.findHomography(
         board_mm.reshape(-1, 1, 2), uv.reshape(-1, 1, 2), cv2.RANSAC, tolerance_px, maxIters=2000, confidence=0.999
     )
-    if homography is None or inside.sum() < max(8, 0.5 * len(board_mm)):
+    if homography is None or inside.sum() < max(MIN_POINTS, 0.5 * len(board_mm)):
         return None
     used = inside.ravel().astype(bool)
     centre_px = uv[used].mean(axis=0)
@@ -93,7 +94,7 @@ def fit_board_map(
         error = np.linalg.norm(fitted.image(board_mm) - uv, axis=1)
         spread = 1.4826 * np.median(error[used])
         used = error < max(5.0 * spread, 0.05)
-        if used.sum() < 8:
+        if used.sum() < MIN_POINTS:
             return None
     determinants = np.linalg.det(fitted.jacobian(board_mm[used]))
     if not (np.isfinite(determinants).all() and determinants.min() > 0):

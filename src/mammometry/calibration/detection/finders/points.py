@@ -6,16 +6,18 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from mammometry.base.photograph import Photograph
-from mammometry.calibration.features.constellation import (
-    LEAST_DOTS,
-    Reading,
-    TargetCamera,
-    adjusted,
-    read_constellation,
-)
+from mammometry.calibration.features.constellation import Reading, TargetCamera, adjusted, read_constellation
 from mammometry.calibration.features.dots import MAX_OFF, ROUNDS, Dots, ToImage, measure_dots
 from mammometry.calibration.features.lattice import find_dots
-from mammometry.calibration.features.pixels import Cause, FoundPoints, enlarge, grey_bytes, linear_luma, reduced
+from mammometry.calibration.features.pixels import (
+    MIN_POINTS,
+    Cause,
+    FoundPoints,
+    enlarge,
+    grey_bytes,
+    linear_luma,
+    reduced,
+)
 from mammometry.calibration.targets.kinds.points import PointsTarget
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64
 
@@ -50,7 +52,7 @@ def find_points(target: PointsTarget, photograph: Photograph, search_width_px: i
     points = target.points_target
     for neighbourhood in _NEIGHBOURHOODS:
         uv = enlarge(find_dots(small, neighbourhood), scale)
-        if not LEAST_DOTS <= len(uv) <= _MOST_DOTS:
+        if not MIN_POINTS <= len(uv) <= _MOST_DOTS:
             continue
         readings = read_constellation(points, uv, photograph.size_wh)
         if len(readings) > 1:
@@ -68,12 +70,12 @@ def _measured(linear: Float32[Array, "h w"], target: PointsTarget, reading: Read
     for _ in range(ROUNDS):
         normals, flat = _normals(points, camera)
         dots = _measure(linear, camera, points[ids], normals[ids], half_mm, nearest_mm)
-        if dots.ok.sum() < LEAST_DOTS:
+        if dots.ok.sum() < MIN_POINTS:
             return None
         if target.dot_diameter_mm is None:
             half_mm = float(np.sqrt(np.median(dots.mass_mm2[dots.ok]) / np.pi))
         camera = adjusted(
-            camera, points[ids[dots.ok]], dots.uv[dots.ok], free_lens=bool(dots.ok.sum() >= 2 * LEAST_DOTS)
+            camera, points[ids[dots.ok]], dots.uv[dots.ok], free_lens=bool(dots.ok.sum() >= 2 * MIN_POINTS)
         )
     error_px = np.linalg.norm(camera.image(points[ids]) - dots.uv, axis=1)
     size_px = 2 * half_mm * camera.focal_px / np.linalg.norm(points[ids] - camera.centre_mm, axis=1)
