@@ -177,8 +177,6 @@ swapped cameras or a mirrored target reach it."""
 
 __all__ = ["BundleSettings", "Calibration", "ParameterCovariance", "SetAside", "calibrate"]
 
-_SET_ASIDE_ROUNDS = 3
-"""Times that views are set aside after an adjustment, at most."""
 _LEAST_VIEW_ERROR_PX = 1.0
 """Median residual below which a view is never set aside, px."""
 _FIRST_VIEW_ERROR_WIDTHS = 0.02
@@ -239,9 +237,7 @@ def calibrate(
     setting_aside(*flattened(), _FIRST_VIEW_ERROR_WIDTHS * widest_px)  # before they can pull
     network, start = flattened()
     solved = adjusted(network, held_at_first(network, priors), start)
-    for _ in range(_SET_ASIDE_ROUNDS):
-        if not setting_aside(network, solved.state, _LEAST_VIEW_ERROR_PX):
-            break
+    while setting_aside(network, solved.state, _LEAST_VIEW_ERROR_PX):
         network, start = flattened()
         solved = adjusted(network, held_at_first(network, priors), start)
     progress(0.5)

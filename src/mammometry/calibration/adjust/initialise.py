@@ -127,8 +127,8 @@ _MAX_INITIAL_VIEWS = 15
 
 _LEAST_VIEWS = 3
 """Fewest views of a flat target that determine a camera's intrinsics (Zhang 2000)."""
-_LEAST_POINTS = 6
-"""Fewest points of a view that is used."""
+LEAST_POINTS = 6
+"""Fewest points by which a target is placed, recognised or compared."""
 _FLAT = 1e-6
 """Points thinner than this share of their extent are flat: rounding only."""
 _VIEW_ERROR_RATIO = 3.0
@@ -200,7 +200,7 @@ def initialise(
         if camera in known:
             intrinsics[camera] = known[camera].intrinsics
         else:
-            intrinsics[camera] = _intrinsics(camera, source, views, _MAX_INITIAL_VIEWS)
+            intrinsics[camera] = _intrinsics(camera, source, views)
         if camera in own:
             own_camera_from_target |= _poses(views, source, intrinsics[camera])
         mine = [view for view in usable if view.camera == camera]
@@ -210,7 +210,7 @@ def initialise(
                 f"camera {camera}",
                 cameras=[camera],
                 found="no usable view of the rig's target",
-                expected=f"at least one with {_LEAST_POINTS} points",
+                expected=f"at least one with {LEAST_POINTS} points",
                 remedy="Check its photographs: focus, light, and that the target is inside the frame",
             )
     require_connected(list(camera_from_target))
@@ -230,8 +230,6 @@ def require_connected(views: Sequence[tuple[str, str]]) -> None:
         CalibrationError: some do not; names them.
     """
     groups = components(views)
-    if len(groups) > 1 and len(groups[0][0]) == len({camera for camera, _ in views}):
-        return  # only poses without a camera of their own are left, which cannot be
     if len(groups) > 1:
         rest = [" with ".join(sorted(cameras)) for cameras, _ in groups[1:]]
         raise TooFewViewsError(
@@ -276,7 +274,7 @@ def _usable(observations: Observations) -> list[Detection]:
     points = observations.target.points_target
     usable = []
     for detection in observations.detections:
-        if len(detection.ids) < _LEAST_POINTS:
+        if len(detection.ids) < LEAST_POINTS:
             continue
         seen = points[detection.ids] - points[detection.ids].mean(axis=0)
         spread = np.linalg.svd(seen, compute_uv=False)
@@ -287,17 +285,18 @@ def _usable(observations: Observations) -> list[Detection]:
 
 def least_views(target: Target) -> int:
     """Fewest views of a target by which a camera's own parameters are found."""
-    return _LEAST_VIEWS if _is_flat(target.points_target) else 1
+    return _LEAST_VIEWS if is_flat(target.points_target) else 1
 
 
-def _is_flat(points: Float64[Array, "n 3"]) -> bool:
+def is_flat(points: Float64[Array, "n 3"]) -> bool:
+    """Whether points lie in a plane."""
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     return bool(spread[2] < _FLAT * spread[0])
 
 
-def _intrinsics(camera: str, source: Observations, views: Sequence[Detection], most: int) -> Float64[Array, 10]:
+def _intrinsics(camera: str, source: Observations, views: Sequence[Detection]) -> Float64[Array, 10]:
     points = source.target.points_target
-    flat = _is_flat(points)
+    flat = is_flat(points)
     least = least_views(source.target)
     if len(views) < least:
         raise TooFewViewsError(
@@ -307,7 +306,7 @@ def _intrinsics(camera: str, source: Observations, views: Sequence[Detection], m
             expected=f"at least {least}" + (", tilted differently" if flat else ""),
             remedy=f"Add {least - len(views)} or more calibration poses that this camera sees",
         )
-    best = sorted(views, key=lambda view: -len(view.ids))[:most]
+    best = sorted(views, key=lambda view: -len(view.ids))[:_MAX_INITIAL_VIEWS]
     if not flat:
         return _direct_linear(camera, points[best[0].ids], best[0].uv)
     keep = list(best)
@@ -414,10 +413,10 @@ def resect(
     distorted = (uv - intrinsics[2:4]) / intrinsics[:2]
     ideal = undistort(distorted, intrinsics[4:9])
     good: Bool[Array, " n"] = np.isfinite(ideal).all(axis=1)
-    if good.sum() < _LEAST_POINTS:
+    if good.sum() < LEAST_POINTS:
         return None
     points, ideal = points[good], ideal[good]
-    method = cv2.SOLVEPNP_IPPE if _is_flat(points) else cv2.SOLVEPNP_SQPNP
+    method = cv2.SOLVEPNP_IPPE if is_flat(points) else cv2.SOLVEPNP_SQPNP
     try:
         _, turns, shifts, _ = cv2.solvePnPGeneric(points, ideal, np.eye(3), None, flags=method)
     except cv2.error:

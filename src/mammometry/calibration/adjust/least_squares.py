@@ -18,7 +18,7 @@ S = TypeVar("S")
 
 _DAMPING_START = 1e-4
 """First damping, relative to the matrix's diagonal."""
-_DAMPING_LEAST = 1e-12
+DAMPING_LEAST = 1e-12
 """Least damping: below, rounding is larger."""
 _DAMPING_MOST = 1e12
 """Damping from which on no step can lower the cost."""
@@ -149,7 +149,7 @@ def minimise(problem: Problem[S], start: S, *, max_iterations: int, tolerance: f
         if trial_cost <= cost:
             small = decrement < tolerance**2 and damping < 1e-2
             state, cost = trial, trial_cost
-            damping = max(damping / 10, _DAMPING_LEAST)
+            damping = max(damping / 10, DAMPING_LEAST)
             if small:
                 return Minimum(state=state, cost=cost, iterations=iteration, converged=True)
             equations = problem.normal_equations(state)

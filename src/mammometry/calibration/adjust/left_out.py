@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mammometry.calibration.adjust.adjustment import Adjustment
-from mammometry.calibration.adjust.least_squares import NormalEquations, damped_step, minimise
+from mammometry.calibration.adjust.least_squares import DAMPING_LEAST, NormalEquations, damped_step, minimise
 from mammometry.calibration.adjust.network import State, residuals
 from mammometry.calibration.adjust.robust import GROUPS, Solved
 from mammometry.geometry.arrays import Array, Int64
@@ -28,7 +28,6 @@ _NEAR = 0.1  # standard deviations
 _LINEAR = 0.1  # by which share the cost may fall otherwise than the linear problem's
 _NO_PRIOR = 1e9
 """Factor on a prior's standard deviation that makes it tell nothing."""
-_DAMPING = 1e-12  # against rounding only
 _SEED = 0  # of the signs: the same calibration says the same twice
 
 
@@ -116,7 +115,7 @@ def _left_out(solved: Solved, group: int) -> tuple[int, float, float] | None:
 
 def _adjusted_without(without: Adjustment, state: State, equations: NormalEquations) -> State:
     """Take one Newton step from the minimum of all poses. Minimise in full where the cost falls otherwise."""
-    step = damped_step(equations.holding(without.held), _DAMPING)
+    step = damped_step(equations.holding(without.held), DAMPING_LEAST)
     if step is not None:
         stepped = without.moved(state, step)
         expected = -0.5 * float(equations.gradient @ step)

@@ -62,9 +62,8 @@ def adjusted(network: Network, held: Bool[Array, " p"], start: State) -> Solved:
         network=network, active=np.ones(len(network.uv), bool), held=held, group_sigma=np.ones(GROUPS), huber=HUBER_MAD
     )
     problem = _with_sigma(problem, start)
-    most = _MAX_ITERATIONS
     for _ in range(_SIGMA_ROUNDS):
-        start = minimise(problem, start, max_iterations=most, tolerance=_ROUGH).state
+        start = minimise(problem, start, max_iterations=_MAX_ITERATIONS, tolerance=_ROUGH).state
         before, problem = problem.group_sigma, _with_sigma(problem, start)
         if (np.abs(problem.group_sigma / before - 1) < _SIGMA_SETTLED).all():
             break
@@ -73,9 +72,9 @@ def adjusted(network: Network, held: Bool[Array, " p"], start: State) -> Solved:
         if (active == problem.active).all():
             break
         problem = replace(problem, active=active)
-        start = minimise(problem, start, max_iterations=most, tolerance=_ROUGH).state
+        start = minimise(problem, start, max_iterations=_MAX_ITERATIONS, tolerance=_ROUGH).state
         problem = _with_sigma(problem, start)
-    return Solved(problem=problem, minimum=minimise(problem, start, max_iterations=most))
+    return Solved(problem=problem, minimum=minimise(problem, start, max_iterations=_MAX_ITERATIONS))
 
 
 def bad_views(network: Network, state: State, ratio: float, least_px: float) -> dict[int, float]:

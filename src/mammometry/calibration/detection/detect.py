@@ -18,7 +18,7 @@ from mammometry.base.progress import Progress, no_progress
 from mammometry.base.value import value
 from mammometry.calibration.detection.finders import explain_miss, find
 from mammometry.calibration.detection.finders.cylinder import numbered_alike
-from mammometry.calibration.features.pixels import Cause, FoundPoints, grey_bytes, reduced
+from mammometry.calibration.features.pixels import MIN_POINTS, Cause, FoundPoints, grey_bytes, reduced
 from mammometry.calibration.targets.target import Target
 from mammometry.geometry.arrays import Array, Float64, Int64, UInt8
 
@@ -88,9 +88,9 @@ NOT_IN_VIEW = Cause(found="no target", remedy="")
 """Nothing in the photograph says that the target should have been found."""
 
 
-def diagnose(photograph: Photograph, target: Target, *, search_width_px: int) -> Cause:
+def diagnose(photograph: Photograph, target: Target) -> Cause:
     """Say why a photograph has no detection."""
-    small, _ = reduced(grey_bytes(photograph), search_width_px)
+    small, _ = reduced(grey_bytes(photograph), SEARCH_WIDTH_PX)
     return explain_miss(target, small) or _about_exposure(small) or NOT_IN_VIEW
 
 
@@ -115,8 +115,6 @@ SEARCH_WIDTH_PX = 1100
 measurement uses the original pixels."""
 _FLOOR_PX = 0.01
 """Standard deviation added to every point's own, px: what no fit of one point can show (print, pixel grid)."""
-MIN_POINTS = 8
-"""Fewest points of a usable view. Fewer show little and are more often wrong."""
 _THREADS = 2
 """Photographs processed in parallel. Each needs about 200 MB at 13 megapixels."""
 
@@ -204,7 +202,9 @@ def detect_in(
         SessionError: the target's description cannot be used (unknown marker dictionary).
     """
     seen = _look(photograph, target, search_width_px)
-    return None if isinstance(seen, Cause | None) else detection_of(seen, camera=camera, pose=pose)
+    if isinstance(seen, Cause | None) or len(seen.ids) < MIN_POINTS:
+        return None
+    return _named(seen, camera, pose)
 
 
 def detect(
@@ -282,22 +282,14 @@ def _look_or_explain(photograph: Photograph, target: Target) -> FoundPoints | Ca
     seen = _look(photograph, target, SEARCH_WIDTH_PX)
     if isinstance(seen, Cause):
         return seen
-    count = 0 if seen is None else len(seen.uv)
-    if seen is None or count == 0:
-        return diagnose(photograph, target, search_width_px=SEARCH_WIDTH_PX)
-    if count < MIN_POINTS:
+    if seen is None or not len(seen.uv):
+        return diagnose(photograph, target)
+    if len(seen.uv) < MIN_POINTS:
         return Cause(
-            found=f"{count} of {len(target.points_target)} points of the target, fewer than {MIN_POINTS}",
+            found=f"{len(seen.uv)} of {len(target.points_target)} points of the target, fewer than {MIN_POINTS}",
             remedy="Have more of it in the picture, larger, or less aslant",
         )
     return seen
-
-
-def detection_of(found: FoundPoints, *, camera: str, pose: str) -> Detection | None:
-    """Name what was found after its camera and pose. None for fewer than `MIN_POINTS` points."""
-    if len(found.ids) < MIN_POINTS:
-        return None
-    return _named(found, camera, pose)
 
 
 def _named(found: FoundPoints, camera: str, pose: str) -> Detection:
@@ -335,11 +327,8 @@ def set_duplicates_aside(observations: Observations) -> Observations:
     twins: dict[tuple[str, str], list[Detection]] = defaultdict(list)
     for a, b in combinations(observations.detections, 2):
         distance_px = _distance_px(a, b)
-        if a.camera != b.camera and distance_px < _SAME_PX:
-            twins[a.pose, a.camera].append(b)
-            twins[b.pose, b.camera].append(a)
-        elif a.camera == b.camera and a.pose != b.pose and distance_px < _SAME_PX:
-            stood_still = _stood_still(observations, a, b)
+        if distance_px < _SAME_PX:
+            stood_still = a.camera == b.camera and _stood_still(observations, a, b)
             if not stood_still:
                 twins[a.pose, a.camera].append(b)
             if not stood_still or distance_px < _COPIED_PX:

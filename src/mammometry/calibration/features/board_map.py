@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from mammometry.calibration.features.pixels import MIN_POINTS
 from mammometry.geometry.arrays import Array, Float64
 
 LENS_TOLERANCE = 0.006
@@ -23,6 +24,11 @@ _ROUNDS = 3
 """Fits of homography and lens in turn. Chosen by eye."""
 _RIDGE = 1e-6
 """Share of the number of points added to the normal equations' diagonal, for points in a line."""
+
+
+def search_tolerance_px(size_wh: tuple[int, int], scale: Float64[Array, 2]) -> float:
+    """How far points found in a reduced picture, of that scale, may lie from a plain homography, pixels."""
+    return LENS_TOLERANCE * max(size_wh) + 2.0 * float(scale.max())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -49,10 +55,10 @@ class BoardMap:
         ideal = uv + monomials((uv - self.centre_px) / self.scale_px) @ self.to_ideal
         return _project(np.linalg.inv(self.ideal_from_board), ideal)
 
-    def jacobian(self, board_mm: Float64[Array, "n 2"], step_mm: float = 0.5) -> Float64[Array, "n 2 2"]:
+    def jacobian(self, board_mm: Float64[Array, "n 2"]) -> Float64[Array, "n 2 2"]:
         """Derivative of uv by board coordinates, pixels per mm. Column j belongs to board axis j."""
-        steps = np.eye(2) * step_mm
-        columns = [(self.image(board_mm + step) - self.image(board_mm - step)) / (2 * step_mm) for step in steps]
+        halves = 0.5 * np.eye(2)  # either way: a millimetre together
+        columns = [self.image(board_mm + half) - self.image(board_mm - half) for half in halves]
         return np.stack(columns, axis=-1)
 
 
@@ -69,12 +75,12 @@ def fit_board_map(
         uv: where they were seen, pixels.
         tolerance_px: how far a good point may lie from a plain homography, lens distortion included.
     """
-    if len(board_mm) < 8:
+    if len(board_mm) < MIN_POINTS:
         return None
     homography, inside = cv2.findHomography(
         board_mm.reshape(-1, 1, 2), uv.reshape(-1, 1, 2), cv2.RANSAC, tolerance_px, maxIters=2000, confidence=0.999
     )
-    if homography is None or inside.sum() < max(8, 0.5 * len(board_mm)):
+    if homography is None or inside.sum() < max(MIN_POINTS, 0.5 * len(board_mm)):
         return None
     used = inside.ravel().astype(bool)
     centre_px = uv[used].mean(axis=0)
@@ -88,7 +94,7 @@ def fit_board_map(
         error = np.linalg.norm(fitted.image(board_mm) - uv, axis=1)
         spread = 1.4826 * np.median(error[used])
         used = error < max(5.0 * spread, 0.05)
-        if used.sum() < 8:
+        if used.sum() < MIN_POINTS:
             return None
     determinants = np.linalg.det(fitted.jacobian(board_mm[used]))
     if not (np.isfinite(determinants).all() and determinants.min() > 0):

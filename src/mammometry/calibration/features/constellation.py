@@ -15,6 +15,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
+from mammometry.calibration.features.pixels import MIN_POINTS
 from mammometry.geometry.arrays import Array, Bool, Float64, Int64
 
 _NEAREST = 8
@@ -38,8 +39,6 @@ _STEPS = 12
 """Gauss–Newton steps of one adjustment, at most."""
 _FOCAL_PRIOR, _LENS_PRIOR = 0.7, 0.5
 """Standard deviations of the focal length's logarithm about its start, and of the radial term about 0."""
-LEAST_DOTS = 8
-"""Fewer dots than this are found in any scatter by chance."""
 _LEAST_SHARE = 0.65
 """Least share of dots to explain where the target is seen."""
 _FLAT = 0.03
@@ -99,7 +98,7 @@ def read_constellation(
         An empty tuple where nothing fits. One reading where the picture decides. The best two where they explain nearly
         the same number of dots by different points, so that the picture alone does not decide.
     """
-    if len(points) < LEAST_DOTS or len(uv) < LEAST_DOTS:
+    if len(points) < MIN_POINTS or len(uv) < MIN_POINTS:
         return ()
     tree = cKDTree(uv)
     spacing = np.asarray(tree.query(uv, k=3)[0])[:, 2]
@@ -227,9 +226,9 @@ def _grow(
             reach[order[: _AROUND * 2**round_]] = True
             last = round_ == _ROUNDS - 1
             ids, dots = _match(camera, points, reach, spacing, tree, _TIGHT if last else _LOOSE)
-            if len(ids) < (LEAST_DOTS if last else 5):
+            if len(ids) < (MIN_POINTS if last else 5):
                 break
-            camera = adjusted(camera, points[ids], uv[dots], free_lens=len(ids) >= 2 * LEAST_DOTS)
+            camera = adjusted(camera, points[ids], uv[dots], free_lens=len(ids) >= 2 * MIN_POINTS)
         else:
             off = np.linalg.norm(camera.image(points[ids]) - uv[dots], axis=1) / spacing[dots]
             spatial = _thickness(points[ids]) > _FLAT or _thickness(points) < _FLAT

@@ -29,8 +29,6 @@ CONVERGED_STD = 0.05
 """Converged step, in standard deviations of the corner: smaller ones are within the noise."""
 SIDE_PIXELS = 8
 """Fewest pixels on each of the four sides of a corner."""
-SIGMA_RANGE_PX = (0.25, 8.0)
-"""Blur that is believed, px."""
 RESULTS = 16
 """Columns of the kernel's result: shift (u, v), σ, six photometric terms, covariance of the shift (uu, uv, vv),
 residual, then 1 if converged, 1 if there were enough pixels, and the number of pixels."""
@@ -38,7 +36,7 @@ residual, then 1 if converged, 1 if there were enough pixels, and the number of 
 _TERMS = 9  # unknowns of the fit: shift (u, v), σ and six photometric terms
 _BLOCK = 128  # pixels whose terms are computed and summed at a time: they stay in the first cache
 _FAINTEST = 2.0  # sixteenth of the exponent beyond which a Gaussian counts as nothing: 1e-14
-_MIN_SIGMA_PX, _MAX_SIGMA_PX = SIGMA_RANGE_PX
+_MIN_SIGMA_PX, _MAX_SIGMA_PX = 0.25, 8.0  # blur that is believed
 
 
 @kernel
@@ -114,7 +112,7 @@ def _select(  # type: ignore[no-untyped-def]  # compiled: types are those of `fi
     sides = np.zeros(4, np.int64)
     for dy in range(-min(radius, centre[1]), min(radius, height - 1 - centre[1]) + 1):
         y = dy / radius
-        # The cubic of `corner_fit.monomials`, gathered into one of x for this row.
+        # The cubic of `board_map.monomials`, gathered into one of x for this row.
         u0, v0 = (
             c[0, 0] + y * (c[2, 0] + y * (c[5, 0] + y * c[9, 0])),
             c[0, 1] + y * (c[2, 1] + y * (c[5, 1] + y * c[9, 1])),

@@ -207,8 +207,6 @@ def refine_corners(
     ids = _predictable(board_map, seen_mm, corners_mm, square_mm, linear.shape)
     sigma_px, window_mm = 0.8, _WINDOW_SQUARES * square_mm
     for share in (_FIRST_WINDOW, 1.0):
-        if len(ids) < 4:
-            return None
         fits = fit_corners(
             linear,
             board_map.image(corners_mm[ids]),

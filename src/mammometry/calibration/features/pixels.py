@@ -11,6 +11,8 @@ from mammometry.base.photograph import Photograph
 from mammometry.calibration.features.corner_kernels import weighted_levels
 from mammometry.geometry.arrays import Array, Float32, Float64, Int64, UInt8
 
+MIN_POINTS = 8
+"""Fewest points of a usable view. Fewer show little, and are found in any scatter by chance."""
 _REC709 = np.array([[0.2126, 0.7152, 0.0722]], dtype=np.float32)
 
 

@@ -47,8 +47,6 @@ _LENS_RATIO = 3.0
 CheckVerdict: TypeAlias = Literal["unmoved", "moved", "refuse"]
 _ROUNDS = 3
 """Linearisations about the placements. Chosen by eye."""
-_LEAST_POINTS = 6
-"""Fewest points that place a target."""
 _UNKNOWN_ERRORS = 5.0  # what ready-made cameras may disagree by more than one exposure's noise says
 
 
@@ -179,7 +177,7 @@ def check(reference: Reference, observations: Observations, settings: CheckSetti
         )
         candidates = agreement.explanations(_CHANCE)
     chosen = candidates[0]
-    checks = {name: _camera_check(agreement, reference.rig.cameras[name], chosen, _CHANCE) for name in cameras}
+    checks = {name: _camera_check(agreement, reference.rig.cameras[name], chosen) for name in cameras}
     pairs = _moved_pairs(reference, agreement, checks)
     verdict: CheckVerdict = "unmoved"
     if chosen:
@@ -245,8 +243,6 @@ def _sightings(reference: Reference, observations: Observations) -> tuple[Sighti
 
 
 def _start(camera: Camera, detection: Detection, points: Float64[Array, "p 3"]) -> Transform | None:
-    if len(detection.ids) < _LEAST_POINTS:
-        return None
     placed = resect(points[detection.ids], detection.uv, intrinsics_of(camera))
     return None if placed is None else camera.camera_from_world.inverse() @ placed
 
@@ -264,9 +260,9 @@ def _nearest_to_all(seen: Sequence[Sighting]) -> dict[str, Transform]:
     return placed
 
 
-def _camera_check(agreement: Agreement, camera: Camera, chosen: Sequence[str], chance: float) -> CameraCheck:
+def _camera_check(agreement: Agreement, camera: Camera, chosen: Sequence[str]) -> CameraCheck:
     mine = [sighting for sighting in agreement.seen if sighting.camera == camera.name]
-    motion = agreement.motion(camera, chosen, chance)
+    motion = agreement.motion(camera, chosen, _CHANCE)
     return CameraCheck(
         camera=camera.name,
         moved=camera.name in chosen,

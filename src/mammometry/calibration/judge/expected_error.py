@@ -80,8 +80,12 @@ def meeting_point(rig: Rig) -> Float64[Array, 3]:
 
 def sees(camera: Camera, points_world: Float64[Array, "*n 3"]) -> Bool[Array, "*n"]:
     """Tell which points, mm, fall into the camera's picture."""
-    uv = camera.project(points_world)
-    return np.all((uv > -0.5) & (uv < np.array(camera.size_wh) - 0.5), axis=-1)  # NaN, behind it: false
+    return in_picture(camera, camera.project(points_world))
+
+
+def in_picture(camera: Camera, uv: Float64[Array, "*n 2"]) -> Bool[Array, "*n"]:
+    """Tell which pixels the camera's picture has. NaN, of points behind it, is none."""
+    return np.all((uv > -0.5) & (uv < np.array(camera.size_wh) - 0.5), axis=-1)
 
 
 def _half_height_mm(camera: Camera, point_world: Float64[Array, 3]) -> float:

@@ -10,6 +10,7 @@ import numpy as np
 
 from mammometry.base.sizes import fitting
 from mammometry.calibration.adjust.calibrated import Calibration
+from mammometry.calibration.adjust.initialise import LEAST_POINTS
 from mammometry.calibration.detection.detect import Detection
 from mammometry.calibration.features.pixels import Cause
 from mammometry.calibration.judge.pose_motion import Movement
@@ -19,8 +20,6 @@ from mammometry.calibration.settings import QualitySettings
 from mammometry.calibration.targets.board import Board
 from mammometry.geometry.arrays import Array, Float64
 
-_LEAST_POINTS = 6
-"""Fewest points by which a picture is recognised."""
 _FITS_NOISES = 10.0
 """Largest median error of a picture that fits a shot, in RMS residuals."""
 _FITS_PX = 0.1
@@ -41,7 +40,7 @@ def true_shot(calibration: Calibration, detection: Detection) -> Shot | None:
     for pose, placed in calibration.world_from_target.items():
         points = placed.apply(calibration.target_points[detection.ids])
         for name, camera in calibration.rig.cameras.items():
-            if (name, pose) != (detection.camera, detection.pose) and len(points) >= _LEAST_POINTS:
+            if (name, pose) != (detection.camera, detection.pose) and len(points) >= LEAST_POINTS:
                 offset = np.linalg.norm(camera.project(points) - detection.uv, axis=1)
                 off_px = float(np.nanmedian(offset)) if np.isfinite(offset).any() else np.inf
                 if off_px < least:
@@ -67,15 +66,15 @@ _SCALE_REFUSE_PPM = 1500.0
 _EXPECTED_WARN_MM = 0.1
 """Expected error of reconstructed points in the working volume, from the cameras' uncertainty, that gives a warning.
 Over the 300 cm² that a pair sees, 0.1 mm is 3 cc."""
-_EXPECTED_REFUSE_MM = 0.5
-"""Expected error no better than the paper's on a flat plate. Measuring is then not worthwhile."""
+_EXPECTED_REFUSE_MM = _GEOMETRY_REFUSE_MM
+"""Expected error above which measuring is not worthwhile, likewise."""
 _MOVED_REFUSE_MM = 0.05
 """Displacement of measured points by a movement between poses above which the poses must not be used together."""
 _COVERAGE_WARN = 0.4
 """Share of a photograph, in cells of an 8 × 6 grid, in which the target was seen. Below it the lens is untested."""
 _VOLUME_COVERAGE_WARN = 0.25
 """Share of the working volume near which the target was shown. Below it the volume is untested where skin will be."""
-RESIDUAL_GOOD_MM = 0.05
+RESIDUAL_GOOD_MM = _GEOMETRY_REFUSE_MM / 10
 """RMS residual at the target's distance up to which it is called good: a tenth of what the paper's plate allows."""
 _RESIDUAL_WARN_MM = 0.2
 """RMS residual at the target's distance above which the pictures or the target are wrong."""
@@ -91,8 +90,6 @@ board's rim, or out of focus, err more than their σ."""
 
 Verdict: TypeAlias = Literal["pass", "warn", "refuse"]
 Finding: TypeAlias = tuple[Verdict, str]
-_PRINT_SCALE = 1e-3
-"""Relative scale error of a print in the message's example. Chosen by eye."""
 
 _SQUARE_PIXELS, _SURE_SIGMA = 0.01, 5.0
 """Share by which pixels may differ from squares, and standard deviations by which they then must. Real cameras are
@@ -304,8 +301,8 @@ def about_scale(calibration: Calibration) -> Iterator[Finding]:
     if std is None:
         yield (
             "pass",
-            f"the printed board was not measured. If it is {100 * _PRINT_SCALE:.1f} % too large, volumes are "
-            f"{300 * _PRINT_SCALE:.1f} % too large. Measure its edge, and enter edge_mm and edge_std_mm",
+            "the printed board was not measured. If it is 0.1 % too large, volumes are 0.3 % too large. Measure its "
+            "edge, and enter edge_mm and edge_std_mm",
         )
     else:
         yield ("pass", f"the target was measured: sizes are known to {100 * std:.3f} %, volumes to {300 * std:.2f} %")

@@ -8,13 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from mammometry.calibration.adjust.calibrated import Calibration
+from mammometry.calibration.adjust.initialise import LEAST_POINTS, is_flat
 from mammometry.calibration.detection.detect import Detection
+from mammometry.calibration.judge.expected_error import in_picture, sees
 from mammometry.geometry import Array, Camera, Float64, StereoPair
-
-_FLAT = 1e-6
-"""Points thinner than this share of their extent are flat: rounding only."""
-_LEAST_POINTS = 6
-"""Fewest common points of a pose that are reconstructed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,14 +43,12 @@ class MovedPair:
 
 def moved_pair(pair: StereoPair, left: Camera, right: Camera, points_world: Float64[Array, "n 3"]) -> MovedPair | None:
     """Points measured by a pair whose true cameras are `left` and `right`. None if it sees too few."""
-    uv = [camera.project(points_world) for camera in (left, right)]
-    seen = np.ones(len(points_world), bool)
-    for camera, at in zip((left, right), uv, strict=True):
-        seen &= ((at > -0.5) & (at < np.array(camera.size_wh) - 0.5)).all(axis=1)
-    if seen.sum() < _LEAST_POINTS:
+    uv_left, uv_right = left.project(points_world), right.project(points_world)
+    seen = in_picture(left, uv_left) & in_picture(right, uv_right)
+    if seen.sum() < LEAST_POINTS:
         return None
     true = points_world[seen]
-    found = triangulate(pair, uv[0][seen], uv[1][seen])
+    found = triangulate(pair, uv_left[seen], uv_right[seen])
     scale, shape_mm = _aligned(true, found)
     return MovedPair(
         displacement_mm=float(np.sqrt(np.mean(np.sum((found - true) ** 2, axis=1)))),
@@ -85,8 +80,7 @@ def reconstruct(calibration: Calibration, pair: StereoPair) -> PairQuality:
         for detection, residual_px in zip(calibration.observations.detections, calibration.residuals_px, strict=True)
     }
     target = calibration.target_points
-    nominal = calibration.observations.target.points_target
-    flat = _plane_rms(nominal) < _FLAT * float(nominal.std())
+    flat = is_flat(calibration.observations.target.points_target)
     scales, weights, shape_errors, plane_errors = [], [], [], []
     for pose in calibration.observations.poses:
         if (pair.left.name, pose) not in seen or (pair.right.name, pose) not in seen:
@@ -94,7 +88,7 @@ def reconstruct(calibration: Calibration, pair: StereoPair) -> PairQuality:
         left, left_good = seen[pair.left.name, pose]
         right, right_good = seen[pair.right.name, pose]
         ids, at_left, at_right = np.intersect1d(left.ids[left_good], right.ids[right_good], return_indices=True)
-        if len(ids) < _LEAST_POINTS:
+        if len(ids) < LEAST_POINTS:
             continue
         points = triangulate(pair, left.uv[left_good][at_left], right.uv[right_good][at_right])
         scale, error_mm = _aligned(target[ids], points)
@@ -132,7 +126,6 @@ def _plane_rms(points: Float64[Array, "n 3"]) -> float:
 
 
 _FAR_PX = 1e6  # residual of a point behind its camera
-"""Points thinner than this share of their extent are flat: rounding only."""
 _GRAZING_COSINE = float(np.cos(np.radians(75.0)))  # beyond, a board stays dark and its markers are too narrow
 
 
@@ -167,14 +160,10 @@ def sees_badly(calibration: Calibration, camera: str, pose: str) -> bool:
     if placed is None or seer is None:
         return False
     points = placed.apply(calibration.target_points)
-    uv = seer.project(points)
-    inside = np.all((uv > -0.5) & (uv < np.array(seer.size_wh) - 0.5), axis=1)
-    nominal = calibration.observations.target.points_target
-    spread = np.linalg.svd(nominal - nominal.mean(axis=0), compute_uv=False)
     towards = seer.centre_world - points.mean(axis=0)
     cosine = float(-placed.rotation[:, 2] @ towards / np.linalg.norm(towards))
-    aslant = spread[2] < _FLAT * spread[0] and cosine < _GRAZING_COSINE
-    return bool(aslant or inside.mean() < 0.5)
+    aslant = is_flat(calibration.observations.target.points_target) and cosine < _GRAZING_COSINE
+    return bool(aslant or sees(seer, points).mean() < 0.5)
 
 
 def pooled_rms(views: Sequence[ViewQuality]) -> float:

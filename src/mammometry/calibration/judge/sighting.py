@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from mammometry.base.value import value
 from mammometry.calibration.adjust.calibrated import Calibration, ParameterCovariance
+from mammometry.calibration.adjust.initialise import LEAST_POINTS
 from mammometry.calibration.adjust.projection import INTRINSIC_NAMES, intrinsics_of, project_with_derivatives
 from mammometry.calibration.detection.detect import Detection
 from mammometry.geometry import Array, Bool, Camera, Float64, Transform
@@ -28,8 +29,6 @@ _OUTLIER_SIGMA = 6.0
 """Points farther off than this many robust standard deviations are left out."""
 _OUTLIER_ROUNDS = 3
 """Times that outliers are sought again."""
-_LEAST_POINTS = 6
-"""Fewest points that place a target."""
 
 
 @value(eq=False)
@@ -104,7 +103,7 @@ def sight(
     chosen = np.ones(len(detection.ids), bool) if keep is None else keep
     placed = start
     for _ in range(1 if keep is not None else _OUTLIER_ROUNDS):
-        if chosen.sum() < _LEAST_POINTS:
+        if chosen.sum() < LEAST_POINTS:
             return None
         whitener = np.linalg.inv(np.linalg.cholesky(detection.covariance_px2[chosen])) / noise_factor
         points, uv = target_points[detection.ids[chosen]], detection.uv[chosen]
@@ -139,7 +138,7 @@ def sightings(calibration: Calibration) -> tuple[Sighting, ...]:
     for detection, residual_px in zip(calibration.observations.detections, calibration.residuals_px, strict=True):
         good = np.isfinite(residual_px).all(axis=1)
         start = calibration.world_from_target.get(detection.pose)
-        if start is None or good.sum() < _LEAST_POINTS:
+        if start is None:
             continue
         seen = sight(
             calibration.rig.cameras[detection.camera],

@@ -21,8 +21,6 @@ from mammometry.calibration.judge.findings import BIAS_REFUSE, board_faults
 from mammometry.calibration.judge.quality import CalibrationQuality, assess
 from mammometry.calibration.settings import QualitySettings
 
-_ROUNDS = 6
-"""Times that suspects are taken out, at most."""
 _MOST = 1 / 3
 """Share of the photographs that may be suspect. With more, it is the rest that may be wrong."""
 _WORST = 0.5
@@ -151,9 +149,7 @@ def find_suspects(
     rest: CalibrationQuality | None = quality
     observations = calibration.observations
     most = _MOST * len(observations.detections)
-    for _ in range(_ROUNDS):
-        if rest is None or rest.verdict != "refuse":
-            break
+    while rest is not None and rest.verdict == "refuse":
         new = dict(_suspicious(calibration, rest))
         if not new or len(reasons) + len(new) > most:
             break

@@ -19,7 +19,7 @@ from mammometry.base.errors import MammometryError, SessionError
 from mammometry.base.parse import LARGEST, error_text, json_value, read_bytes
 from mammometry.geometry.arrays import Array, Float64, Int32, Int64, UInt8
 from mammometry.geometry.mesh_files.obj import decimal_commas, parse_obj
-from mammometry.geometry.mesh_files.usdz import UsdPart, read_usdz
+from mammometry.geometry.mesh_files.usdz import GREY, UsdPart, read_usdz
 
 _TYPES = {
     "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4",
@@ -32,7 +32,6 @@ _CORNERS = ("vertex_indices", "vertex_index")
 _COLOURS = (("red", "green", "blue"), ("diffuse_red", "diffuse_green", "diffuse_blue"), ("r", "g", "b"))
 _HEADER_BYTES = 1 << 22  # in which a header must end
 _LONGEST = 100_000  # corners of a polygon
-_GREY = 128  # sRGB; of a file without colours
 
 
 @dataclass(slots=True)
@@ -221,7 +220,7 @@ def _triangles(corners: Any) -> Int64[Array, "m 3"]:
 def _ply_colours(values: dict[str, Any], count: int) -> UInt8[Array, "n 3"]:
     names = next((names for names in _COLOURS if all(name in values for name in names)), None)
     if names is None:
-        return np.full((count, 3), _GREY, dtype=np.uint8)
+        return np.full((count, 3), GREY, dtype=np.uint8)
     colours = np.stack([np.asarray(values[name], dtype=np.float64) for name in names], axis=1)
     shares = np.asarray(values[names[0]]).dtype.kind == "f" and np.nanmax(colours, initial=0.0) <= 1.0
     return np.clip(np.nan_to_num(colours) * (255.0 if shares else 1.0) + 0.5, 0, 255).astype(np.uint8)
@@ -288,7 +287,7 @@ def _in_order(faces: Int64[Array, "m 3"]) -> Int64[Array, "m 3"]:
 def _parsed(path: Path, content: bytes) -> tuple[Float64[Array, "n 3"], Int64[Array, "m 3"], UInt8[Array, "n 3"]]:
     if path.suffix.lower() == ".obj":
         obj = parse_obj(content, str(path))
-        grey = np.full((len(obj.points), 3), _GREY, dtype=np.uint8)
+        grey = np.full((len(obj.points), 3), GREY, dtype=np.uint8)
         return obj.points, obj.faces, grey if obj.colours is None else obj.colours
     if path.suffix.lower() == ".ply":
         return parse_ply(content, str(path))
@@ -375,7 +374,7 @@ def _colours(loaded: Any, count: int) -> UInt8[Array, "n 3"]:
     found = getattr(getattr(loaded, "visual", None), "kind", None)
     if found == "vertex":
         return np.asarray(loaded.visual.vertex_colors, dtype=np.uint8)[:, :3].copy()
-    return np.full((count, 3), _GREY, dtype=np.uint8)
+    return np.full((count, 3), GREY, dtype=np.uint8)
 
 
 def _refused(path: Path, found: str, expected: str, remedy: str) -> SessionError:

@@ -24,7 +24,7 @@ from mammometry.geometry.arrays import Array, Float64, Int64, UInt8
 
 _LAYERS = (".usd", ".usda", ".usdc")
 _PICTURES = (".png", ".jpg", ".jpeg")
-_GREY = 128  # sRGB; of what has no colour
+GREY = 128  # sRGB; of what has no colour
 _LONGEST_S = 120.0  # a scan of a million faces takes 3 s
 _MOST_MEMORY = 16 << 30  # bytes; small packed numbers may unpack to any size
 
@@ -200,7 +200,7 @@ def _corner_values(
 def _colours(prim: Any, faces: Int64[Array, "m 3"], where: Int64[Array, "m 3"]) -> UInt8[Array, "m 3 3"]:
     values = _corner_values(prim, ("displayColor",), faces, where)
     if values is None:
-        return np.full((*faces.shape, 3), _GREY, dtype=np.uint8)
+        return np.full((*faces.shape, 3), GREY, dtype=np.uint8)
     return np.round(255 * np.clip(np.nan_to_num(values), 0, 1)).astype(np.uint8)
 
 

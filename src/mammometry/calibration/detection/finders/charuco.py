@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from mammometry.base.photograph import Photograph
-from mammometry.calibration.features.board_map import LENS_TOLERANCE, BoardMap, fit_board_map
+from mammometry.calibration.features.board_map import BoardMap, fit_board_map, search_tolerance_px
 from mammometry.calibration.features.corners import CornerGrid, MarkerArea, refine_corners
 from mammometry.calibration.features.dots import mark_size
 from mammometry.calibration.features.pixels import Cause, FoundPoints, enlarge, grey_bytes, linear_luma, reduced
@@ -133,7 +133,7 @@ def find_charuco(target: CharucoTarget, photograph: Photograph, search_width_px:
         return None
     board_mm, corners, markers = seen
     uv = enlarge(corners, scale)
-    tolerance_px = LENS_TOLERANCE * max(photograph.size_wh) + 2.0 * float(scale.max())
+    tolerance_px = search_tolerance_px(photograph.size_wh, scale)
     found = fit_board_map(board_mm, uv, tolerance_px=tolerance_px)
     if found is None:
         return None

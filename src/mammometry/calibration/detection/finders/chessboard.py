@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from mammometry.base.photograph import Photograph
-from mammometry.calibration.features.board_map import LENS_TOLERANCE, BoardMap, fit_board_map
+from mammometry.calibration.features.board_map import BoardMap, fit_board_map, search_tolerance_px
 from mammometry.calibration.features.corners import CornerGrid, refine_corners
 from mammometry.calibration.features.pixels import Cause, FoundPoints, enlarge, grey_bytes, linear_luma, reduced
 from mammometry.calibration.targets.kinds.chessboard import ChessboardTarget
@@ -34,7 +34,7 @@ def find_chessboard(
     uv = enlarge(grid, scale)
     corners_mm = target.points_target[:, :2]
     linear = linear_luma(photograph)
-    tolerance_px = LENS_TOLERANCE * max(photograph.size_wh) + 2.0 * float(scale.max())
+    tolerance_px = search_tolerance_px(photograph.size_wh, scale)
     candidates: list[tuple[bool, float, BoardMap]] = []
     for turned in _orders(uv):
         found = fit_board_map(corners_mm, turned.reshape(-1, 2), tolerance_px=tolerance_px)

@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 
 from mammometry.base.photograph import Photograph
-from mammometry.calibration.features.board_map import LENS_TOLERANCE, BoardMap, fit_board_map
-from mammometry.calibration.features.dots import mark_size, measure_dots
+from mammometry.calibration.features.board_map import BoardMap, fit_board_map, search_tolerance_px
+from mammometry.calibration.features.dots import MAX_OFF, ROUNDS, SIZE_OFF, mark_size, measure_dots
 from mammometry.calibration.features.pixels import Cause, FoundPoints, enlarge, grey_bytes, linear_luma, reduced
 from mammometry.calibration.targets.kinds.circles import CirclesTarget
 from mammometry.geometry.arrays import Array, Float64, UInt8
@@ -16,12 +16,6 @@ _MIN_AREA_PX = 12.0
 """Smallest blob in the reduced picture, px²: a circle 4 px wide, chosen by eye."""
 _MAX_MISFIT = 0.15
 """RMS distance from the map, in pitches, above which the grid was read in the wrong order."""
-_MAX_ERROR = 0.15
-"""Largest distance of one circle from where its neighbours put it, in diameters."""
-_SIZE_OFF = 0.1
-"""Share by which circles may differ from their stated size: rulers and ink err by .5 mm of a small circle."""
-_ROUNDS = 2
-"""Measurements, each with the map of the one before. Chosen by eye."""
 
 
 def find_circles(target: CirclesTarget, photograph: Photograph, search_width_px: int) -> FoundPoints | Cause | None:
@@ -35,15 +29,15 @@ def find_circles(target: CirclesTarget, photograph: Photograph, search_width_px:
     if grid is None:
         return None
     centres_mm = target.points_target[:, :2].copy()
-    tolerance_px = LENS_TOLERANCE * max(photograph.size_wh) + 2.0 * float(scale.max())
+    tolerance_px = search_tolerance_px(photograph.size_wh, scale)
     board_map = _orient(enlarge(grid, scale), centres_mm, target, tolerance_px)
     if board_map is None:
         return None
     linear = linear_luma(photograph)
     size = mark_size(linear, board_map.image, centres_mm, shape="disc", reach_mm=target.nearest_mm / 2)
-    if size is not None and size.contradicts(target.diameter_mm / 2, _SIZE_OFF):
+    if size is not None and size.contradicts(target.diameter_mm / 2, SIZE_OFF):
         return size.cause(("diameter_mm", target.diameter_mm), ("pitch_mm", target.pitch_mm))
-    for _ in range(_ROUNDS):
+    for _ in range(ROUNDS):
         dots = measure_dots(
             linear,
             board_map.image,
@@ -57,7 +51,7 @@ def find_circles(target: CirclesTarget, photograph: Photograph, search_width_px:
             return None
         board_map = found[0]
     size_px = np.sqrt(np.abs(np.linalg.det(board_map.jacobian(centres_mm)))) * target.diameter_mm
-    good = dots.ok & (np.linalg.norm(board_map.image(centres_mm) - dots.uv, axis=1) < _MAX_ERROR * size_px)
+    good = dots.ok & (np.linalg.norm(board_map.image(centres_mm) - dots.uv, axis=1) < MAX_OFF * size_px)
     return FoundPoints(ids=np.flatnonzero(good), uv=dots.uv[good], covariance_px2=dots.covariance_px2[good])
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from mammometry.base.errors import CalibrationError
 from mammometry.base.photograph import Photograph
 from mammometry.calibration.features.board_map import fit_polynomial, monomials
-from mammometry.calibration.features.dots import mark_size, measure_dots
+from mammometry.calibration.features.dots import ROUNDS, SIZE_OFF, mark_size, measure_dots
 from mammometry.calibration.features.lattice import find_dots, index_lattice
 from mammometry.calibration.features.pixels import Cause, FoundPoints, enlarge, grey_bytes, linear_luma, reduced
 from mammometry.calibration.targets.kinds.cylinder import DottedCylinderTarget
@@ -49,8 +49,9 @@ class CylinderMap:
         ideal = _project(self.projection, self.target.on_surface(unrolled_mm[..., 0], unrolled_mm[..., 1]))
         return ideal + monomials((ideal - self.centre_px) / self.scale_px) @ self.to_distorted
 
-    def jacobian(self, unrolled_mm: Float64[Array, "*n 2"], step_mm: float = 0.2) -> Float64[Array, "*n 2 2"]:
+    def jacobian(self, unrolled_mm: Float64[Array, "*n 2"]) -> Float64[Array, "*n 2 2"]:
         """Derivative of uv by unrolled coordinates, pixels per mm. Column j belongs to coordinate j."""
+        step_mm = 0.2
         steps = np.eye(2) * step_mm
         columns = [(self.image(unrolled_mm + step) - self.image(unrolled_mm - step)) / (2 * step_mm) for step in steps]
         return np.stack(columns, axis=-1)
@@ -80,7 +81,6 @@ def fit_cylinder_map(
     centre_px = uv.mean(axis=0)
     scale_px = float(np.abs(uv - centre_px).max())
     to_ideal, to_distorted = np.zeros((10, 2)), np.zeros((10, 2))
-    fitted = None
     for round_ in range(_MAP_ROUNDS):
         if used.sum() < max(_LEAST, 0.5 * len(uv)):
             return None
@@ -102,7 +102,7 @@ def fit_cylinder_map(
         error = np.linalg.norm(fitted.image(unrolled_mm) - uv, axis=1)
         pitch_px = np.abs(np.linalg.det(fitted.jacobian(unrolled_mm))) ** 0.5 * target.row_pitch_mm
         used = error < np.maximum(5.0 * 1.4826 * np.median(error), _FORM_TOLERANCE * pitch_px)
-    return None if fitted is None else (fitted, used)
+    return fitted, used
 
 
 def _direct_linear(points: Float64[Array, "n 3"], uv: Float64[Array, "n 2"]) -> Float64[Array, "3 4"]:
@@ -146,10 +146,6 @@ _START_HALF = 0.18
 """Starting half side of a dot of unknown size, in pitches. Chosen by eye."""
 _MIN_ROW_DOTS = 3
 """Fewest dots that make a row. Chosen by eye."""
-_ROUNDS = 2
-"""Measurements, each with the map of the one before. Chosen by eye."""
-_SIZE_OFF = 0.1
-"""Share by which dots may differ from their stated size: rulers and ink err by .5 mm of a small dot."""
 _LABEL_HEIGHTS = (0.4, 1.4)
 """The labels' strip beyond the last row, in row pitches."""
 _STRIP_SAMPLES = 24
@@ -194,17 +190,17 @@ def find_cylinder(
     linear = linear_luma(photograph)
     pitch_mm = np.array([target.column_pitch_mm, target.row_pitch_mm])
     half_mm = target.dot_mm / 2 if target.dot_mm else _START_HALF * float(pitch_mm.min())
-    cylinder, last_row, (first, last) = start
-    row, column = (grid.ravel() for grid in np.mgrid[0 : last_row + 1, first : last + 1])
+    cylinder, (first, last) = start
+    row, column = (grid.ravel() for grid in np.mgrid[0 : target.dots[0], first : last + 1])
     unrolled = np.stack([column, row], axis=1) * pitch_mm
     if target.dot_mm is not None:
         nearest_mm = float(pitch_mm.min())
         facing = unrolled[cylinder.facing(unrolled) > _MIN_FACING]
         size = mark_size(linear, cylinder.image, facing, shape="square", reach_mm=nearest_mm / 2)
-        if size is not None and size.contradicts(half_mm, _SIZE_OFF):
+        if size is not None and size.contradicts(half_mm, SIZE_OFF):
             pitch_key = "row_pitch_mm" if target.row_pitch_mm == nearest_mm else "column_pitch_mm"
             return size.cause(("dot_mm", target.dot_mm), (pitch_key, nearest_mm))
-    for round_ in range(_ROUNDS):
+    for round_ in range(ROUNDS):
         faces = cylinder.facing(unrolled) > _MIN_FACING
         places = unrolled[faces]
         dots = measure_dots(
@@ -215,14 +211,12 @@ def find_cylinder(
             half_mm=half_mm,
             pitch_mm=(float(pitch_mm[0]), float(pitch_mm[1])),
         )
-        if dots.ok.sum() < 2 * _MIN_ROW_DOTS:
-            return None
-        if target.dot_mm is None:
-            half_mm = 0.5 * float(np.sqrt(np.median(dots.mass_mm2[dots.ok])))
         fitted = fit_cylinder_map(target, places[dots.ok], dots.uv[dots.ok])
         if fitted is None:
             return None
-        if round_ < _ROUNDS - 1:
+        if target.dot_mm is None:
+            half_mm = 0.5 * float(np.sqrt(np.median(dots.mass_mm2[dots.ok])))
+        if round_ < ROUNDS - 1:
             cylinder = fitted[0]
     # A dot far from where its neighbours put it was covered or smeared; a row that was printed aslant is not.
     error_px = np.linalg.norm(cylinder.image(places) - dots.uv, axis=1)
@@ -250,11 +244,8 @@ def find_cylinder(
 
 def _locate(
     small: UInt8[Array, "h w"], scale: Float64[Array, 2], target: DottedCylinderTarget, neighbourhood: float
-) -> tuple[CylinderMap, int, tuple[int, int]] | None:
-    """Locate the cylinder from blobs alone.
-
-    Returns its map, last row, and first and last columns that may be seen.
-    """
+) -> tuple[CylinderMap, tuple[int, int]] | None:
+    """Locate the cylinder from blobs alone: its map, and the first and last columns that may be seen."""
     blobs = find_dots(small, neighbourhood)
     points, places = index_lattice(blobs)
     uv = enlarge(blobs[points], scale)
@@ -267,8 +258,6 @@ def _locate(
         cylinder, used = found
         used &= cylinder.facing(unrolled) > _START_FACING
         uv, places = uv[used], places[used]
-        if not len(places):
-            return None
         count = np.bincount(places[:, 0])
         full = np.flatnonzero(count >= _MIN_ROW_DOTS)
         if not len(full) or full[-1] - full[0] + 1 != target.dots[0]:
@@ -276,7 +265,7 @@ def _locate(
         keep = (places[:, 0] >= full[0]) & (places[:, 0] <= full[-1])
         uv, places = uv[keep], places[keep] - np.array([full[0], 0])
     columns = places[:, 1]
-    return cylinder, target.dots[0] - 1, (int(columns.min()) - 1, int(columns.max()) + 1)
+    return cylinder, (int(columns.min()) - 1, int(columns.max()) + 1)
 
 
 def _unroll_labels(
@@ -370,9 +359,9 @@ def _within_target(
     columns = target.dots[1]
     if target.closes:
         return {name: first % columns for name, first in start.items()}
-    least = min(start.values(), default=0)
-    shifted = {name: first - min(least, 0) for name, first in start.items()}
-    most = max((first + int(views[name].columns.max()) for name, first in shifted.items()), default=0)
+    least = min(start.values())
+    shifted = {name: first - least for name, first in start.items()}
+    most = max(first + int(views[name].columns.max()) for name, first in shifted.items())
     if most >= columns:
         raise CalibrationError(
             "columns of the dotted cylinder",
@@ -409,8 +398,6 @@ def _correlate(a: CylinderView, b: CylinderView, shift: int) -> float:
     for small in range(-_WIGGLE, _WIGGLE + 1):
         first_a, first_b = max(shift + small, 0), max(-shift - small, 0)
         length = min(a.labels.shape[1] - first_a, b.labels.shape[1] - first_b)
-        if length <= 0:
-            continue
         part_a, part_b = slice(first_a, first_a + length), slice(first_b, first_b + length)
         weight = a.label_weight[part_a] * b.label_weight[part_b]
         if (weight > 0).sum() < _MIN_COMMON_COLUMNS * len(a.labels):

@@ -6,16 +6,18 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from mammometry.base.photograph import Photograph
-from mammometry.calibration.features.constellation import (
-    LEAST_DOTS,
-    Reading,
-    TargetCamera,
-    adjusted,
-    read_constellation,
-)
-from mammometry.calibration.features.dots import Dots, ToImage, measure_dots
+from mammometry.calibration.features.constellation import Reading, TargetCamera, adjusted, read_constellation
+from mammometry.calibration.features.dots import MAX_OFF, ROUNDS, Dots, ToImage, measure_dots
 from mammometry.calibration.features.lattice import find_dots
-from mammometry.calibration.features.pixels import Cause, FoundPoints, enlarge, grey_bytes, linear_luma, reduced
+from mammometry.calibration.features.pixels import (
+    MIN_POINTS,
+    Cause,
+    FoundPoints,
+    enlarge,
+    grey_bytes,
+    linear_luma,
+    reduced,
+)
 from mammometry.calibration.targets.kinds.points import PointsTarget
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64
 
@@ -31,10 +33,6 @@ _AROUND = 6
 """Neighbours that show the surface's inclination at a point. Chosen by eye."""
 _FLAT = 0.12
 """Neighbours in a plane to within this share of their distance show the surface's inclination."""
-_MAX_ERROR = 0.15
-"""Largest distance of a dot from where the camera of all others puts it, in diameters."""
-_ROUNDS = 2
-"""Measurements, each with the camera of the one before. Chosen by eye."""
 
 AMBIGUOUS = Cause(
     found="dots that fit the list of points in more than one way",
@@ -54,7 +52,7 @@ def find_points(target: PointsTarget, photograph: Photograph, search_width_px: i
     points = target.points_target
     for neighbourhood in _NEIGHBOURHOODS:
         uv = enlarge(find_dots(small, neighbourhood), scale)
-        if not LEAST_DOTS <= len(uv) <= _MOST_DOTS:
+        if not MIN_POINTS <= len(uv) <= _MOST_DOTS:
             continue
         readings = read_constellation(points, uv, photograph.size_wh)
         if len(readings) > 1:
@@ -69,19 +67,19 @@ def _measured(linear: Float32[Array, "h w"], target: PointsTarget, reading: Read
     points, camera, ids = target.points_target, reading.camera, np.sort(reading.ids)
     nearest_mm = float(np.asarray(cKDTree(points).query(points, k=2)[0])[:, 1].min())
     half_mm = target.dot_diameter_mm / 2 if target.dot_diameter_mm else _START_HALF * nearest_mm
-    for _ in range(_ROUNDS):
+    for _ in range(ROUNDS):
         normals, flat = _normals(points, camera)
         dots = _measure(linear, camera, points[ids], normals[ids], half_mm, nearest_mm)
-        if dots.ok.sum() < LEAST_DOTS:
+        if dots.ok.sum() < MIN_POINTS:
             return None
         if target.dot_diameter_mm is None:
             half_mm = float(np.sqrt(np.median(dots.mass_mm2[dots.ok]) / np.pi))
         camera = adjusted(
-            camera, points[ids[dots.ok]], dots.uv[dots.ok], free_lens=bool(dots.ok.sum() >= 2 * LEAST_DOTS)
+            camera, points[ids[dots.ok]], dots.uv[dots.ok], free_lens=bool(dots.ok.sum() >= 2 * MIN_POINTS)
         )
     error_px = np.linalg.norm(camera.image(points[ids]) - dots.uv, axis=1)
     size_px = 2 * half_mm * camera.focal_px / np.linalg.norm(points[ids] - camera.centre_mm, axis=1)
-    good = dots.ok & (error_px < _MAX_ERROR * size_px)
+    good = dots.ok & (error_px < MAX_OFF * size_px)
     # Where the surface's slope is not known, the largest error that a slope could make is part of the uncertainty.
     doubt_px = np.where(flat[ids], 0.0, size_px**2 / (8 * camera.focal_px))
     covariance = dots.covariance_px2 + (doubt_px**2)[:, None, None] * np.eye(2)

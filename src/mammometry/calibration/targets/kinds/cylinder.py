@@ -117,12 +117,12 @@ _WHOLE_ROWS = (0.8, 1.5)
 """Part of the tube beyond its first and last rows that must be in the picture, in row pitches: the labels' strip."""
 _HULL_POINTS = 48
 """Points on each end's circle. The chords are within 0.3 % of the radius."""
-_LABEL_ROWS = (0.55, 1.25)
-"""Strip of labels beyond the last row, in row pitches, inside the strip that `find_cylinder` unrolls."""
+_LABEL_UP = 0.9
+"""Middle of a label beyond the last row, in row pitches: the middle of the strip that `find_cylinder` unrolls."""
 _LABEL_CELLS = 4
 """Cells along each side of a label: 65 536 different labels."""
-_LABEL_WIDTH = 0.7
-"""Width of a label, in column pitches."""
+_LABEL_SHARE = 0.7
+"""Side of a label, in pitches. Chosen by eye."""
 _DOT_SHARE = 0.5
 """Side of a dot whose size is not given, in pitches."""
 
@@ -207,20 +207,17 @@ class CylinderBody(Body):
         """Whether places beyond the last row are ink. Each column has its own random square of cells."""
         columns = self.target.dots[1]
         cells = np.random.default_rng(columns).random((columns, _LABEL_CELLS, _LABEL_CELLS)) < 0.5
-        low, high = _LABEL_ROWS
-        x = np.floor((across / _LABEL_WIDTH + 0.5) * _LABEL_CELLS)
-        y = np.floor((above - low) / (high - low) * _LABEL_CELLS)
+        x = np.floor((across / _LABEL_SHARE + 0.5) * _LABEL_CELLS)
+        y = np.floor((above - (_LABEL_UP - _LABEL_SHARE / 2)) / _LABEL_SHARE * _LABEL_CELLS)
         inside = (x >= 0) & (y >= 0) & (x < _LABEL_CELLS) & (y < _LABEL_CELLS)
         index = np.where(inside, column, 0).astype(np.int64) % columns
         return inside & cells[index, np.where(inside, y, 0).astype(np.int64), np.where(inside, x, 0).astype(np.int64)]
 
 
-_SHEET_DOT_SHARE, _LABEL_SHARE = 0.45, 0.7
-"""Default side of a dot, and side of a label, in pitches. Chosen by eye."""
+_SHEET_DOT_SHARE = 0.45
+"""Default side of a dot, in pitches. Chosen by eye."""
 _SHEET_LABEL_CELLS = 6
 """Cells along each side of a label."""
-_LABEL_UP = 0.9
-"""Middle of a label beyond the last row, in row pitches: the middle of the strip that `find_cylinder` unrolls."""
 _ABOVE_ROWS = 1.5
 """Height of the sheet above the last row, in row pitches: the labels' strip and a little more."""
 
