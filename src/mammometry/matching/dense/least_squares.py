@@ -31,12 +31,10 @@ from mammometry.matching.pyramid import Level, finer_shift
 from mammometry.matching.semiglobal import span_px
 from mammometry.matching.settings import MatchSettings
 
-START_SPAN_PX = 400.0
-"""Subject size (root of its area, pixels) below which semi-global matching starts: the finest such level. At half of
-it, folds and arms are taken for one surface. Memory grows with its third power."""
 FINEST_SPAN_PX = 800.0
 """Subject size (root of its area, pixels) above which a level is not matched from both pictures: on the photograph's
-own pixels optics leave little. One level coarser only left matches are made, which coarser right ones check."""
+own pixels optics leave little. One level coarser only left matches are made, which coarser right ones check. So
+semi-global matching starts at half of it at most; at a quarter, folds and arms are taken for one surface."""
 
 _FIRST_STEPS, _FURTHER_STEPS, _LAST_STEPS = 5, 4, 2
 """Least-squares steps on the coarsest, the middle and the last level solved from both pictures.
@@ -114,8 +112,7 @@ def choose_levels(pair_name: str, masks: Sequence[Bool[Array, "h w"]], *, empty:
         )
     empty = max(0, min(empty, int(np.log2(span / _SOFT_SPAN_PX))))
     last_both = max(empty, int(np.ceil(np.log2(span / FINEST_SPAN_PX))))
-    calm = last_both + int(span / 2**last_both > _CALM_SPAN_PX)
-    coarsest = max(calm, int(np.ceil(np.log2(span / START_SPAN_PX))))
+    coarsest = last_both + int(span / 2**last_both > _CALM_SPAN_PX)
     return Levels(coarsest=coarsest, last_both=last_both, finest=max(empty, min(last_both, _FINEST_LEVEL)))
 
 
