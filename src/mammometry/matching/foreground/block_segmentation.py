@@ -24,10 +24,10 @@ _FEWEST = 0.002  # of the picture, for a core or a backdrop to be one
 _LEAST_CONTRAST = 1.5  # of the core's red over the rest's
 _TWO_THINGS, _TWO_CLASSES = 1.8, 0.83  # ratio of means and share of variance between; one subject: 1.4, .76 at most
 _BINS, _BIN_SPREAD = 96, 1.2  # of chromaticity along red and green, σ of the counts' blur in bins
-_CHROMATICITY = ((0.15, 0.65), (0.15, 0.55))  # of red and of green in all light, encoded: what skin and rooms show
+CHROMATICITY = ((0.15, 0.65), (0.15, 0.55))  # of red and of green in all light, encoded: what skin and rooms show
 _RARE = 0.01  # of the commonest colour's frequency: no colour of the subject
 _ALIKE, _UNLIKE = 0.6, 0.35  # share of the core, and at most of the backdrop, that must have the subject's colour
-_DARKEST = 0.25  # of the core's median light (red + green + blue, encoded): darker, colour is noise
+DARKEST = 0.25  # of the subject's median light (red + green + blue, encoded): darker, colour is noise
 _THIN_PX = 1.6  # half the width of what is cut off, pixels of the reference size
 _INLAY, _SET_IN = 0.05, 0.4  # of the subject's area, at most; of an inlay's border that the subject makes, at least
 _LARGE_HOLE = 0.004  # of the subject: smaller ones are always its own
@@ -58,7 +58,7 @@ def segment(encoded: Float32[Array, "h w channels"], unit: float) -> Bool[Array,
     if coloured is not None:
         core = _with_inlays(_large_parts(core & coloured), core)
         total = light.sum(axis=2)
-        coloured &= total > _DARKEST * np.median(total[core])
+        coloured &= total > DARKEST * np.median(total[core])
     subject = core
     backdrop = ~core
     for _ in range(_GROWTH_ROUNDS):
@@ -89,7 +89,7 @@ def _coloured_like(
         return None
     total = np.maximum(light.sum(axis=2), 1e-3)
     bins = []
-    for channel, (low, high) in enumerate(_CHROMATICITY):
+    for channel, (low, high) in enumerate(CHROMATICITY):
         share = (light[..., channel] / total - low) / (high - low)
         bins.append(np.clip((share * _BINS).astype(np.int64), 0, _BINS - 1))
     index = bins[0] * _BINS + bins[1]
