@@ -60,7 +60,6 @@ def segment(encoded: Float32[Array, "h w channels"], unit: float) -> Bool[Array,
         total = light.sum(axis=2)
         coloured &= total > DARKEST * np.median(total[core])
     subject = core
-    backdrop = ~core
     for _ in range(_GROWTH_ROUNDS):
         # Well away from what is subject so far, and of another colour: a shaded flank must not raise the level.
         backdrop = ~_widened(subject, 8 * unit)
@@ -71,7 +70,7 @@ def segment(encoded: Float32[Array, "h w channels"], unit: float) -> Bool[Array,
         level = BACKGROUND_MARGIN * float(np.quantile(red[backdrop], 0.999))
         # Before a backdrop that is nowhere as bright as the core, light alone is proof; elsewhere colour must be.
         like = coloured if coloured is not None and level > threshold else red > min(level, threshold)
-        grown = ndimage.binary_propagation(core, mask=core | like if coloured is None else core | like | coloured)
+        grown = ndimage.binary_propagation(core, mask=like if coloured is None else like | coloured)
         if np.count_nonzero(grown) == np.count_nonzero(subject):
             break
         subject = grown
@@ -119,7 +118,7 @@ def _with_inlays(core: Bool[Array, "h w"], bright: Bool[Array, "h w"]) -> Bool[A
     sizes = np.bincount(labels.ravel())
     shares = np.zeros(len(sizes))
     for label, box in enumerate(ndimage.find_objects(labels), start=1):
-        if 0 < sizes[label] <= _INLAY * np.count_nonzero(core):
+        if sizes[label] <= _INLAY * np.count_nonzero(core):
             window = tuple(slice(max(side.start - 1, 0), side.stop + 1) for side in box)
             patch = labels[window] == label
             shares[label] = core[window][ndimage.binary_dilation(patch) & ~patch].mean()
@@ -144,12 +143,12 @@ def _filled(
 ) -> Bool[Array, "h w"]:
     """The subject with its holes filled, except those that show the backdrop."""
     holes = ndimage.binary_fill_holes(subject) & ~subject
-    labels, count = ndimage.label(holes)
+    labels, _ = ndimage.label(holes)
     filled = subject | holes
-    if count == 0 or not backdrop.any():
+    if not backdrop.any():
         return filled
     behind = float(np.median(red[backdrop]))
-    sizes = np.bincount(labels.ravel(), minlength=count + 1)
+    sizes = np.bincount(labels.ravel())
     for label in np.nonzero(sizes[1:] > _LARGE_HOLE * np.count_nonzero(subject))[0] + 1:
         hole = labels == label
         if abs(float(np.median(red[hole])) - behind) < _LIKE_BACKDROP * behind:
@@ -195,5 +194,5 @@ def _large_parts(mask: Bool[Array, "h w"]) -> Bool[Array, "h w"]:
         return mask
     sizes = np.bincount(labels.ravel())
     sizes[0] = 0
-    keep: Bool[Array, "h w"] = (sizes >= max(_SMALLEST_PART * sizes.max(), 1))[labels]
+    keep: Bool[Array, "h w"] = (sizes >= _SMALLEST_PART * sizes.max())[labels]
     return keep

@@ -208,7 +208,7 @@ def segment_by_depth(
     distance = ndimage.distance_transform_edt(~near)
     backdrop = _from_outside(far | (_solid(other, unit) & (distance > _CLEAR_PX * unit)), far)
     subject = near | (_solid((ratio > _SURE) & ~other, unit) & ~far)
-    subject = ndimage.binary_propagation(near, mask=subject & ~backdrop) | near
+    subject = ndimage.binary_propagation(near, mask=subject & ~backdrop)
     if backdrop.any():
         markers = subject.astype(np.int32) + 2 * (backdrop & ~subject).astype(np.int32)
         subject = _divided(light, markers) == 1
@@ -303,5 +303,5 @@ def _parts_with(subject: Bool[Array, "h w"], near: Bool[Array, "h w"]) -> Bool[A
     labels, count = ndimage.label(subject)
     sizes = np.bincount(labels[near], minlength=count + 1)
     sizes[0] = 0
-    found: Bool[Array, "h w"] = (sizes >= max(_SMALLEST_PART * sizes.max(), 1))[labels]
+    found: Bool[Array, "h w"] = (sizes >= _SMALLEST_PART * sizes.max())[labels]
     return found
