@@ -111,10 +111,9 @@ def edge_places(profiles: Float64[Array, "n k"], x: Float64[Array, " k"], unit: 
     left, middle, right = (misfit[row, inner + k] for k in (-1, 0, 1))
     with np.errstate(invalid="ignore", divide="ignore"):
         vertex = 0.5 * (left - right) / (left - 2 * middle + right)
-    found = np.isfinite(vertex) & (best == inner)
     step = _PLACES[1] - _PLACES[0]
-    place = (_PLACES[inner] + np.clip(np.where(found, vertex, 0.0), -1, 1) * step) * unit
-    return np.where(found, place, np.nan)
+    place = (_PLACES[inner] + vertex * step) * unit
+    return np.where(np.isfinite(vertex) & (best == inner), place, np.nan)
 
 
 def _misfit(
