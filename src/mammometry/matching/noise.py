@@ -16,7 +16,7 @@ from scipy import ndimage
 from mammometry.geometry.arrays import Array, Bool, Float32
 from mammometry.matching.dense.least_squares_step import Estimate
 from mammometry.matching.filters import blur, gaussian_taps, pull
-from mammometry.matching.pyramid import Level, build, decimation
+from mammometry.matching.pyramid import FAR_WEIGHT, Level, build, decimation
 
 _PART_PX = 768  # side of the square in the subject's middle that is looked at
 _MOST = 3  # levels that may be empty
@@ -60,7 +60,6 @@ def empty_levels(image: Float32[Array, "h w"], mask: Bool[Array, "h w"]) -> int:
 
 
 _AROUND_PX = 4.0  # Gaussian σ over which noise is averaged, pixels of the level it is wanted on; chosen by eye
-_FAR_WEIGHT = 1e-3  # of the subject's mean, where nothing of it is near; any small number
 
 
 def checkerboard_residual(image: Float32[Array, "h w"]) -> Float32[Array, "h w"]:
@@ -95,7 +94,7 @@ def noise_variance(finest: Level, decimations: Sequence[Float32[Array, " _"]]) -
         squares *= np.float32(np.sum(taps.astype(np.float64) ** 2) ** 2)
         mass *= np.float32(0.25)
     around = gaussian_taps(_AROUND_PX)
-    wide = np.float32(_FAR_WEIGHT)
+    wide = np.float32(FAR_WEIGHT)
     mean = np.float32(np.average(squares, weights=mass)) if mass.any() else np.float32(0)
     squares *= mass
     variance = blur(squares, around)
