@@ -19,7 +19,6 @@ from mammometry.matching.filters import blur, gaussian_taps, pull
 from mammometry.matching.pyramid import FAR_WEIGHT, Level, build, decimation
 
 _PART_PX = 768  # side of the square in the subject's middle that is looked at
-_MOST = 3  # levels that may be empty
 _RIM_PX = 3  # off the subject's rim, where the picture is continued
 _FEWEST_PX = 400  # of a level; fewer tell nothing
 _SOFT = 0.5
@@ -41,7 +40,8 @@ def empty_levels(image: Float32[Array, "h w"], mask: Bool[Array, "h w"]) -> int:
     corner = [max(0, int(np.median(place)) - _PART_PX // 2) for place in (rows, columns)]
     part = tuple(slice(start, start + _PART_PX) for start in corner)
     noise, steps = 0.0, []
-    for number, level in enumerate(build(image[part].copy(), mask[part].copy(), 0, _MOST + 1)):
+    coarsest = int(np.log2(_PART_PX / np.sqrt(_FEWEST_PX)))
+    for number, level in enumerate(build(image[part].copy(), mask[part].copy(), 0, coarsest)):
         inner = ndimage.binary_erosion(level.mask, iterations=_RIM_PX)
         if np.count_nonzero(inner) < _FEWEST_PX:
             break
