@@ -27,7 +27,7 @@ _CLEAR_PX = 12.0  # nearer to near seeds than this, pixels of the reference size
 _SPECK_PX = 3.0  # half the width of what a colour must fill to be a marker
 _TELLING = 0.5  # of the near seeds: where fewer have a colour of their own, colour tells nothing
 _PRUNINGS = 2  # rounds in which seeds of the other side's colour are dropped
-_SMALLEST_PART = 0.02  # of the largest part
+SMALLEST_PART = 0.02  # of the largest part: smaller ones are chance
 # Shares above which depth contradicts brightness: of the near seeds that it leaves out, of its subject that is far, and
 # of its subject that neither depth nor colour joins to the seeds.
 _MISSED, _BEHIND, _BEYOND = 0.04, 0.02, 0.04
@@ -303,5 +303,5 @@ def _parts_with(subject: Bool[Array, "h w"], near: Bool[Array, "h w"]) -> Bool[A
     labels, count = ndimage.label(subject)
     sizes = np.bincount(labels[near], minlength=count + 1)
     sizes[0] = 0
-    found: Bool[Array, "h w"] = (sizes >= _SMALLEST_PART * sizes.max())[labels]
+    found: Bool[Array, "h w"] = (sizes >= SMALLEST_PART * sizes.max())[labels]
     return found
