@@ -16,6 +16,7 @@ import numpy as np
 from mammometry.base.errors import MatchingError
 from mammometry.geometry.arrays import Array, Bool, Float32
 from mammometry.matching.dense.least_squares_step import (
+    LARGEST_VARIANCE_PX2,
     Both,
     Estimate,
     Side,
@@ -122,7 +123,6 @@ as noise allows."""
 AGREEMENT_PX = 1.0  # between the two directions, for a match to count in the smoothing; chosen by eye
 _START_DEVIATION_PX = 0.5  # of the semi-global start, pixels of its level; chosen by eye
 _YIELDS_AT = 4.0  # times the known match's standard deviation: a finer match less certain is dropped; chosen by eye
-_LARGEST_VARIANCE_PX2 = np.float32(1.0)  # as in `belief`: a step is never larger than 1 px
 _COARSE_SMOOTHING_PX = 2.5  # σ of the plane fits between the steps: a window's own
 LAST_SMOOTHING_PX = 4.5  # … on the last level; 3.5 px was worse on the torso by a twentieth (docs/decisions/0015)
 _DETAIL_FACTOR = 2.75
@@ -284,7 +284,7 @@ def finally_smoothed(
     return adaptively_smooth(
         found.shift,
         smoothing_weights(found.variance, found.plausible, mask),
-        np.minimum(found.variance, _LARGEST_VARIANCE_PX2),
+        np.minimum(found.variance, LARGEST_VARIANCE_PX2),
         settings.window_sigma_px,
         SMOOTHING_PX,
         _DETAIL_FACTOR,

@@ -19,7 +19,8 @@ from mammometry.matching.pyramid import Level
 
 _DOUBTED_WEIGHT = np.float32(0.02)  # of a match that failed: it only bridges gaps; chosen by eye
 _LEAST_VARIANCE_PX2 = np.float32(0.01**2)  # keeps one very sure match from outweighing all others; chosen by eye
-_LARGEST_VARIANCE_PX2 = np.float32(1.0)  # a step is never larger than 1 px
+LARGEST_STEP_PX = 1.0  # beyond, the linear model of a window does not hold; chosen by eye
+LARGEST_VARIANCE_PX2 = np.float32(LARGEST_STEP_PX**2)
 
 
 @fast_kernel
@@ -106,7 +107,7 @@ def smoothing_weights(
         row, spread, good, inside = out[i], variance[i], plausible[i], mask[i]
         for j in range(width):
             share = _DOUBTED_WEIGHT + np.float32(good[j])
-            weight = share / (min(spread[j], _LARGEST_VARIANCE_PX2) + _LEAST_VARIANCE_PX2)
+            weight = share / (min(spread[j], LARGEST_VARIANCE_PX2) + _LEAST_VARIANCE_PX2)
             row[j] = weight if inside[j] else np.float32(0.0)
     return out
 
@@ -117,7 +118,6 @@ off: accepted matches must still agree both ways and be certain enough."""
 LEAST_MASS = 0.3  # of the window inside both subjects; chosen by eye
 FLAT_DEVIATION = 0.002  # luma (0…1) within a window: half a step of 8 bit; below, too flat to match
 _BAND_ROWS = 192  # bounds memory: a full-size torso under a gigabyte (docs/decisions/0020)
-_LARGEST_STEP_PX = 1.0  # beyond, the linear model of a window does not hold; chosen by eye
 _WIDER = 2.0  # times the window, where the ordinary one fails: weak texture, dark folds (docs/decisions/0015)
 _WIDE_YIELDS_AT = 3.0  # times the wide window's standard deviation; chosen by eye
 _DOUBTED_DEVIATION_PX = 0.3  # where the wide window is tried, too (docs/decisions/0015)
@@ -228,9 +228,9 @@ def _step_of_band(warp: _Warp, band: slice, sigma_px: float, least_correlation: 
             subject[where]
             & (mass > LEAST_MASS)
             & (correlation > least_correlation)
-            & (np.abs(change) < _LARGEST_STEP_PX)
+            & (np.abs(change) < LARGEST_STEP_PX)
         )
-        np.clip(change, -_LARGEST_STEP_PX, _LARGEST_STEP_PX, out=change)
+        np.clip(change, -LARGEST_STEP_PX, LARGEST_STEP_PX, out=change)
         return Estimate(
             shift=shift[band][where] + change,
             step=change,

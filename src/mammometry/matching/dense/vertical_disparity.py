@@ -21,6 +21,7 @@ from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Shaped
 from mammometry.matching.correlation_kernels import calm_at, warp_rows
 from mammometry.matching.dense.least_squares_step import (
     FLAT_DEVIATION,
+    LARGEST_STEP_PX,
     LEAST_MASS,
     Both,
     Estimate,
@@ -206,7 +207,6 @@ def refine(
     return before.changed(aligned_by - 2**level * solution[1:7] / solution[0], [term[keep] for term in terms])
 
 
-_LARGEST_STEP_PX = 1.0  # as of the horizontal step
 _LEAST_DETERMINED = np.float32(1e-3)  # of a slope², left by the other unknowns: as in `correlate.shift_of_sums`
 _GAINS = (0.1, 10.0)  # least and largest between the pictures: as there
 _UNKNOWN_VARIANCE_PX2 = np.float32(1e4)
@@ -256,8 +256,8 @@ class FreeVertical:
         columns = np.broadcast_to(np.arange(width, dtype=np.float32), (height, width))
         before = self.at(columns, state.level)
         change, variance, determined = vertical_step(right, left, state.shifts[1], self.window_sigma_px)
-        determined &= state.matches[1].plausible & (np.abs(change) < _LARGEST_STEP_PX)
-        moved = before + np.clip(change, -_LARGEST_STEP_PX, _LARGEST_STEP_PX)
+        determined &= state.matches[1].plausible & (np.abs(change) < LARGEST_STEP_PX)
+        moved = before + np.clip(change, -LARGEST_STEP_PX, LARGEST_STEP_PX)
         weights = smoothing_weights(variance, determined, right.mask)
         field = smooth(moved, weights, state.smoothing_px, before)
         return FreeVertical(d_v_px=field, level=state.level, window_sigma_px=self.window_sigma_px)
