@@ -5,11 +5,10 @@ from scipy import ndimage
 
 from mammometry.geometry.arrays import Array, Bool
 from mammometry.matching.dense.least_squares import Solved
-from mammometry.matching.dense.least_squares_step import Both, Estimate
+from mammometry.matching.dense.least_squares_step import DOUBTED_DEVIATION_PX, Both, Estimate
 from mammometry.matching.pyramid import Level, finer_mask
 
 _REACH_PX = 8  # around what the coarsest level matched, its pixels: one window; chosen by eye
-_CERTAIN_PX = 0.3  # expected deviation, coarsest level's pixels, of a match that is believed; chosen by eye
 _SMALLEST_PART = 0.05  # of the largest matched part; the rest is clutter; chosen by eye
 _MOSTLY = 0.6  # matched share of the masks above which nothing is cut: a subject, not a scene; chosen by eye
 
@@ -25,7 +24,8 @@ def worth_matching(matches: Both[Estimate], masks: Both[Bool[Array, "h w"]]) -> 
     are kept.
     """
     kept = [
-        mask & match.plausible & (match.variance < _CERTAIN_PX**2) for match, mask in zip(matches, masks, strict=True)
+        mask & match.plausible & (match.variance < DOUBTED_DEVIATION_PX**2)
+        for match, mask in zip(matches, masks, strict=True)
     ]
     whole = whole_window(masks[0])
     if sum(np.count_nonzero(k) for k in kept) > _MOSTLY * sum(np.count_nonzero(mask) for mask in masks):

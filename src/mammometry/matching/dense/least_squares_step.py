@@ -120,7 +120,7 @@ FLAT_DEVIATION = 0.002  # luma (0…1) within a window: half a step of 8 bit; be
 _BAND_ROWS = 192  # bounds memory: a full-size torso under a gigabyte (docs/decisions/0020)
 _WIDER = 2.0  # times the window, where the ordinary one fails: weak texture, dark folds (docs/decisions/0015)
 _WIDE_YIELDS_AT = 3.0  # times the wide window's standard deviation; chosen by eye
-_DOUBTED_DEVIATION_PX = 0.3  # where the wide window is tried, too (docs/decisions/0015)
+DOUBTED_DEVIATION_PX = 0.3  # expected of a match: above, the wide window is tried, too (docs/decisions/0015)
 _HIGH_PASS = 2.0  # times the window's σ; σ 3, 5 and 10 px were compared (docs/decisions/0015, Whitening)
 
 _T = TypeVar("_T")
@@ -248,7 +248,7 @@ def _step_of_band(warp: _Warp, band: slice, sigma_px: float, least_correlation: 
         whole[jumping] = part
     found = estimate(solved, (slice(None), slice(None)))
     if widely:
-        doubted = _pixels(subject & (~found.plausible | (found.variance > _DOUBTED_DEVIATION_PX**2)))
+        doubted = _pixels(subject & (~found.plausible | (found.variance > DOUBTED_DEVIATION_PX**2)))
         _take_better(found, estimate(in_windows(doubted, wide_taps), doubted), doubted)
     return found
 
