@@ -201,13 +201,13 @@ def step(here: Side, there: Side, shift: Float32[Array, "h w"], sigma_px: float,
     )
     for top in range(0, height, _BAND_ROWS):
         band = slice(top, min(top + _BAND_ROWS, height))
-        found = _step_of_band(warp, band, sigma_px, LEAST_CORRELATION, widely=widely)
+        found = _step_of_band(warp, band, sigma_px, widely=widely)
         for name in Estimate.__dataclass_fields__:
             getattr(result, name)[band] = getattr(found, name)
     return result
 
 
-def _step_of_band(warp: _Warp, band: slice, sigma_px: float, least_correlation: float, *, widely: bool) -> Estimate:
+def _step_of_band(warp: _Warp, band: slice, sigma_px: float, *, widely: bool) -> Estimate:
     """`step` for the rows of a band."""
     here, there, shift = warp.here, warp.there, warp.shift
     taps, wide_taps = gaussian_taps(sigma_px), gaussian_taps(_WIDER * sigma_px)
@@ -227,7 +227,7 @@ def _step_of_band(warp: _Warp, band: slice, sigma_px: float, least_correlation: 
         plausible = (
             subject[where]
             & (mass > LEAST_MASS)
-            & (correlation > least_correlation)
+            & (correlation > LEAST_CORRELATION)
             & (np.abs(change) < LARGEST_STEP_PX)
         )
         np.clip(change, -LARGEST_STEP_PX, LARGEST_STEP_PX, out=change)
