@@ -198,7 +198,7 @@ def start(
     centres = [
         float(np.average(np.arange(level.mask.shape[1]), weights=level.mask.sum(axis=0))) for level in (left, right)
     ]
-    reach = max(int(np.ceil(range_share * width)), 2)
+    reach = int(np.ceil(range_share * width))
     return _searched(left, right, noise, round(centres[1] - centres[0]) - reach, 2 * reach + 1)
 
 

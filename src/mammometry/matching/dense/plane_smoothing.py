@@ -225,7 +225,7 @@ def smooth(
         return from_blocks(coarse, values.shape[0], values.shape[1], _JUMP_PX)
     taps = gaussian_taps(sigma_px)
     reach = max(1, round(_WINDOW_MOVE * sigma_px))
-    enough = _ENOUGH_MASS * max(float(weights.max()), 1e-30)
+    enough = _ENOUGH_MASS * float(weights.max())
     height = values.shape[0]
     result = np.empty_like(values)
     known = np.empty(values.shape, dtype=np.float32)
