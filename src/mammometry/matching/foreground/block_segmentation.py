@@ -43,12 +43,12 @@ def segment(encoded: Float32[Array, "h w channels"], unit: float) -> Bool[Array,
     """
     red = ndimage.gaussian_filter(encoded[..., _RED], 0.7 * unit, mode="nearest")
     threshold = _otsu(red)
-    core = _large_parts(red > threshold)
+    core = large_parts(red > threshold, _SMALLEST_PART)
     if core.any():
         brighter = _otsu(red[core])
         if _apart(red[core], brighter):  # a dark subject on a board that is itself paler than the dark around it
             threshold = brighter
-            core = _large_parts(red > threshold)
+            core = large_parts(red > threshold, _SMALLEST_PART)
     if not _FEWEST < core.mean() < 1 - 10 * _FEWEST:
         return None
     if red[core].mean() < _LEAST_CONTRAST * max(float(red[~core].mean()), 1e-6):
@@ -56,7 +56,7 @@ def segment(encoded: Float32[Array, "h w channels"], unit: float) -> Bool[Array,
     light = ndimage.gaussian_filter(encoded, (unit, unit, 0), mode="nearest")
     coloured = _coloured_like(light, core, unit)
     if coloured is not None:
-        core = _with_inlays(_large_parts(core & coloured), core)
+        core = _with_inlays(large_parts(core & coloured, _SMALLEST_PART), core)
         total = light.sum(axis=2)
         coloured &= total > DARKEST * np.median(total[core])
     subject = core
@@ -75,7 +75,7 @@ def segment(encoded: Float32[Array, "h w channels"], unit: float) -> Bool[Array,
             break
         subject = grown
     filled = _filled(_without_thin(subject, core, unit), red, backdrop)
-    found = _large_parts(filled)
+    found = large_parts(filled, _SMALLEST_PART)
     return found if found.any() else None
 
 
@@ -187,12 +187,12 @@ def _widened(mask: Bool[Array, "h w"], distance: float) -> Bool[Array, "h w"]:
     return near
 
 
-def _large_parts(mask: Bool[Array, "h w"]) -> Bool[Array, "h w"]:
-    """The connected parts that are no specks beside the largest."""
+def large_parts(mask: Bool[Array, "h w"], least: float) -> Bool[Array, "h w"]:
+    """The connected parts of at least such a share of the largest one."""
     labels, count = ndimage.label(mask)
     if count == 0:
         return mask
     sizes = np.bincount(labels.ravel())
     sizes[0] = 0
-    keep: Bool[Array, "h w"] = (sizes >= _SMALLEST_PART * sizes.max())[labels]
+    keep: Bool[Array, "h w"] = (sizes >= least * sizes.max())[labels]
     return keep
