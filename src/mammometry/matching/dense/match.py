@@ -291,9 +291,6 @@ def _solve_both(begun: Start, settings: MatchSettings, pool: Executor, progress:
     )
 
 
-# --- 3. Finish -------------------------------------------------------------------------------------------------------
-
-
 def refined(
     images: Both[Level], coarse: Refined, vertical: Vertical, level: int, settings: MatchSettings, pool: Executor
 ) -> Refined:
@@ -353,6 +350,9 @@ def _rows(known: LevelStart, rows: slice) -> LevelStart:
         plausible=known.plausible[half],
         halved=known.halved,
     )
+
+
+# --- 3. Finish -------------------------------------------------------------------------------------------------------
 
 
 def finish(pair: RectifiedPair, found: Finest, settings: MatchSettings, pool: Executor) -> DisparityMap:
