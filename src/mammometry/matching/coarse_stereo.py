@@ -17,7 +17,7 @@ from mammometry.base.errors import MatchingError
 from mammometry.base.photograph import Photograph
 from mammometry.geometry import Array, Bool, Camera, Float32, Float64, Rig, read_only
 from mammometry.matching.foreground.foreground import Foreground
-from mammometry.matching.foreground.seeded_segmentation import DepthSeeds
+from mammometry.matching.foreground.seeded_segmentation import SMALLEST_PART, DepthSeeds
 from mammometry.matching.foreground.silhouette import block_means
 from mammometry.matching.noise import checkerboard_residual
 from mammometry.matching.pyramid import Level
@@ -30,7 +30,6 @@ _NEAREST, _FARTHEST = 0.6, 4.0  # depths searched, of that of the working volume
 _NEAR, _FAR = 1.25, 1.4  # nearer than the one is in the volume, beyond the other behind it; in between is not known
 _AGREEMENT_PX = 1.0  # of both directions, small pixels
 _AROUND_PX, _TEXTURE = 9, 4.0  # variance over noise, around a pixel: a black room has 1 to 4, skin 7 to 60
-_SMALLEST_PART = 0.02  # of the largest part: smaller ones are chance
 _SMALLEST_FAR = 0.015  # of the picture: beside the frame, where the partner's ends, small parts match by chance
 _LEAST_SHARE = 0.02  # of the picture that must be near for a pair to say anything
 _FLATNESS = 0.012  # of the depth: what is nearer to a plane lies on it; a pixel of disparity, and a tenth of a cast
@@ -347,7 +346,7 @@ def _cleaned(mask: Bool[Array, "h w"], least_share: float) -> Bool[Array, "h w"]
         return opened
     sizes = np.bincount(labels.ravel())
     sizes[0] = 0
-    large: Bool[Array, "h w"] = (sizes >= max(_SMALLEST_PART * sizes.max(), least_share * mask.size))[labels]
+    large: Bool[Array, "h w"] = (sizes >= max(SMALLEST_PART * sizes.max(), least_share * mask.size))[labels]
     return large
 
 

@@ -12,6 +12,9 @@ from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int64, Sha
 
 _TILE_ROWS, _TILE_COLUMNS = 32, 128  # pixels; a tile's sums fit a processor's second cache
 _LEAST_STRETCH = 0.5  # of a row from one image to the other, and 1 / this at most; chosen by eye
+LEAST_DETERMINED = np.float32(1e-3)  # of a slope², left by the other unknowns
+LEAST_GAIN, LARGEST_GAIN = np.float32(0.1), np.float32(10.0)  # between the pictures
+UNKNOWN_VARIANCE_PX2 = np.float32(1e4)
 _RATIO_ROWS = 2  # every second row is enough for one number
 
 
@@ -262,7 +265,7 @@ def shift_of_sums(m, mr, mg, mrr, mrg, mgg, ml, mlr, mlg, mll, floor, concentrat
     `least_squares`. Without branches, so that a loop of it is compiled to vector instructions: what would divide by
     nothing is computed with something else and not taken.
     """
-    zero, one, unknown = np.float32(0.0), np.float32(1.0), np.float32(1e4)
+    zero, one = np.float32(0.0), np.float32(1.0)
     filled = m >= np.float32(0.01)
     scale = one / (m if filled else one)
     r1, g1, l1 = mr * scale, mg * scale, ml * scale
@@ -272,15 +275,16 @@ def shift_of_sums(m, mr, mg, mrr, mrg, mgg, ml, mlr, mlg, mll, floor, concentrat
     correlation = lr / np.sqrt(rr * ll if textured else one)
     rr = rr if textured else one
     steep = gg - rg * rg / rr  # what the slope holds that gain and offset do not
-    determined = textured & (steep >= np.float32(1e-3) * gg) & (steep > zero) & (lr > zero)
+    determined = textured & (steep >= LEAST_DETERMINED * gg) & (steep > zero) & (lr > zero)
     steep = steep if determined else one
     gained = (lg - lr * rg / rr) / steep
     gain = (lr - gained * rg) / rr
-    determined = determined & (gain >= np.float32(0.1)) & (gain <= np.float32(10.0))
+    determined = determined & (gain >= LEAST_GAIN) & (gain <= LARGEST_GAIN)
     gain = gain if determined else one
     left_over = max(ll - gain * lr - gained * lg, np.float32(1e-3) * ll)
     variance = left_over * concentration * scale / (gain * gain * steep)
-    return gained / gain if determined else zero, correlation if textured else zero, variance if determined else unknown
+    shift = gained / gain if determined else zero
+    return shift, correlation if textured else zero, variance if determined else UNKNOWN_VARIANCE_PX2
 
 
 @fast_kernel
@@ -306,7 +310,7 @@ def least_squares(
     shift = np.zeros((last - first, width), dtype=np.float32)
     correlation = np.zeros((last - first, width), dtype=np.float32)
     mass = np.zeros((last - first, width), dtype=np.float32)
-    variance = np.full((last - first, width), np.float32(1e4), dtype=np.float32)
+    variance = np.full((last - first, width), UNKNOWN_VARIANCE_PX2, dtype=np.float32)
     squares = np.float32(0.0)
     for k in range(taps.shape[0]):
         squares += taps[k] * taps[k]

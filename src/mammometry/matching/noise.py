@@ -16,10 +16,9 @@ from scipy import ndimage
 from mammometry.geometry.arrays import Array, Bool, Float32
 from mammometry.matching.dense.least_squares_step import Estimate
 from mammometry.matching.filters import blur, gaussian_taps, pull
-from mammometry.matching.pyramid import Level, build, decimation
+from mammometry.matching.pyramid import FAR_WEIGHT, Level, build, decimation
 
 _PART_PX = 768  # side of the square in the subject's middle that is looked at
-_MOST = 3  # levels that may be empty
 _RIM_PX = 3  # off the subject's rim, where the picture is continued
 _FEWEST_PX = 400  # of a level; fewer tell nothing
 _SOFT = 0.5
@@ -41,7 +40,8 @@ def empty_levels(image: Float32[Array, "h w"], mask: Bool[Array, "h w"]) -> int:
     corner = [max(0, int(np.median(place)) - _PART_PX // 2) for place in (rows, columns)]
     part = tuple(slice(start, start + _PART_PX) for start in corner)
     noise, steps = 0.0, []
-    for number, level in enumerate(build(image[part].copy(), mask[part].copy(), 0, _MOST + 1)):
+    coarsest = int(np.log2(_PART_PX / np.sqrt(_FEWEST_PX)))
+    for number, level in enumerate(build(image[part].copy(), mask[part].copy(), 0, coarsest)):
         inner = ndimage.binary_erosion(level.mask, iterations=_RIM_PX)
         if np.count_nonzero(inner) < _FEWEST_PX:
             break
@@ -60,7 +60,6 @@ def empty_levels(image: Float32[Array, "h w"], mask: Bool[Array, "h w"]) -> int:
 
 
 _AROUND_PX = 4.0  # Gaussian σ over which noise is averaged, pixels of the level it is wanted on; chosen by eye
-_FAR_WEIGHT = 1e-3  # of the subject's mean, where nothing of it is near; any small number
 
 
 def checkerboard_residual(image: Float32[Array, "h w"]) -> Float32[Array, "h w"]:
@@ -95,7 +94,7 @@ def noise_variance(finest: Level, decimations: Sequence[Float32[Array, " _"]]) -
         squares *= np.float32(np.sum(taps.astype(np.float64) ** 2) ** 2)
         mass *= np.float32(0.25)
     around = gaussian_taps(_AROUND_PX)
-    wide = np.float32(_FAR_WEIGHT)
+    wide = np.float32(FAR_WEIGHT)
     mean = np.float32(np.average(squares, weights=mass)) if mass.any() else np.float32(0)
     squares *= mass
     variance = blur(squares, around)

@@ -12,7 +12,7 @@ from mammometry.geometry import Array, Bool, Camera, Float32, Float64, read_only
 from mammometry.matching.filters import continue_outside, double, gaussian_taps, halve
 
 _JUMP_PX = 0.5  # from a pixel's centre to its quarter: a change of that size, a slope of 2, is no skin's
-_FAR_WEIGHT = 1e-3  # of the subject's mean, where nothing of it is near; any small number
+FAR_WEIGHT = 1e-3  # of the subject's mean, where nothing of it is near; any small number
 _FILL_PX = 3.0  # Gaussian σ of the normalised blur that continues the subject beyond its outline; chosen by eye
 
 
@@ -88,7 +88,7 @@ def continued(image: Float32[Array, "h w"], mask: Bool[Array, "h w"]) -> Float32
         return image
     # Read-only, as the photograph itself is: the kernel is compiled for one kind of array.
     return continue_outside(
-        read_only(image), mask, gaussian_taps(_FILL_PX), float(np.mean(image, where=mask)), _FAR_WEIGHT
+        read_only(image), mask, gaussian_taps(_FILL_PX), float(np.mean(image, where=mask)), FAR_WEIGHT
     )
 
 

@@ -75,7 +75,8 @@ def rectify(
         ImageError: a photograph or foreground has not its camera's size.
         MatchingError: the cameras stand at one place, look away from each other, or see no common row of the subject.
     """
-    for photograph, foreground, camera in ((left, left_foreground, pair.left), (right, right_foreground, pair.right)):
+    sides = ((left, left_foreground, pair.left), (right, right_foreground, pair.right))
+    for photograph, foreground, camera in sides:
         if photograph.size_wh != camera.size_wh or foreground.coverage.shape != camera.shape_hw:
             raise ImageError(
                 photograph.name,
@@ -86,7 +87,6 @@ def rectify(
             )
     rotation = _common_rotation(pair)
     focal = float(np.mean([camera.matrix[axis, axis] for camera in (pair.left, pair.right) for axis in (0, 1)]))
-    sides = ((left, left_foreground, pair.left), (right, right_foreground, pair.right))
     with ThreadPoolExecutor(len(sides)) as pool:
         outlines = list(pool.map(lambda side: _outline(side[2], side[1], rotation, focal), sides))
     shift = None

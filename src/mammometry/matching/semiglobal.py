@@ -173,7 +173,7 @@ def cheapest(
 
 _SMALL_STEP, _LARGE_STEP = COSTS_TO_ONE // 4, COSTS_TO_ONE  # of the shift by 1 px and by more; chosen by eye
 _OUTSIDE = 1.2  # cost of a partner that is not the subject; two unrelated neighbourhoods cost 1; chosen by eye
-_CALM_PX = 1.0  # Gaussian σ before pixels two apart are taken: half of that distance
+_FAR_PX = 2  # distance of the pixels of a wider neighbourhood; the picture is calmed by half of it before
 _POWER_PX = 1.5  # Gaussian σ over which a neighbourhood's variance is averaged: its own width
 _GRAIN = 4.0  # times the noise that is seen: compressed pictures hide most; 4 to 8 measured alike (docs/decisions/0015)
 _FLAT = 1e-3  # standard deviation of luma (0…1) below which a neighbourhood weighs less: a quarter of an 8-bit step
@@ -198,7 +198,7 @@ def start(
     centres = [
         float(np.average(np.arange(level.mask.shape[1]), weights=level.mask.sum(axis=0))) for level in (left, right)
     ]
-    reach = max(int(np.ceil(range_share * width)), 2)
+    reach = int(np.ceil(range_share * width))
     return _searched(left, right, noise, round(centres[1] - centres[0]) - reach, 2 * reach + 1)
 
 
@@ -236,7 +236,7 @@ def _unit_neighbourhoods(level: Level, noise: Float32[Array, "h w"]) -> Float32[
     first one would find nothing but chance.
     """
     near, near_power = _neighbourhood(level.image, level.mask, 1)
-    far, far_power = _neighbourhood(blur(level.image, gaussian_taps(_CALM_PX)), level.mask, 2)
+    far, far_power = _neighbourhood(blur(level.image, gaussian_taps(_FAR_PX / 2)), level.mask, _FAR_PX)
     power = blur(near_power, gaussian_taps(_POWER_PX)) / 8  # nine values without their mean
     share = np.clip(1 - _GRAIN * noise / np.maximum(power, 1e-12), 0, 1)
     near *= np.sqrt(share / (near_power + 9 * _FLAT**2))[..., None]

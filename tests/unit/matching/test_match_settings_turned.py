@@ -93,11 +93,10 @@ def test_so_many_pixels_are_taken_off_the_silhouette(
 # --- where matching starts
 
 
-def test_the_start_is_made_where_the_subject_spans_no_more_than_asked(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_start_is_made_where_the_subject_spans_no_more_than_400_pixels() -> None:
     assert levels(390).coarsest == 1  # above 230 px one level coarser than full
     assert levels(1500).coarsest == 2
-    monkeypatch.setattr("mammometry.matching.dense.least_squares.START_SPAN_PX", 100.0)
-    assert levels(390).coarsest == 2
+    assert all(span / 2 ** levels(span).coarsest <= 400 for span in range(24, 3300, 61))
 
 
 def test_both_pictures_are_matched_where_the_subject_spans_no_more_than_asked(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,11 +5,11 @@ from scipy import ndimage
 
 from mammometry.geometry.arrays import Array, Bool
 from mammometry.matching.dense.least_squares import Solved
-from mammometry.matching.dense.least_squares_step import Both, Estimate
+from mammometry.matching.dense.least_squares_step import DOUBTED_DEVIATION_PX, Both, Estimate
+from mammometry.matching.foreground.block_segmentation import large_parts
 from mammometry.matching.pyramid import Level, finer_mask
 
 _REACH_PX = 8  # around what the coarsest level matched, its pixels: one window; chosen by eye
-_CERTAIN_PX = 0.3  # expected deviation, coarsest level's pixels, of a match that is believed; chosen by eye
 _SMALLEST_PART = 0.05  # of the largest matched part; the rest is clutter; chosen by eye
 _MOSTLY = 0.6  # matched share of the masks above which nothing is cut: a subject, not a scene; chosen by eye
 
@@ -25,15 +25,14 @@ def worth_matching(matches: Both[Estimate], masks: Both[Bool[Array, "h w"]]) -> 
     are kept.
     """
     kept = [
-        mask & match.plausible & (match.variance < _CERTAIN_PX**2) for match, mask in zip(matches, masks, strict=True)
+        mask & match.plausible & (match.variance < DOUBTED_DEVIATION_PX**2)
+        for match, mask in zip(matches, masks, strict=True)
     ]
     whole = whole_window(masks[0])
     if sum(np.count_nonzero(k) for k in kept) > _MOSTLY * sum(np.count_nonzero(mask) for mask in masks):
         return masks, whole
-    wide = [
-        mask & ndimage.binary_dilation(_large_parts(ndimage.binary_opening(k, iterations=2)), iterations=_REACH_PX)
-        for k, mask in zip(kept, masks, strict=True)
-    ]
+    parts = [large_parts(ndimage.binary_opening(k, iterations=2), _SMALLEST_PART) for k in kept]
+    wide = [mask & ndimage.binary_dilation(part, iterations=_REACH_PX) for part, mask in zip(parts, masks, strict=True)]
     if not (wide[0].any() and wide[1].any()):
         return masks, whole
     both = wide[0] | wide[1]
@@ -43,16 +42,6 @@ def worth_matching(matches: Both[Estimate], masks: Both[Bool[Array, "h w"]]) -> 
         slice(max(int(columns[0]) - _REACH_PX, 0), int(columns[-1]) + 1 + _REACH_PX),
     )
     return (wide[0], wide[1]), window
-
-
-def _large_parts(mask: Bool[Array, "h w"]) -> Bool[Array, "h w"]:
-    labels, count = ndimage.label(mask)
-    if count == 0:
-        return mask
-    sizes = np.bincount(labels.ravel())
-    sizes[0] = 0
-    large: Bool[Array, "h w"] = (sizes >= _SMALLEST_PART * sizes.max())[labels]
-    return large
 
 
 def at_level(window: Window, steps: int, shape_hw: tuple[int, int]) -> Window:

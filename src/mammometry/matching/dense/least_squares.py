@@ -16,6 +16,7 @@ import numpy as np
 from mammometry.base.errors import MatchingError
 from mammometry.geometry.arrays import Array, Bool, Float32
 from mammometry.matching.dense.least_squares_step import (
+    LARGEST_VARIANCE_PX2,
     Both,
     Estimate,
     Side,
@@ -31,12 +32,10 @@ from mammometry.matching.pyramid import Level, finer_shift
 from mammometry.matching.semiglobal import span_px
 from mammometry.matching.settings import MatchSettings
 
-START_SPAN_PX = 400.0
-"""Subject size (root of its area, pixels) below which semi-global matching starts: the finest such level. At half of
-it, folds and arms are taken for one surface. Memory grows with its third power."""
 FINEST_SPAN_PX = 800.0
 """Subject size (root of its area, pixels) above which a level is not matched from both pictures: on the photograph's
-own pixels optics leave little. One level coarser only left matches are made, which coarser right ones check."""
+own pixels optics leave little. One level coarser only left matches are made, which coarser right ones check. So
+semi-global matching starts at half of it at most; at a quarter, folds and arms are taken for one surface."""
 
 _FIRST_STEPS, _FURTHER_STEPS, _LAST_STEPS = 5, 4, 2
 """Least-squares steps on the coarsest, the middle and the last level solved from both pictures.
@@ -114,8 +113,7 @@ def choose_levels(pair_name: str, masks: Sequence[Bool[Array, "h w"]], *, empty:
         )
     empty = max(0, min(empty, int(np.log2(span / _SOFT_SPAN_PX))))
     last_both = max(empty, int(np.ceil(np.log2(span / FINEST_SPAN_PX))))
-    calm = last_both + int(span / 2**last_both > _CALM_SPAN_PX)
-    coarsest = max(calm, int(np.ceil(np.log2(span / START_SPAN_PX))))
+    coarsest = last_both + int(span / 2**last_both > _CALM_SPAN_PX)
     return Levels(coarsest=coarsest, last_both=last_both, finest=max(empty, min(last_both, _FINEST_LEVEL)))
 
 
@@ -125,7 +123,6 @@ as noise allows."""
 AGREEMENT_PX = 1.0  # between the two directions, for a match to count in the smoothing; chosen by eye
 _START_DEVIATION_PX = 0.5  # of the semi-global start, pixels of its level; chosen by eye
 _YIELDS_AT = 4.0  # times the known match's standard deviation: a finer match less certain is dropped; chosen by eye
-_LARGEST_VARIANCE_PX2 = np.float32(1.0)  # as in `belief`: a step is never larger than 1 px
 _COARSE_SMOOTHING_PX = 2.5  # σ of the plane fits between the steps: a window's own
 LAST_SMOOTHING_PX = 4.5  # … on the last level; 3.5 px was worse on the torso by a twentieth (docs/decisions/0015)
 _DETAIL_FACTOR = 2.75
@@ -287,7 +284,7 @@ def finally_smoothed(
     return adaptively_smooth(
         found.shift,
         smoothing_weights(found.variance, found.plausible, mask),
-        np.minimum(found.variance, _LARGEST_VARIANCE_PX2),
+        np.minimum(found.variance, LARGEST_VARIANCE_PX2),
         settings.window_sigma_px,
         SMOOTHING_PX,
         _DETAIL_FACTOR,

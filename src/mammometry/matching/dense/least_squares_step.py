@@ -19,7 +19,8 @@ from mammometry.matching.pyramid import Level
 
 _DOUBTED_WEIGHT = np.float32(0.02)  # of a match that failed: it only bridges gaps; chosen by eye
 _LEAST_VARIANCE_PX2 = np.float32(0.01**2)  # keeps one very sure match from outweighing all others; chosen by eye
-_LARGEST_VARIANCE_PX2 = np.float32(1.0)  # a step is never larger than 1 px
+LARGEST_STEP_PX = 1.0  # beyond, the linear model of a window does not hold; chosen by eye
+LARGEST_VARIANCE_PX2 = np.float32(LARGEST_STEP_PX**2)
 
 
 @fast_kernel
@@ -106,7 +107,7 @@ def smoothing_weights(
         row, spread, good, inside = out[i], variance[i], plausible[i], mask[i]
         for j in range(width):
             share = _DOUBTED_WEIGHT + np.float32(good[j])
-            weight = share / (min(spread[j], _LARGEST_VARIANCE_PX2) + _LEAST_VARIANCE_PX2)
+            weight = share / (min(spread[j], LARGEST_VARIANCE_PX2) + _LEAST_VARIANCE_PX2)
             row[j] = weight if inside[j] else np.float32(0.0)
     return out
 
@@ -117,10 +118,9 @@ off: accepted matches must still agree both ways and be certain enough."""
 LEAST_MASS = 0.3  # of the window inside both subjects; chosen by eye
 FLAT_DEVIATION = 0.002  # luma (0…1) within a window: half a step of 8 bit; below, too flat to match
 _BAND_ROWS = 192  # bounds memory: a full-size torso under a gigabyte (docs/decisions/0020)
-_LARGEST_STEP_PX = 1.0  # beyond, the linear model of a window does not hold; chosen by eye
 _WIDER = 2.0  # times the window, where the ordinary one fails: weak texture, dark folds (docs/decisions/0015)
 _WIDE_YIELDS_AT = 3.0  # times the wide window's standard deviation; chosen by eye
-_DOUBTED_DEVIATION_PX = 0.3  # where the wide window is tried, too (docs/decisions/0015)
+DOUBTED_DEVIATION_PX = 0.3  # expected of a match: above, the wide window is tried, too (docs/decisions/0015)
 _HIGH_PASS = 2.0  # times the window's σ; σ 3, 5 and 10 px were compared (docs/decisions/0015, Whitening)
 
 _T = TypeVar("_T")
@@ -201,13 +201,13 @@ def step(here: Side, there: Side, shift: Float32[Array, "h w"], sigma_px: float,
     )
     for top in range(0, height, _BAND_ROWS):
         band = slice(top, min(top + _BAND_ROWS, height))
-        found = _step_of_band(warp, band, sigma_px, LEAST_CORRELATION, widely=widely)
+        found = _step_of_band(warp, band, sigma_px, widely=widely)
         for name in Estimate.__dataclass_fields__:
             getattr(result, name)[band] = getattr(found, name)
     return result
 
 
-def _step_of_band(warp: _Warp, band: slice, sigma_px: float, least_correlation: float, *, widely: bool) -> Estimate:
+def _step_of_band(warp: _Warp, band: slice, sigma_px: float, *, widely: bool) -> Estimate:
     """`step` for the rows of a band."""
     here, there, shift = warp.here, warp.there, warp.shift
     taps, wide_taps = gaussian_taps(sigma_px), gaussian_taps(_WIDER * sigma_px)
@@ -227,10 +227,10 @@ def _step_of_band(warp: _Warp, band: slice, sigma_px: float, least_correlation: 
         plausible = (
             subject[where]
             & (mass > LEAST_MASS)
-            & (correlation > least_correlation)
-            & (np.abs(change) < _LARGEST_STEP_PX)
+            & (correlation > LEAST_CORRELATION)
+            & (np.abs(change) < LARGEST_STEP_PX)
         )
-        np.clip(change, -_LARGEST_STEP_PX, _LARGEST_STEP_PX, out=change)
+        np.clip(change, -LARGEST_STEP_PX, LARGEST_STEP_PX, out=change)
         return Estimate(
             shift=shift[band][where] + change,
             step=change,
@@ -248,7 +248,7 @@ def _step_of_band(warp: _Warp, band: slice, sigma_px: float, least_correlation: 
         whole[jumping] = part
     found = estimate(solved, (slice(None), slice(None)))
     if widely:
-        doubted = _pixels(subject & (~found.plausible | (found.variance > _DOUBTED_DEVIATION_PX**2)))
+        doubted = _pixels(subject & (~found.plausible | (found.variance > DOUBTED_DEVIATION_PX**2)))
         _take_better(found, estimate(in_windows(doubted, wide_taps), doubted), doubted)
     return found
 

@@ -40,6 +40,7 @@ from mammometry.matching.dense.least_squares import (
     upsampled_start,
 )
 from mammometry.matching.dense.least_squares_step import (
+    LARGEST_STEP_PX,
     LEAST_CORRELATION,
     Both,
     Estimate,
@@ -72,7 +73,7 @@ noise does not explain what gain and offset leave over."""
 _SIGMA_SCALE = 1.8  # expected σ over the smoothing's; captures of two renderers (error / σ in docs/decisions/0015)
 _SIGMA_SLOPE = 1.0  # … and so much more by slope²
 _DOUBT_SLOPE = 4.0  # a window on steep skin is doubted sooner, by 1 + 4·slope²; chosen by eye
-_LAST_STEP_PX = 0.5  # a match that still moves by more has not settled; half of the largest step
+_LAST_STEP_PX = LARGEST_STEP_PX / 2  # a match that still moves by more has not settled
 _D_H_STEP_PX = 2.0**-8  # of what is handed on: its rounding has a σ of .0011 px, matching .019 at least (0039)
 _D_V_STEP_PX = 2.0**-10  # finer: medians are taken of it, which find what moved
 _CONFIDENCE_STEP = 2.0**-7  # shown with two decimals
@@ -290,9 +291,6 @@ def _solve_both(begun: Start, settings: MatchSettings, pool: Executor, progress:
     )
 
 
-# --- 3. Finish -------------------------------------------------------------------------------------------------------
-
-
 def refined(
     images: Both[Level], coarse: Refined, vertical: Vertical, level: int, settings: MatchSettings, pool: Executor
 ) -> Refined:
@@ -352,6 +350,9 @@ def _rows(known: LevelStart, rows: slice) -> LevelStart:
         plausible=known.plausible[half],
         halved=known.halved,
     )
+
+
+# --- 3. Finish -------------------------------------------------------------------------------------------------------
 
 
 def finish(pair: RectifiedPair, found: Finest, settings: MatchSettings, pool: Executor) -> DisparityMap:

@@ -225,7 +225,7 @@ def smooth(
         return from_blocks(coarse, values.shape[0], values.shape[1], _JUMP_PX)
     taps = gaussian_taps(sigma_px)
     reach = max(1, round(_WINDOW_MOVE * sigma_px))
-    enough = _ENOUGH_MASS * max(float(weights.max()), 1e-30)
+    enough = _ENOUGH_MASS * float(weights.max())
     height = values.shape[0]
     result = np.empty_like(values)
     known = np.empty(values.shape, dtype=np.float32)
@@ -315,11 +315,11 @@ def _noise(gain: Float64[Array, "n n"], window_sigma_px: float) -> float:
     return float((gain**2 * window).sum() / window.sum())
 
 
-def _response(sigma_px: float, length: int = 256) -> Float64[Array, " n"]:
+def _response(sigma_px: float) -> Float64[Array, " n"]:
     """Fourier transform of the Gaussian window along a row. For the frequencies 0 … 1 cycle a pixel."""
     taps = gaussian_taps(sigma_px).astype(np.float64)
     radius = len(taps) // 2
-    signal = np.zeros(length)
+    signal = np.zeros(256)
     signal[: radius + 1] = taps[radius:]
     signal[-radius:] += taps[:radius]
     return np.asarray(np.fft.fft(signal).real)

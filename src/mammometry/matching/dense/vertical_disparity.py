@@ -18,9 +18,17 @@ from scipy import ndimage
 from mammometry.base.machine.cores import in_bands
 from mammometry.base.value import value
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Shaped
-from mammometry.matching.correlation_kernels import calm_at, warp_rows
+from mammometry.matching.correlation_kernels import (
+    LARGEST_GAIN,
+    LEAST_DETERMINED,
+    LEAST_GAIN,
+    UNKNOWN_VARIANCE_PX2,
+    calm_at,
+    warp_rows,
+)
 from mammometry.matching.dense.least_squares_step import (
     FLAT_DEVIATION,
+    LARGEST_STEP_PX,
     LEAST_MASS,
     Both,
     Estimate,
@@ -206,12 +214,6 @@ def refine(
     return before.changed(aligned_by - 2**level * solution[1:7] / solution[0], [term[keep] for term in terms])
 
 
-_LARGEST_STEP_PX = 1.0  # as of the horizontal step
-_LEAST_DETERMINED = np.float32(1e-3)  # of a slope², left by the other unknowns: as in `correlate.shift_of_sums`
-_GAINS = (0.1, 10.0)  # least and largest between the pictures: as there
-_UNKNOWN_VARIANCE_PX2 = np.float32(1e4)
-
-
 @value(eq=False)
 class FreeVertical:
     """The vertical disparity v_left − v_right at each pixel of the right image, on the level last solved."""
@@ -256,8 +258,8 @@ class FreeVertical:
         columns = np.broadcast_to(np.arange(width, dtype=np.float32), (height, width))
         before = self.at(columns, state.level)
         change, variance, determined = vertical_step(right, left, state.shifts[1], self.window_sigma_px)
-        determined &= state.matches[1].plausible & (np.abs(change) < _LARGEST_STEP_PX)
-        moved = before + np.clip(change, -_LARGEST_STEP_PX, _LARGEST_STEP_PX)
+        determined &= state.matches[1].plausible & (np.abs(change) < LARGEST_STEP_PX)
+        moved = before + np.clip(change, -LARGEST_STEP_PX, LARGEST_STEP_PX)
         weights = smoothing_weights(variance, determined, right.mask)
         field = smooth(moved, weights, state.smoothing_px, before)
         return FreeVertical(d_v_px=field, level=state.level, window_sigma_px=self.window_sigma_px)
@@ -301,17 +303,17 @@ def vertical_step(
     # What gain and offset explain is taken out first, then what the horizontal shift does.
     left_x, left_y = lx - lr * rx / rr, ly - lr * ry / rr
     steep_x, slant, steep_y = xx - rx * rx / rr, xy - rx * ry / rr, yy - ry * ry / rr
-    determined &= (steep_x > _LEAST_DETERMINED * xx) & (steep_x > 0)
+    determined &= (steep_x > LEAST_DETERMINED * xx) & (steep_x > 0)
     steep_x = np.where(determined, steep_x, np.float32(1))
     alone = steep_y - slant * slant / steep_x
-    determined &= (alone > _LEAST_DETERMINED * yy) & (alone > 0)
+    determined &= (alone > LEAST_DETERMINED * yy) & (alone > 0)
     alone = np.where(determined, alone, np.float32(1))
     gained_y = (left_y - left_x * slant / steep_x) / alone
     gained_x = (left_x - gained_y * slant) / steep_x
     gain = (lr - gained_x * rx - gained_y * ry) / rr
-    determined &= (gain >= _GAINS[0]) & (gain <= _GAINS[1])
+    determined &= (gain >= LEAST_GAIN) & (gain <= LARGEST_GAIN)
     gain = np.where(determined, gain, np.float32(1))
     left_over = np.maximum(ll - gain * lr - gained_x * lx - gained_y * ly, np.float32(1e-3) * ll)
     concentration = np.float32(np.sum(taps.astype(np.float64) ** 2) ** 2)  # Σw² of the window, whose Σw is 1
-    variance = np.where(determined, left_over * concentration / (scale * gain * gain * alone), _UNKNOWN_VARIANCE_PX2)
+    variance = np.where(determined, left_over * concentration / (scale * gain * gain * alone), UNKNOWN_VARIANCE_PX2)
     return np.where(determined, gained_y / gain, np.float32(0)), variance.astype(np.float32), determined

@@ -166,10 +166,10 @@ def check_masks(
     places = {name: _in_blocks(rig.cameras[name], grid, steps[name]) for name in left}
     while len(left) > 1:
         filled = _filled(left, places)
-        if min(float(cells[part].mean()) if part.any() else 0.0 for part, cells, _ in filled.values()) >= _FILLED:
+        if _least(filled) >= _FILLED:
             left = {name: _parts(mask, *filled[name]) for name, mask in left.items()}
             break
-        worst = max(left, key=lambda name: _least_filled({k: v for k, v in left.items() if k != name}, places))
+        worst = max(left, key=lambda name: _least(_filled({k: v for k, v in left.items() if k != name}, places)))
         share = 100 * left.pop(worst).mean()
         doubts[worst] = f"its silhouette of {share:.0f} % of the picture does not fit the other cameras'"
     return Checked(masks=left, doubts=doubts)
@@ -198,17 +198,17 @@ def _in_blocks(
     return places[:, 1], places[:, 0], inside
 
 
-_Places = Mapping[str, tuple[Array, Array, Bool[Array, " n"]]]
+_Filled = Mapping[str, tuple[Bool[Array, "H W"], Bool[Array, "H W"], int]]
 
 
-def _least_filled(masks: Mapping[str, Bool[Array, "h w"]], places: _Places) -> float:
-    shares = [float(cells[part].mean()) if part.any() else 0.0 for part, cells, _ in _filled(masks, places).values()]
-    return min(shares)
+def _least(filled: _Filled) -> float:
+    """Share of the silhouette that the hull fills least."""
+    return min(float(cells[part].mean()) if part.any() else 0.0 for part, cells, _ in filled.values())
 
 
 def _filled(
-    masks: Mapping[str, Bool[Array, "h w"]], places: _Places
-) -> dict[str, tuple[Bool[Array, "H W"], Bool[Array, "H W"], int]]:
+    masks: Mapping[str, Bool[Array, "h w"]], places: Mapping[str, tuple[Array, Array, Bool[Array, " n"]]]
+) -> _Filled:
     """Camera → its silhouette's cells before what other cameras see, cells that the hull fills, blocks to a cell."""
     hull, seen = np.ones(_GRID**3, dtype=bool), np.zeros(_GRID**3, dtype=np.int16)
     for name, mask in masks.items():

@@ -24,10 +24,10 @@ _FEWEST = 0.002  # of the picture, for a core or a backdrop to be one
 _LEAST_CONTRAST = 1.5  # of the core's red over the rest's
 _TWO_THINGS, _TWO_CLASSES = 1.8, 0.83  # ratio of means and share of variance between; one subject: 1.4, .76 at most
 _BINS, _BIN_SPREAD = 96, 1.2  # of chromaticity along red and green, σ of the counts' blur in bins
-_CHROMATICITY = ((0.15, 0.65), (0.15, 0.55))  # of red and of green in all light, encoded: what skin and rooms show
+CHROMATICITY = ((0.15, 0.65), (0.15, 0.55))  # of red and of green in all light, encoded: what skin and rooms show
 _RARE = 0.01  # of the commonest colour's frequency: no colour of the subject
 _ALIKE, _UNLIKE = 0.6, 0.35  # share of the core, and at most of the backdrop, that must have the subject's colour
-_DARKEST = 0.25  # of the core's median light (red + green + blue, encoded): darker, colour is noise
+DARKEST = 0.25  # of the subject's median light (red + green + blue, encoded): darker, colour is noise
 _THIN_PX = 1.6  # half the width of what is cut off, pixels of the reference size
 _INLAY, _SET_IN = 0.05, 0.4  # of the subject's area, at most; of an inlay's border that the subject makes, at least
 _LARGE_HOLE = 0.004  # of the subject: smaller ones are always its own
@@ -43,12 +43,12 @@ def segment(encoded: Float32[Array, "h w channels"], unit: float) -> Bool[Array,
     """
     red = ndimage.gaussian_filter(encoded[..., _RED], 0.7 * unit, mode="nearest")
     threshold = _otsu(red)
-    core = _large_parts(red > threshold)
+    core = large_parts(red > threshold, _SMALLEST_PART)
     if core.any():
         brighter = _otsu(red[core])
         if _apart(red[core], brighter):  # a dark subject on a board that is itself paler than the dark around it
             threshold = brighter
-            core = _large_parts(red > threshold)
+            core = large_parts(red > threshold, _SMALLEST_PART)
     if not _FEWEST < core.mean() < 1 - 10 * _FEWEST:
         return None
     if red[core].mean() < _LEAST_CONTRAST * max(float(red[~core].mean()), 1e-6):
@@ -56,11 +56,10 @@ def segment(encoded: Float32[Array, "h w channels"], unit: float) -> Bool[Array,
     light = ndimage.gaussian_filter(encoded, (unit, unit, 0), mode="nearest")
     coloured = _coloured_like(light, core, unit)
     if coloured is not None:
-        core = _with_inlays(_large_parts(core & coloured), core)
+        core = _with_inlays(large_parts(core & coloured, _SMALLEST_PART), core)
         total = light.sum(axis=2)
-        coloured &= total > _DARKEST * np.median(total[core])
+        coloured &= total > DARKEST * np.median(total[core])
     subject = core
-    backdrop = ~core
     for _ in range(_GROWTH_ROUNDS):
         # Well away from what is subject so far, and of another colour: a shaded flank must not raise the level.
         backdrop = ~_widened(subject, 8 * unit)
@@ -71,12 +70,12 @@ def segment(encoded: Float32[Array, "h w channels"], unit: float) -> Bool[Array,
         level = BACKGROUND_MARGIN * float(np.quantile(red[backdrop], 0.999))
         # Before a backdrop that is nowhere as bright as the core, light alone is proof; elsewhere colour must be.
         like = coloured if coloured is not None and level > threshold else red > min(level, threshold)
-        grown = ndimage.binary_propagation(core, mask=core | like if coloured is None else core | like | coloured)
+        grown = ndimage.binary_propagation(core, mask=like if coloured is None else like | coloured)
         if np.count_nonzero(grown) == np.count_nonzero(subject):
             break
         subject = grown
     filled = _filled(_without_thin(subject, core, unit), red, backdrop)
-    found = _large_parts(filled)
+    found = large_parts(filled, _SMALLEST_PART)
     return found if found.any() else None
 
 
@@ -89,7 +88,7 @@ def _coloured_like(
         return None
     total = np.maximum(light.sum(axis=2), 1e-3)
     bins = []
-    for channel, (low, high) in enumerate(_CHROMATICITY):
+    for channel, (low, high) in enumerate(CHROMATICITY):
         share = (light[..., channel] / total - low) / (high - low)
         bins.append(np.clip((share * _BINS).astype(np.int64), 0, _BINS - 1))
     index = bins[0] * _BINS + bins[1]
@@ -119,7 +118,7 @@ def _with_inlays(core: Bool[Array, "h w"], bright: Bool[Array, "h w"]) -> Bool[A
     sizes = np.bincount(labels.ravel())
     shares = np.zeros(len(sizes))
     for label, box in enumerate(ndimage.find_objects(labels), start=1):
-        if 0 < sizes[label] <= _INLAY * np.count_nonzero(core):
+        if sizes[label] <= _INLAY * np.count_nonzero(core):
             window = tuple(slice(max(side.start - 1, 0), side.stop + 1) for side in box)
             patch = labels[window] == label
             shares[label] = core[window][ndimage.binary_dilation(patch) & ~patch].mean()
@@ -144,12 +143,12 @@ def _filled(
 ) -> Bool[Array, "h w"]:
     """The subject with its holes filled, except those that show the backdrop."""
     holes = ndimage.binary_fill_holes(subject) & ~subject
-    labels, count = ndimage.label(holes)
+    labels, _ = ndimage.label(holes)
     filled = subject | holes
-    if count == 0 or not backdrop.any():
+    if not backdrop.any():
         return filled
     behind = float(np.median(red[backdrop]))
-    sizes = np.bincount(labels.ravel(), minlength=count + 1)
+    sizes = np.bincount(labels.ravel())
     for label in np.nonzero(sizes[1:] > _LARGE_HOLE * np.count_nonzero(subject))[0] + 1:
         hole = labels == label
         if abs(float(np.median(red[hole])) - behind) < _LIKE_BACKDROP * behind:
@@ -188,12 +187,12 @@ def _widened(mask: Bool[Array, "h w"], distance: float) -> Bool[Array, "h w"]:
     return near
 
 
-def _large_parts(mask: Bool[Array, "h w"]) -> Bool[Array, "h w"]:
-    """The connected parts that are no specks beside the largest."""
+def large_parts(mask: Bool[Array, "h w"], least: float) -> Bool[Array, "h w"]:
+    """The connected parts of at least such a share of the largest one."""
     labels, count = ndimage.label(mask)
     if count == 0:
         return mask
     sizes = np.bincount(labels.ravel())
     sizes[0] = 0
-    keep: Bool[Array, "h w"] = (sizes >= max(_SMALLEST_PART * sizes.max(), 1))[labels]
+    keep: Bool[Array, "h w"] = (sizes >= least * sizes.max())[labels]
     return keep

@@ -29,7 +29,6 @@ from mammometry.matching.foreground.foreground import Foreground
 _TANGENT_STEP = 4  # points of the contour, about a pixel apart, on either side; chosen by eye
 _CONTOUR_POINTS = 700  # at least, where there are as many: bounds time
 _FRAME_BORDER_PX = 2.0  # nearer to the frame a profile is cut off
-_INWARD_PX = 3.0  # how far inside the contour is looked which of its sides is the subject; beyond its blur
 _SHARPNESS = 0.3  # of the ordinary edge's steepness; softer is the border of a shadow (docs/decisions/0017); by eye
 _ALONG = 2.0  # Gaussian σ over which profiles are averaged, points of the contour; chosen by eye
 # Grids of the search, in units of the blur of the contour's ordinary profile, which shade makes wider than the
@@ -112,10 +111,9 @@ def edge_places(profiles: Float64[Array, "n k"], x: Float64[Array, " k"], unit: 
     left, middle, right = (misfit[row, inner + k] for k in (-1, 0, 1))
     with np.errstate(invalid="ignore", divide="ignore"):
         vertex = 0.5 * (left - right) / (left - 2 * middle + right)
-    found = np.isfinite(vertex) & (best == inner)
     step = _PLACES[1] - _PLACES[0]
-    place = (_PLACES[inner] + np.clip(np.where(found, vertex, 0.0), -1, 1) * step) * unit
-    return np.where(found, place, np.nan)
+    place = (_PLACES[inner] + vertex * step) * unit
+    return np.where(np.isfinite(vertex) & (best == inner), place, np.nan)
 
 
 def _misfit(
@@ -163,13 +161,9 @@ def _sampled_contour(foreground: Foreground) -> Contour:
         return Contour(uv=nothing, tangent=nothing, inward=nothing)
     tangent = np.roll(uv, -_TANGENT_STEP, axis=0) - np.roll(uv, _TANGENT_STEP, axis=0)
     tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-9)
-    # find_contours keeps the higher values on the left of (row, column) paths: in (u, v) that is this side.
-    inward = np.stack([tangent[:, 1], -tangent[:, 0]], axis=1)
+    # find_contours has the lower values on the left of (row, column) paths: inward is the other side, in (u, v).
+    inward = np.stack([-tangent[:, 1], tangent[:, 0]], axis=1)
     height, width = foreground.coverage.shape
-    probe = np.round(uv + _INWARD_PX * inward).astype(int)
-    inside = foreground.mask[np.clip(probe[:, 1], 0, height - 1), np.clip(probe[:, 0], 0, width - 1)]
-    if inside.mean() < 0.5:
-        inward = -inward
     stride = max(1, len(uv) // _CONTOUR_POINTS)
     keep = ((uv > _FRAME_BORDER_PX) & (uv < np.array([width, height]) - 1 - _FRAME_BORDER_PX)).all(axis=1)
     keep &= np.arange(len(uv)) % stride == 0

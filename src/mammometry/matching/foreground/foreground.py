@@ -61,11 +61,16 @@ class Blocks:
 
 def blocks_of(photograph: Photograph) -> Blocks:
     """Means of a photograph over blocks, in which its subject is sought."""
-    unit = max(1.0, float(np.hypot(*photograph.size_wh)) / _REFERENCE_DIAGONAL_PX)
-    step = round(_BLOCK_PX * unit)
+    step, unit = _block_of(photograph)
     pixels = np.atleast_3d(photograph.pixels)
     levels = np.linspace(0, 1, np.iinfo(pixels.dtype).max + 1, dtype=np.float32)
     return Blocks(encoded=block_means(pixels, levels, step), step=step, unit=unit)
+
+
+def _block_of(photograph: Photograph) -> tuple[int, float]:
+    """Pixels to a block, and to one of the reference size."""
+    unit = max(1.0, float(np.hypot(*photograph.size_wh)) / _REFERENCE_DIAGONAL_PX)
+    return round(_BLOCK_PX * unit), unit
 
 
 def subject_blocks(name: str, blocks: Blocks, seeds: Sequence[DepthSeeds]) -> Bool[Array, "h w"] | None:
@@ -109,8 +114,8 @@ def estimate_foreground(
     if subject is None:
         whole = np.ones(photograph.pixels.shape[:2], dtype=np.float32)
         return Foreground(camera=camera_name, coverage=whole, contour_level=CONTOUR_LEVEL, everything=True)
-    unit = max(1.0, float(np.hypot(*photograph.size_wh)) / _REFERENCE_DIAGONAL_PX)
-    step, pixels = round(_BLOCK_PX * unit), np.atleast_3d(photograph.pixels)
+    step, unit = _block_of(photograph)
+    pixels = np.atleast_3d(photograph.pixels)
     coverage = sub_pixel_coverage(pixels, linear_of(pixels.dtype), subject, step, unit, CONTOUR_LEVEL)
     return Foreground(camera=camera_name, coverage=coverage, contour_level=CONTOUR_LEVEL, everything=False)
 

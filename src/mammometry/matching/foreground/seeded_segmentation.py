@@ -16,19 +16,18 @@ from skimage.segmentation import watershed
 
 from mammometry.base.value import value
 from mammometry.geometry.arrays import Array, Bool, Float32, Int32
+from mammometry.matching.foreground.block_segmentation import CHROMATICITY, DARKEST
 
 # Where no other source is named: chosen on the simulated captures of docs/decisions/0028.
 _FATTENED = 4.0  # small pixels by which the coarse stereo may carry a depth over a border
 _SHARE_BINS, _LIGHT_BINS = 48, 24  # of red's and green's share of all light, and of light
-_DARKEST = 0.25  # of the near seeds' median light: darker, chromaticity is noise
-_SHARES = ((0.15, 0.65), (0.15, 0.55))  # of red and of green in all light, encoded: what skin and rooms show
 _SURE = 4.0  # ratio of the frequencies of a colour on either side that makes it one side's
 _SEEN = 1e-5  # frequency below which a colour is hardly seen: it tells nothing
 _CLEAR_PX = 12.0  # nearer to near seeds than this, pixels of the reference size, colour makes no background
 _SPECK_PX = 3.0  # half the width of what a colour must fill to be a marker
 _TELLING = 0.5  # of the near seeds: where fewer have a colour of their own, colour tells nothing
 _PRUNINGS = 2  # rounds in which seeds of the other side's colour are dropped
-_SMALLEST_PART = 0.02  # of the largest part
+SMALLEST_PART = 0.02  # of the largest part: smaller ones are chance
 # Shares above which depth contradicts brightness: of the near seeds that it leaves out, of its subject that is far, and
 # of its subject that neither depth nor colour joins to the seeds.
 _MISSED, _BEHIND, _BEYOND = 0.04, 0.02, 0.04
@@ -209,7 +208,7 @@ def segment_by_depth(
     distance = ndimage.distance_transform_edt(~near)
     backdrop = _from_outside(far | (_solid(other, unit) & (distance > _CLEAR_PX * unit)), far)
     subject = near | (_solid((ratio > _SURE) & ~other, unit) & ~far)
-    subject = ndimage.binary_propagation(near, mask=subject & ~backdrop) | near
+    subject = ndimage.binary_propagation(near, mask=subject & ~backdrop)
     if backdrop.any():
         markers = subject.astype(np.int32) + 2 * (backdrop & ~subject).astype(np.int32)
         subject = _divided(light, markers) == 1
@@ -222,11 +221,11 @@ class _Colours:
 
     def __init__(self, light: Float32[Array, "h w channels"], near: Bool[Array, "h w"]) -> None:
         total = np.maximum(light.sum(axis=2), 1e-3)
-        self.dark = total < _DARKEST * np.median(total[near])
+        self.dark = total < DARKEST * np.median(total[near])
         """Where chromaticity is noise."""
         self.places = [_binned(total / light.shape[2], _LIGHT_BINS)]
         if light.shape[2] > 1:
-            shares = [(light[..., c] / total - low) / (high - low) for c, (low, high) in enumerate(_SHARES)]
+            shares = [(light[..., c] / total - low) / (high - low) for c, (low, high) in enumerate(CHROMATICITY)]
             self.places += [_binned(share, _SHARE_BINS) for share in shares]
 
     def ratio(
@@ -304,5 +303,5 @@ def _parts_with(subject: Bool[Array, "h w"], near: Bool[Array, "h w"]) -> Bool[A
     labels, count = ndimage.label(subject)
     sizes = np.bincount(labels[near], minlength=count + 1)
     sizes[0] = 0
-    found: Bool[Array, "h w"] = (sizes >= max(_SMALLEST_PART * sizes.max(), 1))[labels]
+    found: Bool[Array, "h w"] = (sizes >= SMALLEST_PART * sizes.max())[labels]
     return found
