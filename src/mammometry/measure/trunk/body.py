@@ -84,7 +84,6 @@ class Body:
             normal_world=self.left,
             sigma_mm=self.plane_sigma_mm,
             scatter_mm=self.scatter_mm,
-            used=1.0,
         )
 
 
