@@ -18,6 +18,7 @@ from mammometry.geometry import Array, Bool, Camera, Float64, Rig
 from mammometry.measure.trunk.mirror_plane import MirrorPlane, mirror_plane
 from mammometry.measure.trunk.thorax import (
     HEIGHT_WINDOW_MM,
+    TRUNK_SAMPLES,
     WIDEST_DEG,
     Skin,
     Trunk,
@@ -33,7 +34,6 @@ Mounting: TypeAlias = Literal["upright", "upside-down", "left", "right"]
 
 _BESIDE_MM = 10.0  # skin this near to a boundary counts as breast; chosen by eye
 _WINDOW_MM = 250.0  # skin this near to the breasts' middle shows the plane; chosen by eye
-_SAMPLES = 60_000  # of the skin that show the plane; chosen for speed
 _MOST_TURN_RAD = np.deg2rad(40.0)  # between the plane's normal and the cameras' left; beyond it no plane was found
 _LOOSE_MM = 0.6  # a plane whose place is known no better than this is none; found ones have .1 to .3
 _UNLIKE_MM = 4.0  # a trunk that is its own mirror image no better than this shows no plane; found ones have .5 to 1.8
@@ -197,8 +197,7 @@ def _ahead_rad(skin: Skin, trunk: Trunk) -> tuple[float, float]:
 
     There the trunk's radius is most alike to both sides. The asymmetry is the mean of limited misfits.
     """
-    every = max(1, len(skin.points_world) // _SAMPLES)
-    cylindrical = trunk.cylindrical(skin.points_world[::every])
+    cylindrical = trunk.cylindrical(skin.about(TRUNK_SAMPLES).points_world)
     theta = np.rad2deg(cylindrical[:, 0] / trunk.half_width_mm)
     keep = (np.abs(cylindrical[:, 1]) < HEIGHT_WINDOW_MM) & (np.abs(theta) < WIDEST_DEG)
     keep &= on_trunk(cylindrical, trunk)
@@ -233,8 +232,7 @@ def lies_across(skin: Skin, frame: Float64[Array, "3 3"]) -> bool:
     Then the cameras are rolled by 90°. The axis is the direction that most of the skin is level with, of those found
     from either start. Upright torsos have .46 to .49 of it along the trunk and .27 to .36 across.
     """
-    every = max(1, len(skin.points_world) // _SAMPLES)
-    normals = skin.normals_world[::every]
+    normals = skin.about(TRUNK_SAMPLES).normals_world
 
     def level(axis: Float64[Array, 3]) -> tuple[float, float]:
         for _ in range(_AXIS_ROUNDS):
@@ -266,8 +264,8 @@ def _plane(
     Raises:
         MeasureError: the trunk is not its own mirror image about any plane near the middle.
     """
-    every = max(1, len(skin.points_world) // _SAMPLES)
-    points, normals = skin.points_world[::every], skin.normals_world[::every]
+    some = skin.about(TRUNK_SAMPLES)
+    points, normals = some.points_world, some.normals_world
     centre = trunk.origin if middle is None else middle
     keep = on_trunk(trunk.cylindrical(points), trunk) & (np.linalg.norm(points - centre, axis=1) < _WINDOW_MM)
     for boundary in boundaries:

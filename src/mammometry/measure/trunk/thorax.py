@@ -19,6 +19,7 @@ HEIGHT_WINDOW_MM = 140.0
 """Skin within this height of the breasts describes the trunk, mm."""
 WIDEST_DEG = 115.0
 """Skin up to this far around from straight ahead describes the trunk, degrees."""
+TRUNK_SAMPLES = 60_000  # of the skin that show the trunk's axis and its plane of symmetry; chosen for speed
 _STEEPEST_LEAN_DEG = 50.0
 """Greatest angle between the trunk's axis and the photographs' upright, degrees. Beyond it the upright serves as the
 axis. Patients lean forward by up to 42° in front of the rig, and the cameras are not quite upright on average."""
@@ -45,7 +46,6 @@ ASSUMED_DEPTH_MM, ASSUMED_HALF_WIDTH_MM = 110.0, 150.0
 little: from 80 to 170 mm a breast's volume changes by 5 % (145 breasts of real women: +3.5, +5.4, +7.1, +8.6 % at 80,
 110, 140, 170 mm)."""
 _AXIS_ROUNDS = 20  # of reweighting the normals at most; it ends when the axis is at rest
-_AXIS_SAMPLES = 60_000  # of the skin from which the axis is found; chosen for speed
 _FIT_SAMPLES = 20_000  # of the skin to which the radius is fitted; chosen for speed
 _FIT_ROUNDS = 25  # of reweighting the skin; chosen by eye
 _BONE_MM = 25.0  # skin this near to the middle between both breasts is the breastbone's; chosen by eye
@@ -134,6 +134,10 @@ class Skin:
         """Part of the samples."""
         return Skin(points_world=self.points_world[which], normals_world=self.normals_world[which])
 
+    def about(self, count: int) -> Skin:
+        """Every so many-th of the samples, so that at least `count` are left, or all."""
+        return self.chosen(slice(None, None, max(1, len(self.points_world) // count)))
+
 
 def seen_faces(surface: RepairedSurface) -> Int64[Array, " k"]:
     """Faces that are not invented. All faces if nothing is known to be measured."""
@@ -202,8 +206,7 @@ def find_trunk(
     Raises:
         MeasureError: no skin was seen at the breasts' height.
     """
-    every = max(1, len(skin.points_world) // _AXIS_SAMPLES)
-    sampled = skin.chosen(slice(None, None, every))
+    sampled = skin.about(TRUNK_SAMPLES)
     axis = _axis(sampled.normals_world, frame)
     if middle_of is not None:
         axis = axis - frame[0] * (axis @ frame[0])  # the axis lies in the body's plane
@@ -333,7 +336,7 @@ def fit_thorax(
     Raises:
         MeasureError: too little skin.
     """
-    skin = skin.chosen(slice(None, None, max(1, len(skin.points_world) // _FIT_SAMPLES)))
+    skin = skin.about(_FIT_SAMPLES)
     cylindrical = trunk.cylindrical(skin.points_world)
     flat, radius = cylindrical[:, :2], cylindrical[:, 2]
     inside = (
