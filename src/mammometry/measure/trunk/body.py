@@ -23,6 +23,7 @@ from mammometry.measure.trunk.thorax import (
     Skin,
     Trunk,
     find_trunk,
+    level_axis,
     on_trunk,
     orthonormal,
     seen_skin,
@@ -42,8 +43,6 @@ _CELL_DEG, _CELL_MM = 3.0, 12.0  # in which the trunk's radius is averaged for t
 _MISFIT_MM = 10.0  # at which a misfit of both sides is limited; chosen by eye
 _TURN_MM_PER_DEG = 0.01  # cost of a turn, so that a round trunk is left as the cameras have it
 _FEWEST_CELLS = 60  # pairs of cells that must be seen on both sides; chosen by eye
-_LEAN = 0.2  # sine of the angle between normal and level at which a normal counts half; chosen by eye
-_AXIS_ROUNDS = 20  # of reweighting the normals; chosen by eye
 _STARTS_DEG = (0.0, -10.0, 10.0, -20.0, 20.0)  # turns about the axis that are tried
 _FACING_ROUNDS = 3  # of finding the axis and straight ahead, each from the other; chosen by eye
 
@@ -234,14 +233,8 @@ def lies_across(skin: Skin, frame: Float64[Array, "3 3"]) -> bool:
     """
     normals = skin.about(TRUNK_SAMPLES).normals_world
 
-    def level(axis: Float64[Array, 3]) -> tuple[float, float]:
-        for _ in range(_AXIS_ROUNDS):
-            weights = 1 / (1 + ((normals @ axis) / _LEAN) ** 2)
-            vector = np.linalg.eigh((normals * weights[:, None]).T @ normals)[1][:, 0]
-            axis = vector if vector @ axis > 0 else -vector
-        return float(weights.mean()), abs(float(axis @ frame[0])) - abs(float(axis @ frame[1]))
-
-    return max(level(frame[1]), level(frame[0]))[1] > 0
+    axis, _ = max((level_axis(normals, start) for start in frame[:2]), key=lambda found: found[1])
+    return abs(float(axis @ frame[0])) > abs(float(axis @ frame[1]))
 
 
 def _one_above_the_other(curves: Sequence[Float64[Array, "_ 3"]], frame: Float64[Array, "3 3"]) -> bool:

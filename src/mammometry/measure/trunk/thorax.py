@@ -218,17 +218,23 @@ def find_trunk(
 
 def _axis(normals: Float64[Array, "n 3"], frame: Float64[Array, "3 3"]) -> Float64[Array, 3]:
     """Trunk axis: least-variance direction of the normals. The head's where none near to it is."""
-    axis = frame[1]
+    axis, _ = level_axis(normals, frame[1])
+    if axis @ frame[1] < np.cos(np.deg2rad(_STEEPEST_LEAN_DEG)):
+        return np.asarray(frame[1])  # the visible skin shows no axis near the head's direction
+    return axis
+
+
+def level_axis(normals: Float64[Array, "n 3"], start: Float64[Array, 3]) -> tuple[Float64[Array, 3], float]:
+    """The direction, found from a first one, that most of the skin is level with, and how much of it is."""
+    axis = start
     for _ in range(_AXIS_ROUNDS):
         weights = 1 / (1 + ((normals @ axis) / _LEAN) ** 2)
         vector = np.linalg.eigh((normals * weights[:, None]).T @ normals)[1][:, 0]
-        vector = vector if vector @ frame[1] > 0 else -vector
+        vector = vector if vector @ start > 0 else -vector
         if vector @ axis > 1 - 1e-10:
             break
         axis = vector
-    if axis @ frame[1] < np.cos(np.deg2rad(_STEEPEST_LEAN_DEG)):
-        return np.asarray(frame[1])  # the visible skin shows no axis near the head's direction
-    return np.asarray(axis)
+    return np.asarray(axis), float(weights.mean())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
