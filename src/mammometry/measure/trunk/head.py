@@ -13,18 +13,18 @@ import numpy as np
 
 from mammometry.base.errors import MeasureError
 from mammometry.geometry.arrays import Array, Float64
-from mammometry.measure.trunk.thorax import Skin, Trunk
+from mammometry.measure.trunk.thorax import ARM, Skin, Trunk
 
 HEAD_NOT_SHOWN = "does not show where the head is"
 """Words in a boundary's method that make left and right rest on the cameras' mounting alone."""
-_SHOULDERS = (1.15, 1.7)  # half widths from the axis at which arms leave the trunk; chosen by eye
+_SHOULDERS = (ARM, 1.7)  # half widths from the axis at which arms leave the trunk; chosen by eye
 _FEWEST = 200  # samples of skin for a sign to say anything
 _LEAST_ARMS = 0.05
 """Share of all skin seen, below which it is no arm: a shelf beside a body without arms gave .015, arms .10 to .17."""
 _CLEAR_SHOULDERS = 0.6
 """Balance of that skin below which it says nothing: arms that hang are seen at all heights (−.7 to .6 on upright
 bodies); raised ones, or on a frame, gave .7 to 1."""
-_FLANK_DEG, _FLANK = (65.0, 115.0), (0.75, 1.15)
+_FLANK_DEG, _FLANK = (65.0, 115.0), (0.75, ARM)
 """Skin that faces aside (degrees from straight ahead) this many half widths from the axis is the trunk's flank."""
 _FLANK_MM = 200.0  # flanks are looked at this far up and down at most; chosen by eye
 _AHEAD, _LAST = 0.5, 0.005
