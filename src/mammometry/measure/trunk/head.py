@@ -36,10 +36,9 @@ _SLOPE = 0.2  # sine of the mean slope at which the strip says all it can; uprig
 _FRONT_SHARE = 0.5
 """What the strip says at most: half of the others. A chest that stands out over a flat belly slopes as much below as
 above (an independent renderer's body: −.1)."""
-_CONTRADICTED = -0.5
-"""Sum of the signs below which the body contradicts the cameras (docs/decisions/0026)."""
 _SHOWN = 0.5
-"""Sum above which the body shows the head up."""
+"""Sum of the signs above which the body shows the head up, and below whose opposite it contradicts the cameras
+(docs/decisions/0026)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -112,9 +111,9 @@ def check_head(signs: HeadSigns, *, stated: bool = False) -> str:
     """
     words = signs.words()
     if stated and signs.together < _SHOWN:
-        unlike = f", though {words}" if signs.together < _CONTRADICTED else ""
+        unlike = f", though {words}" if signs.together < -_SHOWN else ""
         return f"the head is where it was said to be{unlike}"
-    if signs.together < _CONTRADICTED:
+    if signs.together < -_SHOWN:
         raise MeasureError(
             "torso",
             found=f"the head at the lower end: {words}",
