@@ -46,7 +46,7 @@ half the width 60."""
 _FAINT = 0.25  # a dome this much flatter than the other side's is left in the trunk; chosen by eye
 _HIGHEST_SIGMA_MM = 8.0  # the relief is smoothed over this to look for the highest place; chosen by eye
 _BESIDE_MM = 25.0  # the highest place of a side lies this far from the midline; chosen by eye
-_OUTSIDE_MM = 4.0  # outside a curve at a fold the innermost skin is the trunk's, and not the breast's; two pixels
+_OUTSIDE_MM = 2 * PIXEL_MM  # outside a curve at a fold the innermost skin is the trunk's, and not the breast's
 _NEAR_MM = 20.0  # surface around an outline onto which it is laid; chosen by eye
 _SHEET_TURN = 0.15  # of a turn, over which an outline's running median is taken: 60 to 80 mm; chosen by eye
 _LEAP_MM = 10.0  # off the running median: another layer of skin. On whole captures no outline has any; chosen by eye

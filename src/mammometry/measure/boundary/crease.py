@@ -78,10 +78,10 @@ FARTHEST_BORDER_MM = 140.0
 CREASE_PER_MM = 0.01
 """Concavity from which the skin has a crease, 1/mm, twice a mean curvature. A chest has below .005, a fold .1 to 1."""
 DIRECTIONS = 144  # from the breast's middle in which its end is looked for, 2.5° apart
-_SIGMA_MM = 4.0
+_SIGMA_MM = 2 * PIXEL_MM
 """Scale at which the skin's curvature is looked at, mm: wider than the matcher's and the skin's unevenness, narrower
 than a fold."""
-_FINE_MM = 2.0  # scale at which the same crease is looked at again, to tell how abrupt it is, mm; one pixel
+_FINE_MM = PIXEL_MM  # scale at which the same crease is looked at again, to tell how abrupt it is, mm
 _HALVED_SIGMAS = (0.0, 1.18, 1.92)
 """Distance outside a bend of skin at which its concavity, smoothed by a Gaussian, has fallen to half, in σ: where
 curvature steps, where slope steps (a crease), where height steps (a fold under an overhang). Closed forms."""
