@@ -219,15 +219,15 @@ def lay_flat(thorax: Thorax, points_world: Float64[Array, "n 3"]) -> Relief:
     return Relief(low=low, bulge_mm=bulge_mm, known=np.asarray(away * PIXEL_MM < KNOWN_MM))
 
 
-def dense_samples(mesh: TriangleMesh, spacing_mm: float = _FINEST_MM) -> Float64[Array, "n 3"]:
-    """Points on all faces, no farther apart than about the spacing.
+def dense_samples(mesh: TriangleMesh) -> Float64[Array, "n 3"]:
+    """Points on all faces, no farther apart than about 1.5 mm.
 
     This holds for coarse meshes too. A face of longest edge l is divided into ⌈l/spacing⌉² equal parts, each of which
     gives its middle.
     """
     every = max(1, len(mesh.faces) // _MOST_SAMPLES)  # so many are finer than the spacing
     longest = longest_sides(mesh.vertices, mesh.faces, every)
-    spacing = max(spacing_mm, float(np.sqrt((longest**2).sum() / _MOST_SAMPLES)))
+    spacing = max(_FINEST_MM, float(np.sqrt((longest**2).sum() / _MOST_SAMPLES)))
     parts = np.maximum(np.ceil(longest / spacing).astype(np.int64), 1)
     samples: Float64[Array, "n 3"] = middles_of_parts(mesh.vertices, mesh.faces, every, parts)
     return samples

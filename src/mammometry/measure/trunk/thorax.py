@@ -56,7 +56,7 @@ _FACING_OUT = 0.5
 """Least share of a unit normal that points away from the axis, for skin to show the trunk's radius. The trunk's end,
 seen from below, and a breast's underside face along the axis. Chosen by eye (docs/decisions/0019)."""
 _CURVE_BITS = 16  # of each coordinate along the curve: 0.03 mm in 2 m
-_COPIES = 2  # samples for each face at most
+_SEEN_SAMPLES, _COPIES = 400_000, 2  # of the seen skin at most, and for each of its faces; chosen for memory
 _FINEST_MM = 1.0  # least scatter assumed while the breasts are still in the skin; chosen by eye
 _CUT_OFF = 3.0  # scatters at which skin that stands out counts no more
 _MAD = 1.4826  # standard deviation of a normal distribution over its median absolute deviation
@@ -146,7 +146,7 @@ def seen_faces(surface: RepairedSurface) -> Int64[Array, " k"]:
 
 
 @lru_cache(maxsize=1)  # the steps of a measurement ask in turn for that of the same surface
-def seen_skin(surface: RepairedSurface, at_most: int = 400_000) -> Skin:
+def seen_skin(surface: RepairedSurface) -> Skin:
     """Sample the visible faces evenly by area and over the surface.
 
     Neither the fineness of each part's mesh nor the order of its faces matters: the samples follow a curve through
@@ -157,7 +157,7 @@ def seen_skin(surface: RepairedSurface, at_most: int = 400_000) -> Skin:
     normals = surface.mesh.face_vectors()[chosen]
     area_mm2 = np.linalg.norm(normals, axis=1)
     reached = np.cumsum(area_mm2)
-    count = min(at_most, _COPIES * len(chosen))
+    count = min(_SEEN_SAMPLES, _COPIES * len(chosen))
     even = np.searchsorted(reached, (np.arange(count) + 0.5) / count * reached[-1])
     points = surface.mesh.vertices[surface.mesh.faces[chosen[even]]].mean(axis=1)
     return Skin(points_world=points, normals_world=normals[even] / np.maximum(area_mm2[even, None], 1e-12))
