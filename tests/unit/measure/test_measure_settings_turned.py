@@ -90,7 +90,7 @@ def test_a_rougher_chest_keeps_skin_that_stands_out(monkeypatch: pytest.MonkeyPa
     seen = of_a_trunk(skin(theta, y, np.where(np.abs(theta) < 0.25, 8.0, 0.0)))
     ahead = np.zeros((1, 2))
     rough = fit_thorax(TRUNK, seen).radius_mm(ahead)
-    monkeypatch.setattr("mammometry.measure.trunk.thorax._CHEST_SCALE_MM", 1.0)
+    monkeypatch.setattr("mammometry.measure.trunk.thorax.CHEST_SCALE_MM", 1.0)
     assert rough[0] > fit_thorax(TRUNK, seen).radius_mm(ahead)[0] + 1.0
 
 

@@ -20,6 +20,7 @@ from scipy.special import softmax
 from mammometry.base.value import value
 from mammometry.geometry.arrays import Array, Bool, Float64
 from mammometry.measure.trunk.skin_map import KNOWN_MM, PIXEL_MM, Relief
+from mammometry.measure.trunk.thorax import CHEST_SCALE_MM, CUT_OFF
 
 _TURNS = 2  # around the middle: in the first the start is forgotten
 _FURTHEST_STEPS = 3  # that a path may move in or out from one direction to the next; 50° from the tangent at 60 mm
@@ -119,9 +120,9 @@ _ENDED_MM, _UNSEEN_SCATTER = 18.0, 0.3
 from the middle. Chosen by eye: large breasts of held-out captures go on by 30 to 50 mm above what is laid flat."""
 _FALLEN = 0.9  # share of the height to which a breast has fallen before it may end; .68 moves 4 % of an interval
 _RISE_MM = 6.0  # skin that rises again by this much belongs to something else (arm, belly, other breast)
-_SUNK_MM = 12.0
-"""Skin this far behind the thorax fit is no trunk: it has ended there. The fit itself takes skin beyond 12 mm (three
-scatters of 4 mm) for something else; its own errors are 2 to 6 mm."""
+_SUNK_MM = CUT_OFF * CHEST_SCALE_MM
+"""Skin this far behind the thorax fit is no trunk: it has ended there, as skin so far before it is something else to
+the fit itself, whose own errors are 2 to 6 mm."""
 _STEP_MM = 1.0  # of the table of distances
 _LEVEL_MM = 1.0  # over 8 mm: skin that rises or falls less is level; chosen by eye
 _SHIFT_MM = 15.0  # farthest that the outer flank is looked for outside the crease; chosen by eye

@@ -12,7 +12,7 @@ from mammometry.base.value import value
 from mammometry.geometry.arrays import Array, Bool, Float64, Int64
 from mammometry.surface.repair.repair import Provenance, RepairedSurface
 
-_CHEST_SCALE_MM = 4.0
+CHEST_SCALE_MM = 4.0
 """Scatter of a chest about the smooth surface that is fitted to it, mm. Once the breasts are left out, skin that stands
 out up to three times as far still describes the trunk (muscle, collar bone)."""
 HEIGHT_WINDOW_MM = 140.0
@@ -58,7 +58,7 @@ seen from below, and a breast's underside face along the axis. Chosen by eye (do
 _CURVE_BITS = 16  # of each coordinate along the curve: 0.03 mm in 2 m
 _SEEN_SAMPLES, _COPIES = 400_000, 2  # of the seen skin at most, and for each of its faces; chosen for memory
 _FINEST_MM = 1.0  # least scatter assumed while the breasts are still in the skin; chosen by eye
-_CUT_OFF = 3.0  # scatters at which skin that stands out counts no more
+CUT_OFF = 3.0  # scatters at which skin that stands out counts no more
 _MAD = 1.4826  # standard deviation of a normal distribution over its median absolute deviation
 
 
@@ -357,7 +357,7 @@ def fit_thorax(
     order = np.concatenate([[0], np.repeat(np.arange(1, _HARMONICS + 1), 2)])
     ridge = np.diag(np.tile(order.astype(np.float64) ** 4, _HEIGHT_DEGREE + 1) * _RIDGE + 1e-9) * len(radius)
     weights = np.ones(len(radius))
-    finest = _CHEST_SCALE_MM if breasts_left_out else _FINEST_MM
+    finest = CHEST_SCALE_MM if breasts_left_out else _FINEST_MM
     scale, coefficients = np.inf, np.zeros(design.shape[1])
     if len(radius) < 4 * design.shape[1]:
         raise MeasureError(
@@ -372,7 +372,7 @@ def fit_thorax(
         coefficients = np.linalg.solve(weighted.T @ design + ridge, weighted.T @ radius)
         error = radius - design @ coefficients
         scale = max(_MAD * float(np.median(np.abs(error[weights > 0.1]))), finest)
-        reach = _CUT_OFF * scale
+        reach = CUT_OFF * scale
         weights = np.where(
             (error > 0) & ~bone,
             np.clip(1 - (error / reach) ** 2, 0, None) ** 2,
