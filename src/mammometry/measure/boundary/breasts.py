@@ -15,6 +15,7 @@ from mammometry.measure.boundary.crease import CREASE_PER_MM, Crease, follow_cre
 from mammometry.measure.boundary.prominence import (
     LEAST_CREASED,
     LOW_CREASED,
+    MIDLINE_MM,
     Middle,
     Prominence,
     SideName,
@@ -50,7 +51,6 @@ _OUTSIDE_MM = 2 * PIXEL_MM  # outside a curve at a fold the innermost skin is th
 _NEAR_MM = 20.0  # surface around an outline onto which it is laid; chosen by eye
 _SHEET_TURN = 0.15  # of a turn, over which an outline's running median is taken: 60 to 80 mm; chosen by eye
 _LEAP_MM = 10.0  # off the running median: another layer of skin. On whole captures no outline has any; chosen by eye
-_MIDLINE_MM = 4.0  # each boundary keeps this far from the middle between both; chosen by eye
 _FRONT_RAD, _FRONT_MM = np.deg2rad(60.0), 90.0  # of the trunk's front, where the highest place of a side is named
 _FOLD_PER_MM = 0.08  # concavity from which a crease is a fold, not the foot of a mound (.02 to .06); a fold has .1 to 1
 _WIDEST_HALF_WIDTHS, _TALLEST_MM = 1.95, 260.0
@@ -251,7 +251,7 @@ def _sides(relief: Relief, trunk: Trunk, middles: dict[SideName, Middle | None])
             )
             sides[name] = _Side(middle=place, crease=empty, prominence=None, verdict="none")
             continue
-        medial_mm = between_mm + sign * _MIDLINE_MM
+        medial_mm = between_mm + sign * MIDLINE_MM
         ends = (medial_mm, np.inf) if name == "left" else (-np.inf, medial_mm)
         crease = follow_crease(relief, middle.flat, side=name, base_mm=middle.base_mm, between_mm=ends)
         creased = float((crease.concavity_per_mm > CREASE_PER_MM).mean())

@@ -45,7 +45,7 @@ _CLEAR_PER_MM, _CLEAR_SHARE = 0.006, 0.4
 """Least roundness of both of two breasts that show where the body's left is, and of the flatter over the rounder.
 Bodies with two have .012 to .03, and .8 to 1; what else is round on a chest has up to .005 (docs/decisions/0026)."""
 _BESIDE_MM = 60.0  # least distance between such domes across the body; chosen by eye
-_MIDLINE_MM = 4.0  # a peak nearer to the midline is on neither side; chosen by eye
+MIDLINE_MM = 4.0  # a breast's peak and its boundary lie this far from the midline at least; chosen by eye
 
 
 @value(eq=False)
@@ -69,7 +69,7 @@ def breast_middles(relief: Relief, trunk: Trunk) -> dict[SideName, Middle | None
     peaks, worth = _peaks(relief, dome)
     usable = np.abs(peaks[:, 0]) < _WIDEST_RAD * trunk.half_width_mm
     peaks, worth = peaks[usable], worth[usable]
-    sides = [np.flatnonzero(peaks[:, 0] * sign > _MIDLINE_MM) for sign in (1, -1)]
+    sides = [np.flatnonzero(peaks[:, 0] * sign > MIDLINE_MM) for sign in (1, -1)]
     chosen: list[int | None] = [int(side[np.argmax(worth[side])]) if len(side) else None for side in sides]
     if all(len(side) for side in sides):
         left, right = sides[0][:, None], sides[1][None]
