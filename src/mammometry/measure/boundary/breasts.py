@@ -13,6 +13,7 @@ from mammometry.geometry import Array, Bool, Float64, TriangleMesh
 from mammometry.geometry.nearest import closest_on_mesh
 from mammometry.measure.boundary.crease import CREASE_PER_MM, Crease, follow_crease
 from mammometry.measure.boundary.prominence import (
+    DOME_MM,
     LEAST_CREASED,
     LOW_CREASED,
     MIDLINE_MM,
@@ -41,9 +42,6 @@ from mammometry.surface.repair.repair import RepairedSurface
 
 _OTHER: dict[SideName, SideName] = {"left": "right", "right": "left"}
 _ROUNDS = 3  # times that trunk and middles are found, each from the other; chosen by eye
-_DISC_MM = 75.0
-"""Skin this near to a breast's middle, laid flat, is not the trunk's: half the height of real women's bases is 84 mm,
-half the width 60."""
 _FAINT = 0.25  # a dome this much flatter than the other side's is left in the trunk; chosen by eye
 _HIGHEST_SIGMA_MM = 8.0  # the relief is smoothed over this to look for the highest place; chosen by eye
 _BESIDE_MM = 25.0  # the highest place of a side lies this far from the midline; chosen by eye
@@ -213,7 +211,7 @@ def _trunk_beside(
             if dome.roundness_per_mm > _FAINT * domes[0].roundness_per_mm:
                 # Its mirror image is left out too: so the trunk is the same whatever the other side has.
                 for across in (dome.flat[0], 2 * between_mm - dome.flat[0]):
-                    outside &= np.hypot(flat[:, 0] - across, flat[:, 1] - dome.flat[1]) > _DISC_MM
+                    outside &= np.hypot(flat[:, 0] - across, flat[:, 1] - dome.flat[1]) > DOME_MM
         # At the height of the rounder breast, which does not depend on what the other side has.
         height_of = trunk.world(np.array([[0.0, domes[0].flat[1], 0.0]]))[0]
     return thorax, relief, middles

@@ -27,7 +27,9 @@ _LEAST_PER_MM = 0.0015  # gathered roundness of the flattest dome that is looked
 _PEAK_RADIUS_MM = 25.0  # a peak is the highest place within this distance, in both coordinates; chosen by eye
 _AROUND_MM = 50.0  # of a peak, over which the middle is taken; chosen by eye
 _SMOOTHED_MM = 6.0  # a breast's top is looked for in relief smoothed over this; chosen by eye
-_WHOLE_MM = 75.0  # of a peak, within which all of its dome lies; chosen by eye
+DOME_MM = 75.0
+"""All of a breast's dome lies this near to its middle, laid flat, mm, and skin this near is not the trunk's: half the
+height of real women's bases is 84 mm, half the width 60."""
 _BASE_OVER_DOME, _TELLING = 2.3, 0.7
 """Root of a base's area over that of its dome's, which is as large as if it were equally round all over: 2.3 ± .2 on 22
 breasts of virtual women and torsos; and how much it counts beside the usual one: both are known to some 20 and 12 %."""
@@ -124,7 +126,7 @@ def _middle(relief: Relief, dome: Float64[Array, "h w"], peak: Float64[Array, 2]
     flat = relief.low + np.stack([columns, rows], axis=-1) * PIXEL_MM
     away = np.linalg.norm(flat - peak, axis=-1)
     own = flat[..., 0] * peak[0] > 0
-    near, whole = own & (away < _AROUND_MM), dome[own & (away < _WHOLE_MM)]
+    near, whole = own & (away < _AROUND_MM), dome[own & (away < DOME_MM)]
     domes_mm2 = whole.sum() ** 2 / (whole**2).sum() * PIXEL_MM**2
     smooth = np.where(near, relief.smooth_mm(_SMOOTHED_MM), -np.inf)
     highest = np.unravel_index(np.argmax(smooth), smooth.shape)
