@@ -203,7 +203,7 @@ class Prominence:
         if self.top_mm < MIN_PROMINENCE_MM:
             return "none"
         mirrored = astray_mm is not None and astray_mm <= _ELSEWHERE_MM
-        low_creased = min(_MIRRORED_CREASED, LOW_CREASED) if mirrored else LOW_CREASED
+        low_creased = _MIRRORED_CREASED if mirrored else LOW_CREASED
         if self.mean_mm < CHEST_MM and self.creased < low_creased:
             return "none" if astray_mm is not None and not mirrored else "unclear"
         share = np.clip((SURE_PROMINENCE_MM - self.top_mm) / (SURE_PROMINENCE_MM - MIN_PROMINENCE_MM), 0.0, 1.0)
