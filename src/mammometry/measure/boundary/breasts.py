@@ -397,7 +397,8 @@ def fuller_below(crease: Crease, relief: Relief) -> float:
     shows where the feet are. Turned upside down it has the other sign.
     """
     turn = np.arange(len(crease.flat)) / len(crease.flat)
-    lower, upper = ((turn > low) & (turn < high) for low, high in (_LOWER_QUARTER, (0.125, 0.375)))
+    low, high = _LOWER_QUARTER
+    lower, upper = ((turn > low - half) & (turn < high - half) for half in (0.0, 0.5))
     sharp = np.clip(crease.concavity_per_mm, 0.0, None)
     below, above = float(sharp[lower].mean()), float(sharp[upper].mean())
     inside = _pixels_within(relief, crease.flat)
