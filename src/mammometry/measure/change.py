@@ -25,7 +25,7 @@ from mammometry.measure.shape.symmetry import rms_mm, signed_mm, trunk_skin
 from mammometry.measure.trunk.mirror_plane import Registration, register
 from mammometry.measure.trunk.thorax import HEIGHT_WINDOW_MM, WIDEST_DEG, Trunk, find_trunk, on_trunk, seen_skin
 from mammometry.measure.volume.difference import Pairing, VolumeDifference, difference
-from mammometry.measure.volume.measurement import VolumeMeasurement
+from mammometry.measure.volume.measurement import COVERAGE_95, VolumeMeasurement
 from mammometry.surface.repair.repair import Provenance, RepairedSurface
 
 _FIXED = 60_000  # points of the earlier trunk; chosen for speed
@@ -153,7 +153,6 @@ SAME_POSE_MM = 0.8
 """Trunks that agree to this stand in one pose, mm. Measured skin has .1 to .3. Arms and breath add a millimetre."""
 SAME_POSE_DEG = 4.0
 """Difference in lean above which poses count as different, because breasts hang differently, degrees."""
-_COVERAGE_95 = 1.96  # standard deviations of a normal distribution on either side that hold 95 %
 EARLIER, LATER = "before", "after"
 """What the two dates are called."""
 
@@ -194,7 +193,7 @@ class LengthChange:
     @property
     def beyond_error(self) -> bool:
         """Whether the 95 % interval of the change leaves out zero."""
-        return abs(self.change_mm) > _COVERAGE_95 * self.sigma_mm
+        return abs(self.change_mm) > COVERAGE_95 * self.sigma_mm
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
