@@ -187,9 +187,9 @@ def _meet(
     return reach + step, cosine
 
 
-_SILHOUETTE_SIGMA_PX = 0.05
+SILHOUETTE_SIGMA_PX = 0.05
 """Standard uncertainty of the edge in each camera, common to its whole outline, pixels. In eight cameras and three
-casts that are lit to the edge it was .00 to .04.
+casts that are lit to the edge it was .00 to .04 (docs/decisions/0009). No smaller scatter is assumed.
 """
 _LOCAL_SIGMA_PX = 0.1
 """Standard uncertainty of the edge in one eighth of a camera's outline alone, pixels. Light differs around a rim:
@@ -199,7 +199,6 @@ _RIM_KNOTS = 40  # of the closed spline that stands for the rim: one every 9°, 
 _ROUNDS = 30  # Gauss–Newton rounds at most; it ends when no step exceeds _CONVERGED_MM
 _REWEIGHT = 4  # times that the weights are renewed in each round; chosen by eye
 _TUKEY = 4.685  # standard deviations; Tukey's biweight is then 95 % efficient for normal errors
-_FINEST_PX = 0.05  # smallest scatter assumed, pixels: what silhouettes are off as a whole (docs/decisions/0009)
 _NARROWING = 0.8  # factor by which the coarse scatter shrinks from round to round; chosen by eye
 _CORRELATED = 4.0  # neighbouring silhouette points share pixels: so many count as one
 _PRIOR_MM = 0.5  # standard uncertainty of the candidates' own heights, mm: extrapolated range data erred by .3
@@ -247,7 +246,7 @@ class AdjustedBase:
             np.linalg.norm(
                 [
                     np.sqrt(gradient @ self.covariance @ gradient),
-                    *(_SILHOUETTE_SIGMA_PX * gradient @ self.per_camera),
+                    *(SILHOUETTE_SIGMA_PX * gradient @ self.per_camera),
                     *(_LOCAL_SIGMA_PX * gradient @ self.per_stretch),
                 ]
             )
@@ -279,7 +278,7 @@ def adjust_base(start: Base, candidates: RimCandidates, *, bend: bool, coarse_px
     residuals, scale = weights, 1.0
     prior = np.clip(len(weights) / SECTORS, 1.0, None) ** -1 / 3 / _PRIOR_MM**2
     for number in range(_ROUNDS):
-        finest = _FINEST_PX + coarse_px * _NARROWING**number
+        finest = SILHOUETTE_SIGMA_PX + coarse_px * _NARROWING**number
         angle, radius, gain = _on_base(base, candidates, middle)
         spline = _periodic_spline(angle, knots)
         for _ in range(_REWEIGHT):
