@@ -212,7 +212,7 @@ def find_base(
     whole = leaving_whole([chosen, other], surface_points)
     chosen = whole[0]
     middle = np.median(surface_points, axis=0)
-    sectors = sectors_held(candidates.points_world[chosen.weights > _HELD], middle, chosen.base, SECTORS)
+    sectors = sectors_held(candidates.points_world[chosen.weights > _HELD], middle, chosen.base)
     if sectors < settings.minimum_sectors:
         raise no_rim(f"rim points in {sectors} of {SECTORS} directions", settings)
     rivals = [
