@@ -144,8 +144,7 @@ def _cast_boundary(
     seen = surface.mesh.vertices[measured] if measured.any() else surface.mesh.vertices
     viewer = -np.mean([camera.axis_world for camera in rig.cameras.values()], axis=0)
     adjusted, rivals = find_base(candidates, seen, viewer, settings.base_rim)
-    rim = settings.base_rim
-    rounded_mm = rim.rim_radius_mm if rim_radius_mm is None else rim_radius_mm
+    rounded_mm = settings.base_rim.rim_radius_mm if rim_radius_mm is None else rim_radius_mm
     base = moved(adjusted.base, np.array([0.0, 0.0, -_UNSEEN_SHARE * rounded_mm]), 1.0)
     part = above(surface.mesh, base.height)
     if not part.loops:
