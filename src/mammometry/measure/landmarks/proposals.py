@@ -271,7 +271,7 @@ def propose_nipple(
     areola = _areola(samples, inner)
     if areola is not None:
         near = inner & (np.linalg.norm(samples.points - areola, axis=1) < _NEAR_TIP_MM)
-        tip = _tip(samples, protrusion, near, _LEAST_TIP_MM)
+        tip = _tip(samples, protrusion, near)
         if tip is not None:
             how = "half way between the middle of the areola's colour and the tip within it"
             place, sigma = tip + _along_skin(samples, tip, (areola - tip) / 2), _TIP_SIGMA_MM
@@ -287,7 +287,7 @@ def propose_nipple(
         apex = samples.points[np.argmax(np.where(inner, height, -np.inf))]
         near = inner & (height > _HEIGHT * height.max())
         near &= np.linalg.norm(samples.points - apex, axis=1) < _NEAR_APEX_MM
-        tip = _tip(samples, protrusion, near, _LEAST_TIP_MM)
+        tip = _tip(samples, protrusion, near)
         if tip is None:
             return None
         how, place = "the tip near the most projecting point; no areola in the colours", tip
@@ -370,13 +370,11 @@ def _protrusion(samples: _Samples) -> Float64[Array, " n"]:
     return out - _mean(samples, out[:, None], _AREOLA_RING_MM[1], _FOOT_MM[1])[:, 0]
 
 
-def _tip(
-    samples: _Samples, protrusion: Float64[Array, " n"], near: Bool[Array, " n"], least_mm: float
-) -> Float64[Array, 3] | None:
+def _tip(samples: _Samples, protrusion: Float64[Array, " n"], near: Bool[Array, " n"]) -> Float64[Array, 3] | None:
     if not near.any():
         return None
     best = int(np.argmax(np.where(near, protrusion, -np.inf)))
-    if protrusion[best] < least_mm:
+    if protrusion[best] < _LEAST_TIP_MM:
         return None
     around = near & (np.linalg.norm(samples.points - samples.points[best], axis=1) < _FOOT_MM[0])
     weight = np.where(around, np.clip(protrusion - protrusion[best] / 2, 0.0, None), 0.0)
