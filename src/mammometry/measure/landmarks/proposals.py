@@ -197,10 +197,8 @@ mm. A round breast has up to .5, a mound on a telephone's scan up to .7, a nippl
 _TIP_SIGMA_MM = 2.5
 """Standard uncertainty of a tip within an areola, mm. It was 2.6 and 3.2 mm off on a virtual torso at .15 of full
 size."""
-_AREOLA_SIGMA_MM = 4.0
-"""Standard uncertainty of the middle of an areola without a tip, mm."""
-_APEX_TIP_SIGMA_MM = 4.0
-"""Standard uncertainty of a tip where no areola is seen, mm."""
+_ALONE_SIGMA_MM = 4.0
+"""Standard uncertainty of the middle of an areola without a tip, and of a tip where no areola is seen, mm."""
 _AREOLA_TIP_PROBABILITY = 0.98
 """Probability that a tip within an areola's colour is a nipple. This and the next two chosen by eye."""
 _AREOLA_PROBABILITY = 0.9
@@ -277,7 +275,7 @@ def propose_nipple(
             place, sigma = tip + _along_skin(samples, tip, (areola - tip) / 2), _TIP_SIGMA_MM
             probability = _AREOLA_TIP_PROBABILITY
         else:
-            how, place, sigma = "middle of the areola's colour; no tip stands out", areola, _AREOLA_SIGMA_MM
+            how, place, sigma = "middle of the areola's colour; no tip stands out", areola, _ALONE_SIGMA_MM
             probability = _AREOLA_PROBABILITY
     else:
         centre = boundary_world.mean(axis=0)
@@ -291,7 +289,7 @@ def propose_nipple(
         if tip is None:
             return None
         how, place = "the tip near the most projecting point; no areola in the colours", tip
-        sigma, probability = _APEX_TIP_SIGMA_MM, _TIP_PROBABILITY
+        sigma, probability = _ALONE_SIGMA_MM, _TIP_PROBABILITY
     return _proposed(name, place[None], how, sigma, probability)
 
 
