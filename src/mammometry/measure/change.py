@@ -17,7 +17,7 @@ import numpy as np
 from mammometry.base.errors import MeasureError
 from mammometry.base.progress import Progress, no_progress
 from mammometry.base.value import value
-from mammometry.geometry import Array, Float64, Transform, TriangleMesh
+from mammometry.geometry import Array, Float64, Transform
 from mammometry.geometry.nearest import point_tree
 from mammometry.measure.settings import CompareSettings
 from mammometry.measure.shape.lengths import LinearMeasure
@@ -253,7 +253,9 @@ def compare(
     pairing, doubtful = judged(fit, settings)
     progress(0.3)
     laid = after.surface.mesh.transformed(fit.before_from_after)
-    after_mm = _standing_out(laid, after.surface, _seen(before.surface, before.surface.mesh))
+    seen_before = before.surface.mesh.faces_within(before.surface.provenance != Provenance.INVENTED)
+    seen_after = after.surface.provenance != Provenance.INVENTED
+    after_mm = signed_mm(laid, before.surface.mesh.submesh(seen_before), selected=seen_after)
     progress(0.9)
     return Change(
         fit=fit,
@@ -299,9 +301,7 @@ def length_changes(before: Sequence[LinearMeasure], after: Sequence[LinearMeasur
     found = []
     for later in after:
         earlier_one = earlier.get(later.name)
-        if (
-            earlier_one is None or earlier_one.title != later.title
-        ):  # a midline that was picked is not one that was computed
+        if earlier_one is None or earlier_one.title != later.title:  # a picked midline is not a computed one
             continue
         found.append(
             LengthChange(
@@ -379,16 +379,6 @@ def _fit(before: Visit, after: Visit) -> TrunkFit:
         trunk_of(before.surface, [*curves[0].values(), *new.values()], before.frame),
         trunk_of(after.surface, [*curves[1].values(), *gone.values()], after.frame),
     )
-
-
-def _seen(surface: RepairedSurface, mesh: TriangleMesh) -> TriangleMesh:
-    """Part of a surface that is not invented, in `mesh`'s place."""
-    return mesh.submesh(mesh.faces_within(surface.provenance != Provenance.INVENTED))
-
-
-def _standing_out(mesh: TriangleMesh, surface: RepairedSurface, other: TriangleMesh) -> Float64[Array, " n"]:
-    """Distance of each visible vertex out of the other date's skin, mm. NaN for the others."""
-    return signed_mm(mesh, other, selected=surface.provenance != Provenance.INVENTED)
 
 
 def _rms_mm(measured: VolumeMeasurement, surface: RepairedSurface, out_mm: Float64[Array, " m"]) -> float:
