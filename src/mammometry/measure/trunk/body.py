@@ -174,7 +174,7 @@ def _facing_ahead(skin: Skin, first: Trunk, middle: Float64[Array, 3] | None) ->
 
     def turned(trunk: Trunk, angle_rad: float) -> tuple[float, float, Trunk]:
         again = find_trunk(skin, trunk.facing(angle_rad), height_of=middle)
-        return (*_ahead_rad(skin, again)[::-1], again)
+        return (*_ahead_rad(skin, again), again)
 
     tried = []
     for angle_deg in _STARTS_DEG:
@@ -192,7 +192,7 @@ def _facing_ahead(skin: Skin, first: Trunk, middle: Float64[Array, 3] | None) ->
 
 
 def _ahead_rad(skin: Skin, trunk: Trunk) -> tuple[float, float]:
-    """Angle about the axis of best symmetry, and the asymmetry, mm.
+    """The least asymmetry, mm, and the angle about the axis at which it is found.
 
     There the trunk's radius is most alike to both sides. The asymmetry is the mean of limited misfits.
     """
@@ -220,9 +220,9 @@ def _ahead_rad(skin: Skin, trunk: Trunk) -> tuple[float, float]:
             turned_deg = abs(twice / 2 - middle) * _CELL_DEG
             unlike[number] = float(np.minimum(apart, _MISFIT_MM).mean()) + _TURN_MM_PER_DEG * turned_deg
     if not np.isfinite(unlike).any():
-        return 0.0, np.inf
+        return np.inf, 0.0
     best = int(np.argmin(unlike))
-    return float(np.deg2rad((shifts[best] / 2 - middle) * _CELL_DEG)), float(unlike[best])
+    return float(unlike[best]), float(np.deg2rad((shifts[best] / 2 - middle) * _CELL_DEG))
 
 
 def lies_across(skin: Skin, frame: Float64[Array, "3 3"]) -> bool:
