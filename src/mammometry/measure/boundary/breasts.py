@@ -25,6 +25,7 @@ from mammometry.measure.boundary.prominence import (
     level_pair,
     prominence_within,
 )
+from mammometry.measure.solid.untangle import signed_area_mm2
 from mammometry.measure.trunk.body import Body, find_body, lies_across
 from mammometry.measure.trunk.head import check_head, head_signs
 from mammometry.measure.trunk.skin_map import PIXEL_MM, Relief, dense_samples, lay_flat
@@ -373,9 +374,8 @@ def _check_base(flat: Float64[Array, "n 2"], name: str, trunk: Trunk) -> None:
         MeasureError: it is too wide, too tall, too large or too ragged.
     """
     width, height = np.ptp(flat, axis=0)
-    following = np.roll(flat, -1, axis=0)
-    area = abs(float((flat[:, 0] * following[:, 1] - flat[:, 1] * following[:, 0]).sum())) / 2
-    length = float(np.linalg.norm(following - flat, axis=1).sum())
+    area = abs(signed_area_mm2(flat))
+    length = float(np.linalg.norm(np.roll(flat, -1, axis=0) - flat, axis=1).sum())
     roundness = 4 * np.pi * area / length**2
     widest = _WIDEST_HALF_WIDTHS * trunk.half_width_mm
     area_cm2 = area / 100
