@@ -17,7 +17,7 @@ import numpy as np
 from mammometry.base.errors import MeasureError
 from mammometry.base.progress import Progress, no_progress
 from mammometry.base.value import value
-from mammometry.geometry import Array, Float64, Transform, TriangleMesh
+from mammometry.geometry import Array, Float64, Transform
 from mammometry.geometry.nearest import point_tree
 from mammometry.measure.settings import CompareSettings
 from mammometry.measure.shape.lengths import LinearMeasure
@@ -25,7 +25,7 @@ from mammometry.measure.shape.symmetry import rms_mm, signed_mm, trunk_skin
 from mammometry.measure.trunk.mirror_plane import Registration, register
 from mammometry.measure.trunk.thorax import HEIGHT_WINDOW_MM, WIDEST_DEG, Trunk, find_trunk, on_trunk, seen_skin
 from mammometry.measure.volume.difference import Pairing, VolumeDifference, difference
-from mammometry.measure.volume.measurement import VolumeMeasurement
+from mammometry.measure.volume.measurement import COVERAGE_95, VolumeMeasurement
 from mammometry.surface.repair.repair import Provenance, RepairedSurface
 
 _FIXED = 60_000  # points of the earlier trunk; chosen for speed
@@ -153,7 +153,6 @@ SAME_POSE_MM = 0.8
 """Trunks that agree to this stand in one pose, mm. Measured skin has .1 to .3. Arms and breath add a millimetre."""
 SAME_POSE_DEG = 4.0
 """Difference in lean above which poses count as different, because breasts hang differently, degrees."""
-_COVERAGE_95 = 1.96  # standard deviations of a normal distribution on either side that hold 95 %
 EARLIER, LATER = "before", "after"
 """What the two dates are called."""
 
@@ -194,7 +193,7 @@ class LengthChange:
     @property
     def beyond_error(self) -> bool:
         """Whether the 95 % interval of the change leaves out zero."""
-        return abs(self.change_mm) > _COVERAGE_95 * self.sigma_mm
+        return abs(self.change_mm) > COVERAGE_95 * self.sigma_mm
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -254,7 +253,9 @@ def compare(
     pairing, doubtful = judged(fit, settings)
     progress(0.3)
     laid = after.surface.mesh.transformed(fit.before_from_after)
-    after_mm = _standing_out(laid, after.surface, _seen(before.surface, before.surface.mesh))
+    seen_before = before.surface.mesh.faces_within(before.surface.provenance != Provenance.INVENTED)
+    seen_after = after.surface.provenance != Provenance.INVENTED
+    after_mm = signed_mm(laid, before.surface.mesh.submesh(seen_before), selected=seen_after)
     progress(0.9)
     return Change(
         fit=fit,
@@ -300,9 +301,7 @@ def length_changes(before: Sequence[LinearMeasure], after: Sequence[LinearMeasur
     found = []
     for later in after:
         earlier_one = earlier.get(later.name)
-        if (
-            earlier_one is None or earlier_one.title != later.title
-        ):  # a midline that was picked is not one that was computed
+        if earlier_one is None or earlier_one.title != later.title:  # a picked midline is not a computed one
             continue
         found.append(
             LengthChange(
@@ -380,16 +379,6 @@ def _fit(before: Visit, after: Visit) -> TrunkFit:
         trunk_of(before.surface, [*curves[0].values(), *new.values()], before.frame),
         trunk_of(after.surface, [*curves[1].values(), *gone.values()], after.frame),
     )
-
-
-def _seen(surface: RepairedSurface, mesh: TriangleMesh) -> TriangleMesh:
-    """Part of a surface that is not invented, in `mesh`'s place."""
-    return mesh.submesh(mesh.faces_within(surface.provenance != Provenance.INVENTED))
-
-
-def _standing_out(mesh: TriangleMesh, surface: RepairedSurface, other: TriangleMesh) -> Float64[Array, " n"]:
-    """Distance of each visible vertex out of the other date's skin, mm. NaN for the others."""
-    return signed_mm(mesh, other, selected=surface.provenance != Provenance.INVENTED)
 
 
 def _rms_mm(measured: VolumeMeasurement, surface: RepairedSurface, out_mm: Float64[Array, " m"]) -> float:

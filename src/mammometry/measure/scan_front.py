@@ -41,7 +41,7 @@ def front_of_body(scan: RepairedScan, frame: Float64[Array, "3 3"]) -> RepairedS
         The same scan where there is nothing to cut off.
     """
     cut = scan
-    if _tall_mm(scan.mesh, frame) > WHOLE_BODY_MM:
+    if np.ptp(scan.mesh.vertices @ frame[1]) > WHOLE_BODY_MM:
         low, high = _trunk_heights(scan.mesh, frame[1])
         cut = _above(cut, frame[1], low)
         cut = _above(cut, -frame[1], -high)
@@ -78,10 +78,6 @@ def _middle(mesh: TriangleMesh, chosen: Bool[Array, " n"]) -> Float64[Array, 3]:
     """Middle of the box around some vertices."""
     points = mesh.vertices[chosen]
     return np.asarray((points.min(axis=0) + points.max(axis=0)) / 2)
-
-
-def _tall_mm(mesh: TriangleMesh, frame: Float64[Array, "3 3"]) -> float:
-    return float(np.ptp(mesh.vertices @ frame[1]))
 
 
 def _trunk_heights(mesh: TriangleMesh, up: Float64[Array, 3]) -> tuple[float, float]:

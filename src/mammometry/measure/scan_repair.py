@@ -32,7 +32,6 @@ _CRUMB = 0.01  # share of the area below which a piece is a crumb
 _BESIDE = 0.2  # share of the area that all pieces beside the body may have together; chosen by eye
 _FLAT_MM, _WIDE_MM = 12.0, 80.0  # standard deviations across and along a wall; a trunk's front has 40 across
 _FEW_FINS = 0.01  # share of the faces that may be left out because three or more meet at an edge; chosen by eye
-_FIN_ROUNDS = 5  # of leaving them out, as each may bare others
 _RING_MM = 12.0  # skin around a hole that shows how it curves; by eye: 15 moved a scan by .1 %
 _RING_POINTS = 300  # of that skin; chosen for speed
 _SMOOTHING = 30.0  # of the thin plate, mm²; follows a tip, and not a millimetre of noise; by eye: 38 moved no volume
@@ -110,16 +109,12 @@ def _joined(mesh: TriangleMesh, notes: list[str]) -> TriangleMesh:
 
 def _without_fins(mesh: TriangleMesh) -> TriangleMesh:
     """Leave out faces at edges where three or more meet, where these are few. Their holes are closed later."""
-    left = mesh
-    for _ in range(_FIN_ROUNDS):
-        rings = mesh_kernels.edge_rings(len(left.vertices), left.faces)
-        crowded = rings[rings] != np.arange(len(rings))
-        if not crowded.any():
-            return left
-        left = left.submesh(~crowded.reshape(-1, 3).any(axis=1))
-        if len(left.faces) < (1 - _FEW_FINS) * len(mesh.faces):
-            break
-    return mesh
+    rings = mesh_kernels.edge_rings(len(mesh.vertices), mesh.faces)
+    crowded = rings[rings] != np.arange(len(rings))
+    if not crowded.any():
+        return mesh
+    left = mesh.submesh(~crowded.reshape(-1, 3).any(axis=1))  # of each crowded edge all faces: no edge is crowded now
+    return left if len(left.faces) >= (1 - _FEW_FINS) * len(mesh.faces) else mesh
 
 
 def _without_loose_triangles(mesh: TriangleMesh) -> TriangleMesh:

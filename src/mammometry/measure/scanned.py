@@ -17,7 +17,7 @@ from mammometry.geometry.mesh import TriangleMesh, edge_table, split_edges
 from mammometry.geometry.nearest import point_tree
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.boundary.breasts import roundest_side_per_mm
-from mammometry.measure.boundary.trace import check_beside_holes, edge_loop
+from mammometry.measure.boundary.trace import BANDS_MM, check_beside_holes, edge_loop
 from mammometry.measure.scan_front import ahead_by_feet, front_of_body
 from mammometry.measure.scan_repair import RepairedScan
 from mammometry.measure.solid.cut import check_whole, inside_curve
@@ -25,7 +25,7 @@ from mammometry.measure.trunk.thorax import frame_from_sides, orthonormal, seen_
 from mammometry.surface.repair.repair import Provenance, RepairedSurface
 
 _EDGE_MM = 3.0  # longest edge near a boundary, so that it can be cut along it: 2 mm change a volume by .1 % at most
-_MARGIN_MM = 25.0  # around the boundaries in which edges are made short: the widest band of `trace.edge_loop`
+_MARGIN_MM = BANDS_MM[-2]  # around the boundaries in which edges are made short: all but the last, widest band
 _FACES_AT_MOST = 4_000_000  # of a refined mesh; chosen for memory
 _VIEWER_MM, _EYES_MM = 1500.0, 200.0  # distance and eye distance of the viewer; only directions matter
 _VIEWER_PX = 1000  # size and focal length of the viewer's pictures; they are never rendered

@@ -29,7 +29,7 @@ from mammometry.measure.wall.open_breast import OpenBreast
 from mammometry.surface.repair.repair import RepairedSurface
 
 FRAME = np.eye(3)
-MIDDLE = MirrorPlane(point_world=np.zeros(3), normal_world=FRAME[0], sigma_mm=0.1, scatter_mm=0.5, used=1.0)
+MIDDLE = MirrorPlane(point_world=np.zeros(3), normal_world=FRAME[0], sigma_mm=0.1, scatter_mm=0.5)
 """The trunk stands in its own frame: +x is the patient's left, +y the head, +z ahead."""
 BALL = ball(50.0, subdivisions=4)
 

@@ -130,9 +130,9 @@ def test_sectors_are_counted_around_the_casts_middle() -> None:
     """A third of a rim lies in a third of the directions, though its own middle has it all around."""
     base = a_base(0.0)
     rim = rim_on(base)
-    assert sectors_held(rim, PLACE, base, 72) == 72
-    assert sectors_held(rim[:240], PLACE, base, 72) in (24, 25)  # where the directions begin is arbitrary
-    assert sectors_held(rim[:0], PLACE, base, 72) == 0
+    assert sectors_held(rim, PLACE, base) == 72
+    assert sectors_held(rim[:240], PLACE, base) in (24, 25)  # where the directions begin is arbitrary
+    assert sectors_held(rim[:0], PLACE, base) == 0
 
 
 def test_frames_are_right_handed() -> None:

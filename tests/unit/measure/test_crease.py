@@ -185,7 +185,7 @@ def test_a_border_stays_on_its_own_side() -> None:
 def test_samples_lie_on_the_faces_and_close_together() -> None:
     corners = np.array([[0.0, 0, 0], [30, 0, 0], [0, 20, 5], [31, 22, 0]])
     mesh = TriangleMesh(vertices=corners, faces=np.array([[0, 1, 2], [1, 3, 2]], dtype=np.int32))
-    points = dense_samples(mesh, 1.5)
+    points = dense_samples(mesh)
     assert closest_on_mesh(points, mesh).distances_mm.max() < 1e-9
     somewhere = np.random.default_rng(0).dirichlet(np.ones(3), 500)
     inside = np.concatenate([somewhere @ corners[[0, 1, 2]], somewhere @ corners[[1, 3, 2]]])

@@ -53,7 +53,7 @@ def test_outlines_that_may_be_off_make_the_base_uncertain(monkeypatch: pytest.Mo
     angle = np.linspace(0, 2 * np.pi, 90, endpoint=False)
     rim = 60 * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
     for silhouette_px, local_px in ((0.0, 0.0), (0.3, 0.0), (0.0, 0.4)):
-        monkeypatch.setattr("mammometry.measure.boundary.cast_rim._SILHOUETTE_SIGMA_PX", silhouette_px)
+        monkeypatch.setattr("mammometry.measure.boundary.cast_rim.SILHOUETTE_SIGMA_PX", silhouette_px)
         monkeypatch.setattr("mammometry.measure.boundary.cast_rim._LOCAL_SIGMA_PX", local_px)
         assert adjusted().sigma_mm(rim) == pytest.approx(silhouette_px + local_px, abs=1e-12)
 
@@ -90,7 +90,7 @@ def test_a_rougher_chest_keeps_skin_that_stands_out(monkeypatch: pytest.MonkeyPa
     seen = of_a_trunk(skin(theta, y, np.where(np.abs(theta) < 0.25, 8.0, 0.0)))
     ahead = np.zeros((1, 2))
     rough = fit_thorax(TRUNK, seen).radius_mm(ahead)
-    monkeypatch.setattr("mammometry.measure.trunk.thorax._CHEST_SCALE_MM", 1.0)
+    monkeypatch.setattr("mammometry.measure.trunk.thorax.CHEST_SCALE_MM", 1.0)
     assert rough[0] > fit_thorax(TRUNK, seen).radius_mm(ahead)[0] + 1.0
 
 

@@ -15,7 +15,7 @@ from mammometry.measure.wall.open_breast import OpenBreast
 
 FRAME = np.eye(3)
 BODY = Body(frame=FRAME, point_world=np.zeros(3), plane_sigma_mm=None, scatter_mm=None, how="")
-MIDDLE = MirrorPlane(point_world=np.zeros(3), normal_world=FRAME[0], sigma_mm=0.1, scatter_mm=0.5, used=1.0)
+MIDDLE = MirrorPlane(point_world=np.zeros(3), normal_world=FRAME[0], sigma_mm=0.1, scatter_mm=0.5)
 AREOLA_MM = 17.0
 
 

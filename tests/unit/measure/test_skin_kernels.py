@@ -44,7 +44,7 @@ def test_samples_are_the_middles_of_equal_parts_of_each_face():
     vertices = rng.uniform(0, 12, (30, 3))
     faces = np.array([rng.choice(30, 3, replace=False) for _ in range(40)], dtype=np.int32)
     mesh = TriangleMesh(vertices=vertices, faces=faces)
-    samples = dense_samples(mesh, 1.5)
+    samples = dense_samples(mesh)
     at = 0
     for a, b, c in vertices[faces]:
         n = int(np.ceil(max(np.linalg.norm(side) for side in (a - b, b - c, c - a)) / 1.5))

@@ -26,7 +26,14 @@ from mammometry.measure.boundary.cast_base import (
     sectors_held,
     ways_to_bend,
 )
-from mammometry.measure.boundary.cast_rim import AdjustedBase, RimCandidates, adjust_base, mean_height, rim_candidates
+from mammometry.measure.boundary.cast_rim import (
+    SILHOUETTE_SIGMA_PX,
+    AdjustedBase,
+    RimCandidates,
+    adjust_base,
+    mean_height,
+    rim_candidates,
+)
 from mammometry.measure.boundary.protocol import outline_by_protocol
 from mammometry.measure.boundary.trace import check_curve
 from mammometry.measure.landmarks.landmarks import PICKED_SIGMA_MM, picked_landmarks
@@ -52,7 +59,6 @@ _SURE_TO_VAGUE = (0.1, 0.9)  # quantiles of a curve's uncertainty that are said
 _COARSE_PX = 1.0  # outliers are left out little by little, else the nearest of several minima is found; chosen by eye
 _BENDS = (0.15, 0.3, 0.45)  # curvatures tried, as the rim's radius over the cylinder's; chosen by eye
 _FINISHED = 3  # of the ways of bending that settled, as many bend freely; chosen by eye
-_FINEST_PX = 0.05  # scale of the cameras' agreement, pixels: what silhouettes are off as a whole (decision 9)
 _UNSEEN_SHARE = 0.5  # of a rounded rim's radius by which the base that is seen lies before the true one (decision 17)
 _CUT_OFF = 5  # standard deviations above which a distance from the common rim counts no more
 _FEW = 250  # rim points that tell one way of bending from another; chosen for speed
@@ -138,8 +144,7 @@ def _cast_boundary(
     seen = surface.mesh.vertices[measured] if measured.any() else surface.mesh.vertices
     viewer = -np.mean([camera.axis_world for camera in rig.cameras.values()], axis=0)
     adjusted, rivals = find_base(candidates, seen, viewer, settings.base_rim)
-    rim = settings.base_rim
-    rounded_mm = rim.rim_radius_mm if rim_radius_mm is None else rim_radius_mm
+    rounded_mm = settings.base_rim.rim_radius_mm if rim_radius_mm is None else rim_radius_mm
     base = moved(adjusted.base, np.array([0.0, 0.0, -_UNSEEN_SHARE * rounded_mm]), 1.0)
     part = above(surface.mesh, base.height)
     if not part.loops:
@@ -196,7 +201,7 @@ def find_base(
     cylinder = adjust_base(rough.cylinder, candidates, bend=True)
     tried: list[AdjustedBase] = []
     whole = leaving_whole([plane, cylinder], surface_points)
-    if min(_disagreement(base, _FINEST_PX) for base in whole) > _AGREED_PX**2:
+    if min(_disagreement(base, SILHOUETTE_SIGMA_PX) for base in whole) > _AGREED_PX**2:
         tried = _ways_to_fit(plane, rough.cylinder, candidates, surface_points)
         cylinder = adjust_base(tried[0].base, candidates, bend=True)
     best = min(plane.scale_px, cylinder.scale_px)
@@ -206,11 +211,13 @@ def find_base(
     whole = leaving_whole([chosen, other], surface_points)
     chosen = whole[0]
     middle = np.median(surface_points, axis=0)
-    sectors = sectors_held(candidates.points_world[chosen.weights > _HELD], middle, chosen.base, SECTORS)
+    sectors = sectors_held(candidates.points_world[chosen.weights > _HELD], middle, chosen.base)
     if sectors < settings.minimum_sectors:
         raise no_rim(f"rim points in {sectors} of {SECTORS} directions", settings)
     rivals = [
-        base for base in tried if _disagreement(base, _FINEST_PX) < BEND_GAIN * _disagreement(tried[0], _FINEST_PX)
+        base
+        for base in tried
+        if _disagreement(base, SILHOUETTE_SIGMA_PX) < BEND_GAIN * _disagreement(tried[0], SILHOUETTE_SIGMA_PX)
     ]
     if max(flat, bent) < _RIVAL_GAIN * min(flat, bent):
         rivals += whole
@@ -232,7 +239,7 @@ def _ways_to_fit(
         return adjust_base(start, few, bend=bend, coarse_px=_COARSE_PX)
 
     def disagreement(base: AdjustedBase) -> float:
-        return _disagreement(base, _FINEST_PX)
+        return _disagreement(base, SILHOUETTE_SIGMA_PX)
 
     settled: list[AdjustedBase] = []
     for turned in ways_to_bend(plane.base):

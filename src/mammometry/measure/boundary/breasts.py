@@ -13,8 +13,10 @@ from mammometry.geometry import Array, Bool, Float64, TriangleMesh
 from mammometry.geometry.nearest import closest_on_mesh
 from mammometry.measure.boundary.crease import CREASE_PER_MM, Crease, follow_crease
 from mammometry.measure.boundary.prominence import (
+    DOME_MM,
     LEAST_CREASED,
     LOW_CREASED,
+    MIDLINE_MM,
     Middle,
     Prominence,
     SideName,
@@ -23,6 +25,7 @@ from mammometry.measure.boundary.prominence import (
     level_pair,
     prominence_within,
 )
+from mammometry.measure.solid.untangle import signed_area_mm2
 from mammometry.measure.trunk.body import Body, find_body, lies_across
 from mammometry.measure.trunk.head import check_head, head_signs
 from mammometry.measure.trunk.skin_map import PIXEL_MM, Relief, dense_samples, lay_flat
@@ -40,17 +43,13 @@ from mammometry.surface.repair.repair import RepairedSurface
 
 _OTHER: dict[SideName, SideName] = {"left": "right", "right": "left"}
 _ROUNDS = 3  # times that trunk and middles are found, each from the other; chosen by eye
-_DISC_MM = 75.0
-"""Skin this near to a breast's middle, laid flat, is not the trunk's: half the height of real women's bases is 84 mm,
-half the width 60."""
 _FAINT = 0.25  # a dome this much flatter than the other side's is left in the trunk; chosen by eye
 _HIGHEST_SIGMA_MM = 8.0  # the relief is smoothed over this to look for the highest place; chosen by eye
 _BESIDE_MM = 25.0  # the highest place of a side lies this far from the midline; chosen by eye
-_OUTSIDE_MM = 4.0  # outside a curve at a fold the innermost skin is the trunk's, and not the breast's; two pixels
+_OUTSIDE_MM = 2 * PIXEL_MM  # outside a curve at a fold the innermost skin is the trunk's, and not the breast's
 _NEAR_MM = 20.0  # surface around an outline onto which it is laid; chosen by eye
 _SHEET_TURN = 0.15  # of a turn, over which an outline's running median is taken: 60 to 80 mm; chosen by eye
 _LEAP_MM = 10.0  # off the running median: another layer of skin. On whole captures no outline has any; chosen by eye
-_MIDLINE_MM = 4.0  # each boundary keeps this far from the middle between both; chosen by eye
 _FRONT_RAD, _FRONT_MM = np.deg2rad(60.0), 90.0  # of the trunk's front, where the highest place of a side is named
 _FOLD_PER_MM = 0.08  # concavity from which a crease is a fold, not the foot of a mound (.02 to .06); a fold has .1 to 1
 _WIDEST_HALF_WIDTHS, _TALLEST_MM = 1.95, 260.0
@@ -213,7 +212,7 @@ def _trunk_beside(
             if dome.roundness_per_mm > _FAINT * domes[0].roundness_per_mm:
                 # Its mirror image is left out too: so the trunk is the same whatever the other side has.
                 for across in (dome.flat[0], 2 * between_mm - dome.flat[0]):
-                    outside &= np.hypot(flat[:, 0] - across, flat[:, 1] - dome.flat[1]) > _DISC_MM
+                    outside &= np.hypot(flat[:, 0] - across, flat[:, 1] - dome.flat[1]) > DOME_MM
         # At the height of the rounder breast, which does not depend on what the other side has.
         height_of = trunk.world(np.array([[0.0, domes[0].flat[1], 0.0]]))[0]
     return thorax, relief, middles
@@ -251,7 +250,7 @@ def _sides(relief: Relief, trunk: Trunk, middles: dict[SideName, Middle | None])
             )
             sides[name] = _Side(middle=place, crease=empty, prominence=None, verdict="none")
             continue
-        medial_mm = between_mm + sign * _MIDLINE_MM
+        medial_mm = between_mm + sign * MIDLINE_MM
         ends = (medial_mm, np.inf) if name == "left" else (-np.inf, medial_mm)
         crease = follow_crease(relief, middle.flat, side=name, base_mm=middle.base_mm, between_mm=ends)
         creased = float((crease.concavity_per_mm > CREASE_PER_MM).mean())
@@ -375,9 +374,8 @@ def _check_base(flat: Float64[Array, "n 2"], name: str, trunk: Trunk) -> None:
         MeasureError: it is too wide, too tall, too large or too ragged.
     """
     width, height = np.ptp(flat, axis=0)
-    following = np.roll(flat, -1, axis=0)
-    area = abs(float((flat[:, 0] * following[:, 1] - flat[:, 1] * following[:, 0]).sum())) / 2
-    length = float(np.linalg.norm(following - flat, axis=1).sum())
+    area = abs(signed_area_mm2(flat))
+    length = float(np.linalg.norm(np.roll(flat, -1, axis=0) - flat, axis=1).sum())
     roundness = 4 * np.pi * area / length**2
     widest = _WIDEST_HALF_WIDTHS * trunk.half_width_mm
     area_cm2 = area / 100
@@ -399,7 +397,8 @@ def fuller_below(crease: Crease, relief: Relief) -> float:
     shows where the feet are. Turned upside down it has the other sign.
     """
     turn = np.arange(len(crease.flat)) / len(crease.flat)
-    lower, upper = ((turn > low) & (turn < high) for low, high in (_LOWER_QUARTER, (0.125, 0.375)))
+    low, high = _LOWER_QUARTER
+    lower, upper = ((turn > low - half) & (turn < high - half) for half in (0.0, 0.5))
     sharp = np.clip(crease.concavity_per_mm, 0.0, None)
     below, above = float(sharp[lower].mean()), float(sharp[upper].mean())
     inside = _pixels_within(relief, crease.flat)

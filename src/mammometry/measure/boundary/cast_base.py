@@ -121,7 +121,7 @@ def fit_base(
     step = max(1, len(surface_points) // _SURFACE_POINTS)
     data = _Data(
         points=candidates,
-        sectors=_sectors(candidates, centre, viewer_direction, SECTORS),
+        sectors=_sectors(candidates, centre, viewer_direction),
         surface=surface_points[::step],
         settings=settings,
         extent=float(np.percentile(np.linalg.norm(candidates - centre, axis=1), 90)),
@@ -134,9 +134,9 @@ def fit_base(
     return BaseFit(plane=plane, cylinder=cylinder, plane_cost=data.cost(plane), cylinder_cost=data.cost(cylinder))
 
 
-def sectors_held(points: Float64[Array, "n 3"], middle: Float64[Array, 3], base: Base, sectors: int) -> int:
-    """Number of directions around the cast's middle with points."""
-    return len(np.unique(_sectors(points, middle, base.frame[2], sectors))) if len(points) else 0
+def sectors_held(points: Float64[Array, "n 3"], middle: Float64[Array, 3], base: Base) -> int:
+    """Number of directions around the cast's middle with points, of `SECTORS`."""
+    return len(np.unique(_sectors(points, middle, base.frame[2])))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -181,13 +181,11 @@ def no_rim(found: str, settings: BaseRimSettings) -> MeasureError:
     )
 
 
-def _sectors(
-    points: Float64[Array, "n 3"], centre: Float64[Array, 3], viewer: Float64[Array, 3], count: int
-) -> Int64[Array, " n"]:
+def _sectors(points: Float64[Array, "n 3"], centre: Float64[Array, 3], viewer: Float64[Array, 3]) -> Int64[Array, " n"]:
     """Direction of each point from the centre, as the viewer sees it. By number."""
     frame = frame_towards(viewer)
     x, y = ((points - centre) @ frame[:2].T).T
-    return (np.floor((np.arctan2(y, x) / (2 * np.pi) + 0.5) * count).astype(np.int64)) % count
+    return (np.floor((np.arctan2(y, x) / (2 * np.pi) + 0.5) * SECTORS).astype(np.int64)) % SECTORS
 
 
 def frame_towards(direction: Float64[Array, 3]) -> Float64[Array, "3 3"]:

@@ -187,9 +187,9 @@ def _meet(
     return reach + step, cosine
 
 
-_SILHOUETTE_SIGMA_PX = 0.05
+SILHOUETTE_SIGMA_PX = 0.05
 """Standard uncertainty of the edge in each camera, common to its whole outline, pixels. In eight cameras and three
-casts that are lit to the edge it was .00 to .04.
+casts that are lit to the edge it was .00 to .04 (docs/decisions/0009). No smaller scatter is assumed.
 """
 _LOCAL_SIGMA_PX = 0.1
 """Standard uncertainty of the edge in one eighth of a camera's outline alone, pixels. Light differs around a rim:
@@ -199,7 +199,6 @@ _RIM_KNOTS = 40  # of the closed spline that stands for the rim: one every 9°, 
 _ROUNDS = 30  # Gauss–Newton rounds at most; it ends when no step exceeds _CONVERGED_MM
 _REWEIGHT = 4  # times that the weights are renewed in each round; chosen by eye
 _TUKEY = 4.685  # standard deviations; Tukey's biweight is then 95 % efficient for normal errors
-_FINEST_PX = 0.05  # smallest scatter assumed, pixels: what silhouettes are off as a whole (docs/decisions/0009)
 _NARROWING = 0.8  # factor by which the coarse scatter shrinks from round to round; chosen by eye
 _CORRELATED = 4.0  # neighbouring silhouette points share pixels: so many count as one
 _PRIOR_MM = 0.5  # standard uncertainty of the candidates' own heights, mm: extrapolated range data erred by .3
@@ -236,7 +235,6 @@ class AdjustedBase:
 
         Args:
             rim: closed curve on the base, mm, world frame.
-            settings: how far outlines are off.
         """
         moves = [
             mean_height(moved(self.base, _STEP * unit, self.extent_mm), rim) / _STEP
@@ -247,7 +245,7 @@ class AdjustedBase:
             np.linalg.norm(
                 [
                     np.sqrt(gradient @ self.covariance @ gradient),
-                    *(_SILHOUETTE_SIGMA_PX * gradient @ self.per_camera),
+                    *(SILHOUETTE_SIGMA_PX * gradient @ self.per_camera),
                     *(_LOCAL_SIGMA_PX * gradient @ self.per_stretch),
                 ]
             )
@@ -272,20 +270,19 @@ def adjust_base(start: Base, candidates: RimCandidates, *, bend: bool, coarse_px
         coarse_px: scatter that is assumed beside the found one at first, and less from round to round, pixels.
     """
     parameters = 5 if bend else 3
-    knots = _RIM_KNOTS
     extent = float(np.percentile(np.linalg.norm(candidates.points_world - start.origin, axis=1), 90))
     base, weights = start, np.ones(len(candidates.points_world))
     middle = np.median(base.flatten(candidates.points_world), axis=0)
     residuals, scale = weights, 1.0
     prior = np.clip(len(weights) / SECTORS, 1.0, None) ** -1 / 3 / _PRIOR_MM**2
     for number in range(_ROUNDS):
-        finest = _FINEST_PX + coarse_px * _NARROWING**number
+        finest = SILHOUETTE_SIGMA_PX + coarse_px * _NARROWING**number
         angle, radius, gain = _on_base(base, candidates, middle)
-        spline = _periodic_spline(angle, knots)
+        spline = _periodic_spline(angle)
         for _ in range(_REWEIGHT):
             weight = weights * gain**2
             normal = (spline.T @ spline.multiply(weight[:, None])).toarray()
-            normal += 1e-6 * weight.sum() / knots * np.eye(knots)
+            normal += 1e-6 * weight.sum() / _RIM_KNOTS * np.eye(_RIM_KNOTS)
             rim = np.linalg.solve(normal, spline.T @ (weight * radius))
             residuals = (radius - spline @ rim) * gain
             scale = max(1.4826 * float(np.median(np.abs(residuals[weights > 0.05]))), finest)
@@ -295,7 +292,7 @@ def adjust_base(start: Base, candidates: RimCandidates, *, bend: bool, coarse_px
         for unit in np.eye(parameters):
             nearby = moved(base, _STEP * unit, extent)
             angle_2, radius_2, _ = _on_base(nearby, candidates, middle)
-            change = (radius_2 - _periodic_spline(angle_2, knots) @ rim) * gain - residuals
+            change = (radius_2 - _periodic_spline(angle_2) @ rim) * gain - residuals
             columns.append(change / _STEP)
             lifts.append((nearby.height(candidates.points_world) - heights) / _STEP)
         jacobian = hstack([csr_array(np.stack(columns, axis=1)), spline.multiply(-gain[:, None])], format="csr")
@@ -352,12 +349,12 @@ def _on_base(
     return np.arctan2(offset[:, 1], offset[:, 0]), radius, gain
 
 
-def _periodic_spline(angle: Float64[Array, " n"], knots: int) -> csr_array:
+def _periodic_spline(angle: Float64[Array, " n"]) -> csr_array:
     """Values of the uniform periodic cubic B-splines at the angles, rad."""
-    place = np.mod(angle, 2 * np.pi) / (2 * np.pi) * knots
+    place = np.mod(angle, 2 * np.pi) / (2 * np.pi) * _RIM_KNOTS
     first = np.floor(place).astype(np.int64)
     f = place - first
     pieces = np.stack([(1 - f) ** 3, 3 * f**3 - 6 * f**2 + 4, -3 * f**3 + 3 * f**2 + 3 * f + 1, f**3], axis=1) / 6
-    columns = (first[:, None] + np.arange(4)) % knots
+    columns = (first[:, None] + np.arange(4)) % _RIM_KNOTS
     rows = np.repeat(np.arange(len(angle)), 4)
-    return csr_array((pieces.ravel(), (rows, columns.ravel())), shape=(len(angle), knots))
+    return csr_array((pieces.ravel(), (rows, columns.ravel())), shape=(len(angle), _RIM_KNOTS))

@@ -20,6 +20,7 @@ from scipy.special import softmax
 from mammometry.base.value import value
 from mammometry.geometry.arrays import Array, Bool, Float64
 from mammometry.measure.trunk.skin_map import KNOWN_MM, PIXEL_MM, Relief
+from mammometry.measure.trunk.thorax import CHEST_SCALE_MM, CUT_OFF
 
 _TURNS = 2  # around the middle: in the first the start is forgotten
 _FURTHEST_STEPS = 3  # that a path may move in or out from one direction to the next; 50° from the tangent at 60 mm
@@ -78,10 +79,10 @@ FARTHEST_BORDER_MM = 140.0
 CREASE_PER_MM = 0.01
 """Concavity from which the skin has a crease, 1/mm, twice a mean curvature. A chest has below .005, a fold .1 to 1."""
 DIRECTIONS = 144  # from the breast's middle in which its end is looked for, 2.5° apart
-_SIGMA_MM = 4.0
+_SIGMA_MM = 2 * PIXEL_MM
 """Scale at which the skin's curvature is looked at, mm: wider than the matcher's and the skin's unevenness, narrower
 than a fold."""
-_FINE_MM = 2.0  # scale at which the same crease is looked at again, to tell how abrupt it is, mm; one pixel
+_FINE_MM = PIXEL_MM  # scale at which the same crease is looked at again, to tell how abrupt it is, mm
 _HALVED_SIGMAS = (0.0, 1.18, 1.92)
 """Distance outside a bend of skin at which its concavity, smoothed by a Gaussian, has fallen to half, in σ: where
 curvature steps, where slope steps (a crease), where height steps (a fold under an overhang). Closed forms."""
@@ -119,9 +120,9 @@ _ENDED_MM, _UNSEEN_SCATTER = 18.0, 0.3
 from the middle. Chosen by eye: large breasts of held-out captures go on by 30 to 50 mm above what is laid flat."""
 _FALLEN = 0.9  # share of the height to which a breast has fallen before it may end; .68 moves 4 % of an interval
 _RISE_MM = 6.0  # skin that rises again by this much belongs to something else (arm, belly, other breast)
-_SUNK_MM = 12.0
-"""Skin this far behind the thorax fit is no trunk: it has ended there. The fit itself takes skin beyond 12 mm (three
-scatters of 4 mm) for something else; its own errors are 2 to 6 mm."""
+_SUNK_MM = CUT_OFF * CHEST_SCALE_MM
+"""Skin this far behind the thorax fit is no trunk: it has ended there, as skin so far before it is something else to
+the fit itself, whose own errors are 2 to 6 mm."""
 _STEP_MM = 1.0  # of the table of distances
 _LEVEL_MM = 1.0  # over 8 mm: skin that rises or falls less is level; chosen by eye
 _SHIFT_MM = 15.0  # farthest that the outer flank is looked for outside the crease; chosen by eye

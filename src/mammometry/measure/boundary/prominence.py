@@ -27,7 +27,9 @@ _LEAST_PER_MM = 0.0015  # gathered roundness of the flattest dome that is looked
 _PEAK_RADIUS_MM = 25.0  # a peak is the highest place within this distance, in both coordinates; chosen by eye
 _AROUND_MM = 50.0  # of a peak, over which the middle is taken; chosen by eye
 _SMOOTHED_MM = 6.0  # a breast's top is looked for in relief smoothed over this; chosen by eye
-_WHOLE_MM = 75.0  # of a peak, within which all of its dome lies; chosen by eye
+DOME_MM = 75.0
+"""All of a breast's dome lies this near to its middle, laid flat, mm, and skin this near is not the trunk's: half the
+height of real women's bases is 84 mm, half the width 60."""
 _BASE_OVER_DOME, _TELLING = 2.3, 0.7
 """Root of a base's area over that of its dome's, which is as large as if it were equally round all over: 2.3 ± .2 on 22
 breasts of virtual women and torsos; and how much it counts beside the usual one: both are known to some 20 and 12 %."""
@@ -45,7 +47,7 @@ _CLEAR_PER_MM, _CLEAR_SHARE = 0.006, 0.4
 """Least roundness of both of two breasts that show where the body's left is, and of the flatter over the rounder.
 Bodies with two have .012 to .03, and .8 to 1; what else is round on a chest has up to .005 (docs/decisions/0026)."""
 _BESIDE_MM = 60.0  # least distance between such domes across the body; chosen by eye
-_MIDLINE_MM = 4.0  # a peak nearer to the midline is on neither side; chosen by eye
+MIDLINE_MM = 4.0  # a breast's peak and its boundary lie this far from the midline at least; chosen by eye
 
 
 @value(eq=False)
@@ -69,7 +71,7 @@ def breast_middles(relief: Relief, trunk: Trunk) -> dict[SideName, Middle | None
     peaks, worth = _peaks(relief, dome)
     usable = np.abs(peaks[:, 0]) < _WIDEST_RAD * trunk.half_width_mm
     peaks, worth = peaks[usable], worth[usable]
-    sides = [np.flatnonzero(peaks[:, 0] * sign > _MIDLINE_MM) for sign in (1, -1)]
+    sides = [np.flatnonzero(peaks[:, 0] * sign > MIDLINE_MM) for sign in (1, -1)]
     chosen: list[int | None] = [int(side[np.argmax(worth[side])]) if len(side) else None for side in sides]
     if all(len(side) for side in sides):
         left, right = sides[0][:, None], sides[1][None]
@@ -124,7 +126,7 @@ def _middle(relief: Relief, dome: Float64[Array, "h w"], peak: Float64[Array, 2]
     flat = relief.low + np.stack([columns, rows], axis=-1) * PIXEL_MM
     away = np.linalg.norm(flat - peak, axis=-1)
     own = flat[..., 0] * peak[0] > 0
-    near, whole = own & (away < _AROUND_MM), dome[own & (away < _WHOLE_MM)]
+    near, whole = own & (away < _AROUND_MM), dome[own & (away < DOME_MM)]
     domes_mm2 = whole.sum() ** 2 / (whole**2).sum() * PIXEL_MM**2
     smooth = np.where(near, relief.smooth_mm(_SMOOTHED_MM), -np.inf)
     highest = np.unravel_index(np.argmax(smooth), smooth.shape)
@@ -201,7 +203,7 @@ class Prominence:
         if self.top_mm < MIN_PROMINENCE_MM:
             return "none"
         mirrored = astray_mm is not None and astray_mm <= _ELSEWHERE_MM
-        low_creased = min(_MIRRORED_CREASED, LOW_CREASED) if mirrored else LOW_CREASED
+        low_creased = _MIRRORED_CREASED if mirrored else LOW_CREASED
         if self.mean_mm < CHEST_MM and self.creased < low_creased:
             return "none" if astray_mm is not None and not mirrored else "unclear"
         share = np.clip((SURE_PROMINENCE_MM - self.top_mm) / (SURE_PROMINENCE_MM - MIN_PROMINENCE_MM), 0.0, 1.0)

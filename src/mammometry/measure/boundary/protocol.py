@@ -49,7 +49,7 @@ def sides_of(landmarks: Mapping[str, object]) -> tuple[str, ...]:
 
 
 def outline_by_protocol(
-    landmarks: Sequence[Landmark], surface: RepairedSurface, frame: Float64[Array, "3 3"], join: ProtocolJoin = "arc"
+    landmarks: Sequence[Landmark], surface: RepairedSurface, frame: Float64[Array, "3 3"], join: ProtocolJoin
 ) -> dict[str, ProtocolOutline]:
     """Draw the boundary of every side whose landmarks are there.
 

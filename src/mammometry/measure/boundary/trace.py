@@ -17,10 +17,10 @@ from mammometry.measure.solid.cut import OpenPart
 
 _STEP_MM = 3.0  # distance of the stops along a curve, about an edge's length
 _STOPS = (1, 4, 12)  # one stop in so many is passed, in turn, until the path is simple; chosen by eye
-_BANDS_MM = (6.0, 12.0, 25.0, 40.0)  # widths of the band around the curve that are tried in turn; chosen by eye
-_BESIDE_HOLE_MM = _BANDS_MM[1]  # an opening farther off its curve, along the edge of a hole, is another one's
+BANDS_MM = (6.0, 12.0, 25.0, 40.0)  # widths of the band around the curve that are tried in turn; chosen by eye
+_BESIDE_HOLE_MM = BANDS_MM[1]  # an opening farther off its curve, along the edge of a hole, is another one's
 _OFF_MESH_MM = 5.0  # a curve further off the mesh was drawn on another one; chosen by eye
-REACH_MM = _BANDS_MM[-1] + _OFF_MESH_MM
+REACH_MM = BANDS_MM[-1] + _OFF_MESH_MM
 """A path depends on the mesh up to so far from its curve."""
 _OPEN_MM = 20.0  # a gap above this and five times the median step leaves a curve open; chosen by eye
 _GAP_STEPS = 5  # median steps: see `_OPEN_MM`
@@ -95,11 +95,11 @@ def edge_loop(name: str, points_world: Float64[Array, "n 3"], mesh: TriangleMesh
         MeasureError: the path cannot be closed, or the curve runs along itself.
     """
     curve = _resampled(points_world)
-    low, high = curve.min(axis=0) - _BANDS_MM[-1], curve.max(axis=0) + _BANDS_MM[-1]
+    low, high = curve.min(axis=0) - BANDS_MM[-1], curve.max(axis=0) + BANDS_MM[-1]
     near = mesh.vertices_between(low, high)
     tree = point_tree(curve)
     paths = 0
-    for reach in _BANDS_MM:
+    for reach in BANDS_MM:
         away = np.asarray(tree.query(mesh.vertices[near], distance_upper_bound=reach)[0])
         within = np.isfinite(away)
         band, away = near[within], away[within]
@@ -108,7 +108,7 @@ def edge_loop(name: str, points_world: Float64[Array, "n 3"], mesh: TriangleMesh
         length = np.sqrt(np.einsum("ij,ij->i", steps, steps))
         apart = away[edges[:, 0]] + away[edges[:, 1]]
         # In the widest band the path may leave the curve: around a pocket in skin that nobody measured.
-        strictness = apart**2 if reach < _BANDS_MM[-1] else apart / _BANDS_MM[0]
+        strictness = apart**2 if reach < BANDS_MM[-1] else apart / BANDS_MM[0]
         cost = length * (1 + strictness) + 1e-9
         for every in _STOPS:
             path = _path(curve[::every], vertices, edges, cost)
@@ -120,7 +120,7 @@ def edge_loop(name: str, points_world: Float64[Array, "n 3"], mesh: TriangleMesh
                 return band[simple]
     if paths:
         raise _broken(name, "a curve that runs back along itself")
-    raise _broken(name, f"a place farther than {_BANDS_MM[-1]:.0f} mm from any connected surface")
+    raise _broken(name, f"a place farther than {BANDS_MM[-1]:.0f} mm from any connected surface")
 
 
 def check_beside_holes(name: str, points_world: Float64[Array, "n 3"], part: OpenPart, mesh: TriangleMesh) -> None:

@@ -158,7 +158,8 @@ def _check_sides(
         stem, _, side = name.rpartition("_")
         if side not in ("left", "right"):
             continue
-        other = across.get(f"{stem}_{'right' if side == 'left' else 'left'}")
+        opposite = "right" if side == "left" else "left"
+        other = across.get(f"{stem}_{opposite}")
         middle = float(np.mean(central)) if central else None if other is None else (place + other) / 2
         if middle is None:
             continue
@@ -166,8 +167,7 @@ def _check_sides(
         if beyond > _WRONG_SIDE_MM:
             raise MeasureError(
                 f"landmark {name!r}",
-                found=f"a place {beyond:.0f} mm on the patient's {'right' if side == 'left' else 'left'} of the middle",
-                expected=f"one on the patient's own {side}, which a picture from the front shows on the "
-                f"{'right' if side == 'left' else 'left'}",
+                found=f"a place {beyond:.0f} mm on the patient's {opposite} of the middle",
+                expected=f"one on the patient's own {side}, which a picture from the front shows on the {opposite}",
                 remedy="Exchange the left and right landmarks, or pick it again",
             )

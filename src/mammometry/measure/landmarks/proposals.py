@@ -11,7 +11,7 @@ than the skin around it. A tip stands out from the ring of skin around it. What 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import ndimage
@@ -19,7 +19,7 @@ from scipy.ndimage import uniform_filter1d
 
 from mammometry.geometry import Array, Bool, Float64, TriangleMesh, UInt8
 from mammometry.geometry.nearest import closest_on_mesh, point_tree
-from mammometry.measure.landmarks.landmarks import Landmark
+from mammometry.measure.landmarks.landmarks import PROPOSED, Landmark
 
 _STEP_MM, _ASIDE_MM = 2.0, 60.0  # cells of the grid, and its half width; chosen by eye
 _SMOOTH_CELLS = 2.0  # standard deviation of the mean over cells; noise of telephones vanishes, hollows stay
@@ -76,28 +76,24 @@ def propose_on_midline(
             continue
         lowered = max(0, int(row) + round(shift / _STEP_MM))
         place = np.array([aside[0, column], up[lowered, 0], height[lowered, column]])
-        found.append(_landmark(name, place[None], "hollow of the skin on the midline", sigma, _PROBABILITY))
+        found.append(_proposed(name, place[None], "hollow of the skin on the midline", sigma, _PROBABILITY))
     middle = height[:, height.shape[1] // 2]
     rows = np.arange(0, len(middle), int(_LINE_MM / _STEP_MM))
     notch = next((mark.points_world[0, 1] for mark in found if mark.name == "sternal_notch"), np.inf)
     rows = rows[np.isfinite(middle[rows]) & (up[rows, 0] <= notch)]
     if len(rows) > 1:
         line = np.stack([np.zeros(len(rows)), up[rows, 0], middle[rows]], axis=1)
-        found.append(_landmark("midline", line, "where the mid-sagittal plane meets the skin", plane_sigma_mm, 1.0))
+        found.append(_proposed("midline", line, "where the mid-sagittal plane meets the skin", plane_sigma_mm))
     return tuple(
-        Landmark(
-            name=mark.name,
-            points_world=closest_on_mesh(point_world + mark.points_world @ frame, mesh).points,
-            method=mark.method,
-            sigma_mm=mark.sigma_mm,
-            probability=mark.probability,
-        )
+        replace(mark, points_world=closest_on_mesh(point_world + mark.points_world @ frame, mesh).points)
         for mark in found
     )
 
 
-def _landmark(name: str, points: Float64[Array, "k 3"], how: str, sigma_mm: float, probability: float) -> Landmark:
-    method = f"proposed: {how}; to be confirmed by eye"
+def _proposed(
+    name: str, points: Float64[Array, "k 3"], how: str, sigma_mm: float, probability: float = 1.0
+) -> Landmark:
+    method = f"{PROPOSED}: {how}; to be confirmed by eye"
     return Landmark(name=name, points_world=points, method=method, sigma_mm=sigma_mm, probability=probability)
 
 
@@ -187,12 +183,8 @@ def propose_ends(
         place = piece[np.argmin(np.linalg.norm(piece - middle, axis=1))]
         likely = np.exp(-(((far.max() - far) / np.hypot(_FLAT_MM, _ALIKE * across)) ** 2) / 2)
         along = np.sqrt(np.average(((dense - place) ** 2).sum(axis=1), weights=likely))
-        yield Landmark(
-            name=f"{name}_{side}",
-            points_world=place[None],
-            method="proposed: the boundary's end in this direction; to be confirmed by eye",
-            sigma_mm=float(np.linalg.norm([sigma, along, np.average(across, weights=likely)])),
-        )
+        sigma_mm = float(np.linalg.norm([sigma, along, np.average(across, weights=likely)]))
+        yield _proposed(f"{name}_{side}", place[None], "the boundary's end in this direction", sigma_mm)
 
 
 _MARGIN_MM = 15.0
@@ -205,10 +197,8 @@ mm. A round breast has up to .5, a mound on a telephone's scan up to .7, a nippl
 _TIP_SIGMA_MM = 2.5
 """Standard uncertainty of a tip within an areola, mm. It was 2.6 and 3.2 mm off on a virtual torso at .15 of full
 size."""
-_AREOLA_SIGMA_MM = 4.0
-"""Standard uncertainty of the middle of an areola without a tip, mm."""
-_APEX_TIP_SIGMA_MM = 4.0
-"""Standard uncertainty of a tip where no areola is seen, mm."""
+_ALONE_SIGMA_MM = 4.0
+"""Standard uncertainty of the middle of an areola without a tip, and of a tip where no areola is seen, mm."""
 _AREOLA_TIP_PROBABILITY = 0.98
 """Probability that a tip within an areola's colour is a nipple. This and the next two chosen by eye."""
 _AREOLA_PROBABILITY = 0.9
@@ -279,13 +269,13 @@ def propose_nipple(
     areola = _areola(samples, inner)
     if areola is not None:
         near = inner & (np.linalg.norm(samples.points - areola, axis=1) < _NEAR_TIP_MM)
-        tip = _tip(samples, protrusion, near, _LEAST_TIP_MM)
+        tip = _tip(samples, protrusion, near)
         if tip is not None:
             how = "half way between the middle of the areola's colour and the tip within it"
             place, sigma = tip + _along_skin(samples, tip, (areola - tip) / 2), _TIP_SIGMA_MM
             probability = _AREOLA_TIP_PROBABILITY
         else:
-            how, place, sigma = "middle of the areola's colour; no tip stands out", areola, _AREOLA_SIGMA_MM
+            how, place, sigma = "middle of the areola's colour; no tip stands out", areola, _ALONE_SIGMA_MM
             probability = _AREOLA_PROBABILITY
     else:
         centre = boundary_world.mean(axis=0)
@@ -295,18 +285,12 @@ def propose_nipple(
         apex = samples.points[np.argmax(np.where(inner, height, -np.inf))]
         near = inner & (height > _HEIGHT * height.max())
         near &= np.linalg.norm(samples.points - apex, axis=1) < _NEAR_APEX_MM
-        tip = _tip(samples, protrusion, near, _LEAST_TIP_MM)
+        tip = _tip(samples, protrusion, near)
         if tip is None:
             return None
         how, place = "the tip near the most projecting point; no areola in the colours", tip
-        sigma, probability = _APEX_TIP_SIGMA_MM, _TIP_PROBABILITY
-    return Landmark(
-        name=name,
-        points_world=place[None],
-        method=f"proposed: {how}; to be confirmed by eye",
-        sigma_mm=sigma,
-        probability=probability,
-    )
+        sigma, probability = _ALONE_SIGMA_MM, _TIP_PROBABILITY
+    return _proposed(name, place[None], how, sigma, probability)
 
 
 def _along_skin(samples: _Samples, at: Float64[Array, 3], offset: Float64[Array, 3]) -> Float64[Array, 3]:
@@ -384,13 +368,11 @@ def _protrusion(samples: _Samples) -> Float64[Array, " n"]:
     return out - _mean(samples, out[:, None], _AREOLA_RING_MM[1], _FOOT_MM[1])[:, 0]
 
 
-def _tip(
-    samples: _Samples, protrusion: Float64[Array, " n"], near: Bool[Array, " n"], least_mm: float
-) -> Float64[Array, 3] | None:
+def _tip(samples: _Samples, protrusion: Float64[Array, " n"], near: Bool[Array, " n"]) -> Float64[Array, 3] | None:
     if not near.any():
         return None
     best = int(np.argmax(np.where(near, protrusion, -np.inf)))
-    if protrusion[best] < least_mm:
+    if protrusion[best] < _LEAST_TIP_MM:
         return None
     around = near & (np.linalg.norm(samples.points - samples.points[best], axis=1) < _FOOT_MM[0])
     weight = np.where(around, np.clip(protrusion - protrusion[best] / 2, 0.0, None), 0.0)

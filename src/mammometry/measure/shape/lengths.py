@@ -18,13 +18,12 @@ from mammometry.geometry import Array, Float64, TriangleMesh
 from mammometry.geometry.nearest import point_tree
 from mammometry.measure.landmarks.geodesic import geodesic
 from mammometry.measure.landmarks.landmarks import Landmark
-from mammometry.measure.volume.measurement import VolumeMeasurement
+from mammometry.measure.volume.measurement import COVERAGE_95, VolumeMeasurement
 
 Place = tuple[float, float, float]
 PtosisGrade = Literal["none", "I", "II", "III", "pseudoptosis"]
 _SIDES = ("left", "right")
 _GRADE_II_MM, _GRADE_III_MM, _AT_CONTOUR_MM, _PSEUDO_MM = 10.0, 30.0, 5.0, 20.0  # after Regnault, see `Ptosis`
-_COVERAGE_95 = 1.96  # standard deviations of a normal distribution on either side that hold 95 %
 _HEIGHTS = 41  # of the interval at which grades are looked up; 1/20 of its half-width apart
 
 
@@ -150,7 +149,7 @@ def ptosis(
     place = float(nipple.points_world[0] @ up_world)
     lowest = float((measured.skin.vertices @ up_world).min())
     below, sigma = level - place, float(np.hypot(nipple.sigma_mm, boundary_sigma_mm if fold is None else fold.sigma_mm))
-    heights = np.array([below, *(below + _COVERAGE_95 * sigma * np.linspace(-1, 1, _HEIGHTS))])
+    heights = np.array([below, *(below + COVERAGE_95 * sigma * np.linspace(-1, 1, _HEIGHTS))])
     grades = [_grade(float(height), place - lowest, level - lowest) for height in heights]
     return Ptosis(
         name=measured.name,

@@ -18,10 +18,12 @@ from mammometry.geometry import Array, Bool, Camera, Float64, Rig
 from mammometry.measure.trunk.mirror_plane import MirrorPlane, mirror_plane
 from mammometry.measure.trunk.thorax import (
     HEIGHT_WINDOW_MM,
+    TRUNK_SAMPLES,
     WIDEST_DEG,
     Skin,
     Trunk,
     find_trunk,
+    level_axis,
     on_trunk,
     orthonormal,
     seen_skin,
@@ -33,7 +35,6 @@ Mounting: TypeAlias = Literal["upright", "upside-down", "left", "right"]
 
 _BESIDE_MM = 10.0  # skin this near to a boundary counts as breast; chosen by eye
 _WINDOW_MM = 250.0  # skin this near to the breasts' middle shows the plane; chosen by eye
-_SAMPLES = 60_000  # of the skin that show the plane; chosen for speed
 _MOST_TURN_RAD = np.deg2rad(40.0)  # between the plane's normal and the cameras' left; beyond it no plane was found
 _LOOSE_MM = 0.6  # a plane whose place is known no better than this is none; found ones have .1 to .3
 _UNLIKE_MM = 4.0  # a trunk that is its own mirror image no better than this shows no plane; found ones have .5 to 1.8
@@ -42,8 +43,6 @@ _CELL_DEG, _CELL_MM = 3.0, 12.0  # in which the trunk's radius is averaged for t
 _MISFIT_MM = 10.0  # at which a misfit of both sides is limited; chosen by eye
 _TURN_MM_PER_DEG = 0.01  # cost of a turn, so that a round trunk is left as the cameras have it
 _FEWEST_CELLS = 60  # pairs of cells that must be seen on both sides; chosen by eye
-_LEAN = 0.2  # sine of the angle between normal and level at which a normal counts half; chosen by eye
-_AXIS_ROUNDS = 20  # of reweighting the normals; chosen by eye
 _STARTS_DEG = (0.0, -10.0, 10.0, -20.0, 20.0)  # turns about the axis that are tried
 _FACING_ROUNDS = 3  # of finding the axis and straight ahead, each from the other; chosen by eye
 
@@ -84,7 +83,6 @@ class Body:
             normal_world=self.left,
             sigma_mm=self.plane_sigma_mm,
             scatter_mm=self.scatter_mm,
-            used=1.0,
         )
 
 
@@ -176,7 +174,7 @@ def _facing_ahead(skin: Skin, first: Trunk, middle: Float64[Array, 3] | None) ->
 
     def turned(trunk: Trunk, angle_rad: float) -> tuple[float, float, Trunk]:
         again = find_trunk(skin, trunk.facing(angle_rad), height_of=middle)
-        return (*_ahead_rad(skin, again)[::-1], again)
+        return (*_ahead_rad(skin, again), again)
 
     tried = []
     for angle_deg in _STARTS_DEG:
@@ -194,12 +192,11 @@ def _facing_ahead(skin: Skin, first: Trunk, middle: Float64[Array, 3] | None) ->
 
 
 def _ahead_rad(skin: Skin, trunk: Trunk) -> tuple[float, float]:
-    """Angle about the axis of best symmetry, and the asymmetry, mm.
+    """The least asymmetry, mm, and the angle about the axis at which it is found.
 
     There the trunk's radius is most alike to both sides. The asymmetry is the mean of limited misfits.
     """
-    every = max(1, len(skin.points_world) // _SAMPLES)
-    cylindrical = trunk.cylindrical(skin.points_world[::every])
+    cylindrical = trunk.cylindrical(skin.about(TRUNK_SAMPLES).points_world)
     theta = np.rad2deg(cylindrical[:, 0] / trunk.half_width_mm)
     keep = (np.abs(cylindrical[:, 1]) < HEIGHT_WINDOW_MM) & (np.abs(theta) < WIDEST_DEG)
     keep &= on_trunk(cylindrical, trunk)
@@ -223,9 +220,9 @@ def _ahead_rad(skin: Skin, trunk: Trunk) -> tuple[float, float]:
             turned_deg = abs(twice / 2 - middle) * _CELL_DEG
             unlike[number] = float(np.minimum(apart, _MISFIT_MM).mean()) + _TURN_MM_PER_DEG * turned_deg
     if not np.isfinite(unlike).any():
-        return 0.0, np.inf
+        return np.inf, 0.0
     best = int(np.argmin(unlike))
-    return float(np.deg2rad((shifts[best] / 2 - middle) * _CELL_DEG)), float(unlike[best])
+    return float(unlike[best]), float(np.deg2rad((shifts[best] / 2 - middle) * _CELL_DEG))
 
 
 def lies_across(skin: Skin, frame: Float64[Array, "3 3"]) -> bool:
@@ -234,17 +231,10 @@ def lies_across(skin: Skin, frame: Float64[Array, "3 3"]) -> bool:
     Then the cameras are rolled by 90°. The axis is the direction that most of the skin is level with, of those found
     from either start. Upright torsos have .46 to .49 of it along the trunk and .27 to .36 across.
     """
-    every = max(1, len(skin.points_world) // _SAMPLES)
-    normals = skin.normals_world[::every]
+    normals = skin.about(TRUNK_SAMPLES).normals_world
 
-    def level(axis: Float64[Array, 3]) -> tuple[float, float]:
-        for _ in range(_AXIS_ROUNDS):
-            weights = 1 / (1 + ((normals @ axis) / _LEAN) ** 2)
-            vector = np.linalg.eigh((normals * weights[:, None]).T @ normals)[1][:, 0]
-            axis = vector if vector @ axis > 0 else -vector
-        return float(weights.mean()), abs(float(axis @ frame[0])) - abs(float(axis @ frame[1]))
-
-    return max(level(frame[1]), level(frame[0]))[1] > 0
+    axis, _ = max((level_axis(normals, start) for start in frame[:2]), key=lambda found: found[1])
+    return abs(float(axis @ frame[0])) > abs(float(axis @ frame[1]))
 
 
 def _one_above_the_other(curves: Sequence[Float64[Array, "_ 3"]], frame: Float64[Array, "3 3"]) -> bool:
@@ -267,8 +257,8 @@ def _plane(
     Raises:
         MeasureError: the trunk is not its own mirror image about any plane near the middle.
     """
-    every = max(1, len(skin.points_world) // _SAMPLES)
-    points, normals = skin.points_world[::every], skin.normals_world[::every]
+    some = skin.about(TRUNK_SAMPLES)
+    points, normals = some.points_world, some.normals_world
     centre = trunk.origin if middle is None else middle
     keep = on_trunk(trunk.cylindrical(points), trunk) & (np.linalg.norm(points - centre, axis=1) < _WINDOW_MM)
     for boundary in boundaries:

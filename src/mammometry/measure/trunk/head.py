@@ -13,18 +13,18 @@ import numpy as np
 
 from mammometry.base.errors import MeasureError
 from mammometry.geometry.arrays import Array, Float64
-from mammometry.measure.trunk.thorax import Skin, Trunk
+from mammometry.measure.trunk.thorax import ARM, Skin, Trunk
 
 HEAD_NOT_SHOWN = "does not show where the head is"
 """Words in a boundary's method that make left and right rest on the cameras' mounting alone."""
-_SHOULDERS = (1.15, 1.7)  # half widths from the axis at which arms leave the trunk; chosen by eye
+_SHOULDERS = (ARM, 1.7)  # half widths from the axis at which arms leave the trunk; chosen by eye
 _FEWEST = 200  # samples of skin for a sign to say anything
 _LEAST_ARMS = 0.05
 """Share of all skin seen, below which it is no arm: a shelf beside a body without arms gave .015, arms .10 to .17."""
 _CLEAR_SHOULDERS = 0.6
 """Balance of that skin below which it says nothing: arms that hang are seen at all heights (−.7 to .6 on upright
 bodies); raised ones, or on a frame, gave .7 to 1."""
-_FLANK_DEG, _FLANK = (65.0, 115.0), (0.75, 1.15)
+_FLANK_DEG, _FLANK = (65.0, 115.0), (0.75, ARM)
 """Skin that faces aside (degrees from straight ahead) this many half widths from the axis is the trunk's flank."""
 _FLANK_MM = 200.0  # flanks are looked at this far up and down at most; chosen by eye
 _AHEAD, _LAST = 0.5, 0.005
@@ -36,10 +36,9 @@ _SLOPE = 0.2  # sine of the mean slope at which the strip says all it can; uprig
 _FRONT_SHARE = 0.5
 """What the strip says at most: half of the others. A chest that stands out over a flat belly slopes as much below as
 above (an independent renderer's body: −.1)."""
-_CONTRADICTED = -0.5
-"""Sum of the signs below which the body contradicts the cameras (docs/decisions/0026)."""
 _SHOWN = 0.5
-"""Sum above which the body shows the head up."""
+"""Sum of the signs above which the body shows the head up, and below whose opposite it contradicts the cameras
+(docs/decisions/0026)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -112,9 +111,9 @@ def check_head(signs: HeadSigns, *, stated: bool = False) -> str:
     """
     words = signs.words()
     if stated and signs.together < _SHOWN:
-        unlike = f", though {words}" if signs.together < _CONTRADICTED else ""
+        unlike = f", though {words}" if signs.together < -_SHOWN else ""
         return f"the head is where it was said to be{unlike}"
-    if signs.together < _CONTRADICTED:
+    if signs.together < -_SHOWN:
         raise MeasureError(
             "torso",
             found=f"the head at the lower end: {words}",

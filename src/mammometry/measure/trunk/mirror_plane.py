@@ -21,13 +21,12 @@ _FINEST_MM = 0.15  # least scatter assumed: the skin's own noise
 _RIDGE = 1e-6  # share of the trace by which motions that the surfaces do not determine are held
 _SHARED = 25.0  # points that share one error, since neighbours share a matching window
 _MAD = 1.4826  # standard deviation of a normal distribution over its median absolute deviation
-_NARROWING, _REACH, _LEAST_REACH_MM = 0.8, 6.0, 3.0
-"""Search distance for partners: it shrinks by this factor each round, but not below so many scatters and so many mm.
-Chosen by eye."""
+_FIRST_REACH_MM, _NARROWING, _REACH, _LEAST_REACH_MM = 30.0, 0.8, 6.0, 3.0
+"""Search distance for partners: the first, mm. It shrinks by this factor each round, but not below so many scatters and
+so many mm. Chosen by eye."""
 _AT_REST = 0.01
 """A step below this share of the motion's uncertainty ends the search. Smaller steps never end where partners change to
 and fro."""
-_COUNTS = 0.1  # weight from which a point counts as used
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -37,8 +36,6 @@ class Registration:
     fixed_from_moving: Transform
     scatter_mm: float
     """Robust standard deviation of the distances along the normal, mm."""
-    used: float
-    """Share of the moving points with a partner that are no outliers."""
     weakest_mm: float
     """Standard uncertainty of the least certain of the six motions, as displacement at the surface's radius, mm: how
     far two surfaces can be shifted against each other unnoticed (a round trunk along itself). One in 25 points counts
@@ -50,7 +47,6 @@ def register(
     fixed: tuple[Float64[Array, "m 3"], Float64[Array, "m 3"]],
     *,
     start: Transform | None = None,
-    reach_mm: float = 30.0,
     subject: str = "surfaces",
 ) -> Registration:
     """Register points with normals by iterated closest points.
@@ -62,7 +58,6 @@ def register(
         moving: points and unit normals that are moved, mm.
         fixed: points and unit normals that they are laid onto, mm, about as dense or denser.
         start: first guess; None if none is needed.
-        reach_mm: farthest distance at which a partner is looked for, mm.
         subject: what is registered, for messages.
 
     Raises:
@@ -72,8 +67,7 @@ def register(
     fixed_points, outward = fixed
     tree = point_tree(fixed_points)
     motion = start or Transform.identity()
-    reach, scale = reach_mm, reach_mm
-    weights = np.zeros(len(points))
+    reach = scale = _FIRST_REACH_MM
     weakest = np.inf
     for _ in range(_ROUNDS):
         moved, turned = motion.apply(points), motion.rotate(normals)
@@ -104,9 +98,7 @@ def register(
         if np.abs(step).max() < _AT_REST * weakest and reach <= max(_REACH * scale, _LEAST_REACH_MM):
             break
         reach = max(reach * _NARROWING, _REACH * scale, _LEAST_REACH_MM) if reach > _LEAST_REACH_MM else reach
-    return Registration(
-        fixed_from_moving=motion, scatter_mm=scale, used=float((weights > _COUNTS).mean()), weakest_mm=float(weakest)
-    )
+    return Registration(fixed_from_moving=motion, scatter_mm=scale, weakest_mm=float(weakest))
 
 
 _PLANE_ROUNDS = 6  # of mirroring and registering; it ends when the plane is at rest
@@ -125,8 +117,6 @@ class MirrorPlane:
     """Standard uncertainty of the plane's place along its normal, mm."""
     scatter_mm: float
     """Robust standard deviation of the skin from its own mirror image, mm."""
-    used: float
-    """Share of the skin with a partner on the other side that is no outlier."""
 
     def mirrored(self, points_world: Float64[Array, "n 3"]) -> Float64[Array, "n 3"]:
         """Points mirrored at the plane, mm."""
@@ -162,12 +152,11 @@ def mirror_plane(
     """
     point, normal = point_world, left_world
     scatter = sigma = np.inf
-    used = 0.0
     for _ in range(_PLANE_ROUNDS):
         turned = normals_world - 2 * (normals_world @ normal)[:, None] * normal
         image = mirror(points_world, point, normal)
         found = register((image, turned), (points_world, normals_world), subject="trunk and its mirror image")
-        motion, scatter, used = found.fixed_from_moving, found.scatter_mm, found.used
+        motion, scatter = found.fixed_from_moving, found.scatter_mm
         sigma = found.weakest_mm / 2
         linear = motion.rotation @ (np.eye(3) - 2 * np.outer(normal, normal))
         values, vectors = np.linalg.eigh((linear + linear.T) / 2)
@@ -179,6 +168,4 @@ def mirror_plane(
         # Not the motion's own turn: skin that is not quite symmetric keeps one about the plane's normal.
         if np.linalg.norm(normal - before) < _AT_REST_RAD:
             break
-    return MirrorPlane(
-        point_world=point, normal_world=normal, sigma_mm=float(sigma), scatter_mm=float(scatter), used=used
-    )
+    return MirrorPlane(point_world=point, normal_world=normal, sigma_mm=float(sigma), scatter_mm=float(scatter))

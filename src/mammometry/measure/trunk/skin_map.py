@@ -124,9 +124,9 @@ def middles_of_parts(
     return middles
 
 
-PIXEL_MM = 2.0  # side of a pixel; half the scale at which creases are looked at
+PIXEL_MM = 2.0  # side of a pixel; creases are looked at over twice as much
 _SPECK = 3  # pixels; smaller specks of an outer layer are taken out
-_FINEST_MM = 1.5  # distance of samples on the skin, below a pixel so that none is missed
+_FINEST_MM = 0.75 * PIXEL_MM  # distance of samples on the skin, so that no pixel is missed
 _MOST_SAMPLES = 1_000_000  # of the skin; chosen for memory
 KNOWN_MM = 5.0  # a pixel is known if skin was seen this near; chosen by eye
 _EDGE_MM = 13.0  # from the end of the seen skin: three scales of 4 mm at which creases are looked at, and a pixel
@@ -219,15 +219,15 @@ def lay_flat(thorax: Thorax, points_world: Float64[Array, "n 3"]) -> Relief:
     return Relief(low=low, bulge_mm=bulge_mm, known=np.asarray(away * PIXEL_MM < KNOWN_MM))
 
 
-def dense_samples(mesh: TriangleMesh, spacing_mm: float = _FINEST_MM) -> Float64[Array, "n 3"]:
-    """Points on all faces, no farther apart than about the spacing.
+def dense_samples(mesh: TriangleMesh) -> Float64[Array, "n 3"]:
+    """Points on all faces, no farther apart than about 1.5 mm.
 
     This holds for coarse meshes too. A face of longest edge l is divided into ⌈l/spacing⌉² equal parts, each of which
     gives its middle.
     """
     every = max(1, len(mesh.faces) // _MOST_SAMPLES)  # so many are finer than the spacing
     longest = longest_sides(mesh.vertices, mesh.faces, every)
-    spacing = max(spacing_mm, float(np.sqrt((longest**2).sum() / _MOST_SAMPLES)))
+    spacing = max(_FINEST_MM, float(np.sqrt((longest**2).sum() / _MOST_SAMPLES)))
     parts = np.maximum(np.ceil(longest / spacing).astype(np.int64), 1)
     samples: Float64[Array, "n 3"] = middles_of_parts(mesh.vertices, mesh.faces, every, parts)
     return samples

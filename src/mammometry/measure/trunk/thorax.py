@@ -12,13 +12,14 @@ from mammometry.base.value import value
 from mammometry.geometry.arrays import Array, Bool, Float64, Int64
 from mammometry.surface.repair.repair import Provenance, RepairedSurface
 
-_CHEST_SCALE_MM = 4.0
+CHEST_SCALE_MM = 4.0
 """Scatter of a chest about the smooth surface that is fitted to it, mm. Once the breasts are left out, skin that stands
 out up to three times as far still describes the trunk (muscle, collar bone)."""
 HEIGHT_WINDOW_MM = 140.0
 """Skin within this height of the breasts describes the trunk, mm."""
 WIDEST_DEG = 115.0
 """Skin up to this far around from straight ahead describes the trunk, degrees."""
+TRUNK_SAMPLES = 60_000  # of the skin that show the trunk's axis and its plane of symmetry; chosen for speed
 _STEEPEST_LEAN_DEG = 50.0
 """Greatest angle between the trunk's axis and the photographs' upright, degrees. Beyond it the upright serves as the
 axis. Patients lean forward by up to 42° in front of the rig, and the cameras are not quite upright on average."""
@@ -45,7 +46,6 @@ ASSUMED_DEPTH_MM, ASSUMED_HALF_WIDTH_MM = 110.0, 150.0
 little: from 80 to 170 mm a breast's volume changes by 5 % (145 breasts of real women: +3.5, +5.4, +7.1, +8.6 % at 80,
 110, 140, 170 mm)."""
 _AXIS_ROUNDS = 20  # of reweighting the normals at most; it ends when the axis is at rest
-_AXIS_SAMPLES = 60_000  # of the skin from which the axis is found; chosen for speed
 _FIT_SAMPLES = 20_000  # of the skin to which the radius is fitted; chosen for speed
 _FIT_ROUNDS = 25  # of reweighting the skin; chosen by eye
 _BONE_MM = 25.0  # skin this near to the middle between both breasts is the breastbone's; chosen by eye
@@ -56,9 +56,9 @@ _FACING_OUT = 0.5
 """Least share of a unit normal that points away from the axis, for skin to show the trunk's radius. The trunk's end,
 seen from below, and a breast's underside face along the axis. Chosen by eye (docs/decisions/0019)."""
 _CURVE_BITS = 16  # of each coordinate along the curve: 0.03 mm in 2 m
-_COPIES = 2  # samples for each face at most
+_SEEN_SAMPLES, _COPIES = 400_000, 2  # of the seen skin at most, and for each of its faces; chosen for memory
 _FINEST_MM = 1.0  # least scatter assumed while the breasts are still in the skin; chosen by eye
-_CUT_OFF = 3.0  # scatters at which skin that stands out counts no more
+CUT_OFF = 3.0  # scatters at which skin that stands out counts no more
 _MAD = 1.4826  # standard deviation of a normal distribution over its median absolute deviation
 
 
@@ -134,6 +134,10 @@ class Skin:
         """Part of the samples."""
         return Skin(points_world=self.points_world[which], normals_world=self.normals_world[which])
 
+    def about(self, count: int) -> Skin:
+        """Every so many-th of the samples, so that at least `count` are left, or all."""
+        return self.chosen(slice(None, None, max(1, len(self.points_world) // count)))
+
 
 def seen_faces(surface: RepairedSurface) -> Int64[Array, " k"]:
     """Faces that are not invented. All faces if nothing is known to be measured."""
@@ -142,7 +146,7 @@ def seen_faces(surface: RepairedSurface) -> Int64[Array, " k"]:
 
 
 @lru_cache(maxsize=1)  # the steps of a measurement ask in turn for that of the same surface
-def seen_skin(surface: RepairedSurface, at_most: int = 400_000) -> Skin:
+def seen_skin(surface: RepairedSurface) -> Skin:
     """Sample the visible faces evenly by area and over the surface.
 
     Neither the fineness of each part's mesh nor the order of its faces matters: the samples follow a curve through
@@ -153,7 +157,7 @@ def seen_skin(surface: RepairedSurface, at_most: int = 400_000) -> Skin:
     normals = surface.mesh.face_vectors()[chosen]
     area_mm2 = np.linalg.norm(normals, axis=1)
     reached = np.cumsum(area_mm2)
-    count = min(at_most, _COPIES * len(chosen))
+    count = min(_SEEN_SAMPLES, _COPIES * len(chosen))
     even = np.searchsorted(reached, (np.arange(count) + 0.5) / count * reached[-1])
     points = surface.mesh.vertices[surface.mesh.faces[chosen[even]]].mean(axis=1)
     return Skin(points_world=points, normals_world=normals[even] / np.maximum(area_mm2[even, None], 1e-12))
@@ -202,8 +206,7 @@ def find_trunk(
     Raises:
         MeasureError: no skin was seen at the breasts' height.
     """
-    every = max(1, len(skin.points_world) // _AXIS_SAMPLES)
-    sampled = skin.chosen(slice(None, None, every))
+    sampled = skin.about(TRUNK_SAMPLES)
     axis = _axis(sampled.normals_world, frame)
     if middle_of is not None:
         axis = axis - frame[0] * (axis @ frame[0])  # the axis lies in the body's plane
@@ -215,17 +218,23 @@ def find_trunk(
 
 def _axis(normals: Float64[Array, "n 3"], frame: Float64[Array, "3 3"]) -> Float64[Array, 3]:
     """Trunk axis: least-variance direction of the normals. The head's where none near to it is."""
-    axis = frame[1]
+    axis, _ = level_axis(normals, frame[1])
+    if axis @ frame[1] < np.cos(np.deg2rad(_STEEPEST_LEAN_DEG)):
+        return np.asarray(frame[1])  # the visible skin shows no axis near the head's direction
+    return axis
+
+
+def level_axis(normals: Float64[Array, "n 3"], start: Float64[Array, 3]) -> tuple[Float64[Array, 3], float]:
+    """The direction, found from a first one, that most of the skin is level with, and how much of it is."""
+    axis = start
     for _ in range(_AXIS_ROUNDS):
         weights = 1 / (1 + ((normals @ axis) / _LEAN) ** 2)
         vector = np.linalg.eigh((normals * weights[:, None]).T @ normals)[1][:, 0]
-        vector = vector if vector @ frame[1] > 0 else -vector
+        vector = vector if vector @ start > 0 else -vector
         if vector @ axis > 1 - 1e-10:
             break
         axis = vector
-    if axis @ frame[1] < np.cos(np.deg2rad(_STEEPEST_LEAN_DEG)):
-        return np.asarray(frame[1])  # the visible skin shows no axis near the head's direction
-    return np.asarray(axis)
+    return np.asarray(axis), float(weights.mean())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -333,7 +342,7 @@ def fit_thorax(
     Raises:
         MeasureError: too little skin.
     """
-    skin = skin.chosen(slice(None, None, max(1, len(skin.points_world) // _FIT_SAMPLES)))
+    skin = skin.about(_FIT_SAMPLES)
     cylindrical = trunk.cylindrical(skin.points_world)
     flat, radius = cylindrical[:, :2], cylindrical[:, 2]
     inside = (
@@ -348,7 +357,7 @@ def fit_thorax(
     order = np.concatenate([[0], np.repeat(np.arange(1, _HARMONICS + 1), 2)])
     ridge = np.diag(np.tile(order.astype(np.float64) ** 4, _HEIGHT_DEGREE + 1) * _RIDGE + 1e-9) * len(radius)
     weights = np.ones(len(radius))
-    finest = _CHEST_SCALE_MM if breasts_left_out else _FINEST_MM
+    finest = CHEST_SCALE_MM if breasts_left_out else _FINEST_MM
     scale, coefficients = np.inf, np.zeros(design.shape[1])
     if len(radius) < 4 * design.shape[1]:
         raise MeasureError(
@@ -363,7 +372,7 @@ def fit_thorax(
         coefficients = np.linalg.solve(weighted.T @ design + ridge, weighted.T @ radius)
         error = radius - design @ coefficients
         scale = max(_MAD * float(np.median(np.abs(error[weights > 0.1]))), finest)
-        reach = _CUT_OFF * scale
+        reach = CUT_OFF * scale
         weights = np.where(
             (error > 0) & ~bone,
             np.clip(1 - (error / reach) ** 2, 0, None) ** 2,

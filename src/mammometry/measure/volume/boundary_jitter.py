@@ -79,7 +79,7 @@ UNSEEN_SLOPE = 0.5
 further out without being seen, whichever is less. For a ptotic cast photographed by one pair, with its lower pole
 hidden (63 cm², up to 49 mm away), the volume was off by .5 times distance times area. For casts photographed by four
 pairs, at .15 of full size, it was -.2 to .4 times (docs/decisions/0009)."""
-_ORDERS = 4  # Fourier orders 0 to 3: wider, shifted, oblong, three-lobed (docs/decisions/0009)
+ORDERS = 4  # Fourier orders 0 to 3: wider, shifted, oblong, three-lobed (docs/decisions/0009)
 _SHARES = (1.0, 0.5, -1.0, -0.5)  # of a displacement that are tried in turn where the curve meets an edge of the skin
 _SMOOTH = 48
 """A curve's uncertainty is smoothed over this part of its length (standard deviation); chosen by eye."""
@@ -130,7 +130,7 @@ def boundary_std_cc(breast: OpenBreast, wall: ChestWall) -> float | None:
     widened, narrowed, *bent = changes_cc
     mean = (widened + narrowed) / 2
     linear = [(widened - narrowed) / 2, *(change - mean / 2 for change in bent)]
-    return float(np.sqrt(np.sum(np.square(linear)) + (_ORDERS * mean) ** 2))
+    return float(np.sqrt(np.sum(np.square(linear)) + (ORDERS * mean) ** 2))
 
 
 def _redrawn_cc(breast: OpenBreast, wall: ChestWall, band: Band, across_mm: Float64[Array, " n"]) -> float | None:
@@ -187,9 +187,9 @@ def displacements_mm(sigma_mm: Float64[Array, " n"]) -> Float64[Array, "m n"]:
     count = len(sigma_mm)
     around = 2 * np.pi * np.arange(count) / count
     terms = [np.ones(count)]
-    for order in range(1, _ORDERS):
+    for order in range(1, ORDERS):
         terms += [np.cos(order * around), np.sin(order * around)]
-    return np.stack(terms) * sigma_mm / np.sqrt(_ORDERS)
+    return np.stack(terms) * sigma_mm / np.sqrt(ORDERS)
 
 
 def redraw(boundary: Boundary, across_mm: Float64[Array, " n"], mesh: TriangleMesh) -> Boundary:

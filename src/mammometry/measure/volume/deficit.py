@@ -20,14 +20,13 @@ from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.trunk.body import Body
 from mammometry.measure.trunk.mirror_plane import MirrorPlane
 from mammometry.measure.trunk.thorax import Trunk
-from mammometry.measure.volume.measurement import VolumeDeficit, VolumeMeasurement
+from mammometry.measure.volume.boundary_jitter import ORDERS
+from mammometry.measure.volume.measurement import COVERAGE_95, VolumeDeficit, VolumeMeasurement
 from mammometry.measure.volume.uncertainty import AXIS, WALL, WALL_SIDES_U95_MM
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.open_breast import open_breasts
 from mammometry.surface.repair.repair import RepairedSurface
 
-_COVERAGE_95 = 1.96  # standard deviations of a normal distribution on either side that hold 95 %
-_ORDERS = 4  # Fourier orders of a boundary's jitter, as in `boundary_jitter`
 _STEP_MM = 2.0  # of the grid on which the space between both walls is summed; chosen for speed
 _WALL = "cylinder-membrane"
 _NEAREST_MM = 25.0  # a mirrored curve farther off the skin than this mirrors onto something else; chosen by eye
@@ -142,12 +141,12 @@ def _terms(
     base_cm2 = fuller.base_area_cm2
     loop = np.concatenate([fuller.boundary_world, fuller.boundary_world[:1]])
     length_mm = float(np.linalg.norm(np.diff(loop, axis=0), axis=1).sum())
-    strip_mm3 = settings.observers.mean_mm * distance_mm * length_mm / np.sqrt(_ORDERS)
+    strip_mm3 = settings.observers.mean_mm * distance_mm * length_mm / np.sqrt(ORDERS)
     behind_mm = float(np.sqrt(2)) * WALL_SIDES_U95_MM
     terms = {
-        "asymmetry of the trunk": max(_COVERAGE_95 * plane.scatter_mm, behind_mm) * base_cm2 / 10,
-        "mid-sagittal plane": _COVERAGE_95 * 2 * plane.sigma_mm * base_cm2 / 10,
-        "boundary": _COVERAGE_95 * float(strip_mm3) / 1000,
+        "asymmetry of the trunk": max(COVERAGE_95 * plane.scatter_mm, behind_mm) * base_cm2 / 10,
+        "mid-sagittal plane": COVERAGE_95 * 2 * plane.sigma_mm * base_cm2 / 10,
+        "boundary": COVERAGE_95 * float(strip_mm3) / 1000,
     }
     own = {name: term for name, term in fuller.interval_terms_cc.items() if name not in (WALL, AXIS, "boundary")}
     return terms | {name: float(np.sqrt(2)) * term for name, term in own.items()}

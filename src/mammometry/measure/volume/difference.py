@@ -18,7 +18,7 @@ from mammometry.measure.volume.uncertainty import (
     AXIS,
     SCALE,
     WALL,
-    WALL_ACROSS_POSES_U95_MM,
+    WALL_FIT_U95_MM,
     WALL_SAME_POSE_U95_MM,
     WALL_SIDES_U95_MM,
 )
@@ -104,7 +104,7 @@ def difference(
             unshared = {
                 "sides": WALL_SIDES_U95_MM,
                 "same pose": WALL_SAME_POSE_U95_MM / np.sqrt(2),
-                "across poses": WALL_ACROSS_POSES_U95_MM / np.sqrt(2),
+                "across poses": WALL_FIT_U95_MM,
             }[pairing]
             # Walls that are known better by themselves (measured ones) are no worse together.
             terms[name] = float(min(unshared * np.hypot(*areas), np.hypot(*contributions)))

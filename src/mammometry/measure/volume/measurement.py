@@ -45,7 +45,7 @@ DENSITY_G_PER_CC, DENSITY_SD = 0.97, 0.04
 2019). Taken between both, with a scatter that holds both."""
 MUSCLE_WALL = "cylinder-membrane"
 """The wall from which the layer before the muscle is counted."""
-_COVERAGE_95 = 1.96  # standard deviations to either side that hold 95 % of a normal distribution
+COVERAGE_95 = 1.96  # standard deviations of a normal distribution on either side that hold 95 %
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -74,7 +74,7 @@ class DefinedVolume:
         The half-width is that of the 95 % interval. The density of the patient's tissue is not known.
         """
         low, high = self.interval_cc
-        half = np.hypot((high - low) / 2 * DENSITY_G_PER_CC, _COVERAGE_95 * DENSITY_SD * self.volume_cc)
+        half = np.hypot((high - low) / 2 * DENSITY_G_PER_CC, COVERAGE_95 * DENSITY_SD * self.volume_cc)
         return self.volume_cc * DENSITY_G_PER_CC, float(half)
 
 

@@ -118,7 +118,7 @@ def thin_plate(breast: OpenBreast) -> Closed:
 
 _RING_MM = (12.0, 24.0)  # skin this far outside the boundary gives the slope; docs/decisions/0009 has what came of it
 _SECTORS = 120  # directions around the boundary; the ring's skin in each gives one knot; chosen by eye
-_FEWEST_SECTORS = 60  # that must hold skin; chosen by eye
+_FEWEST_SECTORS = _SECTORS // 2  # that must hold skin; chosen by eye
 _STEEPEST = 0.8
 """Slope of the ring's skin against the boundary, in the trunk's coordinates, above which it is no chest. Chosen by eye:
 folds made slopes of up to 12 on real women."""
