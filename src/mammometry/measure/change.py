@@ -15,6 +15,7 @@ from itertools import product
 import numpy as np
 
 from mammometry.base.errors import MeasureError
+from mammometry.base.normal import COVERAGE_95
 from mammometry.base.progress import Progress, no_progress
 from mammometry.base.value import value
 from mammometry.geometry import Array, Float64, Transform
@@ -25,7 +26,7 @@ from mammometry.measure.shape.symmetry import rms_mm, signed_mm, trunk_skin
 from mammometry.measure.trunk.mirror_plane import Registration, register
 from mammometry.measure.trunk.thorax import HEIGHT_WINDOW_MM, WIDEST_DEG, Trunk, find_trunk, on_trunk, seen_skin
 from mammometry.measure.volume.difference import Pairing, VolumeDifference, difference
-from mammometry.measure.volume.measurement import COVERAGE_95, VolumeMeasurement
+from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.surface.repair.repair import Provenance, RepairedSurface
 
 _FIXED = 60_000  # points of the earlier trunk; chosen for speed

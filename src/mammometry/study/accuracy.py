@@ -14,6 +14,7 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial import cKDTree
 
+from mammometry.base.normal import MAD
 from mammometry.base.value import value
 from mammometry.geometry import Array, Bool, Camera, Float64, Int64, Rig, StereoPair, Transform, TriangleMesh
 from mammometry.geometry.nearest import closest_on_mesh
@@ -160,7 +161,7 @@ def align_surfaces(measured: TriangleMesh, truth: TriangleMesh, at: Int64[Array,
     for _ in range(_ALIGN_ROUNDS):
         here, facing = measured_from_truth.apply(points), measured_from_truth.rotate(normals)
         gap = np.einsum("ij,ij->i", closest_on_mesh(here, measured).points - here, facing)
-        scale = max(1.4826 * float(np.median(np.abs(gap))), 1e-6)
+        scale = max(MAD * float(np.median(np.abs(gap))), 1e-6)
         weight = np.minimum(1.0, 2.0 * scale / np.maximum(np.abs(gap), 1e-12))
         origin = measured_from_truth.apply(middle)
         design = np.concatenate([np.cross(here - origin, facing), facing], axis=1)

@@ -15,6 +15,7 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 from skimage.measure import find_contours
 
+from mammometry.base.normal import MAD
 from mammometry.base.value import value
 from mammometry.geometry import Array, Bool, Camera, Float64, StereoPair
 from mammometry.matching.dense.match import DisparityMap
@@ -177,7 +178,7 @@ def judge_disparity(truth: TrueDisparity, found: DisparityMap) -> MatchingAccura
         near_edge_median_px=float(np.median(np.abs(error[near]))) if near.any() else float("nan"),
         rim_bias_mm=float(np.median(depth_error[rim])) if rim.any() else float("nan"),
         all_accepted_beyond_1_px_percent=float(100 * np.mean(np.abs(error[anywhere]) > 1)),
-        error_over_sigma=float(1.4826 * np.median(score)),
+        error_over_sigma=float(MAD * np.median(score)),
         beyond_3_sigma_percent=float(100 * np.mean(score > 3)),
         d_v_median_px=found.pair_px * float(np.median(found.d_v_px[found.valid])),
     )

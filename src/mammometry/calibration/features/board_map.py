@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from mammometry.base.normal import MAD
 from mammometry.calibration.features.pixels import MIN_POINTS
 from mammometry.geometry.arrays import Array, Float64
 
@@ -92,7 +93,7 @@ def fit_board_map(
     for _ in range(_ROUNDS):
         fitted = _refit(fitted, board_mm[used], uv[used])
         error = np.linalg.norm(fitted.image(board_mm) - uv, axis=1)
-        spread = 1.4826 * np.median(error[used])
+        spread = MAD * np.median(error[used])
         used = error < max(5.0 * spread, 0.05)
         if used.sum() < MIN_POINTS:
             return None
@@ -129,7 +130,7 @@ def fit_polynomial(xy: Float64[Array, "n 2"], values: Float64[Array, "n 2"], ter
         normal[np.diag_indices(terms)] += _RIDGE * len(xy)
         coefficients[:terms] = np.linalg.solve(normal, weighted.T @ values)
         error = np.linalg.norm(design @ coefficients[:terms] - values, axis=1)
-        limit = 1.5 * 1.4826 * np.median(error) + 1e-9
+        limit = 1.5 * MAD * np.median(error) + 1e-9
         weight = np.minimum(1.0, limit / np.maximum(error, 1e-12))
     return coefficients
 

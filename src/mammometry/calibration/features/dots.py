@@ -18,6 +18,7 @@ from typing import Literal
 import numpy as np
 from scipy import ndimage
 
+from mammometry.base.normal import MAD
 from mammometry.calibration.features.pixels import Cause
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64
 
@@ -167,7 +168,7 @@ def _darkness_centroid(
     for _ in range(2):
         plane = np.linalg.lstsq(design[use], value[use], rcond=None)[0]
         residual = value - design @ plane
-        noise = 1.4826 * float(np.median(np.abs(residual[use])))
+        noise = MAD * float(np.median(np.abs(residual[use])))
         use = ring & (np.abs(residual) < 3.5 * noise + 1e-4)  # half of them at least: their median is nearer
     background = design @ plane
     if background[inside].min() <= 0:

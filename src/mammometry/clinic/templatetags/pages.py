@@ -13,6 +13,7 @@ from django.utils.html import format_html
 from django.utils.safestring import SafeString
 
 import mammometry
+from mammometry.base.normal import COVERAGE_95
 from mammometry.clinic.intake.photographs import thumbnail_path
 from mammometry.clinic.jobs import queue
 from mammometry.clinic.models import Patient, Upload, Visit
@@ -76,9 +77,6 @@ def whole_percent(value: float) -> str:
     return f"{value:.0f} %".replace("-", "−")
 
 
-_COVERAGE_95 = 1.96  # standard deviations on either side that hold 95 %
-
-
 @register.simple_tag
 def change_since_the_visit_before(visit: Visit) -> Verdict | None:
     """The verdict against the visit before. None: there is none."""
@@ -96,7 +94,7 @@ def changes_of(patient: Patient) -> list[Verdict]:
 @register.filter
 def length_change(length: dict[str, Any]) -> SafeString:
     """A change of a length with its 95 % half-width, in bold where it is more than the error."""
-    words = f"{length['change_mm']:+.1f} ± {_COVERAGE_95 * length['sigma_mm']:.1f}".replace("-", "−")
+    words = f"{length['change_mm']:+.1f} ± {COVERAGE_95 * length['sigma_mm']:.1f}".replace("-", "−")
     return format_html("<strong>{}</strong>", words) if length["beyond_error"] else format_html("{}", words)
 
 

@@ -16,6 +16,7 @@ import numpy as np
 from scipy import ndimage
 
 from mammometry.base.machine.cores import in_bands
+from mammometry.base.normal import MAD
 from mammometry.base.value import value
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Shaped
 from mammometry.matching.correlation_kernels import (
@@ -48,7 +49,6 @@ _CALM_PX = 1.0  # Gaussian σ over which pictures and slopes are averaged first;
 _LARGEST_SLOPE_RESIDUAL = 3.0  # times the median residual: beyond, a pixel tells nothing; chosen by eye
 _USUAL_PX = 0.5  # of each coefficient, in a level's pixels: what is left after the levels before
 _SHARED_PX2 = 25  # area that shares one error, since neighbours share a matching window
-_MAD = 1.4826  # standard deviation of a normal distribution over its median absolute deviation
 _SMALL_STEP_PX = 0.3  # a match that still moves by more says nothing about the rows; chosen by eye
 
 
@@ -204,7 +204,7 @@ def refine(
     typical = np.median(residual)
     keep = residual < _LARGEST_SLOPE_RESIDUAL * typical
     alike = max(1.0, _SHARED_PX2 / every**2)  # pixels of the grid
-    usual = np.sqrt(alike) * _MAD * typical / _USUAL_PX * np.eye(13)[1:]
+    usual = np.sqrt(alike) * MAD * typical / _USUAL_PX * np.eye(13)[1:]
     solution = np.linalg.lstsq(
         np.concatenate([design[keep], usual]), np.append(target[keep], np.zeros(12)), rcond=None
     )[0]

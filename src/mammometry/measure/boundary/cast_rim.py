@@ -21,6 +21,7 @@ from dataclasses import fields
 import numpy as np
 from scipy.sparse import csr_array, hstack
 
+from mammometry.base.normal import MAD
 from mammometry.base.value import value
 from mammometry.geometry import Array, Bool, Camera, Float64, Int64, Rig
 from mammometry.geometry.nearest import point_tree
@@ -285,7 +286,7 @@ def adjust_base(start: Base, candidates: RimCandidates, *, bend: bool, coarse_px
             normal += 1e-6 * weight.sum() / _RIM_KNOTS * np.eye(_RIM_KNOTS)
             rim = np.linalg.solve(normal, spline.T @ (weight * radius))
             residuals = (radius - spline @ rim) * gain
-            scale = max(1.4826 * float(np.median(np.abs(residuals[weights > 0.05]))), finest)
+            scale = max(MAD * float(np.median(np.abs(residuals[weights > 0.05]))), finest)
             weights = np.clip(1 - (residuals / (_TUKEY * scale)) ** 2, 0, None) ** 2
         heights = base.height(candidates.points_world)
         columns, lifts = [], []

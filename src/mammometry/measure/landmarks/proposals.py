@@ -17,6 +17,7 @@ import numpy as np
 from scipy import ndimage
 from scipy.ndimage import uniform_filter1d
 
+from mammometry.base.normal import MAD
 from mammometry.geometry import Array, Bool, Float64, TriangleMesh, UInt8
 from mammometry.geometry.nearest import closest_on_mesh, point_tree
 from mammometry.measure.landmarks.landmarks import PROPOSED, Landmark
@@ -344,7 +345,7 @@ def _areola(samples: _Samples, inner: Bool[Array, " n"]) -> Float64[Array, 3] | 
         :, 0
     ]
     middle = float(np.median(contrast[inner]))
-    scatter = 1.4826 * float(np.median(np.abs(contrast[inner] - middle)))
+    scatter = MAD * float(np.median(np.abs(contrast[inner] - middle)))
     best = int(np.argmax(np.where(inner, contrast, -np.inf)))
     if contrast[best] - middle < max(_AREOLA_CONTRAST, _AREOLA_SCATTERS * scatter):
         return None

@@ -14,11 +14,12 @@ from typing import Literal
 import numpy as np
 from scipy.spatial import cKDTree
 
+from mammometry.base.normal import COVERAGE_95
 from mammometry.geometry import Array, Float64, TriangleMesh
 from mammometry.geometry.nearest import point_tree
 from mammometry.measure.landmarks.geodesic import geodesic
 from mammometry.measure.landmarks.landmarks import Landmark
-from mammometry.measure.volume.measurement import COVERAGE_95, VolumeMeasurement
+from mammometry.measure.volume.measurement import VolumeMeasurement
 
 Place = tuple[float, float, float]
 PtosisGrade = Literal["none", "I", "II", "III", "pseudoptosis"]

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from mammometry.base.errors import MeasureError
+from mammometry.base.normal import MAD
 from mammometry.base.value import value
 from mammometry.geometry import Array, Float64, Transform
 from mammometry.geometry.nearest import point_tree
@@ -20,7 +21,6 @@ _TUKEY = 4.0  # scatters at which a partner counts no more; chosen by eye
 _FINEST_MM = 0.15  # least scatter assumed: the skin's own noise
 _RIDGE = 1e-6  # share of the trace by which motions that the surfaces do not determine are held
 _SHARED = 25.0  # points that share one error, since neighbours share a matching window
-_MAD = 1.4826  # standard deviation of a normal distribution over its median absolute deviation
 _FIRST_REACH_MM, _NARROWING, _REACH, _LEAST_REACH_MM = 30.0, 0.8, 6.0, 3.0
 """Search distance for partners: the first, mm. It shrinks by this factor each round, but not below so many scatters and
 so many mm. Chosen by eye."""
@@ -84,7 +84,7 @@ def register(
                 remedy="Check that both show the same part of the same patient, in about the same attitude",
             )
         away = ((fixed_points[partner] - moved) * plane).sum(axis=1)
-        scale = max(_MAD * float(np.median(np.abs(away[found]))), _FINEST_MM)
+        scale = max(MAD * float(np.median(np.abs(away[found]))), _FINEST_MM)
         weights = np.where(found, np.clip(1 - (away / (_TUKEY * scale)) ** 2, 0, None) ** 2, 0.0)
         middle = moved[found].mean(axis=0)
         size = float(np.sqrt(((moved[found] - middle) ** 2).sum(axis=1).mean()))

@@ -8,6 +8,7 @@ from functools import lru_cache
 import numpy as np
 
 from mammometry.base.errors import MeasureError
+from mammometry.base.normal import MAD
 from mammometry.base.value import value
 from mammometry.geometry.arrays import Array, Bool, Float64, Int64
 from mammometry.surface.repair.repair import Provenance, RepairedSurface
@@ -59,7 +60,6 @@ _CURVE_BITS = 16  # of each coordinate along the curve: 0.03 mm in 2 m
 _SEEN_SAMPLES, _COPIES = 400_000, 2  # of the seen skin at most, and for each of its faces; chosen for memory
 _FINEST_MM = 1.0  # least scatter assumed while the breasts are still in the skin; chosen by eye
 CUT_OFF = 3.0  # scatters at which skin that stands out counts no more
-_MAD = 1.4826  # standard deviation of a normal distribution over its median absolute deviation
 
 
 @value(eq=False)
@@ -371,7 +371,7 @@ def fit_thorax(
         weighted = design * weights[:, None]
         coefficients = np.linalg.solve(weighted.T @ design + ridge, weighted.T @ radius)
         error = radius - design @ coefficients
-        scale = max(_MAD * float(np.median(np.abs(error[weights > 0.1]))), finest)
+        scale = max(MAD * float(np.median(np.abs(error[weights > 0.1]))), finest)
         reach = CUT_OFF * scale
         weights = np.where(
             (error > 0) & ~bone,

@@ -13,6 +13,7 @@ import numpy as np
 from scipy.interpolate import LinearNDInterpolator
 
 from mammometry.base.errors import MeasureError
+from mammometry.base.normal import COVERAGE_95
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.nearest import closest_on_mesh
 from mammometry.measure.boundary.boundary import Boundary
@@ -21,7 +22,7 @@ from mammometry.measure.trunk.body import Body
 from mammometry.measure.trunk.mirror_plane import MirrorPlane
 from mammometry.measure.trunk.thorax import Trunk
 from mammometry.measure.volume.boundary_jitter import ORDERS
-from mammometry.measure.volume.measurement import COVERAGE_95, VolumeDeficit, VolumeMeasurement
+from mammometry.measure.volume.measurement import VolumeDeficit, VolumeMeasurement
 from mammometry.measure.volume.uncertainty import AXIS, WALL, WALL_SIDES_U95_MM
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.open_breast import open_breasts

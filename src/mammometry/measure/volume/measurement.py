@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Literal, TypeAlias
 
 import numpy as np
 
+from mammometry.base.normal import COVERAGE_95
 from mammometry.base.value import value
 from mammometry.geometry import Array, Float64, TriangleMesh
 from mammometry.measure.settings import LayerSettings
@@ -45,7 +46,6 @@ DENSITY_G_PER_CC, DENSITY_SD = 0.97, 0.04
 2019). Taken between both, with a scatter that holds both."""
 MUSCLE_WALL = "cylinder-membrane"
 """The wall from which the layer before the muscle is counted."""
-COVERAGE_95 = 1.96  # standard deviations of a normal distribution on either side that hold 95 %
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

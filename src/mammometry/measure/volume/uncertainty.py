@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mammometry.base.normal import COVERAGE_95
 from mammometry.base.value import value
 from mammometry.geometry import Array, Bool, Float64, Int32, Rig, TriangleMesh, mesh_kernels, read_only
 from mammometry.geometry.nearest import point_tree
@@ -132,7 +133,6 @@ MOVEMENT = "movement"
 AXIS = "trunk's axis"
 SCALE, WALL = "scale", "chest wall"
 """Sources of error that two volumes share: the target's scale wholly, the wall for the greater part."""
-_COVERAGE_95 = 1.96  # standard deviations of a normal distribution on either side that hold 95 %
 _BOUNDARY_CC_PER_MM_CM2 = 0.025
 """Change of a torso's volume when its curve jitters by a standard deviation of 1 mm, cc for each cm² of base: 4 mm made
 16 cc of standard deviation on breasts of 166 cm² base. Used where the boundary cannot be drawn again."""
@@ -224,18 +224,18 @@ def interval(
     terms: dict[str, float] = {}
     missing = []
     if earlier.scale_std is not None:
-        terms[SCALE] = _COVERAGE_95 * 3 * earlier.scale_std * volume_cc
+        terms[SCALE] = COVERAGE_95 * 3 * earlier.scale_std * volume_cc
     else:
         missing.append("the size of the printed board: measure the board to include it")
     if earlier.point_std_mm is not None:
-        terms["calibration"] = _COVERAGE_95 * earlier.point_std_mm / np.sqrt(3) * wall.skin.area_mm2() / 1000
+        terms["calibration"] = COVERAGE_95 * earlier.point_std_mm / np.sqrt(3) * wall.skin.area_mm2() / 1000
     elif surface is None or surface.pair_names:
         missing.append("the errors of the imported cameras, which are not known")
     else:
         missing.append("distortions of the scan: its file says nothing about them")
     if evidence.movement is not None and surface is not None:
         std_cc = movement_std_cc(evidence.movement, wall.skin, boundary.points_world, surface)
-        terms[MOVEMENT] = _COVERAGE_95 * std_cc
+        terms[MOVEMENT] = COVERAGE_95 * std_cc
     terms |= _of_skin(wall.skin, surface, evidence.views, settings)
     if not (torso or model.measured):
         if boundary.sigma_mm is None:
@@ -245,14 +245,14 @@ def interval(
                 terms_cc={},
                 note="There is no interval, because the uncertainty of the boundary is not known.",
             )
-        terms["base"] = _COVERAGE_95 * boundary.sigma_mm * area_cm2 / 10
+        terms["base"] = COVERAGE_95 * boundary.sigma_mm * area_cm2 / 10
     else:
         if torso:
             if boundary_std_cc is None:
                 across_mm = np.zeros(1) if boundary.across_mm is None else boundary.across_mm
                 sigma_mm = float(np.sqrt(settings.observers.mean_mm**2 + np.mean(across_mm**2)))
                 boundary_std_cc = sigma_mm * _BOUNDARY_CC_PER_MM_CM2 * area_cm2
-            terms["boundary"] = _COVERAGE_95 * boundary_std_cc
+            terms["boundary"] = COVERAGE_95 * boundary_std_cc
         height_mm = WALL_MEASURED_U95_MM if model.measured else model.off_u95_mm(area_cm2)
         terms[WALL] = height_mm * area_cm2 / 10
         if evidence.axis_assumed:
@@ -335,7 +335,7 @@ def _pits_mm3(skin: TriangleMesh, invented: Bool[Array, " n"]) -> float:
 
 
 def _at_95(std_mm3: Mapping[str, float]) -> dict[str, float]:
-    return {name: _COVERAGE_95 * std / 1000 for name, std in std_mm3.items() if std > 0}
+    return {name: COVERAGE_95 * std / 1000 for name, std in std_mm3.items() if std > 0}
 
 
 def _may_be_off_mm(

@@ -5,6 +5,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from mammometry.base.normal import COVERAGE_95
 from mammometry.measure.boundary.breasts import NoBreast
 from mammometry.measure.landmarks.landmarks import LANDMARKS, Landmark
 from mammometry.measure.settings import MeasureSettings
@@ -19,7 +20,6 @@ from mammometry.study.tables import Table, signed
 
 _SIDES = ("left", "right")
 _NOT_MEASURED = "not measured"
-_COVERAGE_95 = 1.96  # standard deviations of a normal distribution on either side that hold 95 %
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -176,7 +176,7 @@ def _quantity(
 
 def _length(row: Mapping[str, Any]) -> Length:
     value, interval, sigma = float(row["value"]), row.get("interval_95"), row.get("sigma")
-    half = (interval[1] - interval[0]) / 2 if interval else _COVERAGE_95 * sigma if sigma is not None else None
+    half = (interval[1] - interval[0]) / 2 if interval else COVERAGE_95 * sigma if sigma is not None else None
     return Length(value_mm=value, half_mm=half)
 
 

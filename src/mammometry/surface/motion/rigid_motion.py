@@ -17,6 +17,7 @@ import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 from scipy.spatial.distance import cdist
 
+from mammometry.base.normal import MAD
 from mammometry.base.value import value
 from mammometry.calibration.adjust.calibrated import ParameterCovariance
 from mammometry.calibration.adjust.network import POSE_NAMES_CAMERA
@@ -58,7 +59,6 @@ LEAST_EVIDENCE = 10.0
 """Rise of the log probability of all observations above which something is taken to have moved, and fall below which a
 motion is left out: e¹⁰ is 1 in 22,000. Clean captures reach 0 to 3.
 """
-_MAD = 1.4826  # standard deviation over median of the absolute deviations, of a normal distribution
 
 
 @value(eq=False)
@@ -372,7 +372,7 @@ def without_outliers(seen: Observed, parameters: MotionParameters) -> Observed:
     for _ in range(_OUTLIER_ROUNDS):
         large = _fit(_sized(_reduced(seen.only(keep), _FIRST_REST_MM), large_std))
         left = np.abs(seen.values - seen.by_unknown @ large.motions)
-        typical = max(_MAD * float(np.median(left[keep & seen.distances])), _CELL_MM)
+        typical = max(MAD * float(np.median(left[keep & seen.distances])), _CELL_MM)
         inside = ~seen.distances | (left < _OUTLIER_SIGMAS * typical)
         for pair in range(seen.rows_of.max(initial=-1) + 1):
             its = seen.rows_of == pair

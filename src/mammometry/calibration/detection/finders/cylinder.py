@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mammometry.base.errors import CalibrationError
+from mammometry.base.normal import MAD
 from mammometry.base.photograph import Photograph
 from mammometry.calibration.features.board_map import fit_polynomial, monomials
 from mammometry.calibration.features.dots import ROUNDS, SIZE_OFF, mark_size, measure_dots
@@ -101,7 +102,7 @@ def fit_cylinder_map(
         )
         error = np.linalg.norm(fitted.image(unrolled_mm) - uv, axis=1)
         pitch_px = np.abs(np.linalg.det(fitted.jacobian(unrolled_mm))) ** 0.5 * target.row_pitch_mm
-        used = error < np.maximum(5.0 * 1.4826 * np.median(error), _FORM_TOLERANCE * pitch_px)
+        used = error < np.maximum(5.0 * MAD * np.median(error), _FORM_TOLERANCE * pitch_px)
     return fitted, used
 
 
