@@ -29,15 +29,13 @@ from mammometry.base.machine.cores import each_at_once
 from mammometry.base.value import value
 from mammometry.geometry import Array, Bool, Camera, Float64, Int32, Rig
 from mammometry.geometry.projection import projected
-from mammometry.matching.foreground.foreground import Foreground
+from mammometry.matching.foreground.foreground import Foreground, block_of
 from mammometry.surface.ranges import image_kernels
 from mammometry.surface.ranges.range_image import RangeImage
 from mammometry.surface.ranges.strands import EDGE_PX
 from mammometry.surface.ranges.visibility import LEAST_COSINE
 
-_REFERENCE_DIAGONAL_PX = 1353.0  # of the 1126 × 750 images on which widths were measured, as in `matching.foreground`
-_BLOCK_PX = 2.0  # pixels a block, at that size: a bar of 4 px is seen, and a million data are looked up in a second
-_GUARD_PX = 3.0  # nearer to a silhouette than this, at that size, a datum's own error may put it beside; chosen by eye
+_GUARD_PX = 3.0  # of `block_of`: nearer to a silhouette a datum's own error may put it beside; chosen by eye
 SAMPLES = 300_000
 """Of a view's data that are looked up in others: a dozen a block that the subject fills."""
 _LEAST_SHARE = 2e-4  # of the subject's blocks that a blocked place covers, at least: fewer are outliers; chosen by eye
@@ -152,8 +150,7 @@ class _View:
     @classmethod
     def of(cls, foreground: Foreground, camera: Camera) -> _View:
         """Nothing gathered yet."""
-        unit = max(1.0, float(np.hypot(*foreground.coverage.shape)) / _REFERENCE_DIAGONAL_PX)
-        step = round(_BLOCK_PX * unit)
+        step, unit = block_of(foreground.coverage.shape)
         subject = foreground.mask[::step, ::step]
         outside_px = ndimage.distance_transform_edt(~subject) * (step / unit)
         return cls(
@@ -388,7 +385,7 @@ def continued_world(image: RangeImage) -> Float64[Array, "n 3"]:
     Points on their tangent planes, world frame, mm. Only of skin that faces the camera and does not turn away. Data
     nearer to an edge than half a window say no more than that.
     """
-    unit = max(1.0, float(np.hypot(*image.valid.shape)) / _REFERENCE_DIAGONAL_PX)
+    unit = block_of(image.valid.shape)[1]
     if image.valid.all():  # no datum has an edge
         return np.empty((0, 3))
     sound = image_kernels.distance_px(~image.valid) > EDGE_PX * unit
