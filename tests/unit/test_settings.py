@@ -115,6 +115,8 @@ RENAMED = {
     "measure.nipple.tip_mm": "LEAST_TIP_MM",
     "measure.layer.fewest": "FEWEST_LAYERS",
     "measure.layer.mean_mm": "MEAN_LAYER_MM",
+    "measure.nipple.areola_sigma_mm": "ALONE_SIGMA_MM",
+    "measure.nipple.apex_tip_sigma_mm": "ALONE_SIGMA_MM",
     "measure.layer.u95_mm": "LAYER_U95_MM",
     "measure.layer.measured_u95_mm": "MEASURED_LAYER_U95_MM",
     "measure.layer.missing_u95_mm": "MISSING_LAYER_U95_MM",
@@ -125,7 +127,8 @@ ASSIGNED = re.compile(r"^_?([A-Z]\w*)(?:: [\w\[\], .]+)? = ([-\d.(][^#\n]*)", re
 NO_CONSTANTS = {
     "surface.repair.k_ext", "surface.repair.k_int", "measure.wall_u95_mm", "measure.base_rim.seed", "compare.doubt_deg",
     "surface.repair.repaired_reach_mm", "measure.nipple.apex_probability", "measure.nipple.apex_sigma_mm",
-    "surface.stillness.correct", "matching.start_span_px",
+    "surface.stillness.correct", "matching.start_span_px", "calibration.quality.expected_refuse_mm",
+    "calibration.quality.residual_good_mm",
 }  # fmt: skip
 """Elastic moduli, which are 1, what follows each wall's base now, a seed, what nothing asks any more, what
 changed since with the version of what is made with it, a choice that nobody had, and what another constant implies."""

@@ -89,7 +89,7 @@ class SubjectEntry(BaseModel):
     rim_radius_mm: float | None = Field(default=None, ge=0, le=10)
     """Radius by which a cast's rim is rounded, mm, if measured."""
     posture: Posture = "leaning"
-    """How a patient held herself before the rig; of no meaning for other subjects."""
+    """How a patient held herself before the rig. A cast has no posture."""
 
     @model_validator(mode="after")
     def _only_a_cast_has_a_rim(self) -> SubjectEntry:
@@ -99,7 +99,7 @@ class SubjectEntry(BaseModel):
 
     @property
     def patient_posture(self) -> str:
-        """The posture of a patient; empty for a cast or another surface."""
+        """How the patient held herself, empty where there is none."""
         return self.posture if self.kind == "torso" else ""
 
 

@@ -68,7 +68,7 @@ def blocks_of(photograph: Photograph) -> Blocks:
 
 
 def block_of(size: tuple[int, int]) -> tuple[int, float]:
-    """Pixels of a photograph of this size to a block, and to a pixel of the size on which widths were measured."""
+    """Pixels of such a photograph to a block, and to a pixel of that on which widths were measured."""
     unit = max(1.0, float(np.hypot(*size)) / _REFERENCE_DIAGONAL_PX)
     return round(_BLOCK_PX * unit), unit
 
