@@ -113,7 +113,7 @@ def subject_middle(rig: Rig, depths: Sequence[CoarseDepths]) -> Float64[Array, 3
 
 
 def _nearest_things(depths: CoarseDepths) -> Float64[Array, 3] | None:
-    """Median point of the nearest things with a gap in depth behind them, world frame, mm; of all if there is none."""
+    """Median point of the nearest things with a gap in depth behind them, else of all, world frame, mm."""
     depth = _of_surfaces(depths.depth_mm[0])
     known = np.sort(depth[np.isfinite(depth)])
     if len(known) < _LEAST_SHARE * depth.size:
@@ -200,7 +200,7 @@ def _points_world(depths: CoarseDepths, chosen: Bool[Array, "h w"]) -> Float64[A
 
 
 def _of_the_right(plane: Float64[Array, 3], ideal: tuple[Camera, Camera]) -> Float64[Array, 3]:
-    """The same plane in the right picture.
+    """Convert a plane of reciprocal depths over the left picture to one over the right picture.
 
     u_left is u_right + focal length × base × reciprocal depth + the offset.
     """

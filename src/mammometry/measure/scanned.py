@@ -223,7 +223,9 @@ def frame_from_axes(mesh: TriangleMesh, head: str | None = None, ahead: str | No
 
 
 def _ahead_by_breasts(mesh: TriangleMesh, up: Float64[Array, 3]) -> Float64[Array, 3] | None:
-    """Straight ahead of a closed torso: across its width, where it is as round as breasts are. None if both sides are.
+    """Find straight ahead of a closed torso by its breasts. None if both sides are as round.
+
+    It is the direction across its width on whose side the surface is as round as breasts are.
 
     Args:
         mesh: mm.

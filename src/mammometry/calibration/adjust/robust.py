@@ -98,7 +98,7 @@ def robust_sigma(lengths: Float64[Array, " n"]) -> float:
 
 
 def _with_sigma(problem: Adjustment, state: State) -> Adjustment:
-    """The same with each group's noise from its active points' residuals."""
+    """Replace each group's noise by that of its active points' residuals."""
     length = problem.whitened_lengths(state)
     group = problem.network.view_group[problem.network.view]
     sigma = problem.group_sigma.copy()

@@ -138,7 +138,7 @@ def body(
 def views(
     corrected_cameras: CameraSet, valid_patches: ValidPatches, foregrounds: Mapping[str, Foreground], *, job: Context
 ) -> tuple[Bound, ...]:
-    """What each view says about where a cast is not."""
+    """Space that each view shows to be free of a cast."""
     from mammometry.measure.volume.unseen_space import bounds
 
     return bounds(foregrounds, valid_patches.range_images, corrected_cameras.rig)

@@ -269,7 +269,7 @@ def _divided(light: Float32[Array, "h w channels"], markers: Int32[Array, "h w"]
 
 
 def _solid(mask: Bool[Array, "h w"], unit: float) -> Bool[Array, "h w"]:
-    """What is as wide as a marker must be."""
+    """Keep the parts of a mask that are as wide as a marker must be."""
     radius = _SPECK_PX * unit
     pad = int(np.ceil(radius)) + 1
     padded = np.pad(mask, pad, mode="edge")

@@ -174,7 +174,7 @@ def _facing_ahead(skin: Skin, first: Trunk, middle: Float64[Array, 3] | None) ->
 
     def turned(trunk: Trunk, angle_rad: float) -> tuple[float, float, Trunk]:
         again = find_trunk(skin, trunk.facing(angle_rad), height_of=middle)
-        return (*_ahead_rad(skin, again), again)
+        return (*_least_asymmetry(skin, again), again)
 
     tried = []
     for angle_deg in _STARTS_DEG:
@@ -191,8 +191,8 @@ def _facing_ahead(skin: Skin, first: Trunk, middle: Float64[Array, 3] | None) ->
     return best[2]
 
 
-def _ahead_rad(skin: Skin, trunk: Trunk) -> tuple[float, float]:
-    """The least asymmetry, mm, and the angle about the axis at which it is found.
+def _least_asymmetry(skin: Skin, trunk: Trunk) -> tuple[float, float]:
+    """Return the least asymmetry, mm, and the angle about the axis, rad, at which it is found.
 
     There the trunk's radius is most alike to both sides. The asymmetry is the mean of limited misfits.
     """

@@ -75,10 +75,10 @@ class Band:
 
 
 UNSEEN_SLOPE = 0.5
-"""Growth of both, mm for each mm of distance from measured skin, or of the distance by which the skin could stand
-further out without being seen, whichever is less. For a ptotic cast photographed by one pair, with its lower pole
-hidden (63 cm², up to 49 mm away), the volume was off by .5 times distance times area. For casts photographed by four
-pairs, at .15 of full size, it was -.2 to .4 times (docs/decisions/0009)."""
+"""Growth of the uncertainty of skin, and of a boundary on it, mm for each mm of distance from measured skin. On a
+photographed cast that of skin grows no further than views leave it room outwards. For a ptotic cast photographed by one
+pair, with its lower pole hidden (63 cm², up to 49 mm away), the volume was off by .5 times distance times area. For
+casts photographed by four pairs, at .15 of full size, it was -.2 to .4 times (docs/decisions/0009)."""
 ORDERS = 4  # Fourier orders 0 to 3: wider, shifted, oblong, three-lobed (docs/decisions/0009)
 _SHARES = (1.0, 0.5, -1.0, -0.5)  # of a displacement that are tried in turn where the curve meets an edge of the skin
 _SMOOTH = 48
