@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 from benchmarks.accuracy.multidic import SETTINGS, fit_cylinder, speckled, target_error_mm
+from benchmarks.accuracy.scans import measured
 from benchmarks.accuracy.walls import SIDES, as_seen
 from benchmarks.rendered import make_session, read_truth
 
@@ -185,3 +186,19 @@ def test_a_rail_before_the_body_carves_nothing_away(shared_data: Path, tmp_path:
     away_mm = closest_on_mesh(skin, found).distances_mm
     assert np.median(away_mm) < 0.1
     assert (away_mm < 2.0).mean() > 0.88
+
+
+@pytest.mark.parametrize("number", range(1, 7))
+def test_both_breasts_of_another_generators_woman_are_measured_clean_and_scanned(
+    shared_data: Path, number: int
+) -> None:
+    kinds = (("clean", "mm"), ("scan", "m"))
+    clean, scan = (
+        measured(shared_data / "scans" / f"body_{number}_{kind}.ply", units, report=False) for kind, units in kinds
+    )
+    assert not clean["no_breast"]
+    assert not scan["no_breast"]
+    for side in SIDES:
+        own, true = scan["sides"][side], clean["sides"][side]
+        assert own["volume_cc"] == pytest.approx(true["volume_cc"], rel=0.15)  # body 6's soft upper poles; else .07
+        assert own["interval_cc"][0] < true["volume_cc"] < own["interval_cc"][1]

@@ -21,8 +21,9 @@ LOW = np.array([-150.0, -150.0])
 AXES = np.arange(-150.0, 150.1, PIXEL_MM)
 
 
-def relief_of(bulge_mm: np.ndarray, known: np.ndarray | None = None) -> Relief:
-    return Relief(low=LOW, bulge_mm=bulge_mm, known=np.ones(bulge_mm.shape, dtype=bool) if known is None else known)
+def relief_of(bulge_mm: np.ndarray, known: np.ndarray | None = None, arm: np.ndarray | None = None) -> Relief:
+    known = np.ones(bulge_mm.shape, dtype=bool) if known is None else known
+    return Relief(low=LOW, bulge_mm=bulge_mm, known=known, arm=np.zeros_like(known) if arm is None else arm)
 
 
 def cap(reach_mm: float, top_mm: float, stretch: float = 1.0) -> np.ndarray:
@@ -48,6 +49,21 @@ def test_the_curve_moves_as_little_as_the_edge_does() -> None:
     caps = [cap(60.0 + moved_mm, 45.0) for moved_mm in (0.0, 0.1, 0.2, 0.3, 0.4)]
     away = np.array([np.linalg.norm(follow_crease(relief_of(bulge), np.zeros(2)).flat, axis=1) for bulge in caps])
     assert np.abs(np.diff(away, axis=0) - 0.1).max() < 0.1
+
+
+def test_a_border_ends_before_an_arm_where_a_muscle_leads_on_to_it() -> None:
+    """On a muscular body breast, muscle and arm are one slope; the map is filled behind the arm, and falls there."""
+    x, y = np.meshgrid(AXES, AXES)
+    along, aside = (x + y) / np.sqrt(2), (x - y) / np.sqrt(2)
+    muscle = np.where(along > 0, 34.0 * np.exp(-((aside / 50) ** 2)), 0.0)
+    arm = (along > 75) & (np.abs(aside) < 70)
+    bulge = np.where(along < 95, np.maximum(cap(75.0, 35.0), muscle), 0.0)
+    found = follow_crease(relief_of(bulge, ~arm, arm), np.zeros(2))
+    outwards = (found.flat @ [1, 1]) / np.sqrt(2)
+    assert 60.0 < outwards.max() < 75.0 + 2 * PIXEL_MM
+    over = follow_crease(relief_of(bulge, ~arm), np.zeros(2))
+    assert ((over.flat @ [1, 1]) / np.sqrt(2)).max() > 90.0  # as if nothing stood there
+    assert found.sigma_mm.max() < over.sigma_mm.max()
 
 
 def test_a_step_is_followed_as_a_fold_is() -> None:

@@ -51,6 +51,11 @@ def test_a_hollow_beside_the_midline_or_among_the_breasts_is_none_of_them():
         assert set(proposed(front((np.array(place), 7.0)))) == {"midline"}
 
 
+def test_the_flank_of_a_hollow_below_the_breasts_is_no_navel():
+    for below_mm in (30.0, 36.0, 42.0):  # the navel is looked for from 50 mm on
+        assert set(proposed(front((np.array([0.0, LOWEST - below_mm]), 9.0)))) == {"midline"}
+
+
 def test_the_midline_ends_at_the_notch_and_lies_on_the_skin():
     mesh = front((NOTCH, 7.0))
     line = proposed(mesh)["midline"].points_world

@@ -126,7 +126,12 @@ AXES = np.arange(-150.0, 150.1, PIXEL_MM)
 def two_caps(top_mm: float) -> Relief:
     x, y = np.meshgrid(AXES, AXES)
     bulge = sum(top_mm * np.clip(1 - ((x - at) ** 2 + y**2) / 55.0**2, 0, None) ** 2 for at in (-70.0, 70.0))
-    return Relief(low=np.array([-150.0, -150.0]), bulge_mm=np.asarray(bulge), known=np.ones(x.shape, dtype=bool))
+    return Relief(
+        low=np.array([-150.0, -150.0]),
+        bulge_mm=np.asarray(bulge),
+        known=np.ones(x.shape, dtype=bool),
+        arm=np.zeros(x.shape, dtype=bool),
+    )
 
 
 def test_a_breast_must_stand_out() -> None:

@@ -13,7 +13,12 @@ TRUNK = Trunk(frame=np.eye(3), origin=np.zeros(3), half_width_mm=150.0)
 
 
 def relief_of(bulge_mm: np.ndarray) -> Relief:
-    return Relief(low=np.array([-200.0, -200.0]), bulge_mm=bulge_mm, known=np.ones(X.shape, dtype=bool))
+    return Relief(
+        low=np.array([-200.0, -200.0]),
+        bulge_mm=bulge_mm,
+        known=np.ones(X.shape, dtype=bool),
+        arm=np.zeros(X.shape, dtype=bool),
+    )
 
 
 def cap(across: float, up: float, reach_mm: float, top_mm: float) -> np.ndarray:

@@ -248,6 +248,7 @@ def test_what_stands_out_of_a_slope_is_measured_before_the_slope() -> None:
         low=np.array([-100.0, -100.0]),
         bulge_mm=30.0 * np.clip(1 - rho2, 0, None) ** 2 + 0.1 * x - 0.05 * y + 3.0,
         known=np.ones(x.shape, dtype=bool),
+        arm=np.zeros(x.shape, dtype=bool),
     )
     found = prominence_within(relief, rho2 < 1, 0.9)
     assert found.volume_cc == pytest.approx(np.pi * 60.0**2 * 30.0 / 3 / 1000, rel=0.01)
@@ -265,6 +266,7 @@ def test_a_flank_that_goes_far_around_the_trunk_is_not_cut() -> None:
         low=np.array([-280.0, -140.0]),
         bulge_mm=70.0 * np.clip(1 - rho2, 0, None) ** 2,
         known=np.ones(across.shape, dtype=bool),
+        arm=np.zeros(across.shape, dtype=bool),
     )
     dome = Middle(flat=middle, roundness_per_mm=0.02, base_mm=np.sqrt(np.pi) * reach_mm)
     domes = {"left": dome, "right": replace(dome, flat=middle * [-1.0, 1.0])}

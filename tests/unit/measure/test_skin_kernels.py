@@ -37,6 +37,12 @@ def test_each_pixel_has_the_bulge_of_its_innermost_skin():
     np.testing.assert_array_equal(np.isfinite(found), np.isfinite(inner))
     np.testing.assert_allclose(found, inner, atol=1e-9)
     assert relief.known[np.isfinite(inner)].all()
+    keep = (np.abs(cylindrical[:, 0]) < width) & (np.abs(cylindrical[:, 1]) < height) & ~on_trunk(cylindrical, trunk)
+    column, row = np.round((cylindrical[keep, :2] + np.array([width, height])) / PIXEL_MM).astype(int).T
+    beside = ~relief.known[row, column]
+    assert 100 < beside.sum() < keep.sum()
+    assert relief.arm[row[beside], column[beside]].all()
+    assert not (relief.arm & relief.known).any()
 
 
 def test_samples_are_the_middles_of_equal_parts_of_each_face():

@@ -177,7 +177,8 @@ def follow_crease(
     for last in range(_CENTRINGS):
         places = middle + rays[:, None] * steps[:, None]
         bulge, concavity = relief.at(places, bulge_mm), relief.at(places, concavity_per_mm)
-        allowed = _beyond_the_top(bulge) & relief.within(places)
+        arm = np.maximum.accumulate(relief.at(places, relief.arm.astype(np.float64)) > 0.5, axis=1)
+        allowed = _beyond_the_top(bulge, arm) & relief.within(places)
         allowed &= (places[..., 0] > between_mm[0]) & (places[..., 0] < between_mm[1])
         worth = _CREASE * np.log1p(np.clip(concavity, 0.0, None) / CREASE_PER_MM) * _own(bulge)
         worth = worth - np.minimum(np.clip(bulge / _VANISH_MM - 1, 0.0, None) * _HEIGHT_COST, _MOST_HEIGHT_COST)
@@ -201,7 +202,7 @@ def follow_crease(
     reach = np.asarray(gaussian_filter1d(reach, _SIGMA_MM / apart, mode="wrap"))
     flat = middle + rays * reach[:, None]
     trunk = (relief.at(places, relief.known.astype(np.float64)) > 0.5) & relief.within(places) & (bulge > -_SUNK_MM)
-    hidden_mm = _hidden_mm(trunk, _uncreased(concavity, way), reach)
+    hidden_mm = _hidden_mm(trunk | arm, _uncreased(concavity, way), reach)
     return Crease(
         flat=flat,
         concavity_per_mm=_at_steps(concavity, way[:, None])[:, 0],
@@ -275,10 +276,11 @@ def _centroid(flat: Float64[Array, "n 2"]) -> Float64[Array, 2]:
     return np.asarray(((flat + following) * twice[:, None]).sum(axis=0) / (3 * twice.sum()))
 
 
-def _beyond_the_top(bulge: Float64[Array, "d s"]) -> Bool[Array, "d s"]:
+def _beyond_the_top(bulge: Float64[Array, "d s"], arm: Bool[Array, "d s"]) -> Bool[Array, "d s"]:
     """Mask of the places at which a breast may end.
 
-    From where it has fallen to half its height until the skin rises again for good, or the trunk ends.
+    From where it has fallen to nine tenths of its height until the skin rises again for good, the trunk ends, or an
+    arm begins.
     """
     top = np.maximum.accumulate(bulge, axis=1)
     low = bulge < np.maximum(_FALLEN * top, _VANISH_MM)
@@ -286,8 +288,9 @@ def _beyond_the_top(bulge: Float64[Array, "d s"]) -> Bool[Array, "d s"]:
     lowest = np.minimum.accumulate(np.where(begun, bulge, np.inf), axis=1)
     risen = begun & (bulge > np.maximum(lowest, 0.0) + _RISE_MM)
     ended = risen | (begun & (bulge < -_SUNK_MM))
-    allowed = begun & ~np.maximum.accumulate(ended, axis=1)
-    allowed[~allowed.any(axis=1)] = True  # nothing is known here; the neighbours decide
+    allowed = begun & ~np.maximum.accumulate(ended, axis=1) & ~arm
+    unknown = ~allowed.any(axis=1)  # nothing is known here; the neighbours decide
+    allowed[unknown] = ~arm[unknown]
     return allowed
 
 

@@ -1,7 +1,8 @@
 """Proposed landmarks: nipples, sternal notch and umbilicus, the midline, and the ends of a breast.
 
 The skin's height over a plane across the body is averaged on a grid. A hollow lies below the ring around it along the
-body as well as across it. A groove, such as that over the breastbone, does so across it alone.
+body as well as across it, and is deepest at its own place. A groove, such as that over the breastbone, does so across
+it alone.
 
 A nipple lies between the middle of the areola and the tip within it, or at the tip near the most projecting point if
 no areola is seen. Colour is ln R − ln G of linear light, which shading does not change: an areola is redder and darker
@@ -64,6 +65,7 @@ def propose_on_midline(
     bottom = float(places[:, 1].min())
     height = _height_map(places, bottom)
     hollow = _hollows(height)
+    deepest = hollow >= ndimage.maximum_filter(hollow, footprint=np.hypot(*_window(_RING_MM[0])) < _RING_MM[0])
     aside = (np.arange(height.shape[1]) * _STEP_MM - _ASIDE_MM)[None, :]
     up = (bottom + np.arange(height.shape[0]) * _STEP_MM)[:, None]
     found = []
@@ -71,7 +73,7 @@ def propose_on_midline(
         ("sternal_notch", _NOTCH_MM, _NOTCH_ASIDE_MM, _NOTCH_SIGMA_MM, up > highest_mm, -_BONE_MM),
         ("umbilicus", _NAVEL_MM, _NAVEL_ASIDE_MM, _NAVEL_SIGMA_MM, up < lowest_mm - _NAVEL_BELOW_MM, 0.0),
     ):
-        depth = np.where(within & (np.abs(aside) <= near), hollow, -np.inf)
+        depth = np.where(within & deepest & (np.abs(aside) <= near), hollow, -np.inf)
         row, column = np.unravel_index(np.argmax(depth), depth.shape)
         if depth[row, column] < least:
             continue
@@ -111,11 +113,16 @@ def _height_map(places: Float64[Array, "n 3"], bottom_mm: float) -> Float64[Arra
     return np.where(count > _LEAST_CELL, total / np.maximum(count, _LEAST_CELL), np.nan)
 
 
+def _window(radius_mm: float) -> Float64[Array, "2 k k"]:
+    """Places of the cells around one, across and along, mm."""
+    reach = int(radius_mm / _STEP_MM) + 1
+    at = np.arange(-reach, reach + 1) * _STEP_MM
+    return np.stack(np.meshgrid(at, at))
+
+
 def _hollows(height: Float64[Array, "h w"]) -> Float64[Array, "h w"]:
     """Depth of each place below the ring around it, along or across the body, whichever is less. −∞ where not seen."""
-    reach = int(_RING_MM[1] / _STEP_MM) + 1
-    at = np.arange(-reach, reach + 1) * _STEP_MM
-    x, y = np.meshgrid(at, at)
+    x, y = _window(_RING_MM[1])
     radius = np.hypot(x, y)
     ring = (radius >= _RING_MM[0]) & (radius <= _RING_MM[1])
     seen = np.isfinite(height).astype(np.float64)

@@ -22,7 +22,7 @@ from mammometry.base.machine.compiled import kernel
 from mammometry.base.machine.cores import in_bands
 from mammometry.base.value import value
 from mammometry.geometry import Array, Bool, Float64, Int32, Int64, TriangleMesh
-from mammometry.measure.trunk.thorax import ARM, AROUND, HEIGHT_WINDOW_MM, WIDEST_DEG, Thorax
+from mammometry.measure.trunk.thorax import ARM, AROUND, HEIGHT_WINDOW_MM, WIDEST_DEG, Thorax, Trunk
 
 
 @kernel
@@ -144,6 +144,8 @@ class Relief:
     the nearest."""
     known: Bool[Array, "h w"]
     """Whether skin was seen there, or next to it."""
+    arm: Bool[Array, "h w"]
+    """Whether an arm was seen there, and no skin of the trunk."""
 
     def smooth_mm(self, sigma_mm: float) -> Float64[Array, "h w"]:
         """The bulge, Gaussian-smoothed, mm."""
@@ -214,9 +216,22 @@ def lay_flat(thorax: Thorax, points_world: Float64[Array, "n 3"]) -> Relief:
             mesh_remedy="Check --head and --ahead",
         )
     away, nearest = distance_transform_edt(~known, return_indices=True)
+    seen = np.asarray(away * PIXEL_MM < KNOWN_MM)
     # A few pixels under an overhang may have been sampled on its outer layer only.
     bulge_mm = grey_opening(inner[tuple(nearest)], size=(_SPECK, _SPECK))
-    return Relief(low=low, bulge_mm=bulge_mm, known=np.asarray(away * PIXEL_MM < KNOWN_MM))
+    return Relief(low=low, bulge_mm=bulge_mm, known=seen, arm=~seen & _arms(trunk, points_world, low, size))
+
+
+def _arms(
+    trunk: Trunk, points_world: Float64[Array, "n 3"], low: Float64[Array, 2], size: Int64[Array, " 2"]
+) -> Bool[Array, "h w"]:
+    """Mask of the pixels in which an arm was seen, or next to it."""
+    aside = np.abs((points_world - trunk.origin) @ trunk.frame[0]) >= ARM * trunk.half_width_mm
+    column, row = np.rint((trunk.cylindrical(points_world[aside])[:, :2] - low) / PIXEL_MM).astype(np.int64).T
+    there = (column >= 0) & (row >= 0) & (column < size[1]) & (row < size[0])
+    away = np.ones(size)
+    away[row[there], column[there]] = 0.0
+    return distance_transform_edt(away) * PIXEL_MM < KNOWN_MM if there.any() else np.zeros(size, dtype=bool)
 
 
 def dense_samples(mesh: TriangleMesh) -> Float64[Array, "n 3"]:
