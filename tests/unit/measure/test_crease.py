@@ -51,6 +51,18 @@ def test_the_curve_moves_as_little_as_the_edge_does() -> None:
     assert np.abs(np.diff(away, axis=0) - 0.1).max() < 0.1
 
 
+def test_directions_that_allow_nothing_in_common_still_have_a_path() -> None:
+    """Neither way around reached where the other did: 0 / 0, and a lying woman's breast ended in an error of ours."""
+    log_weights = np.full((1, 144, 139), -100.0)
+    log_weights[:, :72, 5:9] = 0.0
+    log_weights[:, 72:, 100:104] = 0.0
+    found = weigh_paths(log_weights, 0.2)
+    assert 4.0 < found.mean_steps[0, 36] < 9.0
+    assert 99.0 < found.mean_steps[0, 108] < 104.0
+    assert np.isfinite(found.spread_steps).all()
+    assert np.isfinite(found.evidence).all()
+
+
 def test_a_border_ends_before_an_arm_where_a_muscle_leads_on_to_it() -> None:
     """On a muscular body breast, muscle and arm are one slope; the map is filled behind the arm, and falls there."""
     x, y = np.meshgrid(AXES, AXES)

@@ -37,11 +37,23 @@ def test_each_pixel_has_the_bulge_of_its_innermost_skin():
     np.testing.assert_array_equal(np.isfinite(found), np.isfinite(inner))
     np.testing.assert_allclose(found, inner, atol=1e-9)
     assert relief.known[np.isfinite(inner)].all()
-    keep = (np.abs(cylindrical[:, 0]) < width) & (np.abs(cylindrical[:, 1]) < height) & ~on_trunk(cylindrical, trunk)
-    column, row = np.round((cylindrical[keep, :2] + np.array([width, height])) / PIXEL_MM).astype(int).T
-    beside = ~relief.known[row, column]
-    assert 100 < beside.sum() < keep.sum()
-    assert relief.arm[row[beside], column[beside]].all()
+
+
+def test_an_arm_comes_from_the_shoulder_and_a_breast_that_fell_aside_does_not():
+    """Skin 1.15 half widths aside of a cylinder: up to the picture's top on one side, an island on the other."""
+    trunk = Trunk(frame=np.eye(3), origin=np.zeros(3), half_width_mm=150.0)
+    thorax = Thorax(trunk=trunk, coefficients=np.concatenate([[150.0], np.zeros(26)]), rms_mm=1.0)
+    degrees, up = (each.ravel() for each in np.meshgrid(np.arange(-110, 110.1, 0.5), np.arange(-139, 139.1, 1.0)))
+    arm = (np.abs(degrees - 80) < 20) & (up > 20)
+    flank = (np.abs(degrees + 80) < 20) & (np.abs(up) < 50)
+    radius = np.where(arm | flank, 190.0, 150.0)
+    angle = np.deg2rad(degrees)
+    relief = lay_flat(thorax, np.stack([radius * np.sin(angle), up, radius * np.cos(angle)], axis=1))
+    places = np.stack([150.0 * angle, up], axis=1)
+    within = relief.at(places, relief.arm.astype(float)) > 0.5
+    inner = (degrees > 70) & (degrees < 96) & (up > 30)  # from 65° on so far aside; 5 mm count as seen
+    assert within[inner].all()
+    assert not within[~arm].any()
     assert not (relief.arm & relief.known).any()
 
 

@@ -24,6 +24,7 @@ from mammometry.measure.trunk.thorax import CHEST_SCALE_MM, CUT_OFF
 
 _TURNS = 2  # around the middle: in the first the start is forgotten
 _FURTHEST_STEPS = 3  # that a path may move in or out from one direction to the next; 50° from the tangent at 60 mm
+_LEAST_SHARE = 1e-100  # arrives anywhere, so that what comes from both sides never has the product 0
 _SHIFTS = np.arange(-_FURTHEST_STEPS, _FURTHEST_STEPS + 1)
 
 
@@ -69,7 +70,7 @@ def _arriving(
             arriving[direction] = before
             before = correlate1d(before * own, moves, axis=1, mode="constant")
             total = before.sum(axis=1)
-            before /= total[:, None]
+            before = np.maximum(before / total[:, None], _LEAST_SHARE)
             growth += np.log(total)
     return arriving, growth
 
@@ -177,7 +178,9 @@ def follow_crease(
     for last in range(_CENTRINGS):
         places = middle + rays[:, None] * steps[:, None]
         bulge, concavity = relief.at(places, bulge_mm), relief.at(places, concavity_per_mm)
-        arm = np.maximum.accumulate(relief.at(places, relief.arm.astype(np.float64)) > 0.5, axis=1)
+        known, arm = (relief.at(places, mask.astype(np.float64)) > 0.5 for mask in (relief.known, relief.arm))
+        # An arm and all behind it, unless skin of the trunk is seen there again.
+        arm = np.maximum.accumulate(arm, axis=1) & ~np.maximum.accumulate(known[:, ::-1], axis=1)[:, ::-1]
         allowed = _beyond_the_top(bulge, arm) & relief.within(places)
         allowed &= (places[..., 0] > between_mm[0]) & (places[..., 0] < between_mm[1])
         worth = _CREASE * np.log1p(np.clip(concavity, 0.0, None) / CREASE_PER_MM) * _own(bulge)
@@ -201,7 +204,7 @@ def follow_crease(
     apart = float(np.mean(reach)) * 2 * np.pi / DIRECTIONS
     reach = np.asarray(gaussian_filter1d(reach, _SIGMA_MM / apart, mode="wrap"))
     flat = middle + rays * reach[:, None]
-    trunk = (relief.at(places, relief.known.astype(np.float64)) > 0.5) & relief.within(places) & (bulge > -_SUNK_MM)
+    trunk = known & relief.within(places) & (bulge > -_SUNK_MM)
     hidden_mm = _hidden_mm(trunk | arm, _uncreased(concavity, way), reach)
     return Crease(
         flat=flat,

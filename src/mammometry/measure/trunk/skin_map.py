@@ -145,7 +145,7 @@ class Relief:
     known: Bool[Array, "h w"]
     """Whether skin was seen there, or next to it."""
     arm: Bool[Array, "h w"]
-    """Whether an arm was seen there, and no skin of the trunk."""
+    """Whether an arm was seen there, from the shoulder on, and no skin of the trunk."""
 
     def smooth_mm(self, sigma_mm: float) -> Float64[Array, "h w"]:
         """The bulge, Gaussian-smoothed, mm."""
@@ -219,19 +219,26 @@ def lay_flat(thorax: Thorax, points_world: Float64[Array, "n 3"]) -> Relief:
     seen = np.asarray(away * PIXEL_MM < KNOWN_MM)
     # A few pixels under an overhang may have been sampled on its outer layer only.
     bulge_mm = grey_opening(inner[tuple(nearest)], size=(_SPECK, _SPECK))
-    return Relief(low=low, bulge_mm=bulge_mm, known=seen, arm=~seen & _arms(trunk, points_world, low, size))
+    return Relief(low=low, bulge_mm=bulge_mm, known=seen, arm=_arms(trunk, points_world, low, ~seen))
 
 
 def _arms(
-    trunk: Trunk, points_world: Float64[Array, "n 3"], low: Float64[Array, 2], size: Int64[Array, " 2"]
+    trunk: Trunk, points_world: Float64[Array, "n 3"], low: Float64[Array, 2], unseen: Bool[Array, "h w"]
 ) -> Bool[Array, "h w"]:
-    """Mask of the pixels in which an arm was seen, or next to it."""
+    """Mask of the pixels in which an arm was seen, or next to it, where the trunk is not.
+
+    An arm comes from the shoulder, above the picture. Other skin so far aside is a breast's that has fallen there.
+    """
     aside = np.abs((points_world - trunk.origin) @ trunk.frame[0]) >= ARM * trunk.half_width_mm
     column, row = np.rint((trunk.cylindrical(points_world[aside])[:, :2] - low) / PIXEL_MM).astype(np.int64).T
-    there = (column >= 0) & (row >= 0) & (column < size[1]) & (row < size[0])
-    away = np.ones(size)
+    height, width = unseen.shape
+    there = (column >= 0) & (row >= 0) & (column < width) & (row < height)
+    if not there.any():
+        return np.zeros_like(unseen)
+    away = np.ones(unseen.shape)
     away[row[there], column[there]] = 0.0
-    return distance_transform_edt(away) * PIXEL_MM < KNOWN_MM if there.any() else np.zeros(size, dtype=bool)
+    parts, _ = label(unseen & (distance_transform_edt(away) * PIXEL_MM < KNOWN_MM))
+    return np.isin(parts, np.setdiff1d(parts[-1], 0))
 
 
 def dense_samples(mesh: TriangleMesh) -> Float64[Array, "n 3"]:
