@@ -120,6 +120,11 @@ def markdown(outputs: Sequence[str]) -> str:
     return with_minus("\n\n".join(output.strip() for output in outputs if output.strip()))
 
 
+def from_first_table(outputs: Sequence[str]) -> str:
+    """Tables and sentences, without what is printed before them while a benchmark runs."""
+    return markdown([output[max(output.find("| "), 0) :] for output in outputs])
+
+
 def first_table(outputs: Sequence[str]) -> str:
     """The first table of each output, under one heading, without what else is printed."""
     rows: list[str] = []
@@ -179,6 +184,7 @@ def paper_table(outputs: Sequence[str]) -> str:
 
 FORMS: Mapping[str, Callable[[Sequence[str]], str]] = {
     "markdown": markdown,
+    "from-first-table": from_first_table,
     "first-table": first_table,
     "demo": demo,
     "casts": casts,

@@ -60,6 +60,11 @@ def test_what_is_there_is_not_made_again(tmp_path: Path, monkeypatch: pytest.Mon
     assert made == ["plate", "casts"]
 
 
+def test_what_a_benchmark_prints_while_it_runs_is_left_out() -> None:
+    printed = "9200 left 193, right -1\n| a | b |\n| --- | --- |\n| 1 | -2 |\n\nin words\n"
+    assert measured.from_first_table((printed,)) == "| a | b |\n| --- | --- |\n| 1 | −2 |\n\nin words"
+
+
 def test_nine_casts_become_a_table() -> None:
     table = "model,reference_cc,measured_cc,low_cc,high_cc\na,100.0,101.0,99.0,103.0\nb,200.0,199.0,199.5,199.8\n"
     assert measured.casts(("{}", table)).splitlines()[1:] == [
