@@ -235,7 +235,7 @@ def lacking(
     return () if deficit is None else (deficit,)
 
 
-@product("measure", version=6, settings="measure", inputs=("landmarks",), when=_has_volume, threads=1)
+@product("measure", version=7, settings="measure", inputs=("landmarks",), when=_has_volume, threads=1)
 def landmarks(
     mesh: FinishedSurface,
     boundaries: tuple[Boundary, ...],
