@@ -78,6 +78,14 @@ def test_a_border_ends_before_an_arm_where_a_muscle_leads_on_to_it() -> None:
     assert found.sigma_mm.max() < over.sigma_mm.max()
 
 
+def test_an_arm_before_skin_that_is_seen_again_ends_no_border() -> None:
+    """A large breast's own flank may pass for the arm that it touches; the trunk behind shows that it goes on."""
+    x, y = np.meshgrid(AXES, AXES)
+    flank = (x > 40) & (x < 58) & (y > -30)
+    found = follow_crease(relief_of(cap(80.0, 70.0), ~flank, flank), np.zeros(2))
+    assert np.abs(np.linalg.norm(found.flat, axis=1) - 80.0).max() < 6.0  # three pixels; 40 off without it
+
+
 def test_a_step_is_followed_as_a_fold_is() -> None:
     """A breast that hangs over its fold is a step of the innermost layer there."""
     bulge = np.where(AXES[:, None] > -40, cap(70.0, 60.0), 0.0)

@@ -228,6 +228,12 @@ def _arms(
     """Mask of the pixels in which an arm was seen, or next to it, where the trunk is not.
 
     An arm comes from the shoulder, above the picture. Other skin so far aside is a breast's that has fallen there.
+
+    Args:
+        trunk: around which the skin is laid flat.
+        points_world: samples of the skin, mm.
+        low: (half width × θ, y) of the first pixel's centre, mm.
+        unseen: where no skin of the trunk was seen.
     """
     aside = np.abs((points_world - trunk.origin) @ trunk.frame[0]) >= ARM * trunk.half_width_mm
     column, row = np.rint((trunk.cylindrical(points_world[aside])[:, :2] - low) / PIXEL_MM).astype(np.int64).T
