@@ -8,6 +8,7 @@ import secrets
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from html import escape
 from pathlib import Path
 from typing import TypeVar
 from urllib.parse import parse_qs, urlsplit
@@ -54,13 +55,17 @@ class Door:
         if request.method == "POST":
             wrong = self._wrong_post(request, own=None if entering else f"http://{host}")
             if wrong is not None:
-                return _said(*wrong)
+                return _refused(request, *wrong)
         elif request.method != "GET":
-            return _said(405, "Only GET and POST are answered.")
-        given = request.COOKIES.get(_cookie_name(request), "")
-        if not entering and not secrets.compare_digest(given.encode(), self._cookie.encode()):
-            return _said(403, f"Open the address that “{self._command}” printed in its terminal.")
+            return _refused(request, 405, "Only GET and POST are answered.")
+        if not entering and not self._is_inside(request):
+            return _refused(request, 403, f"Open the address that “{self._command}” printed in its terminal.")
         return None
+
+    def _is_inside(self, request: HttpRequest) -> bool:
+        """Whether the request brings the cookie."""
+        given = request.COOKIES.get(_cookie_name(request), "")
+        return secrets.compare_digest(given.encode(), self._cookie.encode())
 
     def _wrong_post(self, request: HttpRequest, own: str | None) -> tuple[int, str] | None:
         headers = request.headers
@@ -82,9 +87,10 @@ class Door:
         """Exchange a key for the cookie."""
         key = parse_qs(request.body.decode("ascii", "replace")).get("key", [""])[0]
         held = next((own for own in self._keys if secrets.compare_digest(own.encode(), key.encode())), None)
-        if held is None:
-            return _said(403, f"This key is unknown or was used before. Stop “{self._command}” and start it again.")
-        self._keys.discard(held)
+        if held is None and not self._is_inside(request):  # who is inside may open the link again
+            sentence = f"This link is unknown or was used before. Stop “{self._command}” and start it again."
+            return _refused(request, 403, sentence)
+        self._keys.discard(held or "")
         # No redirection: a browser would follow one from another page without the cookie. This page leads there.
         answer = HttpResponse(_document('<meta http-equiv="refresh" content="0;url=/">', "Opening …"))
         answer.set_cookie(_cookie_name(request), self._cookie, httponly=True, samesite="Strict", path="/")
@@ -151,5 +157,9 @@ def _cookie_name(request: HttpRequest) -> str:
     return f"mammometry-{request.get_port()}"
 
 
-def _said(status: int, sentence: str) -> HttpResponse:
-    return JsonResponse({"error": sentence}, status=status)
+def _refused(request: HttpRequest, status: int, sentence: str) -> HttpResponse:
+    """A refusal: a page for a browser that opens an address, JSON for programs and the page's own script."""
+    if "text/html" not in request.headers.get("accept", ""):
+        return JsonResponse({"error": sentence}, status=status)
+    body = f"<h1>This page cannot be opened</h1><p>{escape(sentence)}</p>"
+    return HttpResponse(_document("<style>body { font: 1.1rem sans-serif; margin: 3rem }</style>", body), status=status)

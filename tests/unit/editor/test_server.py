@@ -41,6 +41,7 @@ FLAGS = [
     *("--disable-background-networking", "--disable-component-update", "--disable-sync", "--no-first-run"),
 ]
 JSON = {"Content-Type": "application/json"}
+FORM = {"Content-Type": "application/x-www-form-urlencoded"}
 HANDLES = [{"point": [60.0, 0.0, 0.0]}, {"point": [0.0, 60.0, 0.0]}, {"point": [-60.0, 0.0, 0.0]}]
 HALF_BALL_CC = 2 / 3 * np.pi * test_drawing.RADIUS_MM**3 / 1000
 
@@ -148,9 +149,7 @@ class Client:
         return self.ask("POST", path, json.dumps(sent).encode(), {**JSON, **(headers or {})})
 
     def enter(self, key: str) -> Told:
-        return self.ask(
-            "POST", "/enter", urlencode({"key": key}).encode(), {"Content-Type": "application/x-www-form-urlencoded"}
-        )
+        return self.ask("POST", "/enter", urlencode({"key": key}).encode(), FORM)
 
 
 @pytest.fixture
@@ -205,6 +204,20 @@ def test_only_those_who_came_in_by_a_key_are_answered(address: str, door: Door) 
     assert Client(address).enter(key).status == 403  # it opens once
     client.host = "elsewhere.example"  # a name that was made to point here
     assert client.get("/drawing").status == 404
+
+
+def test_a_used_link_shows_a_page_and_opens_again_for_who_is_inside(address: str, door: Door) -> None:
+    inside, key = Client(address), door.new_key()
+    browser = {"Accept": "text/html,application/xhtml+xml,*/*;q=0.8", **FORM}
+    assert inside.enter(key).status == 200
+    used = Client(address).ask("POST", "/enter", urlencode({"key": key}).encode(), browser)
+    assert (used.status, used.headers["content-type"].split(";")[0]) == (403, "text/html")
+    assert "<h1>" in used.text
+    assert used.headers["cache-control"] == "no-store"
+    bare = Client(address).ask("GET", "/", headers=browser)  # without any key
+    assert (bare.status, bare.headers["content-type"].split(";")[0]) == (403, "text/html")
+    assert inside.ask("POST", "/enter", urlencode({"key": key}).encode(), browser).status == 200
+    assert Client(address).enter(key).json()["error"]  # programs still read JSON
 
 
 @pytest.mark.parametrize(
