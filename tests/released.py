@@ -1,9 +1,10 @@
-"""Small examples of what each released version left behind: a session with results, and a clinic.
+"""Small examples of what each released version left behind: a session with results, a clinic and its backup.
 
 ``python -m tests.released`` makes those of this version, once, when it is released: later versions must open them.
 """
 
 import json
+import lzma
 import shutil
 import subprocess
 import sys
@@ -11,6 +12,8 @@ import tarfile
 import tempfile
 from pathlib import Path
 from typing import Any
+
+from tests.clinic_server import command
 
 import mammometry
 
@@ -193,6 +196,8 @@ def main() -> None:
         for what in ("session", "clinic"):
             with tarfile.open(folder / f"{what}.tar.xz", "w:xz") as archive:
                 archive.add(work / what, what)
+        command("backup", str(work / "clinic"), "--to", str(work / "backup.tar"))
+        (folder / "backup.tar.xz").write_bytes(lzma.compress((work / "backup.tar").read_bytes()))
         clinic = in_process("look", str(work / "clinic"))
     (folder / "expected.json").write_text(json.dumps({"session": session, "clinic": clinic}, indent=1) + "\n")
     print(f"{folder}: {sum(path.stat().st_size for path in folder.iterdir()) / 1000:.0f} kB")  # noqa: T201

@@ -257,7 +257,8 @@ def erase(
     The audit keeps the pseudonym. Backups made before still hold the patient.
     """
     config = opened(folder)
-    from mammometry.clinic.maintenance.patient import erase_bin, erase_patient, find_patient
+    from mammometry.clinic.maintenance.backups import remove_leftovers
+    from mammometry.clinic.maintenance.patient import copies, erase_bin, erase_patient, find_patient
     from mammometry.clinic.models import Visit
 
     found_patient = find_patient(patient)
@@ -270,11 +271,12 @@ def erase(
             else f"{name} with {visits.count()} visits"
         )
         typer.confirm(f"Erase {words}? It cannot be undone.", abort=True, err=True)
+    remove_leftovers(config)
+    kept = copies(config, found_patient)
     number = erase_bin(found_patient) if binned else erase_patient(config, found_patient)
-    older = sorted(path.name for path in config.backups.glob("*.tar"))
     lines = [f"{number} visits of {name} are erased." if binned else f"{name} is erased, with {number} visits."]
-    lines += [f"Still in the backups: {', '.join(older)}"] if older else []
-    return Answer({"erased": name, "visits": number, "backups": older}, [*lines])
+    lines += [f"A copy remains: {copy}." for copy in kept]
+    return Answer({"erased": name, "visits": number, "copies": kept}, [*lines])
 
 
 @command(app, "mammometry clinic audit my-clinic --to audit.csv")

@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import secrets
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, BinaryIO, Literal
 from zoneinfo import available_timezones
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstraints, ValidationError
@@ -264,11 +264,17 @@ def new_clinic(folder: Path, *, name: str, database: str = "sqlite", second_fact
     return read_config(folder)
 
 
+def new_private(path: Path) -> BinaryIO:
+    """Open a new file that nobody else may read, in place of one that a killed process left."""
+    path.unlink(missing_ok=True)  # it may have a wider mode, which opening would keep
+    return open(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb")
+
+
 def write_private(path: Path, text: str) -> None:
     """Write a small private file, whole or not at all."""
     beside = path.with_name(path.name + ".new")
-    with open(os.open(beside, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600), "w", encoding="utf-8") as file:
-        file.write(text)
+    with new_private(beside) as file:
+        file.write(text.encode())
         file.flush()
         os.fsync(file.fileno())
     beside.replace(path)

@@ -2,6 +2,7 @@
 
 import datetime
 import html
+import os
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -152,6 +153,17 @@ def test_a_backup_is_due_once_a_day_in_the_clinics_zone(clinic: ClinicConfig) ->
             assert backups.is_due(berlin, moment) is due
     off = clinic.backup.model_copy(update={"daily_at": ""})
     assert not backups.is_due(clinic.model_copy(update={"backup": off}), at)
+
+
+def test_a_backup_of_a_clock_in_the_future_hides_no_other(clinic: ClinicConfig) -> None:
+    """A clock that was once set to next year must not stop the backups until then."""
+    now = datetime.datetime.now(datetime.UTC)
+    (clinic.backups / "clinic-20990101-023000.tar").write_bytes(b"of the future")
+    stamp = (now + datetime.timedelta(days=365)).timestamp()
+    os.utime(clinic.backups / "clinic-20990101-023000.tar", (stamp, stamp))
+    assert backups.is_due(clinic, now + datetime.timedelta(days=2))
+    made = backups.make_kept_backup(clinic)
+    assert [file.path.name for file in backups.backup_files(clinic)] == [made.name, "clinic-20990101-023000.tar"]
 
 
 def test_a_fresh_clinic_waits_for_its_first_night(clinic: ClinicConfig) -> None:

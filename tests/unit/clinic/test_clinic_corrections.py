@@ -401,7 +401,7 @@ def test_researchers_and_administrators_correct_nothing(
 def test_a_backup_holds_the_bin_and_merged_records(tmp_path: Path, anna: Patient, berta: Patient, rig: Rig) -> None:
     from io import BytesIO
 
-    from mammometry.clinic.maintenance.backups import write_database
+    from mammometry.clinic.maintenance.rows import write_database
 
     visit = measured(anna, rig)
     corrections.put_into_bin(visit, "x", None)

@@ -1,31 +1,49 @@
 """Backup, restore, export and erase, by doing them."""
 
+import datetime
 import io
 import json
+import lzma
 import os
+import shutil
 import subprocess
 import sys
 import tarfile
 import uuid
 import zipfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
+import numpy as np
 import pytest
 from auditlog.models import LogEntry
+from django.contrib.contenttypes.models import ContentType
 from django.db import connection
 from django.test import Client
 from pytest_django import Settings
 from tests.clinic_server import command
 from tests.postgresql import VARIABLE, new_database
+from tests.released import EXAMPLES, in_process
 
 from mammometry.cli.main import run
-from mammometry.clinic.config import ClinicConfig, ClinicError
-from mammometry.clinic.maintenance.backups import make_backup, make_kept_backup
-from mammometry.clinic.maintenance.patient import find_patient
-from mammometry.clinic.maintenance.restore import _digests, _require_same
-from mammometry.clinic.models import Drawing, Job, Measurement, Patient, Upload, Visit, Volume
+from mammometry.clinic.config import ClinicConfig, ClinicError, new_clinic, read_config
+from mammometry.clinic.maintenance.backups import exclusive, make_backup, make_kept_backup
+from mammometry.clinic.maintenance.patient import copies, erase_patient, find_patient
+from mammometry.clinic.maintenance.restore import _require_measures_the_same, unpack
+from mammometry.clinic.maintenance.rows import digests_of, require_same
+from mammometry.clinic.models import (
+    Delivery,
+    Destination,
+    Drawing,
+    Job,
+    Measurement,
+    Patient,
+    Rig,
+    Upload,
+    Visit,
+    Volume,
+)
 from mammometry.clinic.roles import Role
 
 MARK = b"photograph of quirina"
@@ -112,19 +130,177 @@ def test_a_restore_is_tested_and_the_page_says_so(
 
 def test_rows_that_differ_are_named() -> None:
     lines = [b'{"model": "clinic.rig", "pk": 1, "fields": {}}', b'{"model": "clinic.rig", "pk": 2, "fields": {}}']
-    same = _digests(lines)
-    assert same == _digests(reversed(lines))
-    _require_same(same, _digests(lines))
-    with pytest.raises(ClinicError, match=r"1 rows of clinic\.rig"):
-        _require_same(same, _digests(lines[:1]))
-    with pytest.raises(ClinicError, match="with other values"):
-        _require_same(same, _digests([lines[0], lines[1].replace(b"{}", b'{"name": "x"}')]))
+    same = digests_of(lines)
+    assert same == digests_of(reversed(lines))
+    require_same(same, digests_of(lines))
+    with pytest.raises(ClinicError, match=r"clinic\.rig: 1 lost, such as 2"):
+        require_same(same, digests_of(lines[:1]))
+    with pytest.raises(ClinicError, match="1 changed, such as 2"):
+        require_same(same, digests_of([lines[0], lines[1].replace(b"{}", b'{"name": "x"}')]))
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "is_same"),
+    [
+        ("2026-11-26T13:21:38.000Z", "2026-11-26T13:21:38+00:00", True),  # as 1.0 wrote it
+        ("2026-11-26T13:21:38.120Z", "2026-11-26T13:21:38.120000+00:00", True),
+        ("2026-11-26T13:21:38.000838+00:00", "2026-11-26T13:21:38+00:00", False),
+        ("2026-11-26T13:21:38.12Z", "2026-11-26T13:21:38.120001+00:00", False),
+    ],
+)
+def test_a_time_is_compared_to_the_microsecond(before: str, after: str, is_same: bool) -> None:
+    first, second = (
+        digests_of([json.dumps({"model": "m", "pk": 1, "fields": {"at": at}}).encode()]) for at in (before, after)
+    )
+    assert (first == second) is is_same
+
+
+def enter(microseconds: Iterable[int]) -> None:
+    """Entries of the audit at these microseconds of a second."""
+    kind, at = ContentType.objects.get_for_model(Rig), datetime.datetime(2026, 11, 28, 12, 0, 38, tzinfo=datetime.UTC)
+    LogEntry.objects.bulk_create(
+        LogEntry(content_type=kind, object_pk="x", object_repr="x", action=3, timestamp=at.replace(microsecond=number))
+        for number in microseconds
+    )
+
+
+@pytest.mark.requirement("R-KEEP-1")
+def test_microseconds_are_kept_in_a_backup(clinic: ClinicConfig, tmp_path: Path) -> None:
+    chosen = [0, 1, 838, 1000, 120_000, 999_999]
+    enter(chosen)
+    make_backup(clinic, tmp_path / "clinic.tar")
+    written = [json.loads(line)["fields"].get("timestamp") for line in rows(tmp_path / "clinic.tar")]
+    times = [datetime.datetime.fromisoformat(text).microsecond for text in written if text and "12:00:38" in text]
+    assert times == chosen
+
+
+@pytest.mark.slow
+@pytest.mark.requirement("R-KEEP-1")
+def test_a_restore_with_20_000_entries_at_random_microseconds_is_the_same(
+    clinic: ClinicConfig, settings: Settings
+) -> None:
+    settings.MIGRATION_MODULES = {}
+    enter(np.random.default_rng(0).integers(0, 1_000_000, 20_000).tolist())
+    make_kept_backup(clinic)
+    answer = command("test-restore", str(clinic.folder), timeout_s=400)
+    assert int(str(answer["rows"])) >= 20_000
+
+
+@pytest.mark.slow
+@pytest.mark.requirement("R-KEEP-1")
+@pytest.mark.parametrize("version", sorted(path.parent.name for path in EXAMPLES.glob("*/backup.tar.xz")))
+def test_a_backup_of_a_release_is_restored(version: str, tmp_path: Path) -> None:
+    """Tables as that version had them are made and filled, and then brought to this version."""
+    archive = tmp_path / "clinic.tar"
+    archive.write_bytes(lzma.decompress((EXAMPLES / version / "backup.tar.xz").read_bytes()))
+    expected = json.loads((EXAMPLES / version / "expected.json").read_text())["clinic"]
+    with another_database() as options:
+        command("restore", str(archive), str(tmp_path / "restored"), *options)
+        found = in_process("look", str(tmp_path / "restored"))
+        assert command("upgrade", str(tmp_path / "restored"))["applied"] == []
+    for what in ("names", "volumes", "pages"):
+        assert found[what] == expected[what]
+    assert {name: count for name, count in found["rows"].items() if name in expected["rows"]} == expected["rows"]
+    (tmp_path / "restored" / "backups" / "clinic-20260101-000000.tar").write_bytes(archive.read_bytes())
+    command("test-restore", str(tmp_path / "restored"))
+
+
+def small_clinic(folder: Path) -> ClinicConfig:
+    """A clinic with settings of its own, and two rigs that this computer drives: one's file is elsewhere."""
+    config = new_clinic(folder, name="Clinic")
+    (folder / "settings.toml").write_text('[measure]\nwall = "membrane"\n')
+    (folder / "cables").mkdir()
+    (folder / "cables" / "rig.toml").write_text("of one")
+    (folder.parent / "rig.toml").write_text("of two")
+    with (folder / "clinic.toml").open("a") as file:
+        file.write('\n[cameras]\n"one" = "cables/rig.toml"\n"two" = "../rig.toml"\n')
+    (folder / "stow-secret-of-an-archive").write_text("secret")
+    return read_config(config.folder)
+
+
+@pytest.mark.requirement("R-KEEP-1")
+def test_a_backup_holds_what_changes_a_number(clinic: ClinicConfig, tmp_path: Path) -> None:
+    config = small_clinic(tmp_path / "clinic")
+    make_backup(config, config.backups / "clinic-20260101-000000.tar")
+    shutil.rmtree(tmp_path / "clinic" / "cables")
+    (tmp_path / "rig.toml").unlink()
+    restored, manifest = unpack(config.backups / "clinic-20260101-000000.tar", tmp_path / "deep" / "restored")
+    assert restored.measuring().measure.wall == "membrane"
+    files = {rig: (restored.folder / name).read_text() for rig, name in restored.cameras.items()}
+    assert files == {"one": "of one", "two": "of two"}
+    assert (restored.folder / "stow-secret-of-an-archive").is_file()
+    assert not list(restored.folder.glob("clinic.sqlite3*"))
+    _require_measures_the_same(config, restored, manifest)
+    (restored.folder / "settings.toml").unlink()
+    with pytest.raises(ClinicError, match=r"settings\.toml"):
+        _require_measures_the_same(config, restored, manifest)
+
+
+def test_a_backup_of_1_0_without_the_settings_is_refused_by_the_restore_test(
+    clinic: ClinicConfig, tmp_path: Path
+) -> None:
+    config = small_clinic(tmp_path / "clinic")
+    bare = new_clinic(tmp_path / "bare", name="Clinic")
+    with pytest.raises(ClinicError, match=r"settings\.toml|rig\.toml"):
+        _require_measures_the_same(config, bare, {})
+
+
+@pytest.mark.requirement("R-KEEP-2")
+def test_what_a_killed_backup_left_goes_before_the_next_and_with_an_erased_patient(
+    clinic: ClinicConfig, full: Visit
+) -> None:
+    part, scratch = clinic.backups / "clinic-20260101-000000.tar.part", clinic.backups / "restore-test-xyz"
+
+    def killed() -> None:
+        part.write_bytes(b"Zypernkatze")
+        part.chmod(0o644)
+        scratch.mkdir()
+        (scratch / "database.jsonl").write_bytes(b"Zypernkatze")
+
+    killed()
+    made = make_kept_backup(clinic)
+    assert not part.exists()
+    assert not scratch.exists()
+    made.unlink()
+    killed()
+    with exclusive(clinic):  # one is at work: its files are not taken away, and are named
+        part.write_bytes(b"Zypernkatze")
+        assert any(part.name in copy for copy in copies(clinic, full.patient))
+    erase_patient(clinic, full.patient)
+    assert not part.exists()
+    assert not [path for path in clinic.folder.rglob("*") if path.is_file() and b"Zypernkatze" in path.read_bytes()]
+
+
+def test_a_file_of_a_killed_backup_with_a_wide_mode_is_not_written_into(clinic: ClinicConfig, tmp_path: Path) -> None:
+    part = tmp_path / "clinic.tar.part"
+    part.write_bytes(b"")
+    part.chmod(0o666)
+    reader = part.open("rb")
+    make_backup(clinic, tmp_path / "clinic.tar")
+    assert (tmp_path / "clinic.tar").stat().st_mode & 0o077 == 0
+    assert reader.read() == b""  # whoever had it open reads nothing of the new one
+    reader.close()
+
+
+@pytest.mark.requirement("R-KEEP-2")
+def test_the_page_of_an_erasure_names_every_copy(
+    clinic: ClinicConfig, full: Visit, client_of: Callable[..., Client], tmp_path: Path
+) -> None:
+    made = make_kept_backup(clinic)
+    run(["clinic", "backup", str(clinic.folder), "--to", str(tmp_path / "other.tar")])
+    run(["clinic", "export", str(clinic.folder), "KIS-4711", "--to", str(tmp_path / "export.zip")])
+    archive = Destination.objects.create(name="Archive of the house", address="A@b:104")
+    Delivery.objects.create(visit=full, destination=archive, state="sent", sent=3, next_try=full.taken_at)
+    client, pseudonym = client_of(Role.ADMINISTRATOR), full.patient.pseudonym
+    page = client.get("/erase/", {"pseudonym": pseudonym}).content.decode()
+    after = client.post("/erase/", {"pseudonym": pseudonym, "again": pseudonym}).content.decode()
+    for copy in (made.name, str(tmp_path / "other.tar"), "Archive of the house", "The export of"):
+        assert copy in page
+        assert copy in after
 
 
 @pytest.mark.requirement("R-KEEP-1")
 def test_a_damaged_backup_is_refused(clinic: ClinicConfig, full: Visit, tmp_path: Path) -> None:
-    from mammometry.clinic.maintenance.restore import unpack
-
     archive = tmp_path / "clinic.tar"
     run(["clinic", "backup", str(clinic.folder), "--to", str(archive)])
     content = archive.read_bytes()
@@ -138,8 +314,6 @@ def test_a_damaged_backup_is_refused(clinic: ClinicConfig, full: Visit, tmp_path
 
 
 def test_a_backup_cannot_leave_its_folder(tmp_path: Path) -> None:
-    from mammometry.clinic.maintenance.restore import unpack
-
     archive = tmp_path / "evil.tar"
     (tmp_path / "payload").write_text("x")
     with tarfile.open(archive, "w") as tar:
@@ -151,8 +325,6 @@ def test_a_backup_cannot_leave_its_folder(tmp_path: Path) -> None:
 
 @pytest.mark.requirement("R-KEEP-1")
 def test_restore_replaces_nothing(clinic: ClinicConfig, tmp_path: Path) -> None:
-    from mammometry.clinic.maintenance.restore import unpack
-
     (tmp_path / "used").mkdir()
     (tmp_path / "used" / "file").write_text("mine")
     with pytest.raises(ClinicError, match="a new or empty folder"):

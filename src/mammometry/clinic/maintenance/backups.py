@@ -6,6 +6,7 @@ import io
 import json
 import logging
 import os
+import re
 import shutil
 import tarfile
 import tempfile
@@ -17,22 +18,21 @@ from pathlib import Path
 from typing import Any, BinaryIO, cast
 from zoneinfo import ZoneInfo
 
-from django.apps import apps
-from django.core import serializers
-from django.db import connection
-from django.db.migrations.loader import MigrationLoader
-from django.db.models import Model
 from filelock import FileLock, Timeout
 
 import mammometry
 from mammometry.base.errors import MammometryError
-from mammometry.clinic.config import FILE, KEY_FILE, OPENID_SECRET_FILE, ClinicConfig, ClinicError, write_private
+from mammometry.clinic.config import KEY_FILE, SETTINGS_FILE, ClinicConfig, ClinicError, new_private, write_private
+from mammometry.clinic.maintenance.rows import known_migrations, write_database
 
 _PATTERN = "clinic-????????-??????.tar"
 _LOCK = ".lock"
 _OUTCOMES = "outcomes.json"
 """What became of the last backup and the last restore test, in the folder of backups."""
+_ELSEWHERE = "elsewhere.json"
+"""Paths of backups that a command wrote outside the folder of backups: each is a copy of every patient."""
 _LOOK_S = 30.0  # between two looks at the clock
+_CLOCK = datetime.timedelta(hours=1)  # by which a file server's clock may be ahead of ours
 _MARGIN = 1.2  # a new backup is expected to be at most this much larger than the last one
 _LOG = logging.getLogger(__name__)
 
@@ -101,13 +101,17 @@ def state_of(config: ClinicConfig) -> BackupState:
 
 
 def backup_files(config: ClinicConfig) -> list[BackupFile]:
-    """Whole backups, the newest first."""
+    """Whole backups, the newest first.
+
+    Those that a clock in the future made are last.
+    """
+    now = datetime.datetime.now(datetime.UTC) + _CLOCK
     made = []
     for path in config.backups.glob(_PATTERN):
         status = path.stat()
         made_at = datetime.datetime.fromtimestamp(status.st_mtime, datetime.UTC)
         made.append(BackupFile(path=path, size_bytes=status.st_size, made_at=made_at))
-    return sorted(made, key=lambda file: file.path.name, reverse=True)
+    return sorted(made, key=lambda file: (file.made_at <= now, file.path.name), reverse=True)
 
 
 def make_kept_backup(config: ClinicConfig) -> Path:
@@ -123,8 +127,7 @@ def make_kept_backup(config: ClinicConfig) -> Path:
             _require_room(config)
             made = make_backup(config)
         except (MammometryError, OSError) as error:
-            for part in config.backups.glob(f"{_PATTERN}.part"):
-                part.unlink(missing_ok=True)
+            _remove_leftovers(config)
             words = str(error) if isinstance(error, MammometryError) else f"It could not be written: {error.strerror}."
             note(config, "backup", passed=False, sentence=words)
             raise
@@ -156,9 +159,51 @@ def exclusive(config: ClinicConfig) -> Iterator[None]:
         remedy = "Wait until it ends"
         raise ClinicError("backups", found="one that is being made or tested", expected="none", remedy=remedy) from None
     try:
+        _remove_leftovers(config)
         yield
     finally:
         lock.release()
+
+
+def remove_leftovers(config: ClinicConfig) -> bool:
+    """Delete what killed backups and restore tests left: it holds names. False: one is at work now."""
+    try:
+        with exclusive(config):
+            return True
+    except ClinicError:
+        return False
+
+
+def _remove_leftovers(config: ClinicConfig) -> None:
+    for path in unfinished(config):
+        if path.is_dir():
+            shutil.rmtree(path, ignore_errors=True)
+        else:
+            path.unlink(missing_ok=True)
+
+
+def unfinished(config: ClinicConfig) -> list[Path]:
+    """Unfinished archives and restored clinics in the folder of backups.
+
+    They are being made now, or their maker was killed.
+    """
+    return sorted([*config.backups.glob(f"*.tar{PART}"), *config.backups.glob(f"{SCRATCH}*")])
+
+
+def elsewhere(config: ClinicConfig) -> list[Path]:
+    """Backups outside the folder of backups that are still there, unfinished ones too."""
+    try:
+        named = json.loads((config.backups / _ELSEWHERE).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return []
+    return [path for name in named for path in (Path(name), Path(name + PART)) if path.exists()]
+
+
+def _note_elsewhere(config: ClinicConfig, target: Path) -> None:
+    config.backups.mkdir(mode=0o700, parents=True, exist_ok=True)
+    known = {os.fspath(path).removesuffix(PART) for path in elsewhere(config)}
+    names = sorted({*known, os.fspath(target.absolute())})
+    write_private(config.backups / _ELSEWHERE, json.dumps(names, indent=1))
 
 
 class DailyBackup(threading.Thread):
@@ -187,7 +232,8 @@ def is_due(config: ClinicConfig, now: datetime.datetime) -> bool:
     begun = datetime.datetime.fromtimestamp((config.folder / KEY_FILE).stat().st_mtime, datetime.UTC)
     tried = _outcomes(config).get("backup")
     known = [begun, *(file.made_at for file in backup_files(config)), *([tried.moment] if tried else [])]
-    return last > max(known)
+    # What a clock in the future made tells nothing of today.
+    return all(moment < last or moment > now for moment in known)
 
 
 def _scheduled(config: ClinicConfig, now: datetime.datetime, *, after: bool) -> datetime.datetime | None:
@@ -239,10 +285,14 @@ MANIFEST = "manifest.json"
 """Format, version, time, migrations, and the SHA-256 of each file; the archive's last entry."""
 
 
-SMALL_FILES = (FILE, KEY_FILE, OPENID_SECRET_FILE)
 KEPT_FOLDERS = ("sessions", "rigs", "uploads")
-_LEFT_OUT = ("sessions", "contenttypes", "axes")
-"""Applications whose rows belong to the running server: logins, wrong passwords."""
+PART = ".part"
+"""What the name of an archive ends with while it is written."""
+SCRATCH = "restore-test-"
+"""What the name of a folder begins with in which a restore is tested."""
+_RIG_FILE = "rig.toml"
+_NOT_KEPT = re.compile(r"\.(sqlite3(-\w+)?|tar|part|lock|new)$")
+"""Files in a clinic's folder that no backup holds: the database's, archives, and what is being written."""
 
 
 def make_backup(config: ClinicConfig, target: Path | None = None) -> Path:
@@ -259,15 +309,17 @@ def make_backup(config: ClinicConfig, target: Path | None = None) -> Path:
     target = target or config.backups / f"clinic-{now:%Y%m%d-%H%M%S}.tar"
     if target.exists():
         raise ClinicError(str(target), found="a file", expected="none", remedy="Name another file with --to")
-    part = target.with_name(target.name + ".part")
+    if target.parent.resolve() != config.backups.resolve():
+        _note_elsewhere(config, target)
+    part = target.with_name(target.name + PART)
     digests: dict[str, str] = {}
-    with open(os.open(part, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600), "wb") as stream:
+    with new_private(part) as stream:
         with tarfile.open(fileobj=stream, mode="w", format=tarfile.PAX_FORMAT) as tar:
             with tempfile.TemporaryFile(dir=target.parent) as rows:
                 write_database(rows)
                 rows.seek(0)
                 _add(tar, DATABASE, rows, digests)
-            for name, path in _files(config.folder):
+            for name, path in _files(config):
                 try:
                     with path.open("rb") as file:
                         _add(tar, name, file, digests)
@@ -278,6 +330,8 @@ def make_backup(config: ClinicConfig, target: Path | None = None) -> Path:
                 "software": mammometry.__version__,
                 "made_at": now.isoformat(),
                 "migrations": known_migrations(),
+                "measures_with": measures_with(config),
+                "moved": {config.cameras[rig]: name for rig, name in _outside(config).items()},
                 "sha256": digests,
             }
             content = json.dumps(manifest, indent=1).encode()
@@ -288,56 +342,46 @@ def make_backup(config: ClinicConfig, target: Path | None = None) -> Path:
     return target
 
 
-def known_migrations() -> list[str]:
-    """All migrations of this version. A backup's rows fit the tables that they make."""
-    return sorted(f"{app} {name}" for app, name in MigrationLoader(None).disk_migrations)
+def measures_with(config: ClinicConfig) -> dict[str, str]:
+    """SHA-256 of each file beside the photographs that changes a number.
+
+    It is empty where there is none. The files are the clinic's settings and the rig.toml of each rig that this
+    computer drives.
+    """
+    files = {SETTINGS_FILE: config.folder / SETTINGS_FILE}
+    files |= {f"{_RIG_FILE} of {rig}": config.folder / name for rig, name in sorted(config.cameras.items())}
+    return {
+        name: hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else "" for name, path in files.items()
+    }
 
 
-def write_database(file: BinaryIO) -> None:
-    """Write all rows that a clinic keeps, one a line."""
-    text = io.TextIOWrapper(file, encoding="utf-8", write_through=True)
-    with _snapshot():
-        for model in _kept_models():
-            rows = model._base_manager.order_by("pk").iterator(chunk_size=500)
-            serializers.serialize("jsonl", rows, stream=text, use_natural_foreign_keys=True)
-    text.detach()
+def _outside(config: ClinicConfig) -> dict[str, str]:
+    """Rig whose rig.toml lies outside the clinic's folder → its name in the archive."""
+    rigs = sorted(rig for rig, name in config.cameras.items() if not _is_inside(config, config.folder / name))
+    return {rig: f"cameras/{number}-{_RIG_FILE}" for number, rig in enumerate(rigs, start=1)}
 
 
-def _kept_models() -> list[type[Model]]:
-    chosen = [
-        (config, None)
-        for config in apps.get_app_configs()
-        if config.label not in _LEFT_OUT and config.models_module is not None
-    ]
-    models = serializers.sort_dependencies(cast(Any, chosen), allow_cycles=True)
-    return [model for model in models if model._meta.label != "auth.Permission" and not model._meta.proxy]
+def _is_inside(config: ClinicConfig, path: Path) -> bool:
+    return path.resolve().is_relative_to(config.folder.resolve())
 
 
-@contextmanager
-def _snapshot() -> Iterator[None]:
-    """All that is read within is of one moment. Writers are not held up."""
-    if connection.in_atomic_block:
-        yield
-        return
-    begin = "BEGIN ISOLATION LEVEL REPEATABLE READ READ ONLY" if connection.vendor == "postgresql" else "BEGIN"
-    with connection.cursor() as cursor:
-        cursor.execute(begin)
-    try:
-        yield
-    finally:
-        with connection.cursor() as cursor:
-            cursor.execute("ROLLBACK")
+def _files(config: ClinicConfig) -> Iterator[tuple[str, Path]]:
+    """Name in the archive and path of each file that is kept.
 
-
-def _files(folder: Path) -> Iterator[tuple[str, Path]]:
-    """Name in the archive and path of each file that is kept."""
-    for name in SMALL_FILES:
-        if (folder / name).is_file():
-            yield name, folder / name
+    Of the clinic's own folder these are all files but the database's, whose rows are kept, and archives.
+    """
+    folder, outside = config.folder, _outside(config)
+    named = {path: path.name for path in folder.iterdir() if path.is_file() and not _NOT_KEPT.search(path.name)}
+    for rig, name in config.cameras.items():
+        path = folder / name
+        if path.is_file():
+            named[path] = outside.get(rig) or path.resolve().relative_to(folder.resolve()).as_posix()
     for kept in KEPT_FOLDERS:
-        for path in sorted((folder / kept).rglob("*")):
+        for path in (folder / kept).rglob("*"):
             if path.is_file() and not path.is_symlink():
-                yield path.relative_to(folder).as_posix(), path
+                named[path] = path.relative_to(folder).as_posix()
+    once = {name: path for path, name in named.items()}
+    yield from sorted(once.items())
 
 
 def _add(tar: tarfile.TarFile, name: str, file: BinaryIO, digests: dict[str, str]) -> None:

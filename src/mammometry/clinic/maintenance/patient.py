@@ -2,7 +2,6 @@
 
 import io
 import json
-import os
 import shutil
 import zipfile
 from pathlib import Path
@@ -16,7 +15,9 @@ from django.utils import timezone
 
 from mammometry.base.csv_cells import CsvWriter
 from mammometry.clinic import audit
-from mammometry.clinic.config import ClinicConfig, ClinicError
+from mammometry.clinic.config import ClinicConfig, ClinicError, new_private
+from mammometry.clinic.maintenance.backups import PART, elsewhere, remove_leftovers, unfinished
+from mammometry.clinic.maintenance.rows import RowEncoder
 from mammometry.clinic.models import (
     Comparison,
     Conclusion,
@@ -88,13 +89,13 @@ def export_patient(config: ClinicConfig, patient: Patient, target: Path) -> int:
     """
     if target.exists():
         raise ClinicError(str(target), found="a file", expected="none", remedy="Name another file with --to")
-    part = target.with_name(target.name + ".part")
+    part = target.with_name(target.name + PART)
     rows = rows_of(patient)
     with (
-        open(os.open(part, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600), "wb") as stream,
+        new_private(part) as stream,
         zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive,
     ):
-        plain = json.loads(serializers.serialize("json", rows))
+        plain = json.loads(serializers.serialize("json", rows, cls=RowEncoder))
         archive.writestr("patient.json", json.dumps(plain, indent=1, ensure_ascii=False))
         archive.writestr("audit.csv", _audit_of(rows))
         for visit in (row for row in rows if isinstance(row, Visit)):
@@ -125,6 +126,7 @@ def erase_patient(config: ClinicConfig, patient: Patient, by: Person | None = No
     """
     visits = list(Visit.everything.filter(patient=patient))
     _erase_visits(patient, visits, by)
+    remove_leftovers(config)
     with transaction.atomic():
         patient.delete()
     _overwrite()
@@ -144,6 +146,26 @@ def erase_bin(patient: Patient) -> int:
     _erase_visits(patient, visits)
     _overwrite()
     return len(visits)
+
+
+def copies(config: ClinicConfig, patient: Patient) -> list[str]:
+    """Copies of a patient's data outside the clinic's own rows and files, a sentence each.
+
+    They are the backups, those that are being made and those that a command wrote elsewhere; what was sent to archives;
+    what was exported for the patient. Where a file was copied or moved later, the clinic does not know.
+    """
+    backups = sorted(path.name for path in config.backups.glob("*.tar"))
+    known = [f"The backup{'s' if len(backups) > 1 else ''} {', '.join(backups)}"] if backups else []
+    known += [f"{path.name}, which is unfinished: a backup or a restore test is at work" for path in unfinished(config)]
+    known += [f"The backup {path}" for path in elsewhere(config)]
+    sent = Delivery.objects.filter(visit__in=Visit.everything.filter(patient=patient), sent__gt=0)
+    for name in sorted(set(sent.values_list("destination__name", flat=True))):
+        known.append(f"The archive {name}, to which results were sent")
+    keys = [str(record.pk) for record in (patient, *Patient.everything.filter(merged_into=patient))]
+    exports = LogEntry.objects.filter(object_pk__in=keys, action=LogEntry.Action.ACCESS)
+    for entry in exports.filter(additional_data__page="command export").order_by("pk"):
+        known.append(f"The export of {timezone.localtime(entry.timestamp).date().isoformat()}, made by a command")
+    return known
 
 
 def _erase_visits(patient: Patient, visits: list[Visit], by: Person | None = None) -> None:

@@ -1,5 +1,7 @@
 """A clinic out of a backup, whole or not at all, and the test of that."""
 
+from __future__ import annotations
+
 import hashlib
 import json
 import os
@@ -8,15 +10,16 @@ import shutil
 import tarfile
 import tempfile
 import time
-from collections import Counter
-from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from mammometry.clinic.config import FILE, FOLDERS, ClinicConfig, ClinicError, quoted, read_config, write_private
 from mammometry.clinic.maintenance import backups
 from mammometry.clinic.maintenance.backups import DATABASE, FORMAT, MANIFEST
+
+if TYPE_CHECKING:
+    from django.apps.registry import Apps
 
 _CHUNK = 1 << 20  # bytes
 
@@ -59,10 +62,14 @@ def unpack(archive: Path, folder: Path, database: str | None = None) -> tuple[Cl
         raise ClinicError(archive.name, found=found, expected=expected, remedy="Use the version that made it")
     for kept in FOLDERS:
         (staging / kept).mkdir(mode=0o700, exist_ok=True)
+    text = (staging / FILE).read_text(encoding="utf-8")
     if database is not None:
-        text = (staging / FILE).read_text(encoding="utf-8")
         line = f"database = {quoted(database)}"
-        write_private(staging / FILE, re.sub(r"(?m)^database\s*=.*$", lambda _: line, text, count=1))
+        text = re.sub(r"(?m)^database\s*=.*$", lambda _: line, text, count=1)
+    for path, kept in manifest.get("moved", {}).items():  # a rig.toml that was outside the clinic's folder
+        for written in (quoted(path), f"'{path}'"):
+            text = text.replace(f"= {written}", f"= {quoted(kept)}")
+    write_private(staging / FILE, text)
     return read_config(staging), manifest
 
 
@@ -87,13 +94,15 @@ def fill(config: ClinicConfig, manifest: dict[str, Any], folder: Path) -> int:
     """Fill an unpacked clinic's database and put it into its place. Returns the number of its people.
 
     Raises:
-        ClinicError: the backup is of another version, or the database is not empty.
+        ClinicError: the backup is of a later version, or the database is not empty.
     """
     from django.db import connections
 
     from mammometry.clinic.models import Person
+    from mammometry.clinic.web.server import migrate
 
-    load(config, manifest)
+    _load(config, manifest)
+    migrate(config)
     number = Person.objects.count()
     connections.close_all()
     (config.folder / DATABASE).unlink()
@@ -104,28 +113,12 @@ def fill(config: ClinicConfig, manifest: dict[str, Any], folder: Path) -> int:
     return number
 
 
-def load(config: ClinicConfig, manifest: dict[str, Any]) -> None:
-    """Load the rows of an unpacked backup into its empty database.
+def _load(config: ClinicConfig, manifest: dict[str, Any]) -> Apps:
+    """Load the rows of an unpacked backup. The tables of the version that made it."""
+    from mammometry.clinic.maintenance.rows import load_database
 
-    Raises:
-        ClinicError: the backup is of another version, or the database is not empty.
-    """
-    from django.core.management import call_command
-
-    from mammometry.clinic.maintenance.backups import known_migrations
-    from mammometry.clinic.models import Person
-    from mammometry.clinic.web.server import migrate
-
-    migrate(config)
-    if Person.objects.exists():
-        raise ClinicError(
-            "the database", found="a clinic in it", expected="an empty database", remedy="Give another with --database"
-        )
-    if known_migrations() != manifest["migrations"]:
-        found, expected = f"a backup of version {manifest['software']}", "one of this version"
-        remedy = f"Restore it with version {manifest['software']}, then upgrade"
-        raise ClinicError("the backup", found=found, expected=expected, remedy=remedy)
-    call_command("loaddata", str(config.folder / DATABASE), verbosity=0)
+    with (config.folder / DATABASE).open("rb") as lines:
+        return load_database(lines, manifest["migrations"], manifest["software"])
 
 
 def _digest(path: Path) -> str:
@@ -181,55 +174,49 @@ def _tested(config: ClinicConfig) -> RestoreTest:
             "the disk of the backups", found=f"{free / 1e9:.1f} GB free",
             expected=f"{newest.size_bytes / 1e9:.1f} GB for the restored clinic", remedy="Free some space",
         )  # fmt: skip
-    with tempfile.TemporaryDirectory(prefix="restore-test-", dir=config.backups) as scratch:
+    with tempfile.TemporaryDirectory(prefix=backups.SCRATCH, dir=config.backups) as scratch:
         restored, manifest = unpack(newest.path, Path(scratch) / "clinic", database="sqlite")
-        from mammometry.clinic.site import configure
-
-        configure(restored)
-        expected = _digests((restored.folder / DATABASE).open("rb"))
-        load(restored, manifest)
-        _require_same(expected, _rows_now(Path(scratch)))
+        _require_measures_the_same(config, restored, manifest)
+        rows = _restored_rows(restored, manifest)
         return RestoreTest(
             backup=newest.path.name,
-            rows=sum(number for number, _ in expected.values()),
+            rows=rows,
             files=len(manifest["sha256"]) - 1,  # the rows are one of its files
             seconds=time.monotonic() - begun,
         )
 
 
-def _rows_now(scratch: Path) -> dict[str, tuple[int, str]]:
-    """Digests of the rows that the restored database gives back."""
+def _require_measures_the_same(config: ClinicConfig, restored: ClinicConfig, manifest: dict[str, Any]) -> None:
+    """Refuse a backup out of which a clinic would measure with other settings or rigs.
+
+    Backups of 1.0 do not say with which: theirs are compared with those of the clinic now.
+    """
+    expected = manifest.get("measures_with", backups.measures_with(config))
+    found = backups.measures_with(restored)
+    if wrong := sorted(name for name in {*expected, *found} if expected.get(name) != found.get(name)):
+        raise ClinicError(
+            "the restored clinic", found=f"no {wrong[0]}, or another", expected="the one that the clinic measures with",
+            remedy="Make another backup",
+        )  # fmt: skip
+
+
+def _restored_rows(restored: ClinicConfig, manifest: dict[str, Any]) -> int:
+    """Load a backup's rows, compare them, and bring the tables to this version. The number of rows."""
+    from mammometry.clinic.site import configure
+
+    configure(restored)
     from django.db import connections
 
-    from mammometry.clinic.maintenance.backups import write_database
+    from mammometry.clinic.maintenance.rows import digests_of, require_same, write_database
+    from mammometry.clinic.web.server import migrate
 
-    with (scratch / DATABASE).open("w+b") as file:
-        write_database(file)
+    with (restored.folder / DATABASE).open("rb") as lines:
+        expected = digests_of(lines)
+    tables = _load(restored, manifest)
+    with (restored.folder / f"again-{DATABASE}").open("w+b") as file:
+        write_database(file, tables)
         file.seek(0)
-        digests = _digests(file)
+        require_same(expected, digests_of(file))
+    migrate(restored)
     connections.close_all()
-    return digests
-
-
-def _digests(lines: Iterable[bytes]) -> dict[str, tuple[int, str]]:
-    """Table → number of its rows, and a digest of them all in any order."""
-    numbers: Counter[str] = Counter()
-    sums: Counter[str] = Counter()
-    for line in lines:
-        row = json.loads(line)
-        table = row["model"]
-        content = json.dumps(row, sort_keys=True).encode()
-        numbers[table] += 1
-        sums[table] += int.from_bytes(hashlib.sha256(content).digest())
-    return {table: (number, f"{sums[table]:x}") for table, number in numbers.items()}
-
-
-def _require_same(expected: dict[str, tuple[int, str]], restored: dict[str, tuple[int, str]]) -> None:
-    for table in sorted({*expected, *restored}):
-        before, after = expected.get(table, (0, "")), restored.get(table, (0, ""))
-        if before != after:
-            found = f"{after[0]} rows of {table}" + (" with other values" if before[0] == after[0] else "")
-            raise ClinicError(
-                "the restored clinic", found=found, expected=f"the {before[0]} of the backup",
-                remedy="Make another backup, test it, and tell the authors if it differs again",
-            )  # fmt: skip
+    return sum(len(keys) for keys in expected.values())

@@ -25,9 +25,9 @@ from mammometry.clinic.accounts import invitation
 from mammometry.clinic.audit import FAILED_LOGIN, REFUSED
 from mammometry.clinic.audit_entries import KINDS, AuditFilter, entries
 from mammometry.clinic.forms import PersonForm
-from mammometry.clinic.maintenance.backups import backup_files, state_of
+from mammometry.clinic.maintenance.backups import remove_leftovers, state_of
 from mammometry.clinic.maintenance.disk import cached_usage, folder_bytes
-from mammometry.clinic.maintenance.patient import erase_patient, rows_of
+from mammometry.clinic.maintenance.patient import copies, erase_patient, rows_of
 from mammometry.clinic.models import Patient, Person, Upload, Visit
 from mammometry.clinic.site import the_clinic
 from mammometry.clinic.views.responses import download, person_of
@@ -133,8 +133,9 @@ def erase(request: HttpRequest) -> HttpResponse:
             context["wrong_again"] = "This is not the same pseudonym. Nothing was erased."
         else:
             try:
+                kept = copies(the_clinic(), patient)
                 visits = erase_patient(the_clinic(), patient, person_of(request))
-                context = {"erased": typed, "visits": visits, "backups": context["backups"]}
+                context = {"erased": typed, "visits": visits, "copies": kept}
             except MammometryError as error:
                 context["wrong_again"] = str(error)
     return render(request, "clinic/erase.html", context)
@@ -142,6 +143,7 @@ def erase(request: HttpRequest) -> HttpResponse:
 
 def what_goes(patient: Patient) -> dict[str, Any]:
     """What is erased with a patient, and what stays."""
+    remove_leftovers(the_clinic())
     rows = rows_of(patient)
     visits = [row for row in rows if isinstance(row, Visit)]
     return {
@@ -150,7 +152,7 @@ def what_goes(patient: Patient) -> dict[str, Any]:
         "photographs": sum(isinstance(row, Upload) for row in rows),
         "rows": len(rows),
         "bytes": sum(folder_bytes(visit.folder) for visit in visits),
-        "backups": [file.path.name for file in backup_files(the_clinic())],
+        "copies": copies(the_clinic(), patient),
     }
 
 

@@ -185,8 +185,9 @@ def work(folder: Path) -> None:
     configure(config)
     from mammometry.clinic.deliveries import Deliverer
     from mammometry.clinic.jobs.runner import Runner
-    from mammometry.clinic.maintenance.backups import DailyBackup
+    from mammometry.clinic.maintenance.backups import DailyBackup, remove_leftovers
 
+    remove_leftovers(config)
     Deliverer(config).start()
     DailyBackup(config).start()
     runner = Runner(config)

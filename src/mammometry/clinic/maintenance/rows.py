@@ -1,0 +1,207 @@
+"""Rows of a clinic's database as text, one a line: written, loaded into another database, compared.
+
+A backup of an earlier version holds the rows of its tables. They are loaded into tables as that version had them,
+and those are then migrated.
+"""
+
+import datetime
+import hashlib
+import io
+import json
+import re
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any, BinaryIO, cast
+
+from django.apps import apps as current
+from django.apps.registry import Apps
+from django.contrib.contenttypes.management import create_contenttypes
+from django.core import serializers
+from django.core.management.color import no_style
+from django.core.serializers.json import DjangoJSONEncoder
+from django.core.serializers.python import Deserializer
+from django.db import connection, transaction
+from django.db.migrations.executor import MigrationExecutor
+from django.db.migrations.loader import MigrationLoader
+from django.db.models import Model
+
+from mammometry.clinic.config import ClinicError
+
+_LEFT_OUT = ("sessions", "contenttypes", "axes")
+"""Applications whose rows belong to the running server: logins, wrong passwords."""
+_TIME = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(\.\d+)?(Z|[+-]\d\d:\d\d)")
+_READ_AT_ONCE = 500  # rows
+_SHOWN_ROWS = 3  # of those that differ, named in the refusal
+
+
+class RowEncoder(DjangoJSONEncoder):
+    """Values of a row as JSON. Times keep their microseconds, which Django's own encoder cuts off."""
+
+    def default(self, o: Any) -> Any:
+        """Encode what JSON has no type for."""
+        return o.isoformat() if isinstance(o, datetime.datetime | datetime.time) else super().default(o)
+
+
+def known_migrations() -> list[str]:
+    """All migrations of this version. A backup's rows fit the tables that they make."""
+    return sorted(f"{app} {name}" for app, name in MigrationLoader(None).disk_migrations)
+
+
+def write_database(file: BinaryIO, tables: Apps = current) -> None:
+    """Write all rows that a clinic keeps, one a line, all of one moment."""
+    text = io.TextIOWrapper(file, encoding="utf-8", write_through=True)
+    with _snapshot():
+        for model in _kept_models(tables):
+            rows = model._base_manager.order_by("pk").iterator(chunk_size=_READ_AT_ONCE)
+            serializers.serialize("jsonl", rows, stream=text, use_natural_foreign_keys=True, cls=RowEncoder)
+    text.detach()
+
+
+def load_database(lines: Iterable[bytes], migrations: list[str], software: str) -> Apps:
+    """Load written rows into an empty database, with tables as they were where the rows were written.
+
+    Args:
+        lines: as `write_database` wrote them, by this version or an earlier one.
+        migrations: which that version knew; `known_migrations`.
+        software: that version.
+
+    Returns:
+        Its tables, for `write_database`. This version's follow by `web.server.migrate`.
+
+    Raises:
+        ClinicError: the rows are of a later version, or the database is not empty.
+    """
+    if later := sorted(set(migrations) - set(known_migrations())):
+        raise ClinicError(
+            "the backup", found=f"one of version {software}, with tables that are unknown here ({later[0]})",
+            expected="one of this version or an earlier one", remedy=f"Restore it with version {software}",
+        )  # fmt: skip
+    tables = _tables_of(migrations)
+    if tables.get_model("clinic", "Person")._base_manager.exists():
+        raise _not_empty("a clinic in it")
+    # The readers of natural keys look for them.
+    for config in current.get_app_configs():
+        create_contenttypes(config, verbosity=0, interactive=False)
+    with transaction.atomic():  # references are checked at its end
+        late = []
+        for row in _Reader(map(json.loads, lines), tables):
+            row.save(force_insert=True)
+            if row.deferred_fields:
+                late.append(row)
+        for row in late:
+            row.save_deferred_fields()
+        with connection.cursor() as cursor:
+            for statement in connection.ops.sequence_reset_sql(no_style(), _kept_models(tables)):
+                cursor.execute(statement)
+    return tables
+
+
+def digests_of(lines: Iterable[bytes]) -> dict[str, dict[str, bytes]]:
+    """Table → key of each row → digest of its values."""
+    found: dict[str, dict[str, bytes]] = {}
+    for line in lines:
+        row = json.loads(line)
+        fields = {name: _same_time(value) for name, value in row["fields"].items()}
+        content = json.dumps(fields, sort_keys=True).encode()
+        found.setdefault(row["model"], {})[str(row["pk"])] = hashlib.sha256(content).digest()
+    return found
+
+
+def require_same(expected: Mapping[str, Mapping[str, bytes]], restored: Mapping[str, Mapping[str, bytes]]) -> None:
+    """Refuse rows that are not those of the backup.
+
+    Args:
+        expected: those of the backup, by `digests_of`.
+        restored: those that came back.
+
+    Raises:
+        ClinicError: names the first table that differs and some of its rows.
+    """
+    for table in sorted({*expected, *restored}):
+        before, after = expected.get(table, {}), restored.get(table, {})
+        wrong = sorted(key for key in {*before, *after} if before.get(key) != after.get(key))
+        if wrong:
+            counted = Counter(
+                "lost" if key not in after else "new" if key not in before else "changed" for key in wrong
+            )
+            words = ", ".join(f"{number} {what}" for what, number in sorted(counted.items()))
+            named = ", ".join(wrong[:_SHOWN_ROWS])
+            raise ClinicError(
+                "the restored clinic", found=f"other rows of {table}: {words}, such as {named}",
+                expected=f"the {len(before)} of the backup",
+                remedy="Make another backup, test it, and tell the authors if it differs again",
+            )  # fmt: skip
+
+
+class _Reader(Deserializer):
+    """Rows as objects of given tables."""
+
+    def __init__(self, rows: Iterable[Any], tables: Apps) -> None:
+        super().__init__(rows, handle_forward_references=True)
+        self._tables = tables
+
+    def _get_model_from_node(self, model_identifier: str) -> type[Model]:
+        return self._tables.get_model(model_identifier)
+
+
+def _tables_of(migrations: list[str]) -> Apps:
+    """Make the tables that some migrations make. Their models."""
+    executor = MigrationExecutor(connection)
+    wanted = {(app, name) for app, _, name in (word.partition(" ") for word in migrations)}
+    if set(executor.loader.applied_migrations) - wanted:
+        raise _not_empty("tables of another version")
+    nodes = executor.loader.graph.node_map
+    last = [
+        key
+        for key in sorted(wanted)
+        if not any(child.key in wanted and child.key[0] == key[0] for child in nodes[key].children)
+    ]
+    state = executor.migrate(last)
+    if wanted == set(nodes):
+        return current
+    for model in state.apps.get_models():  # of migrations: without the methods by which rows refer to one another
+        ours = current.get_model(model._meta.label) if _is_known(model) else None
+        if ours is not None and hasattr(ours, "natural_key"):
+            cast(Any, model).natural_key = ours.natural_key
+    return cast(Apps, state.apps)
+
+
+def _is_known(model: type[Model]) -> bool:
+    return model._meta.model_name in current.all_models[model._meta.app_label]
+
+
+def _not_empty(found: str) -> ClinicError:
+    expected, remedy = "an empty database", "Give another with --database"
+    return ClinicError("the database", found=found, expected=expected, remedy=remedy)
+
+
+def _kept_models(tables: Apps) -> list[type[Model]]:
+    chosen = [
+        (config, list(config.get_models())) for config in tables.get_app_configs() if config.label not in _LEFT_OUT
+    ]
+    models = serializers.sort_dependencies(cast(Any, chosen), allow_cycles=True)
+    return [model for model in models if model._meta.label != "auth.Permission" and not model._meta.proxy]
+
+
+def _same_time(value: Any) -> Any:
+    """A time in one form. Backups of earlier versions say 12:00:00.000Z for 12:00:00+00:00."""
+    if isinstance(value, str) and _TIME.fullmatch(value):
+        return datetime.datetime.fromisoformat(value).astimezone(datetime.UTC).isoformat()
+    return value
+
+
+@contextmanager
+def _snapshot() -> Iterator[None]:
+    """All that is read within is of one moment. Writers are not held up."""
+    if connection.in_atomic_block:
+        yield
+        return
+    begin = "BEGIN ISOLATION LEVEL REPEATABLE READ READ ONLY" if connection.vendor == "postgresql" else "BEGIN"
+    with connection.cursor() as cursor:
+        cursor.execute(begin)
+    try:
+        yield
+    finally:
+        with connection.cursor() as cursor:
+            cursor.execute("ROLLBACK")
