@@ -25,10 +25,11 @@ from mammometry.calibration.targets.table import target_from_table
 from mammometry.geometry.camera import Camera
 from mammometry.geometry.transform import Transform
 from mammometry.io.cameras.formats import CameraFormat, camera_texts, import_cameras, require_rig
-from mammometry.io.csv_tables import read_pairs, read_table
+from mammometry.io.csv_tables import read_table
 from mammometry.io.drawn import boundaries_in, landmarks_in
 from mammometry.io.manifest import read_manifest
 from mammometry.io.meshes.foreign import read_foreign
+from mammometry.io.paired_tables import read_pairs
 from mammometry.io.photographs.images import read_photograph
 
 Files = dict[str, bytes]

@@ -7,7 +7,8 @@ import pytest
 
 from mammometry.base.errors import SessionError, TableError
 from mammometry.batch.entries import find_entries
-from mammometry.io.csv_tables import read_pairs, read_table
+from mammometry.io.csv_tables import read_table
+from mammometry.io.paired_tables import read_pairs
 
 READ = [
     ("id;cc\n1;1860\n2;950\n", [1860, 950]),
@@ -17,9 +18,7 @@ READ = [
     ("id;cc\n1;1.860.000\n2;1.860\n", [1_860_000, 1860]),
     ("id;cc\n1;1,860\n2;950,5\n", [1.86, 950.5]),
     ("id;cc\n1;1,860\n2;0,950\n", [1.86, 0.95]),
-    ("id;cc\n1;1,860\n2;1860\n", [1.86, 1860]),
     ("id;cc\n1;1,860e3\n2;1,5\n", [1860, 1.5]),
-    ("id;cc\n1;1.860\n2;1.234\n", [1.86, 1.234]),
     ("id,cc\n1,1.860\n2,1.234\n", [1.86, 1.234]),
     ("id,cc\n0,123.456\n1,234.567\n", [123.456, 234.567]),
     ('id,cc\n1,"1,860.5"\n2,"1,020"\n', [1860.5, 1020]),
@@ -33,6 +32,9 @@ READ = [
     ("id;cc\r1;2,25\r2;3,75\r", [2.25, 3.75]),
 ]
 REFUSED = [
+    ("id;cc\n1;1,860\n2;1860\n", "'1,860', which may mean 1860 or"),
+    ("id;cc\n1;1.860\n2;1.234\n", r"'1\.860', which may mean 1860 or"),
+    ("id\tcc\n1\t354\n2\t1,422\n3\t1579\n", "'1,422', which may mean 1422 or"),
     ("id;cc\n1;1,860\n2;950\n", r"row 2, column cc: found '1,860', which may mean 1860 or 1\.86, expected"),
     ("id;cc\n1;950\n2;1.860\n", r"row 3, column cc: found '1\.860', which may mean 1860 or 1\.86, expected"),
     ('id,cc\n1,"1,860"\n2,950\n', "'1,860', which may mean 1860 or"),
@@ -84,6 +86,12 @@ def test_every_reader_of_a_table_does_the_same(tmp_path: Path) -> None:
     table.write_text("session;reference_left_cc;reference_right_cc\na;1,860.5;\n")
     (entry,) = find_entries([str(table)])
     assert entry.reference_cc == {"left": 1860.5}
-    table.write_text("m;a_cc;b_cc\n1;1,860;1,850\n2;950;960\n3;700;701\n")
-    with pytest.raises(TableError, match=r"which may mean 1860 or 1\.86"):
-        read_pairs(table, reference="a_cc", measured="b_cc")
+    for text in (
+        "m;a_cc;b_cc\n1;1,860;1,850\n2;950;960\n3;700;701\n",
+        "m\ta_cc\tb_cc\n1\t1860\t1,860\n2\t1364\t1,354\n3\t1434\t1,422\n",
+        "m,a_cc,b_cc\n1,1860,1.860\n2,1364,1.354\n3,1434,1.422\n",
+        "m;a_cc;b_cc\n1;1860.5;1.860\n2;364.2;1.354\n3;434;1.422\n",  # the other column shows a decimal point
+    ):
+        table.write_text(text)
+        with pytest.raises(TableError, match=r"which may mean 1860 or 1\.86"):
+            read_pairs(table, reference="a_cc", measured="b_cc")

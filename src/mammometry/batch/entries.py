@@ -135,7 +135,7 @@ def _volumes(table: Table, columns: Sequence[str]) -> list[list[float]]:
     Raises:
         TableError: a cell is no number, or below zero.
     """
-    volumes = table.numbers(*columns, blank=True)
+    volumes = table.numbers(*columns, blank=True, alike=True)
     for row, column in np.argwhere(volumes < 0):
         raise TableError(
             f"{table.name}, row {table.lines[row]}, column {columns[column]}",

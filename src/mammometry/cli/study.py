@@ -139,7 +139,9 @@ def agreement(
     table: Annotated[
         Path | None,
         typer.Argument(
-            metavar="[TABLE.csv]", help="One row per subject. Without it, Table 1 of the paper.", show_default=False
+            metavar="[TABLE.csv]",
+            help="One row per pair of measurements. Without it, Table 1 of the paper.",
+            show_default=False,
         ),
     ] = None,
     out: Annotated[
@@ -156,8 +158,8 @@ def agreement(
     Gives bias, limits of agreement, intraclass correlation and minimal detectable change.
     """
     from mammometry.base.identity import shown_name
-    from mammometry.io.csv_tables import read_pairs, read_published
     from mammometry.io.outputs import require_apart, require_free, write_outputs
+    from mammometry.io.paired_tables import read_pairs, read_published
     from mammometry.report.documents.study_pages import FILES, agreement_files
     from mammometry.study.agreement import agreement as agree
     from mammometry.study.agreement import check_published
@@ -334,7 +336,7 @@ def interval_table(results: Sequence[PhantomResult]) -> Table:
 def _answer(
     folder: Path, data: PairedMeasurements, figures: Agreement, checked: Sequence[CheckedFigure], *more: Table
 ) -> Answer:
-    from mammometry.study.agreement import agreement_json, agreement_tables, summary
+    from mammometry.study.agreement_tables import agreement_json, agreement_tables, summary
 
     tables = (*agreement_tables(data, figures, checked), *more)
     lines: list[Any] = [*summary(data, figures), ""]

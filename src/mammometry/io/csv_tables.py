@@ -1,7 +1,4 @@
-"""CSV tables made by people, programs and spreadsheets of any country.
-
-Among them tables of paired measurements, with the figures published from them.
-"""
+"""CSV tables made by people, programs and spreadsheets of any country."""
 
 from __future__ import annotations
 
@@ -11,22 +8,17 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mammometry.base.errors import MammometryError, SessionError, TableError
-from mammometry.base.parse import error_text, number, parsing, read_text, shown, toml_table
+from mammometry.base.errors import MammometryError, SessionError
+from mammometry.base.parse import error_text, number, read_text, shown
 from mammometry.geometry.arrays import Array, Float64
-
-if TYPE_CHECKING:
-    from mammometry.study.agreement import PairedMeasurements, PublishedFigure
 
 _OTHER = {",": ".", ".": ","}
 _GROUPED = {mark: re.compile(rf"[+-]?[1-9][0-9]{{0,2}}(?:[{mark}][0-9]{{3}})+", re.ASCII) for mark in _OTHER}
 """By what separates thousands."""
-_SHORT = re.compile(r"[+-]?[1-9][0-9]{0,2}", re.ASCII)
-_LONG = re.compile(r"[+-]?[0-9]{4,}", re.ASCII)
+_WHOLE = re.compile(r"[+-]?[0-9]+", re.ASCII)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,32 +47,43 @@ class DecimalMark:
         return number(f"{whole}{'.' if point else ''}{decimals}")
 
 
-def decimal_mark(columns: Iterable[Sequence[str]]) -> DecimalMark:
-    """Find out how a table writes its numbers, from all cells of some columns."""
+def decimal_mark(columns: Iterable[Sequence[str]], *, separator: str = ";", alike: bool = False) -> DecimalMark:
+    """Find out how a table writes its numbers, from all cells of some columns.
+
+    A cell such as ``1,860`` or ``1.860`` says nothing by itself. It is read where another cell shows what the mark
+    means. Without one it may mean two numbers, except where commas separate the cells and no whole number is beside it:
+    a program then wrote three decimals.
+
+    Args:
+        columns: cells of each column.
+        separator: between the cells.
+        alike: whether all columns hold the same quantity. A whole number in one then counts for the others.
+    """
     marks: list[str] = []
-    doubtful: list[str] = []
-    ambiguous: set[int] = set()
-    long = groups = False
+    doubtful: list[tuple[int, str]] = []
+    whole: set[int] = set()
+    groups = False
     for place, cells in enumerate(columns):
-        before = len(doubtful)
         for cell in cells:
             letters = [letter for letter in cell if letter in _OTHER]
             if not letters:
-                long = long or bool(_LONG.fullmatch(cell))
+                if _WHOLE.fullmatch(cell):
+                    whole.add(place)
             elif len(letters) == 1:
-                (doubtful if _GROUPED[letters[0]].fullmatch(cell) else marks).append(letters[0])
+                if _GROUPED[letters[0]].fullmatch(cell):
+                    doubtful.append((place, letters[0]))
+                else:
+                    marks.append(letters[0])
             else:
                 groups = True
                 several = cell.count(letters[-1]) > 1  # 1.860.000, else 1.860,5
                 marks.append(_OTHER[letters[-1]] if several else letters[-1])
-        # 1.860 has decimals to most, unless whole numbers stand beside it.
-        if "," in doubtful[before:] or (doubtful[before:] and any(map(_SHORT.fullmatch, cells))):
-            ambiguous.add(place)
     if marks:
         return DecimalMark(mark=marks[0], groups=groups)
-    if long:  # 1860 beside 1,250: whoever separates thousands does so everywhere
-        ambiguous.clear()
-    return DecimalMark(mark=(doubtful or ["."])[0], ambiguous=frozenset(ambiguous))
+    ambiguous = {
+        place for place, mark in doubtful if mark == "," or separator != "," or (whole if alike else place in whole)
+    }
+    return DecimalMark(mark=doubtful[0][1] if doubtful else ".", ambiguous=frozenset(ambiguous))
 
 
 def both_readings(cell: str) -> tuple[str, str] | None:
@@ -130,19 +133,20 @@ class Table:
         place = self.columns.index(column)
         return tuple(row[place] for row in self.rows)
 
-    def numbers(self, *columns: str, blank: bool = False) -> Float64[Array, "n k"]:
+    def numbers(self, *columns: str, blank: bool = False, alike: bool = False) -> Float64[Array, "n k"]:
         """Some columns as numbers.
 
         Args:
             columns: their names.
             blank: whether a cell may be empty. It is NaN then.
+            alike: whether all of them hold the same quantity, see `decimal_mark`.
 
         Raises:
             MammometryError: as `texts`; a cell that is no number, one written otherwise than the others, or one that
                 may mean two numbers.
         """
         cells = [self.texts(column) for column in columns]
-        mark = decimal_mark(cells)
+        mark = decimal_mark(cells, separator=self.separator, alike=alike)
         values = np.full((len(self.rows), len(columns)), np.nan)
         for row, line in enumerate(self.lines):
             for column, name in enumerate(columns):
@@ -154,7 +158,7 @@ class Table:
     def _number(self, cell: str, where: str, mark: DecimalMark, *, doubted: bool) -> float:
         readings = both_readings(cell)
         if readings is not None and doubted:
-            remedy = "Write whole numbers without a mark, or decimals of all numbers to another place"
+            remedy = "Write thousands without a mark, and decimal numbers with one or two decimals"
             expected = "numbers without marks between thousands"
             raise self.refusal(
                 where, found=f"{shown(cell)}, which may mean {' or '.join(readings)}", expected=expected, remedy=remedy
@@ -216,69 +220,3 @@ def read_table(path: Path, name: str, expected: str, *, refusal: type[Mammometry
     if not columns:
         raise refusal(name, found="an empty file", expected=expected, remedy="Fill in the table")
     return Table(name=name, columns=columns, lines=tuple(lines), rows=tuple(rows), separator=separator, refusal=refusal)
-
-
-_UNITS = ("cc", "ml", "mm", "cm", "mm2", "cm2", "g")
-
-
-def read_pairs(path: Path, *, reference: str, measured: str) -> PairedMeasurements:
-    """Read a CSV with one row a subject.
-
-    The first line names the columns. Written as `csv_tables` reads it. A first column that is neither of the two names
-    the subjects; else they are numbered.
-
-    Args:
-        path: the table, UTF-8.
-        reference: name of the column of the method compared with.
-        measured: name of the column of the method under test.
-
-    Raises:
-        TableError: it cannot be read, a column is missing, a value is missing or no number (named by row and column),
-            or there are fewer than three rows.
-    """
-    from mammometry.study.agreement import LEAST_SUBJECTS, PairedMeasurements
-
-    table = read_table(path, str(path), "a CSV table, one row a subject", refusal=TableError)
-    pairs = table.numbers(reference, measured)
-    named = table.columns[0] not in (reference, measured)
-    names = table.texts(table.columns[0]) if named else tuple(str(row + 1) for row in range(len(pairs)))
-    if len(pairs) < LEAST_SUBJECTS:
-        remedy = "Add measurements: fewer do not show agreement"
-        expected = f"{LEAST_SUBJECTS} or more"
-        raise TableError(str(path), found=f"{len(pairs)} rows of measurements", expected=expected, remedy=remedy)
-    units = {name.rpartition("_")[2] for name in (reference, measured)}
-    unit = units.pop() if len(units) == 1 else ""
-    return PairedMeasurements(
-        names=names,
-        reference=pairs[:, 0].copy(),
-        measured=pairs[:, 1].copy(),
-        reference_name=_without_unit(reference),
-        measured_name=_without_unit(measured),
-        unit=unit if unit in _UNITS else "",
-    )
-
-
-def read_published(path: Path) -> tuple[PublishedFigure, ...]:
-    """Read a publication's figures: TOML with one ``[[figure]]`` each.
-
-    Raises:
-        TableError: it cannot be read, or is not of that form.
-    """
-    from mammometry.study.agreement import PublishedFigure
-
-    expected = '[[figure]] tables with what, figure and published = "11.12", and note if there is one'
-    table = toml_table(
-        read_text(path, str(path), expected, most_mib=1, refusal=TableError), str(path), expected, refusal=TableError
-    )
-    with parsing("another content", str(path), expected, TableError):
-        figures = tuple(PublishedFigure(**figure) for figure in table["figure"])
-        for figure in figures:
-            if not all(isinstance(text, str) for text in (figure.what, figure.figure, figure.published, figure.note)):
-                raise ValueError("a value that is not text")
-            number(figure.published)
-    return figures
-
-
-def _without_unit(column: str) -> str:
-    name, _, unit = column.rpartition("_")
-    return (name if name and unit in _UNITS else column).replace("_", " ")

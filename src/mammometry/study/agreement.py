@@ -1,27 +1,29 @@
 """Agreement of a method of measurement with a reference (paper 2.7).
 
-Both are applied once to the same subjects. Bland and Altman, Lancet 327 (1986) 307 and Statistical Methods in Medical
-Research 8 (1999) 135; exact intervals of the limits after Carkeet, Optometry and Vision Science 92 (2015) e71.
+Both are applied once to the same subjects: Bland and Altman, Lancet 327 (1986) 307 and Statistical Methods in Medical
+Research 8 (1999) 135; exact intervals of the limits after Carkeet, Optometry and Vision Science 92 (2015) e71. Where a
+subject has several pairs, such as both breasts of a woman, the form for multiple observations per individual is taken
+(`study.repeated`).
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy  # it imports scipy.stats, which takes half a second, when that is used
 
 from mammometry.base.value import value
-from mammometry.geometry.arrays import Array, Float64
+from mammometry.geometry.arrays import Array, Float64, Int64
 from mammometry.study.icc import IntraclassCorrelation, intraclass_correlations
-from mammometry.study.tables import Table, number, plain
+from mammometry.study.repeated import repeated_differences
 
 LEAST_SUBJECTS = 3
 """With fewer there is no regression and no interval worth the name."""
 _Z95 = float(scipy.special.ndtri(0.975))
+_ROUNDING = 1e-12  # of the largest measurement; a spread below it is rounding of equal differences
 
 
 @value(eq=False)
@@ -33,7 +35,7 @@ class PairedMeasurements:
     """
 
     names: tuple[str, ...]
-    """Of the subjects."""
+    """Of the pairs."""
     reference: Float64[Array, " n"]
     """By the method compared with."""
     measured: Float64[Array, " n"]
@@ -42,11 +44,17 @@ class PairedMeasurements:
     measured_name: str
     unit: str
     """Unit of both. It may be empty."""
+    subjects: tuple[str, ...] = ()
+    """Whose each pair is. Pairs of one subject are not independent. Empty: each pair is another subject's."""
+    warnings: tuple[str, ...] = ()
+    """Sentences for the reader about the table that they are from."""
 
     def __post_init__(self) -> None:
-        lengths = {len(self.names), len(self.reference), len(self.measured)}
+        lengths = {len(self.names), len(self.reference), len(self.measured), len(self.subjects or self.names)}
         if len(lengths) > 1 or min(lengths) < LEAST_SUBJECTS:
             raise ValueError(f"{LEAST_SUBJECTS} or more pairs are needed, found lengths {sorted(lengths)}")
+        if self.subjects and len(set(self.subjects)) < LEAST_SUBJECTS:
+            raise ValueError(f"{LEAST_SUBJECTS} or more subjects are needed, found {len(set(self.subjects))}")
         if not (np.isfinite(self.reference).all() and np.isfinite(self.measured).all()):
             raise ValueError("measurements must be finite")
 
@@ -54,6 +62,12 @@ class PairedMeasurements:
     def differences(self) -> Float64[Array, " n"]:
         """Measured less reference."""
         return self.measured - self.reference
+
+    @property
+    def clusters(self) -> Int64[Array, " n"]:
+        """Number of each pair's subject, from 0."""
+        numbers = {name: place for place, name in enumerate(dict.fromkeys(self.subjects))}
+        return np.array([numbers[name] for name in self.subjects] or range(len(self.names)), dtype=np.int64)
 
     @property
     def means(self) -> Float64[Array, " n"]:
@@ -84,10 +98,13 @@ class Agreement:
     """Agreement of two methods. Differences are measured less reference, in the table's unit."""
 
     subjects: int
+    pairs: int
+    """As many as subjects, or more."""
     mean_difference: Estimate
     """The bias, with Student's interval."""
     sd: Estimate
-    """Standard deviation of the differences (n − 1), with its χ² interval."""
+    """Standard deviation of the differences (n − 1), with its χ² interval. With several pairs of a subject: of one pair
+    of any subject, between and within subjects together."""
     sem: float
     """Standard error of the mean difference, SD / √n: how well the bias is known, not a subject."""
     t: float
@@ -114,14 +131,16 @@ class Agreement:
     mdc_of_mean: float
     """1.96 √2 times the standard error of the *mean*: not a detectable change, but what the paper's text leads to."""
     icc: tuple[IntraclassCorrelation, ...]
-    """All forms."""
+    """All forms. With several pairs of a subject without intervals and tests, which take independent rows."""
     normality_p: float
-    """Shapiro and Wilk's p of the differences, on whose normality the limits rest. NaN if all are equal."""
+    """Shapiro and Wilk's p of the differences (their means by subject), on whose normality the limits rest. NaN if all
+    are equal."""
 
     def figures(self) -> dict[str, float]:
         """Every figure by name, for comparison with published ones."""
         named = {
             "subjects": float(self.subjects),
+            "pairs": float(self.pairs),
             "mean_difference": self.mean_difference.value,
             "sd": self.sd.value,
             "sem": self.sem,
@@ -166,21 +185,97 @@ class CheckedFigure:
 
 def agreement(data: PairedMeasurements) -> Agreement:
     """Work out everything about the agreement of two methods."""
+    clusters = data.clusters
+    pairs, subjects = len(clusters), int(clusters.max()) + 1
+    if pairs > subjects:
+        return _repeated(data, clusters)
+    return _once(data)
+
+
+def _once(data: PairedMeasurements) -> Agreement:
+    """One pair a subject."""
     difference = data.differences
     n = len(difference)
     mean, sd = float(difference.mean()), float(difference.std(ddof=1))
-    if sd <= 1e-12 * float(np.abs(data.means).max()):
-        sd = 0.0  # rounding of equal differences
+    if sd <= _ROUNDING * float(np.abs(data.means).max()):
+        sd = 0.0
     sem = sd / math.sqrt(n)
     df = n - 1
-    t = mean / sem if sem else (math.copysign(math.inf, mean) if mean else math.nan)
-    student = float(scipy.stats.t.ppf(0.975, df))
     chi_low, chi_high = (float(math.sqrt(df / scipy.stats.chi2.ppf(q, df))) for q in (0.975, 0.025))
-    spread = Estimate(value=sd, interval=(sd * chi_low, sd * chi_high))
     # The 97.5th percentile of a normal distribution lies at mean + s t′/√n, t′ of the noncentral t distribution.
     near, far = (float(scipy.stats.nct.ppf(q, df, _Z95 * math.sqrt(n))) * sem for q in (0.025, 0.975))
+    return _assembled(
+        data,
+        (data.means, data.reference, difference),
+        mean=mean,
+        sem=sem,
+        spread=Estimate(value=sd, interval=(sd * chi_low, sd * chi_high)),
+        limits=(mean - far, mean - near, mean + near, mean + far),
+        icc=intraclass_correlations(np.stack([data.reference, data.measured], axis=1)),
+    )
+
+
+def _repeated(data: PairedMeasurements, clusters: Int64[Array, " n"]) -> Agreement:
+    """Several pairs of some subject.
+
+    Trends and Shapiro and Wilk's test take the subjects' means, which are independent.
+    """
+    found = repeated_differences(data.differences, clusters)
+    counts = np.bincount(clusters)
+    by_subject = tuple(
+        np.bincount(clusters, column) / counts for column in (data.means, data.reference, data.differences)
+    )
+    low, high = found.sd_interval
+    mean, reach, sd = found.mean, found.df_quantile * found.sem, found.sd
+    outward, inward = (math.hypot(reach, _Z95 * (bound - sd)) for bound in (high, low))
+    rows = intraclass_correlations(np.stack([data.reference, data.measured], axis=1))
+    nothing = (math.nan, math.nan)
+    return _assembled(
+        data,
+        by_subject,
+        mean=mean,
+        sem=found.sem,
+        spread=Estimate(value=sd, interval=(low, high)),
+        limits=(
+            mean - _Z95 * sd - outward,
+            mean - _Z95 * sd + inward,
+            mean + _Z95 * sd - inward,
+            mean + _Z95 * sd + outward,
+        ),
+        icc=tuple(replace(form, interval=nothing, f=math.nan, df=nothing, p=math.nan) for form in rows),
+    )
+
+
+def _assembled(
+    data: PairedMeasurements,
+    independent: tuple[Float64[Array, " m"], ...],
+    *,
+    mean: float,
+    sem: float,
+    spread: Estimate,
+    limits: tuple[float, float, float, float],
+    icc: tuple[IntraclassCorrelation, ...],
+) -> Agreement:
+    """What follows from mean, standard error and spread.
+
+    Args:
+        data: all pairs.
+        independent: means of both methods, reference and differences, one of each a subject.
+        mean: the bias.
+        sem: its standard error.
+        spread: standard deviation of one difference.
+        limits: intervals of the lower and of the upper limit of agreement, rising.
+        icc: all forms.
+    """
+    means, reference, difference = independent
+    df = len(difference) - 1
+    t = mean / sem if sem else (math.copysign(math.inf, mean) if mean else math.nan)
+    student = float(scipy.stats.t.ppf(0.975, df))
+    sd = spread.value
+    varies = float(np.ptp(difference)) > _ROUNDING * float(np.abs(means).max())
     return Agreement(
-        subjects=n,
+        subjects=len(difference),
+        pairs=len(data.names),
         mean_difference=Estimate(value=mean, interval=(mean - student * sem, mean + student * sem)),
         sd=spread,
         sem=sem,
@@ -189,15 +284,15 @@ def agreement(data: PairedMeasurements) -> Agreement:
         p=float(2 * scipy.stats.t.sf(abs(t), df)),
         student_95=student,
         student_99=float(scipy.stats.t.ppf(0.995, df)),
-        lower_limit=Estimate(value=mean - _Z95 * sd, interval=(mean - far, mean - near)),
-        upper_limit=Estimate(value=mean + _Z95 * sd, interval=(mean + near, mean + far)),
-        trend=_trend(data.means, difference),
-        trend_on_reference=_trend(data.reference, difference),
+        lower_limit=Estimate(value=mean - _Z95 * sd, interval=limits[:2]),
+        upper_limit=Estimate(value=mean + _Z95 * sd, interval=limits[2:]),
+        trend=_trend(means, difference),
+        trend_on_reference=_trend(reference, difference),
         sem_of_measurement=_scaled(spread, 1 / math.sqrt(2)),
         mdc=_scaled(spread, _Z95),
         mdc_of_mean=_Z95 * math.sqrt(2) * sem,
-        icc=intraclass_correlations(np.stack([data.reference, data.measured], axis=1)),
-        normality_p=float(scipy.stats.shapiro(difference).pvalue) if sd else math.nan,
+        icc=icc,
+        normality_p=float(scipy.stats.shapiro(difference).pvalue) if varies else math.nan,
     )
 
 
@@ -244,149 +339,3 @@ def _scaled(estimate: Estimate, factor: float) -> Estimate:
 def _key(form: str) -> str:
     """``ICC(2,1)`` → ``icc_2_1``."""
     return form.lower().replace("(", "_").replace(",", "_").rstrip(")")
-
-
-def summary(data: PairedMeasurements, found: Agreement) -> list[str]:
-    """The main results of a study of agreement, in sentences."""
-    unit = f" {data.unit}" if data.unit else ""
-    bias, slope = found.mean_difference, found.trend.slope
-    differs = "differs" if found.p < 0.05 else "does not differ significantly"
-    lines = [
-        f"{data.measured_name} less {data.reference_name}, {found.subjects} subjects: mean difference "
-        f"{number(bias.value, '+.2f')}{unit} ({_interval(bias, '+.2f')}), standard deviation "
-        f"{number(found.sd.value, '.2f')}{unit}. "
-        f"The mean {differs} from zero (t = {number(found.t, '.4f')}, p = {number(found.p, '.4f')}).",
-        f"A single difference is expected between {number(found.lower_limit.value, '.1f')} and "
-        f"{number(found.upper_limit.value, '.1f')}{unit} in 95 % of subjects.",
-    ]
-    if found.trend.p < 0.05:
-        lines.append(
-            f"The difference depends on the size: slope {number(slope.value, '+.4f')} ({_interval(slope, '+.4f')}), "
-            f"p = {number(found.trend.p, '.4f')}. One bias for all sizes is then not the whole story."
-        )
-    if found.normality_p < 0.05:
-        lines.append(
-            f"The differences do not look normally distributed (Shapiro–Wilk p = {number(found.normality_p, '.4f')}): "
-            "take the limits with caution."
-        )
-    return lines
-
-
-def agreement_tables(data: PairedMeasurements, found: Agreement, checked: Sequence[CheckedFigure] = ()) -> list[Table]:
-    """Figures, intraclass correlations, published figures where there are any, and the data."""
-    unit = f", {data.unit}" if data.unit else ""
-    slope, on_reference = found.trend, found.trend_on_reference
-    rows: list[tuple[str, float, Estimate | None, str]] = [
-        (f"mean difference{unit}", found.mean_difference.value, found.mean_difference, ".3f"),
-        (f"standard deviation (SD) of the differences{unit}", found.sd.value, found.sd, ".3f"),
-        (f"standard error of the mean (SEM), SD / √n{unit}", found.sem, None, ".3f"),
-        (f"paired t, {found.df} degrees of freedom", found.t, None, ".4f"),
-        ("p, two-sided", found.p, None, ".4f"),
-        ("Student threshold, two-sided 95 %", found.student_95, None, ".3f"),
-        ("Student threshold, two-sided 99 %", found.student_99, None, ".3f"),
-        (f"lower limit of agreement{unit}", found.lower_limit.value, found.lower_limit, ".2f"),
-        (f"upper limit of agreement{unit}", found.upper_limit.value, found.upper_limit, ".2f"),
-        ("proportional bias: slope on the mean", slope.slope.value, slope.slope, ".4f"),
-        ("p of that slope", slope.p, None, ".4f"),
-        ("slope on the reference", on_reference.slope.value, on_reference.slope, ".4f"),
-        ("p of that slope", on_reference.p, None, ".4f"),
-        (
-            f"standard error of measurement, SD / √2{unit}",
-            found.sem_of_measurement.value,
-            found.sem_of_measurement,
-            ".2f",
-        ),
-        (f"minimal detectable change (MDC, SDC) 95 %, 1.96 SD{unit}", found.mdc.value, found.mdc, ".1f"),
-        ("Shapiro–Wilk p of the differences", found.normality_p, None, ".3f"),
-    ]
-    tables = [
-        Table(
-            title="Agreement",
-            columns=("figure", "value", "95 % interval"),
-            rows=tuple(
-                (name, number(value, form), "" if estimate is None else _interval(estimate, form))
-                for name, value, estimate, form in rows
-            ),
-        ),
-        Table(
-            title="Intraclass correlation",
-            columns=("Shrout–Fleiss", "McGraw–Wong", "value", "95 % interval", "F (df)", "p", "meaning"),
-            rows=tuple(
-                (
-                    icc.shrout_fleiss,
-                    icc.mcgraw_wong,
-                    number(icc.value, ".5f"),
-                    f"{number(icc.interval[0], '.4f')} … {number(icc.interval[1], '.4f')}",
-                    f"{number(icc.f, '.1f')} ({icc.df[0]:g}, {icc.df[1]:g})",
-                    number(icc.p, ".2g"),
-                    icc.meaning,
-                )
-                for icc in found.icc
-            ),
-        ),
-    ]
-    if checked:
-        tables.append(
-            Table(
-                title="Published figures",
-                columns=("figure", "published", "recomputed", "follows", "remark"),
-                rows=tuple(
-                    (
-                        check.published.what,
-                        check.published.published,
-                        number(check.recomputed, f".{max(2, len(check.published.published.partition('.')[2]))}f"),
-                        "yes" if check.follows else "no",
-                        check.published.note,
-                    )
-                    for check in checked
-                ),
-            )
-        )
-    tables.append(
-        Table(
-            title="Measurements",
-            columns=(
-                "subject",
-                f"{data.reference_name}{unit}",
-                f"{data.measured_name}{unit}",
-                f"difference{unit}",
-                "%",
-            ),
-            rows=tuple(
-                (
-                    name,
-                    number(reference, ".2f"),
-                    number(measured, ".2f"),
-                    number(measured - reference, "+.2f"),
-                    number(100 * (measured / reference - 1), "+.2f") if reference else "–",
-                )
-                for name, reference, measured in zip(data.names, data.reference, data.measured, strict=True)
-            ),
-        )
-    )
-    return tables
-
-
-def agreement_json(data: PairedMeasurements, found: Agreement, checked: Sequence[CheckedFigure] = ()) -> dict[str, Any]:
-    """All results as plain JSON-ready data. Unknown values are null."""
-    table: dict[str, Any] = plain(
-        {
-            "reference": data.reference_name,
-            "measured": data.measured_name,
-            "unit": data.unit,
-            **asdict(found),
-            "published": [
-                {**asdict(check.published), "recomputed": check.recomputed, "follows": check.follows}
-                for check in checked
-            ],
-            "measurements": [
-                {"subject": name, "reference": float(reference), "measured": float(measured)}
-                for name, reference, measured in zip(data.names, data.reference, data.measured, strict=True)
-            ],
-        }
-    )
-    return table
-
-
-def _interval(estimate: Estimate, form: str) -> str:
-    return f"{number(estimate.interval[0], form)} … {number(estimate.interval[1], form)}"

@@ -3,6 +3,10 @@
 Shrout and Fleiss, Psychological Bulletin 86 (1979) 420; McGraw and Wong, Psychological Methods 1 (1996) 30, whose
 formulas for mean squares, F tests and intervals are followed. Two-way random and two-way mixed models share their
 estimates and differ in what they say.
+
+k measurements that correlate alike by ρ have a covariance matrix only if ρ ≥ −1/(k − 1) (Fisher, Statistical Methods
+for Research Workers, 1925, section 38). Mean squares of few subjects may give less for absolute agreement; estimates
+and interval bounds are limited to it. At that limit the mean of the k measurements is constant, and its coefficient −∞.
 """
 
 from __future__ import annotations
@@ -13,6 +17,8 @@ import numpy as np
 import scipy  # it imports scipy.stats, which takes half a second, when that is used
 
 from mammometry.geometry.arrays import Array, Float64
+
+_ROUNDING = 1e-12  # of a variance whose largest value is k; below, it is 0 but for rounding
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,9 +48,9 @@ class IntraclassCorrelation:
     meaning: str
     """Model, error and measurement, in words."""
     value: float
-    """NaN where nothing varies at all."""
+    """NaN where nothing varies at all. −∞ for a mean of measurements that does not vary."""
     interval: tuple[float, float]
-    """At the confidence asked for."""
+    """At the confidence asked for. NaN where rows are not independent."""
     f: float
     """F statistic of the null hypothesis that the coefficient is 0."""
     df: tuple[float, float]
@@ -142,9 +148,10 @@ def _agreement(ms: MeanSquares, confidence: float) -> IntraclassCorrelation:
     signal, methods, noise = ms.between_subjects, ms.between_methods, ms.residual
     value = _divided(signal - noise, signal + (k - 1) * noise + k * (methods - noise) / n)
     if value < 1:
-        a = k * value / (n * (1 - value))
-        b = 1 + k * value * (n - 1) / (n * (1 - value))
-        df = (a * methods + b * noise) ** 2 / ((a * methods) ** 2 / (k - 1) + (b * noise) ** 2 / ((n - 1) * (k - 1)))
+        share = max(value, 0.0) / (1 - max(value, 0.0))  # the weights are those of variances, which are not negative
+        a, b = k * share / n * methods, (1 + k * share * (n - 1) / n) * noise
+        parts = a**2 / (k - 1) + b**2 / ((n - 1) * (k - 1))
+        df = (a + b) ** 2 / parts if parts else float((n - 1) * (k - 1))
         upper = (1 + confidence) / 2
         f_low, f_high = scipy.stats.f.ppf(upper, n - 1, df), scipy.stats.f.ppf(upper, df, n - 1)
         rest = k * methods + (k * n - k - n) * noise
@@ -154,6 +161,8 @@ def _agreement(ms: MeanSquares, confidence: float) -> IntraclassCorrelation:
         )
     else:
         interval = (value, value)  # nothing but the subjects varies, or nothing at all
+    least = -1 / (k - 1)
+    value, interval = max(value, least), (max(interval[0], least), max(interval[1], least))
     f, f_df = _divided(signal, noise), (n - 1, (n - 1) * (k - 1))
     return IntraclassCorrelation(
         shrout_fleiss="ICC(2,1)",
@@ -168,10 +177,14 @@ def _agreement(ms: MeanSquares, confidence: float) -> IntraclassCorrelation:
 
 
 def _of_the_mean(single: IntraclassCorrelation, k: int) -> IntraclassCorrelation:
-    """The same for the mean of k measurements (Spearman–Brown). Exact for values and intervals alike."""
+    """The same for the mean of k measurements (Spearman–Brown).
+
+    The formula rises from −∞ at −1/(k − 1) to 1 at 1, so it keeps the order of bounds and estimate.
+    """
 
     def stepped(value: float) -> float:
-        return _divided(k * value, 1 + (k - 1) * value)
+        variance = 1 + (k - 1) * value  # of the mean, times k
+        return -np.inf if variance <= _ROUNDING else float(k * value / variance)
 
     return IntraclassCorrelation(
         shrout_fleiss=single.shrout_fleiss.replace(",1)", ",k)"),

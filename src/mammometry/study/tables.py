@@ -7,6 +7,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+_LEAST_P = 0.001  # smaller ones are "< 0.001": the American Medical Association's style, and most journals'
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Table:
@@ -27,6 +29,16 @@ def number(value: float | None, form: str = ".3f") -> str:
     if value is None or math.isnan(value):
         return "–"
     return format(value, form).replace("inf", "∞").replace("-", "−")
+
+
+def probability(p: float) -> str:
+    """A probability with four decimals, or ``< 0.001``."""
+    return "< 0.001" if p < _LEAST_P else number(p, ".4f")
+
+
+def p_words(p: float) -> str:
+    """``p = 0.1888`` or ``p < 0.001``."""
+    return f"p {'' if p < _LEAST_P else '= '}{probability(p)}"
 
 
 def signed(value: float, digits: int = 1) -> str:

@@ -11,7 +11,7 @@ import pytest
 from mammometry.api import truth
 from mammometry.api.truth import PhantomResult, as_csv, measure_phantoms, paired
 from mammometry.base.errors import SessionError
-from mammometry.io.csv_tables import read_pairs
+from mammometry.io.paired_tables import read_pairs
 from mammometry.simulate.recipe import SessionRecipe
 
 MODELS = ("plaster_1", "plaster_2", "plaster_3")

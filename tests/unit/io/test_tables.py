@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mammometry.base.errors import TableError
-from mammometry.io.csv_tables import read_pairs, read_published
+from mammometry.io.paired_tables import read_pairs, read_published
 
 
 def written(folder: Path, text: str) -> Path:
@@ -92,3 +92,110 @@ def test_bad_published_figures(tmp_path: Path, text: str) -> None:
     path.write_text(text)
     with pytest.raises(TableError, match="another content"):
         read_published(path)
+
+
+PATIENTS = "patient,reference_cc,measured_cc\nA,364.6,354.4\nB,434.7,422.3\nC,579,613.4\nD,231.1,209.5\nE,433.4,465.1\n"
+
+
+def refused(folder: Path, text: str, reference: str = "reference_cc", measured: str = "measured_cc") -> str:
+    with pytest.raises(TableError) as caught:
+        read_pairs(written(folder, text), reference=reference, measured=measured)
+    return str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("rows", "said"),
+    [
+        ("Mean,408.6,412.9\n", "row 7: found 'Mean', a summary"),
+        ("Mittelwert:,408.6,412.9\n", "a summary"),
+        ("mean (n = 5),408.6,412.9\n", "a summary"),
+        ("S.D.,126.5,150.6\n", "a summary"),
+        ("F,500,510\n∅,423.8,429.1\n", "row 8: found the mean of the rows above it"),
+        (",408.6,412.9\n", "row 7: found no subject"),
+        ("F,-999,300\n", "column reference_cc: found -999, expected a measurement"),
+        ("F,300,-1\n", "column measured_cc: found -1, expected a value of 0 or more"),
+        ("E,433.4,465.1\n", "row 7: found the same subject and numbers as in row 6"),
+    ],
+)
+@pytest.mark.requirement("R-IN-4")
+def test_rows_that_are_no_measurement_are_refused(tmp_path: Path, rows: str, said: str) -> None:
+    assert said in refused(tmp_path, PATIENTS + rows)
+
+
+def test_a_change_may_be_negative(tmp_path: Path) -> None:
+    text = "id,change_water_cc,change_3d_cc\na,-12,-10\nb,30,28\nc,-5,2\n"
+    found = read_pairs(written(tmp_path, text), reference="change_water_cc", measured="change_3d_cc")
+    assert found.measured[0] == -10
+
+
+def test_the_same_measurements_twice_are_refused(tmp_path: Path) -> None:
+    assert "column measured_cc twice" in refused(tmp_path, PATIENTS, "measured_cc")
+    same = "id,reference_cc,measured_cc\na,1,1\nb,2,2\nc,3,3\n"
+    assert "the same numbers in reference_cc and measured_cc" in refused(tmp_path, same)
+    twice = "reference_cc,measured_cc\n" + 2 * "100,101\n220,210\n333,340\n"
+    assert "every pair of numbers twice" in refused(tmp_path, twice)
+    constant = "id,reference_cc,measured_cc\na,400,410\nb,400,410\nc,400,410\n"
+    assert "400 and 410 in every row" in refused(tmp_path, constant)
+
+
+@pytest.mark.parametrize(
+    ("columns", "row", "unit", "pair", "names"),
+    [
+        (("tape_cm", "scan_mm"), (21, 211), "mm", (210, 211), ("tape", "scan")),
+        (("water_l", "scan_cc"), (0.42, 411), "cc", (420, 411), ("water", "scan")),
+        (("water (mL)", "scan [cm³]"), (420, 411), "ml", (420, 411), ("water", "scan")),
+        (("water_l", "scan_l"), (420, 411), "", (420, 411), ("water l", "scan l")),
+        (("weight_kg", "scan_g"), (0.42, 411), "g", (420, 411), ("weight", "scan")),
+    ],
+)
+def test_units_of_one_kind_are_converted(
+    tmp_path: Path, columns: tuple[str, str], row: tuple[float, float], unit: str, pair: tuple[float, float],
+    names: tuple[str, str],
+) -> None:  # fmt: skip
+    text = f"id;{columns[0]};{columns[1]}\n" + "".join(f"{k};{k * row[0]};{k * row[1]}\n" for k in (1, 2, 3))
+    found = read_pairs(written(tmp_path, text), reference=columns[0], measured=columns[1])
+    assert found.unit == unit
+    assert (found.reference[0], found.measured[0]) == pytest.approx(pair)
+    assert (found.reference_name, found.measured_name) == names
+    assert found.warnings == ()
+
+
+def test_units_of_two_kinds_are_refused(tmp_path: Path) -> None:
+    text = "id,tape_cm,scan_cc\na,21,300\nb,22,310\nc,23,350\n"
+    assert "a length in column tape_cm and a volume in column scan_cc" in refused(tmp_path, text, "tape_cm", "scan_cc")
+
+
+def test_what_is_doubtful_is_said(tmp_path: Path) -> None:
+    text = "id,water,scan_cc\na,0.3,300\nb,0.31,310\nc,0.35,999\n"
+    found = read_pairs(written(tmp_path, text), reference="water", measured="scan_cc")
+    assert [sum(word in each for each in found.warnings) for word in ("999", "no unit", "1e+03 times")] == [1, 1, 1]
+
+
+@pytest.mark.parametrize(
+    ("head", "rows", "names", "subjects"),
+    [
+        ("patient,side", ("P1,left", "P1,right", "P2,left", "p2,right", "P3,left"), "P1, left", "p1 p1 p2 p2 p3"),
+        ("id,note", ("P1 left,", "P1 right,", "P2 (L),", "P2-r,", "P3_left,"), "P1 left", "p1 p1 p2 p2 p3"),
+        ("id,note", ("7L,", "7R,", "8L,", "8R,", "9L,"), "7L", "7 7 8 8 9"),
+        ("side,patient_id", ("left,A", "right,A", "left,B", "right,B", "left,C"), "A, left", "a a b b c"),
+        ("id,patient", ("1,A", "2,A", "3,B", "4,B", "5,C"), "A", "a a b b c"),
+        ("id,note", ("jürg,", "ju\u0308rg,", "Jürg,", "ben,", "eva,"), "jürg", "jürg jürg jürg ben eva"),
+    ],
+)
+def test_both_breasts_of_a_woman_are_one_subject(
+    tmp_path: Path, head: str, rows: tuple[str, ...], names: str, subjects: str
+) -> None:
+    text = f"{head},reference_cc,measured_cc\n"
+    text += "".join(f"{row},{300 + 17.5 * k},{290 + 19 * k}\n" for k, row in enumerate(rows))
+    found = read_pairs(written(tmp_path, text), reference="reference_cc", measured="measured_cc")
+    assert found.names[0] == names
+    assert " ".join(found.subjects) == subjects
+
+
+def test_subjects_without_both_sides_keep_their_names(tmp_path: Path) -> None:
+    text = "id,reference_cc,measured_cc\nAnna L,300,310\nBea R,200,220\nCleo L,400,410\nMax,500,520\n"
+    assert read_pairs(written(tmp_path, text), reference="reference_cc", measured="measured_cc").subjects == ()
+    text = "side,reference_cc,measured_cc\nleft,300,310\nright,200,220\nleft,400,410\n"
+    found = read_pairs(written(tmp_path, text), reference="reference_cc", measured="measured_cc")
+    assert (found.subjects, found.names[1]) == ((), "2, right")
+    assert "rows of 2 subjects" in refused(tmp_path, "id,reference_cc,measured_cc\na,3,4\na,5,6\nb,7,8\n")

@@ -69,8 +69,14 @@ def test_the_page_shows_names_as_text_intervals_failures_and_agreement():
     assert "/archive/<b>" not in page
     assert "500 … 530" in page.replace("\u00a0", " ")
     assert "found no photograph" in page
-    assert "Agreement with the reference" in page  # three volumes have one
-    assert "Agreement with the reference" not in batch_files("trial", LINES[1:])["batch.html"].decode()
+    assert "Agreement with the reference" not in page  # three breasts, but of two subjects
+
+
+def test_both_breasts_of_a_woman_are_one_subject_of_the_agreement():
+    third = BatchVolume(name="right", volume_cc=300.0, interval_cc=None, reference_cc=310.0)
+    page = batch_files("trial", (*LINES, BatchLine(session="e", address="/e", state="current", volumes=(third,))))
+    assert "Agreement with the reference" in page["batch.html"].decode()
+    assert "4 pairs of 3 subjects" in page["batch.html"].decode()
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from mammometry.io.csv_tables import read_pairs, read_published
+from mammometry.io.paired_tables import read_pairs, read_published
 from mammometry.study.agreement import PairedMeasurements, PublishedFigure, agreement, check_published
 
 PAPER = Path(str(files("mammometry.study").joinpath("paper")))

@@ -58,12 +58,13 @@ def study(request: HttpRequest) -> HttpResponse:
     within_days = _whole(request.GET.get("within", ""), 1, 365)
     pairs = everything.repeated(within_days)
     figures = None
-    if len({name for name, *_ in pairs}) >= LEAST_SUBJECTS:
+    patients = tuple(name.rpartition(" ")[0] for name, *_ in pairs)  # both breasts of one are not independent
+    if len(set(patients)) >= LEAST_SUBJECTS:
         names, first, second = zip(*pairs, strict=True)
         figures = agreement(
             PairedMeasurements(
                 names=names, reference=np.array(first), measured=np.array(second),
-                reference_name="first", measured_name="second", unit="cc",
+                reference_name="first", measured_name="second", unit="cc", subjects=patients,
             )
         )  # fmt: skip
     volumes_cc = everything.volumes_cc
@@ -79,6 +80,7 @@ def study(request: HttpRequest) -> HttpResponse:
         "quartiles_cc": tuple(map(float, np.quantile(volumes_cc, [0.25, 0.75]))) if len(volumes_cc) else None,
         "agreement": figures,
         "pairs": len(pairs),
+        "pairs_of": len(set(patients)),
         "least": LEAST_SUBJECTS,
         "within": within_days,
         "left_out": left_out_visits,

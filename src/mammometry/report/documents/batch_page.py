@@ -12,12 +12,12 @@ import numpy as np
 from mammometry.base.csv_cells import csv_text
 from mammometry.report.documents.pages import embed, render
 from mammometry.report.figures.observers import bland_altman, scatter
-from mammometry.study.agreement import PairedMeasurements, agreement, agreement_tables, summary
+from mammometry.study.agreement import LEAST_SUBJECTS, PairedMeasurements, agreement
+from mammometry.study.agreement_tables import agreement_tables, summary
 from mammometry.study.tables import Table, number
 
 FILES = ("batch.html", "batch.csv", "batch.parquet")
 _NAMES = {"model": "model", "left": "left breast", "right": "right breast"}
-_FEWEST = 3  # pairs that an agreement study takes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,7 +61,7 @@ class BatchLine:
 def batch_files(title: str, lines: Sequence[BatchLine]) -> dict[str, bytes]:
     """The page and the tables: file name → content.
 
-    The Parquet table is left out where pyarrow is not installed. Where there are references of three volumes or more,
+    The Parquet table is left out where pyarrow is not installed. Where there are references of three subjects or more,
     the page holds their agreement study.
 
     Args:
@@ -137,14 +137,15 @@ def _shown(line: BatchLine) -> dict[str, object]:
 
 
 def _paired(lines: Sequence[BatchLine]) -> PairedMeasurements | None:
-    """Volumes that have a reference. None where they are too few for a study."""
+    """Volumes that have a reference. None where they are of too few subjects for a study."""
     pairs = [
         (line.subject or line.session, volume)
         for line in lines
         for volume in line.volumes
         if volume.reference_cc is not None
     ]
-    if len(pairs) < _FEWEST:
+    subjects = tuple(name for name, _ in pairs)
+    if len(set(subjects)) < LEAST_SUBJECTS:
         return None
     return PairedMeasurements(
         names=tuple(name if pair.name == "model" else f"{name} {pair.name}" for name, pair in pairs),
@@ -153,6 +154,7 @@ def _paired(lines: Sequence[BatchLine]) -> PairedMeasurements | None:
         reference_name="reference",
         measured_name="photographs",
         unit="cc",
+        subjects=subjects,
     )
 
 

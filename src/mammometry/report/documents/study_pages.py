@@ -5,14 +5,8 @@ from collections.abc import Sequence
 
 from mammometry.report.documents.pages import embed, render
 from mammometry.report.figures.observers import bland_altman, curves_on, regions, scatter, volumes
-from mammometry.study.agreement import (
-    Agreement,
-    CheckedFigure,
-    PairedMeasurements,
-    agreement_json,
-    agreement_tables,
-    summary,
-)
+from mammometry.study.agreement import Agreement, CheckedFigure, PairedMeasurements
+from mammometry.study.agreement_tables import agreement_json, agreement_tables, summary
 from mammometry.study.observers import (
     Drawing,
     DrawnSurface,

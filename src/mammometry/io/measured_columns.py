@@ -1,0 +1,97 @@
+"""What the name of a column of measurements says: the method, and the unit."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+import numpy as np
+
+from mammometry.base.errors import TableError
+from mammometry.geometry.arrays import Array, Float64
+from mammometry.io.csv_tables import Table
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Unit:
+    """A unit that a column's name may end with."""
+
+    kind: str
+    """What is measured in it."""
+    factor: float
+    """To the unit of its kind with factor 1."""
+    shown: str
+    """As the report writes it."""
+    most: float = np.inf
+    """No breast or trunk has more. A column beyond it has another meaning: ``water_l`` is of the left side."""
+
+
+_LENGTH, _AREA, _VOLUME, _MASS = "length", "area", "volume", "mass"
+_UNITS = {
+    "mm": _Unit(kind=_LENGTH, factor=1.0, shown="mm"),
+    "cm": _Unit(kind=_LENGTH, factor=10.0, shown="cm"),
+    "m": _Unit(kind=_LENGTH, factor=1000.0, shown="m", most=3.0),
+    "in": _Unit(kind=_LENGTH, factor=25.4, shown="in", most=120.0),
+    "mm2": _Unit(kind=_AREA, factor=0.01, shown="mm2"),
+    "cm2": _Unit(kind=_AREA, factor=1.0, shown="cm2"),
+    "mm3": _Unit(kind=_VOLUME, factor=0.001, shown="mm3"),
+    "cc": _Unit(kind=_VOLUME, factor=1.0, shown="cc"),
+    "ml": _Unit(kind=_VOLUME, factor=1.0, shown="ml"),
+    "dl": _Unit(kind=_VOLUME, factor=100.0, shown="dl", most=200.0),
+    "l": _Unit(kind=_VOLUME, factor=1000.0, shown="l", most=20.0),
+    "g": _Unit(kind=_MASS, factor=1.0, shown="g"),
+    "kg": _Unit(kind=_MASS, factor=1000.0, shown="kg", most=200.0),
+}
+_OTHER_WORDS = {"cm3": "cc", "ccm": "cc", "inch": "in", "inches": "in", "sqcm": "cm2", "gram": "g", "grams": "g",
+                "litre": "l", "liter": "l", "litres": "l", "liters": "l"}  # fmt: skip
+_ENDING = re.compile(r"(?P<name>.+?)(?:[\s_.,/-]+(?P<bare>[^\W_]+)|[\s_]*[(\[]\s*(?P<bracket>[^)\]]+?)\s*[)\]])\s*")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MeasuredColumn:
+    """A column of measurements."""
+
+    name: str
+    """As the table has it."""
+    title: str
+    """Without the unit, for reports."""
+    unit: str
+    """As reports write it. Empty: the name states none that is known."""
+
+
+def measured_column(name: str, values: Float64[Array, " n"]) -> MeasuredColumn:
+    """Split a column's name into title and unit: ``water_cc``, ``tape (cm)``, ``3D [mL]``.
+
+    Args:
+        name: of the column.
+        values: its numbers. They tell litres from the left side, and metres from other words.
+    """
+    match = _ENDING.fullmatch(name)
+    word = "" if match is None else (match["bare"] or match["bracket"]).casefold()
+    word = word.replace("²", "2").replace("³", "3").replace("^", "")
+    unit = _UNITS.get(_OTHER_WORDS.get(word, word))
+    if match is None or unit is None or float(np.abs(values).max(initial=0.0)) > unit.most:
+        return MeasuredColumn(name=name, title=name.replace("_", " "), unit="")
+    return MeasuredColumn(name=name, title=match["name"].replace("_", " "), unit=unit.shown)
+
+
+def common_unit(table: Table, reference: MeasuredColumn, measured: MeasuredColumn) -> tuple[str, Float64[Array, " 2"]]:
+    """Unit for both columns, the smaller of the two, and what to multiply them with.
+
+    A column without a unit is taken to have the other's.
+
+    Raises:
+        TableError: the units are of different kinds, such as cm and cc.
+    """
+    if not reference.unit or not measured.unit:
+        return reference.unit or measured.unit, np.ones(2)
+    units = [_UNITS[column.unit] for column in (reference, measured)]
+    if units[0].kind != units[1].kind:
+        raise TableError(
+            table.name,
+            found=f"a {units[0].kind} in column {reference.name} and a {units[1].kind} in column {measured.name}",
+            expected="two columns of one quantity",
+            remedy="Choose other columns, or correct the units in their names",
+        )
+    smaller = min(units, key=lambda unit: unit.factor)
+    return smaller.shown, np.array([unit.factor / smaller.factor for unit in units])

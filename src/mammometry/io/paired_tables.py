@@ -1,0 +1,166 @@
+"""Tables of paired measurements, and the figures published from them."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mammometry.base.errors import TableError
+from mammometry.base.parse import number, parsing, read_text, shown, toml_table
+from mammometry.geometry.arrays import Array, Float64
+from mammometry.io.csv_tables import Table, both_readings, read_table
+from mammometry.io.measured_columns import MeasuredColumn, common_unit, measured_column
+from mammometry.io.subject_columns import SubjectRows, subject_rows
+
+if TYPE_CHECKING:
+    from mammometry.study.agreement import PairedMeasurements, PublishedFigure
+
+_ALIKE = 3.0  # two methods' values of one subject lie within this factor, where a mark is in question
+_SCALES = 5.0  # methods whose typical ratio is beyond this factor hardly state the same quantity in the same unit
+_CHANGES = ("change", "difference", "diff", "delta", "gain", "loss")  # in names of columns that may be negative
+
+
+def read_pairs(path: Path, *, reference: str, measured: str) -> PairedMeasurements:
+    """Read a CSV with one row a pair of measurements.
+
+    The first line names the columns. Written as `csv_tables` reads it. Columns that end with different known units of
+    one kind are converted to the smaller unit.
+
+    Args:
+        path: the table, UTF-8.
+        reference: name of the column of the method compared with.
+        measured: name of the column of the method under test.
+
+    Raises:
+        TableError: it cannot be read, a column is missing, both are one column, or their units are of different kinds;
+            a value (named by row and column) is missing, no number, may mean two numbers, or stands for a missing one;
+            a row is a summary of the others or repeats another; both columns are the same; there are fewer than three
+            subjects.
+    """
+    from mammometry.study.agreement import LEAST_SUBJECTS, PairedMeasurements
+
+    table = read_table(path, str(path), "a CSV table, one row a subject", refusal=TableError)
+    if reference == measured:
+        raise _refused(table, f"column {measured} twice", "two methods", "Give two columns: --reference and --measured")
+    pairs = table.numbers(reference, measured, alike=True)
+    _require_marks(table, (reference, measured), pairs)
+    who = subject_rows(table, (reference, measured), pairs)
+    columns = tuple(measured_column(name, pairs[:, place]) for place, name in enumerate((reference, measured)))
+    _require_values(table, columns, pairs)
+    unit, factors = common_unit(table, *columns)
+    pairs = pairs * factors
+    count = len(set(who.subjects))
+    if count < LEAST_SUBJECTS:
+        remedy = "Add measurements: fewer do not show agreement"
+        found = f"{len(pairs)} rows of measurements" if count == len(pairs) else f"rows of {count} subjects"
+        raise _refused(table, found, f"{LEAST_SUBJECTS} or more", remedy)
+    _require_two_methods(table, columns, pairs)
+    return PairedMeasurements(
+        names=who.names,
+        reference=pairs[:, 0].copy(),
+        measured=pairs[:, 1].copy(),
+        reference_name=columns[0].title,
+        measured_name=columns[1].title,
+        unit=unit,
+        subjects=who.subjects if count < len(pairs) else (),
+        warnings=tuple(_warnings(columns, pairs, who)),
+    )
+
+
+def _require_marks(table: Table, names: tuple[str, str], pairs: Float64[Array, "n 2"]) -> None:
+    """Refuse ``1.422`` beside 1434: another cell said that the mark is decimal, and the other method says 1422."""
+    for column, name in enumerate(names):
+        for row, cell in enumerate(table.texts(name)):
+            other = abs(pairs[row, 1 - column])
+            readings = both_readings(cell)
+            if readings is None or not other:
+                continue
+            far = [abs(math.log(abs(float(reading)) / other)) for reading in readings]
+            if far[0] < math.log(_ALIKE) and far[1] > far[0]:
+                raise TableError(
+                    f"{table.name}, row {table.lines[row]}, column {name}",
+                    found=f"{shown(cell)}, which may mean {' or '.join(readings)}, beside {other:g}",
+                    expected="numbers without marks between thousands",
+                    remedy="Write the number without the mark, or with another number of decimals",
+                )
+
+
+def _require_values(table: Table, columns: tuple[MeasuredColumn, ...], pairs: Float64[Array, "n 2"]) -> None:
+    """Refuse negative values where there are none, and negative codes of missing values."""
+    for row, place in np.argwhere(pairs < 0):
+        column, value = columns[place], pairs[row, place]
+        changes = any(word in column.name.casefold() for word in _CHANGES)
+        if not (_is_code(value) or (column.unit and not changes)):
+            continue
+        raise TableError(
+            f"{table.name}, row {table.lines[row]}, column {column.name}",
+            found=f"{value:g}",
+            expected="a measurement, not a code for a missing one" if _is_code(value) else "a value of 0 or more",
+            remedy="Leave the row out if the value is missing"
+            if _is_code(value) or not column.unit
+            else "Correct the value, or leave the row out; a column of changes is named change_…",
+        )
+
+
+def _is_code(value: float) -> bool:
+    """Whether a value consists of nines, as programs of statistics mark missing ones: 999, −9."""
+    digits = f"{abs(value):.15g}"
+    return set(digits) == {"9"} and (value < 0 or len(digits) > 2)
+
+
+def _require_two_methods(table: Table, columns: tuple[MeasuredColumn, ...], pairs: Float64[Array, "n 2"]) -> None:
+    if (pairs[:, 0] == pairs[:, 1]).all():
+        found = f"the same numbers in {columns[0].name} and {columns[1].name}"
+        raise _refused(table, found, "measurements by two methods", "Check that one was not copied from the other")
+    if not np.ptp(pairs, axis=0).any():
+        found = f"{pairs[0, 0]:g} and {pairs[0, 1]:g} in every row"
+        raise _refused(table, found, "subjects that differ", "Check the columns")
+
+
+def _warnings(columns: tuple[MeasuredColumn, ...], pairs: Float64[Array, "n 2"], who: SubjectRows) -> list[str]:
+    found = []
+    for place, column in enumerate(columns):
+        values = pairs[:, place]
+        if not np.ptp(values):
+            found.append(f"Every value of {column.name} is {values[0]:g}.")
+        suspects = [who.names[row] for row, value in enumerate(values) if value == 0 or _is_code(value)]
+        if suspects and len(suspects) < len(values):
+            value = values[who.names.index(suspects[0])]
+            found.append(f"{column.name} is {value:g} for {suspects[0]}: leave the row out if it stands for no value.")
+        if not column.unit and columns[1 - place].unit:
+            found.append(f"Column {column.name} states no unit; {columns[1 - place].unit} was taken, as the other's.")
+    usable = (pairs > 0).all(axis=1)
+    ratio = float(np.median(pairs[usable, 1] / pairs[usable, 0])) if usable.any() else 1.0
+    if not 1 / _SCALES < ratio < _SCALES:
+        found.append(
+            f"{columns[1].name} is typically {ratio:.3g} times {columns[0].name}: check that both have the same unit."
+        )
+    return found
+
+
+def _refused(table: Table, found: str, expected: str, remedy: str) -> TableError:
+    return TableError(table.name, found=found, expected=expected, remedy=remedy)
+
+
+def read_published(path: Path) -> tuple[PublishedFigure, ...]:
+    """Read a publication's figures: TOML with one ``[[figure]]`` each.
+
+    Raises:
+        TableError: it cannot be read, or is not of that form.
+    """
+    from mammometry.study.agreement import PublishedFigure
+
+    expected = '[[figure]] tables with what, figure and published = "11.12", and note if there is one'
+    table = toml_table(
+        read_text(path, str(path), expected, most_mib=1, refusal=TableError), str(path), expected, refusal=TableError
+    )
+    with parsing("another content", str(path), expected, TableError):
+        figures = tuple(PublishedFigure(**figure) for figure in table["figure"])
+        for figure in figures:
+            if not all(isinstance(text, str) for text in (figure.what, figure.figure, figure.published, figure.note)):
+                raise ValueError("a value that is not text")
+            number(figure.published)
+    return figures

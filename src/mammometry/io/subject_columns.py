@@ -1,0 +1,143 @@
+"""Whose each row of a table is: subjects, their sides, and rows that are no subject's."""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+from collections import defaultdict
+from dataclasses import dataclass
+
+import numpy as np
+
+from mammometry.base.errors import TableError
+from mammometry.geometry.arrays import Array, Float64
+from mammometry.io.csv_tables import Table
+
+_SUBJECTS = ("patient", "subject", "woman", "participant", "person", "pseudonym", "case", "id", "name", "model")
+"""Words for the column of subjects, the surest first."""
+_SIDES = ("side", "breast", "laterality", "seite")
+_SIDE_WORDS = {
+    "left": "left", "l": "left", "li": "left", "links": "left", "gauche": "left", "izquierda": "left",
+    "right": "right", "r": "right", "re": "right", "rechts": "right", "droite": "right", "derecha": "right",
+}  # fmt: skip
+_SIDE_ENDING = re.compile(r"(?P<who>.+?)(?:[\s_,.;:/-]+\(?(?P<word>[^\W\d_]+)\)?|(?<=\d)(?P<letter>[lr]))")
+_SUMMARIES = frozenset(
+    ("mean", "average", "avg", "median", "sd", "std", "stddev", "stdev", "standarddeviation", "sem", "variance",
+     "sum", "range", "cv", "mean±sd", "mean(sd)", "mittelwert", "durchschnitt", "mittel", "standardabweichung", "summe",
+     "gesamt", "moyenne", "médiane", "écart-type", "total", "media", "mediana", "desviación", "promedio", "suma")
+)  # fmt: skip
+"""Names of rows that summarise the others, in English, German, French and Spanish."""
+_FIRST_WORDS = frozenset(("mean", "average", "median", "sd", "mittelwert", "moyenne", "promedio"))
+"""Those that no patient's name begins with."""
+_LEAST_ROWS = 3  # above a row, so that it is compared with their mean
+_ROUNDING = 1e-9  # of a mean in binary, as a share of 1
+_TELLING = 20.0  # a value this many times its rounding is the mean by chance in less than 1 of 400 rows, both columns
+_LAST_ROWS = 6  # of a table: where summaries are. Mean, SD, median, least, largest and their count
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SubjectRows:
+    """One entry a row."""
+
+    names: tuple[str, ...]
+    """What to call the row: the subject, and the side if a column gives it."""
+    subjects: tuple[str, ...]
+    """Whose it is. Upper and lower case, and the forms of accented letters, make no difference."""
+
+
+def subject_rows(table: Table, measured: tuple[str, str], pairs: Float64[Array, "n 2"]) -> SubjectRows:
+    """Find out whose each row is.
+
+    A column named patient, subject, id or the like names the subjects, else the first column if it is not measured;
+    else each row is another subject. Names that differ by a side alone (``P7 left``, ``P7 right``) are one subject's.
+
+    Args:
+        table: all of it.
+        measured: the names of both columns of measurements.
+        pairs: their numbers.
+
+    Raises:
+        TableError: a row has no subject, is a summary of the others, or repeats another row.
+    """
+    column = _subject_column(table, measured)
+    side = next((name for name in table.columns if _plain(name) in _SIDES and name not in measured), None)
+    count = len(table.rows)
+    own = table.texts(column) if column else tuple(str(row + 1) for row in range(count))
+    sides = table.texts(side) if side else ("",) * count
+    for row in range(count):
+        _require_subject(table, row, own[row] if column else None, pairs)
+    subjects = _without_sides([_plain(name) for name in own])
+    _require_once(table, [(who, _plain(part)) for who, part in zip(subjects, sides, strict=True)], pairs, bool(column))
+    names = tuple(f"{name}, {part}" if part else name for name, part in zip(own, sides, strict=True))
+    return SubjectRows(names=names, subjects=tuple(subjects))
+
+
+def _subject_column(table: Table, measured: tuple[str, str]) -> str | None:
+    words = {name: _plain(re.sub(r"[_\s.-]*(id|no|nr|number|code)$", "", name, flags=re.IGNORECASE) or name)
+             for name in table.columns if name and name not in measured}  # fmt: skip
+    for word in _SUBJECTS:
+        found = [name for name, own in words.items() if own == word]
+        if found:
+            return found[0]
+    first = table.columns[0]
+    return None if first in measured or words.get(first) in _SIDES or not first else first
+
+
+def _plain(text: str) -> str:
+    return " ".join(unicodedata.normalize("NFC", text).casefold().split())
+
+
+def _without_sides(names: list[str]) -> list[str]:
+    """Names without their side, where both sides of one subject are there."""
+    parts: list[tuple[str, str]] = []
+    for name in names:
+        match = _SIDE_ENDING.fullmatch(name)
+        side = "" if match is None else _SIDE_WORDS.get(match["word"] or match["letter"], "")
+        parts.append((match["who"], side) if match is not None and side else (name, ""))
+    seen: dict[str, set[str]] = defaultdict(set)
+    for who, side in parts:
+        seen[who].add(side)
+    both = any({"left", "right"} <= sides for sides in seen.values())
+    return [who if both else name for name, (who, _) in zip(names, parts, strict=True)]
+
+
+def _require_subject(table: Table, row: int, name: str | None, pairs: Float64[Array, "n 2"]) -> None:
+    where = f"{table.name}, row {table.lines[row]}"
+    if name == "":
+        raise TableError(
+            where, found="no subject", expected="a subject in every row", remedy="Name it, or remove the row"
+        )
+    words = _plain(name or "").replace(".", "").replace(":", "").split()
+    listed = "".join(words) in _SUMMARIES or not _FIRST_WORDS.isdisjoint(words[:1])
+    last = max(_LEAST_ROWS, len(pairs) - _LAST_ROWS) <= row
+    computed = last and _rounds_to(pairs[:row].mean(axis=0), pairs[row], table, row)
+    if listed or computed:
+        found = f"{name!r}, a summary" if listed else "the mean of the rows above it"
+        raise TableError(where, found=found, expected="a subject in every row", remedy="Remove rows of summaries")
+
+
+def _rounds_to(means: Float64[Array, " 2"], values: Float64[Array, " 2"], table: Table, row: int) -> bool:
+    """Whether both values are the means, as the row rounds. Small whole numbers are so by chance."""
+    parts = [re.split(r"[.,]", cell) for cell in table.rows[row] if re.fullmatch(r"[+-]?\d+[.,]\d+", cell)]
+    decimals = max((len(part[-1]) for part in parts), default=0)
+    within = 0.5 * 10.0**-decimals + _ROUNDING
+    return bool((np.abs(means - values) <= within).all() and np.abs(values).max() >= _TELLING * within)
+
+
+def _require_once(table: Table, who: list[tuple[str, str]], pairs: Float64[Array, "n 2"], named: bool) -> None:
+    """Refuse a subject's numbers twice, and a table that holds all its numbers twice."""
+    numbers = [tuple(pair) for pair in pairs.tolist()]
+    rows = list(zip(who, numbers, strict=True)) if named else []
+    first: dict[object, int] = {}
+    for row, key in enumerate(rows):
+        if key in first:
+            raise TableError(
+                f"{table.name}, row {table.lines[row]}",
+                found=f"the same subject and numbers as in row {table.lines[first[key]]}",
+                expected="each measurement once",
+                remedy="Remove one of the two rows",
+            )
+        first[key] = row
+    if len(numbers) > _LEAST_ROWS and all(numbers.count(pair) > 1 for pair in set(numbers)):
+        expected, remedy = "each measurement once", "Remove the copy"
+        raise TableError(table.name, found="every pair of numbers twice", expected=expected, remedy=remedy)
