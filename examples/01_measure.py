@@ -13,6 +13,6 @@ settings = mm.Settings.load(Path(settings_files[0])) if settings_files else mm.S
 
 results = mm.open_session(session, settings).run()
 
-for name, volume_cc in results.volumes_cc.items():
-    print(f"{name}: {volume_cc:.1f} cc, interval {results.intervals_cc[name]}")
+for name, words in results.words.items():
+    print(f"{name}: {words}")
 print(f"report: {results.report}")

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 import mammometry as mm
+from mammometry.base.rounding import half_width, rounded_words
 
 session, *settings_files = sys.argv[1:]
 settings = mm.Settings.load(Path(settings_files[0])) if settings_files else mm.Settings()
@@ -27,4 +28,5 @@ mesh = job.surface().repaired.mesh
 print(f"surface: {len(mesh.vertices)} vertices, watertight: {mesh.is_watertight()}")
 
 for name, measured in job.measure().items():
-    print(f"{name}: {measured.volume_cc:.1f} cc; {measured.wall_definition}")
+    half_cc = half_width(measured.interval_cc)
+    print(f"{name}: {rounded_words(measured.volume_cc, half_cc, 'cc')}; {measured.wall_definition}")

@@ -60,7 +60,7 @@ def test_a_tutorial_works_as_it_stands(name: str, repository: Path, tmp_path: Pa
     if script:
         (tmp_path / "tutorial.py").write_text(script, encoding="utf-8")
         printed = _run(["tutorial.py"], tmp_path)
-        assert re.search(r"^model: 42\d\.\d cc, 95 %: 4\d\d\.\d to 4\d\d\.\d$", printed, re.MULTILINE)
+        assert re.search(r"^model: 42\d\.\d ± \d\.\d cc \(95 %: 4\d\d\.\d to 4\d\d\.\d cc\)$", printed, re.MULTILINE)
         assert "watertight: True" in printed
     assert [path for path in LEFT_BEHIND[name] if not (tmp_path / path).exists()] == []
     if name == "clinic":

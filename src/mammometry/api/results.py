@@ -58,6 +58,16 @@ class Results:
         return {name: measured.volume_cc for name, measured in self.measurements.items()}
 
     @property
+    def words(self) -> dict[str, str]:
+        """Name → volume and interval in words, rounded by it: "284 ± 55 cc (95 %: 230 to 339 cc)"."""
+        from mammometry.report.words.volumes import measured_words
+
+        return {
+            name: measured_words(measured.volume_cc, measured.interval_cc)
+            for name, measured in self.measurements.items()
+        }
+
+    @property
     def intervals_cc(self) -> dict[str, tuple[float, float] | None]:
         """Name → 95 % interval, cc. None where none is known."""
         return {name: measured.interval_cc for name, measured in self.measurements.items()}

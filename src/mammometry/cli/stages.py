@@ -241,20 +241,19 @@ def report(
 
 def volume_lines(results: Results) -> list[Any]:
     """Volumes in words, and where the report is."""
-    from mammometry.report.words.volumes import MEANINGS, definition_words, interval_words, volume_words
+    from mammometry.report.words.volumes import MEANINGS, definition_words, measured_words
 
     lines: list[Any] = []
     for name, measured in results.measurements.items():
-        volume, interval = volume_words(measured.volume_cc, measured.interval_cc), interval_words(measured.interval_cc)
-        lines.append(f"{name}: {volume} {interval}, wall: {measured.wall_kind}")
+        volume = measured_words(measured.volume_cc, measured.interval_cc)
+        lines.append(f"{name}: {volume}, wall: {measured.wall_kind}")
         for defined in measured.definitions:
             lines.append(f"    {MEANINGS[defined.meaning]}: {definition_words(defined)}")
     for name, why in results.no_breast.items():
         lines.append(f"{name}: no breast measured. {why}.")
     for name, deficit in results.lacking.items():
         lines.append(
-            f"    {name} lacks {volume_words(deficit.volume_cc, deficit.interval_cc)} to the other side, mirrored "
-            f"{interval_words(deficit.interval_cc)}"
+            f"    {name} lacks {measured_words(deficit.volume_cc, deficit.interval_cc)} to the other side, mirrored"
         )
     lines += [f"note: {note}" for note in results.notes]
     if not lines:

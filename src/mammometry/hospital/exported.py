@@ -6,11 +6,13 @@ import datetime
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal, TypeAlias
 
+from mammometry.base.normal import COVERAGE_95
 from mammometry.base.photograph import Photograph
+from mammometry.base.rounding import half_width, rounded
 from mammometry.hospital.codes import require_text
 from mammometry.report.content import Clinical
 
@@ -122,6 +124,14 @@ class Quantity:
     def name(self) -> str:
         """Code and side: the name of its column in tables."""
         return f"{self.code}_{self.side}" if self.side else self.code
+
+    def rounded(self) -> Quantity:
+        """The same with no more digits than its uncertainty justifies. A standard uncertainty keeps two."""
+        half = half_width(self.interval_95) if self.sigma is None else COVERAGE_95 * self.sigma
+        low, high = self.interval_95 or (0.0, 0.0)
+        ends = None if self.interval_95 is None else (rounded(low, half), rounded(high, half))
+        sigma = None if self.sigma is None else float(f"{self.sigma:.2g}")
+        return replace(self, value=rounded(self.value, half), interval_95=ends, sigma=sigma)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

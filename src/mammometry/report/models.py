@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from PIL import Image
 
+from mammometry.base.rounding import at_95
 from mammometry.geometry import Array, Float64, Transform
 from mammometry.geometry.mesh import TriangleMesh, joined
 from mammometry.geometry.nearest import point_tree
@@ -208,10 +209,10 @@ def with_lengths(scene: ViewerScene, lengths: Sequence[LinearMeasure]) -> Viewer
 
 
 def _length_words(length: LinearMeasure) -> str:
-    """A length as its line in the view says it: to the fold it is measured along the skin."""
+    """A length with its 95 % half-width, as its line in the view has it: to the fold along the skin."""
     if length.name.startswith("N-IMF") and length.geodesic_mm is not None:
-        return f"{length.geodesic_mm:.1f} mm along the skin"
-    return f"{length.straight_mm:.1f} mm"
+        return f"{at_95(length.geodesic_mm, length.geodesic_sigma_mm, 'mm')} along the skin"
+    return at_95(length.straight_mm, length.straight_sigma_mm, "mm")
 
 
 def thinned(mesh: TriangleMesh, triangles: int) -> tuple[TriangleMesh, Array]:

@@ -51,9 +51,9 @@ def test_the_first_pages_lengths_are_the_exported_ones() -> None:
     assert table is not None
     assert tuple(tuple(cell.replace("\u00a0", " ") for cell in row) for row in table.rows) == (
         ("Nipple to midline", "88.2 ± 4.0", "–", "–"),
-        ("Base width", "121.0 ± 8.2", "–", "–"),
+        ("Base width", "121 ± 8", "–", "–"),
         ("Projection", "41.3 ± 2.4", "–", "–"),
-        ("Nipple below the fold (ptosis)", "−4.5 ± 5.9", "–", "–"),
+        ("Nipple below the fold (ptosis)", "−4 ± 6", "–", "–"),
         ("Ptosis, grade after Regnault", "I or II", "–", ""),
     )
     assert note == (
@@ -65,9 +65,9 @@ def test_the_first_pages_lengths_are_the_exported_ones() -> None:
 def test_tables_say_values_with_their_uncertainty_and_leave_out_what_is_not_there() -> None:
     sizes = sizes_of_the_left()
     tables = {table.title: table for table in dimension_tables(sizes)}
-    assert tables["Lengths, ± standard uncertainty"].rows == (("left nipple to midline", "88.2 ± 2.0", "–"),)
-    assert tables["Shape"].rows[0][1:] == ("121 × 133", "41.3", "150 ± 12", "100 ± 12")
-    assert tables["Ptosis (Regnault)"].rows[0][1:] == ("I", "I, II", "−4.5 ± 3.0")
+    assert tables["Lengths, ± 95 %"].rows == (("left nipple to midline", "88.2 ± 4.0", "–"),)
+    assert tables["Shape, ± 95 %"].rows[0][1:] == ("121 × 133", "41.3 ± 2.4", "150 ± 24", "100 ± 24")
+    assert tables["Ptosis (Regnault)"].rows[0][1:] == ("I", "I, II", "−4 ± 6")
     assert "Landmarks" not in tables
     picked = Landmark(name="sternal_notch", points_world=np.zeros((1, 3)), method="picked", sigma_mm=2.0)
     assert dimension_tables(sizes, (picked,))[-1].rows == (("sternal notch", "Picked.", "2.0", "1.00"),)

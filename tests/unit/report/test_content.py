@@ -16,7 +16,7 @@ from mammometry.report.gather import RunResults, run_cautions, run_concerns, war
 from mammometry.report.words import describe
 from mammometry.report.words.anthropometry import comparison
 from mammometry.report.words.describe import skin_shares
-from mammometry.report.words.volumes import MEANINGS, interval_words, meaning_sentences, volume_words
+from mammometry.report.words.volumes import MEANINGS, meaning_sentences, measured_words, volume_words
 from mammometry.settings import Settings
 from mammometry.surface.occlusion import Occlusion
 from mammometry.surface.repair.repair import Provenance
@@ -43,10 +43,11 @@ def test_a_volume_has_no_more_digits_than_its_interval_justifies(
 
 
 def test_the_interval_is_given_or_its_absence_said() -> None:
-    assert interval_words((352.04, 357.06)) == "± 2.5 cc (95 %: 352.0 to 357.1 cc)"
-    assert interval_words((300.2, 410.4)) == "± 55 cc (95 %: 300 to 410 cc)"
-    assert interval_words((0.0, 110.4)) == "between 0 and 110 cc (95 %)"  # the volume is not in its middle
-    assert "no interval: the error" in interval_words(None)
+    assert measured_words(354.55, (352.04, 357.06)) == "354.6 ± 2.5 cc (95 %: 352.0 to 357.1 cc)"
+    assert measured_words(284.4, (229.5, 339.3)) == "284 ± 55 cc (95 %: 230 to 339 cc)"
+    assert measured_words(40.0, (0.0, 110.4)) == "40 cc (95 %: 0 to 110 cc)"  # the volume is not in its middle
+    assert measured_words(25.3, (-47.7, 98.3), sign=True) == "+25 ± 73 cc (95 %: −48 to +98 cc)"
+    assert measured_words(354.55, None) == "354.6 cc (its error is not known)"
 
 
 def test_a_breast_in_words() -> None:
@@ -68,7 +69,10 @@ def test_every_meaning_of_the_breast_has_an_interval_of_its_own() -> None:
     assert "(plane)" in meaning.sentences
     # .97 × 450 g; √((.97 × 30)² + (1.96 × .04 × 450)²) = 45.7 g
     (volume,) = meaning.volumes
-    assert (volume.label, volume.value) == ("Left breast", "450 ± 30 cc (± 7 %), 436 ± 46 g at 0.97 g/cc")
+    assert (volume.label, volume.value) == (
+        "Left breast",
+        "450 ± 30 cc (95 %: 420 to 480 cc), weight 436 ± 46 g at 0.97 g/cc",
+    )
 
 
 def test_every_meaning_is_said_in_plain_words() -> None:

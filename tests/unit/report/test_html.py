@@ -105,7 +105,7 @@ def test_the_page_says_what_it_must(page_content: ReportContent) -> None:
 @pytest.mark.parametrize(
     ("said", "shown"),
     [
-        ("± 136 cc (95 %: 521 to 793 cc)", "±_136_cc (95_%: 521 to 793_cc)"),
+        ("657 ± 136 cc (95 %: 521 to 793 cc)", "657_±_136_cc (95_%: 521 to 793_cc)"),
         ("3.2 ± 0.1 mm wide", "3.2_±_0.1_mm wide"),
         ("6 897 used, < 0.1 mmm", "6_897 used, <_0.1 mmm"),
         ("pose 03 seen by 8 cameras", "pose 03 seen by 8 cameras"),

@@ -152,7 +152,9 @@ def test_lengths_are_lines_between_their_landmarks_with_their_values() -> None:
     lengths = [length("N-N", 94.2), length("N-IMF left", 94.25), length("N-midline left", None)]
     scene = with_lengths(bare, lengths)
     whole = json.loads(to_json(scene))["models"][0]
-    assert [each["words"] for each in whole["lengths"]] == ["84.8 mm", "94.2 mm along the skin", "84.8 mm"]
+    assert [each["words"] for each in whole["lengths"]] == [
+        "84.8 ± 2.0 mm", "94.2 ± 2.7 mm along the skin", "84.8 ± 2.0 mm",
+    ]  # fmt: skip
     back = scene.world_from_view.apply(np.array(whole["lengths"][0]["ends"]))
     assert back == pytest.approx(np.array(ends), abs=1e-3)
     assert len(whole["landmarks"]) == 2  # the three lengths share their ends

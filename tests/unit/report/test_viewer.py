@@ -57,7 +57,7 @@ def address(tmp_path_factory: pytest.TempPathFactory) -> str:
     changed, everything = describe.settings_facts(Settings())
     scene = viewer_scene(front_frame(synthetic.rig()), synthetic.repaired(ball), synthetic.textured(ball), measured)
     crowded = tuple(
-        ("48.8 mm along the skin", np.array([[across - 5.0, 50.0, 0.0], [across + 5.0, 50.0, 0.0]]))
+        ("48 ± 15 mm along the skin", np.array([[across - 5.0, 50.0, 0.0], [across + 5.0, 50.0, 0.0]]))
         for across in range(-36, 37, 6)
     )
     shown = replace(scene.models[0], lengths=crowded)
@@ -256,6 +256,10 @@ def test_it_fits_a_telephone_and_no_length_covers_another(viewer: Locator) -> No
         assert len(places) == 13
         apart = np.abs(places[:, None] - places) > sizes.max(axis=0) - 0.6  # all have the same words
         assert (apart.any(axis=2) | np.eye(13, dtype=bool)).all()
+        sheet = viewer.locator(".mm-lengths").bounding_box()
+        assert sheet is not None
+        assert (places > -0.6).all()
+        assert (places + sizes < [sheet["width"] + 0.6, sheet["height"] + 0.6]).all()
         assert viewer.page.evaluate("document.documentElement.scrollWidth") == 360
         box = viewer.locator("canvas").bounding_box()
         assert box is not None

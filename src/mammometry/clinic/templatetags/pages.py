@@ -13,7 +13,7 @@ from django.utils.html import format_html
 from django.utils.safestring import SafeString
 
 import mammometry
-from mammometry.base.normal import COVERAGE_95
+from mammometry.base.rounding import at_95
 from mammometry.clinic.intake.photographs import thumbnail_path
 from mammometry.clinic.jobs import queue
 from mammometry.clinic.models import Patient, Upload, Visit
@@ -62,8 +62,8 @@ def length_mm(value: Length | None) -> str:
 
 @register.filter
 def signed_length_mm(value: Length | None) -> str:
-    """A difference of lengths: "+4.2 ± 5.8"."""
-    return _breaking_once(length_words(value, "+"))
+    """A difference of lengths: "+4.2 ± 2.8"."""
+    return _breaking_once(length_words(value, sign=True))
 
 
 def _breaking_once(words: str) -> str:
@@ -94,8 +94,14 @@ def changes_of(patient: Patient) -> list[Verdict]:
 @register.filter
 def length_change(length: dict[str, Any]) -> SafeString:
     """A change of a length with its 95 % half-width, in bold where it is more than the error."""
-    words = f"{length['change_mm']:+.1f} ± {COVERAGE_95 * length['sigma_mm']:.1f}".replace("-", "−")
+    words = at_95(length["change_mm"], length["sigma_mm"], sign=True)
     return format_html("<strong>{}</strong>", words) if length["beyond_error"] else format_html("{}", words)
+
+
+@register.filter
+def length_alone(length: dict[str, Any], date: str) -> str:
+    """A length at one of two dates (``before`` or ``after``), rounded by the uncertainty of its change."""
+    return at_95(length[f"{date}_mm"], length["sigma_mm"], alone=True)
 
 
 def queued(verdict: Verdict) -> Verdict:

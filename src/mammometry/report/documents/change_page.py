@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from mammometry.base.rounding import at_95, half_width, rounded_words
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.measure.change import BreastChange, Change, LengthChange
 from mammometry.report.content import DISCLAIMER, Fact, sentence
@@ -20,8 +21,8 @@ from mammometry.report.models import change_scene
 from mammometry.report.pictures import encoded
 from mammometry.report.scene import to_json
 from mammometry.report.words.describe import versions
-from mammometry.report.words.volumes import change_sentence, interval_words, is_coarse, term_words, volume_words
-from mammometry.study.tables import Table, signed
+from mammometry.report.words.volumes import change_sentence, measured_words, span_words, term_words
+from mammometry.study.tables import Table
 
 PAGE, DOCUMENT, NUMBERS = "compare.html", "compare.pdf", "compare.json"
 FILES = (PAGE, DOCUMENT, NUMBERS, "change.png", "sections.png")
@@ -179,10 +180,9 @@ def breast_card(breast: BreastChange, before: datetime.date | None) -> BreastCar
     volume = breast.volume
     title = NAMES[breast.name]
     interval = volume.difference_interval_cc
-    digits = 0 if is_coarse(interval) else 1
     facts = [
-        Fact("Before", _with_interval(breast.before.volume_cc, breast.before.interval_cc)),
-        Fact("After", _with_interval(breast.after.volume_cc, breast.after.interval_cc)),
+        Fact("Before", measured_words(breast.before.volume_cc, breast.before.interval_cc)),
+        Fact("After", measured_words(breast.after.volume_cc, breast.after.interval_cc)),
         Fact("After in % of before", _percent(volume.ratio, volume.ratio_interval)),
         Fact("Skin moved (RMS)", f"{breast.rms_mm:.1f} mm, with the trunks aligned"),
         Fact("Chest wall", f"{breast.after.wall_kind}, at both dates"),
@@ -190,15 +190,10 @@ def breast_card(breast: BreastChange, before: datetime.date | None) -> BreastCar
     facts += [
         Fact(f"Uncertainty from {name}", f"± {term_words(term)} cc (95 %)") for name, term in volume.terms_cc.items()
     ]
-    interval_words = "no interval, because one of the volumes has none"
-    if interval is not None:
-        low, high = (signed(bound, digits) for bound in interval)
-        half = (interval[1] - interval[0]) / 2
-        interval_words = f"± {half:.{digits}f} cc (95 %: {low} to {high} cc)"
     return BreastCard(
         title=f"{title[:1].upper()}{title[1:]}",
-        change=f"{signed(volume.difference_cc, digits)} cc",
-        interval=interval_words,
+        change=rounded_words(volume.difference_cc, half_width(interval), "cc", sign=True, alone=True),
+        interval=span_words(interval, sign=True),
         verdict=verdict_of(breast, before),
         facts=tuple(facts),
     )
@@ -228,14 +223,13 @@ def length_tables(lengths: Sequence[LengthChange]) -> tuple[Table, ...]:
         (
             length.title,
             "along the skin" if length.along else "straight",
-            f"{length.before_mm:.1f}",
-            f"{length.after_mm:.1f}",
-            f"{signed(length.change_mm, 1)} ± {length.sigma_mm:.1f}",
+            *(at_95(length_mm, length.sigma_mm, alone=True) for length_mm in (length.before_mm, length.after_mm)),
+            at_95(length.change_mm, length.sigma_mm, sign=True),
             "yes" if length.beyond_error else "no",
         )
         for length in lengths
     )
-    columns = ("from, to", "path", "before, mm", "after, mm", "change ± σ, mm", "larger than the error")
+    columns = ("from, to", "path", "before, mm", "after, mm", "change, mm, ± 95 %", "larger than the error")
     return (Table(title="Lengths between landmarks", columns=columns, rows=rows),)
 
 
@@ -291,11 +285,6 @@ def _story(
     held = Fact("This document contains", f"{report.contains}.")
     named = ", ".join(f"{fact.label} {fact.value}" for fact in versions())
     yield from paper.facts([held, *report.settings, Fact("Versions", named)], size=7.5)
-
-
-def _with_interval(volume_cc: float, interval_cc: tuple[float, float] | None) -> str:
-    words = volume_words(volume_cc, interval_cc)
-    return words if interval_cc is None else f"{words} ({interval_words(interval_cc)})"
 
 
 def _percent(ratio: float, interval: tuple[float, float] | None) -> str:

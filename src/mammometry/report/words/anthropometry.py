@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from mammometry.base.normal import COVERAGE_95
+from mammometry.base.rounding import at_95, rounded_words
 from mammometry.measure.boundary.breasts import NoBreast
 from mammometry.measure.landmarks.landmarks import LANDMARKS, Landmark
 from mammometry.measure.settings import MeasureSettings
@@ -15,7 +16,7 @@ from mammometry.measure.volume.difference import difference
 from mammometry.measure.volume.measurement import VolumeDeficit, VolumeMeasurement
 from mammometry.report.content import Fact, LargeNumber, sentence
 from mammometry.report.figures.shading import NAMES
-from mammometry.report.words.volumes import interval_words, span_words, verdict_words, volume_words
+from mammometry.report.words.volumes import measured_words, span_words, verdict_words, volume_words
 from mammometry.study.tables import Table, signed
 
 _SIDES = ("left", "right")
@@ -145,15 +146,14 @@ def projections_of(dimensions: Dimensions) -> Iterator[dict[str, Any]]:
         yield _quantity("projection", "Projection", shape.name, value, sigma, method="plane-distance")
 
 
-def length_words(value: Length | None, sign: str = "") -> str:
-    """A length in mm with its interval: "212.3 ± 4.1", a difference with its sign: "+4.2 ± 5.8".
+def length_words(value: Length | None, *, sign: bool = False) -> str:
+    """A length in mm with its interval: "212.3 ± 4.1", a difference with its sign: "+4 ± 6".
 
     A line may end before ±, not after it.
     """
     if value is None:
         return "–"
-    half = "" if value.half_mm is None else f" ±\u00a0{value.half_mm:.1f}"
-    return f"{value.value_mm:{sign}.1f}{half}".replace("-", "−")
+    return rounded_words(value.value_mm, value.half_mm, sign=sign).replace("± ", "±\u00a0")
 
 
 def _sided(name: str) -> tuple[str, str]:
@@ -232,7 +232,7 @@ def planning_lengths(dimensions: Dimensions | None, landmarks: Sequence[Landmark
     if laid_out is None:
         return None, ""
     shown = [row for row in laid_out.rows if row.sides != (None, None)]
-    rows = [(row.title, *map(length_words, row.sides), length_words(row.difference, "+")) for row in shown]
+    rows = [(row.title, *map(length_words, row.sides), length_words(row.difference, sign=True)) for row in shown]
     grades = {ptosis.name: " or ".join(ptosis.likely) for ptosis in dimensions.ptosis}
     if grades:
         rows.append(("Ptosis, grade after Regnault", grades.get("left", "–"), grades.get("right", "–"), ""))
@@ -250,9 +250,10 @@ def planning_lengths(dimensions: Dimensions | None, landmarks: Sequence[Landmark
 
 def _lacks(deficit: VolumeDeficit) -> Fact:
     """Words for what a side lacks."""
-    volume = "nothing" if deficit.volume_cc < 0 else volume_words(deficit.volume_cc, deficit.interval_cc)
-    interval = "" if deficit.interval_cc is None else f", {interval_words(deficit.interval_cc)}"
-    return Fact(f"Volume that the {deficit.name} side lacks", f"{volume}{interval}. {sentence(deficit.note)}")
+    volume = measured_words(deficit.volume_cc, deficit.interval_cc)
+    if deficit.volume_cc < 0:
+        volume = f"nothing ({span_words(deficit.interval_cc)})"
+    return Fact(f"Volume that the {deficit.name} side lacks", f"{volume}. {sentence(deficit.note)}")
 
 
 def _both(left: VolumeMeasurement, right: VolumeMeasurement) -> tuple[Fact, ...]:
@@ -301,27 +302,27 @@ def dimension_tables(dimensions: Dimensions | None, landmarks: Sequence[Landmark
     if dimensions is None:
         return ()
     lengths = Table(
-        title="Lengths, ± standard uncertainty",
+        title="Lengths, ± 95 %",
         columns=("from, to", "straight, mm", "along the skin, mm"),
         rows=tuple(
             (
                 length.title,
-                f"{length.straight_mm:.1f} ± {length.straight_sigma_mm:.1f}",
-                "–" if length.geodesic_mm is None else f"{length.geodesic_mm:.1f} ± {length.geodesic_sigma_mm:.1f}",
+                at_95(length.straight_mm, length.straight_sigma_mm),
+                "–" if length.geodesic_mm is None else at_95(length.geodesic_mm, length.geodesic_sigma_mm),
             )
             for length in dimensions.lengths
         ),
     )
     shapes = Table(
-        title="Shape",
+        title="Shape, ± 95 %",
         columns=("breast", "base, width × height, mm", "projection, mm", "upper pole, cc", "lower pole, cc"),
         rows=tuple(
             (
                 NAMES[shape.name],
                 f"{shape.base_width_mm:.0f} × {shape.base_height_mm:.0f}",
-                f"{shape.projection_mm:.1f}",
-                "–" if shape.above_nipple_cc is None else f"{shape.above_nipple_cc:.0f} ± {shape.pole_sigma_cc:.0f}",
-                "–" if shape.below_nipple_cc is None else f"{shape.below_nipple_cc:.0f} ± {shape.pole_sigma_cc:.0f}",
+                at_95(shape.projection_mm, shape.projection_sigma_mm),
+                "–" if shape.above_nipple_cc is None else at_95(shape.above_nipple_cc, shape.pole_sigma_cc),
+                "–" if shape.below_nipple_cc is None else at_95(shape.below_nipple_cc, shape.pole_sigma_cc),
             )
             for shape in dimensions.shapes
         ),
@@ -341,13 +342,13 @@ def dimension_tables(dimensions: Dimensions | None, landmarks: Sequence[Landmark
     )
     sunk = Table(
         title="Ptosis (Regnault)",
-        columns=("breast", "grade", "grades within 95 %", "nipple below the fold, mm"),
+        columns=("breast", "grade", "grades within 95 %", "nipple below the fold, mm, ± 95 %"),
         rows=tuple(
             (
                 NAMES[ptosis.name],
                 ptosis.grade,
                 ", ".join(ptosis.likely),
-                f"{signed(ptosis.nipple_below_fold_mm)} ± {ptosis.sigma_mm:.1f}",
+                at_95(ptosis.nipple_below_fold_mm, ptosis.sigma_mm, sign=True),
             )
             for ptosis in dimensions.ptosis
         ),

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from mammometry.base.machine.cores import available_cores
+from mammometry.base.rounding import half_width, rounded_words
 from mammometry.calibration.adjust.calibrated import Calibration
 from mammometry.calibration.judge.quality import CalibrationQuality
 from mammometry.calibration.targets.target import Target
@@ -30,7 +31,6 @@ from mammometry.report.figures.thinning import ThinnedRange
 from mammometry.report.words.volumes import (
     MEANINGS,
     definition_words,
-    is_coarse,
     meaning_sentences,
     meaning_title,
     span_words,
@@ -141,7 +141,7 @@ def wall_label(measured: VolumeMeasurement) -> str:
 
 
 def _breast_tables(measured: VolumeMeasurement) -> tuple[Table, ...]:
-    wall = wall_label(measured).lower()
+    wall, half = wall_label(measured).lower(), half_width(measured.interval_cc)
     terms = Table(
         title="Where the error comes from",
         columns=("source of error", "± cc (95 %)"),
@@ -153,8 +153,8 @@ def _breast_tables(measured: VolumeMeasurement) -> tuple[Table, ...]:
         rows=tuple(
             (
                 kind,
-                volume_words(value, measured.interval_cc).removesuffix(" cc"),
-                signed(value - measured.volume_cc, 0 if is_coarse(measured.interval_cc) else 1),
+                rounded_words(value, half, alone=True),
+                rounded_words(value - measured.volume_cc, half, sign=True, alone=True),
             )
             for kind, value in measured.alternatives_cc.items()
         ),

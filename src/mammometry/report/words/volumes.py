@@ -4,44 +4,43 @@ from __future__ import annotations
 
 import datetime
 
+from mammometry.base.rounding import decimals, half_width, rounded_words
 from mammometry.measure.volume.measurement import DENSITY_G_PER_CC, DefinedVolume
 
-_COARSE_CC = 10.0
-"""Width of an interval from which tenths of a cc are left out: a tenth is then 1 % of it. Chosen by eye."""
-
-
-def is_coarse(interval_cc: tuple[float, float] | None) -> bool:
-    """Whether an interval is too wide for tenths of a cc."""
-    return interval_cc is not None and interval_cc[1] - interval_cc[0] >= _COARSE_CC
+_MIDDLE_CC = 0.05  # a volume farther from the middle of its interval belongs to one that is cut off at zero
 
 
 def term_words(half_cc: float) -> str:
-    """Half-width of one source of error, cc: tenths below 10 cc."""
-    return "< 0.1" if half_cc < 0.05 else f"{half_cc:.{1 if half_cc < 10 else 0}f}"
+    """Half-width of one source of error, cc."""
+    return "< 0.1" if half_cc < 0.05 else f"{half_cc:.{decimals(half_cc)}f}"
 
 
 def volume_words(volume_cc: float, interval_cc: tuple[float, float] | None = None) -> str:
-    """A volume in whole cc if coarse, else in tenths."""
-    return f"{volume_cc:z.0f} cc" if is_coarse(interval_cc) else f"{volume_cc:z.1f} cc"
+    """A volume alone, rounded by its interval: "284 cc"."""
+    return rounded_words(volume_cc, half_width(interval_cc), "cc", alone=True)
 
 
-def interval_words(interval_cc: tuple[float, float] | None) -> str:
-    """The 95 % interval in words: half-width and both ends. Only the ends if it is cut off at zero."""
-    if interval_cc is None:
-        return "no interval: the error of this volume is not known"
-    low, high = interval_cc
-    digits = 0 if is_coarse(interval_cc) else 1
-    if low <= 0:
-        return f"between 0 and {high:.{digits}f} cc (95 %)"
-    return f"± {(high - low) / 2:.{digits}f} cc (95 %: {low:.{digits}f} to {high:.{digits}f} cc)"
+def measured_words(volume_cc: float, interval_cc: tuple[float, float] | None, *, sign: bool = False) -> str:
+    """A volume with its interval: "284 ± 55 cc (95 %: 230 to 339 cc)".
+
+    Without the half-width where the interval is cut off at zero.
+
+    Args:
+        volume_cc: or a difference of volumes.
+        interval_cc: its 95 % interval.
+        sign: whether it is a difference, with a sign before positive numbers.
+    """
+    cut_off = interval_cc is not None and abs(volume_cc - sum(interval_cc) / 2) > _MIDDLE_CC
+    words = rounded_words(volume_cc, half_width(interval_cc), "cc", sign=sign, alone=cut_off)
+    return f"{words} ({span_words(interval_cc, sign=sign)})"
 
 
-def span_words(interval_cc: tuple[float, float] | None) -> str:
-    """The 95 % interval in words, its ends alone: "95 %: 300 to 410 cc"."""
+def span_words(interval_cc: tuple[float, float] | None, *, sign: bool = False) -> str:
+    """The 95 % interval in words, its ends alone: "95 %: 300 to 410 cc", of a difference with signs."""
     if interval_cc is None:
         return "its error is not known"
-    digits = 0 if is_coarse(interval_cc) else 1
-    low, high = (f"{bound:z.{digits}f}".replace("-", "−") for bound in interval_cc)
+    half = half_width(interval_cc)
+    low, high = (rounded_words(bound, half, sign=sign, alone=True) for bound in interval_cc)
     return f"95 %: {low} to {high} cc"
 
 
@@ -87,14 +86,9 @@ def meaning_sentences(meaning: str, wall: str) -> str:
 
 def definition_words(defined: DefinedVolume) -> str:
     """One definition's volume, interval in cc and %, and weight."""
-    low, high = defined.interval_cc
     grams, half_g = defined.weight_g
-    weight = f"{grams:.0f} ± {half_g:.0f} g at {DENSITY_G_PER_CC} g/cc"
-    if low <= 0:
-        return (
-            f"{volume_words(defined.volume_cc, defined.interval_cc)}, {interval_words(defined.interval_cc)}; {weight}"
-        )
-    return f"{defined.volume_cc:.0f} ± {(high - low) / 2:.0f} cc (± {defined.half_percent:.0f} %), {weight}"
+    words = measured_words(defined.volume_cc, defined.interval_cc)
+    return f"{words}, weight {rounded_words(grams, half_g, 'g')} at {DENSITY_G_PER_CC} g/cc"
 
 
 Interval = tuple[float, float]
@@ -130,7 +124,7 @@ def change_sentence(
         beyond_error: whether that leaves out zero.
         before: the earlier date. None: it is not known.
     """
-    digits = 0 if is_coarse(interval_cc) else 1
+    digits = decimals(half_width(interval_cc))
     than = "before" if before is None else f"on {date_words(before)}"
     if not float(f"{change_cc:.{digits}f}"):
         amount = f"as large as {than}"
