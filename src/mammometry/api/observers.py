@@ -12,14 +12,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from mammometry.base.errors import SessionError, TableError
-from mammometry.base.identity import shown_name
+from mammometry.base.identity import folded, shown_name
+from mammometry.base.listing import visible
 from mammometry.base.progress import Progress, no_progress
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.io.csv_tables import read_table
@@ -37,6 +39,14 @@ from mammometry.study.observers import Drawing, DrawnSurface
 from mammometry.surface.repair.repair import RepairedSurface
 
 _SUFFIX = ".json"
+_NOT_NAMES = frozenset(
+    ("rater", "observer", "reader", "person", "surgeon", "doctor", "expert", "user", "drawer", "technician", "nurse",
+     "operator", "investigator", "student", "beobachter", "untersucher", "auswerter", "r", "o", "p")
+)  # fmt: skip
+"""What a person is called by a number: ``rater-2`` is another person than ``rater-1``."""
+_COPY = re.compile(r"\(\d+\)$|[\s_-](copy|kopie|copie|copia)([\s_-]?\(?\d+\)?)?$|^(copy of|kopie von) ", re.IGNORECASE)
+"""How browsers and desktops name a copy: ``anna-1 (1)``, ``anna-1 copy 2``, ``Copy of anna-1``."""
+_SAME_MM = 1e-3  # curves nearer than this are copies: files hold a thousandth of a millimetre, and no hand draws so
 _COLUMNS = "columns mesh, boundary and observer, and repeat where somebody drew twice"
 
 
@@ -57,11 +67,12 @@ class DrawnBy:
 def read_drawn_by(curves: Path, mesh: Path | None = None) -> tuple[DrawnBy, ...]:
     """Read a table, or list a folder's drawings of one mesh.
 
-    In a folder, ``anna-2.json`` is Anna's second drawing, and ``ben.json`` Ben's first. A table's paths are relative to
-    it; without a mesh column all drawings are of `mesh`.
+    In a folder, ``anna-2.json`` is Anna's second drawing, and ``ben.json`` Ben's first. ``rater-2.json`` is another
+    rater's first: such words name no person without their number. Upper and lower case, and the forms of accented
+    letters, make no other person. A table's paths are relative to it; without a mesh column all drawings are of `mesh`.
 
     Raises:
-        SessionError: the folder holds fewer than two drawings, or nobody says the mesh.
+        SessionError: the folder holds fewer than two drawings, a copy, or one drawing twice, or nobody says the mesh.
         TableError: the table cannot be read, has no such columns, an empty cell, or one drawing twice.
     """
     drawn = _of_folder(curves, mesh) if curves.is_dir() else _of_table(curves, mesh)
@@ -75,12 +86,33 @@ def read_drawn_by(curves: Path, mesh: Path | None = None) -> tuple[DrawnBy, ...]
 def _of_folder(folder: Path, mesh: Path | None) -> tuple[DrawnBy, ...]:
     if mesh is None:
         raise _no_mesh(folder)
-    drawn = []
-    for path in sorted(folder.glob(f"*{_SUFFIX}")):
-        name, _, number = path.stem.rpartition("-")
-        named = (name, number) if name and number.isdecimal() else (path.stem, "1")
-        drawn.append(DrawnBy(mesh=mesh, boundary=path, observer=named[0], repeat=named[1]))
-    return tuple(drawn)
+    persons: dict[str, str] = {}
+    drawn: dict[tuple[str, str], DrawnBy] = {}
+    for path in visible(folder):
+        if path.suffix.casefold() != _SUFFIX:
+            continue
+        if _COPY.search(path.stem):
+            remedy = "Remove it, or rename it if the person drew again: anna-2.json"
+            raise SessionError(str(path), found="a copy, by its name", expected="a drawing", remedy=remedy)
+        name, repeat = _person(path.stem)
+        observer, repeat = persons.setdefault(folded(name), name), str(int(repeat))
+        if (observer, repeat) in drawn:
+            raise SessionError(
+                str(path),
+                found=f"drawing {repeat} by {observer}, as {shown_name(drawn[observer, repeat].boundary)}",
+                expected="each drawing once",
+                remedy="Number the drawings of one person, and give two persons different names",
+            )
+        drawn[observer, repeat] = DrawnBy(mesh=mesh, boundary=path, observer=observer, repeat=repeat)
+    return tuple(drawn.values())
+
+
+def _person(stem: str) -> tuple[str, str]:
+    """Name and number of a drawing's file."""
+    name, _, number = stem.rpartition("-")
+    if not name or not number.isdecimal() or folded(name) in _NOT_NAMES:
+        return stem, "1"
+    return name, number
 
 
 def _of_table(path: Path, mesh: Path | None) -> tuple[DrawnBy, ...]:
@@ -90,24 +122,27 @@ def _of_table(path: Path, mesh: Path | None) -> tuple[DrawnBy, ...]:
     count = len(table.rows)
     meshes = table.texts("mesh") if "mesh" in table.columns else (str(mesh and mesh.resolve()),) * count
     repeats = table.texts("repeat") if "repeat" in table.columns else ("1",) * count
-    drawn: list[DrawnBy] = []
+    persons: dict[str, str] = {}
+    drawn: dict[tuple[Path, str, str], DrawnBy] = {}
     for line, *cells in zip(
         table.lines, meshes, table.texts("boundary"), table.texts("observer"), repeats, strict=True
     ):
         if not all(cells):
             remedy = "Fill it in, or leave the row out"
             raise TableError(f"{path}, row {line}", found="an empty cell", expected=_COLUMNS, remedy=remedy)
-        on, boundary, observer, repeat = cells
+        on, boundary, name, repeat = cells
+        observer = persons.setdefault(folded(name), name)
         drawing = DrawnBy(mesh=path.parent / on, boundary=path.parent / boundary, observer=observer, repeat=repeat)
-        if any((drawing.mesh, observer, repeat) == (other.mesh, other.observer, other.repeat) for other in drawn):
+        key = (drawing.mesh, observer, folded(repeat))
+        if key in drawn:
             raise TableError(
                 f"{path}, row {line}",
                 found=f"a second drawing {repeat} of {on} by {observer}",
                 expected="each drawing once",
                 remedy="Number the drawings of one person in the column repeat",
             )
-        drawn.append(drawing)
-    return tuple(drawn)
+        drawn[key] = drawing
+    return tuple(drawn.values())
 
 
 def _no_mesh(curves: Path) -> SessionError:
@@ -147,7 +182,7 @@ def measure_drawings(
         progress: called with the fraction done.
 
     Raises:
-        SessionError: a file is missing or not as documented, or has no curve.
+        SessionError: a file is missing or not as documented, has no curve, or the same curve as another.
         MeasureError: a mesh is no surface to be measured, or a curve does not lie on it or cannot be followed.
     """
     surfaces: list[DrawnSurface] = []
@@ -184,6 +219,7 @@ def _on_one(
             expected = "a curve around a breast, left or right"
             raise SessionError(str(drawing.boundary), found="no points", expected=expected, remedy=remedy)
         files.append({name: scanned.in_mesh_unit(one, scan.mesh, foreign.mm_per_unit) for name, one in curves.items()})
+    _require_no_copies(drawn, files)
     scan = scanned.finer_scan(scan, [one for curves in files for one in curves.values()])
     surface, fine = scanned.as_scanned(scan.mesh, scan.invented), scan.mesh
     frame = _frame(surface, files, axes)
@@ -211,6 +247,22 @@ def _on_one(
     flat = [(drawing.observer, one) for drawing, curves in zip(drawn, files, strict=True) for one in curves.values()]
     name = shown_name(path.with_suffix(""))
     return DrawnSurface(name=name, mesh=foreign.mesh, frame=frame, curves=tuple(flat)), drawings
+
+
+def _require_no_copies(drawn: Sequence[DrawnBy], files: Sequence[Mapping[str, Float64[Array, "n 3"]]]) -> None:
+    """Refuse one curve in two files: persons who agree to a thousandth of a millimetre did not both draw."""
+    seen: list[tuple[DrawnBy, str, Float64[Array, "n 3"]]] = []
+    for drawing, curves in zip(drawn, files, strict=True):
+        for side, curve in curves.items():
+            for other, other_side, earlier in seen:
+                if side == other_side and curve.shape == earlier.shape and np.abs(curve - earlier).max() < _SAME_MM:
+                    raise SessionError(
+                        str(drawing.boundary),
+                        found=f"the {side} curve of {shown_name(other.boundary)}",
+                        expected="curves that were drawn independently",
+                        remedy="Remove the copy, or the side that was taken over and not drawn",
+                    )
+            seen.append((drawing, side, curve))
 
 
 def _frame(

@@ -55,6 +55,15 @@ def shown_name(path: Path) -> str:
     )
 
 
+def folded(name: str) -> str:
+    """A name as it is compared: whatever its case, its blanks and the form of its accented letters.
+
+    >>> folded("Ju\u0308rg ") == folded("jürg")
+    True
+    """
+    return " ".join(unicodedata.normalize("NFC", unicodedata.normalize("NFC", name).casefold()).split())
+
+
 def subject_id(text: str) -> str:
     """A subject's identifier, checked, in Unicode's composed form.
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from mammometry.base.errors import SessionError, TableError
+from mammometry.base.listing import visible
 from mammometry.batch.record import Entry, is_address
 from mammometry.batch.storage import sessions_at
 from mammometry.io.csv_tables import Table, read_table
@@ -87,11 +88,7 @@ def _sessions_in(folder: Path) -> list[Path]:
     resolved = folder.resolve()
     if (resolved / MANIFEST).is_file():
         return [resolved]
-    if not resolved.is_dir():
-        return []
-    with os.scandir(resolved) as found_entries:
-        names = sorted(path.name for path in found_entries if not path.name.startswith("."))
-    return [(resolved / name).resolve() for name in names if (resolved / name / MANIFEST).is_file()]
+    return [path.resolve() for path in visible(resolved) if (path / MANIFEST).is_file()]
 
 
 def _of_table(path: Path) -> Iterator[Entry]:

@@ -16,6 +16,7 @@ import tifffile
 from PIL import Image
 
 from mammometry.base.errors import CaptureError, MammometryError, SessionError
+from mammometry.base.listing import is_hidden
 from mammometry.base.photograph import Photograph
 from mammometry.base.value import value
 from mammometry.calibration.features.keypoints import Keypoints, keypoints
@@ -170,7 +171,8 @@ def _recover(session: Path) -> None:
 
 
 def _pictures(folder: Path, pattern: str) -> list[Path]:
-    return [path for path in sorted(folder.glob(pattern)) if path.suffix.lower() in EXTENSIONS and path.is_file()]
+    found = (path for path in sorted(folder.glob(pattern)) if not is_hidden(path.name))
+    return [path for path in found if path.suffix.lower() in EXTENSIONS and path.is_file()]
 
 
 def _last(session: Path) -> int:

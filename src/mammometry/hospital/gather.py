@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
 
+from mammometry.base.listing import visible
 from mammometry.hospital.exported import Absent, CoveredModel, CoveredModels, Exported, Model, Quantity, Side
 from mammometry.io.photographs.images import EXTENSIONS
 from mammometry.job.stages import measure, surface
@@ -255,8 +256,6 @@ def _models(measured: Sequence[VolumeMeasurement], surface: TriangleMesh) -> Ite
 
 
 def _photograph_files(job: Job) -> dict[str, Path]:
-    files = sorted((job.session.path / "capture").iterdir())
-    by_camera = {
-        path.stem: path for path in files if path.suffix.lower() in EXTENSIONS and not path.name.startswith(".")
-    }
+    files = visible(job.session.path / "capture")
+    by_camera = {path.stem: path for path in files if path.suffix.lower() in EXTENSIONS}
     return {camera: by_camera[camera] for camera in job.inputs.photographs if camera in by_camera}

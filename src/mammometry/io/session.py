@@ -31,6 +31,7 @@ import numpy as np
 
 from mammometry.base.errors import ImageError, SessionError
 from mammometry.base.identity import Identity
+from mammometry.base.listing import visible
 from mammometry.base.parse import LimitSettings
 from mammometry.base.photograph import Photograph
 from mammometry.geometry import Array, Camera
@@ -153,7 +154,7 @@ class Session:
         Raises:
             SessionError: no such folder, nothing in it, or a photograph by a camera that no pair names.
         """
-        exposures = [folder] if self._images(folder) else sorted(path for path in _folders(folder))
+        exposures = [folder] if self._images(folder) else _folders(folder)
         files = {
             (exposure.name, camera): path for exposure in exposures for camera, path in self._images(exposure).items()
         }
@@ -271,8 +272,8 @@ class Session:
     def _images(self, folder: Path) -> dict[str, Path]:
         """Stem → image file, by name. Other files are ignored."""
         files: dict[str, Path] = {}
-        for path in sorted(folder.iterdir()) if folder.is_dir() else ():
-            if path.suffix.lower() not in EXTENSIONS or path.name.startswith(".") or not path.is_file():
+        for path in visible(folder):
+            if path.suffix.lower() not in EXTENSIONS or not path.is_file():
                 continue
             if path.stem in files:
                 raise SessionError(
@@ -305,13 +306,7 @@ class Session:
 
     def _calibration_files(self) -> dict[tuple[str, str], Path]:
         folder = self.path / "calibration"
-        poses = sorted(path for path in folder.iterdir() if path.is_dir()) if folder.is_dir() else []
-        return {
-            (pose.name, camera): path
-            for pose in poses
-            if not pose.name.startswith(".")
-            for camera, path in self._images(pose).items()
-        }
+        return {(pose.name, camera): path for pose in _folders(folder) for camera, path in self._images(pose).items()}
 
     def _points_files(self) -> dict[tuple[str, str], Path]:
         tables = {shot: path.with_suffix(".csv") for shot, path in self._calibration_files().items()}
@@ -448,7 +443,7 @@ class _Lazy(Mapping[K, V], Generic[K, V]):
 
 
 def _folders(folder: Path) -> list[Path]:
-    return [path for path in folder.iterdir() if path.is_dir()] if folder.is_dir() else []
+    return [path for path in visible(folder) if path.is_dir()]
 
 
 def _perhaps(name: str, others: list[str]) -> str | None:

@@ -13,6 +13,7 @@ from typing import Any
 
 from mammometry.base.errors import SessionError
 from mammometry.base.identity import one_subject
+from mammometry.base.listing import visible
 from mammometry.base.parse import json_value, read_text
 from mammometry.io.manifest import MANIFEST
 from mammometry.io.meshes.scans import ABOUT
@@ -33,7 +34,7 @@ def check_session(session: Path, subject: str | None) -> None:
     Raises:
         SessionError: two different identifiers; names both files.
     """
-    files = [*(session / name for name in _DRAWN), *sorted((session / "history").glob("*.json"))]
+    files = [*(session / name for name in _DRAWN), *_history(session)]
     sources = [*_drawn(files), *_in_results(session / "results")]
     named = [(path.relative_to(session).as_posix(), name) for path, name in sources]
     one_subject(
@@ -89,12 +90,16 @@ def rename_subject(folder: Path, subject: str, taken: datetime.date) -> bool:
         gone = folder / "results" if named != dated else folder / "results" / "report"
         if gone.exists():
             shutil.rmtree(gone)
-        for drawn in (*(folder / name for name in _DRAWN), *sorted((folder / "history").glob("*.json"))):
+        for drawn in (*(folder / name for name in _DRAWN), *_history(folder)):
             table = _table(drawn)
             if _subject(table) not in (None, subject):
                 write_text(drawn, json.dumps({**table, "subject": subject}, indent=1, ensure_ascii=False) + "\n")
         write_text(path, named)
     return True
+
+
+def _history(session: Path) -> list[Path]:
+    return [path for path in visible(session / "history") if path.suffix == ".json"]
 
 
 def _drawn(files: Iterable[Path]) -> Iterator[tuple[Path, str | None]]:

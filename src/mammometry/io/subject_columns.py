@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import re
-import unicodedata
 from collections import defaultdict
 from dataclasses import dataclass
 
 import numpy as np
 
 from mammometry.base.errors import TableError
+from mammometry.base.identity import folded
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.io.csv_tables import Table
 
@@ -60,20 +60,20 @@ def subject_rows(table: Table, measured: tuple[str, str], pairs: Float64[Array, 
         TableError: a row has no subject, is a summary of the others, or repeats another row.
     """
     column = _subject_column(table, measured)
-    side = next((name for name in table.columns if _plain(name) in _SIDES and name not in measured), None)
+    side = next((name for name in table.columns if folded(name) in _SIDES and name not in measured), None)
     count = len(table.rows)
     own = table.texts(column) if column else tuple(str(row + 1) for row in range(count))
     sides = table.texts(side) if side else ("",) * count
     for row in range(count):
         _require_subject(table, row, own[row] if column else None, pairs)
-    subjects = _without_sides([_plain(name) for name in own])
-    _require_once(table, [(who, _plain(part)) for who, part in zip(subjects, sides, strict=True)], pairs, bool(column))
+    subjects = _without_sides([folded(name) for name in own])
+    _require_once(table, [(who, folded(part)) for who, part in zip(subjects, sides, strict=True)], pairs, bool(column))
     names = tuple(f"{name}, {part}" if part else name for name, part in zip(own, sides, strict=True))
     return SubjectRows(names=names, subjects=tuple(subjects))
 
 
 def _subject_column(table: Table, measured: tuple[str, str]) -> str | None:
-    words = {name: _plain(re.sub(r"[_\s.-]*(id|no|nr|number|code)$", "", name, flags=re.IGNORECASE) or name)
+    words = {name: folded(re.sub(r"[_\s.-]*(id|no|nr|number|code)$", "", name, flags=re.IGNORECASE) or name)
              for name in table.columns if name and name not in measured}  # fmt: skip
     for word in _SUBJECTS:
         found = [name for name, own in words.items() if own == word]
@@ -81,10 +81,6 @@ def _subject_column(table: Table, measured: tuple[str, str]) -> str | None:
             return found[0]
     first = table.columns[0]
     return None if first in measured or words.get(first) in _SIDES or not first else first
-
-
-def _plain(text: str) -> str:
-    return " ".join(unicodedata.normalize("NFC", text).casefold().split())
 
 
 def _without_sides(names: list[str]) -> list[str]:
@@ -107,7 +103,7 @@ def _require_subject(table: Table, row: int, name: str | None, pairs: Float64[Ar
         raise TableError(
             where, found="no subject", expected="a subject in every row", remedy="Name it, or remove the row"
         )
-    words = _plain(name or "").replace(".", "").replace(":", "").split()
+    words = folded(name or "").replace(".", "").replace(":", "").split()
     listed = "".join(words) in _SUMMARIES or not _FIRST_WORDS.isdisjoint(words[:1])
     last = max(_LEAST_ROWS, len(pairs) - _LAST_ROWS) <= row
     computed = last and _rounds_to(pairs[:row].mean(axis=0), pairs[row], table, row)

@@ -27,6 +27,7 @@ REGIONS = ("lateral", "upper", "medial", "lower")
 WHOLE = "whole curve"
 _STEP_MM = 1.0  # between the points of a curve whose distance from another is taken
 _DETECTABLE_95 = 1.96 * math.sqrt(2)  # times the standard error: a change beyond it is one, 95 %
+_LONGEST_NUMBER = 16  # digits of a repeat; longer text is no count
 _ICC = "ICC(2,1)"  # absolute agreement of single measurements: whoever drew is taken from all who might
 
 
@@ -120,11 +121,14 @@ class ObserverStudy:
 def observer_study(drawings: Sequence[Drawing]) -> ObserverStudy:
     """Work out what persons' drawings differ by.
 
+    A person's drawings count in the order of `repeat`, not in the order given: 2 is before 10, and numbers are before
+    words.
+
     Raises:
         ValueError: no breast was drawn twice, or one person's drawing is there twice.
     """
     table: dict[str, dict[str, dict[str, Drawing]]] = {}
-    for drawing in drawings:
+    for drawing in sorted(drawings, key=lambda drawing: _order(drawing.repeat)):
         own = table.setdefault(drawing.breast, {}).setdefault(drawing.observer, {})
         if drawing.repeat in own:
             raise ValueError(f"two drawings {drawing.repeat} of {drawing.breast} by {drawing.observer}")
@@ -150,6 +154,11 @@ def observer_study(drawings: Sequence[Drawing]) -> ObserverStudy:
         apart_within=_apart([pair for pair in pairs if pair[0].observer == pair[1].observer]),
         apart_between=_apart([pair for pair in pairs if pair[0].observer != pair[1].observer]),
     )
+
+
+def _order(repeat: str) -> tuple[bool, int, str]:
+    number = int(repeat) if repeat.isdecimal() and len(repeat) < _LONGEST_NUMBER else None
+    return (number is None, number or 0, repeat)
 
 
 def scatter_of(groups: Sequence[Sequence[Float64[Array, " _"]]]) -> tuple[Scatter | None, Scatter | None]:

@@ -56,3 +56,43 @@ def test_one_drawing_or_no_mesh_is_refused(tmp_path: Path) -> None:
         read_drawn_by(tmp_path, Path("front.ply"))
     with pytest.raises(SessionError, match="--mesh"):
         read_drawn_by(tmp_path)
+
+
+def persons(folder: Path, *names: str) -> list[tuple[str, str]]:
+    for name in names:
+        (folder / name).write_text("{}")
+    return [(drawing.observer, drawing.repeat) for drawing in read_drawn_by(folder, Path("front.ply"))]
+
+
+def test_a_name_is_one_person_however_its_letters_are_stored(tmp_path: Path) -> None:
+    """MacOS stores ü as u and a mark, and some disks distinguish upper and lower case."""
+    found = persons(tmp_path, "j\u00fcrg-1.json", "ju\u0308rg-2.json", "Anna-1.json", "anna-02.json")
+    assert len(found) == 4
+    assert {name for name, _ in found} == {"Anna", found[-1][0]}
+    table = tmp_path / "who.csv"
+    table.write_text("boundary,observer,repeat\na.json,J\u00fcrg,1\nb.json,ju\u0308rg,1\n", encoding="utf-8")
+    with pytest.raises(TableError, match="row 3: found a second drawing 1"):
+        read_drawn_by(table, tmp_path / "front.ply")
+
+
+def test_one_drawing_under_two_names_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(SessionError, match=r"drawing 1 by Anna, as Anna-1\.json"):
+        persons(tmp_path, "Anna-1.json", "anna-1.json", "ben.json")
+
+
+@pytest.mark.parametrize(
+    "name", ["anna-1 (1).json", "anna-1 copy.json", "anna-1 - Kopie (2).json", "Copy of anna-1.json"]
+)
+def test_copies_are_refused_by_name(tmp_path: Path, name: str) -> None:
+    with pytest.raises(SessionError, match="a copy, by its name"):
+        persons(tmp_path, "anna-1.json", name)
+
+
+def test_words_that_need_their_number_name_a_person_with_it(tmp_path: Path) -> None:
+    found = persons(tmp_path, "rater-1.json", "rater-2.json", "Rater-3-1.json", "Rater-3-2.json")
+    assert sorted(found) == [("Rater-3", "1"), ("Rater-3", "2"), ("rater-1", "1"), ("rater-2", "1")]
+
+
+def test_what_systems_leave_in_a_folder_is_no_drawing(tmp_path: Path) -> None:
+    (tmp_path / "._anna-1.json").write_bytes(b"\x00\x05\x16\x07\x00\x02\x00\x00Mac OS X")
+    assert persons(tmp_path, ".DS_Store", "anna-1.json", "ben-1.json") == [("anna", "1"), ("ben", "1")]

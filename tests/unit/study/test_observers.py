@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from mammometry.study.icc import intraclass_correlations
 from mammometry.study.observers import WHOLE, Drawing, distances_by_region_mm, observer_study, scatter_of
 
 # Shrout and Fleiss 1979, Table 2: four judges, six targets.
@@ -140,3 +141,19 @@ def test_a_curve_that_reaches_further_towards_the_armpit_differs_there() -> None
 def test_what_tells_nothing_is_refused(drawings: list[Drawing]) -> None:
     with pytest.raises(ValueError, match=r"drawn twice|two drawings"):
         observer_study(drawings)
+
+
+def test_first_drawings_are_those_of_the_first_repeat_whatever_the_order_of_rows() -> None:
+    volumes = {("anna", 1): (100, 210, 290), ("anna", 2): (130, 180, 330), ("ben", 1): (104, 205, 296)}
+    drawings = [
+        drawing(breast, observer, repeat, cc)
+        for (observer, repeat), row in volumes.items()
+        for breast, cc in zip("xyz", row, strict=True)
+    ]
+    found, turned = observer_study(drawings), observer_study(drawings[::-1])
+    assert found.icc_between is not None
+    assert turned.icc_between is not None
+    assert turned.icc_between.value == pytest.approx(found.icc_between.value)
+    first = np.array([volumes["anna", 1], volumes["ben", 1]], float).T
+    (expected,) = (form for form in intraclass_correlations(first) if form.shrout_fleiss == "ICC(2,1)")
+    assert found.icc_between.value == pytest.approx(expected.value)

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from mammometry.base.errors import MammometryError, SettingsError
+from mammometry.base.listing import visible
 from mammometry.base.photograph import Photograph
 from mammometry.capture.camera import BACKENDS, CameraSettings, Clock, Devices, Frame, Health, failed
 from mammometry.capture.checks import camera_of_name
@@ -106,9 +107,7 @@ class WatchedFolder:
     def _files(self) -> list[Path]:
         try:
             return sorted(
-                path
-                for path in self._folder.iterdir()
-                if path.suffix.lower() in EXTENSIONS and not path.name.startswith(".") and path.is_file()
+                path for path in visible(self._folder) if path.suffix.lower() in EXTENSIONS and path.is_file()
             )
         except OSError:
             return []

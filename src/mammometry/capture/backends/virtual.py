@@ -20,6 +20,7 @@ import numpy as np
 
 from mammometry.api.job import open_session
 from mammometry.base.errors import SettingsError
+from mammometry.base.listing import visible
 from mammometry.base.photograph import Photograph
 from mammometry.calibration.judge.expected_error import middle_world
 from mammometry.calibration.targets.lamps import LAMPS
@@ -113,7 +114,7 @@ class VirtualRig:
     def poses(self) -> tuple[str, ...]:
         """Poses of the target that were rendered."""
         folder = self._folder / "calibration"
-        return tuple(sorted(path.name for path in folder.iterdir() if path.is_dir())) if folder.is_dir() else ()
+        return tuple(path.name for path in visible(folder) if path.is_dir())
 
     def arm(self) -> None:
         """Make the cameras wait for `fire`."""
@@ -211,7 +212,7 @@ class VirtualRig:
         if scene == "lamps":
             return {}
         folder = self._folder / ("capture" if scene == "capture" else f"calibration/{scene}")
-        files = {p.stem: p for p in sorted(folder.iterdir()) if p.suffix in EXTENSIONS} if folder.is_dir() else {}
+        files = {path.stem: path for path in visible(folder) if path.suffix in EXTENSIONS}
         if scene == "capture" and (missing := [name for name in self._cameras if name not in files]):
             raise SettingsError(
                 str(folder), found="no photograph by " + ", ".join(missing), expected="one of every camera of the rig",

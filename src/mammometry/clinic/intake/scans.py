@@ -17,6 +17,7 @@ from typing import Any
 
 from django.core.files.uploadedfile import UploadedFile
 
+from mammometry.base.listing import is_hidden
 from mammometry.base.parse import LimitSettings
 from mammometry.capture.checks import not_only_a_photograph
 from mammometry.clinic.intake.uploads import UploadError
@@ -59,7 +60,7 @@ def taken_in(files: Sequence[UploadedFile[Any]], about: Scan, *, units: str | No
         if len(files) == 1 and _suffix(files[0].name) == ".zip":
             _unpack(files[0], folder, most)
         else:
-            for sent in files:
+            for sent in (sent for sent in files if not is_hidden(sent.name or "")):
                 with _new(folder, sent.name or "").open("xb") as file:
                     for chunk in sent.chunks():
                         file.write(chunk)
@@ -92,7 +93,7 @@ def _unpack(packed: UploadedFile[Any], folder: Path, most: int) -> None:
 
 def _is_wanted(member: zipfile.ZipInfo) -> bool:
     path = PurePosixPath(member.filename.replace("\\", "/"))
-    hidden = any(part.startswith((".", "__MACOSX")) for part in path.parts if part != "..")
+    hidden = any(is_hidden(part) for part in path.parts if part != "..")
     return not member.is_dir() and not hidden and path.suffix.lower() in _KINDS
 
 

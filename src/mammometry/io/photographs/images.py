@@ -17,6 +17,7 @@ import numpy as np
 from PIL import Image, UnidentifiedImageError
 
 from mammometry.base.errors import ImageError, MammometryError
+from mammometry.base.listing import visible
 from mammometry.base.parse import LimitSettings, require_file
 from mammometry.base.photograph import Photograph
 from mammometry.geometry.arrays import Array, Bool, UInt8
@@ -196,8 +197,8 @@ def megapixels_of(folder: Path, limits: LimitSettings = LimitSettings()) -> floa
         ImageError: one is unreadable.
     """
     total = 0
-    for path in sorted(folder.iterdir()):
-        if path.suffix.lower() in EXTENSIONS and not path.name.startswith("."):
+    for path in visible(folder):
+        if path.suffix.lower() in EXTENSIONS:
             width, height = read_header(path, path.name, limits).stored_wh
             total += width * height
     return round(total / 1e6, 3)
