@@ -64,6 +64,16 @@ def test_every_object_is_valid_to_pydicom(made: list[Dataset], monkeypatch: pyte
         assert there.AccessionNumber == "A123"
 
 
+@pytest.mark.parametrize(("kind", "stated"), [("torso", {"ImageLaterality": "B"}), ("model", {"Laterality": ""})])
+def test_pictures_of_a_paired_structure_state_their_side(tmp_path: Path, kind: str, stated: dict[str, str]) -> None:
+    """PS3.3, C.7.3.1: Laterality, type 2C, unless Image Laterality is there. dciodvfy missed both."""
+    pictures = of_kind(objects(replace(exported(tmp_path), kind=kind), ANNA, ORDER), "XC")
+    assert len(pictures) == 3
+    for picture in pictures:
+        found = {name: picture[name].value or "" for name in ("ImageLaterality", "Laterality") if name in picture}
+        assert found == stated
+
+
 def test_documents_are_held_as_they_were(made: list[Dataset], tmp_path: Path) -> None:
     source = exported(tmp_path)
     held = {

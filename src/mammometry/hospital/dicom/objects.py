@@ -74,6 +74,7 @@ def image(study: Study, source: Jpeg | Photograph, *, series: tuple[str, int, st
     made.AcquisitionContextSequence = Sequence([])
     made.AnatomicRegionSequence = Sequence([coded(BREAST)])
     made.PatientOrientation = ["", ""]
+    _lateral(made, study)
     made.BurnedInAnnotation = "NO"
     made.RecognizableVisualFeatures = "YES"
     made.BitsAllocated = made.BitsStored = 8
@@ -84,6 +85,18 @@ def image(study: Study, source: Jpeg | Photograph, *, series: tuple[str, int, st
     else:
         _put_pixels(made, source)
     return made
+
+
+def _lateral(made: Dataset, study: Study) -> None:
+    """Say that a picture of a trunk shows both breasts.
+
+    The breast is a paired structure, so that Image Laterality or, at least empty, Laterality is required (PS3.3, Table
+    C.7-5a, type 2C). A cast's side is not known.
+    """
+    if study.exported.kind == "torso":
+        made.ImageLaterality = "B"
+    else:
+        made.Laterality = ""
 
 
 def baseline(path: Path) -> Jpeg | None:
