@@ -114,20 +114,6 @@ class Session:
         """All cameras of the pairs, each once, in the manifest's order."""
         return tuple(dict.fromkeys(camera for pair in self.pair_names.values() for camera in pair))
 
-    def photographs(self) -> Mapping[str, Photograph]:
-        """Camera → photograph of the subject, read or refused at look-up.
-
-        Raises:
-            SessionError: a camera's photograph is there twice.
-        """
-        return _Lazy(
-            self._all_capture_files(), lambda camera, path: read_photograph(path, self._name(path), self.limits)
-        )
-
-    def calibration_photographs(self) -> Mapping[tuple[str, str], Photograph]:
-        """(pose, camera) → photograph of the target, ordered, read at look-up."""
-        return _Lazy(self._calibration_files(), lambda shot, path: read_photograph(path, self._name(path), self.limits))
-
     def measured_points(self) -> dict[tuple[str, str], MeasuredPoints]:
         """(pose, camera) → table of target points beside that calibration photograph.
 
@@ -135,13 +121,6 @@ class Session:
             SessionError: a table that is not ``id,u,v`` a line.
         """
         return {shot: _read_points(path, self._name(path)) for shot, path in self._points_files().items()}
-
-    def intrinsics_photographs(self) -> dict[str, Mapping[tuple[str, str], Photograph]]:
-        """Camera → (exposure, camera) → intrinsics photograph, read at look-up."""
-        return {
-            camera: _Lazy(files, lambda shot, path: read_photograph(path, self._name(path), self.limits))
-            for camera, files in self._intrinsics_files().items()
-        }
 
     def image_set(
         self, folder: Path
@@ -235,33 +214,48 @@ class Session:
         }
         files |= {f"points/{pose}/{camera}": path for (pose, camera), path in self._points_files().items()}
         files |= {f"masks/{camera}": path for camera, path in masks.items()}
-        digests: Mapping[str, Callable[[], str]] = {
+        made: Mapping[str, Callable[[], str]] = {
             **{f"capture/{camera}": lambda: MISSING for camera in capture},
             **known,
             **{name: lambda path=path: _file_digest(path) for name, path in files.items()},  # type: ignore[misc]
         }
+        digests = _Kept(made, lambda name, digest: digest())
+
+        def photograph(name: str, path: Path) -> Photograph:
+            """Read what the digest in a product's key was made of, and nothing else."""
+            digest = digests.get(name)
+            return read_photograph(path, self._name(path), self.limits, digest=None if digest == MISSING else digest)
+
         return Inputs(
             rig_name=manifest.rig.name,
             pair_names=self.pair_names,
             mounting=manifest.rig.turned,
             subject_kind=manifest.subject.kind,
             rim_radius_mm=manifest.subject.rim_radius_mm,
-            photographs=self.photographs(),
+            photographs=_Lazy(capture, lambda camera, path: photograph(f"capture/{camera}", path)),
             target=None if manifest.target is None else target_from_table(manifest.target),
-            calibration_photographs=self.calibration_photographs(),
+            calibration_photographs=_Lazy(
+                calibration, lambda shot, path: photograph(f"calibration/{shot[0]}/{shot[1]}", path)
+            ),
             measured_points={} if cameras is not None else self.measured_points(),
             intrinsics_target=None if manifest.intrinsics is None else target_from_table(manifest.intrinsics.target),
-            intrinsics_photographs={} if cameras is not None else self.intrinsics_photographs(),
+            intrinsics_photographs={
+                camera: _Lazy(shots, lambda shot, path: photograph(f"intrinsics/{shot[1]}/{shot[0]}", path))
+                for camera, shots in intrinsics.items()
+            },
             cameras=cameras,
             priors={} if cameras is not None else self._priors(),
-            masks=_Lazy(masks, lambda camera, path: self._checked_mask(camera, path, capture[camera])),
+            masks=_Lazy(
+                masks,
+                lambda camera, path: self._checked_mask(camera, path, capture[camera], digests[f"masks/{camera}"]),
+            ),
             boundaries=drawn.curves,
             automatic=drawn.automatic,
             removed=drawn.removed,
             attributions=drawn.attributions,
             landmarks=landmarks,
             wall=read_wall(wall) if wall.is_file() else None,
-            digests=_Lazy(digests, lambda name, digest: digest()),
+            digests=digests,
         )
 
     # --- files ---
@@ -392,7 +386,7 @@ class Session:
             headers: dict[str, ImageHeader] = {self._name(file): self._header(file) for file in files}
             check_sizes(headers, camera, None if cameras is None else cameras[camera].size_wh)
 
-    def _checked_mask(self, camera: str, path: Path, photograph: Path) -> Array:
+    def _checked_mask(self, camera: str, path: Path, photograph: Path, digest: str) -> Array:
         width, height = self._header(photograph).size_wh
         size_wh = self._header(path).size_wh
         if size_wh != (width, height):
@@ -401,7 +395,7 @@ class Session:
             raise ImageError(
                 self._name(path), found=f"{size_wh[0]} × {size_wh[1]} pixels", expected=expected, remedy=remedy
             )
-        return read_mask(path, self._name(path), self.limits)
+        return read_mask(path, self._name(path), self.limits, digest=digest)
 
     def _header(self, path: Path) -> ImageHeader:
         return read_header(path, self._name(path), self.limits)
@@ -442,6 +436,19 @@ class _Lazy(Mapping[K, V], Generic[K, V]):
         return key in self._sources
 
 
+class _Kept(_Lazy[K, V]):
+    """A mapping whose values are made at the first look-up and then kept."""
+
+    def __init__(self, sources: Mapping[K, object], make: Callable[..., V]) -> None:
+        super().__init__(sources, make)
+        self._values: dict[K, V] = {}
+
+    def __getitem__(self, key: K) -> V:
+        if key not in self._values:
+            self._values[key] = super().__getitem__(key)
+        return self._values[key]
+
+
 def _folders(folder: Path) -> list[Path]:
     return [path for path in visible(folder) if path.is_dir()]
 
@@ -456,10 +463,10 @@ def _digest_of(value: object) -> str:
 
 
 def _file_digest(path: Path) -> str:
-    """SHA-256 of a file's content. Remembered while size and modification time stay."""
+    """SHA-256 of a file's content. Remembered while its times, size and place on the disk stay."""
     try:
         status = path.stat()
-        return _hashed(path, status.st_size, status.st_mtime_ns)
+        return _hashed(path, (status.st_size, status.st_mtime_ns, status.st_ctime_ns, status.st_ino))
     except OSError as error:
         remedy = "Check it and its permissions"
         raise ImageError(
@@ -468,6 +475,6 @@ def _file_digest(path: Path) -> str:
 
 
 @lru_cache(maxsize=4096)
-def _hashed(path: Path, size: int, modified_ns: int) -> str:
+def _hashed(path: Path, about: tuple[int, ...]) -> str:
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()

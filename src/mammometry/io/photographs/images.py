@@ -1,17 +1,18 @@
 """Photographs and masks: JPEG, PNG, TIFF, 8 or 16 bit. The content decides the format, not the name.
 
-TIFF is read by tifffile and imagecodecs, size and pixels as the camera meant them.
+Every photograph is read here, and a damaged one is refused: decoders fill in what is damaged and report nothing.
 """
 
 from __future__ import annotations
 
-import logging
+import hashlib
+import io
 import struct
+import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from PIL import Image, UnidentifiedImageError
@@ -21,97 +22,16 @@ from mammometry.base.listing import visible
 from mammometry.base.parse import LimitSettings, require_file
 from mammometry.base.photograph import Photograph
 from mammometry.geometry.arrays import Array, Bool, UInt8
-
-if TYPE_CHECKING:
-    from tifffile import TiffPage
-
-
-SIGNATURES = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
-"""First bytes of a TIFF or BigTIFF."""
-_ORIENTATION = 274
-_MOST_SAMPLES = 8  # a channel count that no photograph has: refused before memory is allocated
-_COLOUR_SAMPLES = {"MINISWHITE": 1, "MINISBLACK": 1, "PALETTE": 1, "RGB": 3, "SEPARATED": 4, "YCBCR": 3}
-"""How a picture codes colour → samples of a pixel. What a file has beyond these is transparency, which is dropped."""
-_PLANES = 2  # PlanarConfiguration: a plane for each channel
-_JPEG_IN_TIFF = (6, 7, 34892)  # compressions that decode YCbCr to RGB
-
-
-class UnusualTiffError(ValueError):
-    """A TIFF that is whole, and codes something else than a photograph. Its text names what."""
-
-
-def tiff_header(path: Path) -> tuple[tuple[int, int], int, int]:
-    """Stored width and height in pixels, EXIF orientation or 1, bits a channel, of the first picture.
-
-    Raises:
-        UnusualTiffError: it holds something else than one picture.
-        Exception: it is damaged; tifffile raises anything.
-    """
-    with _first_page(path) as page:
-        tag = page.tags.get(_ORIENTATION)
-        orientation = tag.value if tag is not None and isinstance(tag.value, int) else 1
-        bits = page.bitspersample
-        if not isinstance(bits, int):
-            raise UnusualTiffError("channels of different depths")
-        return (page.imagewidth, page.imagelength), orientation, bits
-
-
-def tiff_is_truncated(path: Path) -> bool:
-    """Whether the file ends before its pixels do.
-
-    Raises:
-        Exception: it is damaged; tifffile raises anything.
-    """
-    with _first_page(path) as page:
-        if len(page.dataoffsets) != len(page.databytecounts):
-            raise ValueError("another number of offsets than of lengths")
-        ends = [start + length for start, length in zip(page.dataoffsets, page.databytecounts, strict=True)]
-        return max(ends, default=0) > path.stat().st_size
-
-
-def tiff_pixels(path: Path) -> Array:
-    """Decode the first picture as stored: (h, w) grey or (h, w, 3) RGB, 8 or 16 bit.
-
-    Planes, tiles, compressions, palettes, inverted grey and inks (CMYK) become grey or RGB; transparency is dropped.
-
-    Raises:
-        UnusualTiffError: it is coded in a way that is none of these.
-        Exception: it is damaged; tifffile raises anything.
-    """
-    with _first_page(path) as page:
-        coding = getattr(page.photometric, "name", "")
-        samples = _COLOUR_SAMPLES.get(coding)
-        if samples is None or (coding == "YCBCR" and page.compression not in _JPEG_IN_TIFF):
-            raise UnusualTiffError(f"colours coded as {coding or page.photometric}")
-        if page.dtype is None or page.dtype.kind != "u":
-            raise UnusualTiffError("pixels that are not whole numbers from 0 up")
-        pixels = page.asarray()
-        if page.planarconfig == _PLANES and page.samplesperpixel > 1:
-            pixels = np.moveaxis(pixels, 0, -1)
-        pixels = pixels.reshape(page.imagelength, page.imagewidth, -1)[..., :samples]
-        if coding == "PALETTE":
-            assert page.colormap is not None
-            return np.asarray((page.colormap >> 8).astype(np.uint8).T[pixels[..., 0]])
-    white = np.iinfo(pixels.dtype).max
-    if coding == "MINISWHITE":
-        return np.asarray(white - pixels[..., 0])
-    if coding == "SEPARATED":
-        light = (white - pixels).astype(np.float64)
-        return np.rint(light[..., :3] * light[..., 3:] / white).astype(pixels.dtype)
-    return np.asarray(pixels[..., 0] if samples == 1 else pixels)
-
-
-@contextmanager
-def _first_page(path: Path) -> Iterator[TiffPage]:
-    import tifffile
-
-    logging.getLogger("tifffile").setLevel(logging.CRITICAL)  # a damaged file is refused by us, in one sentence
-    with path.open("rb") as file, tifffile.TiffFile(file) as tiff:
-        page = tiff.pages.first
-        if page.samplesperpixel > _MOST_SAMPLES or page.imagedepth != 1:
-            raise UnusualTiffError(f"{page.samplesperpixel} channels in {page.imagedepth} layers")
-        yield page
-
+from mammometry.io.photographs.jpeg_stream import DamagedJpegError, check_jpeg
+from mammometry.io.photographs.seams import has_seam
+from mammometry.io.photographs.tiff import (
+    SIGNATURES,
+    DamagedTiffError,
+    UnusualTiffError,
+    tiff_header,
+    tiff_is_truncated,
+    tiff_pixels,
+)
 
 EXTENSIONS = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
 """File name endings that are taken for photographs. In any case."""
@@ -141,7 +61,6 @@ _OTHER_FORMATS = (
 )  # fmt: skip
 """Where a mark stands, the mark, and whose it is."""
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
-_JPEG_END = b"\xff\xd9"
 _PNG_TAGS = {b"eXIf", b"tEXt", b"zTXt", b"iTXt"}  # where an orientation may stand
 
 
@@ -179,7 +98,8 @@ def read_header(path: Path, name: str, limits: LimitSettings = LimitSettings()) 
             require_file(path, name, "a photograph", refusal=ImageError)
         tag: object
         if is_tiff(path):
-            size_wh, tag, bits = tiff_header(path)
+            with path.open("rb") as file:
+                size_wh, tag, bits = tiff_header(file)
         else:
             with Image.open(path, formats=FORMATS) as image:
                 size_wh, tag = image.size, exif_of(image, path).get(_EXIF_ORIENTATION)
@@ -205,33 +125,48 @@ def megapixels_of(folder: Path, limits: LimitSettings = LimitSettings()) -> floa
 
 
 def read_photograph(
-    path: Path, name: str, limits: LimitSettings = LimitSettings(), *, as_stored: bool = False
+    path: Path,
+    name: str,
+    limits: LimitSettings = LimitSettings(),
+    *,
+    as_stored: bool = False,
+    digest: str | None = None,
 ) -> Photograph:
     """Read a photograph, turned as its EXIF orientation says.
 
-    An alpha channel is dropped. Of a file with several pictures, as some cameras write them (MPO), the first is taken.
+    An alpha channel is dropped. Of a JPEG with several pictures, as some cameras write them (MPO), the first is taken;
+    of a TIFF the one at full size.
 
     Args:
         path: the file.
         name: what to call it in messages.
         limits: the size that it may have.
         as_stored: whether it is left as its pixels are stored, whatever its orientation.
+        digest: SHA-256 of the file as it was when what depends on it was planned. None: unknown.
 
     Raises:
-        ImageError: as `read_header`; it is truncated or damaged, or has neither 8 nor 16 bits a channel.
+        ImageError: as `read_header`; it is truncated or damaged, has neither 8 nor 16 bits a channel, or is another
+            file than `digest` says.
     """
     header = read_header(path, name, limits)
     if header.bits not in (8, 16):
         remedy = "Export it as an ordinary JPEG, PNG or TIFF"
         raise ImageError(name, found=f"{header.bits} bits a channel", expected="8 or 16 bits", remedy=remedy)
     with _reading(path, name):
-        _require_complete(path, name)
-        if is_tiff(path):
-            pixels = tiff_pixels(path)
-        else:
-            pixels = _decoded_8bit(path) if header.bits == 8 else _decoded_16bit_png(path)
+        content = path.read_bytes()
+        found = hashlib.sha256(content).hexdigest()
+        if digest not in (None, found):
+            raise ImageError(
+                name,
+                found="a file that was replaced during the run",
+                expected="the same file from beginning to end",
+                remedy="Wait until all photographs are copied, then run the same command again",
+            )
+        pixels = _pixels(content, header, checked=found in _undamaged)
         if pixels.shape[1::-1] != header.stored_wh:
             raise ValueError(f"{pixels.shape} pixels, which its header does not state")
+        if len(_undamaged) < _MOST_REMEMBERED:
+            _undamaged.add(found)
     transpose, flip_rows, flip_columns = _UPRIGHT[1 if as_stored else header.orientation]
     if transpose:
         pixels = pixels.swapaxes(0, 1)
@@ -258,13 +193,15 @@ def read_plain_picture(
         return np.array(image.convert("RGB"))
 
 
-def read_mask(path: Path, name: str, limits: LimitSettings = LimitSettings()) -> Bool[Array, "h w"]:
+def read_mask(
+    path: Path, name: str, limits: LimitSettings = LimitSettings(), *, digest: str | None = None
+) -> Bool[Array, "h w"]:
     """Read a foreground mask: subject where grey reaches half its range.
 
     Raises:
         ImageError: as `read_photograph`.
     """
-    values = read_photograph(path, name, limits).encoded()
+    values = read_photograph(path, name, limits, digest=digest).encoded()
     return np.asarray((values if values.ndim == 2 else values.mean(axis=2)) >= 0.5)
 
 
@@ -352,41 +289,60 @@ def _reading(path: Path, name: str) -> Iterator[None]:
         raise _unreadable(path, name, error) from None
 
 
-def _decoded_8bit(path: Path) -> Array:
-    with Image.open(path, formats=FORMATS) as image:
-        if image.format == "JPEG" and image.mode in ("L", "RGB"):
-            pixels = _decoded_jpeg(path, grey=image.mode == "L")
-            if pixels is not None:
-                return pixels
+_undamaged: set[str] = set()
+"""Digests of files that were checked. A run reads its photographs several times."""
+_MOST_REMEMBERED = 10_000  # digests: 1 MB
+
+
+def _pixels(content: bytes, header: ImageHeader, *, checked: bool) -> Array:
+    """Check and decode a file.
+
+    Raises:
+        Exception: it is damaged. A damaged file is refused although a decoder would show it.
+    """
+    if content.startswith(SIGNATURES):
+        if tiff_is_truncated(io.BytesIO(content)):
+            raise DamagedTiffError("it is truncated")
+        return tiff_pixels(io.BytesIO(content))
+    if content.startswith(_PNG_SIGNATURE):
+        if not checked:
+            _check_png(content)
+        return _by_pillow(content) if header.bits == 8 else _decoded_16bit_png(content)
+    layout = None if checked else check_jpeg(content)
+    pixels = _decoded_jpeg(content)
+    if layout is not None and has_seam(pixels, layout):
+        raise DamagedJpegError("its brightness changes from one row of blocks to the next")
+    return pixels
+
+
+def _by_pillow(content: bytes) -> Array:
+    with Image.open(io.BytesIO(content), formats=FORMATS) as image:
         image.load()
         grey = image.mode in ("L", "LA", "1")
         return np.array(image if image.mode in ("L", "RGB") else image.convert("L" if grey else "RGB"))
 
 
-def _decoded_jpeg(path: Path, *, grey: bool) -> Array | None:
-    """Decode a JPEG with OpenCV.
+def _decoded_jpeg(content: bytes) -> Array:
+    """Decode a JPEG with OpenCV, or inks with Pillow.
 
-    It has the same library as Pillow, and takes half the time: it makes no copy of the pixels.
-
-    None where the file does not end as a JPEG should: OpenCV fills what is missing and reports nothing, Pillow reports.
+    OpenCV has the same library as Pillow, and takes half the time: it makes no copy of the pixels.
     """
     import cv2
 
-    coded = np.fromfile(path, dtype=np.uint8)
-    if bytes(coded[-2:]) != _JPEG_END:
-        return None
-    colours = cv2.IMREAD_GRAYSCALE if grey else cv2.IMREAD_COLOR_RGB
-    try:
-        pixels = cv2.imdecode(coded, colours | cv2.IMREAD_IGNORE_ORIENTATION)
-    except cv2.error:
-        return None
-    return None if pixels is None else np.asarray(pixels)
+    with Image.open(io.BytesIO(content), formats=FORMATS) as image:
+        mode = image.mode
+    if mode in ("L", "RGB"):
+        colours = cv2.IMREAD_GRAYSCALE if mode == "L" else cv2.IMREAD_COLOR_RGB
+        pixels = cv2.imdecode(np.frombuffer(content, dtype=np.uint8), colours | cv2.IMREAD_IGNORE_ORIENTATION)
+        if pixels is not None:
+            return np.asarray(pixels)
+    return _by_pillow(content)
 
 
-def _decoded_16bit_png(path: Path) -> Array:
+def _decoded_16bit_png(content: bytes) -> Array:
     from imagecodecs import png_decode  # Pillow reduces 16-bit colour to 8
 
-    pixels = np.asarray(png_decode(path.read_bytes()))
+    pixels = np.asarray(png_decode(content))
     if pixels.ndim == 3:
         pixels = pixels[..., 0] if pixels.shape[2] <= 2 else pixels[..., :3]
     return pixels
@@ -429,13 +385,21 @@ def _png_chunks(path: Path) -> Iterator[tuple[bytes, int]]:
             yield kind, position
 
 
-def _require_complete(path: Path, name: str) -> None:
-    """Find truncation before a decoder does. Some decoders fill the rest with grey and report nothing."""
-    size = path.stat().st_size
-    if any(end > size for _, end in _png_chunks(path)):
-        raise _truncated(name)
-    if is_tiff(path) and tiff_is_truncated(path):
-        raise _truncated(name)
+def _check_png(content: bytes) -> None:
+    """Require each part of a PNG to have the checksum that it was written with.
+
+    Raises:
+        ValueError: one has another.
+    """
+    place, kind = len(_PNG_SIGNATURE), b""
+    while kind != b"IEND":
+        length, kind = struct.unpack_from(">I4s", content, place)
+        end = place + 8 + length
+        if end + 4 > len(content):
+            raise ValueError("it is truncated")
+        if zlib.crc32(memoryview(content)[place + 4 : end]) != int.from_bytes(content[end : end + 4], "big"):
+            raise ValueError("it is damaged")
+        place = end + 4
 
 
 def _truncated(name: str) -> ImageError:
@@ -463,8 +427,13 @@ def _unreadable(path: Path, name: str, error: BaseException | None) -> ImageErro
     if isinstance(error, UnusualTiffError):
         remedy = "Export it as an ordinary JPEG, PNG or TIFF"
         return ImageError(name, found=str(error), expected="a photograph, grey or RGB, of 8 or 16 bits", remedy=remedy)
-    if error is not None and "truncated" in str(error).lower():
+    if error is not None and ("truncated" in str(error).lower() or isinstance(error, struct.error)):
         return _truncated(name)
+    if isinstance(error, (DamagedJpegError, DamagedTiffError)):
+        remedy = "Copy it again from the camera"
+        return ImageError(
+            name, found=f"a damaged image ({error})", expected="every pixel as it was written", remedy=remedy
+        )
     if isinstance(error, OSError) and error.errno is not None:
         found = f"a file that cannot be read ({error.strerror})"
         return ImageError(name, found=found, expected="a photograph", remedy="Check the path and what it leads to")

@@ -1,0 +1,304 @@
+"""Whether a JPEG is whole: every coded pixel is read as ITU-T T.81 codes it, without making a picture.
+
+libjpeg, and with it every program that shows photographs, fills in what is damaged.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from mammometry.geometry.arrays import Array, Int64, UInt8
+from mammometry.io.photographs import entropy_kernels as kernels
+
+_FRAMES = (0xC0, 0xC1, 0xC2)  # start of frame: baseline, extended sequential, progressive (T.81, table B.1)
+_OTHER_FRAMES = {*range(0xC3, 0xD0)} - {0xC4, 0xC8, 0xCC}  # lossless, differential, arithmetic
+_DHT, _DQT, _DRI, _SOS, _EOI, _SOI, _TEM = 0xC4, 0xDB, 0xDD, 0xDA, 0xD9, 0xD8, 0x01  # markers (T.81, table B.1)
+_FIRST_RESTART = 0xD0  # RST0, which seven others follow
+_AMPLITUDE = 1024  # largest mean of a block of 8-bit samples, level-shifted, as the transform scales it: 8 × 128
+_ALIGNMENT = 7  # bits at most that fill the last byte of a stretch
+
+
+class DamagedJpegError(ValueError):
+    """A JPEG whose pixels are not as T.81 codes them. Its text says where."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Layout:
+    """In which order the blocks of a JPEG's brightness are coded."""
+
+    unit_wh: tuple[int, int]
+    """Size of what is coded at once, pixels."""
+    units_across: int
+    """Of these in a row."""
+    interval: int
+    """Of these between restart markers. 0: there are none."""
+
+
+@dataclass(frozen=True)
+class _Component:
+    number: int
+    across: int
+    down: int
+    quantization: int
+    first_block: int
+    blocks_wh: tuple[int, int]
+    """In the picture."""
+    stored_blocks_wh: tuple[int, int]
+    """In whole units of all components."""
+
+
+@dataclass
+class _Decoder:
+    """What the markers have said so far."""
+
+    tables: Array = field(default_factory=lambda: np.zeros((8, 65536 + 1024), dtype=np.uint16))
+    known_tables: set[int] = field(default_factory=set)
+    dc_steps: dict[int, int] = field(default_factory=dict)
+    interval: int = 0
+    """Units between restart markers. 0: none."""
+    components: dict[int, _Component] = field(default_factory=dict)
+    units_wh: tuple[int, int] = (0, 0)
+    progressive: bool = False
+    layout: Layout | None = None
+    coded: set[int] = field(default_factory=set)
+    """Components whose mean brightness has been read."""
+    dc: Array = field(default_factory=lambda: np.zeros(0, dtype=np.int32))
+    known: Array = field(default_factory=lambda: np.zeros((1, 64), dtype=np.uint8))
+
+
+def check_jpeg(content: bytes, tables: bytes | None = None) -> Layout:
+    """Require that all pixels of the first picture of a JPEG are there, and are coded as they must be.
+
+    What follows the first picture does not matter: cameras put previews there.
+
+    Args:
+        content: the file, or the part of a TIFF.
+        tables: tables that a TIFF keeps apart.
+
+    Raises:
+        DamagedJpegError: they are not.
+    """
+    decoder = _Decoder()
+    try:
+        if tables:
+            _read(np.frombuffer(tables, dtype=np.uint8), decoder)
+        _read(np.frombuffer(content, dtype=np.uint8), decoder)
+    except DamagedJpegError:
+        raise
+    except IndexError:
+        raise DamagedJpegError("it is truncated") from None
+    except (KeyError, ValueError):
+        raise DamagedJpegError("its markers contradict each other") from None
+    if decoder.layout is None or decoder.coded != set(decoder.components):
+        raise DamagedJpegError("some of its pixels are missing")
+    return decoder.layout
+
+
+def _read(data: UInt8[Array, " n"], decoder: _Decoder) -> None:
+    """Read markers and scans up to the end of the first picture."""
+    after = np.flatnonzero(data[:-1] == 0xFF) + 1
+    codes = data[after]
+    real = (codes != 0) & (codes != 0xFF)
+    marks, codes = after[real] - 1, codes[real]
+    restart = (codes & 0xF8) == _FIRST_RESTART
+    stops, restarts = marks[~restart], marks[restart]
+    place = 0
+    while True:
+        while data[place] == 0xFF and data[place + 1] == 0xFF:
+            place += 1
+        if data[place] != 0xFF:
+            raise DamagedJpegError("something stands where a marker should")
+        marker = int(data[place + 1])
+        place += 2
+        if marker == _EOI:
+            return
+        if marker in (_SOI, _TEM):
+            continue
+        length = _number(data, place)
+        segment = data[place + 2 : place + length]
+        if length < 2 or len(segment) != length - 2:
+            raise DamagedJpegError("it is truncated")
+        place += length
+        if marker == _SOS:
+            stop = np.searchsorted(stops, place)
+            if stop == len(stops):
+                raise DamagedJpegError("it is truncated")
+            end = int(stops[stop])
+            cuts = restarts[np.searchsorted(restarts, place) : np.searchsorted(restarts, end)]
+            _walk(segment, data, place, end, cuts, decoder)
+            place = end
+        else:
+            _define(marker, segment, decoder)
+
+
+def _define(marker: int, segment: UInt8[Array, " n"], decoder: _Decoder) -> None:
+    if marker == _DHT:
+        for number, table in _huffman_tables(segment):
+            decoder.tables[number] = table
+            decoder.known_tables.add(number)
+    elif marker == _DQT:
+        decoder.dc_steps |= _dc_steps(segment)
+    elif marker == _DRI:
+        decoder.interval = _number(segment, 0)
+    elif marker in _FRAMES:
+        if decoder.components:
+            raise DamagedJpegError("it has two beginnings")
+        _start(segment, decoder)
+        decoder.progressive = marker == _FRAMES[2]
+        if decoder.progressive:
+            decoder.known = np.zeros((len(decoder.dc), 64), dtype=np.uint8)
+    elif marker in _OTHER_FRAMES:
+        raise DamagedJpegError("its pixels are coded as no camera codes them")
+
+
+def _number(data: UInt8[Array, " n"], place: int) -> int:
+    return int(data[place]) << 8 | int(data[place + 1])
+
+
+def _huffman_tables(segment: UInt8[Array, " n"]) -> Iterator[tuple[int, Array]]:
+    """Number of each table, DC from 0 and AC from 4, and symbol + 256 × length by the next 16 bits (T.81, C.2)."""
+    place = 0
+    while place < len(segment):
+        kind, number = segment[place] >> 4, segment[place] & 15
+        counts = segment[place + 1 : place + 17].astype(np.int64)
+        symbols = segment[place + 17 : place + 17 + counts.sum()].astype(np.uint16)
+        lengths = np.repeat(np.arange(1, 17), counts)
+        if kind > 1 or number > 3 or len(counts) != 16 or len(symbols) != len(lengths):
+            raise DamagedJpegError("its tables contradict each other")
+        spans = 1 << (16 - lengths)
+        if spans.sum() > 65536:
+            raise DamagedJpegError("its tables contradict each other")
+        table = np.zeros(65536, dtype=np.uint16)
+        table[: spans.sum()] = np.repeat(symbols | (lengths << 8).astype(np.uint16), spans)
+        short = np.where(table[::64] >> 8 <= 10, table[::64], 0)
+        yield int(4 * kind + number), np.concatenate([table, short])
+        place += 17 + len(symbols)
+
+
+def _dc_steps(segment: UInt8[Array, " n"]) -> dict[int, int]:
+    """Step of DC by the table's number."""
+    steps: dict[int, int] = {}
+    place = 0
+    while place < len(segment):
+        wide, number = int(segment[place] >> 4), int(segment[place] & 15)
+        steps[number] = _number(segment, place + 1) if wide else int(segment[place + 1])
+        place += 1 + 64 * (1 + wide)
+    if place != len(segment) or 0 in steps.values():
+        raise DamagedJpegError("its tables contradict each other")
+    return steps
+
+
+def _start(segment: UInt8[Array, " n"], decoder: _Decoder) -> None:
+    """Lay out the blocks of all components (T.81, A.2)."""
+    height, width, count = _number(segment, 1), _number(segment, 3), int(segment[5])
+    parts = segment[6 : 6 + 3 * count].reshape(count, 3)
+    across, down = parts[:, 1] >> 4, parts[:, 1] & 15
+    if segment[0] != 8 or not count or not width or not height or not np.all(across) or not np.all(down):
+        raise DamagedJpegError("its header is damaged")
+    widest, highest = int(across.max()), int(down.max())
+    units_wide, units_high = -(-width // (8 * widest)), -(-height // (8 * highest))
+    first = 0
+    for (number, _, quantization), h, v in zip(parts.tolist(), across.tolist(), down.tolist(), strict=True):
+        blocks = (-(-width * h // (8 * widest)), -(-height * v // (8 * highest)))
+        stored = (units_wide * h, units_high * v)
+        decoder.components[number] = _Component(number, h, v, quantization, first, blocks, stored)
+        first += stored[0] * stored[1]
+    decoder.units_wh = (units_wide, units_high)
+    decoder.dc = np.zeros(first, dtype=np.int32)
+
+
+def _walk(
+    header: UInt8[Array, " h"], data: UInt8[Array, " n"], start: int, end: int, cuts: Int64[Array, " r"],
+    decoder: _Decoder,
+) -> None:  # fmt: skip
+    """Read one scan.
+
+    Args:
+        header: behind the marker's length.
+        data: the file.
+        start: first byte of the scan in it.
+        end: first byte behind.
+        cuts: where its restart markers stand.
+        decoder: what is known so far; what is read is added.
+    """
+    count = int(header[0])
+    parts = [
+        (decoder.components[int(number)], int(tables) >> 4, 4 + (int(tables) & 15))
+        for number, tables in header[1 : 1 + 2 * count].reshape(count, 2)
+    ]
+    first, last, bits = (int(value) for value in header[1 + 2 * count : 4 + 2 * count])
+    scan = _kind(decoder, parts, (first, last, bits >> 4, bits & 15))
+    alone = parts[0][0] if count == 1 else None
+    across, down = decoder.units_wh if alone is None else alone.blocks_wh
+    total = across * down
+    interval = decoder.interval or total
+    components = np.array(
+        [
+            (1 if alone else part.across, 1 if alone else part.down, part.stored_blocks_wh[0], part.first_block,
+             dc << 4 | ac, _AMPLITUDE // decoder.dc_steps[part.quantization] + 2)
+            for part, dc, ac in parts
+        ],
+        dtype=np.int64,
+    )  # fmt: skip
+    wanted = _FIRST_RESTART + np.arange(-(-total // interval) - 1) % 8
+    if not np.array_equal(data[cuts + 1], wanted):
+        raise DamagedJpegError("its restart markers are missing or out of order")
+    plain, spans = _without_stuffing(data, start, end, cuts)
+    units = np.array([across, total, interval], dtype=np.int64)
+    read, left = kernels.walk(plain, spans, decoder.tables, components, units, scan, decoder.dc, decoder.known)
+    spare = plain[spans[-1, 1] // 8 - left // 8 : spans[-1, 1] // 8]
+    if read < total or (left > _ALIGNMENT and np.any(spare)):  # some programs fill a file's last sector with zeros
+        raise DamagedJpegError(f"its pixels are damaged about {100.0 * read / total:.0f} % from the top")
+    if scan[0] in (kernels.SEQUENTIAL, kernels.DC_FIRST):
+        decoder.coded |= {part.number for part, _, _ in parts}
+        if decoder.layout is None:
+            every = decoder.components.values()
+            wide, high = max(part.across for part in every), max(part.down for part in every)
+            unit_wh = (8 * wide // alone.across, 8 * high // alone.down) if alone else (8 * wide, 8 * high)
+            decoder.layout = Layout(unit_wh=unit_wh, units_across=across, interval=decoder.interval)
+
+
+def _kind(
+    decoder: _Decoder, parts: list[tuple[_Component, int, int]], scan: tuple[int, int, int, int]
+) -> Int64[Array, " 4"]:
+    """Kind of a scan as the kernels name it, band and shift."""
+    first, last, before, shift = scan
+    if not decoder.progressive:
+        kind, first, last, shift = kernels.SEQUENTIAL, 1, 63, 0
+    elif first == 0:
+        kind = kernels.DC_REFINED if before else kernels.DC_FIRST
+    else:
+        kind = kernels.AC_REFINED if before else kernels.AC_FIRST
+    if decoder.progressive and (not first <= last <= 63 or (first == 0) != (last == 0) or shift > 13):
+        raise DamagedJpegError("its header is damaged")
+    for _, dc, ac in parts:
+        needed = {dc} if kind in (kernels.SEQUENTIAL, kernels.DC_FIRST) else set()
+        needed |= {ac} if kind in (kernels.SEQUENTIAL, kernels.AC_FIRST, kernels.AC_REFINED) else set()
+        if not needed <= decoder.known_tables:
+            raise DamagedJpegError("a table is missing")
+    return np.array([kind, first, last, shift], dtype=np.int64)
+
+
+def _without_stuffing(
+    data: UInt8[Array, " n"], start: int, end: int, cuts: Int64[Array, " r"]
+) -> tuple[UInt8[Array, " p"], Int64[Array, "m 2"]]:
+    """A scan's bytes without stuffed zeros, markers and what fills the bytes before them; its stretches, bits."""
+    coded = data[start:end]
+    full = np.flatnonzero(coded[:-1] == 0xFF)
+    keep = np.ones(len(coded), dtype=bool)
+    keep[full[coded[full + 1] == 0] + 1] = False
+    keep[full[coded[full + 1] != 0]] = False  # markers, and bytes that may stand before them (T.81, B.1.1.2)
+    keep[cuts - start + 1] = False
+    if len(coded) and coded[-1] == 0xFF:
+        keep[-1] = False
+    kept = coded[keep]
+    plain = np.concatenate([kept, np.zeros(kernels.PADDING, dtype=np.uint8)])
+    dropped = np.flatnonzero(~keep)
+    starts = np.concatenate([[0], cuts - start + 2])
+    ends = np.concatenate([cuts - start, [len(coded)]])
+    spans = np.stack([starts, ends], axis=1)
+    spans -= np.searchsorted(dropped, spans)
+    return plain, 8 * spans
