@@ -63,6 +63,8 @@ def watch_models() -> None:
     """Have each change of the clinic's models entered."""
     for model in apps.get_app_config("clinic").get_models():
         name = model.__name__
+        if name == "AuditLink":  # of the entries themselves
+            continue
         auditlog.register(
             model,
             exclude_fields=list(_LEFT_OUT.get(name, ())),

@@ -12,6 +12,7 @@ from mammometry.base.errors import MammometryError
 from mammometry.calibration.targets.table import target_from_table
 from mammometry.capture.sessions import manifest_text
 from mammometry.clinic.models import Conclusion, Consent, Operation, Patient, Person, Rig, Visit
+from mammometry.clinic.records.comparability import is_between
 from mammometry.clinic.records.search import Duplicates, date_questions, duplicates
 from mammometry.clinic.roles import Role
 from mammometry.hospital.codes import Representation, text_fault
@@ -144,9 +145,11 @@ class VisitForm(forms.ModelForm):  # type: ignore[type-arg]
 
 
 def name_empty_choices(fields: Mapping[str, forms.Field]) -> None:
-    """Say of occasion and posture that nothing has to be chosen."""
+    """Say of occasion and posture, where a form has them, that nothing has to be chosen."""
     for name, choices in (("occasion", Visit.Occasion.choices), ("posture", Visit.Posture.choices)):
-        field = fields[name]
+        field = fields.get(name)
+        if field is None:
+            continue
         assert isinstance(field, forms.ChoiceField)
         field.choices = [("", "not entered"), *choices]
 
@@ -380,16 +383,42 @@ class WithdrawalForm(forms.ModelForm):  # type: ignore[type-arg]
         return None if day is None else _until_today(day)
 
 
+class _VisitField(forms.ModelChoiceField):  # type: ignore[type-arg]
+    """A visit of one patient, by day and time."""
+
+    def label_from_instance(self, obj: Visit) -> str:
+        """Day and time."""
+        return f"{timezone.localtime(obj.taken_at):%Y-%m-%d, %H:%M}"
+
+
 class CircumstancesForm(forms.ModelForm):  # type: ignore[type-arg]
-    """Why the patient came, and how she held herself."""
+    """Why the patient came, how she held herself, and whether the visit repeats another."""
 
     class Meta:
         model = Visit
-        fields = ("occasion", "posture")
+        fields = ("occasion", "posture", "repeat_of")
+
+    repeat_of = _VisitField(
+        label="Repeat of", required=False, queryset=Visit.objects.none(), empty_label="no other visit",
+        help_text="Photographed once more to learn how well two measurements agree.",
+    )  # fmt: skip
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
         name_empty_choices(self.fields)
+        repeat = self.fields["repeat_of"]
+        assert isinstance(repeat, forms.ModelChoiceField)
+        visit: Visit = self.instance
+        earlier = Visit.objects.filter(patient=visit.patient_id, subject_kind=visit.subject_kind)
+        repeat.queryset = earlier.filter(taken_at__lte=visit.taken_at).exclude(pk=visit.pk)
+
+    def clean_repeat_of(self) -> Visit | None:
+        """Refuse a repeat of a breast that was operated on in between."""
+        first: Visit | None = self.cleaned_data["repeat_of"]
+        operations = () if first is None else self.instance.patient.operations.all()
+        if first is not None and any(is_between(operation, first, self.instance) for operation in operations):
+            raise forms.ValidationError("An operation lies between both visits: this is no repeat.")
+        return first
 
 
 class ConclusionForm(forms.ModelForm):  # type: ignore[type-arg]

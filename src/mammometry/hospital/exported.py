@@ -217,6 +217,8 @@ class Exported:
     """None if its photographic colours are left out."""
     photographs: Mapping[str, Photograph] = field(default_factory=dict)
     """Camera → photograph, read at look-up. Empty if de-identified."""
+    apart: Mapping[str, str] = field(default_factory=dict)
+    """Side → why its volumes are not comparable with most of the study that it is exported with."""
     photograph_files: Mapping[str, Path] = field(default_factory=dict)
     """Camera → its file."""
     deidentified: bool = False

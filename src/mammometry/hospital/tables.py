@@ -32,6 +32,8 @@ _COLUMNS = {
     "confirmed": ("text", "", "yes: a person looked at the measured boundaries and found them right; no: nobody yet"),
     "confirmed_on": ("date", "", "Day of that, ISO 8601. Empty: not confirmed, or de-identified"),
     "software": ("text", "", "Version of mammometry"),
+    "posture": ("text", "", "How the patient held herself. Empty: not entered"),
+    "apart": ("text", "", "Why the breast's volumes are not comparable with most of the study. Empty: they are"),
 }
 """Column → type, unit, meaning."""
 _NUMBERS = [name for name, (kind, _, _) in _COLUMNS.items() if kind == "number"]
@@ -76,17 +78,19 @@ def confirmation(exported: Exported) -> tuple[str, str]:
 
 def _rows(exported: Exported) -> list[tuple[Cell, ...]]:
     taken = "" if exported.taken is None else exported.taken.isoformat()
-    end = (*confirmation(exported), exported.software)
+    end = (*confirmation(exported), exported.software, exported.clinical.posture)
     begin = (visit_number(exported), exported.subject, taken, exported.kind)
     rows: list[tuple[Cell, ...]] = []
     for quantity in exported.quantities:
         low, high = quantity.interval_95 or (None, None)
         error = (rounded(low), rounded(high), rounded(quantity.sigma))
         cells = (quantity.side, quantity.code, quantity.title, rounded(quantity.value), quantity.unit)
-        rows.append((*begin, *cells, *error, quantity.method, quantity.wall, "", *end))
+        rows.append(
+            (*begin, *cells, *error, quantity.method, quantity.wall, "", *end, exported.apart.get(quantity.side, ""))
+        )
     for side in exported.absent:
         nothing = (side.side, "volume", "Volume", None, "cm3", None, None, None)
-        rows.append((*begin, *nothing, "", "", side.kind, *end))
+        rows.append((*begin, *nothing, "", "", side.kind, *end, ""))
     return rows
 
 
@@ -136,6 +140,10 @@ _VISIT = {
     "software": ("Version of mammometry", ""),
 }
 _WHYS = {"why_left": "Why the left breast has no volume", "why_right": "Why the right breast has no volume"}
+_APART = {
+    f"apart_{side}": f"Why the {side} breast's volumes are not comparable with most of the study"
+    for side in ("left", "right")
+}
 
 
 def redcap_tables(sessions: Sequence[Exported]) -> dict[str, bytes]:
@@ -154,7 +162,7 @@ def dictionary() -> str:
         rows.append(_field(name, label, kind))
     for name, (label, unit) in _numbers().items():
         rows.append(_field(name, label, "number", note=unit))
-    rows += [_field(name, label, "") for name, label in _WHYS.items()]
+    rows += [_field(name, label, "") for name, label in {**_WHYS, **_APART}.items()]
     return csv_text(_HEADER, rows)
 
 
@@ -182,8 +190,9 @@ def records(sessions: Sequence[Exported]) -> str:
             *(number, session.subject, taken, session.kind, *confirmation(session), session.software),
             *(rounded(measured.get(name)) for name in numbers),
             *(whys.get(name) for name in _WHYS),
+            *(session.apart.get(name.removeprefix("apart_"), "") for name in _APART),
         ]
-    return csv_text((*_VISIT, *numbers, *_WHYS), (rows[number] for number in sorted(rows)))
+    return csv_text((*_VISIT, *numbers, *_WHYS, *_APART), (rows[number] for number in sorted(rows)))
 
 
 def _numbers() -> dict[str, tuple[str, str]]:

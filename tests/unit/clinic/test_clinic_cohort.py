@@ -4,6 +4,7 @@ import csv
 import datetime
 import io
 import random
+import re
 from collections.abc import Callable, Iterable
 
 import numpy as np
@@ -25,7 +26,7 @@ from mammometry.clinic.models import (
     Volume,
 )  # fmt: skip
 from mammometry.clinic.records import results
-from mammometry.clinic.records.cohort import Row, left_out, pooled, study_rows, visits_between
+from mammometry.clinic.records.cohort import Row, left_out, pooled, repeats, study_rows, visits_between
 from mammometry.clinic.records.confirmations import CHANGED, confirmation_of
 from mammometry.clinic.roles import Role
 
@@ -118,25 +119,12 @@ def rows_by_objects(**asked: object) -> list[Row]:
                     refused=side.refused, state=CHANGED if visit.is_changed else visit.state,
                     confirmed=confirmation is not None,
                     confirmed_on=None if confirmation is None else timezone.localtime(confirmation.at).date(),
-                    rig=visit.device, software=result.measurement.software,
+                    rig=visit.device, software=result.measurement.software, posture=visit.posture,
+                    settings=side.basis.settings, wall=side.basis.wall, boundary=side.basis.boundary,
+                    apart="", repeat_of=None,
                 )
             )  # fmt: skip
     return rows
-
-
-def pairs_by_rows(rows: list[Row], within_days: int) -> list[tuple[str, float, float]]:
-    first: dict[tuple[str, str, str], Row] = {}
-    pairs: dict[tuple[str, str, str], tuple[str, float, float]] = {}
-    for row in rows:
-        if row.volume_cc is None:
-            continue
-        key = row.pseudonym, row.side, row.definition
-        before = first.get(key)
-        if before is not None and key not in pairs and (row.day - before.day).days <= within_days:
-            assert before.volume_cc is not None
-            pairs[key] = f"{row.pseudonym} {row.side}", before.volume_cc, row.volume_cc
-        first[key] = row
-    return list(pairs.values())
 
 
 @pytest.mark.parametrize("confirmed", [False, True])
@@ -155,9 +143,14 @@ def test_rows_and_figures_are_those_of_the_visits_own_results(confirmed: bool) -
     assert figures.patients == len({row.pseudonym for row in rows})
     assert figures.visits == len({(row.pseudonym, row.day) for row in rows})
     assert list(study_rows(visits.filter(pk__in=figures.visit_keys))) == rows
-    for days in (1, 40):
-        assert figures.repeated(days) == pairs_by_rows(rows, days)
-    assert confirmed or pairs_by_rows(rows, 40)
+    same = [row.settings + row.wall + row.boundary + row.posture + row.definition for row in rows]
+    usual = max(set(same), key=[name for name, row in zip(same, rows, strict=True) if row.volume_cc].count)
+    pooled_cc = [row.volume_cc for name, row in zip(same, rows, strict=True) if row.volume_cc and name == usual]
+    assert sorted(figures.comparable_cc) == sorted(pooled_cc)
+    assert len(pooled_cc) < len(figures.volumes_cc)
+    assert figures.reference is not None
+    apart = [row.apart for row in study_rows(visits, figures.reference)]
+    assert [not words for words in apart] == [name == usual for name in same]
     without = Visit.objects.filter(subject_kind="torso", measurements__isnull=False).distinct()
     without = without.exclude(patient__consents__in=Consent.objects.filter(purpose="research", withdrawn_on=None))
     without = without.filter(state="confirmed") if confirmed else without
@@ -176,19 +169,119 @@ def test_rows_go_on_where_many_visits_are_read_in_parts(clinic: ClinicConfig, mo
     assert sorted(row.volume_cc or 0 for row in whole) == [400, 401, 402, 403, 404]
 
 
-def test_agreement_takes_one_pair_a_breast_within_the_days(clinic: ClinicConfig) -> None:
-    patient, rig = consenting(0), Rig.objects.create(name="Room 1", definition={})
-    for days, left in ((0, 400.0), (1, 410.0), (2, 420.0), (90, 500.0)):
-        visit = Visit.objects.create(patient=patient, rig=rig, taken_at=NOON + days * DAY, state="measured")
-        measure(visit, [Volume(side="left", definition="named wall", volume_cc=left)])
-    rows = list(study_rows(visits_between(None, None, confirmed=False)))
-    assert len(rows) == 4
-    assert pooled(visits_between(None, None, confirmed=False)).repeated(1) == [
-        (f"{patient.pseudonym} left", 400.0, 410.0)
-    ]
-    some = visits_between(datetime.date(2026, 3, 2), datetime.date(2026, 3, 3), confirmed=False)
-    assert list(study_rows(some)) == rows[1:3]
-    assert list(study_rows(visits_between(None, None, confirmed=True))) == []
+HOW = {
+    "settings": {}, "walls": dict.fromkeys(("left", "right"), "rounded-membrane"),
+    "boundaries": dict.fromkeys(("left", "right"), "automatic"),
+}  # fmt: skip
+
+BOTH = [(400.0, 401.0), (500.0, 501.0)]
+"""Volumes of the left and right breast at both visits, cc."""
+
+
+def repeated(
+    number: int, *, declared: bool = True, how: object = HOW, first: str = "leaning", second: str = "leaning"
+) -> tuple[Visit, Visit]:
+    """A woman who was measured twice on one day, both breasts."""
+    patient, rig = consenting(number), Rig.objects.get_or_create(name="Room 1")[0]
+    visits = []
+    for hours, posture, recorded in ((0, first, HOW), (1, second, how)):
+        visit = Visit.objects.create(
+            patient=patient, rig=rig, taken_at=NOON + datetime.timedelta(hours=hours), state="measured",
+            posture=posture, repeat_of=visits[0] if visits and declared else None,
+        )  # fmt: skip
+        made = measure(
+            visit,
+            [
+                Volume(side=side, definition="named wall", volume_cc=400.0 + add + number + hours)
+                for side, add in (("left", 0.0), ("right", 100.0))
+            ],
+        )
+        made.how = recorded
+        made.save()
+        visits.append(visit)
+    return visits[0], visits[1]
+
+
+def pairs_of() -> tuple[list[tuple[float, float]], list[str]]:
+    found = repeats(visits_between(None, None, confirmed=False))
+    return [(pair.first_cc, pair.second_cc) for pair in found.pairs], [why for _, why in found.left_out]
+
+
+def test_agreement_takes_declared_repeats_alone(clinic: ClinicConfig) -> None:
+    repeated(0)
+    repeated(1, declared=False)  # two visits on one day are no repeat until somebody says so
+    assert pairs_of() == (BOTH, [])
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"how": {**HOW, "settings": {"measure.wall": "plane"}}}, "other settings (measure.wall)"),
+        ({"how": {**HOW, "walls": {"left": "plane", "right": "plane"}}}, "another wall"),
+        ({"how": {**HOW, "boundaries": {"left": "drawn", "right": "drawn"}}}, "drawn by hand"),
+        ({"how": {}}, "not recorded"),
+        ({"second": "standing"}, "another posture"),
+    ],
+)
+def test_a_repeat_that_is_not_comparable_is_left_out_with_the_reason(
+    clinic: ClinicConfig, change: dict[str, object], words: str
+) -> None:
+    repeated(0)
+    repeated(1, **change)  # type: ignore[arg-type]
+    pairs, left_out = pairs_of()
+    assert pairs == BOTH
+    assert words in left_out[0]
+
+
+@pytest.mark.parametrize(("side", "pairs"), [("left", [(500.0, 501.0)]), ("both", [])])
+def test_an_operation_in_between_leaves_its_breast_out(
+    clinic: ClinicConfig, side: str, pairs: list[tuple[float, float]]
+) -> None:
+    first, second = repeated(0)
+    Visit.objects.filter(pk=second.pk).update(taken_at=NOON + 3 * DAY)
+    first.patient.operations.create(kind="graft", side=side, day=(NOON + DAY).date())
+    assert pairs_of()[0] == pairs
+
+
+def test_a_repeat_of_another_patient_is_none(clinic: ClinicConfig) -> None:
+    _, second = repeated(0)
+    Visit.objects.filter(pk=second.pk).update(patient=consenting(7))
+    assert pairs_of()[0] == []
+    second.refresh_from_db()
+    assert second.repeated is None
+
+
+def test_a_repeat_is_declared_on_the_visits_page(clinic: ClinicConfig, client_of: Callable[..., Client]) -> None:
+    first, second = repeated(0, declared=False)
+    client, address = client_of(Role.TECHNICIAN), reverse("circumstances", args=[second.pk])
+    page = client.post(address, {"repeat_of": str(first.pk), "posture": "leaning"}, follow=True).content.decode()
+    assert f'repeat of <a href="{reverse("visit", args=[first.pk])}">' in page
+    assert pairs_of()[0] == BOTH
+    stranger, _ = repeated(1)
+    page = client.post(address, {"repeat_of": str(stranger.pk)}, follow=True).content.decode()
+    assert "Nothing was changed" in page
+    client.post(reverse("circumstances", args=[first.pk]), {"repeat_of": str(second.pk)})  # the later one
+    first.refresh_from_db()
+    assert first.repeat_of is None
+    Visit.objects.filter(pk=second.pk).update(taken_at=NOON + 3 * DAY, repeat_of=None)
+    first.patient.operations.create(kind="graft", side="left", day=(NOON + DAY).date())
+    page = client.post(address, {"repeat_of": str(first.pk)}, follow=True).content.decode()
+    assert "An operation lies between both visits" in page
+
+
+def test_the_time_line_and_the_table_show_another_wall_apart(
+    clinic: ClinicConfig, client_of: Callable[..., Client]
+) -> None:
+    """The same mesh with another wall is no growth: no line joins both, and the reason stands below."""
+    first, _ = repeated(0, how={**HOW, "walls": {"left": "plane", "right": "plane"}})
+    page = client_of(Role.CLINICIAN).get(reverse("patient", args=[first.patient_id])).content.decode()
+    assert "another wall (rounded-membrane instead of plane)" in page
+    assert page.count("<polyline") == 2 * 4  # a line a basis and side, narrow and broad: none of two points
+    assert not [points for points in re.findall(r'<polyline[^>]* points="([^"]*)"', page) if " " in points]
+    table = client_of(Role.RESEARCHER).get(reverse("study-csv")).content.decode()
+    rows = list(csv.DictReader(io.StringIO(table)))
+    assert sorted(bool(row["apart"]) for row in rows) == [False, False, True, True]
+    assert {row["repeat_of"] for row in rows} == {"", "2026-03-01"}
 
 
 def test_the_page_makes_the_same_few_queries_however_many_visits_there_are(

@@ -76,7 +76,11 @@ def visits(clinic: ClinicConfig) -> list[Visit]:
     calibration = Calibration.objects.create(rig=rig, taken_at=NOON, folder="rigs/x", state="done", current=True)
     return [
         Visit.objects.create(
-            patient=patient, rig=rig, calibration=calibration, taken_at=NOON + datetime.timedelta(days=days)
+            patient=patient,
+            rig=rig,
+            calibration=calibration,
+            taken_at=NOON + datetime.timedelta(days=days),
+            posture="leaning",
         )
         for days in (0, 30, 60)
     ]
@@ -138,13 +142,6 @@ def test_a_refusal_holds_for_the_same_measurements_and_the_same_software(
     do("compare", lambda job: "the breasts of both dates: found left before.")
     (sentence,) = comparing.verdicts(visits[1])
     assert sentence.startswith("It cannot be compared with 12 March 2026. The breasts of both dates")
-    Visit.objects.filter(pk=visits[0].pk).update(posture="lying")
-    _, caution = comparing.verdicts(visits[1])
-    assert (
-        caution
-        == "The postures differ (lying, then leaning forward). Volumes of different postures are not to be compared."
-    )
-    Visit.objects.filter(pk=visits[0].pk).update(posture=visits[0].posture)
     queue.compare(visits[0], visits[1], None)
     assert open_pairs() == set()
     measure(visits[0], "a2")  # its cause is mended
@@ -178,17 +175,55 @@ def test_visits_in_the_bin_are_not_compared(visits: list[Visit]) -> None:
     assert [pair[0] for pair in comparing.neighbours(visits[2])] == [visits[0]]
 
 
-def test_postures_that_differ_and_trunks_that_fit_badly_are_cautioned(visits: list[Visit]) -> None:
-    visits[0].posture, visits[1].posture = "standing", "leaning"
+@pytest.mark.parametrize(
+    ("before", "after", "words"),
+    [
+        ("standing", "leaning", "another posture (leaning forward instead of standing)"),
+        ("", "leaning", "another posture (leaning forward instead of not entered)"),
+        ("standing", "", "another posture (not entered instead of standing)"),
+    ],
+)
+def test_visits_in_other_postures_are_not_compared_and_say_why(
+    visits: list[Visit], client_of: Callable[..., Client], clinic: ClinicConfig, before: str, after: str, words: str
+) -> None:
+    visits[0].posture, visits[1].posture = before, after
     for visit, digest in zip(visits[:2], "ab", strict=True):
         visit.save()
         measure(visit, digest)
-    do("compare", lambda job: compared(job, doubtful=True))
-    assert comparing.verdicts(visits[1]) == (
-        SENTENCE,
-        "The postures differ (standing, then leaning forward). Volumes of different postures are not to be compared.",
-        "The trunks of both dates fit badly: check that both visits are of this patient.",
-    )
+    assert open_pairs() == set()
+    (sentence,) = comparing.verdicts(visits[1])
+    assert words in sentence
+    chosen = {"before": str(visits[0].pk), "after": str(visits[1].pk)}
+    page = client_of(Role.CLINICIAN).get(reverse("compare", args=[visits[0].patient_id]), chosen).content.decode()
+    assert words in page
+
+
+def test_postures_that_differ_are_compared_where_the_clinics_settings_say_so(
+    visits: list[Visit], clinic: ClinicConfig
+) -> None:
+    file = clinic.folder / "settings.toml"
+    file.write_text("[compare]\nother_posture = true\n")
+    try:
+        visits[0].posture, visits[1].posture = "standing", "leaning"
+        for visit, digest in zip(visits[:2], "ab", strict=True):
+            visit.save()
+            measure(visit, digest)
+        do("compare", lambda job: compared(job, doubtful=True))
+        first, posture, fit = comparing.verdicts(visits[1])
+    finally:
+        file.unlink()
+    assert first == SENTENCE
+    assert "another posture (leaning forward instead of standing)" in posture
+    assert fit == "The trunks of both dates fit badly: check that both visits are of this patient."
+
+
+def test_two_visits_without_a_posture_are_compared_with_a_caution(visits: list[Visit]) -> None:
+    Visit.objects.update(posture="")
+    for visit, digest in zip(visits[:2], "ab", strict=True):
+        visit.refresh_from_db()
+        measure(visit, digest)
+    do("compare", compared)
+    assert comparing.verdicts(visits[1]) == (SENTENCE, "The posture of neither visit is entered.")
 
 
 def test_all_pages_say_one_verdict(visits: list[Visit], client_of: Callable[..., Client]) -> None:

@@ -106,9 +106,12 @@ def _measured(job: Job, visit: Visit, answer: Mapping[str, Any]) -> None:
         made_at = datetime.datetime.fromisoformat(answer["made_at"]) if answer.get("made_at") else timezone.now()
         measurement = Measurement.objects.create(
             visit=visit, job=job, digest=answer["digest"], made_at=made_at, software=answer["software"],
-            curves=answer.get("curves", {}), quantities=answer.get("quantities", []),
+            curves=answer.get("curves", {}), how=answer.get("how", {}), quantities=answer.get("quantities", []),
         )  # fmt: skip
         add_volumes(measurement, [Volume(**row) for row in answer["volumes"]])
+    elif not newest.how and answer.get("how"):  # of a version that did not record it
+        newest.how = answer["how"]
+        newest.save(update_fields=["how"])
     visit.state = settled_state(visit)
     visit.save(update_fields=["state"])
 

@@ -10,7 +10,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping
+import tomllib
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
@@ -44,6 +45,8 @@ RESULTS = "results"
 """Folder of the results in a visit's folder."""
 _WHOLE = "closed solid"
 """What a cast's volume means: it has no other meanings."""
+_CHANGE_NO_NUMBER = ("compare", "limits")
+"""Tables of the settings that change nothing of one visit's numbers."""
 _REFUSED = "any"
 """The meaning of a side that has no volume at all."""
 
@@ -78,7 +81,7 @@ def measure(progress: StageProgress, session: str, calibration: str, settings: s
         "made_at": job.made_at("measure"),
         "software": mammometry.__version__,
         "volumes": rows,
-        **_numbers(measurements, job.plan),
+        **_numbers(measurements, job.plan, chosen, job.inputs.boundaries),
         "megapixels": measured["megapixels"],
     }
 
@@ -107,7 +110,7 @@ def measure_scan(progress: StageProgress, folder: str, settings: str) -> dict[st
         "made_at": results.made_at,
         "software": mammometry.__version__,
         "volumes": volume_rows(results.measurements, results.no_breast),
-        **_numbers(results.measurements, job.plan),
+        **_numbers(results.measurements, job.plan, Settings.from_toml(settings), job.inputs.boundaries),
         "megapixels": 0.0,
     }
 
@@ -118,13 +121,35 @@ def _watched(key: Key, progress: StageProgress) -> Iterator[Progress]:
     yield lambda fraction: progress(key.stage, fraction)
 
 
-def _numbers(measured: Mapping[str, VolumeMeasurement], plan: Plan) -> dict[str, Any]:
-    """Digests of the measured boundaries, and every number under the name that exports use."""
+def _numbers(
+    measured: Mapping[str, VolumeMeasurement], plan: Plan, settings: Settings, drawn: Iterable[str]
+) -> dict[str, Any]:
+    """Digests of the boundaries, how all was measured, and every number under the name that exports use."""
     curves = plan.value(boundaries) or ()
+    otherwise = "landmarks" if settings.measure.boundary == "landmarks" else "automatic"
     return {
+        "how": {
+            "settings": measuring_settings(settings),
+            "walls": {side: breast.wall_kind for side, breast in measured.items()},
+            "boundaries": {side: "drawn" if side in set(drawn) else otherwise for side in measured},
+        },
         "curves": {curve.name: curve_digest(curve.points_world) for curve in curves},
         "quantities": [_finite(asdict(quantity)) for quantity in quantities(tuple(measured.values()), plan)],
     }
+
+
+def measuring_settings(settings: Settings) -> dict[str, Any]:
+    """Settings of a measurement that are not the recommended ones, by their names."""
+    ours, usual = (_flat(tomllib.loads(some.to_toml())) for some in (settings, Settings()))
+    changed = {name: value for name, value in ours.items() if value != usual.get(name)}
+    return _finite({name: value for name, value in changed.items() if name.split(".")[0] not in _CHANGE_NO_NUMBER})
+
+
+def _flat(table: Mapping[str, Any], before: str = "") -> dict[str, Any]:
+    flat: dict[str, Any] = {}
+    for name, value in table.items():
+        flat |= _flat(value, f"{before}{name}.") if isinstance(value, Mapping) else {f"{before}{name}": value}
+    return flat
 
 
 def volume_rows(measured: Mapping[str, VolumeMeasurement], no_breast: Mapping[str, str]) -> list[dict[str, Any]]:

@@ -10,6 +10,7 @@ from typing import Any
 
 from django.conf import settings
 from django.db import models
+from django.utils import timezone
 
 from mammometry.clinic.models.people import Calibration, DailyCheck, InUse, Keyed, Rig
 from mammometry.clinic.records.search_words import words_of
@@ -160,6 +161,14 @@ class Operation(Keyed):
     def __str__(self) -> str:
         return f"{self.patient.pseudonym}, {self.kind}"
 
+    def is_after(self, visit: Visit) -> bool:
+        """Whether a visit's pictures were taken before this operation.
+
+        On the day of the operation, the visit's occasion decides.
+        """
+        day = timezone.localtime(visit.taken_at).date()
+        return day < self.day or (day == self.day and visit.occasion == Visit.Occasion.BEFORE)
+
 
 class Visit(Keyed):
     """One patient before one rig on one day."""
@@ -213,6 +222,8 @@ class Visit(Keyed):
     occasion = models.CharField(max_length=10, choices=Occasion.choices, blank=True, default="")
     posture = models.CharField(max_length=10, choices=Posture.choices, blank=True, default="")
     """Empty: nobody said."""
+    repeat_of = models.ForeignKey("self", null=True, blank=True, on_delete=models.SET_NULL, related_name="repeats")
+    """The visit that this one measures once more, to learn how well both agree. None: it is no repeat."""
     note = models.TextField(max_length=2000, blank=True)
     binned_at = models.DateTimeField(null=True, editable=False)
     """When it was put into the bin. None: it is in use."""
@@ -229,11 +240,10 @@ class Visit(Keyed):
     def __str__(self) -> str:
         return f"{self.patient.pseudonym}, {self.taken_at:%Y-%m-%d}"
 
-    def save(self, *args: Any, **options: Any) -> None:
-        """Save. A new visit of a patient has the posture of its device, where nobody said another."""
-        if self._state.adding and not self.posture and self.subject_kind == Visit.Subject.TORSO:
-            self.posture = Visit.Posture.STANDING if self.rig_id is None else Visit.Posture.LEANING
-        super().save(*args, **options)
+    @property
+    def repeated(self) -> Visit | None:
+        """The visit that this one repeats, while both are the same patient's."""
+        return self.repeat_of if self.repeat_of is not None and self.repeat_of.patient_id == self.patient_id else None
 
     @property
     def folder(self) -> Path:

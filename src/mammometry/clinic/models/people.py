@@ -159,3 +159,20 @@ class DailyCheck(Keyed):
 
     def __str__(self) -> str:
         return f"{self.rig}, {self.taken_at:%Y-%m-%d}"
+
+
+class AuditLink(models.Model):
+    """One entry of the audit in the chain of digests (`clinic.audit_chain`). It is never changed."""
+
+    place = models.BigIntegerField(primary_key=True)
+    """1 for the first."""
+    entry = models.BigIntegerField(unique=True)
+    """Key of the audit's entry. No foreign key: nothing may be done here when an entry goes."""
+    digest = models.CharField(max_length=64)
+    """SHA-256 of the digest before and the entry."""
+
+    class Meta:
+        ordering = ("place",)
+
+    def __str__(self) -> str:
+        return f"link {self.place}"

@@ -102,6 +102,8 @@ class Measurement(Keyed):
     """Version of mammometry."""
     curves = models.JSONField(default=dict)
     """Breast → digest of the boundary that was measured (`measure.volume.attribution.curve_digest`)."""
+    how = models.JSONField(default=dict, blank=True)
+    """What `records.comparability` compares: settings, and of each breast the wall and how its boundary was made."""
     quantities = models.JSONField(default=list)
     """All measured numbers, with the names of `hospital.exported.Quantity`."""
 

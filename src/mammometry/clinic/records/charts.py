@@ -28,6 +28,10 @@ class Reading:
     high: float
     words: str
     """What the tooltip and a screen reader say."""
+    line: str = ""
+    """Readings of a series with the same name are joined by a line."""
+    is_apart: bool = False
+    """Whether it is not comparable with the newest of its series; the words say why."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +44,8 @@ class Spot:
     low_y: float
     high_y: float
     words: str
+    line: str = ""
+    is_apart: bool = False
 
     @property
     def corner_x(self) -> float:
@@ -149,11 +155,13 @@ def time_line(
                 y_of(reading.low),
                 y_of(reading.high),
                 reading.words,
+                reading.line,
+                reading.is_apart,
             )
         )
     ways = [
         Way(name, " ".join(f"{spot.x:g},{spot.y:g}" for spot in group))
-        for name, group in groupby(spots, key=lambda spot: spot.series)
+        for (name, _), group in groupby(sorted(spots, key=_line), key=_line)
     ]
     return TimeLine(
         width=width,
@@ -171,6 +179,11 @@ def time_line(
             for number, event in enumerate(sorted(shown, key=lambda event: event.at), start=1)
         ),
     )
+
+
+def _line(spot: Spot) -> tuple[str, str]:
+    """Series and line of a mark. Sorting by it keeps the order of dates."""
+    return spot.series, spot.line
 
 
 def round_levels(low: float, high: float) -> tuple[float, ...]:

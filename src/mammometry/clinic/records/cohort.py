@@ -6,24 +6,27 @@ The database gives plain values. Of 90 000 volumes no objects are made.
 from __future__ import annotations
 
 import datetime
+import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import islice
 from typing import Any, TypeAlias
 
 import numpy as np
-from django.db.models import Case, CharField, Count, Exists, IntegerField, OuterRef, Q, QuerySet, Value, When
+from django.db.models import Case, CharField, Count, Exists, F, IntegerField, OuterRef, Q, QuerySet, Value, When
 from django.db.models.expressions import Combinable
 from django.db.models.functions import Cast
 from django.utils import timezone
 
-from mammometry.clinic.models import Confirmation, Measurement, Visit, Volume
+from mammometry.clinic.models import Confirmation, Measurement, Operation, Visit, Volume
 from mammometry.clinic.records.clinical import research_consent
+from mammometry.clinic.records.comparability import Basis, basis, is_between, why_apart
 from mammometry.clinic.records.confirmations import CHANGED
-from mammometry.clinic.records.results import SIDES, age
+from mammometry.clinic.records.results import SIDES, age, latest
 from mammometry.geometry.arrays import Array, Float64, Int64
 
 _Values: TypeAlias = tuple[Any, ...]
+_OF_REPEATS = ("measurements__volumes", "repeat_of__measurements__volumes", "patient__operations")
 _VISITS_AT_ONCE = 250  # whose volumes are read together
 _YEARS_OF_DAYS = 4_000_000  # more than any day's ordinal
 
@@ -58,6 +61,37 @@ class Row:
     """None: not confirmed."""
     rig: str
     software: str
+    posture: str
+    """Empty: not entered."""
+    settings: str
+    """Those that differ from the recommended ones, as JSON. Empty: not recorded."""
+    wall: str
+    boundary: str
+    """How the boundary was made, a key of `comparability.BOUNDARIES`."""
+    apart: str
+    """Why the volume is not comparable with most of the study. Empty: it is."""
+    repeat_of: datetime.date | None
+    """Day of the visit that this one repeats."""
+
+
+@dataclass(frozen=True, slots=True)
+class RepeatedVolume:
+    """A breast that was measured twice, at two visits of which one was declared to repeat the other."""
+
+    pseudonym: str
+    side: str
+    first_cc: float
+    second_cc: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Repeats:
+    """Volumes of declared repeats."""
+
+    pairs: tuple[RepeatedVolume, ...]
+    """By pseudonym: those of one patient are not independent."""
+    left_out: tuple[tuple[str, str], ...]
+    """Pseudonym and reason of each breast that gives no pair."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -77,6 +111,10 @@ class Pooled:
     """Ordinal."""
     volume_cc: Float64[Array, " n"]
     """Not a number: there is none."""
+    bases: tuple[Basis, ...]
+    """What volumes rest on, each once."""
+    basis: Int64[Array, " n"]
+    """Index in `bases`."""
 
     @property
     def patients(self) -> int:
@@ -93,26 +131,52 @@ class Pooled:
         """The volumes that there are."""
         return self.volume_cc[~np.isnan(self.volume_cc)]
 
-    def repeated(self, within_days: int) -> list[tuple[str, float, float]]:
-        """Volumes of breasts that were measured twice within some days. Name, first cc, second cc.
+    @property
+    def reference(self) -> Basis | None:
+        """What most volumes rest on. None: there is none."""
+        measured = self.basis[~np.isnan(self.volume_cc)]
+        return self.bases[int(np.bincount(measured).argmax())] if len(measured) else None
 
-        One pair a breast, since pairs of one breast are not independent.
-        """
-        measured_rows = np.flatnonzero(~np.isnan(self.volume_cc))
-        breast = self.patient[measured_rows] * len(self.breasts) + self.breast[measured_rows]
-        order = np.argsort(breast, kind="stable")
-        breast, ordered = breast[order], measured_rows[order]
-        days = np.diff(self.day[ordered])
-        close = np.flatnonzero((np.diff(breast) == 0) & (days <= within_days))
-        pairs = close[np.unique(breast[close], return_index=True)[1]]
-        return [
-            (
-                f"{self.pseudonyms[self.patient[second]]} {self.breasts[self.breast[second]][0]}",
-                float(self.volume_cc[first]),
-                float(self.volume_cc[second]),
-            )
-            for second, first in sorted(zip(ordered[pairs + 1].tolist(), ordered[pairs].tolist(), strict=True))
-        ]
+    @property
+    def comparable_cc(self) -> Float64[Array, " m"]:
+        """The volumes that may be pooled: those that are comparable with most of them."""
+        reference = self.reference
+        if reference is None:
+            return self.volumes_cc
+        may = np.array([not why_apart(basis, reference) for basis in self.bases], dtype=bool)
+        return self.volume_cc[~np.isnan(self.volume_cc) & may[self.basis]]
+
+
+def repeats(visits: QuerySet[Visit]) -> Repeats:
+    """Volumes of visits that were declared to be repeats.
+
+    A breast is left out where both volumes are not comparable or it was operated on between both visits.
+    """
+    declared = visits.filter(research_consent(), repeat_of__in=visits, repeat_of__patient=F("patient"))
+    rows = declared.select_related("patient", "repeat_of").prefetch_related(*_OF_REPEATS)
+    pairs: list[RepeatedVolume] = []
+    left_out = []
+    for later in rows.order_by("patient__pseudonym", "taken_at"):
+        assert later.repeat_of is not None
+        name = later.patient.pseudonym
+        results = {
+            result.visit.pk: {side.side: side for side in result.sides} for result in latest([later.repeat_of, later])
+        }
+        before, after = results.get(later.repeat_of.pk, {}), results.get(later.pk, {})
+        operations = [row for row in later.patient.operations.all() if is_between(row, later.repeat_of, later)]
+        for side in (side for side in SIDES if side in before or side in after):
+            was, now = before.get(side), after.get(side)
+            if was is None or now is None or was.volume_cc is None or now.volume_cc is None:
+                why = "no volume at one of both visits"
+            elif any(row.side in (side, Operation.Side.BOTH) for row in operations):
+                why = "an operation lies between both visits"
+            else:
+                why = why_apart(now.basis, was.basis)
+                if not why:
+                    pairs.append(RepeatedVolume(name, side, was.volume_cc, now.volume_cc))
+                    continue
+            left_out.append((name, f"{side}: {why}"))
+    return Repeats(pairs=tuple(pairs), left_out=tuple(left_out))
 
 
 def visits_between(begin: datetime.date | None, end: datetime.date | None, *, confirmed: bool) -> QuerySet[Visit]:
@@ -139,19 +203,30 @@ def left_out(visits: QuerySet[Visit]) -> tuple[int, int]:
     return counts["visits"], counts["patients"]
 
 
-def study_rows(visits: QuerySet[Visit]) -> Iterator[Row]:
-    """Rows of the newest measurement of each visit, read some visits at a time."""
-    columns = ("state", "patient__pseudonym", "patient__born", "taken_at", "rig__name", "scan__scanner")
+def study_rows(visits: QuerySet[Visit], reference: Basis | None = None) -> Iterator[Row]:
+    """Rows of the newest measurement of each visit, read some visits at a time.
+
+    Args:
+        visits: which.
+        reference: what most volumes rest on (`Pooled.reference`); others say why they are apart.
+    """
+    columns = (
+        *("state", "patient__pseudonym", "patient__born", "taken_at", "rig__name", "scan__scanner"),
+        *("posture", "repeat_of__taken_at"),
+    )
     read = _with_newest(visits, *columns)
     while some := list(islice(read, _VISITS_AT_ONCE)):
         keys = [key for key, *_ in some]
-        software = dict(Measurement.objects.filter(pk__in=keys).values_list(_text("pk"), "software"))
+        made = Measurement.objects.filter(pk__in=keys).values_list(_text("pk"), "software", "how")
+        measured = {key: (software, how) for key, software, how in made}
         volumes, confirmed_at = _leading_volumes(keys), _confirmed_at(keys)
-        for key, changed, state, pseudonym, born, taken_at, rig, scanner in some:
+        for key, changed, state, pseudonym, born, taken_at, rig, scanner, posture, repeated in some:
+            software, how = measured[key]
             day = timezone.localtime(taken_at).date()
             at = confirmed_at.get(key) if state == Visit.State.CONFIRMED else None
             for side in (side for side in SIDES if (key, side) in volumes):
                 definition, volume_cc, low_cc, high_cc, refused = volumes[key, side]
+                rests_on = basis(posture, how, side, definition)
                 if changed or low_cc is None or high_cc is None:
                     low_cc = high_cc = None
                 yield Row(
@@ -159,7 +234,10 @@ def study_rows(visits: QuerySet[Visit]) -> Iterator[Row]:
                     volume_cc=None if changed else volume_cc, low_cc=low_cc, high_cc=high_cc,
                     refused=CHANGED if changed else refused, state=CHANGED if changed else state,
                     confirmed=at is not None, confirmed_on=None if at is None else timezone.localtime(at).date(),
-                    rig=rig or scanner or "", software=software[key],
+                    rig=rig or scanner or "", software=software, posture=posture, settings=rests_on.settings,
+                    wall=rests_on.wall, boundary=rests_on.boundary,
+                    apart="" if reference is None else why_apart(rests_on, reference),
+                    repeat_of=None if repeated is None else timezone.localtime(repeated).date(),
                 )  # fmt: skip
 
 
@@ -169,22 +247,43 @@ def pooled(visits: QuerySet[Visit]) -> Pooled:
     patient_of: dict[str, int] = {}
     breast_of: dict[tuple[str, str], int] = {}
     by_visit, keys = [], []
+    basis_number: dict[Basis, int] = {}
+    resting: dict[tuple[str, str, str, str], int] = {}  # of so many volumes, few rest on different things
+    how_of = dict(Measurement.objects.order_by().values_list(_text("pk"), _text("how")).iterator())
+    posture_of: dict[str, str] = {}
     zone = timezone.get_current_timezone()
-    columns = _text("pk"), "patient__pseudonym", _text("taken_at")
-    for key, is_old, visit, pseudonym, taken_at in _with_newest(visits, *columns):
+    columns = _text("pk"), "patient__pseudonym", _text("taken_at"), "posture"
+    for key, is_old, visit, pseudonym, taken_at, posture in _with_newest(visits, *columns):
         keys.append(visit)
+        posture_of[key] = posture
         number_of[key] = len(number_of)
         ordinal = datetime.datetime.fromisoformat(taken_at).replace(tzinfo=datetime.UTC).astimezone(zone).toordinal()
         by_visit.append((patient_of.setdefault(pseudonym, len(patient_of)), ordinal, is_old))
+
+    def number_of_basis(key: str, side: str, definition: str) -> int:
+        known = posture_of[key], how_of[key], side, definition
+        if known not in resting:
+            made = basis(known[0], json.loads(known[1]), side, definition)
+            resting[known] = basis_number.setdefault(made, len(basis_number))
+        return resting[known]
+
     by_volume = [
-        (number_of[key], _SIDE_ORDER[side], breast_of.setdefault((side, definition), len(breast_of)), volume_cc)
+        (
+            number_of[key],
+            _SIDE_ORDER[side],
+            breast_of.setdefault((side, definition), len(breast_of)),
+            volume_cc,
+            number_of_basis(key, side, definition),
+        )
         for key, side, definition, volume_cc in _leading().values_list(*_VOLUME, "volume_cc")
         if key in number_of
     ]
     patient, day, changed = np.array(by_visit, dtype=np.int64).reshape(-1, 3).T
-    number, side, breast, volume_cc = np.array(by_volume, dtype=np.float64).reshape(-1, 4).T  # None becomes NaN
-    order = np.lexsort((side, number))
-    number, breast, volume_cc = number[order].astype(np.int64), breast[order].astype(np.int64), volume_cc[order]
+    # None becomes NaN
+    table = np.array(by_volume, dtype=np.float64).reshape(-1, 5)
+    table = table[np.lexsort((table[:, 1], table[:, 0]))]
+    number, _, breast, _, rests = np.where(np.isnan(table), 0, table).astype(np.int64).T
+    volume_cc = table[:, 3]
     return Pooled(
         visit_keys=tuple(keys[place] for place in np.unique(number)),
         pseudonyms=tuple(patient_of),
@@ -193,6 +292,8 @@ def pooled(visits: QuerySet[Visit]) -> Pooled:
         breast=breast,
         day=day[number],
         volume_cc=np.where(changed[number] > 0, np.nan, volume_cc),
+        bases=tuple(basis_number),
+        basis=rests,
     )
 
 

@@ -9,6 +9,8 @@ from django.utils import timezone
 
 import mammometry
 from mammometry.clinic.models import Comparison, Measurement, Visit
+from mammometry.clinic.records.comparability import posture_apart
+from mammometry.clinic.site import the_clinic
 from mammometry.measure.settings import NOT_TO_BE_COMPARED
 from mammometry.report.words.volumes import change_sentence, date_words
 
@@ -24,7 +26,8 @@ class Verdict:
     before: Visit
     after: Visit
     state: str
-    """``done``, ``busy``, ``refused`` or ``waiting``: one of both is not measured as it is drawn."""
+    """``done``, ``busy``, ``refused``, ``waiting`` (one of both is not measured as it is drawn) or ``apart`` (they are
+    not comparable)."""
     sentences: tuple[str, ...]
     """One a breast where it is done, else why there is none."""
     cautions: tuple[str, ...] = ()
@@ -68,8 +71,8 @@ def is_current(comparison: Comparison) -> bool:
 
 
 def may_compare(before: Visit, after: Visit) -> bool:
-    """Whether both are measured as they are drawn."""
-    return all(visit.state in _MEASURED for visit in (before, after))
+    """Whether both are measured as they are drawn, of the patient in one posture."""
+    return all(visit.state in _MEASURED for visit in (before, after)) and not _apart(before, after)
 
 
 def verdict(before: Visit, after: Visit) -> Verdict:
@@ -88,6 +91,9 @@ def _verdict(before: Visit, after: Visit, row: Comparison | None) -> Verdict:
     if row is not None:
         row.before, row.after = before, after  # with their measurements
     day = date_words(timezone.localdate(before.taken_at))
+    if apart := _apart(before, after):
+        sentence = f"Not compared with {day}: {apart}. {NOT_TO_BE_COMPARED}."
+        return Verdict(before=before, after=after, state="apart", sentences=(sentence,))
     changed = before.is_changed or after.is_changed
     if row is not None and is_current(row) and not changed:
         if row.state == Comparison.State.REFUSED:
@@ -138,11 +144,15 @@ def _cautions(comparison: Comparison) -> tuple[str, ...]:
 
 
 def _posture_cautions(before: Visit, after: Visit) -> tuple[str, ...]:
-    postures = before.posture, after.posture
-    if not all(postures) or postures[0] == postures[1]:
-        return ()
-    was, now = (Visit.Posture(posture).label.lower() for posture in postures)
-    return (f"The postures differ ({was}, then {now}). {NOT_TO_BE_COMPARED}.",)
+    if apart := posture_apart(after, before):  # the clinic's settings allow it
+        return (f"Not comparable by itself: {apart}. {NOT_TO_BE_COMPARED}.",)
+    return () if after.posture else ("The posture of neither visit is entered.",)
+
+
+def _apart(before: Visit, after: Visit) -> str:
+    """Why the clinic does not compare two visits. Empty: it does."""
+    apart = posture_apart(after, before)
+    return "" if apart and the_clinic().measuring().compare.other_posture else apart
 
 
 def _newest(visit: Visit) -> Measurement | None:

@@ -9,6 +9,7 @@ from django.utils import timezone
 
 from mammometry.clinic.models import Comparison, Operation, Visit
 from mammometry.clinic.records.charts import Event
+from mammometry.clinic.records.comparability import is_between, why_apart
 from mammometry.clinic.records.comparing import is_current
 from mammometry.clinic.records.results import SideResult, VisitResult
 
@@ -27,15 +28,6 @@ _PHASES = {
 }
 
 
-def is_before(visit: Visit, operation: Operation) -> bool:
-    """Whether a visit's pictures were taken before an operation.
-
-    On the day of the operation, the visit's occasion decides.
-    """
-    day = timezone.localtime(visit.taken_at).date()
-    return day < operation.day or (day == operation.day and visit.occasion == Visit.Occasion.BEFORE)
-
-
 def phase_of(visit: Visit, operations: Sequence[Operation]) -> str:
     """Say when a visit was by the operations: "after the second filling".
 
@@ -43,7 +35,7 @@ def phase_of(visit: Visit, operations: Sequence[Operation]) -> str:
     """
     if not operations:
         return ""
-    done = [operation for operation in operations if not is_before(visit, operation)]
+    done = [operation for operation in operations if not operation.is_after(visit)]
     if not done:
         return "before the operation"
     last = max(done, key=lambda operation: operation.day)
@@ -129,12 +121,12 @@ def _of_side(
         if operation.pk != graft.pk and operation.side in (side, Operation.Side.BOTH)
     ]
     measured = [(result.visit, volume) for result in results if (volume := _volume(result, side)) is not None]
-    before = [(visit, volume) for visit, volume in measured if is_before(visit, graft)]
+    before = [(visit, volume) for visit, volume in measured if graft.is_after(visit)]
     if not before:
         return [Retention(operation=graft, side=side, why="There is no measured visit before it.")]
     first, was = before[-1]
-    after = [(visit, volume) for visit, volume in measured if not is_before(visit, graft)]
-    alone = [pair for pair in after if not any(_between(first, pair[0], other) for other in others)]
+    after = [(visit, volume) for visit, volume in measured if not graft.is_after(visit)]
+    alone = [pair for pair in after if not any(is_between(other, first, pair[0]) for other in others)]
     if not alone:
         why = (
             "Another operation on this side lies between the visits."
@@ -145,21 +137,14 @@ def _of_side(
     return [_retained(graft, side, (first, was), pair) for pair in alone]
 
 
-def _between(first: Visit, last: Visit, operation: Operation) -> bool:
-    return is_before(first, operation) and not is_before(last, operation)
-
-
 def _retained(
     graft: Operation, side: str, before: tuple[Visit, SideResult], after: tuple[Visit, SideResult]
 ) -> Retention:
     (first, was), (visit, now) = before, after
     assert graft.volume_cc is not None
-    if first.posture != visit.posture:
-        why = "The visits before and after it were photographed in different postures."
-        return Retention(operation=graft, side=side, after=visit, why=why)
     compared = _comparison(first, visit, side)
-    if compared is None and was.definition != now.definition:
-        why = "Both visits have no volume in the same meaning. Compare them first."
+    if apart := why_apart(now.basis, was.basis, measured_alike=compared is not None):
+        why = f"The visits before and after it are not comparable: {apart}."
         return Retention(operation=graft, side=side, after=visit, why=why)
     change, interval = compared or _difference(was, now)
     share = 100.0 / graft.volume_cc

@@ -14,6 +14,7 @@ from mammometry.base.errors import SessionError
 from mammometry.clinic.models import Measurement, Visit, Volume
 from mammometry.clinic.records.charts import Reading
 from mammometry.clinic.records.clinical import clinical_of
+from mammometry.clinic.records.comparability import Basis, basis_of, why_apart
 from mammometry.clinic.records.confirmations import CHANGED
 from mammometry.clinic.site import the_clinic
 from mammometry.report.scene import json_in_page
@@ -42,6 +43,8 @@ class SideResult:
     volume_cc: float | None
     interval_cc: Interval | None
     refused: str
+    basis: Basis
+    """What the volume rests on."""
     others: tuple[SideResult, ...] = ()
     """The same breast in the other meanings of the word."""
 
@@ -89,7 +92,7 @@ def visit_result(visit: Visit, measurement: Measurement) -> VisitResult:
     changed = visit.is_changed
     by_side: dict[str, list[SideResult]] = {}
     for row in sorted(measurement.volumes.all(), key=_rank):
-        side = _side(row)
+        side = _side(row, basis_of(visit, measurement, row.side, row.definition))
         by_side.setdefault(row.side, []).append(_without_numbers(side) if changed else side)
     first = {side: replace(rows[0], others=tuple(rows[1:])) for side, rows in by_side.items()}
     return VisitResult(
@@ -101,16 +104,27 @@ def visit_result(visit: Visit, measurement: Measurement) -> VisitResult:
 
 
 def readings(results: Iterable[VisitResult]) -> list[Reading]:
-    """Volumes for the time line."""
+    """Volumes for the time line.
+
+    One that is not comparable with the newest of its side is apart: it says why, and no line joins it to the others.
+    """
+    ordered = sorted(results, key=lambda result: result.visit.taken_at)
+    measured = [(result.visit, side) for result in ordered for side in result.sides if side.volume_cc is not None]
+    newest = {side.side: side.basis for _, side in measured}
     made = []
-    for result in results:
-        for side in result.sides:
-            if side.volume_cc is None:
-                continue
-            low, high = side.interval_cc or (side.volume_cc, side.volume_cc)
-            date = f"{result.visit.taken_at.day} {result.visit.taken_at:%b %Y}"
-            words = f"{side.title}, {date}: {side.volume_cc:.0f} cc (95 %: {low:.0f} to {high:.0f})"
-            made.append(Reading(side.side, result.visit.taken_at, side.volume_cc, low, high, words))
+    for visit, side in measured:
+        assert side.volume_cc is not None
+        low, high = side.interval_cc or (side.volume_cc, side.volume_cc)
+        date = f"{visit.taken_at.day} {visit.taken_at:%b %Y}"
+        apart = why_apart(side.basis, newest[side.side])
+        words = f"{side.title}, {date}: {side.volume_cc:.0f} cc (95 %: {low:.0f} to {high:.0f})"
+        if apart:
+            words += f". Not comparable with the newest: {apart}"
+        made.append(
+            Reading(
+                side.side, visit.taken_at, side.volume_cc, low, high, words, line=repr(side.basis), is_apart=bool(apart)
+            )
+        )
     return made
 
 
@@ -129,14 +143,14 @@ def _without_numbers(side: SideResult) -> SideResult:
     return replace(side, volume_cc=None, interval_cc=None, refused=CHANGED)
 
 
-def _side(volume: Volume) -> SideResult:
+def _side(volume: Volume, rests_on: Basis) -> SideResult:
     interval = None
     if volume.low_cc is not None and volume.high_cc is not None:
         interval = volume.low_cc, volume.high_cc
     titles = {"left": "Left breast", "right": "Right breast", "model": "Model", "difference": "Difference"}
     return SideResult(
         side=volume.side, title=titles.get(volume.side, volume.side), definition=volume.definition,
-        volume_cc=volume.volume_cc, interval_cc=interval, refused=volume.refused,
+        volume_cc=volume.volume_cc, interval_cc=interval, refused=volume.refused, basis=rests_on,
     )  # fmt: skip
 
 

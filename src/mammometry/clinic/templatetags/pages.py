@@ -291,7 +291,9 @@ def volumes_over_time(readings: list[Reading], events: list[Event], words: str) 
         ("narrow", time_line(readings, width=340, height=250, events=events)),
         ("broad", time_line(readings, width=760, height=300, events=events)),
     ]
-    return {"charts": charts, "words": words, "sides": sorted({reading.series for reading in readings})}
+    apart = [reading for reading in readings if reading.is_apart]
+    sides = sorted({reading.series for reading in readings})
+    return {"charts": charts, "words": words, "sides": sides, "apart": apart}
 
 
 def allowed(request: HttpRequest, address: str) -> bool:

@@ -87,7 +87,7 @@ def patients(request: HttpRequest) -> HttpResponse:
 def patient(request: HttpRequest, patient: uuid.UUID) -> HttpResponse:
     """One patient: volumes over time, visits, changes, operations, consents."""
     person = get_object_or_404(Patient, pk=patient)
-    visits = list(person.visits.select_related("rig").prefetch_related("measurements__volumes"))
+    visits = list(person.visits.select_related("rig", "repeat_of").prefetch_related("measurements__volumes"))
     operations = list(person.operations.select_related("entered_by"))
     shown_results = results.latest(visits)
     by_visit = {result.visit.id: result for result in shown_results}

@@ -11,7 +11,7 @@ from django.shortcuts import redirect, render
 from django.utils import timezone
 
 from mammometry.base.errors import MammometryError
-from mammometry.clinic.forms import DAY_AND_TIME, ask_about_day
+from mammometry.clinic.forms import DAY_AND_TIME, ask_about_day, name_empty_choices
 from mammometry.clinic.intake.scans import taken_in
 from mammometry.clinic.jobs import queue
 from mammometry.clinic.models import Patient, Scan, Visit
@@ -70,7 +70,7 @@ class ScanForm(forms.ModelForm):  # type: ignore[type-arg]
 
     class Meta:
         model = Visit
-        fields = ("patient", "taken_at", "note")
+        fields = ("patient", "taken_at", "posture", "note")
         labels = {"taken_at": "Day and time"}  # noqa: RUF012
         widgets = {  # noqa: RUF012
             "patient": forms.HiddenInput(),
@@ -78,9 +78,13 @@ class ScanForm(forms.ModelForm):  # type: ignore[type-arg]
             "note": forms.Textarea(attrs={"rows": 2}),
         }
 
-    field_order = ("patient", "scanner", "sent", "units", "head", "ahead", "shape_alone", "taken_at", "note")
+    field_order = ("patient", "scanner", "sent", "units", "head", "ahead", "shape_alone", "taken_at", "posture", "note")
 
     questions: tuple[str, ...] = ()
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        name_empty_choices(self.fields)
 
     def clean(self) -> dict[str, Any]:
         """Ask whether a day in the future is right."""

@@ -7,6 +7,7 @@ import io
 import uuid
 import zipfile
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from itertools import islice
 from typing import TYPE_CHECKING, Any
 
@@ -22,8 +23,8 @@ from mammometry.base.errors import MammometryError
 from mammometry.base.extras import MissingLibraryError
 from mammometry.clinic import deliveries
 from mammometry.clinic.models import Visit
-from mammometry.clinic.records.cohort import left_out, measured_visits, pooled, study_rows, visits_between
-from mammometry.clinic.records.results import report_file
+from mammometry.clinic.records.cohort import left_out, measured_visits, pooled, repeats, study_rows, visits_between
+from mammometry.clinic.records.results import SIDES, report_file
 from mammometry.clinic.site import the_clinic
 from mammometry.clinic.views.responses import download, not_installed
 from mammometry.study.agreement import LEAST_SUBJECTS, PairedMeasurements, agreement
@@ -48,6 +49,12 @@ _COLUMNS = (
     "confirmed_on",
     "rig",
     "software",
+    "posture",
+    "settings",
+    "wall",
+    "boundary",
+    "apart",
+    "repeat_of",
 )
 
 
@@ -55,34 +62,37 @@ def study(request: HttpRequest) -> HttpResponse:
     """Page of the cohort and of the agreement between repeated visits."""
     visits = _asked(request)
     everything = pooled(visits)
-    within_days = _whole(request.GET.get("within", ""), 1, 365)
-    pairs = everything.repeated(within_days)
+    repeated = repeats(visits)
     figures = None
-    patients = tuple(name.rpartition(" ")[0] for name, *_ in pairs)  # both breasts of one are not independent
+    patients = tuple(pair.pseudonym for pair in repeated.pairs)  # both breasts of one are not independent
     if len(set(patients)) >= LEAST_SUBJECTS:
-        names, first, second = zip(*pairs, strict=True)
         figures = agreement(
             PairedMeasurements(
-                names=names, reference=np.array(first), measured=np.array(second),
+                names=tuple(f"{pair.pseudonym} {pair.side}" for pair in repeated.pairs),
+                reference=np.array([pair.first_cc for pair in repeated.pairs]),
+                measured=np.array([pair.second_cc for pair in repeated.pairs]),
                 reference_name="first", measured_name="second", unit="cc", subjects=patients,
             )
         )  # fmt: skip
-    volumes_cc = everything.volumes_cc
+    volumes_cc, comparable_cc = everything.volumes_cc, everything.comparable_cc
     left_out_visits, left_out_patients = left_out(visits)
     context = {
-        "rows": list(islice(study_rows(visits.filter(pk__in=everything.visit_keys[:_SHOWN])), _SHOWN)),
+        "rows": list(
+            islice(study_rows(visits.filter(pk__in=everything.visit_keys[:_SHOWN]), everything.reference), _SHOWN)
+        ),
         "more": max(0, len(everything.day) - _SHOWN),
         "patients": everything.patients,
         "visits": everything.visits,
         "measured": len(volumes_cc),
         "refused": len(everything.day) - len(volumes_cc),
-        "median_cc": float(np.median(volumes_cc)) if len(volumes_cc) else None,
-        "quartiles_cc": tuple(map(float, np.quantile(volumes_cc, [0.25, 0.75]))) if len(volumes_cc) else None,
+        "apart": len(volumes_cc) - len(comparable_cc),
+        "median_cc": float(np.median(comparable_cc)) if len(comparable_cc) else None,
+        "quartiles_cc": tuple(map(float, np.quantile(comparable_cc, [0.25, 0.75]))) if len(comparable_cc) else None,
         "agreement": figures,
-        "pairs": len(pairs),
+        "pairs": len(repeated.pairs),
         "pairs_of": len(set(patients)),
+        "no_pairs": repeated.left_out,
         "least": LEAST_SUBJECTS,
-        "within": within_days,
         "left_out": left_out_visits,
         "left_out_patients": left_out_patients,
         "asked": request.GET,
@@ -96,7 +106,8 @@ def study_csv(request: HttpRequest) -> HttpResponse:
     response = download("", f"cohort_{timezone.localdate():%Y-%m-%d}.csv", "text/csv; charset=utf-8")
     writer = CsvWriter(response)
     writer.row(_COLUMNS)
-    for row in study_rows(_asked(request)):
+    visits = _asked(request)
+    for row in study_rows(visits, pooled(visits).reference):
         writer.row(_cell(getattr(row, name)) for name in _COLUMNS)
     return response
 
@@ -116,10 +127,6 @@ def _day(text: str) -> datetime.date | None:
         return datetime.date.fromisoformat(text)
     except ValueError:
         return None
-
-
-def _whole(text: str, low: int, high: int) -> int:
-    return min(max(int(text), low), high) if text.isdecimal() and len(text) < 6 else low
 
 
 _RELEASES: Mapping[str, Release] = {"r4": "R4", "r5": "R5"}
@@ -178,15 +185,18 @@ def study_table(request: HttpRequest) -> HttpResponse:
 def _study(request: HttpRequest, tables: Callable[[Any], dict[str, bytes]], kind: str) -> HttpResponse:
     """Numbers of all visits that were asked for. Which are left out, and why, stands beside them."""
     config, sessions, omitted = the_clinic(), [], []
-    for visit in measured_visits(_asked(request)).select_related("patient", "rig"):
+    visits = _asked(request)
+    apart = {(row.pseudonym, row.day, row.side): row.apart for row in study_rows(visits, pooled(visits).reference)}
+    for visit in measured_visits(visits).select_related("patient", "rig"):
+        pseudonym, day = visit.patient.pseudonym, timezone.localtime(visit.taken_at).date()
+        why = {side: apart.get((pseudonym, day, side), "") for side in SIDES}
         try:
-            sessions.append(deliveries.gathered(config, visit, whole=False))
+            sessions.append(replace(deliveries.gathered(config, visit, whole=False), apart=why))
         except MammometryError as error:
-            day = timezone.localtime(visit.taken_at).date().isoformat()
-            omitted.append((visit.patient.pseudonym, day, error.found))
-    visits, patients = left_out(_asked(request))
-    if visits:
-        omitted.append(("", "", f"no consent to research holds: {visits} visits of {patients} patients"))
+            omitted.append((pseudonym, day.isoformat(), error.found))
+    without, patients = left_out(visits)
+    if without:
+        omitted.append(("", "", f"no consent to research holds: {without} visits of {patients} patients"))
     try:
         made = tables(sessions)
     except MammometryError as error:

@@ -111,10 +111,11 @@ def circumstances(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
     if request.method == "POST":
         form = CircumstancesForm(request.POST, instance=shown)
         if form.is_valid():
-            shown.save(update_fields=["occasion", "posture"])
-            messages.success(request, "Occasion and posture are changed.")
+            shown.save(update_fields=["occasion", "posture", "repeat_of"])
+            messages.success(request, "Occasion, posture and repeat are changed.")
         else:
-            messages.error(request, "Choose occasion and posture from the lists.")
+            reasons = [str(error) for errors in form.errors.values() for error in errors]
+            messages.error(request, f"Nothing was changed. {' '.join(reasons)}")
     return redirect("visit", visit=visit)
 
 
