@@ -315,7 +315,7 @@ def test_a_torsos_size_shows_its_unit(tmp_path: Path, unit: str, factor: float) 
 
 def test_a_size_that_no_torso_has_in_any_unit_leaves_the_question(tmp_path: Path) -> None:
     path = export(front().mapped(lambda points: points * 6), tmp_path / "a.ply")
-    with pytest.raises(SessionError, match=r"found no unit.*--units mm, cm or m"):
+    with pytest.raises(SessionError, match=r"found no unit.*--units mm, cm, m, in or ft"):
         read_foreign(path, of_torso=True)
 
 

@@ -66,12 +66,13 @@ def test_the_stated_unit_counts_and_the_mesh_stands_where_the_scene_has_it(
     assert read.mesh.face_vectors().sum(axis=0)[2] > 0  # looks ahead, as it did
 
 
-def test_a_unit_that_nobody_states_is_taken_from_the_size_and_an_odd_one_is_asked_for(tmp_path: Path) -> None:
+def test_a_unit_that_nobody_states_is_taken_from_the_size_and_inches_are_read(tmp_path: Path) -> None:
     nobody = packed(tmp_path / "a.usdz", {"a.usda": layer(FRONT, 0.001)})
     assert read_foreign(nobody, of_torso=True).units == "m, as the body's size shows"
     inches = packed(tmp_path / "b.usdz", {"a.usda": layer(FRONT, 1 / 25.4, head="metersPerUnit = 0.0254")})
-    with pytest.raises(SessionError, match=r"a unit of 25.4 mm.*--units"):
-        read_foreign(inches)
+    read = read_foreign(inches)
+    assert read.units == "in, as the file says"
+    assert read.mesh.area_mm2() == pytest.approx(FRONT.area_mm2(), rel=1e-4)
 
 
 def test_quads_left_handed_and_coloured(tmp_path: Path) -> None:

@@ -116,7 +116,7 @@ def measured_keys(path: Path | str, settings: Settings) -> tuple[str, ...]:
     folder = Path(path)
     if not is_scan(folder):
         return tuple(key.digest for key in open_session(folder, settings).keys("measure"))
-    from mammometry.api.mesh import open_scan
+    from mammometry.api.scan_folders import open_scan
 
     return tuple(product.key.digest for product in open_scan(folder, settings).plan.products())
 
@@ -141,7 +141,7 @@ def _session(folder: Path, settings: Settings, watch: Watch) -> Dated:
 
 
 def _scan(folder: Path, settings: Settings, watch: Watch) -> Dated:
-    from mammometry.api.mesh import open_scan
+    from mammometry.api.scan_folders import open_scan
 
     job = open_scan(folder, settings, watch=watch)
     return Dated(

@@ -29,7 +29,7 @@ from mammometry.api.previews import load
 from mammometry.api.results import Results, show_refusal, withdraw_refusal
 from mammometry.api.stored_report import Reported
 from mammometry.base.child_process import ChildProcess, Ended, NotDone
-from mammometry.base.errors import MeasureError, SessionError
+from mammometry.base.errors import MammometryError, MeasureError, SessionError
 from mammometry.base.identity import Identity
 from mammometry.base.machine.cores import available_cores, one_blas_thread
 from mammometry.base.machine.system import peak_memory_mb
@@ -37,16 +37,14 @@ from mammometry.base.progress import Progress, no_progress
 from mammometry.geometry import Array, Float64, TriangleMesh
 from mammometry.geometry.nearest import barycentric, closest_on_mesh
 from mammometry.io.drawn import (
-    BOUNDARIES,
-    LANDMARK_FILE,
     DrawnBoundaries,
     boundaries_digest,
     boundaries_in,
     landmarks_digest,
     landmarks_in,
 )
-from mammometry.io.meshes.foreign import ForeignMesh, read_foreign
-from mammometry.io.meshes.scans import MESH, RESULTS, Scan, is_scan, read_scan, skin_colours
+from mammometry.io.meshes.foreign import ForeignMesh, read_foreign, unit_remark
+from mammometry.io.meshes.scans import Scan, skin_colours
 from mammometry.io.outputs import require_apart, require_own_folder, take_folder
 from mammometry.io.results.store import Store, Watch, unwatched
 from mammometry.io.subject import check_mesh
@@ -75,6 +73,12 @@ _LOG = logging.getLogger(__name__)
 _LEAST_FACES = 10_000  # from which a second process that draws, one processor second to begin, is worth it
 _DENSE = 300_000  # faces, from which the colours of vertices are as fine as a page shows them
 _DARK, _LIGHT = 70.0, 160.0  # 8-bit grey of a colourless mesh in shade, and what full light adds; chosen by eye
+SIDES_DOUBTFUL = (
+    "Left and right may be exchanged: the mesh was inside out, as a mirror image is. Compare a mole, the operated side "
+    "or a tattoo with the patient. If they are exchanged, export the mesh again without mirroring. If they are right: "
+    "--sides-checked."
+)
+"""A mesh cannot show which of both it is."""
 WORLD = "The mesh file's own frame, in mm."
 
 
@@ -85,7 +89,7 @@ class MeshFiles:
     mesh: Path
     """PLY, OBJ, STL, GLB or USDZ."""
     units: str | None = None
-    """``mm``, ``cm``, ``m``. None where the file states it."""
+    """``mm``, ``cm``, ``m``, ``in`` or ``ft``. None where the file states it."""
     boundary: Path | None = None
     """boundaries.json of the mesh, in mm or the mesh's unit. None: found by landmarks or automatically."""
     landmarks: Path | None = None
@@ -110,6 +114,8 @@ class MeshFiles:
     """Identifier of the subject, a pseudonym, carried by every result. None: not given."""
     posture: str = ""
     """How the patient held herself: ``standing``, ``leaning`` or ``lying``. Empty: as the scan's folder says."""
+    sides_checked: bool = False
+    """Whether somebody found left and right of the mesh to be the patient's."""
     scan: Scan | None = None
     """What an imported scan's folder says. None: the mesh was not imported."""
 
@@ -135,10 +141,11 @@ class MeshJob(Reported):
             MeasureError: the mesh is no surface to be measured, the boundary does not lie on it, or a landmark is off
                 it or on the wrong side.
         """
+        self._assumed = ""
         try:
             self._open(files, folder, settings or Settings(), watch)
-        except MeasureError as error:
-            raise error.of_mesh() from None
+        except MammometryError as error:
+            raise (error.of_mesh() if isinstance(error, MeasureError) else error).with_remark(self._assumed) from None
 
     def _open(self, files: MeshFiles, folder: Path, settings: Settings, watch: Watch) -> None:
         from mammometry.measure import scanned
@@ -152,6 +159,7 @@ class MeshJob(Reported):
         check_mesh(files.mesh, (files.boundary, files.landmarks), folder, files.subject)
         drawn = DrawnBoundaries() if files.boundary is None else boundaries_in(files.boundary, _NAMES)
         foreign = read_foreign(files.mesh, files.units, of_torso="model" not in drawn.curves)
+        self._assumed = foreign.assumed if files.scan is None else unit_remark(files.scan.units)
         if files.boundary is None and files.landmarks is None and not files.automatic:
             remedy = "Add --boundary b.json, or --landmarks l.json with the protocol's landmarks, or --automatic"
             expected = "where the breast ends on this mesh"
@@ -197,7 +205,13 @@ class MeshJob(Reported):
         if by_axes:
             frame = scanned.frame_from_axes(scan.mesh, files.head, files.ahead)
             scan = front_of_body(scan, frame)
-        self.notes: tuple[str, ...] = (*foreign.notes, *scan.notes)
+        checked = files.sides_checked or (files.scan is not None and bool(files.scan.sides))
+        self.sides_doubtful = self.kind == "torso" and scan.inside_out and not checked
+        self.notes: tuple[str, ...] = (
+            *([SIDES_DOUBTFUL] if self.sides_doubtful else []),
+            *(foreign.notes if files.scan is None else files.scan.remarks or filter(None, [self._assumed])),
+            *scan.notes,
+        )
         mesh = scan.mesh
         curves = {name: scanned.in_mesh_unit(curve, mesh, foreign.mm_per_unit) for name, curve in curves.items()}
         drawn = replace(drawn, curves=curves)
@@ -279,9 +293,10 @@ class MeshJob(Reported):
                 made = self.plan.value(measure.measurements) or ()
                 drawn = None if begin is None else begin()
                 self.plan.ensure("measure")
-            except MeasureError as error:
+            except MeasureError as refused:
+                error = refused.with_remark(self._assumed)
                 show_refusal(self.store.folder, self.identity, error, self._seen)
-                raise
+                raise error from None
             withdraw_refusal(self.store.folder)
             measurements = {str(measured.name): measured for measured in made}
             no_breast: dict[str, str] = {side.name: side.why for side in self.plan.value(measure.absent) or ()}
@@ -370,7 +385,13 @@ class MeshJob(Reported):
         from mammometry.report.gather import MeshOrigin, gather_mesh
 
         origin = MeshOrigin(
-            kind=self.kind, units=self.units, world=WORLD, scanner=self.scanner, notes=self.notes, posture=self.posture
+            kind=self.kind,
+            units=self.units,
+            world=WORLD,
+            scanner=self.scanner,
+            notes=self.notes,
+            posture=self.posture,
+            sides_doubtful=self.sides_doubtful,
         )
         return gather_mesh(
             self.plan,
@@ -384,6 +405,7 @@ class MeshJob(Reported):
 
     def _page_key(self, page: PageInputs) -> Key:
         stated = {"units": self.units, "posture": self.posture, "scanner": self.scanner}
+        stated |= {"sides": "doubtful"} if self.sides_doubtful else {}
         return page.key(self.plan.products(), {"mesh": self.inputs.digests["mesh"], **stated})
 
     @property
@@ -439,59 +461,3 @@ class _StoreOfMesh(Store):
             return super().recall(key, prepare)
         except MeasureError as error:
             raise error.of_mesh() from None
-
-
-def scan_files(folder: Path, *, subject: str | None = None, drawn: bool = True) -> MeshFiles:
-    """An imported scan's mesh, with what was drawn on it. Other boundaries are found automatically.
-
-    Args:
-        folder: made by ``mammometry import mesh``. What was drawn lies in it, as in a session.
-        subject: a pseudonym. None: the one that the folder names.
-        drawn: whether drawn boundaries and landmarks count.
-
-    Raises:
-        SessionError: the folder's description is not as documented.
-    """
-    scan = read_scan(folder)
-    boundary, landmarks = (
-        path if drawn and path.is_file() else None for path in (folder / BOUNDARIES, folder / LANDMARK_FILE)
-    )
-    return MeshFiles(
-        mesh=folder / MESH, units="mm", boundary=boundary, landmarks=landmarks, automatic=True,
-        head=scan.head or None, ahead=scan.ahead or None, subject=subject or scan.subject, scan=scan,
-    )  # fmt: skip
-
-
-def open_scan(folder: Path, settings: Settings | None = None, *, watch: Watch = unwatched) -> MeshJob:
-    """Open an imported scan.
-
-    Args:
-        folder: made by ``mammometry import mesh``.
-        settings: of the measurement; None for the recommended ones.
-        watch: called for every product that is made.
-
-    Raises:
-        MammometryError: the scan cannot be opened.
-    """
-    return MeshJob(scan_files(folder), folder / RESULTS, settings, watch=watch)
-
-
-def drawable_scan(folder: Path, settings: Settings | None = None) -> MeshJob:
-    """Open an imported scan for drawing on it.
-
-    A drawing that the measurement refuses does not count. It can so be corrected.
-
-    Raises:
-        MammometryError: the scan cannot be opened.
-    """
-    try:
-        return open_scan(folder, settings)
-    except MeasureError:
-        return MeshJob(scan_files(folder, drawn=False), folder / RESULTS, settings)
-
-
-def folder_for(mesh: Path) -> Path:
-    """Default folder for a mesh's results: an imported scan's own, else beside the mesh with its name."""
-    if mesh.name == MESH and is_scan(mesh.parent):
-        return mesh.parent / RESULTS
-    return mesh.with_name(f"{mesh.stem}-measured")

@@ -6,8 +6,9 @@ Anything else that escapes is a defect of ours. The command line turns each clas
 
 from __future__ import annotations
 
+import copy
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 _LONGEST = 500  # characters of one part; names and values out of damaged files may be longer
 
@@ -30,7 +31,22 @@ class MammometryError(Exception):
         """Single cases behind the sentence, such as the photographs that were not used. Pages list them."""
         self.page: Path | None = None
         """Shows what was seen, where a page was written."""
-        super().__init__(f"{self.subject}: found {self.found}, expected {self.expected}. {self.remedy.rstrip('.')}.")
+        super().__init__(self._sentence())
+
+    def _sentence(self) -> str:
+        return f"{self.subject}: found {self.found}, expected {self.expected}. {self.remedy.rstrip('.')}."
+
+    def with_remark(self, remark: str) -> Self:
+        """The same error with one more sentence behind its remedy.
+
+        A sentence that it has already, or an empty one, changes nothing.
+        """
+        if not remark or remark in self.remedy:
+            return self
+        made = copy.copy(self)
+        made.remedy = f"{self.remedy.rstrip('.')}. {_on_one_line(remark)}"
+        made.args = (made._sentence(),)
+        return made
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Parts to copy or unpickle the error from; without them a refusal breaks a pool of processes."""

@@ -266,7 +266,7 @@ def _gathered(session: Path, options: Options, *, deidentify: bool, parts: list[
 
     with Bars(options.silent) as bars:
         if is_scan(session):
-            from mammometry.api.mesh import open_scan
+            from mammometry.api.scan_folders import open_scan
 
             job = open_scan(session, options.settings(), watch=bars.watch)
             return gather_scan(job, deidentify=deidentify, parts=parts or ())

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -31,7 +30,9 @@ class MeshOptions:
 
     units: Annotated[
         str | None,
-        _mesh_option(help="Unit of the mesh: mm, cm or m.", show_default="as the file states, or a torso's size shows"),
+        _mesh_option(
+            help="Unit of the mesh: mm, cm, m, in or ft.", show_default="as the file states, or a torso's size shows"
+        ),
     ] = None
     boundary: Annotated[Path | None, _mesh_option(help="A boundaries.json: closed curves on the mesh.")] = None
     landmarks: Annotated[
@@ -58,6 +59,9 @@ class MeshOptions:
     posture: Annotated[str | None, _mesh_option(help="How the patient held herself: standing, leaning or lying.")] = (
         None
     )
+    sides_checked: Annotated[
+        bool, _mesh_option("--sides-checked", help="Left and right of the mesh were compared with the patient.")
+    ] = False
 
     def given(self) -> str | None:
         """Name of the first option that was given. None if none was."""
@@ -81,8 +85,9 @@ def measure_mesh(
         typer.BadParameter: an option is not what it says.
         MammometryError: the mesh cannot be measured.
     """
-    from mammometry.api.mesh import SCALE_STD, SURFACE_STD_MM, MeshFiles, MeshJob, folder_for, scan_files
-    from mammometry.io.meshes.scans import MESH, is_scan, read_scan
+    from mammometry.api.mesh import SCALE_STD, SURFACE_STD_MM, MeshFiles, MeshJob
+    from mammometry.api.scan_folders import folder_for, scan_files
+    from mammometry.io.meshes.scans import MESH, confirm_sides, is_scan, read_scan
     from mammometry.io.outputs import require_apart
 
     if given.posture not in (None, *POSTURES):
@@ -94,6 +99,8 @@ def measure_mesh(
     units, head, ahead, subject = given.units, given.head, given.ahead, given.subject
     scan = read_scan(mesh.parent) if mesh.name == MESH and is_scan(mesh.parent) else None
     if scan is not None:
+        if given.sides_checked:
+            confirm_sides(mesh.parent)
         own = scan_files(mesh.parent, subject=subject)
         units, head, ahead, subject = units or own.units, head or own.head, ahead or own.ahead, own.subject
         if boundary is None:
@@ -113,6 +120,7 @@ def measure_mesh(
         surface_std_mm=SURFACE_STD_MM if given.surface_sd is None else given.surface_sd,
         subject=named_subject(subject),
         posture=given.posture or "",
+        sides_checked=given.sides_checked,
         scan=scan,
     )
     folder = given.out or folder_for(mesh)
@@ -140,14 +148,6 @@ app = typer.Typer(name="import", help="Take over what other devices made: a scan
 _COMMAND = "import mesh"
 
 
-class Units(StrEnum):
-    """Units of mesh files."""
-
-    mm = "mm"
-    cm = "cm"
-    m = "m"
-
-
 @command(
     app,
     "mammometry import mesh scan.obj --scanner 'Vectra M5' --units mm --out anna",
@@ -161,7 +161,10 @@ def mesh(
     scanner: Annotated[str, typer.Option(help="Name of the device, such as 'Vectra M5'.", show_default=False)],
     out: Annotated[Path, typer.Option(metavar="FOLDER", help="Folder for the scan.", show_default=False)],
     units: Annotated[
-        Units | None, typer.Option(help="Unit of the file.", show_default="as the file states, else required")
+        str | None,
+        typer.Option(
+            help="Unit of the file: mm, cm, m, in or ft.", show_default="as the file states, or its size shows"
+        ),
     ] = None,
     head: Annotated[
         str, typer.Option(help="The file's axis towards the head: y, -z and so on.", show_default="y, or z")
@@ -173,6 +176,9 @@ def mesh(
     posture: Annotated[
         str, typer.Option(help="How the patient held herself: standing, leaning or lying.", show_default="not said")
     ] = "",
+    sides_checked: Annotated[
+        bool, typer.Option("--sides-checked", help="Left and right of the mesh were compared with the patient.")
+    ] = False,
     without_texture: Annotated[
         bool, typer.Option("--without-texture", help="Take the shape alone, without material file and pictures.")
     ] = False,
@@ -187,8 +193,11 @@ def mesh(
 
     require_apart(out, [file])
     require_free(out, FILES, command=_COMMAND)
-    about = Scan(scanner=scanner, units="", head=head, ahead=ahead, subject=named_subject(subject), posture=posture)
-    made = import_scan(file, about, units=None if units is None else units.value, texture=not without_texture)
+    about = Scan(
+        scanner=scanner, units="", head=head, ahead=ahead, subject=named_subject(subject), posture=posture,
+        sides="checked" if sides_checked else "",
+    )  # fmt: skip
+    made = import_scan(file, about, units=units, texture=not without_texture)
     write_outputs(out, made, command=_COMMAND)
     pictures = sum(name.startswith("texture-") for name in made)
     sentence = f"{out / MESH}: with {pictures} pictures" if pictures else f"{out / MESH}: without pictures"

@@ -135,7 +135,7 @@ def info(options: Options, session: SessionOrScan) -> Answer:
 
 def _scan_info(folder: Path, settings: Settings, *, every_product: bool) -> Answer:
     """What an imported scan holds, which results are current, and what to do next."""
-    from mammometry.api.mesh import open_scan
+    from mammometry.api.scan_folders import open_scan
 
     scan = open_scan(folder, settings)
     keys = [product.key for product in scan.plan.products()]
@@ -392,7 +392,7 @@ def edit(
 
     def drawable() -> Drawable:
         from mammometry.api.job import open_session
-        from mammometry.api.mesh import drawable_scan
+        from mammometry.api.scan_folders import drawable_scan
 
         chosen = options.settings()
         return drawable_scan(session, chosen) if scan else open_session(session, chosen)

@@ -37,7 +37,7 @@ def scan_demo(folder: Path, options: Options) -> Answer:
     Raises:
         MammometryError: the folder holds something else, or the scan cannot be measured.
     """
-    from mammometry.api.mesh import open_scan
+    from mammometry.api.scan_folders import open_scan
     from mammometry.io.meshes.scans import FILES, is_scan, read_scan
     from mammometry.io.outputs import require_free, write_outputs
 
@@ -164,7 +164,7 @@ def simulate(
         ),
     ] = _RECIPE.subject,
     units: Annotated[
-        str | None, typer.Option(metavar="mm|cm|m", help="Unit of the subject's mesh file.", show_default=False)
+        str | None, typer.Option(metavar="mm|cm|m|in|ft", help="Unit of the subject's mesh file.", show_default=False)
     ] = None,
     subject_scale: Annotated[
         float | None,
@@ -301,7 +301,8 @@ def target(
 
 def _mesh_file(subject: str, units: str | None, mm_per_unit: float | None, turn: str) -> MeshFile | None:
     """Options for reading the subject's mesh file, None for a subject that is not a file."""
-    from mammometry.simulate.subjects.user_mesh import MM_PER_UNIT, MeshFile, names_a_mesh
+    from mammometry.base.units import MM_PER_UNIT, UNIT_NAMES, unit_named
+    from mammometry.simulate.subjects.user_mesh import MeshFile, names_a_mesh
 
     if not names_a_mesh(subject):
         if units or mm_per_unit or turn != "0,0,0":
@@ -311,13 +312,14 @@ def _mesh_file(subject: str, units: str | None, mm_per_unit: float | None, turn:
         return None
     if units and mm_per_unit:
         raise typer.BadParameter("--units and --subject-scale mean the same. Give one of them")
-    if units and units not in MM_PER_UNIT:
-        raise typer.BadParameter(f"--units is mm, cm or m, found {units!r}")
+    unit = unit_named(units) if units else None
+    if units and unit is None:
+        raise typer.BadParameter(f"--units is {UNIT_NAMES}, found {units!r}")
     try:
         x, y, z = (float(angle) for angle in turn.split(","))
     except ValueError:
         raise typer.BadParameter(f"--subject-turn is written as 90,0,0, found {turn!r}") from None
-    return MeshFile(mm_per_unit=MM_PER_UNIT[units] if units else mm_per_unit, turn_deg=(x, y, z))
+    return MeshFile(mm_per_unit=MM_PER_UNIT[unit] if unit else mm_per_unit, turn_deg=(x, y, z))
 
 
 def _columns_and_rows(text: str) -> list[int]:

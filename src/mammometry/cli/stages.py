@@ -220,7 +220,7 @@ def report(
     if privacy.guarded:
         require_apart(folder, [options.file])
     if is_scan(session):
-        from mammometry.api.mesh import open_scan
+        from mammometry.api.scan_folders import open_scan
 
         with Bars(options.silent) as bars:
             scan = open_scan(session, options.settings(), watch=bars.watch)

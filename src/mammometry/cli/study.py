@@ -208,7 +208,7 @@ def observers(
         Path, typer.Option(metavar="FOLDER", help="Folder for the report, its figures and its numbers.")
     ] = Path("observers"),
     units: Annotated[
-        str | None, typer.Option(metavar="UNIT", help="Unit of the meshes: mm, cm or m.", show_default=False)
+        str | None, typer.Option(metavar="UNIT", help="Unit of the meshes: mm, cm, m, in or ft.", show_default=False)
     ] = None,
     head: Annotated[
         str | None, typer.Option(metavar="AXIS", help="The meshes' axis towards the head.", show_default=False)

@@ -51,6 +51,8 @@ class RepairedScan:
     """Vertices of closed holes."""
     notes: tuple[str, ...]
     """What was changed, one sentence each."""
+    inside_out: bool = False
+    """Whether most of its faces looked inwards, as those of a mirror image do."""
 
 
 def repair_scan(mesh: TriangleMesh, *, largest: bool = False) -> RepairedScan:
@@ -74,8 +76,9 @@ def repair_scan(mesh: TriangleMesh, *, largest: bool = False) -> RepairedScan:
     turned = _facing_out(mesh, notes)
     if turned is None:  # `scanned.check_mesh` names what is wrong
         return RepairedScan(mesh=mesh, invented=np.zeros(len(mesh.vertices), dtype=bool), notes=tuple(notes))
-    mesh, invented = _filled(_without_loose_triangles(turned), notes)
-    return RepairedScan(mesh=mesh, invented=invented, notes=tuple(notes))
+    out, inside_out = turned
+    mesh, invented = _filled(_without_loose_triangles(out), notes)
+    return RepairedScan(mesh=mesh, invented=invented, notes=tuple(notes), inside_out=inside_out)
 
 
 def largest_part(mesh: TriangleMesh) -> TriangleMesh:
@@ -226,8 +229,13 @@ def _is_flat(mesh: TriangleMesh) -> bool:
     return bool(variance[0] < _FLAT_MM**2 and variance[1] > _WIDE_MM**2)
 
 
-def _facing_out(mesh: TriangleMesh, notes: list[str]) -> TriangleMesh | None:
-    """Turn faces that look inwards. None where more than two faces meet at an edge, or there is no outside."""
+def _facing_out(mesh: TriangleMesh, notes: list[str]) -> tuple[TriangleMesh, bool] | None:
+    """Turn faces that look inwards.
+
+    Returns:
+        The mesh, and whether most of its area looked inwards. None where more than two faces meet at an edge, or there
+        is no outside.
+    """
     rings = mesh_kernels.edge_rings(len(mesh.vertices), mesh.faces)
     side = np.arange(len(rings))
     if not (rings[rings] == side).all():
@@ -235,21 +243,22 @@ def _facing_out(mesh: TriangleMesh, notes: list[str]) -> TriangleMesh | None:
     paired = side[rings > side]
     starts = mesh.faces.ravel()
     unlike = starts[paired] == starts[rings[paired]]  # both faces run along the edge in one direction
-    faces = mesh.faces
+    faces, turned_mm2, whole_mm2 = mesh.faces, 0.0, mesh.area_mm2()
     if unlike.any():
         turned = _turned_apart(len(faces), paired // 3, rings[paired].astype(np.int64) // 3, unlike)
         if turned is None:
             return None
+        turned_mm2 = mesh.submesh(turned).area_mm2()
         faces = np.where(turned[:, None], faces[:, ::-1], faces)
         mesh = TriangleMesh(vertices=mesh.vertices, faces=np.ascontiguousarray(faces))
-    inside_out = _stands_out_mm3(mesh) < 0
+    if _stands_out_mm3(mesh) < 0:
+        mesh, turned_mm2 = mesh.turned_over(), whole_mm2 - turned_mm2
+    inside_out = turned_mm2 > whole_mm2 / 2
     if inside_out:
-        mesh = mesh.turned_over()
-    if unlike.any():
-        notes.append("Neighbouring faces looked to opposite sides: all were turned outwards.")
-    elif inside_out:
         notes.append("The mesh was inside out: its faces were turned outwards.")
-    return mesh
+    elif unlike.any():
+        notes.append("Neighbouring faces looked to opposite sides: all were turned outwards.")
+    return mesh, inside_out
 
 
 def _turned_apart(

@@ -316,6 +316,9 @@ _HUNG_UPWARDS = -0.04
 virtual bodies had .05 to .6 below it; mounds, which are alike at both ends, have 0."""
 
 
+_SIDES_DOUBTFUL = "Left and right may be exchanged: compare a mole or the operated side. See the warnings."
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MeshOrigin:
     """Facts about a mesh that the file's measurements do not tell."""
@@ -332,6 +335,8 @@ class MeshOrigin:
     """How the patient held herself, as was said. Empty: nobody said."""
     notes: tuple[str, ...] = ()
     """What was changed in the mesh, and what was taken for granted, one sentence each."""
+    sides_doubtful: bool = False
+    """Whether left and right may be exchanged. The notes say why."""
 
 
 def gather_mesh(
@@ -371,6 +376,7 @@ def gather_mesh(
         textured, contains = guarded.textured, guarded.contains
         page = replace(page, identity=NAMELESS) if privacy.deidentify else page
     words = describe.measure_report(measurements)
+    cautions = (_SIDES_DOUBTFUL,) if origin.sides_doubtful else ()
     lengths, lengths_note = planning_lengths(sizes, marks)
     changed, everything = describe.settings_facts(page.settings)
     scene = viewer_scene(frame, finished.repaired, textured, measurements, symmetry=sides)
@@ -384,11 +390,13 @@ def gather_mesh(
         created="" if privacy is not None and privacy.deidentify else describe.created_words(None),
         subject=f"{describe.SUBJECTS[origin.kind]}; a mesh of another scanner",
         world=origin.world,
-        warnings=(*_warnings(measurements, body), *origin.notes),
+        warnings=(*origin.notes[:1], *_warnings(measurements, body), *origin.notes[1:])
+        if origin.sides_doubtful
+        else (*_warnings(measurements, body), *origin.notes),
         breasts=tuple(
             sorted(
                 [
-                    *(describe.breast_report(measurement) for measurement in measurements),
+                    *(describe.breast_report(measurement, cautions=cautions) for measurement in measurements),
                     *(describe.absent_report(side) for side in absent),
                 ],
                 key=lambda breast: breast.name,

@@ -9,7 +9,7 @@ import pytest
 from tests.unit.io.scan_files import scanned
 
 from mammometry.api.dated import open_dated
-from mammometry.api.mesh import drawable_scan, open_scan
+from mammometry.api.scan_folders import drawable_scan, open_scan
 from mammometry.base.errors import CrossingError
 from mammometry.cli.main import run
 from mammometry.editor.messages import PlaceChange, Save, SentHandle, Sketch, SketchChange

@@ -100,7 +100,7 @@ def measure_scan(progress: StageProgress, folder: str, settings: str) -> dict[st
     Raises:
         MammometryError: whatever stands in the way, in one sentence.
     """
-    from mammometry.api.mesh import open_scan
+    from mammometry.api.scan_folders import open_scan
 
     progress("prepare", 0.0)
     job = open_scan(Path(folder), Settings.from_toml(settings), watch=lambda key: _watched(key, progress))

@@ -225,7 +225,7 @@ def measured_job(visit: Visit) -> Job | MeshJob:
         MammometryError: its folder cannot be opened.
     """
     from mammometry.api.job import open_session
-    from mammometry.api.mesh import open_scan
+    from mammometry.api.scan_folders import open_scan
 
     if visit.is_changed:
         remedy = "Wait until it is measured, or measure it"

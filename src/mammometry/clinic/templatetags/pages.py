@@ -117,7 +117,7 @@ _INSTEAD = (
     (r"; compare\.refuse_mm sets the limit", ""),
     (r": --(?:head|ahead) -?[xyz], for example", ""),
     (r", or measure the largest alone with --largest", ""),
-    (r"--units(?: mm, cm or m)?", "the unit of the mesh"),
+    (r"--units(?: mm, cm, m, in or ft)?", "the unit of the mesh"),
     (r"--head", "the axis towards the head"),
     (r"--ahead", "the axis straight ahead"),
 )

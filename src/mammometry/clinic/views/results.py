@@ -85,7 +85,7 @@ _DESKS = _Desks()
 
 def _opened(visit: Visit) -> Drawable:
     from mammometry.api.job import open_session
-    from mammometry.api.mesh import drawable_scan
+    from mammometry.api.scan_folders import drawable_scan
 
     settings = the_clinic().measuring()
     if visit.is_scan:

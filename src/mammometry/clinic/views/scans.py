@@ -11,6 +11,7 @@ from django.shortcuts import redirect, render
 from django.utils import timezone
 
 from mammometry.base.errors import MammometryError
+from mammometry.base.units import UNIT_TITLES
 from mammometry.clinic.forms import DAY_AND_TIME, ask_about_day, name_empty_choices
 from mammometry.clinic.intake.scans import taken_in
 from mammometry.clinic.jobs import queue
@@ -19,7 +20,6 @@ from mammometry.clinic.site import the_clinic
 from mammometry.clinic.templatetags.pages import on_pages
 from mammometry.clinic.views.patients import chosen_patient, is_part, search_context
 from mammometry.clinic.views.responses import person_of
-from mammometry.io.meshes.foreign import MM_PER_UNIT
 from mammometry.io.meshes.scans import ABOUT, AXES, MTL, read_scan
 from mammometry.io.meshes.scans import Scan as ScanFacts
 from mammometry.io.outputs import write_outputs
@@ -27,7 +27,6 @@ from mammometry.io.outputs import write_outputs
 BODY_BYTES = 520 * 10**6
 """Largest request: the largest `scan_mb` that a clinic may set, and the form."""
 _SCRATCH = re.compile(r"uploads/scan-[^/]+/")  # into which the sent files are unpacked
-_UNITS = {"mm": "Millimetres", "cm": "Centimetres", "m": "Metres"}
 _AXIS_WORDS = {axis: f"{'minus ' if axis.startswith('-') else ''}{axis.strip('-').upper()}" for axis in AXES}
 
 
@@ -56,7 +55,7 @@ class ScanForm(forms.ModelForm):  # type: ignore[type-arg]
     )
     units = forms.ChoiceField(
         label="Unit of the mesh", required=False, help_text="The device’s export settings say it.",
-        choices=[("", "As the body’s size shows"), *((unit, _UNITS[unit]) for unit in MM_PER_UNIT)],
+        choices=[("", "As the body’s size shows"), *((unit, words.title()) for unit, words in UNIT_TITLES.items())],
     )  # fmt: skip
     head = forms.ChoiceField(
         label="Axis towards the head", required=False, help_text="Y with nearly all devices.",

@@ -15,7 +15,9 @@ import numpy as np
 
 from mammometry.base.errors import SessionError
 from mammometry.geometry.arrays import Array, Float64, Int64, UInt8
+from mammometry.geometry.mesh_files.colours import eight_bit
 
+_NUMBERS = ("v ", "vt ", "vn ", "f ")  # whose lines hold no names, in which # may stand
 _KEPT = ("v", "vt", "vn", "f", "usemtl")
 _WIDE = {b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
 _DECIMAL_COMMA = re.compile(r"\d,\d")
@@ -120,13 +122,14 @@ def decimal_commas(name: str, sample: str) -> SessionError:
 
 
 def _lines(content: bytes) -> Iterator[str]:
-    """Lines with a blank behind the first word; one that goes on behind a backslash is joined."""
+    """Lines with a blank behind the first word, without comments behind numbers; continued lines are joined."""
     wide = next((code for mark, code in _WIDE.items() if content.startswith(mark) and len(content) % 2 == 0), None)
     text = content.decode("utf-8-sig", "surrogateescape")
     if wide is not None and "\nf " not in text.replace("\r", "\n"):  # else its comments alone are in UTF-16
         text = content.decode(wide, "replace")
     for line in re.split("\r\n|\r|\n", re.sub("\\\\(\r\n|\r|\n)", " ", text)):
-        yield line.strip(" \t\0").replace("\t", " ")
+        plain = line.strip(" \t\0").replace("\t", " ")
+        yield plain.partition("#")[0].rstrip() if plain.startswith(_NUMBERS) else plain
 
 
 def _points(vertices: list[list[str]]) -> tuple[Float64[Array, "n 3"], UInt8[Array, "n 3"] | None]:
@@ -136,9 +139,7 @@ def _points(vertices: list[list[str]]) -> tuple[Float64[Array, "n 3"], UInt8[Arr
     points = np.array([row[:3] for row in vertices], dtype=np.float64).reshape(-1, 3)
     if min(widths, default=0) < 6:
         return points, None
-    colours = np.array([row[-3:] for row in vertices], dtype=np.float64)
-    scale = 255.0 if np.nanmax(colours, initial=0.0) <= 1.0 else 1.0
-    return points, np.clip(np.nan_to_num(colours) * scale + 0.5, 0, 255).astype(np.uint8)
+    return points, eight_bit(np.array([row[3:6] for row in vertices], dtype=np.float64), whole=False)
 
 
 def _corner(text: str, vertex_count: int, place_count: int) -> tuple[int, int]:

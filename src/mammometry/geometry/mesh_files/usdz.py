@@ -9,7 +9,6 @@ from __future__ import annotations
 import tempfile
 import threading
 import zipfile
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -21,41 +20,16 @@ from mammometry.base.extras import require
 from mammometry.base.machine.system import limit_memory
 from mammometry.base.parse import error_text, require_file
 from mammometry.geometry.arrays import Array, Float64, Int64, UInt8
+from mammometry.geometry.mesh_files.scene import ANIMATED, GREY, HIDDEN, MIRRORED, Scene, ScenePart
 
 _LAYERS = (".usd", ".usda", ".usdc")
 _PICTURES = (".png", ".jpg", ".jpeg")
-GREY = 128  # sRGB; of what has no colour
+_NO_SURFACE = ("Points", "BasisCurves", "NurbsCurves", "HermiteCurves")  # nothing to be measured
 _LONGEST_S = 120.0  # a scan of a million faces takes 3 s
 _MOST_MEMORY = 16 << 30  # bytes; small packed numbers may unpack to any size
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class UsdPart:
-    """A piece of the scene with one picture or none."""
-
-    points: Float64[Array, "n 3"]
-    """In the file's unit, where they stand in the scene."""
-    faces: Int64[Array, "m 3"]
-    colours: UInt8[Array, "n 3"]
-    """sRGB of each point. Mid grey where the file has none."""
-    uv: Float64[Array, "n 2"] | None
-    """Place of each point in the picture, (0, 0) lower left. None: no picture covers it."""
-    picture: str | None
-    """Name of the picture."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class UsdScene:
-    """Content of a USDZ."""
-
-    parts: tuple[UsdPart, ...]
-    pictures: dict[str, bytes]
-    """Name, with its ending → content of a JPEG or PNG."""
-    metres_per_unit: float | None
-    """None where the file does not say it."""
-
-
-def read_usdz(path: Path, *, shape: bool = True) -> UsdScene:
+def read_usdz(path: Path, *, shape: bool = True) -> Scene:
     """Read the meshes of a USDZ.
 
     Args:
@@ -79,12 +53,12 @@ def read_usdz(path: Path, *, shape: bool = True) -> UsdScene:
     except NotDone:
         read = "a file on which its reader fails"
     if isinstance(read, str):
-        expected = "a USDZ that holds its meshes itself"
-        raise SessionError(str(path), found=read, expected=expected, remedy="Export it again")
+        expected = "a USDZ of plain meshes that it holds itself"
+        raise SessionError(str(path), found=read, expected=expected, remedy="Export it again as plain meshes")
     return read
 
 
-def _read(path: str, shape: bool) -> UsdScene | str:  # positional, as `ChildProcess.call` hands it on
+def _read(path: str, shape: bool) -> Scene | str:  # positional, as `ChildProcess.call` hands it on
     """Read a USDZ, or say what it is instead."""
     limit_memory(_MOST_MEMORY)
     try:
@@ -93,7 +67,7 @@ def _read(path: str, shape: bool) -> UsdScene | str:  # positional, as `ChildPro
         return f"a file that cannot be read ({error_text(error)})"
 
 
-def _opened(path: str, *, shape: bool) -> UsdScene | str:
+def _opened(path: str, *, shape: bool) -> Scene | str:
     from pxr import Sdf, Usd, UsdGeom
 
     with tempfile.TemporaryDirectory(prefix="mammometry-") as unpacked:
@@ -115,23 +89,73 @@ def _opened(path: str, *, shape: bool) -> UsdScene | str:
         stage = Usd.Stage.Open(str(first))
         stated = stage.HasAuthoredMetadata(UsdGeom.Tokens.metersPerUnit)
         pictures: dict[str, bytes] = {}
-        return UsdScene(
-            parts=tuple(_parts(stage, folder, pictures)) if shape else (),
+        remarks: list[str] = []
+        if shape and (unread := _unread(stage)):
+            return unread
+        return Scene(
+            parts=tuple(_parts(stage, folder, pictures, remarks)) if shape else (),
             pictures=pictures,
             metres_per_unit=float(UsdGeom.GetStageMetersPerUnit(stage)) if stated else None,
+            remarks=tuple(dict.fromkeys(remarks)),
         )
 
 
-def _parts(stage: Any, folder: Path, pictures: dict[str, bytes]) -> list[UsdPart]:
+def _is_drawn(prim: Any) -> bool:
+    """Whether a geometry is shown, and neither a proxy nor a guide."""
+    from pxr import Usd, UsdGeom
+
+    shown = UsdGeom.Imageable(prim).ComputeVisibility(Usd.TimeCode.EarliestTime()) != UsdGeom.Tokens.invisible
+    return shown and UsdGeom.Imageable(prim).ComputePurpose() in (UsdGeom.Tokens.default_, UsdGeom.Tokens.render)
+
+
+def _is_animated(mesh: Any) -> bool:
+    from pxr import UsdGeom
+
+    prim = mesh.GetPrim()
+    moves = mesh.GetPointsAttr().ValueMightBeTimeVarying()
+    while prim and not moves:
+        moves = UsdGeom.Xformable(prim).TransformMightBeTimeVarying() if prim.IsA(UsdGeom.Xformable) else False
+        prim = prim.GetParent()
+    return bool(moves)
+
+
+def _unread(stage: Any) -> str | None:
+    """What a scene draws that is not read here, in words. None: all of it is read."""
+    from pxr import Usd, UsdGeom, UsdSkel
+
+    now = Usd.TimeCode.EarliestTime()
+    moves = [UsdSkel.Animation(prim) for prim in stage.Traverse() if prim.IsA(UsdSkel.Animation)]
+    blended = any(np.any(np.array(move.GetBlendShapeWeightsAttr().Get(now) or (), dtype=np.float64)) for move in moves)
+    for prim in stage.Traverse(Usd.TraverseInstanceProxies()):
+        if not prim.IsA(UsdGeom.Boundable) or not _is_drawn(prim):
+            continue
+        if prim.IsA(UsdGeom.PointInstancer):
+            return "copies of a mesh placed by a PointInstancer"
+        if prim.IsA(UsdGeom.Gprim) and not prim.IsA(UsdGeom.Mesh) and prim.GetTypeName() not in _NO_SURFACE:
+            return f"a {prim.GetTypeName()} beside its meshes"
+        binding = UsdSkel.BindingAPI(prim)
+        if prim.IsA(UsdGeom.Mesh) and binding.GetJointIndicesAttr().HasValue() and binding.GetInheritedSkeleton():
+            return "a mesh that a skeleton moves"
+        if prim.IsA(UsdGeom.Mesh) and blended and binding.GetBlendShapeTargetsRel().GetTargets():
+            return "a mesh that blend shapes change"
+    return None
+
+
+def _parts(stage: Any, folder: Path, pictures: dict[str, bytes], remarks: list[str]) -> list[ScenePart]:
     from pxr import Usd, UsdGeom
 
     places = UsdGeom.XformCache(Usd.TimeCode.EarliestTime())
     parts = []
     for prim in stage.Traverse(Usd.TraverseInstanceProxies()):
         mesh = UsdGeom.Mesh(prim)
-        if not mesh or mesh.ComputeVisibility() == UsdGeom.Tokens.invisible:
+        if not mesh:
+            continue
+        if not _is_drawn(prim):
+            remarks.append(HIDDEN)
             continue
         now = Usd.TimeCode.EarliestTime()
+        if _is_animated(mesh):
+            remarks.append(ANIMATED)
         points = np.array(mesh.GetPointsAttr().Get(now) or (), dtype=np.float64).reshape(-1, 3)
         counts, corners = (
             np.array(attribute.Get(now) or (), dtype=np.int64)
@@ -144,8 +168,11 @@ def _parts(stage: Any, folder: Path, pictures: dict[str, bytes]) -> list[UsdPart
         place = np.array(places.GetLocalToWorldTransform(prim))
         points = points @ place[:3, :3] + place[3, :3]
         polygon, where = _fans(counts)
-        turned = mesh.GetOrientationAttr().Get() == UsdGeom.Tokens.leftHanded
-        if turned != (np.linalg.det(place[:3, :3]) < 0):
+        kept = ~np.isin(polygon, np.array(mesh.GetHoleIndicesAttr().Get(now) or (), dtype=np.int64))
+        polygon, where = polygon[kept], where[kept]
+        mirrored = bool(np.linalg.det(place[:3, :3]) < 0)
+        remarks += [MIRRORED] if mirrored else []
+        if (mesh.GetOrientationAttr().Get() == UsdGeom.Tokens.leftHanded) != mirrored:
             where = where[:, ::-1]
         faces = corners[where]
         uv, colours = _corner_values(prim, ("st", "UVMap", "st0"), faces, where), _colours(prim, faces, where)
@@ -154,7 +181,7 @@ def _parts(stage: Any, folder: Path, pictures: dict[str, bytes]) -> list[UsdPart
             own = pictured == name
             covered = uv is not None and bool(name)
             parts.append(
-                UsdPart(
+                ScenePart(
                     points=points[faces[own]].reshape(-1, 3),
                     faces=np.arange(3 * own.sum()).reshape(-1, 3),
                     colours=colours[own].reshape(-1, 3),

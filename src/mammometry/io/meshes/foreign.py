@@ -11,22 +11,28 @@ import numpy as np
 from mammometry.base.errors import SessionError
 from mammometry.base.parse import require_file
 from mammometry.base.sizes import subject_extent
+from mammometry.base.units import (
+    MM_PER_UNIT,
+    UNIT_NAMES,
+    UNIT_TITLES,
+    mm_of_unit,
+    unit_in_comment,
+    unit_named,
+    unit_of_size,
+)
 from mammometry.base.value import value
 from mammometry.geometry import Array, Float64, TriangleMesh, UInt8
-from mammometry.geometry.mesh_files.mesh_file import KINDS, SUFFIXES, read_triangles
+from mammometry.geometry.mesh_files.mesh_file import KINDS, SUFFIXES, read_mesh_file
 from mammometry.geometry.mesh_files.usdz import read_usdz
 
-MM_PER_UNIT = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 _BY_SIZE = "as the body's size shows"
 _TORSO_MM = (230.0, 2300.0)
 """Longest side of a torso's front, at least, and of a whole body, arms raised or held out. Not more than ten times as
-long, so that one unit alone fits."""
+long, so that one unit of `_USUAL` alone fits."""
+_USUAL = ("mm", "cm", "m")  # in which scanners write; inches and feet are a question, as they fit beside cm and m
 _COARSEST_STEP_MM = 0.1  # as the standard uncertainty of a scanner's surface (`api.mesh.SURFACE_STD_MM`)
 _HEADER_BYTES = 65_536  # in which a file's comments may state its unit
-_STATED = re.compile(
-    rb"^(?:comment|#)\s*(?:units?\s*[:=]?\s*(?P<unit>mm|cm|m)\b|(?P<ours>mm), world frame)",
-    re.MULTILINE | re.IGNORECASE,
-)
+_COMMENT = re.compile(r"^(?:comment|obj_info|#+)(.*)")
 
 
 @value(eq=False)
@@ -41,13 +47,26 @@ class ForeignMesh:
     """Its unit, and who says so, in words."""
     mm_per_unit: float = 1.0
     """Its unit, mm."""
+    assumed: str = ""
+    """About a unit that nobody stated. Empty where somebody did."""
+    remarks: tuple[str, ...] = ()
+    """What its reader left out or took for granted, one sentence each."""
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """A sentence about a unit that nobody stated. Empty where somebody did."""
-        if not self.units.endswith(_BY_SIZE):
-            return ()
-        return (f"The unit of the mesh is taken to be {self.units}. If it is another: --units.",)
+        """What must be said of how it was read, one sentence each."""
+        return (*filter(None, [self.assumed]), *self.remarks)
+
+
+def unit_remark(units: str) -> str:
+    """A sentence about a unit that nobody stated. Empty where somebody did.
+
+    Args:
+        units: the unit and who says so, as of a `ForeignMesh`.
+    """
+    return (
+        f"The unit of the mesh is taken to be {units}. If it is another: --units." if units.endswith(_BY_SIZE) else ""
+    )
 
 
 def read_foreign(path: Path, units: str | None = None, *, of_torso: bool = False) -> ForeignMesh:
@@ -55,7 +74,7 @@ def read_foreign(path: Path, units: str | None = None, *, of_torso: bool = False
 
     Args:
         path: a PLY, OBJ, STL, GLB or USDZ.
-        units: ``mm``, ``cm`` or ``m``; None where the file states it: GLB by its standard (metres), USDZ
+        units: a name or spelling of `base.units`; None where the file states it: GLB by its standard (metres), USDZ
             (``metersPerUnit``), PLY and OBJ in a comment (``comment units: mm``).
         of_torso: whether it is known to be a torso, or a whole body. Its size then shows a unit that nobody states.
 
@@ -65,21 +84,24 @@ def read_foreign(path: Path, units: str | None = None, *, of_torso: bool = False
     """
     if path.suffix.lower() not in SUFFIXES:
         raise _refused(path, "another kind of file", f"a mesh as {KINDS}", "Export the mesh as one of them")
-    unit, who = (units, "as stated") if units is not None else _stated_unit(path)
-    if unit is not None and unit not in MM_PER_UNIT:
-        raise _refused(path, f"the unit {unit!r}", f"one of {', '.join(MM_PER_UNIT)}", "Correct --units")
-    vertices, faces, colours = read_triangles(path)
+    if units is not None and unit_named(units) is None:
+        raise _refused(path, f"the unit {units!r}", f"one of {UNIT_NAMES}", "Correct --units")
+    unit, who = (unit_named(units), "as stated") if units is not None else _stated_unit(path)
+    content = read_mesh_file(path)
+    extent_units = float(np.ptp(content.points, axis=0).max())
+    assumed = ""
     if unit is None and of_torso:
-        unit, who = _unit_of_torso(float(np.ptp(vertices, axis=0).max())), _BY_SIZE
-    if unit is None:
-        raise _refused(
-            path, "no unit", "the unit of its coordinates, which such files do not state", "Add --units mm, cm or m"
-        )
-    step_mm = _step(vertices) * MM_PER_UNIT[unit]
-    vertices = vertices * MM_PER_UNIT[unit]
-    extent = subject_extent(float(np.ptp(vertices, axis=0).max()))
+        unit, lengths = _unit_of_torso(extent_units)
+        who, assumed = _BY_SIZE, f"{unit_remark(f'{unit}, {_BY_SIZE}')}{lengths}"
+    mm_per_unit = None if unit is None else mm_of_unit(unit)
+    if unit is None or mm_per_unit is None:
+        expected = "the unit of its coordinates, which such files do not state"
+        raise _refused(path, "no unit", expected, f"Add --units {UNIT_NAMES}")
+    step_mm = _step(content.points) * mm_per_unit
+    vertices = content.points * mm_per_unit
+    extent = subject_extent(extent_units * mm_per_unit)
     if not extent.is_possible:
-        others = {name: subject_extent(extent.mm / MM_PER_UNIT[unit] * mm) for name, mm in MM_PER_UNIT.items()}
+        others = {name: subject_extent(extent_units * mm) for name, mm in MM_PER_UNIT.items()}
         fits = [f"{name} ({size.mm:.0f} mm)" for name, size in others.items() if size.is_usual()]
         raise _refused(
             path,
@@ -93,17 +115,26 @@ def read_foreign(path: Path, units: str | None = None, *, of_torso: bool = False
             f"coordinates in steps of {step_mm:.2g} mm, {np.abs(vertices).max() / 1000:.3g} m away from the origin",
             f"steps of at most {_COARSEST_STEP_MM:g} mm",
             "Move the mesh to its origin in the program that made it, and export it again",
-        )
-    mesh = TriangleMesh(vertices=vertices, faces=faces)
-    return ForeignMesh(mesh=mesh, colours=colours, units=f"{unit}, {who}", mm_per_unit=MM_PER_UNIT[unit])
+        ).with_remark(assumed)
+    return ForeignMesh(
+        mesh=TriangleMesh(vertices=vertices, faces=content.faces),
+        colours=content.colours,
+        units=f"{unit}, {who}",
+        mm_per_unit=mm_per_unit,
+        assumed=assumed,
+        remarks=content.remarks,
+    )
 
 
-def _unit_of_torso(extent: float) -> str | None:
-    """The one unit in which this is the length of a torso or of a whole body."""
-    for unit, factor in MM_PER_UNIT.items():
-        if _TORSO_MM[0] <= extent * factor < _TORSO_MM[1]:
-            return unit
-    return None
+def _unit_of_torso(extent: float) -> tuple[str | None, str]:
+    """The unit in which this is the length of a torso or of a whole body, and a sentence on others that fit."""
+    fits = {unit: extent * mm for unit, mm in MM_PER_UNIT.items() if _TORSO_MM[0] <= extent * mm < _TORSO_MM[1]}
+    unit = next((unit for unit in _USUAL if unit in fits), None)
+    if unit is None:
+        return None, ""
+    others = [f"{mm:.0f} mm in {UNIT_TITLES[name]}" for name, mm in fits.items() if name not in _USUAL]
+    lengths = f" It is {fits[unit]:.0f} mm long in {unit}, and would be {' or '.join(others)}." if others else ""
+    return unit, lengths
 
 
 def _step(vertices: Float64[Array, "n 3"]) -> float:
@@ -123,11 +154,11 @@ def _stated_unit(path: Path) -> tuple[str | None, str]:
         return "m", "glTF's unit"
     if kind == ".usdz":
         metres = read_usdz(path, shape=False).metres_per_unit
-        named = [name for name, mm in MM_PER_UNIT.items() if metres is not None and np.isclose(1000 * metres, mm)]
-        if metres is not None and not named:
-            expected = f"one of {', '.join(MM_PER_UNIT)}"
-            raise _refused(path, f"a unit of {1000 * metres:g} mm", expected, "Give the unit: --units")
-        return (named[0], "as the file says") if named else (None, "")
+        if metres is None:
+            return None, ""
+        if not 0 < metres < np.inf:
+            raise _refused(path, f"a unit of {metres:g} m", "one above 0", "Give the unit: --units")
+        return unit_of_size(1000 * metres), "as the file says"
     if kind in (".ply", ".obj"):
         require_file(path, str(path), "a mesh file")
         try:
@@ -135,12 +166,28 @@ def _stated_unit(path: Path) -> tuple[str | None, str]:
                 head = file.read(_HEADER_BYTES)
         except OSError as error:
             raise _refused(path, error.strerror or str(error), "a mesh file", "Check the path") from None
-        if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-            head = head.decode("utf-16", "ignore").encode()
-        stated = _STATED.search(head.removeprefix(codecs.BOM_UTF8).partition(b"end_header")[0])
-        if stated is not None:
-            return (stated["unit"] or stated["ours"]).decode().lower(), "as the file says"
+        return _unit_in_comments(path, head)
     return None, ""
+
+
+def _unit_in_comments(path: Path, head: bytes) -> tuple[str | None, str]:
+    """The unit that comments in the beginning of a PLY or OBJ state.
+
+    Raises:
+        SessionError: they state different ones.
+    """
+    if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        head = head.decode("utf-16", "ignore").encode()
+    units: list[str] = []
+    for line in head.removeprefix(codecs.BOM_UTF8).decode("latin-1").splitlines():
+        if line.strip() == "end_header":
+            break
+        comment = _COMMENT.match(line)
+        unit = None if comment is None else unit_in_comment(comment[1])
+        units += [unit] if unit is not None and unit not in units else []
+    if len(units) > 1:
+        raise _refused(path, f"comments that state the units {' and '.join(units)}", "one", "Give the unit: --units")
+    return (units[0], "as the file says") if units else (None, "")
 
 
 def _refused(path: Path, found: str, expected: str, remedy: str) -> SessionError:

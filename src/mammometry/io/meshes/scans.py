@@ -13,23 +13,25 @@ import re
 import tempfile
 import unicodedata
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
 from PIL import Image
 
-from mammometry.base.errors import SessionError
+from mammometry.base.errors import MeasureError, SessionError
 from mammometry.base.identity import subject_id
 from mammometry.base.parse import LimitSettings, read_bytes, read_text, toml_table
+from mammometry.base.units import mm_of_unit
 from mammometry.geometry import Array, Float64, TriangleMesh, UInt8
 from mammometry.geometry.mesh_files.obj import parse_obj
-from mammometry.io.meshes.foreign import MM_PER_UNIT, ForeignMesh, read_foreign
+from mammometry.io.meshes.foreign import ForeignMesh, read_foreign
 from mammometry.io.meshes.own import read_ply, write_ply
 from mammometry.io.meshes.textures import CoveredObj, covered_parts, read_covered_obj, texture_at
 from mammometry.io.photographs.images import read_photograph, read_plain_picture
 from mammometry.io.photographs.tags import without_tags
+from mammometry.io.write import write_text
 from mammometry.measure.settings import POSTURES
 
 ABOUT, MESH = "scan.toml", "scan.ply"
@@ -47,7 +49,8 @@ _MOST_OBJ_MIB = 1024  # as `obj_texture`
 _ON_SKIN_MM = 1.0  # from the scanner's surface; seams are joined within 0.05 mm
 _SAME_AREA = 1e-3  # by which the area of what was written may differ: faces without area are left out
 _LONGEST = 100  # characters of a scanner's name
-_KEYS = {"format", "scanner", "units", "head", "ahead", "subject", "posture", "sha256"}
+_KEYS = {"format", "scanner", "units", "head", "ahead", "subject", "posture", "sha256", "sides", "remarks"}
+_CHECKED = "checked"
 _MAP_OPTION = re.compile(r"-(?:blendu|blendv|cc|clamp|texres|bm|boost|type|imfchan|mm|o|s|t)(?=\s)", re.IGNORECASE)
 """An option before the name of a map's picture (the format's specification, "Texture map statements")."""
 _OPTION_VALUE = re.compile(r"\s+(?:on|off|[-+]?[0-9.]+)(?=\s)")
@@ -73,6 +76,10 @@ class Scan:
     """How the patient held herself: ``standing``, ``leaning`` or ``lying``. Empty: nobody said."""
     sha256: str = ""
     """Of the scanner's own mesh file."""
+    sides: str = ""
+    """``checked``: somebody found left and right of the mesh to be the patient's. Empty: nobody looked."""
+    remarks: tuple[str, ...] = ()
+    """What was left out or taken for granted as the scanner's file was read, one sentence each."""
 
 
 def import_scan(
@@ -106,15 +113,21 @@ def import_scan(
             files[OBJ] = covered.text(None).encode()
     files[MESH] = _ply(foreign, colours)
     _check_written(mesh, files, foreign)
+    digest = hashlib.sha256(mesh.read_bytes()).hexdigest()
+    files[ABOUT] = scan_text(replace(about, units=foreign.units, sha256=digest, remarks=foreign.notes)).encode()
+    return files
+
+
+def scan_text(scan: Scan) -> str:
+    """Text of scan.toml."""
     made = {
-        "format": 1, "scanner": about.scanner.strip(), "units": foreign.units, "head": about.head, "ahead": about.ahead,
-        **({} if about.subject is None else {"subject": about.subject}),
-        **({"posture": about.posture} if about.posture else {}),
-        "sha256": hashlib.sha256(mesh.read_bytes()).hexdigest(),
+        "format": 1, "scanner": scan.scanner.strip(), "units": scan.units, "head": scan.head, "ahead": scan.ahead,
+        **({} if scan.subject is None else {"subject": scan.subject}),
+        **{name: value for name in ("posture", "sha256", "sides") if (value := getattr(scan, name))},
+        **({"remarks": list(scan.remarks)} if scan.remarks else {}),
     }  # fmt: skip
     lines = [f"{name} = {json.dumps(value, ensure_ascii=False)}" for name, value in made.items()]
-    files[ABOUT] = ("# A scan of another device. scan.ply is in mm.\n" + "\n".join(lines) + "\n").encode()
-    return files
+    return "# A scan of another device. scan.ply is in mm.\n" + "\n".join(lines) + "\n"
 
 
 def _check_written(mesh: Path, files: Mapping[str, bytes], foreign: ForeignMesh) -> None:
@@ -128,7 +141,10 @@ def _check_written(mesh: Path, files: Mapping[str, bytes], foreign: ForeignMesh)
     from mammometry.measure.scan_repair import repair_scan
     from mammometry.measure.scanned import check_mesh
 
-    check_mesh(repair_scan(foreign.mesh).mesh)
+    try:
+        check_mesh(repair_scan(foreign.mesh).mesh)
+    except MeasureError as error:
+        raise error.of_mesh().with_remark(foreign.assumed) from None
     with tempfile.TemporaryDirectory(prefix="mammometry-") as folder:
         path = Path(folder) / MESH
         path.write_bytes(files[MESH])
@@ -156,7 +172,7 @@ def skin_colours(
         points_mm: on its mesh, mm.
         otherwise: colours of points that no picture covers, or of all where there are no pictures.
     """
-    factor = MM_PER_UNIT.get(scan.units.partition(",")[0])
+    factor = mm_of_unit(scan.units.partition(",")[0])
     if factor is None or not (folder / OBJ).is_file() or not (folder / MTL).is_file():
         return otherwise
     names = {material: name for material, name in _materials(folder / MTL).items() if (folder / name).is_file()}
@@ -184,13 +200,24 @@ def read_scan(folder: Path) -> Scan:
     if unknown or table.get("format") != 1 or not all(isinstance(table.get(k), str) for k in ("scanner", "units")):
         raise SessionError(
             str(path), found=f"the key {unknown[0]!r}" if unknown else "no format, scanner or units",
-            expected="format = 1, scanner, units, head, ahead, subject, posture and sha256",
+            expected=f"format = 1, scanner, units and {', '.join(sorted(_KEYS - {'format', 'scanner', 'units'}))}",
             remedy="Import the mesh again: mammometry import mesh",
         )  # fmt: skip
     read = {name: value for name, value in table.items() if name != "format" and isinstance(value, str)}
-    made = Scan(**read)
+    remarks = table.get("remarks", [])
+    made = Scan(**read, remarks=tuple(map(str, remarks)) if isinstance(remarks, list) else ())
     _check(made)
     return made
+
+
+def confirm_sides(folder: Path) -> None:
+    """Keep in a scan's folder that left and right of its mesh are the patient's.
+
+    Raises:
+        SessionError: scan.toml is missing or not as documented.
+        StorageError: it cannot be written.
+    """
+    write_text(folder / ABOUT, scan_text(replace(read_scan(folder), sides=_CHECKED)))
 
 
 def _check(about: Scan) -> None:
@@ -211,6 +238,9 @@ def _check(about: Scan) -> None:
         remedy = "Correct --posture"
         expected = f"one of {', '.join(POSTURES)}"
         raise SessionError("the scan's posture", found=f"{about.posture[:20]!r}", expected=expected, remedy=remedy)
+    if about.sides not in ("", _CHECKED):
+        expected, remedy = f"{_CHECKED!r}, or nothing", "Correct sides"
+        raise SessionError("the scan's sides", found=f"{about.sides[:20]!r}", expected=expected, remedy=remedy)
     for axis, given in (("head", about.head), ("ahead", about.ahead)):
         if given not in ("", *AXES):
             raise SessionError(

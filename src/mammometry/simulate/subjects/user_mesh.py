@@ -10,6 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from mammometry.base.errors import SessionError
+from mammometry.base.units import UNIT_NAMES
 from mammometry.geometry.arrays import Array, Float64, Int32
 from mammometry.geometry.mesh import TriangleMesh, edge_table, split_edges
 from mammometry.geometry.mesh_files.mesh_file import read_triangles
@@ -17,7 +18,6 @@ from mammometry.simulate.subjects.registry import SubjectRequest, add_subject
 from mammometry.simulate.subjects.solid import Solid, rounded_mesh
 
 MESH_SUFFIXES = (".ply", ".obj", ".stl")
-MM_PER_UNIT = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 _SMALLEST_MM, _LARGEST_MM = 5.0, 3000.0  # longest side of what can stand in a rig; chosen by eye
 _FACES_AT_MOST = 1_500_000  # long edges are split no further: the light is computed at every vertex
 
@@ -55,7 +55,7 @@ def read_user_mesh(path: Path, how: MeshFile, *, edge_mm: float = 0.7) -> Solid:
             too large.
     """
     if how.mm_per_unit is None:
-        raise _refused(path, "no unit", "the unit of its coordinates", "Add --units mm, cm or m, or --subject-scale")
+        raise _refused(path, "no unit", "the unit of its coordinates", f"Add --units {UNIT_NAMES}, or --subject-scale")
     if not (math.isfinite(how.mm_per_unit) and how.mm_per_unit > 0):
         raise _refused(path, f"a scale of {how.mm_per_unit}", "millimetres to one unit, above 0", "Correct the scale")
     vertices, faces, _ = read_triangles(path)

@@ -1,0 +1,48 @@
+"""Colours of vertices as programs write them: 0 to 1, 8 bits or 16 bits."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mammometry.geometry.arrays import Array, Int64, UInt8
+
+_SHARE = 2.0  # floats up to here are shares of full light, a little of it over 1: of 255 levels they would be black
+_OVER = 0.01  # share of the values that may be larger all the same: single ones are defects of the exporting program
+_BYTE, _WORD = 255, 65535  # full light in 8 and in 16 bits
+
+
+def eight_bit(values: Array, *, whole: bool) -> UInt8[Array, "n 3"]:
+    """Colours as 8-bit sRGB.
+
+    Floats are shares from 0 to 1, unless more than single ones are larger. Integers above 255 are 16-bit levels.
+
+    Args:
+        values: as the file has them (n, 3).
+        whole: whether the file has integers, whatever the array's type.
+    """
+    numbers = np.nan_to_num(np.asarray(values, dtype=np.float64), posinf=0.0, neginf=0.0)
+    if not whole and (numbers > _SHARE).mean() <= _OVER:
+        scale = float(_BYTE)
+    elif whole and numbers.max(initial=0.0) > _BYTE:
+        scale = _BYTE / _WORD
+    else:
+        scale = 1.0
+    return np.clip(numbers * scale + 0.5, 0, _BYTE).astype(np.uint8)
+
+
+def of_vertices(
+    faces: Int64[Array, "m 3"], of_faces: UInt8[Array, "m 3"], count: int, grey: int
+) -> UInt8[Array, "n 3"]:
+    """Mean colour of the faces around each vertex.
+
+    Args:
+        faces: triangles.
+        of_faces: colour of each.
+        count: of vertices.
+        grey: of vertices without a face.
+    """
+    corners = faces.ravel()
+    weight = np.bincount(corners, minlength=count)
+    sums = [np.bincount(corners, np.repeat(channel, 3), minlength=count) for channel in of_faces.T.astype(np.float64)]
+    mean = np.stack(sums, axis=1) / np.maximum(weight, 1)[:, None]
+    return np.where(weight[:, None] > 0, np.round(mean), grey).astype(np.uint8)
