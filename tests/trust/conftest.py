@@ -3,9 +3,16 @@
 import os
 
 import pytest
-from tests.scenes.conftest import tiny_demo, tiny_finished_original, tiny_original, tiny_settings
+from tests.scenes.conftest import (
+    tiny,
+    tiny_demo,
+    tiny_finished,
+    tiny_finished_original,
+    tiny_original,
+    tiny_settings,
+)
 
-__all__ = ["tiny_demo", "tiny_finished_original", "tiny_original", "tiny_settings"]
+__all__ = ["tiny", "tiny_demo", "tiny_finished", "tiny_finished_original", "tiny_original", "tiny_settings"]
 
 
 @pytest.fixture

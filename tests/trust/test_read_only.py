@@ -1,17 +1,11 @@
 """Results on a disk that may only be read: they are shown, checked and read, and nothing is tried in vain."""
 
-import builtins
-import errno
-import io
-import os
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import pytest
+from read_only_disk import read_only
 from small_products import NAMES, contents, key, make, mesh
 
 from mammometry.base.errors import StorageError
@@ -19,41 +13,6 @@ from mammometry.cli import main
 from mammometry.io.results.store import Store
 
 HERE = Path(__file__).parent
-
-
-@contextmanager
-def read_only(root: Path) -> Iterator[None]:
-    """Refuse with EROFS whatever would change something below `root`."""
-    real_open, real_os_open = builtins.open, os.open
-
-    def refuse(path: Any) -> None:
-        if isinstance(path, (str, os.PathLike)) and Path(path).is_relative_to(root):
-            raise OSError(errno.EROFS, os.strerror(errno.EROFS), str(path))
-
-    def opened(file: Any, mode: str = "r", *args: Any, **kwargs: Any) -> Any:
-        if set(mode) & set("wxa+"):
-            refuse(file)
-        return real_open(file, mode, *args, **kwargs)
-
-    def os_opened(path: Any, flags: int, *args: Any, **kwargs: Any) -> int:
-        if flags & (os.O_WRONLY | os.O_RDWR | os.O_CREAT):
-            refuse(path)
-        return real_os_open(path, flags, *args, **kwargs)
-
-    def refusing(real: Callable[..., Any]) -> Callable[..., Any]:
-        def call(path: Any, *args: Any, **kwargs: Any) -> Any:
-            refuse(path)
-            return real(path, *args, **kwargs)
-
-        return call
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(builtins, "open", opened)
-        patch.setattr(io, "open", opened)
-        patch.setattr(os, "open", os_opened)
-        for name in ("mkdir", "unlink", "rmdir", "rename", "replace", "chmod", "utime"):
-            patch.setattr(os, name, refusing(getattr(os, name)))
-        yield
 
 
 @pytest.fixture

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime
 from functools import partial
@@ -21,7 +21,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from mammometry.api.previews import Drawing, Previews
-from mammometry.api.results import Results, seen, show_refusal, withdraw_refusal
+from mammometry.api.results import Results, is_refusal_shown, seen, show_refusal, withdraw_refusal
 from mammometry.api.stored_report import Reported
 from mammometry.base.errors import (
     CalibrationError,
@@ -92,8 +92,10 @@ class Job(Reported):
             MammometryError: whatever stands in the way, in one sentence.
         """
         self.session.require(stage)
-        reuse_freed_memory()
         stages = STAGES[: STAGES.index(stage) + 1]
+        if drawn and self._all_current(stages):
+            return  # also where nothing may be written
+        reuse_freed_memory()
         with (
             self.store.taken(),
             one_blas_thread(),
@@ -111,6 +113,12 @@ class Job(Reported):
             background.wait()
             if stage in ("measure", "report"):
                 withdraw_refusal(self.session.results)
+
+    def _all_current(self, stages: Sequence[Stage]) -> bool:
+        keys = [key for stage in stages for key in self.keys(stage)]
+        keys += [self.report_key] if "report" in stages else []
+        refused = stages[-1] in ("measure", "report") and is_refusal_shown(self.session.results)
+        return not refused and self.store.all_current(keys)
 
     def _ensure_stage(self, stage: Stage, drawing: Drawing | None, background: Background) -> None:
         try:

@@ -17,7 +17,7 @@ import logging
 import time
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 
 from mammometry.api.previews import load
-from mammometry.api.results import Results, show_refusal, withdraw_refusal
+from mammometry.api.results import Results, is_refusal_shown, show_refusal, withdraw_refusal
 from mammometry.api.stored_report import Reported
 from mammometry.base.child_process import ChildProcess, Ended, NotDone
 from mammometry.base.errors import MammometryError, MeasureError, SessionError
@@ -285,7 +285,10 @@ class MeshJob(Reported):
         begun, before = time.monotonic(), len(self.store.made)
         take_folder(self.store.folder, command=_COMMAND)
         beside = report and len(self.finished.repaired.mesh.faces) >= _LEAST_FACES and available_cores() > 1
-        with self.store.taken(), one_blas_thread(), ExitStack() as stack:
+        pages = [self.content_key, self.report_key] if report else []
+        wanted = [*(product.key for product in self.plan.products()), *pages]
+        current = self.store.all_current(wanted) and not is_refusal_shown(self.store.folder)
+        with nullcontext() if current else self.store.taken(), one_blas_thread(), ExitStack() as stack:
             begin = None
             if beside and not self.store.has(self.content_key):
                 begin = stack.enter_context(self._drawing_beside())

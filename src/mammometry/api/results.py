@@ -144,9 +144,14 @@ def show_refusal(results: Path, identity: Identity, error: MammometryError, draw
         _LOG.warning("what was seen could not be drawn: %s", error_text(trouble))
 
 
+def is_refusal_shown(results: Path) -> bool:
+    """Whether the page of a refusal is there."""
+    return (results / FOLDER / PAGE).is_file()
+
+
 def withdraw_refusal(results: Path) -> None:
     """Remove the page of an earlier refusal after a successful measurement."""
-    if (results / FOLDER / PAGE).is_file():
+    if is_refusal_shown(results):
         write_outputs(results / FOLDER, {}, command="run")
 
 

@@ -14,7 +14,9 @@ from typing import Annotated, Literal, TypeAlias
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 import mammometry
-from mammometry.io.write import write_text
+from mammometry.io.results.verify import BATCH
+from mammometry.io.sealed import sealed, unsealed
+from mammometry.io.write import write_bytes
 from mammometry.job.products import versions
 from mammometry.job.stages.report import VERSIONS
 from mammometry.settings import Settings
@@ -81,7 +83,7 @@ def need_mb(megapixels: float | None, known: Sequence[tuple[float, float]]) -> f
     return _MARGIN * max(peak for other, peak in known if other == size) * megapixels / size
 
 
-RECORD = "batch.json"
+RECORD = BATCH
 _MOST_BYTES = 1 << 24  # 16 MiB: a larger file is no record of ours and is not read
 _UNREADABLE = (OSError, ValueError, ValidationError, RecursionError)
 _STRICT = ConfigDict(extra="forbid", frozen=True)
@@ -182,13 +184,18 @@ def write_record(session: Path, record: Record) -> None:
     Raises:
         StorageError: the disk is full or refuses.
     """
-    write_text(session / "results" / RECORD, record.model_dump_json() + "\n")
+    write_bytes(session / "results" / RECORD, content_of(record))
+
+
+def content_of(record: Record) -> bytes:
+    """Content of a record's file."""
+    return sealed(record.model_dump(mode="json"))
 
 
 def read_record(data: bytes) -> Record | None:
     """A record out of a file's content. None where it is none of this version."""
     try:
-        return Record.model_validate_json(data)
+        return Record.model_validate(unsealed(data)[0])
     except _UNREADABLE:
         return None
 

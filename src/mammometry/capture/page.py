@@ -20,6 +20,7 @@ from PIL import Image
 
 from mammometry.base.errors import MammometryError, SessionError
 from mammometry.base.photograph import LUMA, Photograph
+from mammometry.base.shell import command_line
 from mammometry.calibration.detection.detect import detect_in
 from mammometry.calibration.targets.table import target_from_table
 from mammometry.calibration.targets.target import Target
@@ -368,7 +369,7 @@ def _routes(stand: Stand, goal: Goal, door: Door) -> tuple[URLPattern, ...]:
         if goal.posing:
             return stand.pose(goal.session)
         fired = stand.fire(goal.session, subject_id=goal.subject_id)
-        return firing_table(fired, f"mammometry run {goal.session}")
+        return firing_table(fired, command_line("mammometry", "run", goal.session))
 
     return (
         entrance_route(door),

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from mammometry.base.extras import WEB, require
+from mammometry.base.shell import command_line
 from mammometry.cli.common import Answer, Bars, JsonOptions, OutputOptions, command
 
 if TYPE_CHECKING:
@@ -65,8 +66,8 @@ def init(
         table |= invited.table
         lines += [str(line) for line in invited.lines]
     else:
-        lines.append(f"Then: mammometry clinic people add {folder} NAME --role administrator")
-    return Answer(table, [*lines, f"Then: mammometry clinic serve {folder}"])
+        lines.append(f"Then: {command_line('mammometry', 'clinic', 'people', 'add', folder)} NAME --role administrator")
+    return Answer(table, [*lines, f"Then: {command_line('mammometry', 'clinic', 'serve', folder)}"])
 
 
 @command(app, "mammometry clinic serve my-clinic")

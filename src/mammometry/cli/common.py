@@ -83,6 +83,12 @@ class Options:
         """Whether no progress is shown."""
         return self.quiet or self.json
 
+    @property
+    def words(self) -> tuple[str | Path, ...]:
+        """The settings in force, as they are typed: for commands that are to be pasted."""
+        chosen = (word for assignment in self.assignments or () for word in ("--set", assignment))
+        return (*(() if self.file is None else ("--settings", self.file)), *chosen)
+
     def settings(self, *more: str) -> Settings:
         """Recommended settings, changed by the file, then by the assignments, then by some more."""
         from mammometry.settings import Settings

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from mammometry.base.shell import command_line
 from mammometry.cli.common import Answer, Bars, Options, OutputOptions, SessionFolder, command
 
 if TYPE_CHECKING:
@@ -262,7 +263,7 @@ def capture(
     }
     lines: list[Any] = [f"- {sentence}" for sentence in fired.verdict.sentences]
     if fired.accepted:
-        lines = ["The pictures may be measured.", *lines, f"Next: mammometry run {session}"]
+        lines = ["The pictures may be measured.", *lines, f"Next: {command_line('mammometry', 'run', session)}"]
     else:
         lines = ["Do not measure these pictures.", *lines, f"What came is kept in {fired.shot}."]
     return Answer(table, lines, exit_code=0 if fired.accepted else REFUSED)
@@ -307,7 +308,11 @@ def _on_a_page(
         serve(rigged, Goal(session=session, subject_id=subject_id, posing=posing), ready=ready)
     made = session / ("calibration" if posing else "capture")
     taken = made.is_dir() and any(made.iterdir())
-    lines: list[Any] = [f"Next: mammometry run {session}"] if taken else ["Nothing was captured that may be measured."]
+    lines: list[Any] = (
+        [f"Next: {command_line('mammometry', 'run', session)}"]
+        if taken
+        else ["Nothing was captured that may be measured."]
+    )
     return Answer({"session": str(session), "accepted": taken}, lines, exit_code=0 if taken else REFUSED)
 
 

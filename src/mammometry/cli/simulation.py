@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from mammometry.base.errors import SettingsError
+from mammometry.base.shell import command_line
 from mammometry.cli.common import Answer, Bars, Options, OutputOptions, command
 from mammometry.cli.compile_cache import compiled_ahead
 from mammometry.cli.stages import opened, volume_lines
@@ -252,7 +253,9 @@ def simulate(
     table = {"session": str(out), "true_volumes_cc": true_cc, "seconds": round(time.monotonic() - begun, 3)}
     volumes = ", ".join(f"{name} {value:.1f} cc" for name, value in true_cc.items())
     volume = f"true volume {volumes}" if volumes else "no true volume, because the mesh is not closed"
-    return Answer(table, [f"{out}: {len(made.rig.cameras)} cameras, {volume}", f"Then: mammometry run {out}"])
+    return Answer(
+        table, [f"{out}: {len(made.rig.cameras)} cameras, {volume}", f"Then: {command_line('mammometry', 'run', out)}"]
+    )
 
 
 @command(

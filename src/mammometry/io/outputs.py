@@ -6,7 +6,6 @@ possible before anything is computed. What is not in the way is never touched.
 """
 
 import hashlib
-import json
 import os
 from collections.abc import Iterable, Mapping
 from contextlib import ExitStack
@@ -15,14 +14,15 @@ from pathlib import Path
 from typing import Any
 
 from mammometry.base.errors import StorageError
-from mammometry.io.write import disk_errors, file_digest, staged, sync_folder, write_text
+from mammometry.io.sealed import sealed, unsealed
+from mammometry.io.write import disk_errors, file_digest, staged, sync_folder, write_bytes
 
 RECORD = ".mammometry.json"
 _FORMAT = 1  # version of the record of outputs; another one is not read
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Written:
+class Written:
     """A file that we wrote."""
 
     command: str
@@ -36,7 +36,7 @@ class _Record:
 
     command: str | None = None
     """Command that made the whole folder and keeps its own records there. None for any other folder."""
-    files: Mapping[str, _Written] = field(default_factory=dict)
+    files: Mapping[str, Written] = field(default_factory=dict)
 
 
 def require_apart(out: Path, inputs: Iterable[Path | None]) -> None:
@@ -117,7 +117,7 @@ def _write(folder: Path, files: Mapping[str, bytes], *, command: str, remove_for
         ]
         present = {name: [file_digest(folder / name)] if os.path.lexists(folder / name) else [] for name in files}
         written = {**record.files} | {
-            name: _Written(command=command, sha256=(*present[name], hashlib.sha256(data).hexdigest()))
+            name: Written(command=command, sha256=(*present[name], hashlib.sha256(data).hexdigest()))
             for name, data in files.items()
         }
         require_free(folder, files, command=command)  # somebody may have come in between
@@ -161,10 +161,19 @@ def take_folder(folder: Path, *, command: str) -> None:
         _record(folder, _Record(command=command, files=record.files))
 
 
+def written_in(folder: Path) -> Mapping[str, Written]:
+    """Name → file that a command wrote into a folder, by the record there. Some may be gone.
+
+    Raises:
+        StorageError: the record is not as it was left.
+    """
+    return _read(folder).files
+
+
 # --- what is ours ---
 
 
-def _in_the_way(path: Path, written: _Written | None, command: str) -> str | None:
+def _in_the_way(path: Path, written: Written | None, command: str) -> str | None:
     """What is wrong with a file that is to be replaced. None where there is none, or it is ours."""
     if path.name == RECORD:
         return "the record of what is written here"
@@ -218,7 +227,7 @@ def _read(folder: Path) -> _Record:
     try:
         if path.is_symlink():
             raise ValueError("a link")
-        table = json.loads(path.read_text(encoding="utf-8"))
+        table, _ = unsealed(path.read_bytes())
         if table["format"] != _FORMAT:
             raise ValueError(f"format {table['format']}, not {_FORMAT}")
         files = {_plain(name): _written(entry) for name, entry in table["files"].items()}
@@ -239,8 +248,8 @@ def _plain(name: str) -> str:
     return name
 
 
-def _written(entry: Mapping[str, Any]) -> _Written:
-    return _Written(command=str(entry["command"]), sha256=tuple(str(digest) for digest in entry["sha256"]))
+def _written(entry: Mapping[str, Any]) -> Written:
+    return Written(command=str(entry["command"]), sha256=tuple(str(digest) for digest in entry["sha256"]))
 
 
 def _record(folder: Path, record: _Record) -> None:
@@ -250,4 +259,4 @@ def _record(folder: Path, record: _Record) -> None:
     table["files"] = {
         name: {"command": written.command, "sha256": list(written.sha256)} for name, written in record.files.items()
     }
-    write_text(folder / RECORD, json.dumps(table, indent=1) + "\n")
+    write_bytes(folder / RECORD, sealed(table))

@@ -205,15 +205,7 @@ class Session:
             "landmarks": lambda: landmarks_digest(landmarks),
             "wall": lambda: _file_digest(wall) if wall.is_file() else MISSING,
         }
-        files = {f"capture/{camera}": path for camera, path in present.items()}
-        files |= {f"calibration/{pose}/{camera}": path for (pose, camera), path in calibration.items()}
-        files |= {
-            f"intrinsics/{camera}/{exposure}": path
-            for camera, shots in intrinsics.items()
-            for (exposure, _), path in shots.items()
-        }
-        files |= {f"points/{pose}/{camera}": path for (pose, camera), path in self._points_files().items()}
-        files |= {f"masks/{camera}": path for camera, path in masks.items()}
+        files = self.files()
         made: Mapping[str, Callable[[], str]] = {
             **{f"capture/{camera}": lambda: MISSING for camera in capture},
             **known,
@@ -259,6 +251,20 @@ class Session:
         )
 
     # --- files ---
+
+    def files(self) -> dict[str, Path]:
+        """Photographs, masks and tables by their names in `Inputs.digests`. Only those that are there."""
+        capture = self._all_capture_files()
+        files = {f"capture/{camera}": path for camera, path in capture.items() if path.exists()}
+        files |= {f"calibration/{pose}/{camera}": path for (pose, camera), path in self._calibration_files().items()}
+        if self._ready_cameras() is None:
+            files |= {
+                f"intrinsics/{camera}/{exposure}": path
+                for camera, shots in self._intrinsics_files().items()
+                for (exposure, _), path in shots.items()
+            }
+        files |= {f"points/{pose}/{camera}": path for (pose, camera), path in self._points_files().items()}
+        return files | {f"masks/{camera}": path for camera, path in self._mask_files(capture).items()}
 
     def _name(self, path: Path) -> str:
         return path.relative_to(self.path).as_posix() if path.is_relative_to(self.path) else str(path)

@@ -196,7 +196,7 @@ def test_new_makes_a_session_that_opens(tmp_path: Path, capsys: pytest.CaptureFi
     assert main.run(["info", str(folder)]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert next(line for line in lines if line.startswith("cameras calibrated")).split()[2:] == ["not", "yet"]
-    assert lines[-1] == "Next: put the missing photographs there"
+    assert lines[-1] == f"Next: put the missing photographs into {folder / 'capture'}"
     assert not any("observations" in line for line in lines)
     assert main.run(["info", str(folder), "-v"]) == 0
     assert "calibration" in capsys.readouterr().out

@@ -14,6 +14,7 @@ from mammometry.base.progress import Progress
 from mammometry.cli import main
 from mammometry.io.results.store import Store
 from mammometry.io.results.verify import shown, verify
+from mammometry.io.sealed import sealed, unsealed
 
 
 @pytest.fixture
@@ -131,9 +132,9 @@ def test_verify_says_what_it_cannot_check(results: Path) -> None:
     assert (findings.damaged, findings.unrecorded) == ((), ("surface/notes.txt",))
     assert findings.leftovers == (".ready-surface-mesh-1",)
     path = results / "surface" / "provenance.json"
-    table = json.loads(path.read_text())
+    table, _ = unsealed(path.read_bytes())
     table["products"]["mesh"]["files"] = {"../../x": {"bytes": 1, "sha256": "0" * 64}}
-    path.write_text(json.dumps(table))
+    path.write_bytes(sealed(table))
     (damage,) = verify(results).damaged
     assert (damage.product, damage.found) == ("mesh", "no valid record of mesh")
     path.unlink()

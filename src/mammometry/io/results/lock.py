@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 LOCK, MARKER, HOLDER = ".lock", ".lock-marker", ".lock-holder"
 _KNOWS_NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP, errno.EINVAL)
 _MARKER_TIMEOUT_S = 3.0  # filelock needs two seconds to be sure that a damaged marker is nobody's
+_CLOCK_S = 2.0  # the note has whole seconds, and the system counts a process's start in clock ticks
 _HOST = re.compile(r"[\w.-]{1,253}")
 
 
@@ -81,12 +82,15 @@ class RunLock:
         if Path(lock.lock_file).name == MARKER:
             remedy += f"; if it is gone, remove {MARKER} there"
         expected = "one run at a time in a session"
-        return StorageError(
-            str(self._folder), found=f"another run at work there{self._holder()}", expected=expected, remedy=remedy
-        )
+        holder = self.holder()
+        found = f"another run at work there{f' ({holder})' if holder else ''}"
+        return StorageError(str(self._folder), found=found, expected=expected, remedy=remedy)
 
-    def _holder(self) -> str:
-        """Who has it, where the note says so and can be true."""
+    def holder(self) -> str:
+        """Process, computer and start of the run at work, by its note. Empty: none is known.
+
+        Nothing is locked or written to find out.
+        """
         import psutil
 
         try:
@@ -94,9 +98,14 @@ class RunLock:
             pid, host, since = holder["pid"], holder["host"], datetime.fromisoformat(holder["since"])
             if not (isinstance(pid, int) and isinstance(host, str) and _HOST.fullmatch(host)):
                 return ""
-            alive = host != platform.node() or psutil.pid_exists(pid)
+            # A later process may have the number of a run that was killed.
+            alive = host != platform.node() or psutil.Process(pid).create_time() <= since.timestamp() + _CLOCK_S
+        except psutil.NoSuchProcess:
+            return ""
+        except psutil.AccessDenied:
+            alive = True
         except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError):
             return ""
         if not alive:
             return ""  # left by a run that was killed
-        return f" (process {pid} on {host}, since {since.isoformat(sep=' ', timespec='seconds')})"
+        return f"process {pid} on {host}, since {since.isoformat(sep=' ', timespec='seconds')}"

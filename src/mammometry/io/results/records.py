@@ -1,15 +1,23 @@
 """Records in provenance.json, checked strictly: the folder may be foreign."""
 
-import json
 import os
 import re
 import stat as modes
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple, Self
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstraints, ValidationError
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    StringConstraints,
+    ValidationError,
+    model_validator,
+)
 
-from mammometry.job.products import STAGES, Stage
+from mammometry.io.sealed import sealed, unsealed
+from mammometry.job.products import STAGES, Key, Stage
 
 RECORDS = "provenance.json"
 READY_RECORD = "record.json"
@@ -74,24 +82,49 @@ class Ready(BaseModel):
     product: ProductName
     record: Record
 
+    @model_validator(mode="after")
+    def _key_fits(self) -> Self:
+        """Refuse versions, settings or inputs that another key was made of.
 
-def read_records(folder: Path) -> tuple[dict[str, Record], list[str]]:
-    """Read the records of a stage's folder.
+        Records of versions up to 1.0.0 have no other digest.
+        """
+        about = self.record
+        key = Key(
+            stage=self.stage,
+            product=self.product,
+            version=about.version,
+            settings=about.settings,
+            inputs=about.inputs,
+        )
+        if key.digest != about.key:
+            raise ValueError("a key that is not that of its settings and inputs")
+        return self
 
-    Returns:
-        Product → record of all that are valid; and the names of the others, ``provenance.json`` itself where it cannot
-        be read.
-    """
+
+class StageRecords(NamedTuple):
+    """What a stage's provenance.json says."""
+
+    records: dict[str, Record]
+    """Product → record of all that are valid."""
+    invalid: list[str]
+    """Names of the others; ``provenance.json`` itself where it cannot be read or is not as it was written."""
+    has_digest: bool
+    """Whether a digest of its own confirms it. Versions up to 1.0.0 wrote none."""
+
+
+def read_records(folder: Path) -> StageRecords:
+    """Read the records of a stage's folder. Without a file there are none."""
     try:
         if is_link(folder) or not is_plain(folder / RECORDS):
-            return {}, [RECORDS] if os.path.lexists(folder / RECORDS) else []
-        table = json.loads((folder / RECORDS).read_text(encoding="utf-8"))
+            return StageRecords({}, [RECORDS] if os.path.lexists(folder / RECORDS) else [], has_digest=False)
+        table, has_digest = unsealed((folder / RECORDS).read_bytes())
         if table["format"] != _FORMAT or table["stage"] != folder.name:
-            return {}, [RECORDS]
+            return StageRecords({}, [RECORDS], has_digest=False)
         products = dict(table["products"])
     except _UNREADABLE:
-        return {}, [RECORDS]
-    records, invalid = {}, []
+        return StageRecords({}, [RECORDS], has_digest=False)
+    records: dict[str, Record] = {}
+    invalid: list[str] = []
     for name, entry in products.items():
         try:
             about = Ready.model_validate({"stage": folder.name, "product": name, "record": entry})
@@ -99,13 +132,18 @@ def read_records(folder: Path) -> tuple[dict[str, Record], list[str]]:
             invalid.append(name)
         else:
             records[name] = about.record
-    return records, invalid
+    return StageRecords(records, invalid, has_digest)
 
 
 def write_records(stage: str, records: dict[str, Record]) -> bytes:
     """Content of the provenance.json of a stage."""
     products = {name: record.model_dump() for name, record in sorted(records.items())}
-    return json.dumps({"format": _FORMAT, "stage": stage, "products": products}, indent=1).encode()
+    return sealed({"format": _FORMAT, "stage": stage, "products": products})
+
+
+def write_ready(about: Ready) -> bytes:
+    """Content of the record of a product that is written whole."""
+    return sealed(about.model_dump())
 
 
 def read_ready(folder: Path) -> Ready | None:
@@ -113,7 +151,7 @@ def read_ready(folder: Path) -> Ready | None:
     try:
         if not is_plain(folder / READY_RECORD):
             return None
-        return Ready.model_validate(json.loads((folder / READY_RECORD).read_text(encoding="utf-8")))
+        return Ready.model_validate(unsealed((folder / READY_RECORD).read_bytes())[0])
     except _UNREADABLE:
         return None
 

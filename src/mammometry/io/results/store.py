@@ -8,7 +8,6 @@ results folder may come from elsewhere. What its records say is checked (`record
 is in the way and not ours is set aside, never removed.
 """
 
-import json
 import logging
 import os
 import platform
@@ -40,6 +39,7 @@ from mammometry.io.results.records import (
     is_own_folder,
     read_ready,
     read_records,
+    write_ready,
     write_records,
 )
 from mammometry.io.results.stamp import stamp_folder
@@ -78,6 +78,11 @@ class Store:
         self._mutex = threading.RLock()
         self._records: dict[str, dict[str, Record]] = {}
         self._digests: dict[Path, tuple[_Identity, str]] = {}
+
+    @property
+    def at_work(self) -> str:
+        """Process, computer and start of a run at work in the folder. Empty: none is known."""
+        return self._lock.holder()
 
     @contextmanager
     def taken(self) -> Iterator[None]:
@@ -181,6 +186,10 @@ class Store:
     def has(self, key: Key) -> bool:
         """Whether the product is current."""
         return self.state(key) == "current"
+
+    def all_current(self, keys: Iterable[Key]) -> bool:
+        """Whether all products are current: then nothing has to be written."""
+        return all(state == "current" for state in self.states(keys))
 
     def record(self, key: Key) -> Record | None:
         """A product's record in provenance.json. None where there is none, or no valid one."""
@@ -291,7 +300,7 @@ class Store:
                     software=dict(_software()),
                 )
                 about = Ready(stage=key.stage, product=key.product, record=record)
-                (writing / READY_RECORD).write_text(json.dumps(about.model_dump()), encoding="utf-8")
+                (writing / READY_RECORD).write_bytes(write_ready(about))
                 sync_tree(writing)
                 writing.rename(ready)
                 sync_folder(self.folder)
@@ -350,7 +359,7 @@ class Store:
     def _stage_records(self, stage: str) -> dict[str, Record]:
         with self._mutex:
             if stage not in self._records:
-                self._records[stage], invalid = read_records(self.folder / stage)
+                self._records[stage], invalid, _ = read_records(self.folder / stage)
                 for name in invalid:
                     _LOG.warning("%s: no valid record of %s; it counts as absent", stage, name)
             return self._records[stage]

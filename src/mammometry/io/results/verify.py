@@ -3,25 +3,43 @@
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
-from mammometry.base.errors import SessionError
+from mammometry.base.errors import SessionError, StorageError
 from mammometry.io.manifest import MANIFEST
 from mammometry.io.meshes.scans import RESULTS, is_scan
-from mammometry.io.results.records import RECORDS, FileRecord, file_of, is_link, read_ready, read_records
+from mammometry.io.outputs import RECORD, written_in
+from mammometry.io.results.lock import LOCK
+from mammometry.io.results.records import (
+    RECORDS,
+    FileRecord,
+    file_of,
+    is_link,
+    is_plain,
+    read_ready,
+    read_records,
+    status,
+)
 from mammometry.io.results.store import ASIDE, READY, WRITING
+from mammometry.io.sealed import unsealed
 from mammometry.io.write import file_digest
 from mammometry.job.products import STAGES
+
+BATCH = "batch.json"
+"""Record of a batch, in the results folder."""
+_NOT_RESULTS = (LOCK, WRITING, READY, ASIDE)  # locks; what an interrupted run left is listed by itself
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Damage:
     """One file that is not as it was written."""
 
-    stage: str
+    stage: str | None
+    """None: it belongs to no stage, such as a page for others."""
     product: str | None
-    """None: it is the stage's record of all its products."""
+    """None: it belongs to no product, such as the stage's record of all its products."""
     file: str
-    """Path below the results folder."""
+    """Path below the results folder, or below the session of what is not a result."""
     found: str
     """What was found, in words."""
 
@@ -32,50 +50,59 @@ class Findings:
 
     products: int
     files: int
-    """Files that should be there."""
+    """Files of products, and of commands that keep a record of what they wrote."""
+    outputs: tuple[str, ...]
+    """Those of them that commands wrote: paths below the session, or below the results."""
     bytes: int
     """Bytes that are as they were written."""
     damaged: tuple[Damage, ...]
     unrecorded: tuple[str, ...]
-    """Files in the stages' folders that no record names."""
+    """Files in the results folder that no record names."""
     leftovers: tuple[str, ...]
     """What an interrupted run has left, and what was set aside."""
+    without_digest: tuple[str, ...]
+    """Records without a digest of their own, as versions up to 1.0.0 wrote them: their times are not checked."""
 
 
 def results_in(folder: Path) -> Path:
-    """Results folder of a session or a scan. A measured mesh's folder is one itself.
+    """Results folder of a session or a scan. Another folder that a command wrote to is one itself.
 
     Raises:
         SessionError: it holds neither.
     """
     if (folder / MANIFEST).is_file() or is_scan(folder):
         return folder / RESULTS
-    if any((folder / stage).is_dir() for stage in STAGES):
+    if (folder / RECORD).is_file() or any((folder / stage).is_dir() for stage in STAGES):
         return folder
-    remedy = "Name the folder that `mammometry run` or `mammometry measure` has written to"
-    expected = "a session, a scan, or the folder of a measured mesh"
+    remedy = "Name the folder that `mammometry run` or another command has written to"
+    expected = "a session, a scan, or the folder of a measured mesh or of what another command wrote"
     raise SessionError(str(folder), found="no results", expected=expected, remedy=remedy)
 
 
-def verify(results: Path) -> Findings:
-    """Compare all recorded files on the disk with their records."""
+def verify(results: Path, session: Path | None = None) -> Findings:
+    """Compare all recorded files on the disk with their records.
+
+    Args:
+        results: folder of the stages.
+        session: its session or scan, whose other folders are checked as well where a command keeps a record there.
+    """
     read = {stage: read_records(results / stage) for stage in STAGES}
     files = [
         (stage, product, name, written)
-        for stage, (records, _) in read.items()
-        for product, record in records.items()
+        for stage, about in read.items()
+        for product, record in about.records.items()
         for name, written in record.files.items()
     ]
     hidden = sorted(path.name for path in results.iterdir()) if results.is_dir() else []
     moving = _half_in_place(results, hidden)
-    damaged, unrecorded, whole = list[Damage](), list[str](), 0
-    for stage, (records, invalid) in read.items():
-        present = sorted(_files(results / stage))
-        recorded = {name for record in records.values() for name in record.files} | {RECORDS}
-        unrecorded += [shown(f"{stage}/{name}") for name in present if name not in recorded]
+    damaged, whole = list[Damage](), 0
+    known = {f"{stage}/{name}" for stage, _, name, _ in files}
+    for stage, about in read.items():
+        present = set(_files(results / stage))
+        known.add(f"{stage}/{RECORDS}")
         damaged += [
             _no_record(stage, name)
-            for name in invalid or ([RECORDS] if set(present) - moving[stage] and not records else [])
+            for name in about.invalid or ([RECORDS] if present - moving[stage] and not about.records else [])
         ]
     for stage, product, name, written in files:
         damage = _damage(results, stage, name, written)
@@ -83,14 +110,77 @@ def verify(results: Path) -> Findings:
             whole += written.bytes
         else:
             damaged.append(Damage(stage=stage, product=product, file=f"{stage}/{name}", found=damage))
+    others = _others(results, session)
+    outputs = [*others.whole, *(damage.file for damage in others.damaged)]
+    known.update(outputs)
     return Findings(
-        products=sum(len(records) for records, _ in read.values()),
-        files=len(files),
-        bytes=whole,
-        damaged=tuple(damaged),
-        unrecorded=tuple(unrecorded),
+        products=sum(len(about.records) for about in read.values()),
+        files=len(files) + len(outputs),
+        outputs=tuple(outputs),
+        bytes=whole + sum(others.whole.values()),
+        damaged=(*damaged, *others.damaged),
+        unrecorded=tuple(shown(name) for name in sorted(_files(results)) if name not in known),
         leftovers=tuple(shown(name) for name in hidden if name.startswith((WRITING, READY, ASIDE))),
+        without_digest=tuple(
+            [f"{stage}/{RECORDS}" for stage, about in read.items() if about.records and not about.has_digest]
+            + list(others.without_digest)
+        ),
     )
+
+
+class _Others(NamedTuple):
+    """Files that no stage wrote, by the records beside them."""
+
+    whole: Mapping[str, int]
+    """File → its bytes."""
+    damaged: tuple[Damage, ...]
+    without_digest: tuple[str, ...]
+
+
+def _others(results: Path, session: Path | None) -> _Others:
+    """Check what commands wrote beside the stages' results, and the record of a batch."""
+    whole, damaged, without_digest = dict[str, int](), list[Damage](), list[str]()
+    root = results if session is None else session
+    records = [path for path in (root.rglob(RECORD) if root.is_dir() else ()) if not _is_below_link(path, root)]
+    for record in sorted(records):
+        folder = record.parent
+        try:
+            written = written_in(folder)
+            _, has_digest = unsealed(record.read_bytes())
+        except (StorageError, OSError) as error:
+            found = error.found if isinstance(error, StorageError) else str(error.strerror)
+            damaged.append(Damage(stage=None, product=None, file=_named(record, results, root), found=found))
+            continue
+        whole[_named(record, results, root)] = record.stat().st_size
+        without_digest += [] if has_digest else [_named(record, results, root)]
+        for name, about in written.items():
+            path = folder / name
+            if status(path) is None:
+                continue  # removed by somebody, or withdrawn by the command itself
+            if file_digest(path) in about.sha256:
+                whole[_named(path, results, root)] = path.stat().st_size
+            else:
+                found = f"other bytes than `mammometry {about.command}` wrote"
+                damaged.append(Damage(stage=None, product=None, file=_named(path, results, root), found=found))
+    batch = results / BATCH
+    if is_plain(batch):
+        try:
+            _, has_digest = unsealed(batch.read_bytes())
+            whole[BATCH] = batch.stat().st_size
+            without_digest += [] if has_digest else [BATCH]
+        except (ValueError, RecursionError) as error:
+            damaged.append(Damage(stage=None, product=None, file=BATCH, found=str(error)))
+    return _Others(whole, tuple(damaged), tuple(without_digest))
+
+
+def _is_below_link(path: Path, root: Path) -> bool:
+    below = path.relative_to(root)
+    return any(is_link(root / above) for above in (below, *below.parents[:-1]))
+
+
+def _named(path: Path, results: Path, root: Path) -> str:
+    """Path below the results, or below the session where it is not in the results."""
+    return shown(path.relative_to(results if path.is_relative_to(results) else root).as_posix())
 
 
 def _half_in_place(results: Path, names: Iterable[str]) -> Mapping[str, set[str]]:
@@ -123,9 +213,11 @@ def _damage(results: Path, stage: str, name: str, written: FileRecord) -> str | 
 
 
 def _files(folder: Path) -> Iterator[str]:
+    """Files below a folder. Locks and what begins with another run's names are left out at its top."""
     for path in folder.rglob("*") if folder.is_dir() and not is_link(folder) else ():
-        if is_link(path) or not path.is_dir():
-            yield path.relative_to(folder).as_posix()
+        below = path.relative_to(folder)
+        if (is_link(path) or not path.is_dir()) and not below.parts[0].startswith(_NOT_RESULTS):
+            yield below.as_posix()
 
 
 def shown(name: str) -> str:

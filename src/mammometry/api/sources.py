@@ -1,0 +1,88 @@
+"""What a session or scan brings now, compared with what its results were made from."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from mammometry.api.changes import Changes, changes, source_of
+from mammometry.api.job import Job, open_session
+from mammometry.api.scan_folders import open_scan
+from mammometry.io.drawn import BOUNDARIES, LANDMARK_FILE
+from mammometry.io.manifest import MANIFEST
+from mammometry.io.meshes.scans import ABOUT, MESH, RESULTS, is_scan
+from mammometry.io.results.verify import shown
+from mammometry.job.products import STAGES, Key
+from mammometry.settings import Settings
+
+_WHOLE = {"cameras": "cameras.json", "prior": "prior.json", "wall": "wall.ply"}  # input → its file
+_BY_VALUE = (MANIFEST, ABOUT, MESH, BOUNDARIES, LANDMARK_FILE)
+"""Files that are always compared: all that they say is in the key of a result. Comments in them are not."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sources:
+    """Photographs, drawings and settings beside the results that were made from others, or from them."""
+
+    wanted: frozenset[str]
+    """``stage/product`` of all results that belong to the session now."""
+    changed: Changes
+    """What differs from what the stored results were made from."""
+    not_compared: tuple[str, ...]
+    """Files that no result was made from. A folder of such files ends with ``/`` and their number."""
+
+
+def sources(folder: Path, settings: Settings, recorded: frozenset[str]) -> Sources:
+    """Compare a session or an imported scan with the records of its results. Nothing is written.
+
+    Args:
+        folder: of the session or scan.
+        settings: of the results.
+        recorded: files of the folder that other records confirm, by their paths below it.
+
+    Raises:
+        MammometryError: it cannot be opened.
+    """
+    if is_scan(folder):
+        scan = open_scan(folder, settings)
+        store, plan = scan.store, scan.plan
+        keys = [product.key for product in plan.products()]
+        pages = [scan.content_key, scan.report_key]
+        used: set[str] = set()
+    else:
+        job = open_session(folder, settings)
+        store, plan = job.store, job.plan
+        keys = [key for stage in STAGES[:-1] if plan.products(stage) for key in job.keys(stage)]
+        pages = [job.content_key, job.report_key]
+        used = _used_files(job, keys)
+    keys += pages
+    names = (shown(name) for name in _files(folder) if name not in {*used, *_BY_VALUE, *recorded})
+    return Sources(
+        wanted=frozenset(f"{key.stage}/{key.product}" for key in keys),
+        changed=changes(store, plan, keys),
+        not_compared=tuple(_by_folder(names)),
+    )
+
+
+def _used_files(job: Job, keys: list[Key]) -> set[str]:
+    """Files whose digests are in the keys of results."""
+    named = {source_of(key, name) for key in keys for name in key.inputs}
+    found = job.session.files()
+    files = {name: path.relative_to(job.session.path).as_posix() for name, path in found.items()} | _WHOLE
+    return {path for name, path in files.items() if name in named}
+
+
+def _files(folder: Path) -> Iterator[str]:
+    """Files of a session beside its results, hidden ones left out."""
+    for path in sorted(folder.rglob("*")):
+        below = path.relative_to(folder)
+        if path.is_file() and below.parts[0] != RESULTS and not any(part.startswith(".") for part in below.parts):
+            yield below.as_posix()
+
+
+def _by_folder(names: Iterator[str]) -> Iterator[str]:
+    counts = Counter(name.partition("/")[0] + "/" * ("/" in name) for name in names)
+    for name, count in sorted(counts.items()):
+        yield f"{name} ({count} file{'s' * (count > 1)})" if name.endswith("/") else name
