@@ -80,6 +80,7 @@ def read_truth(captures: Path, subject: str) -> RenderedTruth:
             name.removeprefix("patient_"): breast["volume_cc"][breast["primary"]]
             for name, breast in truth["breasts"].items()
         }
-    cameras = json.loads((captures / "truth" / "cameras.json").read_text())
+    own = folder / "cameras.json"  # else the captures share them
+    cameras = json.loads((own if own.is_file() else captures / "truth" / "cameras.json").read_text())
     rig_from_world = Transform.from_matrix(np.array(cameras["rig_from_board0"]))
     return RenderedTruth(volumes_cc=volumes, world_from_rig=rig_from_world.inverse(), folder=folder)

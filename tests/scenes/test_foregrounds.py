@@ -8,6 +8,7 @@ cluttered room.
 from pathlib import Path
 
 import pytest
+from benchmarks.accuracy import boards
 
 from mammometry.io.photographs.images import read_photograph
 from mammometry.io.truth import read_truth
@@ -51,6 +52,20 @@ def test_the_outline_is_the_subjects_own(case: str, tmp_path: Path) -> None:
         assert lost < 2.4
         assert gained < 0.3
         assert abs(outline.mean_px) < 1.4
+
+
+@pytest.mark.slow
+@pytest.mark.requirement("R-MASK-1")
+@pytest.mark.parametrize("texture", ["plain", "speckled", "patterned"])
+@pytest.mark.parametrize("volume_cc", [60, 250, 900])
+def test_a_cast_on_a_board_is_found_by_all_cameras(volume_cc: int, texture: str, tmp_path: Path) -> None:
+    """Blocks of 2 px are a coarse outline here: one block around a cast of 60 cc is 15 % of its area."""
+    wanted = boards.recipe(volume_cc, texture, 0.12, poses=4)
+    write_session(tmp_path / "session", wanted)
+    found = boards.outlines(tmp_path / "session", wanted)
+    assert not found.doubts
+    assert found.lost_percent < 12.0
+    assert found.gained_percent < 15.0
 
 
 @pytest.mark.slow

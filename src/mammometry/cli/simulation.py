@@ -160,8 +160,9 @@ def simulate(
     subject: Annotated[
         str,
         typer.Option(
-            help="plaster, plaster_1 … plaster_9, torso, torso_1 …, woman, woman_1 … (also leaning-woman, woman-wide, "
-            "leaning-woman-wide), head, figure, sphere, cylinder, plate, or a PLY, OBJ or STL file."
+            help="plaster, plaster_1 … plaster_9, plaster_60cc, torso, torso_1 …, woman, woman_1 … (also "
+            "leaning-woman, woman-wide, leaning-woman-wide), head, figure, sphere, cylinder, plate, or a PLY, OBJ or "
+            "STL file."
         ),
     ] = _RECIPE.subject,
     units: Annotated[

@@ -17,12 +17,21 @@ from mammometry.base.errors import MatchingError
 from mammometry.base.photograph import Photograph
 from mammometry.geometry import Array, Bool, Camera, Float32, Float64, Rig, read_only
 from mammometry.matching.foreground.foreground import Foreground
-from mammometry.matching.foreground.seeded_segmentation import SMALLEST_PART, DepthSeeds
+from mammometry.matching.foreground.seeded_segmentation import DepthSeeds
 from mammometry.matching.foreground.silhouette import block_means
 from mammometry.matching.noise import checkerboard_residual
 from mammometry.matching.pyramid import Level
 from mammometry.matching.rectify import RectifiedPair, rectify
 from mammometry.matching.semiglobal import both_ways
+from mammometry.matching.support import (
+    LEAST_SHARE,
+    LEAST_STANDING,
+    NearDepths,
+    cleaned,
+    find_supports,
+    parted,
+    reciprocal_depth,
+)
 
 # Where no other source is named: chosen on the simulated captures of docs/decisions/0028.
 _SPAN_PX = 270  # longer side of the small photographs, about: a trunk is a hundred pixels wide
@@ -31,16 +40,10 @@ _NEAR, _FAR = 1.25, 1.4  # nearer than the one is in the volume, beyond the othe
 _AGREEMENT_PX = 1.0  # of both directions, small pixels
 _AROUND_PX, _TEXTURE = 9, 4.0  # variance over noise, around a pixel: a black room has 1 to 4, skin 7 to 60
 _SMALLEST_FAR = 0.015  # of the picture: beside the frame, where the partner's ends, small parts match by chance
-_LEAST_SHARE = 0.02  # of the picture that must be near for a pair to say anything
-_FLATNESS = 0.012  # of the depth: what is nearer to a plane lies on it; a pixel of disparity, and a tenth of a cast
-_STANDING = 1.5  # times that: what certainly stands before it
-_BOARD, _ON_BOARD, _BELOW = 0.5, 0.03, 0.4  # of what is near: on a board; before it; behind it, of what is before it
-_SOME, _TRIALS, _LEAST_AREA, _DRAWN = 1500, 150, 0.02, 28  # points and planes tried, their size of the picture, seed
-_FITS = 3  # least squares on what lies on the plane
+_POINTS = 1500  # of a pair that the silhouettes are compared with
 _LEAST_COMMON = 0.25  # of the pictures' width, at the nearest depth searched where no target was seen; by eye
 _LEAST_THING, _GAP, _DEPTHS_TRIED = 0.05, 0.1, 60  # of what is known: nearest things, the gap behind them; by eye
 _CALM, _LEAST_SURFACE = 0.06, 0.003  # relative change of depth within 3 × 3 pixels; of the picture; by eye
-_TABLE, _LEAST_STANDING = 0.8, 0.004  # of what is near: a wide table; of the picture, what stands on one; by eye
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -106,7 +109,7 @@ def subject_middle(rig: Rig, depths: Sequence[CoarseDepths]) -> Float64[Array, 3
     middle of the nearest things that the pairs see. None where they see none.
     """
     held = rig.target_middle_world
-    if held is not None and any(np.mean(_is_near(one, held)[0]) >= _LEAST_SHARE for one in depths):
+    if held is not None and any(np.mean(_is_near(one, held)[0]) >= LEAST_SHARE for one in depths):
         return held
     middles = [middle for middle in map(_nearest_things, depths) if middle is not None]
     return np.median(middles, axis=0) if middles else held
@@ -116,7 +119,7 @@ def _nearest_things(depths: CoarseDepths) -> Float64[Array, 3] | None:
     """Median point of the nearest things with a gap in depth behind them, else of all, world frame, mm."""
     depth = _of_surfaces(depths.depth_mm[0])
     known = np.sort(depth[np.isfinite(depth)])
-    if len(known) < _LEAST_SHARE * depth.size:
+    if len(known) < LEAST_SHARE * depth.size:
         return None
     ends = known[int(_LEAST_THING * len(known))] * np.geomspace(1.0, _FARTHEST / _NEAREST, _DEPTHS_TRIED)
     before, within = np.searchsorted(known, ends), np.searchsorted(known, _FAR / _NEAR * ends)
@@ -143,50 +146,75 @@ def _is_near(depths: CoarseDepths, middle_world: Float64[Array, 3]) -> list[Bool
     return [depth < _NEAR * depths.middle_mm(middle_world) for depth in depths.depth_mm]
 
 
-def depth_seeds(depths: CoarseDepths, middle_world: Float64[Array, 3]) -> tuple[DepthSeeds, ...]:
-    """Sort a pair's blocks by depth.
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SortedDepths:
+    """A pair's pixels, sorted by depth."""
+
+    depths: CoarseDepths
+    sides: tuple[tuple[Bool[Array, "h w"], Bool[Array, "h w"]], tuple[Bool[Array, "h w"], Bool[Array, "h w"]]]
+    """Near and far pixels of both rectified pictures. What lies on a support is far."""
+    supported: bool
+    """Whether the subject lies on a board or table."""
+
+
+def sort_depths(depths: Sequence[CoarseDepths], middle_world: Float64[Array, 3]) -> list[SortedDepths]:
+    """Sort all pairs' pixels by depth: near, far, and what the subject lies on.
 
     Args:
-        depths: of the pair.
-        middle_world: about which the subject stands.
+        depths: of all pairs.
+        middle_world: about which the subject stands, mm.
+    """
+    nears = [_is_near(one, middle_world) for one in depths]
+    supports = find_supports(
+        [
+            NearDepths(camera=one.ideal[0], depth_mm=one.depth_mm[0], near=cleaned(near[0], 0.0))
+            for one, near in zip(depths, nears, strict=True)
+        ]
+    )
+    found = []
+    for one, near, support in zip(depths, nears, supports, strict=True):
+        far_mm = _FAR * one.middle_mm(middle_world)
+        left, right = (
+            _side(depth, here, far_mm, None if support is None else reciprocal_depth(support, camera))
+            for depth, here, camera in zip(one.depth_mm, near, one.ideal, strict=True)
+        )
+        found.append(SortedDepths(depths=one, sides=(left, right), supported=support is not None))
+    return found
+
+
+def _side(
+    depth: Float32[Array, "h w"], near: Bool[Array, "h w"], far_mm: float, plane: Float64[Array, 3] | None
+) -> tuple[Bool[Array, "h w"], Bool[Array, "h w"]]:
+    """Near and far pixels of one picture."""
+    far = depth > far_mm
+    if plane is not None:
+        near, lying = parted(depth, near, plane)
+        far = far | lying
+    return cleaned(near, 0.0), cleaned(far, _SMALLEST_FAR)
+
+
+def depth_seeds(found: SortedDepths) -> tuple[DepthSeeds, ...]:
+    """Near and far blocks of a pair's photographs.
 
     Returns:
         For the left and for the right camera. Nothing where too little is near for depth to tell.
     """
-    sides, on_board = _sorted(depths, middle_world)
+    depths = found.depths
     seeds = []
-    for (near, far), camera, ideal in zip(sides, depths.cameras, depths.ideal, strict=True):
+    for (near, far), camera, ideal in zip(found.sides, depths.cameras, depths.ideal, strict=True):
         at = _places(camera, ideal)
         one = DepthSeeds(camera=camera.name, step=depths.step, near=_looked_up(near, at), far=_looked_up(far, at))
-        if one.near.mean() < (_LEAST_STANDING if on_board else _LEAST_SHARE):
+        if one.near.mean() < (LEAST_STANDING if found.supported else LEAST_SHARE):
             return ()
         seeds.append(one)
     return tuple(seeds)
 
 
-def near_points(depths: CoarseDepths, middle_world: Float64[Array, 3]) -> Float64[Array, "n 3"]:
+def near_points(found: SortedDepths) -> Float64[Array, "n 3"]:
     """Some of the points in the working volume that a pair sees for certain, world frame, mm."""
-    ((near, _), _), _ = _sorted(depths, middle_world)
-    near &= np.isfinite(depths.depth_mm[0]) & depths.textured
-    return _points_world(depths, near)[:: max(1, int(np.count_nonzero(near) / _SOME))]
-
-
-def _sorted(
-    depths: CoarseDepths, middle_world: Float64[Array, 3]
-) -> tuple[list[tuple[Bool[Array, "h w"], Bool[Array, "h w"]]], bool]:
-    """Near and far pixels of both rectified pictures, and whether the subject stands on a board."""
-    far_mm = _FAR * depths.middle_mm(middle_world)
-    nears = _is_near(depths, middle_world)
-    plane = board(depths.depth_mm[0], _cleaned(nears[0], 0.0))
-    planes = None if plane is None else (plane, _of_the_right(plane, depths.ideal))
-    sides = []
-    for number, (depth, near) in enumerate(zip(depths.depth_mm, nears, strict=True)):
-        far = depth > far_mm
-        if planes is not None:
-            near, lying = _parted(depth, near, planes[number])
-            far = far | lying
-        sides.append((_cleaned(near, 0.0), _cleaned(far, _SMALLEST_FAR)))
-    return sides, plane is not None
+    depths = found.depths
+    near = found.sides[0][0] & np.isfinite(depths.depth_mm[0]) & depths.textured
+    return _points_world(depths, near)[:: max(1, int(np.count_nonzero(near) / _POINTS))]
 
 
 def _points_world(depths: CoarseDepths, chosen: Bool[Array, "h w"]) -> Float64[Array, "n 3"]:
@@ -197,19 +225,6 @@ def _points_world(depths: CoarseDepths, chosen: Bool[Array, "h w"]) -> Float64[A
     along = depths.depth_mm[0][rows, columns] / (rays @ camera.axis_world)
     points: Float64[Array, "n 3"] = camera.centre_world + along[:, None] * rays
     return points
-
-
-def _of_the_right(plane: Float64[Array, 3], ideal: tuple[Camera, Camera]) -> Float64[Array, 3]:
-    """Convert a plane of reciprocal depths over the left picture to one over the right picture.
-
-    u_left is u_right + focal length × base × reciprocal depth + the offset.
-    """
-    left, right = ideal
-    focal = float(left.matrix[0, 0])
-    base = float(np.linalg.norm(right.centre_world - left.centre_world))
-    offset = float(left.matrix[0, 2] - right.matrix[0, 2])
-    moved = np.array([plane[0], plane[1], plane[2] + plane[0] * offset])
-    return moved / (1 - plane[0] * focal * base)
 
 
 def smaller_camera(camera: Camera, step: int) -> Camera:
@@ -273,81 +288,6 @@ def _textured(image: Float32[Array, "h w"]) -> Bool[Array, "h w"]:
     )
     shown: Bool[Array, "h w"] = square - mean**2 > _TEXTURE * noise
     return shown
-
-
-def board(depth: Float32[Array, "h w"], near: Bool[Array, "h w"]) -> Float64[Array, 3] | None:
-    """The plane on which the subject lies or against which it leans.
-
-    None where it does neither. Half of what is near makes such a plane, and the rest stands before it: a body curves
-    away behind whatever plane fits it best. Something small may stand on a table that is nearly all of it.
-
-    Args:
-        depth: z of each pixel of a rectified picture, mm; NaN where not known.
-        near: what is in the working volume.
-
-    Returns:
-        a, b, c of the plane's reciprocal depth a u + b v + c, 1/mm, linear in the picture as every plane's.
-    """
-    rows, columns = np.nonzero(near)
-    if len(rows) < _LEAST_SHARE * near.size:
-        return None
-    places = np.stack([columns, rows, np.ones(len(rows))], axis=1).astype(np.float64)
-    inverse = 1.0 / depth[near].astype(np.float64)
-    rng = np.random.default_rng(_DRAWN)
-    some = rng.choice(len(rows), size=min(len(rows), _SOME), replace=False)
-    best, most = np.zeros(3), -1
-    for _ in range(_TRIALS):
-        three = rng.choice(some, size=3, replace=False)
-        if abs(np.linalg.det(places[three])) < _LEAST_AREA * near.size:
-            continue
-        plane = np.linalg.solve(places[three], inverse[three])
-        on = int(np.count_nonzero(np.abs(places[some] @ plane - inverse[some]) < _FLATNESS * inverse[some]))
-        if on > most:
-            best, most = plane, on
-    for _ in range(_FITS):  # three points' own errors grow towards the picture's corners
-        on_it = np.abs(places @ best - inverse) < _FLATNESS * inverse
-        if np.count_nonzero(on_it) >= 3:
-            best = np.linalg.lstsq(places[on_it], inverse[on_it])[0]
-    ahead = 1 - places @ best / inverse  # share of the depth by which it stands before the plane
-    lying, standing = float(np.mean(np.abs(ahead) < _FLATNESS)), float(np.mean(ahead >= _FLATNESS))
-    behind = 1 - lying - standing
-    if lying >= _BOARD and standing >= _ON_BOARD and behind <= _BELOW * standing:
-        return best
-    if lying < _TABLE:
-        return None
-    standing, behind = (
-        float(_cleaned(_laid(side, near), 0.0).mean()) for side in (ahead >= _STANDING * _FLATNESS, ahead <= -_FLATNESS)
-    )
-    return best if standing >= _LEAST_STANDING and behind <= _BELOW * standing else None
-
-
-def _laid(values: Bool[Array, " n"], where: Bool[Array, "h w"]) -> Bool[Array, "h w"]:
-    """A picture with the values of its chosen pixels."""
-    picture = np.zeros_like(where)
-    picture[where] = values
-    return picture
-
-
-def _parted(
-    depth: Float32[Array, "h w"], near: Bool[Array, "h w"], plane: Float64[Array, 3]
-) -> tuple[Bool[Array, "h w"], Bool[Array, "h w"]]:
-    """Split near pixels at a board: in front, and on or behind."""
-    rows, columns = np.indices(depth.shape)
-    with np.errstate(invalid="ignore"):
-        ahead = 1 - (plane[0] * columns + plane[1] * rows + plane[2]) * depth
-    return near & (ahead >= _STANDING * _FLATNESS), near & (ahead < _FLATNESS)
-
-
-def _cleaned(mask: Bool[Array, "h w"], least_share: float) -> Bool[Array, "h w"]:
-    """Remove thin parts and specks beside the largest part, and close gaps."""
-    opened = ndimage.binary_opening(ndimage.binary_closing(mask), iterations=2)
-    labels, count = ndimage.label(opened)
-    if count == 0:
-        return opened
-    sizes = np.bincount(labels.ravel())
-    sizes[0] = 0
-    large: Bool[Array, "h w"] = (sizes >= max(SMALLEST_PART * sizes.max(), least_share * mask.size))[labels]
-    return large
 
 
 def _places(camera: Camera, ideal: Camera) -> tuple[Array, Array, Bool[Array, "h w"]]:

@@ -22,6 +22,7 @@ from mammometry.job.stages import calibrate, match, measure, surface
 from mammometry.job.stages.report import PageInputs
 from mammometry.matching import quality as match_quality
 from mammometry.matching.foreground.foreground import Foreground
+from mammometry.matching.foreground.outlines_first import OF_PARTNER
 from mammometry.matching.quality import MatchQuality
 from mammometry.measure.boundary.breasts import NoBreast
 from mammometry.measure.trunk.body import Body
@@ -102,14 +103,15 @@ def warnings(run: RunResults) -> Iterator[str]:
             f"No nipple was seen on the {' and on the '.join(NAMES[name] for name in run.doubtful)}. What is measured "
             "from a nipple is left out there: pick it if there is one."
         )
-    yield from run.moved
     if run.unseparated:
         reasons = "; ".join(dict.fromkeys(run.unseparated.values()))
+        drawn = [f"masks/{name}.png" for name, reason in run.unseparated.items() if reason != OF_PARTNER]
         yield (
             f"No outline of the subject is used in the photographs of {', '.join(run.unseparated)}: {reasons}. "
             "Everything near was matched there, and the largest connected surface was taken. What else was near may be "
-            "part of it. Look at the surface, or give masks."
+            f"part of it. Look at the surface, or draw {' and '.join(drawn)}."
         )
+    yield from run.moved
     if any(HEAD_NOT_SHOWN in measured.boundary_method for measured in run.measurements):
         yield (
             "The body does not show where its head is: left and right rest on how the cameras are mounted. Check that "

@@ -71,6 +71,23 @@ def test_silhouettes_that_are_all_inverted_hold_nothing_near() -> None:
     assert doubted({name: ~mask for name, mask in masks().items()}) == set(RIG.cameras)
 
 
+@pytest.mark.requirement("R-MASK-1")
+def test_what_stands_beside_the_subject_is_no_evidence_against_a_silhouette() -> None:
+    """A rail hides half of the ball from the camera above, and as many points lie on things beside the ball."""
+    mask = masks()["above"]
+    half = mask & (np.arange(mask.shape[1]) > np.nonzero(mask)[1].mean())
+    beside = sphere() + np.array([2.2 * RADIUS_MM, 0.0, 0.0])
+    assert not doubted({"above": half}, np.concatenate([sphere(), beside]))
+
+
+def test_silhouettes_that_agree_on_a_small_part_of_what_is_near_are_all_doubted() -> None:
+    """A bright dressing on a body is seen alike by all: it is not the subject."""
+    rng = np.random.default_rng(3)
+    angle, away = rng.uniform(0, 2 * np.pi, 6000), RADIUS_MM * rng.uniform(1.1, 1.3, 6000)
+    around = np.stack([away * np.cos(angle), away * np.sin(angle), rng.uniform(-20, 20, 6000)], axis=1)
+    assert doubted({}, np.concatenate([sphere(2000), around])) == set(RIG.cameras)
+
+
 def test_a_part_that_no_other_camera_sees_is_left_out() -> None:
     """A second disc beside the ball, in one picture alone."""
     mask = masks()["above"]

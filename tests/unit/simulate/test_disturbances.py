@@ -363,6 +363,26 @@ def test_soft_focus_blurs_every_camera_by_the_same_share_of_the_picture():
     assert {round(film.blur_px, 3) for film in films} == {round(math.hypot(0.5, 9.0 * 225 / 4504), 3)}
 
 
+@pytest.mark.parametrize(("texture", "colours"), [("plain", 1), ("speckled", 3), ("patterned", 2)])
+def test_a_board_lies_close_under_a_cast_and_has_its_texture(texture: str, colours: int):
+    solid = make_subject("plaster_100cc", 7, edge_mm=4.0)
+    placed = rig_from_solid(solid, 7)
+    about: Surroundings = disturbed(
+        Surroundings(solid=solid, rig_from_solid=placed, skin=SKINS["skin"]),
+        "thing",
+        parse_situation(f"board={texture}"),
+        7,
+    )
+    (board,) = about.things
+    up = board.props.normals[0]
+    heights = placed.apply(solid.mesh.vertices) @ up - board.props.vertices[0] @ up
+    assert heights.min() == pytest.approx(0.4, abs=1e-3)
+    assert up == pytest.approx(placed.rotation[:, 2], abs=1e-9)
+    # Two triangles of a cell have one colour.
+    assert np.array_equal(*np.split(board.props.material, 2))
+    assert len(board.colours) == len(np.unique(board.props.material)) == colours
+
+
 def test_a_table_is_level_below_a_body_and_behind_a_cast():
     for name, kind in (("figure", "surface"), ("plaster_2", "model")):
         solid = make_subject(name, 7, edge_mm=4.0)

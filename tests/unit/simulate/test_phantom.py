@@ -84,6 +84,15 @@ def test_the_nine_have_volumes_near_the_table_and_exactly_as_asked(number):
     assert plaster(shape, edge_mm=4.0).volume_cc == pytest.approx(shape.volume_cc, rel=1e-6)
 
 
+def test_a_cast_of_any_volume_can_be_asked_for():
+    solid = make_subject("plaster_60cc", 11, edge_mm=3.0)
+    assert solid.volume_cc == pytest.approx(60.0, rel=1e-6)
+    assert solid.facts["back"] == "flat"
+    for name in ("plaster_5cc", "plaster_9999cc", "plaster_60 cc"):
+        with pytest.raises(ValueError, match="plaster models are"):
+            plaster_shape(name, 11)
+
+
 def test_back_is_flat_or_on_its_cylinder():
     flat = plaster(PlasterShape(), edge_mm=3.0)
     assert np.abs(flat.mesh.vertices[-flat.back_vertices :, 2]).max() < 1e-4

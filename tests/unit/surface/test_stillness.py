@@ -1,13 +1,16 @@
 """What moved after the calibration is found from what pairs say of one another, named, and put right."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from moving_rig import RADII, calibrated_rig, measured, standing
 
-from mammometry.base.errors import SurfaceError
+from mammometry.base.errors import MammometryError, MatchingError, SurfaceError
 from mammometry.calibration.judge.pose_motion import shifts
+from mammometry.job.stages import surface as stages
+from mammometry.matching.foreground.outlines_first import OF_PARTNER
 from mammometry.surface.motion import motion_test as stillness
 from mammometry.surface.motion import rigid_motion as motions
 from mammometry.surface.motion.agreement import differences
@@ -257,6 +260,28 @@ def test_far_motions_are_refused_by_name():
     _, images, rows = capture({"right_l": np.array([0.0, np.radians(0.3), 0.0])})
     with pytest.raises(SurfaceError, match=r"pair right.*right_l.*calibrate again"):
         find(RIG, images, rows, settings=StillnessSettings(most_mm=1.0))
+
+
+@pytest.mark.requirement("R-MASK-2")
+def test_missing_outlines_are_named_before_cameras_are_said_to_have_moved():
+    """Where everything was matched, the pairs may disagree because one saw the background."""
+    _, images, rows = capture({"right_l": np.array([0.0, np.radians(0.3), 0.0])})
+    ranges, cameras = {image.name: image for image in images}, SimpleNamespace(rig=RIG)
+    stopping = SimpleNamespace(surface=SimpleNamespace(stillness=StillnessSettings(most_mm=1.0)))
+
+    def refusal(doubts):
+        with pytest.raises(MammometryError) as refused:
+            stages.stillness.function(
+                cameras, None, ranges, rows, SimpleNamespace(doubts=doubts), job=SimpleNamespace(settings=stopping)
+            )
+        return refused.value
+
+    missing = refusal({"front_l": "it does not fit", "front_r": OF_PARTNER})
+    assert isinstance(missing, MatchingError)
+    assert missing.subject == "capture, front_l"
+    assert "masks/front_l.png" in missing.remedy
+    assert "calibrate" not in str(missing)
+    assert isinstance(refusal({}), SurfaceError)
 
 
 @pytest.mark.slow

@@ -42,15 +42,18 @@ def stillness(
     calibration: Calibration | None,
     range_images: Mapping[str, RangeImage],
     vertical_residuals: Mapping[str, RowErrors],
+    subjects: Subjects | None,
     *,
     job: Context,
 ) -> Stillness:
     """Motion between calibration and exposures, by pairs that see the same skin."""
+    from mammometry.matching.foreground.outlines_first import outlines_first
     from mammometry.surface.motion import motion_test as stillness
 
     covariance = None if calibration is None else calibration.covariance
     images = tuple(range_images.values())
-    return stillness.find(cameras.rig, images, vertical_residuals, covariance, job.settings.surface.stillness)
+    with outlines_first({} if subjects is None else subjects.doubts):
+        return stillness.find(cameras.rig, images, vertical_residuals, covariance, job.settings.surface.stillness)
 
 
 @product("surface", version=2, name="stood")
@@ -134,10 +137,12 @@ def solid(
     valid_patches: ValidPatches,
     foregrounds: Mapping[str, Foreground],
     occlusions: Mapping[str, Occlusion],
+    subjects: Subjects | None,
     *,
     job: Context,
 ) -> Solid | None:
     """Space of a cast or torso by range data and silhouettes (paper 2.5). None for an open surface."""
+    from mammometry.matching.foreground.outlines_first import outlines_first
     from mammometry.surface import occlusion
     from mammometry.surface.fusion import fuse as extract
 
@@ -145,7 +150,8 @@ def solid(
         return None
     opened = occlusion.without_occluded(foregrounds, occlusions)
     extraction = job.settings.surface.extract.of(job.inputs.subject_kind)
-    return extract.solid_of(valid_patches.range_images, opened, corrected_cameras.rig, extraction.rule)
+    with outlines_first({} if subjects is None else subjects.doubts):
+        return extract.solid_of(valid_patches.range_images, opened, corrected_cameras.rig, extraction.rule)
 
 
 def _extraction(job: Context) -> object:

@@ -1,11 +1,17 @@
 """The subject in all photographs of a capture.
 
-Coarse depths of all pairs say where it stands and what of each photograph is near. `segment` and `seeded` find it in
-each. Then the photographs are compared: one subject is seen in all of them. A silhouette that the others contradict is
-not used: everything that its pair sees there is matched, and it carves nothing away.
+Coarse depths of all pairs say where it stands, what of each photograph is near, and what it lies on. `segment` and
+`seeded` find it in each. Then the photographs are compared: one subject is seen in all of them. A silhouette that the
+others contradict is not used: everything that its pair sees there is matched, and it carves nothing away.
 
-Points in the working volume that the pairs see must lie within every silhouette. And what all silhouettes have in
-common, their visual hull, must fill each of them: one that is much too small, too large or inverted does not fit.
+A silhouette is doubted only where another explanation of all views is better (`check_masks`):
+
+- What the other silhouettes agree on must lie within it, else it is wrong and they are right. What lies outside them,
+  too, is not the subject: a support, a rail, a hand. It says nothing.
+- Together they must hold a good part of what the pairs see near, apart from a board or table under the subject, else
+  all of them show another thing.
+- What all have in common, their visual hull, must fill each of them: one that is much too large or inverted does not
+  fit.
 """
 
 from __future__ import annotations
@@ -22,8 +28,16 @@ from mammometry.base.machine.cores import available_cores
 from mammometry.base.photograph import Photograph
 from mammometry.base.value import value
 from mammometry.geometry import Array, Bool, Camera, Float64, Rig
-from mammometry.matching.coarse_stereo import CoarseDepths, coarse_depths, depth_seeds, near_points, subject_middle
+from mammometry.matching.coarse_stereo import (
+    CoarseDepths,
+    coarse_depths,
+    depth_seeds,
+    near_points,
+    sort_depths,
+    subject_middle,
+)
 from mammometry.matching.foreground.foreground import Blocks, blocks_of, subject_blocks
+from mammometry.matching.foreground.outlines_first import OF_PARTNER
 from mammometry.matching.settings import ForegroundSettings
 
 _AT_ONCE = 4  # photographs in memory; at full size each has 40 MB
@@ -66,7 +80,8 @@ def find_subjects(
     if settings.mode == "all":
         blind = tuple(name for name in photographs if name not in given)
         return Subjects(middle_world=middle, blocks={}, blind=blind, doubts={})
-    seeds = [one for pair in depths if middle is not None for one in depth_seeds(pair, middle)]
+    by_depth = [] if middle is None else sort_depths(depths, middle)
+    seeds = [one for pair in by_depth for one in depth_seeds(pair)]
 
     def search(camera: str) -> tuple[Blocks, Bool[Array, "h w"] | None]:
         photograph = photographs[camera]
@@ -84,13 +99,13 @@ def find_subjects(
     }
     masks = {name: mask for name, (_, mask) in searched.items() if mask is not None}
     if middle is not None:
-        points = [(pair, near_points(pair, middle)) for pair in depths]
+        points = [(pair.depths, near_points(pair)) for pair in by_depth]
         steps = {name: searched[name][0].step for name in masks}
         seen = [({camera.name for camera in pair.cameras}, found) for pair, found in points if len(found)]
         checked = check_masks(rig, masks, steps, seen, middle)
         masks, doubts = dict(checked.masks), doubts | dict(checked.doubts)
     for name in _partners(rig, set(doubts)) - set(given) - set(doubts):
-        doubts[name] = "its partner's silhouette is not known"
+        doubts[name] = OF_PARTNER
     return Subjects(
         middle_world=middle,
         blocks={name: mask for name, mask in masks.items() if name not in doubts},
@@ -119,8 +134,8 @@ def _partners(rig: Rig, names: set[str]) -> set[str]:
         names = names | more
 
 
-# Chosen on the captures of benchmarks.accuracy.foreground; right silhouettes are above .9 in both.
-_WITHIN = 0.4  # of the pairs' points in the picture, that a silhouette must hold at least
+# Chosen on the captures of benchmarks.accuracy.foreground; right silhouettes are above .9 in all three.
+_WITHIN = 0.4  # of points of the subject in the picture, that a silhouette must hold at least
 _FEWEST = 150  # of them, fewer tell nothing
 _FILLED = 0.5  # of a silhouette, that the hull must fill at least
 _GRID = 48  # of the hull, along each side
@@ -154,14 +169,10 @@ def check_masks(
         seen: of each pair, its cameras and points of the working volume that it sees, world frame, mm.
         middle_world: about which the subject stands, mm.
     """
-    doubts = {}
-    for name, mask in masks.items():
-        others = [points for cameras, points in seen if name not in cameras] or [points for _, points in seen]
-        rows, columns, inside = _in_blocks(rig.cameras[name], np.concatenate([*others, np.empty((0, 3))]), steps[name])
-        within = mask[rows[inside], columns[inside]]
-        if len(within) >= _FEWEST and within.mean() < _WITHIN:
-            doubts[name] = f"only {100 * within.mean():.0f} % of what the pairs see near lies within its silhouette"
+    doubts = _contradicted(rig, masks, steps, seen)
     left = {name: mask for name, mask in masks.items() if name not in doubts}
+    doubts |= _incomplete(rig, left, steps, seen)
+    left = {name: mask for name, mask in left.items() if name not in doubts}
     grid = _grid(rig, middle_world)
     places = {name: _in_blocks(rig.cameras[name], grid, steps[name]) for name in left}
     while len(left) > 1:
@@ -173,6 +184,98 @@ def check_masks(
         share = 100 * left.pop(worst).mean()
         doubts[worst] = f"its silhouette of {share:.0f} % of the picture does not fit the other cameras'"
     return Checked(masks=left, doubts=doubts)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Looked:
+    """The pairs' points, as one camera sees them."""
+
+    measured: Bool[Array, " n"]
+    """Points of its own pairs."""
+    inside: Bool[Array, " n"]
+    """Points in its picture."""
+    held: Bool[Array, " n"]
+    """Points in its silhouette."""
+
+
+def _looked_up(
+    rig: Rig,
+    masks: Mapping[str, Bool[Array, "h w"]],
+    steps: Mapping[str, int],
+    seen: Sequence[tuple[Set[str], Float64[Array, "n 3"]]],
+) -> dict[str, _Looked]:
+    points = np.concatenate([np.empty((0, 3)), *(points for _, points in seen)])
+    found = {}
+    for name, mask in masks.items():
+        rows, columns, inside = _in_blocks(rig.cameras[name], points, steps[name])
+        measured = [np.full(len(points), name in cameras) for cameras, points in seen]
+        found[name] = _Looked(
+            measured=np.concatenate([np.empty(0, dtype=bool), *measured]),
+            inside=inside,
+            held=inside & mask[rows, columns],
+        )
+    return found
+
+
+def _contradicted(
+    rig: Rig,
+    masks: Mapping[str, Bool[Array, "h w"]],
+    steps: Mapping[str, int],
+    seen: Sequence[tuple[Set[str], Float64[Array, "n 3"]]],
+) -> dict[str, str]:
+    """Silhouettes that lack what the others agree on, the worst first: without it the others may agree on more.
+
+    The partner in a pair does not vote: what misled one mostly misled both. Where the others agree on nothing, as they
+    are wrong as well or are none, all that is near counts.
+    """
+    looked = _looked_up(rig, masks, steps, seen)
+    doubts: dict[str, str] = {}
+    while True:
+        shares = {}
+        for name, own in looked.items():
+            evidence = own.inside & ~own.measured if not own.measured.all() else own.inside
+            others = [other for key, other in looked.items() if key not in _partners_of(rig, name)]
+            agreed = evidence & np.any([np.zeros_like(evidence), *(other.inside for other in others)], axis=0)
+            agreed &= np.all([agreed, *(other.held | ~other.inside for other in others)], axis=0)
+            by_others = np.count_nonzero(agreed) >= _FEWEST
+            within = own.held[agreed if by_others else evidence]
+            if len(within) >= _FEWEST:
+                what = "what the other silhouettes agree on" if by_others else "what the pairs see near"
+                shares[name] = float(within.mean()), what
+        worst = min(shares, key=lambda name: shares[name][0], default=None)
+        if worst is None or shares[worst][0] >= _WITHIN:
+            return doubts
+        share, what = shares[worst]
+        doubts[worst] = f"only {100 * share:.0f} % of {what} lies within its silhouette"
+        del looked[worst]
+
+
+def _partners_of(rig: Rig, name: str) -> set[str]:
+    """A camera and those that it makes pairs with."""
+    return {name, *(other for pair in rig.pair_names.values() if name in pair for other in pair)}
+
+
+def _incomplete(
+    rig: Rig,
+    masks: Mapping[str, Bool[Array, "h w"]],
+    steps: Mapping[str, int],
+    seen: Sequence[tuple[Set[str], Float64[Array, "n 3"]]],
+) -> dict[str, str]:
+    """All silhouettes, where together they leave out most of what is near: they agree on a part of the subject."""
+    looked = _looked_up(rig, masks, steps, seen).values()
+    if not looked:
+        return {}
+    seeing = np.sum([one.inside for one in looked], axis=0)
+    holding = np.sum([one.held for one in looked], axis=0)
+    judged = seeing > 0
+    if np.count_nonzero(judged) < _FEWEST:
+        return {}
+    within = (2 * holding >= seeing)[judged].mean()  # of most of them: a rail hides the subject from some
+    if within >= _WITHIN:
+        return {}
+    return dict.fromkeys(
+        masks, f"only {100 * within:.0f} % of what the pairs see near lies within most of the silhouettes"
+    )
 
 
 def _grid(rig: Rig, middle_world: Float64[Array, 3]) -> Float64[Array, "n 3"]:

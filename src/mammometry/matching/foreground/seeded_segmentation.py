@@ -104,7 +104,8 @@ def agreed(
     other = _unlike_the_rest(encoded, found.near, bright)
     missed = np.count_nonzero(found.near & ~bright & ~other) / np.count_nonzero(found.near)
     cut_off = _cut_off(encoded, bright, found, far)
-    beyond = np.count_nonzero(bright & ~found.subject & ~cut_off) / size
+    # A rim of some blocks is where depth is unsure of the border: of a small subject it is a large share.
+    beyond = np.count_nonzero(_solid(bright & ~found.subject & ~cut_off, unit)) / size
     if missed <= _MISSED and behind <= _BEHIND and beyond <= _BEYOND:
         return bright
     around = (

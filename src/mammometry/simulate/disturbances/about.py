@@ -53,9 +53,9 @@ class Surroundings:
         thing = Thing(props=found, colours=np.array(colours), smooth=smooth, curved=curved, glow=glow)
         return replace(self, things=(*self.things, thing))
 
-    def plus_at_body(self, found: Props, colour: Colour, *, smooth: float, moves: bool = True) -> Surroundings:
+    def plus_at_body(self, found: Props, *colours: Colour, smooth: float, moves: bool = True) -> Surroundings:
         """Add a curved thing whose mesh is in the solid's frame."""
         at, turned = self.rig_from_solid.apply(found.vertices), self.rig_from_solid.rotate(found.normals)
         props = replace(found, vertices=at, normals=turned)
-        thing = Thing(props=props, colours=np.array([colour]), smooth=smooth, curved=True, moves=moves)
+        thing = Thing(props=props, colours=np.array(colours), smooth=smooth, curved=True, moves=moves)
         return replace(self, things=(*self.things, thing))

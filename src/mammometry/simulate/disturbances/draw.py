@@ -14,7 +14,7 @@ import numpy as np
 from mammometry.simulate.disturbances.registry import DISTURBANCES, DisturbanceKind, Stage
 from mammometry.simulate.recipe import Disturbance, Situation
 
-OF_OTHER_CAPTURES = ("grey", "soft-focus", "table")
+OF_OTHER_CAPTURES = ("board", "grey", "soft-focus", "table")
 """Disturbances of heads, figures and casts, which no clinic's capture gets."""
 HARDEST = 3
 """Greatest difficulty."""

@@ -6,6 +6,7 @@ Measures are chosen by eye. In the solid's frame y = 0 is about the nipples' hei
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from types import MappingProxyType
 
 import numpy as np
@@ -33,6 +34,19 @@ _DAYLIGHT = 8.0
 """Brightness of a window relative to the room's light on a white wall."""
 _ABOVE_TABLE_MM = 1.6
 """Gap below a cast, in which the dark board of a flat back lies."""
+_BOARD_HALF_MM, _BOARD_CELL_MM = 210.0, 3.0
+"""Half the side of a board on which a cast lies, and the side of the smallest patch of its texture."""
+_UNDER_CAST_MM = 0.4
+"""Gap below a cast on a board, before the dark board of a flat back."""
+_CHECK_CELLS = 5
+"""Cells to a square of a patterned board: 15 mm."""
+_BOARDS = MappingProxyType(
+    {  # reflectances, and shares of the cells that have them
+        "plain": ((0.10,), (1.0,)),
+        "speckled": ((0.05, 0.16, 0.02), (0.6, 0.25, 0.15)),
+        "patterned": ((0.08, 0.55), (0.5, 0.5)),
+    }
+)
 _ENDS_MM = -366.0
 """Height of the trunk's lower end, solid's frame."""
 
@@ -177,6 +191,28 @@ def _table(about: Surroundings, reflectance: float, rng: np.random.Generator) ->
         return about.plus_at_body(top, colour, smooth=0.3, moves=False)
     lowest = float(about.rig_from_solid.apply(vertices)[:, 1].min()) - 0.1
     return about.plus(sheet((0.0, lowest, 0.0), (0.0, 0.0, 700.0), (700.0, 0.0, 0.0), 20.0), colour, smooth=0.3)
+
+
+@disturbance(
+    "board",
+    "thing",
+    "a board of 420 mm on which the cast lies: its texture",
+    Word(usual="speckled", words=tuple(_BOARDS)),
+)
+def _board(about: Surroundings, texture: str, rng: np.random.Generator) -> Surroundings:
+    lowest = float(about.solid.mesh.vertices[:, 2].min()) - _UNDER_CAST_MM
+    half = _BOARD_HALF_MM
+    top = sheet((0.0, 0.0, lowest), (half, 0.0, 0.0), (0.0, half, 0.0), _BOARD_CELL_MM)
+    reflectances, shares = _BOARDS[texture]
+    count = round(2.0 * half / _BOARD_CELL_MM)
+    row, column = np.indices((count, count))
+    if texture == "patterned":
+        cells = (row // _CHECK_CELLS + column // _CHECK_CELLS) % 2
+    else:
+        cells = rng.choice(len(shares), p=shares, size=(count, count))
+    top = replace(top, material=np.tile(cells.ravel(), 2).astype(np.uint8))  # two triangles to a cell
+    colours = [(value, 0.98 * value, 0.95 * value) for value in reflectances]
+    return about.plus_at_body(top, *colours, smooth=0.8, moves=False)
 
 
 @disturbance(

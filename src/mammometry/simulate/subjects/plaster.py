@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +15,11 @@ from mammometry.simulate.subjects.solid import Solid, rounded_mesh, smoothstep, 
 
 TABLE_1_WATER_CC = (364.6, 434.7, 579.0, 231.1, 433.4, 591.6, 596.6, 100.4, 863.1)
 """Volumes of the paper's nine plaster models by water displacement (Table 1), cc."""
+
+
+LEAST_CC, MOST_CC = 20, 2000
+"""Smallest and largest volume of `plaster_20cc` to `plaster_2000cc`."""
+_OF_VOLUME = re.compile(r"plaster_([0-9]{1,4})cc")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,22 +57,31 @@ def plaster_shape(name: str, seed: int) -> PlasterShape:
 
     Args:
         name: ``plaster`` for any of the family, or ``plaster_1`` … ``plaster_9`` for one with a volume within 3 % of
-            the paper's Table 1; even ones have a back bent over a cylinder.
+            the paper's Table 1; even ones have a back bent over a cylinder. ``plaster_60cc`` is one of that volume,
+            with a flat back.
         seed: of everything drawn.
 
     Raises:
         ValueError: the name is none of these.
     """
     number = 0
-    if name != "plaster":
+    named = _OF_VOLUME.fullmatch(name)
+    if named and LEAST_CC <= int(named[1]) <= MOST_CC:
+        number = len(TABLE_1_WATER_CC) + int(named[1])
+    elif name != "plaster":
         try:
             number = int(name.removeprefix("plaster_"))
         except ValueError:
             number = -1
         if not 1 <= number <= len(TABLE_1_WATER_CC):
-            raise ValueError(f"plaster models are plaster and plaster_1 … plaster_9, found {name!r}")
+            raise ValueError(
+                f"plaster models are plaster, plaster_1 … plaster_9, and plaster_{LEAST_CC}cc … plaster_{MOST_CC}cc, "
+                f"found {name!r}"
+            )
     rng = np.random.default_rng([seed, number, 71])
-    if number:
+    if named:
+        volume_cc, curved = float(named[1]), False
+    elif number:
         volume_cc = TABLE_1_WATER_CC[number - 1] * rng.uniform(0.97, 1.03)
         curved = number % 2 == 0
     else:
@@ -159,7 +174,7 @@ def plaster(shape: PlasterShape, *, name: str = "plaster", seed: int = 0, edge_m
     )
 
 
-@add_subject("plaster", has=numbered("plaster"), choices="plaster, plaster_1 … plaster_9")
+@add_subject("plaster", has=numbered("plaster"), choices="plaster, plaster_1 … plaster_9, plaster_60cc")
 def _plaster(wanted: SubjectRequest) -> Solid:
     shape = plaster_shape(wanted.name, wanted.seed)
     return plaster(shape, name=wanted.name, seed=wanted.seed, edge_mm=wanted.edge_mm)

@@ -1,0 +1,181 @@
+"""The board or table on which the subject lies.
+
+Every pair sees it, and it is not the subject. Where half of what is near lies in a plane and the rest stands before it,
+the plane is a support: a body curves away behind whatever plane fits it best. All pairs are asked together first: a
+plane that one of them sees clearly is the support of all, also of those that see little of it or see it at an angle.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import ndimage
+
+from mammometry.geometry import Array, Bool, Camera, Float32, Float64
+from mammometry.matching.foreground.seeded_segmentation import SMALLEST_PART
+
+LEAST_SHARE = 0.02
+"""Of the picture that must be near for a pair to say anything."""
+LEAST_STANDING = 0.004
+"""Of the picture: what stands on a wide table, at least. Chosen by eye."""
+
+# Where no other source is named: chosen on the simulated captures of docs/decisions/0028.
+_FLATNESS = 0.012  # of the depth: what is nearer to a plane lies on it; a pixel of disparity, and a tenth of a cast
+_STANDING = 1.5  # times that: what certainly stands before it
+_BOARD, _ON_BOARD, _BELOW = 0.5, 0.03, 0.4  # of what is near: on a board; before it; behind it, of what is before it
+_TABLE = 0.8  # of what is near: a wide table; by eye
+_SOME, _TRIALS, _LEAST_AREA, _DRAWN = 1500, 150, 0.02, 28  # points and planes tried, their size of the picture, seed
+_FITS = 3  # least squares on what lies on the plane
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class NearDepths:
+    """What one pair sees in the working volume."""
+
+    camera: Camera
+    """The left rectified one."""
+    depth_mm: Float32[Array, "h w"]
+    """z of each of its pixels, mm. NaN where not known."""
+    near: Bool[Array, "h w"]
+    """Pixels in the working volume. Not all of them have a depth: small gaps are closed."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Split:
+    """Parts of what one pair sees near, counted in pixels, and of the whole picture."""
+
+    lying: int
+    standing: int
+    behind: int
+    standing_share: float
+    """Of the picture, without specks."""
+    behind_share: float
+
+
+def find_supports(views: Sequence[NearDepths]) -> list[Float64[Array, 4] | None]:
+    """Find the plane on which the subject lies or against which it leans, for each pair.
+
+    One that explains what all pairs see together is the support of all. Where there is none, each pair may have its
+    own, as a wall close behind the body that only one of them sees.
+
+    Returns:
+        (nx, ny, nz, d) of the plane n·X = d, world frame, mm. None where there is no support.
+    """
+    planes = [_best_plane(view) for view in views]
+    candidates = [plane for plane in planes if plane is not None]
+    splits = [[_split(view, plane) for view in views if _enough(view.near)] for plane in candidates]
+    supports = [index for index, split in enumerate(splits) if _is_support(split)]
+    if len(candidates) > 1 and supports:
+        best = max(supports, key=lambda index: sum(one.lying for one in splits[index]))
+        return [candidates[best]] * len(views)
+    return [
+        plane if plane is not None and _is_support([_split(view, plane)]) else None
+        for view, plane in zip(views, planes, strict=True)
+    ]
+
+
+def reciprocal_depth(plane_world: Float64[Array, 4], camera: Camera) -> Float64[Array, 3]:
+    """Express a plane in a picture.
+
+    Args:
+        plane_world: (nx, ny, nz, d) of n·X = d, world frame, mm.
+        camera: without lens distortion.
+
+    Returns:
+        a, b, c of its reciprocal depth a u + b v + c, 1/mm, linear in the picture as every plane's.
+    """
+    pose = camera.camera_from_world
+    normal = pose.rotation @ plane_world[:3]
+    scaled = normal / (plane_world[3] + normal @ pose.translation_mm)
+    found: Float64[Array, 3] = np.linalg.solve(camera.matrix.T, scaled)
+    return found
+
+
+def parted(
+    depth: Float32[Array, "h w"], near: Bool[Array, "h w"], plane: Float64[Array, 3]
+) -> tuple[Bool[Array, "h w"], Bool[Array, "h w"]]:
+    """Split near pixels at a support: in front, and on or behind. The plane is that of `reciprocal_depth`."""
+    rows, columns = np.indices(depth.shape)
+    with np.errstate(invalid="ignore"):
+        ahead = 1 - (plane[0] * columns + plane[1] * rows + plane[2]) * depth
+    return near & (ahead >= _STANDING * _FLATNESS), near & (ahead < _FLATNESS)
+
+
+def cleaned(mask: Bool[Array, "h w"], least_share: float) -> Bool[Array, "h w"]:
+    """Remove thin parts and specks beside the largest part, and close gaps."""
+    opened = ndimage.binary_opening(ndimage.binary_closing(mask), iterations=2)
+    labels, count = ndimage.label(opened)
+    if count == 0:
+        return opened
+    sizes = np.bincount(labels.ravel())
+    sizes[0] = 0
+    large: Bool[Array, "h w"] = (sizes >= max(SMALLEST_PART * sizes.max(), least_share * mask.size))[labels]
+    return large
+
+
+def _enough(near: Bool[Array, "h w"]) -> bool:
+    return bool(np.count_nonzero(near) >= LEAST_SHARE * near.size)
+
+
+def _best_plane(view: NearDepths) -> Float64[Array, 4] | None:
+    """The plane on which most of what a pair sees near lies, world frame. None where it sees too little."""
+    if not _enough(view.near):
+        return None
+    rows, columns = np.nonzero(view.near & np.isfinite(view.depth_mm))
+    places = np.stack([columns, rows, np.ones(len(rows))], axis=1).astype(np.float64)
+    inverse = 1.0 / view.depth_mm[rows, columns].astype(np.float64)
+    rng = np.random.default_rng(_DRAWN)
+    some = rng.choice(len(rows), size=min(len(rows), _SOME), replace=False)
+    best, most = None, -1
+    for _ in range(_TRIALS):
+        three = rng.choice(some, size=3, replace=False)
+        if abs(np.linalg.det(places[three])) < _LEAST_AREA * view.near.size:
+            continue
+        plane = np.linalg.solve(places[three], inverse[three])
+        on = int(np.count_nonzero(np.abs(places[some] @ plane - inverse[some]) < _FLATNESS * inverse[some]))
+        if on > most:
+            best, most = plane, on
+    if best is None:
+        return None
+    for _ in range(_FITS):  # three points' own errors grow towards the picture's corners
+        on_it = np.abs(places @ best - inverse) < _FLATNESS * inverse
+        if np.count_nonzero(on_it) >= 3:
+            best = np.linalg.lstsq(places[on_it], inverse[on_it])[0]
+    scaled, pose = view.camera.matrix.T @ best, view.camera.camera_from_world
+    return np.append(scaled @ pose.rotation, 1.0 - scaled @ pose.translation_mm)
+
+
+def _split(view: NearDepths, plane_world: Float64[Array, 4]) -> _Split:
+    """Parts of what a pair sees near. What has no depth belongs to none of them."""
+    rows, columns = np.indices(view.depth_mm.shape)
+    a, b, c = reciprocal_depth(plane_world, view.camera)
+    known = view.near & np.isfinite(view.depth_mm)
+    ahead = np.where(known, 1 - (a * columns + b * rows + c) * view.depth_mm, 0.0)
+    before, beyond = known & (ahead >= _FLATNESS), known & (ahead <= -_FLATNESS)
+    return _Split(
+        lying=int(np.count_nonzero(known & ~before & ~beyond)),
+        standing=int(np.count_nonzero(before)),
+        behind=int(np.count_nonzero(beyond)),
+        standing_share=float(cleaned(known & (ahead >= _STANDING * _FLATNESS), 0.0).mean()),
+        behind_share=float(cleaned(beyond, 0.0).mean()),
+    )
+
+
+def _is_support(splits: Sequence[_Split]) -> bool:
+    """Whether the subject stands on a plane, by what pairs see of both.
+
+    Half of what is near lies in it and the rest stands before it. Something small may stand on a table that is nearly
+    all of what is near.
+    """
+    lying, standing, behind = (
+        float(sum(getattr(one, part) for one in splits)) for part in ("lying", "standing", "behind")
+    )
+    total = lying + standing + behind
+    if lying >= _BOARD * total and standing >= _ON_BOARD * total and behind <= _BELOW * standing:
+        return True
+    before, beyond = (
+        float(np.mean([getattr(one, part) for one in splits])) for part in ("standing_share", "behind_share")
+    )
+    return bool(lying >= _TABLE * total and before >= LEAST_STANDING and beyond <= _BELOW * before)
