@@ -361,12 +361,12 @@ _INSTANCER = """def PointInstancer "many" {
     rel prototypes = </many/skin>
     %s
 }"""
-_SKELETON = """def SkelRoot "root" {
+_SKELETON = """def SkelRoot "figure" {
     def Skeleton "bones" ( prepend apiSchemas = ["SkelBindingAPI"] ) {
         uniform token[] joints = ["a"]
         uniform matrix4d[] bindTransforms = [((1,0,0,0),(0,1,0,0),(0,0,1,0),(0,0,0,1))]
         uniform matrix4d[] restTransforms = [((2,0,0,0),(0,2,0,0),(0,0,2,0),(0,0,0,1))]
-        rel skel:animationSource = </root/move>
+        rel skel:animationSource = </figure/move>
     }
     def SkelAnimation "move" {
         uniform token[] joints = ["a"]
@@ -375,14 +375,14 @@ _SKELETON = """def SkelRoot "root" {
     }
     %s
 }"""
-_JOINTS = f"""rel skel:skeleton = </root/bones>
+_JOINTS = f"""rel skel:skeleton = </figure/bones>
     int[] primvars:skel:jointIndices = {[0] * len(POINTS)} ( interpolation = "vertex"
         elementSize = 1 )
     float[] primvars:skel:jointWeights = {[1] * len(POINTS)} ( interpolation = "vertex"
         elementSize = 1 )"""
-_SHAPES = f"""rel skel:skeleton = </root/bones>
+_SHAPES = f"""rel skel:skeleton = </figure/bones>
     uniform token[] skel:blendShapes = ["wide"]
-    rel skel:blendShapeTargets = </root/skin/wide>
+    rel skel:blendShapeTargets = </figure/skin/wide>
     def BlendShape "wide" {{
         uniform vector3f[] offsets = [{", ".join(f"({x}, {y}, {z})" for x, y, z in POINTS.tolist())}]
     }}"""

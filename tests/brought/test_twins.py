@@ -9,14 +9,14 @@ import pytest
 from tests.brought.scan_twins import in_unit, mirrored, written
 from tests.unit.measure.trunks import LEFT, RIGHT, edge_of, trunk_mesh
 
-from mammometry.api.mesh import SIDES_DOUBTFUL, MeshFiles, MeshJob
+from mammometry.api.mesh import MeshFiles, MeshJob
 from mammometry.api.scan_folders import open_scan
 from mammometry.base.errors import MammometryError, SessionError
 from mammometry.base.units import MM_PER_UNIT, unit_in_comment, unit_named
 from mammometry.cli import main
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.io.meshes.foreign import read_foreign
-from mammometry.io.meshes.scans import ABOUT, Scan, confirm_sides, import_scan, read_scan
+from mammometry.io.meshes.scans import ABOUT, SIDES_DOUBTFUL, Scan, confirm_sides, import_scan, read_scan
 from mammometry.io.outputs import write_outputs
 from mammometry.measure.scan_repair import repair_scan
 

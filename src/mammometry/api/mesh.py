@@ -44,7 +44,7 @@ from mammometry.io.drawn import (
     landmarks_in,
 )
 from mammometry.io.meshes.foreign import ForeignMesh, read_foreign, unit_remark
-from mammometry.io.meshes.scans import Scan, skin_colours
+from mammometry.io.meshes.scans import SIDES_DOUBTFUL, Scan, skin_colours
 from mammometry.io.outputs import require_apart, require_own_folder, take_folder
 from mammometry.io.results.store import Store, Watch, unwatched
 from mammometry.io.subject import check_mesh
@@ -73,12 +73,6 @@ _LOG = logging.getLogger(__name__)
 _LEAST_FACES = 10_000  # from which a second process that draws, one processor second to begin, is worth it
 _DENSE = 300_000  # faces, from which the colours of vertices are as fine as a page shows them
 _DARK, _LIGHT = 70.0, 160.0  # 8-bit grey of a colourless mesh in shade, and what full light adds; chosen by eye
-SIDES_DOUBTFUL = (
-    "Left and right may be exchanged: the mesh was inside out, as a mirror image is. Compare a mole, the operated side "
-    "or a tattoo with the patient. If they are exchanged, export the mesh again without mirroring. If they are right: "
-    "--sides-checked."
-)
-"""A mesh cannot show which of both it is."""
 WORLD = "The mesh file's own frame, in mm."
 
 

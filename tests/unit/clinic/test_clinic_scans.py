@@ -175,7 +175,7 @@ def test_a_refusal_names_the_forms_fields_and_the_sent_file(
         ("Say which axis points ahead: --ahead z, for example", "Say which axis points ahead"),
         ("Correct --head or --ahead", "Correct the axis towards the head or the axis straight ahead"),
         ("Check both; compare.refuse_mm sets the limit.", "Check both."),
-        ("Add --units mm, cm or m", "Add the unit of the mesh"),
+        ("Add --units mm, cm, m, in or ft", "Add the unit of the mesh"),
     ],
 )
 def test_pages_name_fields_and_not_options(sentence: str, words: str) -> None:
@@ -321,3 +321,50 @@ def test_a_scan_is_measured_shown_and_exported(
     with zipfile.ZipFile(io.BytesIO(table.content)) as archive:
         assert patient.pseudonym.encode() in archive.read("measurements.csv")
         assert "left-out.csv" not in archive.namelist()
+
+
+@pytest.mark.slow
+@pytest.mark.requirement("R-SIDE-4")
+def test_a_mirrored_scan_is_confirmed_on_its_page_before_its_boundaries_are(
+    client_of: Callable[..., Client], patient: Patient, clinic: ClinicConfig, tmp_path: Path
+) -> None:
+    mesh = scanned(tmp_path / "in", step_mm=2.0)
+    lines = [line.split() for line in mesh.read_text().splitlines()]
+    mirrored = [["v", str(-float(line[1])), *line[2:]] if line[:1] == ["v"] else line for line in lines]
+    mesh.write_text("\n".join(map(" ".join, mirrored)))
+    client = client_of(Role.CLINICIAN)
+    send(client, patient, {path.name: path.read_bytes() for path in mesh.parent.iterdir()})
+    (visit,) = Visit.objects.all()
+
+    def measured() -> None:
+        (job,) = queue.claim("me", 1)
+        assert queue.done(job.pk, "me", work.measure_scan(lambda stage, fraction: None, str(visit.folder), ""))
+        visit.refresh_from_db()
+
+    def finished() -> HttpResponse:
+        drawing = client.get(reverse("draw-drawing", args=[visit.pk])).json()
+        bases = {"boundaries": {name: each["base"] for name, each in drawing["boundaries"].items()}, "landmarks": {}}
+        curves = {name: each["of"] for name, each in drawing["boundaries"].items()}
+        address = reverse("draw-finish", args=[visit.pk])
+        return client.post(address, {"curves": curves, "base": bases}, content_type="application/json")  # type: ignore[return-value]
+
+    measured()
+    address, said = reverse("scan-sides", args=[visit.pk]), "Left and right may be exchanged"
+    page = client.get(reverse("visit", args=[visit.pk])).content.decode()
+    assert address in page
+    assert said in page
+    assert "--" + "sides" not in page
+    assert said in client.get(reverse("report", args=[visit.pk])).content.decode()
+    assert finished().status_code == 409
+    assert client_of(Role.TECHNICIAN).post(address).status_code == 403
+    client.post(address)
+    measured()
+    assert visit.measurements.count() == 1  # the numbers are the same
+    page = client.get(reverse("visit", args=[visit.pk])).content.decode()
+    assert address not in page
+    assert said not in page
+    assert "Left and right: confirmed" in page
+    assert said not in client.get(reverse("report", args=[visit.pk])).content.decode()
+    assert finished().status_code == 200
+    client.post(address)
+    assert Job.objects.filter(state=Job.State.QUEUED).count() == 0  # once is enough

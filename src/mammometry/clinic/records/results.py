@@ -17,6 +17,7 @@ from mammometry.clinic.records.clinical import clinical_of
 from mammometry.clinic.records.comparability import Basis, basis_of, why_apart
 from mammometry.clinic.records.confirmations import CHANGED
 from mammometry.clinic.site import the_clinic
+from mammometry.io.meshes.scans import SIDES_DOUBTFUL
 from mammometry.report.scene import json_in_page
 from mammometry.report.words.volumes import MEANINGS
 
@@ -209,6 +210,14 @@ def facts(visit: Visit) -> Facts:
         tuple(sentence for sentence in sentences if not sentence.startswith(_OF_PHOTOGRAPHS)),
         tuple(sentence for sentence in sentences if sentence.startswith(_OF_PHOTOGRAPHS)),
     )
+
+
+def sides_doubtful(visit: Visit) -> bool:
+    """Whether left and right of a visit's scan may be exchanged.
+
+    Not once somebody has compared them with the patient.
+    """
+    return visit.is_scan and SIDES_DOUBTFUL in facts(visit).warnings
 
 
 def scene_of(visit: Visit) -> str | None:

@@ -117,6 +117,8 @@ _INSTEAD = (
     (r"; compare\.refuse_mm sets the limit", ""),
     (r": --(?:head|ahead) -?[xyz], for example", ""),
     (r", or measure the largest alone with --largest", ""),
+    (r" If they are right: --sides-checked\.", ""),
+    (r", and then measure it with --sides-checked", ", and confirm them on the visit’s page"),
     (r"--units(?: mm, cm, m, in or ft)?", "the unit of the mesh"),
     (r"--head", "the axis towards the head"),
     (r"--ahead", "the axis straight ahead"),

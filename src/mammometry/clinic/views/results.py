@@ -20,7 +20,7 @@ from mammometry.clinic.jobs import queue
 from mammometry.clinic.jobs.events import table_of
 from mammometry.clinic.models import Comparison, Confirmation, Drawing, Job, Patient, Upload, Visit
 from mammometry.clinic.records import comparing, confirmations
-from mammometry.clinic.records.results import readable, rendered_report, report_file, scene_of
+from mammometry.clinic.records.results import readable, rendered_report, report_file, scene_of, sides_doubtful
 from mammometry.clinic.rig_history import may_queue
 from mammometry.clinic.site import the_clinic
 from mammometry.clinic.templatetags.pages import queued
@@ -185,6 +185,8 @@ def finish(request: HttpRequest, visit: uuid.UUID) -> HttpResponseBase:
     groups: dict[Group, Any] = {"boundaries": sent.base.boundaries, "landmarks": sent.base.landmarks}
     on_page = {(group, name): base for group, items in groups.items() for name, base in items.items() if base}
     why = confirmations.refusal(locked, {str(name): digest for name, digest in sent.curves.items()})
+    if why is None and sides_doubtful(locked):
+        why = "Left and right of this scan may be exchanged. Compare them with the patient, on the visit's page, first."
     if why is None and on_page != {item: entry_digest(entry) for item, entry in entries.items()}:
         why = "Somebody else changed a boundary or landmark meanwhile. Load the page again and look at it."
     if why is not None:

@@ -1,13 +1,15 @@
 """Visits with a scan of another device, without photographs."""
 
 import re
+import uuid
 from dataclasses import replace
 from typing import Any
 
 from django import forms
+from django.contrib import messages
 from django.db import transaction
 from django.http import HttpRequest, HttpResponse
-from django.shortcuts import redirect, render
+from django.shortcuts import get_object_or_404, redirect, render
 from django.utils import timezone
 
 from mammometry.base.errors import MammometryError
@@ -15,12 +17,13 @@ from mammometry.base.units import UNIT_TITLES
 from mammometry.clinic.forms import DAY_AND_TIME, ask_about_day, name_empty_choices
 from mammometry.clinic.intake.scans import taken_in
 from mammometry.clinic.jobs import queue
-from mammometry.clinic.models import Patient, Scan, Visit
+from mammometry.clinic.models import Drawing, Patient, Scan, Visit
+from mammometry.clinic.records.results import sides_doubtful
 from mammometry.clinic.site import the_clinic
 from mammometry.clinic.templatetags.pages import on_pages
 from mammometry.clinic.views.patients import chosen_patient, is_part, search_context
 from mammometry.clinic.views.responses import person_of
-from mammometry.io.meshes.scans import ABOUT, AXES, MTL, read_scan
+from mammometry.io.meshes.scans import ABOUT, AXES, MTL, confirm_sides, read_scan
 from mammometry.io.meshes.scans import Scan as ScanFacts
 from mammometry.io.outputs import write_outputs
 
@@ -111,6 +114,24 @@ def scan_new(request: HttpRequest) -> HttpResponse:
             return redirect("visit", visit=visit.pk)
     context = {"form": form, "chosen": patient, "limit_mb": the_clinic().limits.scan_mb}
     return render(request, "clinic/scan_new.html", context)
+
+
+def scan_sides(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
+    """Keep that somebody compared left and right of a scan with the patient, and make its report again."""
+    shown = get_object_or_404(Visit.objects.select_for_update(), pk=visit)
+    if request.method != "POST":
+        return redirect("visit", visit=visit)
+    if shown.state == Visit.State.QUEUED or not sides_doubtful(shown):
+        messages.error(request, "Nothing was changed: left and right of this visit are not in doubt.")
+        return redirect("visit", visit=visit)
+    confirm_sides(shown.folder)
+    Drawing.objects.create(
+        visit=shown, item="left and right", action=Drawing.Action.CONFIRMED, by=person_of(request),
+        digest=read_scan(shown.folder).sha256,
+    )  # fmt: skip
+    queue.enqueue(shown, person_of(request))
+    messages.success(request, "Left and right are confirmed. The report is made again.")
+    return redirect("visit", visit=visit)
 
 
 def _entered(request: HttpRequest, form: ScanForm, about: ScanFacts) -> Visit:

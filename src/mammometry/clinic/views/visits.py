@@ -26,7 +26,14 @@ from mammometry.clinic.models import Calibration, Conclusion, Person, Scan, Uplo
 from mammometry.clinic.records.clinical import pictures_caution
 from mammometry.clinic.records.confirmations import CHANGED_SENTENCE, next_step
 from mammometry.clinic.records.operations import phase_of
-from mammometry.clinic.records.results import facts, refusal_picture, refusal_pictures, report_file, visit_result
+from mammometry.clinic.records.results import (
+    facts,
+    refusal_picture,
+    refusal_pictures,
+    report_file,
+    sides_doubtful,
+    visit_result,
+)
 from mammometry.clinic.rig_history import today
 from mammometry.clinic.roles import Role
 from mammometry.clinic.site import the_clinic
@@ -79,6 +86,7 @@ def visit_page(request: HttpRequest, visit: uuid.UUID, draft: str | None = None)
         "step": next_step(shown, job, measurement, person),
         "result": None if measurement is None or busy else visit_result(shown, measurement),
         "lengths": None if measurement is None or shown.is_changed else length_table(measurement.quantities),
+        "sides_doubtful": measurement is not None and not busy and sides_doubtful(shown),
         "facts": facts(shown) if measurement is not None and not busy else None,
         "has_report": report_file(shown, "report.html") is not None,
         "drawings": shown.drawings.select_related("by")[:20],

@@ -68,6 +68,7 @@ PAGES = [
     route("corrections/<uuid:correction>/undo/", corrections.correction_undo, "correction-undo", CARE),
     route("visits/<uuid:visit>/verdict/", results.visit_verdict, "visit-verdict", CARE, audited=False),
     route("visits/<uuid:visit>/circumstances/", visits.circumstances, "circumstances", CARE),
+    route("visits/<uuid:visit>/sides/", scans.scan_sides, "scan-sides", CLINICIAN),
     route("visits/<uuid:visit>/conclusion/", visits.conclude, "conclude", CLINICIAN),
     route("visits/<uuid:visit>/report/", results.report, "report", CARE),
     route("visits/<uuid:visit>/report.pdf", results.report_pdf, "report-pdf", CARE),
