@@ -10,7 +10,7 @@ import webbrowser
 from collections.abc import Iterator
 from importlib import import_module, metadata
 from pathlib import Path
-from typing import Annotated, Literal, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 
 import typer
 
@@ -19,6 +19,9 @@ from mammometry.base.errors import MammometryError
 from mammometry.base.machine.cores import available_cores
 from mammometry.base.value import value
 from mammometry.cli.common import Answer, OutputOptions, command
+
+if TYPE_CHECKING:
+    from mammometry.clinic.config import ClinicConfig
 
 app = typer.Typer()
 UNWELL = 13
@@ -179,9 +182,24 @@ def _clinic(folder: Path) -> Iterator[Check]:
     else:
         words = f"{days} days old" if days else "of the last 24 hours"
         yield Check(name="clinic's backup", state="wrong" if days > _OLD_BACKUP_DAYS else "ok", words=words)
+    yield _audit(config)
     usage = measure_usage(config)
     words = f"{usage.free / _GB:.1f} GB free" + ("" if usage.days_left is None else f", for {usage.days_left} days")
     yield Check(name="clinic's disk", state="wrong" if usage.is_short else "ok", words=words)
+
+
+def _audit(config: ClinicConfig) -> Check:
+    from mammometry.clinic import audit_chain
+    from mammometry.clinic.maintenance.backups import chain_of_newest
+
+    try:
+        audit_chain.extend()
+        end = audit_chain.verify(chain_of_newest(config))
+    except MammometryError as error:
+        return Check(name="clinic's audit", state="wrong", words=str(error))
+    return Check(
+        name="clinic's audit", state="ok", words=f"{end.place} entries as they were written, {end.digest[:16]}"
+    )
 
 
 def _commit() -> str | None:

@@ -172,47 +172,76 @@ def record_command(instance: Model, command: str, person: Model | None = None) -
 KIND_SQLITE = "json_extract(%s, '$.kind')"
 KIND_POSTGRESQL = "%s ->> 'kind'"
 """An entry's kind in SQL, of the column of additional data; NULL for a change of a row."""
-_SQLITE = [
-    f"CREATE TRIGGER IF NOT EXISTS clinic_audit_no_{verb.lower()} BEFORE {verb} ON {TABLE} "
-    "BEGIN SELECT RAISE(ABORT, 'the audit is only added to'); END"
-    for verb in ("UPDATE", "DELETE")
-]
-_POSTGRESQL = [
-    "CREATE OR REPLACE FUNCTION clinic_audit_only_added_to() RETURNS trigger LANGUAGE plpgsql AS "
-    "$$ BEGIN RAISE EXCEPTION 'the audit is only added to'; END $$",
-    f"CREATE OR REPLACE TRIGGER clinic_audit_no_change BEFORE UPDATE OR DELETE ON {TABLE} "
-    "FOR EACH ROW EXECUTE FUNCTION clinic_audit_only_added_to()",
-    f"CREATE OR REPLACE TRIGGER clinic_audit_no_truncate BEFORE TRUNCATE ON {TABLE} "
-    "FOR EACH STATEMENT EXECUTE FUNCTION clinic_audit_only_added_to()",
-]
+LINKS = "clinic_auditlink"
+_REFUSAL = "the audit is only added to"
+_NAMES = {TABLE: "clinic_audit", LINKS: "clinic_audit_links"}
+"""Table → how the names of its triggers begin."""
+_BODY = f" BEGIN RAISE EXCEPTION '{_REFUSAL}'; END "
+_ROW_CHANGED, _TRUNCATED = 1 + 2 + 8 + 16, 2 + 32
+"""PostgreSQL's `tgtype`: for each row, before, delete and update; before, truncate."""
+
+
+def _sqlite_triggers(table: str) -> dict[str, str]:
+    """Name → what SQLite keeps as its definition. REPLACE deletes without a trigger: an insert must be of a new key."""
+    refuse = f"BEGIN SELECT RAISE(ABORT, '{_REFUSAL}'); END"
+    key = "place" if table == LINKS else "id"
+    there = f"WHEN EXISTS (SELECT 1 FROM {table} WHERE {key} = NEW.{key})"
+    events = {"update": "UPDATE", "delete": "DELETE", "replace": "INSERT"}
+    return {
+        (name := f"{_NAMES[table]}_no_{what}"): " ".join(
+            ["CREATE TRIGGER", name, "BEFORE", event, "ON", table, *([there] if what == "replace" else []), refuse]
+        )
+        for what, event in events.items()
+    }
+
+
+def _seals(table: str) -> list[str]:
+    name = _NAMES[table]
+    if connection.vendor != "postgresql":
+        triggers = _sqlite_triggers(table)
+        return [line for name, sql in triggers.items() for line in (f"DROP TRIGGER IF EXISTS {name}", sql)]
+    return [
+        f"CREATE OR REPLACE FUNCTION clinic_audit_only_added_to() RETURNS trigger LANGUAGE plpgsql AS $${_BODY}$$",
+        f"CREATE OR REPLACE TRIGGER {name}_no_change BEFORE UPDATE OR DELETE ON {table} "
+        "FOR EACH ROW EXECUTE FUNCTION clinic_audit_only_added_to()",
+        f"CREATE OR REPLACE TRIGGER {name}_no_truncate BEFORE TRUNCATE ON {table} "
+        "FOR EACH STATEMENT EXECUTE FUNCTION clinic_audit_only_added_to()",
+        f"ALTER TABLE {table} ENABLE TRIGGER {name}_no_change, ENABLE TRIGGER {name}_no_truncate",
+    ]
 
 
 def seal() -> None:
     """Make the database itself refuse to change or delete entries, and index what pages filter by.
 
-    Safe to call again.
+    Safe to call again: what was there under these names is replaced.
     """
-    kind, seals = (KIND_POSTGRESQL, _POSTGRESQL) if connection.vendor == "postgresql" else (KIND_SQLITE, _SQLITE)
+    kind = KIND_POSTGRESQL if connection.vendor == "postgresql" else KIND_SQLITE
     indexes = [
         f"CREATE INDEX IF NOT EXISTS clinic_audit_by_kind ON {TABLE} (({kind % 'additional_data'}), id)",
         f"CREATE INDEX IF NOT EXISTS clinic_audit_by_actor ON {TABLE} (actor_id, id)",
     ]
+    there = connection.introspection.table_names()
+    seals = [statement for table in (TABLE, LINKS) if table in there for statement in _seals(table)]
     with connection.cursor() as cursor:
         for statement in (*seals, *indexes):
             cursor.execute(statement)
 
 
 def is_sealed() -> bool:
-    """Whether the database refuses to change entries."""
-    query = (
-        "SELECT count(*) FROM pg_trigger WHERE tgname LIKE 'clinic_audit_no_%%' AND tgenabled <> 'D'"
-        if connection.vendor == "postgresql"
-        else "SELECT count(*) FROM sqlite_master WHERE type = 'trigger' AND name LIKE 'clinic_audit_no_%%'"
-    )
+    """Whether the database refuses to change entries, by our own triggers and no others of their names."""
     with connection.cursor() as cursor:
-        cursor.execute(query)
-        row = cursor.fetchone()
-    return row is not None and row[0] == 2
+        if connection.vendor != "postgresql":
+            cursor.execute("SELECT name, sql FROM sqlite_master WHERE type = 'trigger'")
+            return dict(cursor.fetchall()).items() >= {**_sqlite_triggers(TABLE), **_sqlite_triggers(LINKS)}.items()
+        cursor.execute(
+            "SELECT tgname, relname, tgtype, prosrc FROM pg_trigger JOIN pg_proc ON pg_proc.oid = tgfoid "
+            "JOIN pg_class ON pg_class.oid = tgrelid WHERE tgenabled IN ('O', 'A') AND tgqual IS NULL"
+        )
+        return set(cursor.fetchall()) >= {
+            (f"{name}_no_{what}", table, kind, _BODY)
+            for table, name in _NAMES.items()
+            for what, kind in (("change", _ROW_CHANGED), ("truncate", _TRUNCATED))
+        }
 
 
 def tried_name(request: HttpRequest | None, credentials: dict[str, Any] | None = None) -> str | None:

@@ -94,8 +94,9 @@ def database(config: ClinicConfig) -> dict[str, Any]:
             "OPTIONS": {
                 "timeout": 20,  # seconds that a writer waits for another
                 "transaction_mode": "IMMEDIATE",  # a transaction that reads first would fail as it turns to writing
-                # What is erased is overwritten; what is committed is on the disk.
-                "init_command": "PRAGMA journal_mode=WAL; PRAGMA synchronous=FULL; PRAGMA secure_delete=ON;",
+                # What is erased is overwritten; what is committed is on the disk; what REPLACE deletes has triggers.
+                "init_command": "PRAGMA journal_mode=WAL; PRAGMA synchronous=FULL; PRAGMA secure_delete=ON; "
+                "PRAGMA recursive_triggers=ON;",
             },
         }
     if not config.database.startswith(("postgresql://", "postgres://")):

@@ -84,8 +84,9 @@ def shared_database(transactional_db: None) -> Iterator[None]:
             for (name,) in cursor.fetchall():
                 cursor.execute(f'DROP TRIGGER "{name}"')
         else:
-            for name in ("clinic_audit_no_change", "clinic_audit_no_truncate"):
-                cursor.execute(f"DROP TRIGGER {name} ON {audit.TABLE}")
+            for table, name in audit._NAMES.items():
+                for what in ("change", "truncate"):
+                    cursor.execute(f"DROP TRIGGER {name}_no_{what} ON {table}")
 
 
 @pytest.fixture(autouse=True)

@@ -5,20 +5,24 @@ import datetime
 import io
 import re
 import uuid
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 import pytest
 from auditlog.models import LogEntry
 from django.db import DatabaseError, connection, transaction
+from django.db.backends.utils import CursorWrapper
 from django.test import Client
 from django.urls import URLPattern, get_resolver, resolve, reverse
 from django.utils import timezone
 
-from mammometry.clinic import audit
+from mammometry.cli import doctor
+from mammometry.clinic import audit, audit_chain
 from mammometry.clinic.audit_entries import COLUMNS, SHOWN, AuditFilter, Entry, entries, title_of, write_audit
-from mammometry.clinic.config import ClinicConfig
+from mammometry.clinic.config import ClinicConfig, ClinicError
+from mammometry.clinic.maintenance import backups
 from mammometry.clinic.maintenance.patient import erase_patient
-from mammometry.clinic.models import Person, Visit
+from mammometry.clinic.models import AuditLink, Person, Visit
 from mammometry.clinic.roles import Role
 
 
@@ -32,6 +36,112 @@ def test_the_database_refuses_to_change_it(visit: Visit, statement: str) -> None
     with pytest.raises(DatabaseError, match="only added to"), transaction.atomic(), connection.cursor() as cursor:
         cursor.execute(statement.format(audit.TABLE))
     assert LogEntry.objects.count() == before
+
+
+@pytest.mark.parametrize("table", [audit.TABLE, audit.LINKS])
+@pytest.mark.requirement("R-SEC-5")
+def test_sqlite_refuses_to_replace_an_entry(visit: Visit, table: str) -> None:
+    """REPLACE deletes the old row without a trigger of deletion."""
+    if connection.vendor != "sqlite":
+        pytest.skip("PostgreSQL has no REPLACE; an upsert is an UPDATE, which is refused")
+    audit_chain.extend()
+    with connection.cursor() as cursor:
+        cursor.execute("PRAGMA recursive_triggers=OFF")  # as another program has it
+    with pytest.raises(DatabaseError, match="only added to"), transaction.atomic(), connection.cursor() as cursor:
+        cursor.execute(f"INSERT OR REPLACE INTO {table} SELECT * FROM {table} LIMIT 1")
+
+
+def test_triggers_of_the_same_names_are_not_taken_for_ours(visit: Visit) -> None:
+    assert audit.is_sealed()
+    with connection.cursor() as cursor:
+        if connection.vendor == "postgresql":
+            cursor.execute("SET CONSTRAINTS ALL IMMEDIATE")  # what the visit left pending
+            cursor.execute(
+                "CREATE OR REPLACE FUNCTION clinic_audit_only_added_to() RETURNS trigger LANGUAGE plpgsql AS "
+                "$$ BEGIN RETURN NEW; END $$"
+            )
+        else:
+            cursor.execute("DROP TRIGGER clinic_audit_no_update")
+            cursor.execute(f"CREATE TRIGGER clinic_audit_no_update BEFORE UPDATE ON {audit.TABLE} BEGIN SELECT 1; END")
+    assert not audit.is_sealed()
+    audit.seal()
+    assert audit.is_sealed()
+
+
+@contextmanager
+def unsealed() -> Iterator[CursorWrapper]:
+    """What somebody can do who may alter the database's tables, and put everything back."""
+    with connection.cursor() as cursor:
+        if connection.vendor == "postgresql":
+            cursor.execute("SET CONSTRAINTS ALL IMMEDIATE")
+            for table in (audit.TABLE, audit.LINKS):
+                cursor.execute(f"ALTER TABLE {table} DISABLE TRIGGER USER")
+        else:
+            cursor.execute("SELECT name FROM sqlite_master WHERE type = 'trigger'")
+            for (name,) in cursor.fetchall():
+                cursor.execute(f'DROP TRIGGER "{name}"')
+        yield cursor
+    audit.seal()
+
+
+@pytest.mark.parametrize(
+    "statement",
+    [
+        "UPDATE {0} SET object_repr = 'x' WHERE id = {2}",
+        "UPDATE {0} SET timestamp = '2020-01-01 00:00:00+00:00' WHERE id = {2}",
+        "UPDATE {0} SET changes = '{{}}' WHERE id = {2}",
+        "DELETE FROM {0} WHERE id = {2}",
+        "DELETE FROM {1} WHERE entry = {2}",
+        "DELETE FROM {1} WHERE place = 1",
+    ],
+)
+@pytest.mark.requirement("R-SEC-5")
+def test_a_changed_entry_breaks_the_chain(visit: Visit, statement: str) -> None:
+    visit.note = "x"
+    visit.save()
+    end = audit_chain.extend()
+    assert end.place == LogEntry.objects.count() >= 4
+    assert audit_chain.verify(end) == end
+    chosen = AuditLink.objects.get(place=2).entry
+    with unsealed() as cursor:
+        cursor.execute(statement.format(audit.TABLE, audit.LINKS, chosen))
+    assert audit.is_sealed()
+    with pytest.raises(ClinicError, match="the audit"):
+        audit_chain.verify()
+
+
+def test_a_new_chain_is_noticed_by_the_end_that_a_backup_holds(visit: Visit) -> None:
+    visit.note = "x"
+    visit.save()
+    end = audit_chain.extend()
+    with unsealed() as cursor:
+        cursor.execute(f"DELETE FROM {audit.LINKS}")
+        cursor.execute(f"UPDATE {audit.TABLE} SET object_repr = 'x'")
+    again = audit_chain.extend()
+    assert audit_chain.verify() == again
+    with pytest.raises(ClinicError, match="another chain"):
+        audit_chain.verify(end)
+
+
+def test_entries_are_chained_once_and_late_ones_too(visit: Visit) -> None:
+    first = audit_chain.extend(every=False)
+    assert audit_chain.extend(every=False) == audit_chain.extend() == first
+    visit.note = "x"
+    visit.save()
+    assert audit_chain.extend(every=False).place == first.place + 1
+    audit_chain.verify(first)
+
+
+@pytest.mark.requirement("R-SEC-5")
+def test_doctor_verifies_the_chain(visit: Visit, clinic: ClinicConfig, monkeypatch: pytest.MonkeyPatch) -> None:
+    backups.make_kept_backup(clinic)
+    assert doctor._audit(clinic).state == "ok"
+    with unsealed() as cursor:
+        cursor.execute(f"DELETE FROM {audit.LINKS}")
+        cursor.execute(f"UPDATE {audit.TABLE} SET object_repr = 'x'")
+    check = doctor._audit(clinic)
+    assert check.state == "wrong"
+    assert "newest backup" in check.words
 
 
 def test_postgresql_refuses_to_empty_it(visit: Visit) -> None:

@@ -1,5 +1,7 @@
 """Backups: how one is made, which are kept, when the next is made, what became of the last."""
 
+from __future__ import annotations
+
 import datetime
 import hashlib
 import io
@@ -15,7 +17,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, BinaryIO, cast
+from typing import TYPE_CHECKING, Any, BinaryIO, cast
 from zoneinfo import ZoneInfo
 
 from filelock import FileLock, Timeout
@@ -24,6 +26,9 @@ import mammometry
 from mammometry.base.errors import MammometryError
 from mammometry.clinic.config import KEY_FILE, SETTINGS_FILE, ClinicConfig, ClinicError, new_private, write_private
 from mammometry.clinic.maintenance.rows import known_migrations, write_database
+
+if TYPE_CHECKING:
+    from mammometry.clinic.audit_chain import ChainEnd
 
 _PATTERN = "clinic-????????-??????.tar"
 _LOCK = ".lock"
@@ -307,12 +312,15 @@ def make_backup(config: ClinicConfig, target: Path | None = None) -> Path:
     """
     now = datetime.datetime.now(datetime.UTC)
     target = target or config.backups / f"clinic-{now:%Y%m%d-%H%M%S}.tar"
+    from mammometry.clinic.audit_chain import extend
+
     if target.exists():
         raise ClinicError(str(target), found="a file", expected="none", remedy="Name another file with --to")
     if target.parent.resolve() != config.backups.resolve():
         _note_elsewhere(config, target)
     part = target.with_name(target.name + PART)
     digests: dict[str, str] = {}
+    chained = extend()
     with new_private(part) as stream:
         with tarfile.open(fileobj=stream, mode="w", format=tarfile.PAX_FORMAT) as tar:
             with tempfile.TemporaryFile(dir=target.parent) as rows:
@@ -330,6 +338,7 @@ def make_backup(config: ClinicConfig, target: Path | None = None) -> Path:
                 "software": mammometry.__version__,
                 "made_at": now.isoformat(),
                 "migrations": known_migrations(),
+                "audit": asdict(chained),
                 "measures_with": measures_with(config),
                 "moved": {config.cameras[rig]: name for rig, name in _outside(config).items()},
                 "sha256": digests,
@@ -340,6 +349,26 @@ def make_backup(config: ClinicConfig, target: Path | None = None) -> Path:
         os.fsync(stream.fileno())
     part.replace(target)
     return target
+
+
+def chain_of_newest(config: ClinicConfig) -> ChainEnd | None:
+    """End of the audit's chain when the newest backup was made. None: it does not say, or there is none."""
+    newest = next(iter(backup_files(config)), None)
+    if newest is None:
+        return None
+    try:
+        with tarfile.open(newest.path, "r:") as tar:
+            file = tar.extractfile(MANIFEST)
+            return None if file is None else chain_in(json.loads(file.read()))
+    except (OSError, tarfile.TarError, KeyError, ValueError):
+        return None
+
+
+def chain_in(manifest: dict[str, Any]) -> ChainEnd | None:
+    """End of the audit's chain in a backup. None: it is of 1.0, which had no chain."""
+    from mammometry.clinic.audit_chain import ChainEnd
+
+    return ChainEnd(**manifest["audit"]) if "audit" in manifest else None
 
 
 def measures_with(config: ClinicConfig) -> dict[str, str]:

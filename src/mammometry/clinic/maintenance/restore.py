@@ -207,6 +207,7 @@ def _restored_rows(restored: ClinicConfig, manifest: dict[str, Any]) -> int:
     configure(restored)
     from django.db import connections
 
+    from mammometry.clinic import audit_chain
     from mammometry.clinic.maintenance.rows import digests_of, require_same, write_database
     from mammometry.clinic.web.server import migrate
 
@@ -218,5 +219,6 @@ def _restored_rows(restored: ClinicConfig, manifest: dict[str, Any]) -> int:
         file.seek(0)
         require_same(expected, digests_of(file))
     migrate(restored)
+    audit_chain.verify(backups.chain_in(manifest))
     connections.close_all()
     return sum(len(keys) for keys in expected.values())

@@ -86,6 +86,9 @@ def migrate(config: ClinicConfig) -> list[str]:
         for migration, _ in executor.migration_plan(executor.loader.graph.leaf_nodes())
     ]
     call_command("migrate", interactive=False, verbosity=0)
+    from mammometry.clinic import audit_chain
+
+    audit_chain.extend()
     if config.database == "sqlite":
         for path in config.folder.glob("clinic.sqlite3*"):
             path.chmod(0o600)
@@ -125,7 +128,7 @@ def require_current(config: ClinicConfig) -> None:
         raise ClinicError("the database", found="tables of an older version", expected=expected, remedy=remedy)
     if not audit.is_sealed():
         raise ClinicError(
-            "the audit", found="no triggers that keep it from being changed", expected="them in the database",
+            "the audit", found="no triggers that refuse changes, or others", expected="ours in the database",
             remedy=f"Find out who removed them, then run `mammometry clinic upgrade {config.folder}`",
         )  # fmt: skip
 
@@ -183,6 +186,7 @@ def work(folder: Path) -> None:
 
     config = read_config(folder)
     configure(config)
+    from mammometry.clinic.audit_chain import Chaining
     from mammometry.clinic.deliveries import Deliverer
     from mammometry.clinic.jobs.runner import Runner
     from mammometry.clinic.maintenance.backups import DailyBackup, remove_leftovers
@@ -190,6 +194,7 @@ def work(folder: Path) -> None:
     remove_leftovers(config)
     Deliverer(config).start()
     DailyBackup(config).start()
+    Chaining().start()
     runner = Runner(config)
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: runner.stop())

@@ -1,0 +1,151 @@
+"""The chain of the audit: each entry has a digest of itself and of the digest before.
+
+An entry that was changed or taken out, or put between others, breaks the chain from there on. Entries are chained some
+seconds after they are written, and before each backup. The digest of the last one stands in every backup, so that
+somebody who can change the whole database cannot begin a new chain unnoticed (docs/dossier/security.md).
+"""
+
+import datetime
+import hashlib
+import json
+import logging
+import threading
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from itertools import islice
+from typing import Any, TypeVar
+
+from auditlog.models import LogEntry
+from django.contrib.contenttypes.models import ContentType
+from django.db import DatabaseError, close_old_connections, connection, transaction
+from django.db.models import Exists, Max, OuterRef
+
+from mammometry.clinic.config import ClinicError
+from mammometry.clinic.models import AuditLink
+
+_AT_ONCE = 1000  # entries that are read together
+_LATE = 10_000  # entries between one and the latest: far more than are written at the same time
+_LOCK = 7_013_311  # of PostgreSQL: any number that nothing else here uses
+_LOOK_S = 5.0  # between two looks for new entries
+_LOG = logging.getLogger(__name__)
+_Row = TypeVar("_Row")
+
+
+@dataclass(frozen=True, slots=True)
+class ChainEnd:
+    """Last link of the chain."""
+
+    place: int
+    """Number of links. 0: there is none."""
+    digest: str
+
+
+def extend(*, every: bool = True) -> ChainEnd:
+    """Chain all entries that are not chained yet. The last link.
+
+    Args:
+        every: look at all entries. False: at the latest ones, which is quick however many there are.
+    """
+    new = LogEntry.objects.filter(~Exists(AuditLink.objects.filter(entry=OuterRef("pk")))).order_by("pk")
+    if not every:
+        latest = AuditLink.objects.aggregate(latest=Max("entry"))["latest"] or 0
+        new = new.filter(pk__gt=latest - _LATE)  # a number may be given long before its entry is there
+    if not new.exists():
+        return _end()
+    with transaction.atomic():
+        if connection.vendor == "postgresql":  # SQLite lets one transaction write at a time by itself
+            with connection.cursor() as cursor:
+                cursor.execute("SELECT pg_advisory_xact_lock(%s)", [_LOCK])
+        end = _end()
+        for some in _batched(_contents(new)):
+            links = []
+            for key, content in some:
+                end = ChainEnd(end.place + 1, _next(end.digest, content))
+                links.append(AuditLink(place=end.place, entry=key, digest=end.digest))
+            AuditLink.objects.bulk_create(links)
+        return end
+
+
+def verify(expected: ChainEnd | None = None) -> ChainEnd:
+    """Check every link against its entry. The last link.
+
+    Args:
+        expected: a link that must be in the chain, such as the last one of a backup.
+
+    Raises:
+        ClinicError: an entry was changed or taken out, links are missing, or the expected one is not there.
+    """
+    found = ChainEnd(0, "")
+    is_there = expected is None or expected.place == 0
+    for some in _batched(AuditLink.objects.order_by("place").iterator(chunk_size=_AT_ONCE)):
+        contents = dict(_contents(LogEntry.objects.filter(pk__in=[link.entry for link in some])))
+        for link in some:
+            content = contents.get(link.entry)
+            if link.place != found.place + 1:
+                raise _broken(f"no link {found.place + 1}")
+            if content is None:
+                raise _broken(f"entry {link.entry} is gone")
+            if link.digest != _next(found.digest, content):
+                raise _broken(f"entry {link.entry}, or one before, is not as it was written")
+            found = ChainEnd(link.place, link.digest)
+            is_there = is_there or found == expected
+    if not is_there:
+        raise _broken("another chain than in the newest backup")
+    return found
+
+
+class Chaining(threading.Thread):
+    """Chains new entries some seconds after they were written, until the process ends."""
+
+    def __init__(self) -> None:
+        super().__init__(daemon=True, name="audit chain")
+
+    def run(self) -> None:
+        """Look for new entries again and again."""
+        while True:
+            try:
+                extend(every=False)
+            except DatabaseError as error:  # it is tried again
+                _LOG.warning("The audit is not chained now: %s", type(error).__name__)
+            close_old_connections()
+            threading.Event().wait(_LOOK_S)
+
+
+def _end() -> ChainEnd:
+    last = AuditLink.objects.order_by("-place").first()
+    return ChainEnd(0, "") if last is None else ChainEnd(last.place, last.digest)
+
+
+def _next(before: str, content: bytes) -> str:
+    return hashlib.sha256(before.encode() + content).hexdigest()
+
+
+def _contents(entries: Any) -> Iterator[tuple[int, bytes]]:
+    """Key and canonical bytes of entries: the same with either database, and after a restore."""
+    kinds: dict[int, str] = {}
+    fields = [field.attname for field in LogEntry._meta.concrete_fields]
+    for values in entries.values(*fields).iterator(chunk_size=_AT_ONCE):
+        kind = values.pop("content_type_id")  # a number that another database gives to another table
+        if kind not in kinds:
+            kinds[kind] = ".".join(ContentType.objects.get_for_id(kind).natural_key())
+        content = json.dumps({**values, "content_type": kinds[kind]}, sort_keys=True, default=_plain)
+        yield values["id"], content.encode()
+
+
+def _batched(rows: Iterable[_Row]) -> Iterator[list[_Row]]:
+    iterator = iter(rows)
+    while some := list(islice(iterator, _AT_ONCE)):
+        yield some
+
+
+def _plain(value: object) -> str:
+    if isinstance(value, datetime.datetime):
+        return value.astimezone(datetime.UTC).isoformat(timespec="microseconds")
+    return str(value)
+
+
+def _broken(found: str) -> ClinicError:
+    return ClinicError(
+        "the audit", found=found, expected="each entry as it was written, in an unbroken chain",
+        remedy="Somebody changed the database by other means: find out who, and compare with the backups",
+    )  # fmt: skip
