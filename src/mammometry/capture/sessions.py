@@ -30,7 +30,12 @@ _SHARED = ("cameras.json", "prior.json")
 
 
 def manifest_text(
-    definition: Mapping[str, Any], subject_kind: str, subject_id: str | None = None, date: datetime.date | None = None
+    definition: Mapping[str, Any],
+    subject_kind: str,
+    subject_id: str | None = None,
+    date: datetime.date | None = None,
+    *,
+    posture: str | None = None,
 ) -> str:
     """A session.toml.
 
@@ -39,6 +44,7 @@ def manifest_text(
         subject_kind: ``torso`` or ``model``.
         subject_id: the patient's pseudonym; None for a rig's own session.
         date: when the photographs were taken.
+        posture: of a patient; None: the manifest does not say.
 
     Raises:
         SessionError: the definition is none of a rig.
@@ -47,7 +53,8 @@ def manifest_text(
     for name in ("rig", "target", "intrinsics"):
         if name in definition:
             lines += ["", f"[{name}]", *_lines(definition[name])]
-    about = {"kind": subject_kind, **({} if subject_id is None else {"id": subject_id})}
+    given = {"kind": subject_kind, "id": subject_id, "posture": posture}
+    about = {name: value for name, value in given.items() if value is not None}
     text = "\n".join([*lines, "", "[subject]", *_lines(about)]) + "\n"
     parse_manifest(text)
     return text

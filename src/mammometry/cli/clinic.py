@@ -50,17 +50,26 @@ def init(
     folder: Folder,
     name: Annotated[str, typer.Option(help="As pages say it.")] = "Clinic",
     database: Annotated[str, typer.Option(help="sqlite, or postgresql://user:password@host/name.")] = "sqlite",
+    time_zone: Annotated[
+        str | None, typer.Option(metavar="ZONE", help="Such as Europe/Berlin; asked for.", show_default=False)
+    ] = None,
     administrator: Annotated[str | None, typer.Option(metavar="NAME", help="Enter this first administrator.")] = None,
 ) -> Answer:
-    """Make the folder and the database of a new clinic."""
-    from mammometry.clinic.config import new_clinic
+    """Make the folder and the database of a new clinic.
+
+    The time zone is asked for at a terminal, and is that of this machine elsewhere.
+    """
+    from mammometry.clinic.config import machine_time_zone, new_clinic
     from mammometry.clinic.web.server import migrate
 
-    config = new_clinic(folder, name=name, database=database)
+    zone = time_zone or machine_time_zone()
+    if time_zone is None and sys.stdin.isatty() and not options.json:
+        zone = typer.prompt("Time zone of the clinic", default=zone, err=True)
+    config = new_clinic(folder, name=name, database=database, time_zone=zone)
     opened(folder)
     migrate(config)
-    lines = [f"Settings: {folder / 'clinic.toml'}"]
-    table: dict[str, object] = {"clinic": str(folder)}
+    lines = [f"Settings: {folder / 'clinic.toml'}, time zone {zone}"]
+    table: dict[str, object] = {"clinic": str(folder), "time_zone": zone}
     if administrator is not None:
         invited = _invite(config, administrator, ["administrator"], "", "")
         table |= invited.table

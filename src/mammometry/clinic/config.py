@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import secrets
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, BinaryIO, Literal
 from zoneinfo import available_timezones
@@ -244,14 +245,28 @@ def read_config(folder: Path) -> ClinicConfig:
         raise SettingsError(f"{FILE}, {name}", found="a wrong value", expected=first["msg"], remedy=remedy) from None
 
 
-def new_clinic(folder: Path, *, name: str, database: str = "sqlite", second_factor: str = "required") -> ClinicConfig:
+def machine_time_zone() -> str:
+    """The time zone of this machine, such as Europe/Berlin. UTC where it is not known."""
+    found = [os.environ.get("TZ", "").removeprefix(":")]
+    with suppress(OSError):
+        found.append(Path("/etc/timezone").read_text(encoding="ascii", errors="replace").strip())
+    found.append(os.path.realpath("/etc/localtime").rpartition("/zoneinfo/")[2])
+    return next((name for name in found if name in available_timezones()), "UTC")
+
+
+def new_clinic(
+    folder: Path, *, name: str, database: str = "sqlite", second_factor: str = "required", time_zone: str = "UTC"
+) -> ClinicConfig:
     """Make the folder of a clinic: settings, secret key, empty folders.
 
     Raises:
         ClinicError: there is something in the folder already.
-        SettingsError: the name cannot be a clinic's.
+        SettingsError: the name cannot be a clinic's, or there is no such time zone.
     """
     require_text(name, "LO", "the clinic's name")
+    if time_zone not in available_timezones():
+        remedy = "Name it as the IANA database does"
+        raise SettingsError("time_zone", found=repr(time_zone), expected="one such as Europe/Berlin", remedy=remedy)
     if folder.exists() and any(folder.iterdir()):
         remedy = "Name a new folder, or open this one with `mammometry clinic serve`"
         raise ClinicError(str(folder), found="files", expected="a new or empty folder", remedy=remedy)
@@ -260,7 +275,7 @@ def new_clinic(folder: Path, *, name: str, database: str = "sqlite", second_fact
     for kept in FOLDERS:
         (folder / kept).mkdir(mode=0o700)
     write_private(folder / KEY_FILE, secrets.token_urlsafe(_KEY_BYTES) + "\n")
-    write_private(folder / FILE, _TEMPLATE.format(*map(quoted, (name, database, second_factor))))
+    write_private(folder / FILE, _TEMPLATE.format(*map(quoted, (name, time_zone, database, second_factor))))
     return read_config(folder)
 
 
@@ -291,7 +306,7 @@ _TEMPLATE = """\
 name = {}
 address = "127.0.0.1:8000"            # host:port where the server listens
 hosts = ["localhost", "127.0.0.1"]    # names under which browsers may call it
-time_zone = "UTC"                     # such as "Europe/Berlin"
+time_zone = {}                     # of dates on pages, such as "Europe/Berlin"
 database = {}                   # or "postgresql://user:password@host/name"
 cluster = ""                          # a Dask scheduler, "tcp://host:8786"; empty: this machine
 

@@ -25,7 +25,16 @@ from typing import TYPE_CHECKING
 from mammometry.base.errors import BatchError
 from mammometry.base.machine.system import lower_priority
 from mammometry.base.progress import Progress
-from mammometry.clinic.config import FILE, SETTINGS_FILE, ClinicConfig, new_clinic, quoted, read_config, write_private
+from mammometry.clinic.config import (
+    FILE,
+    SETTINGS_FILE,
+    ClinicConfig,
+    machine_time_zone,
+    new_clinic,
+    quoted,
+    read_config,
+    write_private,
+)
 
 if TYPE_CHECKING:
     from mammometry.clinic.models import Calibration, Rig, Visit
@@ -129,7 +138,9 @@ def make_demo(folder: Path, say: Callable[[str], Progress], *, address: str | No
     from mammometry.io.write import write_text
 
     begun = time.monotonic()
-    config = _with_cameras(new_clinic(folder, name="Demo clinic", second_factor="offered"))
+    config = _with_cameras(
+        new_clinic(folder, name="Demo clinic", second_factor="offered", time_zone=machine_time_zone())
+    )
     if address is not None:
         config = config.model_copy(update={"address": address})
     migrate(config)

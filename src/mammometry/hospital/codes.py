@@ -85,6 +85,16 @@ METHODS = MappingProxyType(
     }
 )
 """Code of a method in our system → what it is."""
+_BASE_WIDTH = "From the breast's medial to its lateral end, which are marked"
+DEFINITIONS = MappingProxyType(
+    {
+        "base_width_straight": f"{_BASE_WIDTH}: straight, as callipers measure it",
+        "base_width_along_skin": f"{_BASE_WIDTH}: along the skin",
+        "boundary_width": "Extent of the whole boundary from side to side, straight. Not the base width",
+        "boundary_height": "Extent of the whole boundary from its lowest to its highest point, straight",
+    }
+)
+"""Code of a quantity that could be taken for another → how it is defined."""
 NO_VOLUMES = MappingProxyType(
     {
         "none": "No breast on this side",

@@ -6,7 +6,7 @@ from typing import get_args
 
 from mammometry.base.csv_cells import csv_text
 from mammometry.base.errors import TableError
-from mammometry.hospital.codes import METHODS, NO_VOLUMES
+from mammometry.hospital.codes import DEFINITIONS, METHODS, NO_VOLUMES
 from mammometry.hospital.exported import Exported, Quantity
 from mammometry.measure.volume.measurement import Meaning
 
@@ -54,7 +54,10 @@ def codebook(sessions: Sequence[Exported]) -> str:
     """Codebook: the meanings of columns and codes."""
     titles = {quantity.code: (quantity.title, quantity.unit) for session in sessions for quantity in session.quantities}
     rows = [("column", name, kind, unit, meaning) for name, (kind, unit, meaning) in _COLUMNS.items()]
-    rows += [("code", code, "number", unit, title) for code, (title, unit) in sorted(titles.items())]
+    rows += [
+        ("code", code, "number", unit, f"{title}. {DEFINITIONS[code]}" if code in DEFINITIONS else title)
+        for code, (title, unit) in sorted(titles.items())
+    ]
     rows += [("method", code, "text", "", meaning) for code, meaning in METHODS.items()]
     rows += [("why", code, "text", "", meaning) for code, meaning in NO_VOLUMES.items()]
     return csv_text(("of", "name", "type", "unit", "meaning"), rows)
@@ -161,7 +164,8 @@ def dictionary() -> str:
     for name, (label, kind) in _VISIT.items():
         rows.append(_field(name, label, kind))
     for name, (label, unit) in _numbers().items():
-        rows.append(_field(name, label, "number", note=unit))
+        definition = DEFINITIONS.get(name.partition("_left")[0].partition("_right")[0], "")
+        rows.append(_field(name, label, "number", note=f"{unit}. {definition}" if definition else unit))
     rows += [_field(name, label, "") for name, label in {**_WHYS, **_APART}.items()]
     return csv_text(_HEADER, rows)
 
@@ -212,7 +216,8 @@ def _numbers() -> dict[str, tuple[str, str]]:
             fields[f"{code}_{side}"] = (f"{side.capitalize()} {code.replace('_', ' ')}", unit)
         lengths = ("sn_n", "n_imf", "base_width", "n_midline") if side != "model" else ()
         ways = [(f"{length}_{way}", "mm") for length in lengths for way in ("straight", "along_skin")]
-        for code, unit in (*ways, ("upper_pole", "cm3"), ("lower_pole", "cm3"), ("nipple_below_fold", "mm")):
+        extents = (("boundary_width", "mm"), ("boundary_height", "mm"))
+        for code, unit in (*ways, *extents, ("upper_pole", "cm3"), ("lower_pole", "cm3"), ("nipple_below_fold", "mm")):
             fields[f"{code}_{side}"] = (f"{side.capitalize()} {code.replace('_', ' ')}", unit)
             fields[f"{code}_{side}_sd"] = (f"{side.capitalize()} {code.replace('_', ' ')}, standard uncertainty", unit)
     for way in ("straight", "along_skin"):

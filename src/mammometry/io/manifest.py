@@ -88,8 +88,8 @@ class SubjectEntry(BaseModel):
     """Pseudonym of the photographed subject, carried by every product. None: not given."""
     rim_radius_mm: float | None = Field(default=None, ge=0, le=10)
     """Radius by which a cast's rim is rounded, mm, if measured."""
-    posture: Posture = "leaning"
-    """How a patient held herself before the rig. A cast has no posture."""
+    posture: Posture | Literal["unknown"] = "leaning"
+    """How a patient held herself before the rig. unknown: it is not stated here. A cast has no posture."""
 
     @model_validator(mode="after")
     def _only_a_cast_has_a_rim(self) -> SubjectEntry:
@@ -99,8 +99,8 @@ class SubjectEntry(BaseModel):
 
     @property
     def patient_posture(self) -> str:
-        """How the patient held herself, empty where there is none."""
-        return self.posture if self.kind == "torso" else ""
+        """How the patient held herself, empty where there is none or it is unknown."""
+        return self.posture if self.kind == "torso" and self.posture != "unknown" else ""
 
 
 class IntrinsicsEntry(BaseModel):
@@ -207,7 +207,7 @@ pairs = [
 [subject]
 kind = "{subject}"    # "model": a cast, one closed solid; "torso": both breasts; "surface": an open surface, no volume
 # id = "P-0421"         # whose photographs these are: a pseudonym, never a name; every result carries it
-# posture = "leaning"   # or "standing", "lying": volumes of different postures are not compared
+# posture = "leaning"   # or "standing", "lying", "unknown": volumes of different postures are not compared
 # rim_radius_mm = 0.0   # a cast: radius by which its rim is rounded, if it was measured; 0 for a sharp edge
 
 # Optional: lenses from separate photographs of a board, one folder a camera (intrinsics/<camera>/*.jpg)

@@ -7,11 +7,13 @@ import ssl
 import subprocess
 import sys
 from pathlib import Path
+from zoneinfo import available_timezones
 
 import pytest
 from tests.clinic_server import command, served
 
-from mammometry.clinic.config import ClinicConfig, ClinicError, Tls, new_clinic, read_config
+from mammometry.base.errors import SettingsError
+from mammometry.clinic.config import ClinicConfig, ClinicError, Tls, machine_time_zone, new_clinic, read_config
 from mammometry.clinic.site import configure
 from mammometry.clinic.web.server import require_current, serve
 
@@ -193,3 +195,16 @@ def test_a_demo_is_configured_with_the_cameras_that_it_will_have(tmp_path: Path)
     config = _with_cameras(new_clinic(tmp_path / "clinic", name="Demo"))
     assert config == read_config(config.folder)
     assert list(config.cameras) == ["Room 1"]
+
+
+def test_a_new_clinic_has_the_machines_time_zone_or_the_one_that_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TZ", "Pacific/Auckland")
+    assert machine_time_zone() == "Pacific/Auckland"
+    monkeypatch.setenv("TZ", "Mars/Olympus")
+    assert machine_time_zone() in available_timezones()
+    assert new_clinic(tmp_path / "one", name="Clinic", time_zone="Asia/Tokyo").time_zone == "Asia/Tokyo"
+    with pytest.raises(SettingsError):
+        new_clinic(tmp_path / "two", name="Clinic", time_zone="Mars/Olympus")
+    assert not (tmp_path / "two").exists()

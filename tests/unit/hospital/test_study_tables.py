@@ -14,6 +14,7 @@ from tests.unit.hospital.exports import ANNA, NAMES, deidentified, exported, one
 from mammometry.base.errors import StorageError, TableError
 from mammometry.base.extras import require
 from mammometry.hospital import tables
+from mammometry.hospital.exported import Quantity
 from mammometry.hospital.fhir import Release, bundle
 from mammometry.hospital.gather import confirmed
 from mammometry.measure.volume.attribution import Attribution, Confirmation, curve_digest
@@ -217,3 +218,29 @@ def test_a_session_is_confirmed_once_every_measured_boundary_is() -> None:
     measured[1].boundary_world = curves["left"]  # another curve than the one that was looked at
     assert confirmed(seen, measured) is None  # type: ignore[arg-type]
     assert confirmed(seen, []) is None
+
+
+def test_a_width_has_one_name_and_its_definition_everywhere(tmp_path: Path) -> None:
+    """The extent of the boundary is no base width: its code, title and definition are others."""
+    widths = (
+        *(("base_width_straight", "base width, straight", 156.1, "straight"),),
+        *(("boundary_width", "Boundary width", 140.3, "extent"),),
+    )
+    measured = tuple(
+        Quantity(code=code, title=title, side="left", value=value, unit="mm", method=method)
+        for code, title, value, method in widths
+    )
+    shown = exported(tmp_path, quantities=measured)
+    meanings = {row["name"]: row["meaning"] for row in rows(tables.codebook([shown])) if row["of"] == "code"}
+    assert "medial to its lateral end" in meanings["base_width_straight"]
+    assert "Not the base width" in meanings["boundary_width"]
+    fields = {row["Variable / Field Name"] for row in rows(tables.dictionary())}
+    assert fields >= {"base_width_straight_left", "boundary_width_left", "boundary_height_right"}
+    assert not {name for name in fields if name.startswith(("base_width_left", "base_height"))}
+    record = rows(tables.records([shown]))[0]
+    assert (record["base_width_straight_left"], record["boundary_width_left"]) == ("156.1", "140.3")
+    codes = {
+        row["code"]["coding"][0]["code"]: row["valueQuantity"]["value"]
+        for row in resources(bundle(shown, ANNA, release="R4"), "Observation")
+    }
+    assert codes.items() >= {"base_width_straight": 156.1, "boundary_width": 140.3}.items()

@@ -41,8 +41,8 @@ def test_the_first_pages_lengths_are_the_exported_ones() -> None:
     exported = [Quantity(**row) for row in quantities_of(sizes)]
     assert [(each.name, each.title, each.value, each.unit, each.sigma, each.method) for each in exported] == [
         ("n_midline_straight_left", "nipple to midline, straight", 88.25, "mm", 2.04, "straight"),
-        ("base_width_left", "Base width", 121.0, "mm", 4.2, "extent"),
-        ("base_height_left", "Base height", 133.0, "mm", 4.2, "extent"),
+        ("boundary_width_left", "Boundary width", 121.0, "mm", 4.2, "extent"),
+        ("boundary_height_left", "Boundary height", 133.0, "mm", 4.2, "extent"),
         ("upper_pole_left", "Volume above the nipple's level", 150.4, "cm3", 12.0, "level-cut"),
         ("lower_pole_left", "Volume below the nipple's level", 99.6, "cm3", 12.0, "level-cut"),
         ("nipple_below_fold_left", "Nipple below the fold", -4.5, "mm", 3.0, "height"),
@@ -51,13 +51,14 @@ def test_the_first_pages_lengths_are_the_exported_ones() -> None:
     assert table is not None
     assert tuple(tuple(cell.replace("\u00a0", " ") for cell in row) for row in table.rows) == (
         ("Nipple to midline", "88.2 ± 4.0", "–", "–"),
-        ("Base width", "121 ± 8", "–", "–"),
+        ("Boundary width", "121 ± 8", "–", "–"),
         ("Projection", "41.3 ± 2.4", "–", "–"),
         ("Nipple below the fold (ptosis)", "−4 ± 6", "–", "–"),
         ("Ptosis, grade after Regnault", "I or II", "–", ""),
     )
     assert note == (
-        "Not measured, since a landmark is not marked: sternal notch to nipple; nipple to fold, along the skin."
+        "Not measured, since a landmark is not marked: sternal notch to nipple; nipple to fold, along the skin; "
+        "base width, straight."
     )
     assert planning_lengths(None) == (None, "")
 

@@ -404,8 +404,9 @@ def ready_folder(visit: Visit) -> None:
         StorageError: the disk is full or refuses.
     """
     text = manifest_text(
-        rig_of(visit).definition, visit.subject_kind, visit.patient.pseudonym, timezone.localdate(visit.taken_at)
-    )
+        rig_of(visit).definition, visit.subject_kind, visit.patient.pseudonym, timezone.localdate(visit.taken_at),
+        posture="unknown" if visit.subject_kind == Visit.Subject.TORSO else None,  # the database alone says it
+    )  # fmt: skip
     make_session(visit.folder, text)
 
 

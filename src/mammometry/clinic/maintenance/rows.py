@@ -31,6 +31,8 @@ from mammometry.clinic.config import ClinicError
 _LEFT_OUT = ("sessions", "contenttypes", "axes")
 """Applications whose rows belong to the running server: logins, wrong passwords."""
 _TIME = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(\.\d+)?(Z|[+-]\d\d:\d\d)")
+_NATURAL = ("natural_key", "get_username", "USERNAME_FIELD")
+"""By what rows name a person or a table in place of its key."""
 _READ_AT_ONCE = 500  # rows
 _SHOWN_ROWS = 3  # of those that differ, named in the refusal
 
@@ -162,8 +164,9 @@ def _tables_of(migrations: list[str]) -> Apps:
         return current
     for model in state.apps.get_models():  # of migrations: without the methods by which rows refer to one another
         ours = current.get_model(model._meta.label) if _is_known(model) else None
-        if ours is not None and hasattr(ours, "natural_key"):
-            cast(Any, model).natural_key = ours.natural_key
+        for name in _NATURAL if ours is not None else ():
+            if hasattr(ours, name):
+                setattr(model, name, getattr(ours, name))
     return cast(Apps, state.apps)
 
 

@@ -75,11 +75,13 @@ _ROWS = (
     ("Sternal notch to nipple", ("sn_n_straight",), "mark the nipple and the sternal notch"),
     ("Nipple to fold, along the skin", ("n_imf_along_skin",), "mark the nipple and the fold"),
     ("Nipple to midline", ("n_midline_straight",), "mark the nipple"),
-    ("Base width", ("base_width_straight", "base_width"), "mark its inner and outer end"),
+    ("Base width, straight", ("base_width_straight",), "mark its inner and outer end"),
+    ("Boundary width", ("boundary_width", "base_width"), "draw the boundary"),
     ("Projection", ("projection",), "draw the boundary"),
     ("Nipple below the fold (ptosis)", ("nipple_below_fold",), "mark the nipple"),
 )
-"""Title, codes of `hospital.exported.Quantity` (the first that is there), what to do where it lacks."""
+"""Title, codes of `hospital.exported.Quantity`, what to do where it lacks. A second code is what version 1.0 called the
+same quantity, in a clinic's stored rows."""
 _NIPPLE = ("n_midline_straight", "nipple_below_fold")
 """Codes that are there where a nipple is marked."""
 _WITH_NIPPLE = {"sn_n_straight": "mark the sternal notch", "n_imf_along_skin": "mark the fold"}
@@ -124,8 +126,8 @@ def quantities_of(dimensions: Dimensions) -> Iterator[dict[str, Any]]:
                 yield _quantity(code, title, side, value, sigma, method=way.replace("_", "-"))
     for shape in dimensions.shapes:
         for code, title, value in (
-            ("base_width", "Base width", shape.base_width_mm),
-            ("base_height", "Base height", shape.base_height_mm),
+            ("boundary_width", "Boundary width", shape.base_width_mm),
+            ("boundary_height", "Boundary height", shape.base_height_mm),
         ):
             yield _quantity(code, title, shape.name, value, shape.base_sigma_mm, method="extent")
         for code, title, volume in (
@@ -315,7 +317,7 @@ def dimension_tables(dimensions: Dimensions | None, landmarks: Sequence[Landmark
     )
     shapes = Table(
         title="Shape, ± 95 %",
-        columns=("breast", "base, width × height, mm", "projection, mm", "upper pole, cc", "lower pole, cc"),
+        columns=("breast", "boundary, width × height, mm", "projection, mm", "upper pole, cc", "lower pole, cc"),
         rows=tuple(
             (
                 NAMES[shape.name],
