@@ -48,11 +48,15 @@ NAMELESS = Identity(name="De-identified case")
 
 def shown_name(path: Path) -> str:
     r"""Name of a file or folder as printable text. Bytes that are not UTF-8 appear as ``\xfc``."""
-    name = path.resolve().name.encode("utf-8", "surrogateescape").decode("utf-8", "backslashreplace")
     return "".join(
         character if character.isprintable() else character.encode("unicode_escape").decode("ascii")
-        for character in name
+        for character in as_utf_8(path.resolve().name)
     )
+
+
+def as_utf_8(name: str) -> str:
+    r"""Name of a file or folder that can be written as UTF-8. Bytes that are not UTF-8 become ``\xfc``."""
+    return name.encode("utf-8", "surrogateescape").decode("utf-8", "backslashreplace")
 
 
 def folded(name: str) -> str:

@@ -111,7 +111,7 @@ class Engine:
         self._known = list(known)
         self._events: queue.SimpleQueue[Any] = queue.SimpleQueue()
         self._at_work: dict[str, tuple[Any, _Tried]] = {}
-        self._names: dict[str, str] = {}
+        self._names: dict[str, str] = {}  # of tasks, by the keys that Dask knows them by
         self._largest_mb = 0.0
         self._limits = Limits(
             batch=uuid4().hex, cores=cores, software=software(), report_s=max(1.0, machines.count() / _REPORTS_A_SECOND)
@@ -183,7 +183,8 @@ class Engine:
     def _hear(self, event: tuple[float, Mapping[str, Any]]) -> None:
         """Called in Dask's own thread."""
         about = event[1]
-        self._events.put(Began(name=about["task"], stage=about["stage"], fraction=about["fraction"]))
+        if (name := self._names.get(about["task"])) is not None:
+            self._events.put(Began(name=name, stage=about["stage"], fraction=about["fraction"]))
 
     def _until_done(self, tasks: Sequence[_Tried]) -> Iterator[Event]:
         if self._stop_request() is not StopRequest.NONE:
@@ -231,22 +232,23 @@ class Engine:
     def _submit(self, tried: _Tried) -> None:
         largest = self._largest_mb
         need = largest if tried.alone else min(largest, record.need_mb(tried.task.megapixels, self._known) or largest)
+        key = f"{_KIND}-{uuid4().hex}"  # also its name there: Dask's messages cannot carry names that are not UTF-8
+        self._names[key] = tried.task.name
         future = self._machines.client.submit(
             supervise,
-            tried.task.name,
+            key,
             tried.task.call,
             self._limits,
-            key=f"{_KIND}-{uuid4().hex}",
+            key=key,
             resources={CORES: self._limits.cores, MEMORY: need},
             pure=False,
         )
-        self._names[future.key] = tried.task.name
         self._at_work[tried.task.name] = (future, tried)
         future.add_done_callback(self._events.put)
 
     def _ended(self, future: Any) -> Ended | None:
         """Result of a future, or None where it is tried again or was dropped."""
-        name = self._names.pop(future.key)
+        name = self._names[future.key]
         if name not in self._at_work or self._at_work[name][0].key != future.key:
             return None
         tried = self._at_work.pop(name)[1]
@@ -308,7 +310,8 @@ class Engine:
         """Stop tasks, wherever they are. One whose process is just starting is met when it is named again."""
         if names:
             self._drop(lambda tried: tried.task.name in names)
-            self._machines.client.run(stop, self._limits.batch, tuple(names))
+            keys = tuple(key for key, name in self._names.items() if name in names)
+            self._machines.client.run(stop, self._limits.batch, keys)
 
     def _drop(self, which: Callable[[_Tried], bool]) -> None:
         dropped = [self._at_work.pop(name)[0] for name, (_, tried) in list(self._at_work.items()) if which(tried)]

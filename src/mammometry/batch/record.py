@@ -14,6 +14,7 @@ from typing import Annotated, Literal, TypeAlias
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 import mammometry
+from mammometry.base.identity import as_utf_8
 from mammometry.io.results.verify import BATCH
 from mammometry.io.sealed import sealed, unsealed
 from mammometry.io.write import write_bytes
@@ -89,7 +90,7 @@ _UNREADABLE = (OSError, ValueError, ValidationError, RecursionError)
 _STRICT = ConfigDict(extra="forbid", frozen=True)
 
 Stat: TypeAlias = tuple[int, int | float | str]
-"""Size of a file, bytes, and its version: change time, ns, or a storage's own tag."""
+"""Size of a file, bytes, and its version: modification and change time, ns, or a storage's own tag."""
 
 
 class Measured(BaseModel):
@@ -162,7 +163,11 @@ def key_of(settings: Settings) -> str:
 
 
 def stats_of(session: Path) -> dict[str, Stat]:
-    """Size and change time of every file in a session. The record itself and hidden files are left out."""
+    """Size and times of every file in a session. The record itself and hidden files are left out.
+
+    The time at which the system changed a file (ctime) is one of them: programs that copy keep a file's own time, and
+    cannot set this one. A copied session so counts as changed, and what it is made of is compared by content.
+    """
     return {name: stat for name, stat in _stats(str(session), "") if name != f"results/{RECORD}"}
 
 
@@ -175,7 +180,7 @@ def _stats(folder: str, above: str) -> Iterator[tuple[str, Stat]]:
                 yield from _stats(path.path, f"{above}{path.name}/")
             else:
                 about = path.stat()
-                yield f"{above}{path.name}", (about.st_size, about.st_mtime_ns)
+                yield as_utf_8(f"{above}{path.name}"), (about.st_size, f"{about.st_mtime_ns} {about.st_ctime_ns}")
 
 
 def write_record(session: Path, record: Record) -> None:
@@ -201,7 +206,7 @@ def read_record(data: bytes) -> Record | None:
 
 
 def look_up(session: Path, key: str) -> tuple[Row | None, bool]:
-    """Record of a session, and whether its files still match it. Files match by size and change time."""
+    """Record of a session, and whether its files still match it. Files match by size and times."""
     path = session / "results" / RECORD
     try:
         record = read_record(path.read_bytes()) if path.stat().st_size <= _MOST_BYTES else None

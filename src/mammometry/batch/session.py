@@ -78,12 +78,18 @@ def _scratch() -> Iterator[Path]:
 
 
 def _measured(session: Path, settings: Settings, progress: StageProgress) -> Record:
-    """Measure a session and write its record."""
+    """Measure a session and write its record.
+
+    Of what people brought it notes what it was like before: what they change meanwhile is looked at the next time.
+    """
+    before = stats_of(session)
     job = open_session(session, settings, watch=lambda key: _watched(key, progress))
     made = _when_free(lambda: job.run().made)
     earlier = None if made else _earlier(session)
     row = _row_of(job, peak_memory_mb() if earlier is None else earlier.peak_memory_mb)
-    record = Record(key=key_of(settings), files=stats_of(session), row=row)
+    brought = {name: stat for name, stat in before.items() if not name.startswith("results/")}
+    made_now = {name: stat for name, stat in stats_of(session).items() if name.startswith("results/")}
+    record = Record(key=key_of(settings), files={**brought, **made_now}, row=row)
     write_record(session, record)
     return record
 

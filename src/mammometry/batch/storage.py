@@ -65,7 +65,10 @@ def fetch(entry: Entry, folder: Path) -> dict[str, Stat]:
     if (former := _pointed(entry)) is not None:
         with _answers(entry.address):
             system, root = _opened(_base(entry))
-            system.get(f"{root}/{former}/", str(folder / _RESULTS), recursive=True)
+            for path in system.find(f"{root}/{former}"):  # a pattern to fsspec's other ways, where it has brackets
+                target = folder / _RESULTS / path[len(root) + len(former) + 1 :].lstrip("/")
+                target.parent.mkdir(parents=True, exist_ok=True)
+                system.get_file(path, str(target))
     return remote
 
 
@@ -87,7 +90,20 @@ def put(entry: Entry, results: Path, digest: str) -> None:
         _replace(system, f"{root}/{POINTER}", json.dumps({"format": 1, "results": name}).encode())
         if former is not None and former != name:
             with suppress(OSError):  # nobody reads it any more
-                system.rm(f"{root}/{former}", recursive=True)
+                _remove(system, f"{root}/{former}")
+
+
+def _remove(system: AbstractFileSystem, folder: str) -> None:
+    """Remove a folder, whose name is no pattern, with all that is in it."""
+    files = system.find(folder)
+    folders = {folder}
+    for path in files:
+        system.rm_file(path)
+        below = path[len(folder) :].split("/")[:-1]
+        folders |= {folder + "/".join(below[: count + 1]) for count in range(1, len(below))}
+    for path in sorted(folders, key=len, reverse=True):
+        with suppress(OSError):  # storage of objects has no folders
+            system.rmdir(path)
 
 
 def look_up(entry: Entry, key: str) -> tuple[Row | None, bool]:
@@ -156,6 +172,8 @@ def stats(entry: Entry) -> dict[str, Stat]:
         if first in (_RESULTS, POINTER) or first.startswith((f"{_RESULTS}-", ".")) or "/." in name:
             continue
         changed = about.get("ETag") or about.get("mtime") or about.get("LastModified") or ""
+        if (created := about.get("created")) and "ETag" not in about:  # a disk: when the system changed the file
+            changed = f"{changed} {created}"
         remote[name] = (int(about["size"]), changed if isinstance(changed, int | float) else str(changed))
     return dict(sorted(remote.items()))
 

@@ -1,6 +1,7 @@
 """A session is current while its files have the sizes and times that its record names, and settings are the same."""
 
 import os
+import shutil
 import time
 
 import pytest
@@ -51,10 +52,22 @@ def _rewrite(session):
     os.utime(path, ns=(about.st_atime_ns, about.st_mtime_ns + 1))
 
 
+def _exchange(session):
+    """As a program that copies does: size and time are kept."""
+    path = session / "capture" / "front_left.jpg"
+    about = path.stat()
+    other = session.parent / "other.jpg"
+    other.write_text("capture/front_LEFT.jpg")
+    os.utime(other, ns=(about.st_atime_ns, about.st_mtime_ns))
+    shutil.copy2(other, path)
+    assert (path.stat().st_size, path.stat().st_mtime_ns) == (about.st_size, about.st_mtime_ns)
+
+
 @pytest.mark.parametrize(
     "change",
     [
         _rewrite,
+        _exchange,
         lambda session: (session / "capture" / "front_left.jpg").write_text("longer than it was"),
         lambda session: (session / "capture" / "front_left.jpg").unlink(),
         lambda session: (session / "capture" / "front_right.jpg").write_text("new"),
@@ -86,6 +99,15 @@ def test_there_and_back_is_the_same_and_has_one_digest(session):
     assert again == record
     assert again.digest == record.digest
     assert record.model_copy(update={"key": "l"}).digest != record.digest
+
+
+def test_names_that_are_not_utf_8_and_times_before_1980_are_noted(session):
+    (session / os.fsdecode(b"n\xffte.txt")).write_text("")
+    os.utime(session / "session.toml", (-1e8, -1e8))
+    write_record(session, Record(key="k", files=stats_of(session), row=ROW))
+    assert look_up(session, "k") == (ROW, True)
+    (session / os.fsdecode(b"n\xffte.txt")).write_text("more")
+    assert look_up(session, "k") == (ROW, False)
 
 
 def test_thousands_are_looked_at_in_seconds(session):

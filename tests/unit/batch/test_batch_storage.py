@@ -65,10 +65,12 @@ def s3(server, monkeypatch):
     return f"s3://{name}"
 
 
-@pytest.fixture(params=["file", "s3"])
+@pytest.fixture(params=["file", "file[1]", "s3", "s3[1]"])
 def address(request, tmp_path):
-    """Address of a session on either storage."""
-    base = f"file://{tmp_path}/there" if request.param == "file" else request.getfixturevalue("s3")
+    """Address of a session on either storage. Brackets and stars in an address are no pattern."""
+    kind, brackets, _ = request.param.partition("[1]")
+    base = f"file://{tmp_path}/there" if kind == "file" else request.getfixturevalue("s3")
+    base += "/P[1]*" if brackets else ""
     system, root = fsspec.core.url_to_fs(base)
     for name in BROUGHT:
         system.makedirs(f"{root}/trial/one/{name}".rpartition("/")[0], exist_ok=True)

@@ -59,8 +59,10 @@ def test_values_failures_and_defects_come_back_each_under_its_name(there):
 
 
 def test_stages_are_said_while_they_run(there):
-    events = list(Engine(there, known=KNOWN).run([task("two", batch_work.square, 2)]))
+    name = os.fsdecode(b"caf\xe9")  # Dask's messages cannot carry it
+    events = list(Engine(there, known=KNOWN).run([task(name, batch_work.square, 2)]))
     assert any(isinstance(event, Began) and event.stage == "count" and event.fraction == 0.5 for event in events)
+    assert {event.name for event in events} == {name}
 
 
 def test_a_task_has_its_share_of_the_cores_and_no_more(there):

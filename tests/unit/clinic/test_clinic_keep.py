@@ -351,6 +351,17 @@ def test_an_export_holds_all_of_one_patient_and_nothing_of_others(
     assert target.stat().st_mode & 0o077 == 0
 
 
+def test_an_export_takes_files_of_any_date_and_name(clinic: ClinicConfig, full: Visit, tmp_path: Path) -> None:
+    os.utime(full.folder / "capture" / "front_left.jpg", (0, 0))  # a camera whose clock was never set
+    (full.folder / os.fsdecode(b"n\xffte.txt")).write_text("kept")
+    target = tmp_path / "export.zip"
+    assert run(["clinic", "export", str(clinic.folder), "KIS-4711", "--to", str(target)]) == 0
+    with zipfile.ZipFile(target) as archive:
+        assert archive.read(f"sessions/{full.id}/capture/front_left.jpg") == MARK
+        assert archive.getinfo(f"sessions/{full.id}/capture/front_left.jpg").date_time[0] == 1980
+        assert archive.read(f"sessions/{full.id}/n\\xffte.txt") == b"kept"
+
+
 @pytest.mark.requirement("R-KEEP-2")
 def test_an_erased_patient_is_gone(clinic: ClinicConfig, full: Visit, tmp_path: Path) -> None:
     folder, upload, pseudonym = full.folder, Upload.objects.get().path, full.patient.pseudonym

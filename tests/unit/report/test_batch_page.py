@@ -2,6 +2,7 @@
 
 import csv
 import io
+import os
 
 import pyarrow.parquet as pq
 import pytest
@@ -88,3 +89,14 @@ def test_both_breasts_of_a_woman_are_one_subject_of_the_agreement():
 )
 def test_what_became_of_them_is_counted(lines, words):
     assert counted(lines) == words.replace("1 sessions", "1 session")
+
+
+def test_a_session_whose_name_is_not_utf_8_is_shown_and_its_report_linked():
+    name = os.fsdecode(b"caf\xe9 #1")
+    line = BatchLine(session=name, address=f"/a/{name}", state="measured", page=f"/a/{name}/results/report/report.html")
+    files = batch_files("trial", [line])
+    page = files["batch.html"].decode()
+    assert "caf\\xe9 #1" in page
+    assert 'href="/a/caf%E9%20%231/results/report/report.html"' in page
+    assert "caf\\xe9 #1" in files["batch.csv"].decode()
+    assert b"PAR1" in files.get("batch.parquet", b"PAR1")

@@ -14,6 +14,7 @@ from django.db.models import Model, Q
 from django.utils import timezone
 
 from mammometry.base.csv_cells import CsvWriter
+from mammometry.base.identity import as_utf_8
 from mammometry.clinic import audit
 from mammometry.clinic.config import ClinicConfig, ClinicError, new_private
 from mammometry.clinic.maintenance.backups import PART, elsewhere, remove_leftovers, unfinished
@@ -93,7 +94,9 @@ def export_patient(config: ClinicConfig, patient: Patient, target: Path) -> int:
     rows = rows_of(patient)
     with (
         new_private(part) as stream,
-        zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive,
+        zipfile.ZipFile(
+            stream, "w", zipfile.ZIP_DEFLATED, compresslevel=1, strict_timestamps=False
+        ) as archive,  # a file dated before 1980 gets that year: a ZIP knows none before
     ):
         plain = json.loads(serializers.serialize("json", rows, cls=RowEncoder))
         archive.writestr("patient.json", json.dumps(plain, indent=1, ensure_ascii=False))
@@ -101,7 +104,8 @@ def export_patient(config: ClinicConfig, patient: Patient, target: Path) -> int:
         for visit in (row for row in rows if isinstance(row, Visit)):
             for path in sorted(visit.folder.rglob("*")):
                 if path.is_file() and not path.is_symlink():
-                    archive.write(path, f"sessions/{visit.id}/{path.relative_to(visit.folder).as_posix()}")
+                    name = as_utf_8(path.relative_to(visit.folder).as_posix())
+                    archive.write(path, f"sessions/{visit.id}/{name}")
         number = len(archive.namelist())
     part.replace(target)
     audit.record_command(patient, "export")

@@ -4,12 +4,15 @@ The page has a sortable line with pictures for each session.
 """
 
 import io
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from urllib.parse import quote
 
 import numpy as np
 
 from mammometry.base.csv_cells import csv_text
+from mammometry.base.identity import as_utf_8
 from mammometry.report.documents.pages import embed, render
 from mammometry.report.figures.observers import bland_altman, scatter
 from mammometry.study.agreement import LEAST_SUBJECTS, PairedMeasurements, agreement
@@ -70,7 +73,7 @@ def batch_files(title: str, lines: Sequence[BatchLine]) -> dict[str, bytes]:
     """
     columns = _columns(lines)
     files = {
-        "batch.html": _page(title, lines).encode(),
+        "batch.html": as_utf_8(_page(title, lines)).encode(),
         "batch.csv": csv_text(columns, zip(*columns.values(), strict=True)).encode(),
     }
     parquet = _as_parquet(columns)
@@ -117,6 +120,7 @@ def _shown(line: BatchLine) -> dict[str, object]:
     remarks = [*([line.failed] if line.failed else []), *(f"{side}: {why}" for side, why in line.no_breast.items())]
     return {
         "line": line,
+        "href": line.page if "://" in line.page else quote(os.fsencode(line.page)),
         "picture": None if line.thumbnail is None else f"data:image/webp;base64,{line.thumbnail}",
         "volumes": [
             {
@@ -184,7 +188,7 @@ def _columns(lines: Sequence[BatchLine]) -> dict[str, list[str | float | None]]:
                 "report": line.page or None,
             }
             for name, cell in cells.items():
-                columns.setdefault(name, []).append(cell)
+                columns.setdefault(name, []).append(as_utf_8(cell) if isinstance(cell, str) else cell)
     return columns
 
 
