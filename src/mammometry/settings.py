@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, fields, is_dataclass
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, TypeVar, get_type_hints
 
 from mammometry.base.errors import MammometryError, SettingsError
@@ -22,6 +23,37 @@ from mammometry.measure.wall.registry import check_wall
 from mammometry.surface.settings import SurfaceSettings
 
 _S = TypeVar("_S")
+
+RANGES: Mapping[str, tuple[float, float]] = MappingProxyType(
+    {
+        "calibration.bundle.target_prior_mm": (0.001, 10.0),  # a print is no better, a board that bows more is no board
+        "calibration.quality.focal_std_refuse": (0.0, 0.1),  # relative; 0 refuses all
+        "calibration.check.refuse_mm": (0.001, 10.0),  # 10 mm: the interval of a volume would be as large as it
+        "matching.window_px": (3.0, 51.0),  # σ 0.9 to 15 px: less is one pixel, more flattens a breast at every scale
+        "surface.triangulate.spacing_mm": (0.0, 5.0),  # 0: each pixel; wider ones lose a fold
+        "surface.stillness.most_mm": (0.0, 30.0),  # more is another posture
+        "surface.stillness.most_unexplained_mm": (0.0, 10.0),  # more: the views show other bodies
+        "surface.decompose.epsilon_mm": (0.01, 10.0),  # the noise of ranges is some 0.1 mm, a fold is 10 mm deep
+        "surface.dents.angle_deg": (0.0, 90.0),  # skin seen at more faces away
+        "surface.dents.neighbourhood_mm": (0.1, 20.0),  # fewer hold no points, more round a breast off
+        "surface.extract.cube_mm": (0.1, 5.0),  # finer ones fill the memory, coarser ones lose a nipple; 0 chooses
+        "surface.repair.rho": (0.001, 1000.0),  # the paper's is 1; beyond, one of two energies no longer counts
+        "surface.repair.rounds": (0, 20),  # displacements stop shrinking after 2 to 6
+        "surface.repair.taper_mm": (0.0, 30.0),  # a matching window on the skin is some 5 mm wide
+        "surface.repair.fade_mm": (0.0, 30.0),  # as the taper
+        "measure.base_rim.rim_radius_mm": (0.0, 20.0),  # casts are 3 to 20 mm thick
+        "measure.base_rim.minimum_sectors": (1, 72),  # of 72
+        "measure.nipple.least_probability": (0.0, 1.0),
+        "measure.layer.*": (0.0, 100.0),  # real women have 24 ± 8 mm where it is thickest
+        "measure.surface_sigma_mm": (0.0, 5.0),  # a surface less certain than 5 mm is no measurement of a volume
+        "measure.observers.*": (0.0, 50.0),  # persons differ by 2 to 4 mm; 50 mm is half a breast
+        "compare.doubt_mm": (0.001, 50.0),  # of trunks; two bodies differ by 2 to 10 mm
+        "compare.refuse_mm": (0.001, 50.0),
+        "limits.megapixels": (0.0001, 1000.0),  # OpenCV reads no more
+    }
+)
+"""Dotted name of each number, ``*`` for all of a group → least and largest usable value. Others are refused."""
+_CHOSEN = {"surface.extract.cube_mm": 0.0}  # values beside the range that leave the choice to the program
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -217,10 +249,7 @@ def _replaced(settings: _S, table: Mapping[str, Any], prefix: tuple[str, ...]) -
                 ),
                 remedy=f"The default is {known[key]!r}",
             ) from None
-        if _is_negative(changed[key]) and not _is_negative(known[key]):
-            raise SettingsError(
-                dotted, found=shown(value), expected="0 or more", remedy=f"The default is {known[key]!r}"
-            )
+        _require_usable(dotted, value, changed[key], known[key])
     try:
         return type(settings)(**{**known, **changed})
     except MammometryError:
@@ -255,12 +284,28 @@ def _accept_former(value: object, path: tuple[str, ...]) -> None:
         )
 
 
-def _is_negative(value: object) -> bool:
-    """Whether a value is a number below zero.
+def range_of(dotted: str) -> tuple[float, float] | None:
+    """Least and largest usable value of a setting. None where it is no number."""
+    return RANGES.get(dotted) or RANGES.get(f"{dotted.rpartition('.')[0]}.*")
 
-    Lengths, shares and counts are never negative, and no default of theirs is.
+
+def _require_usable(dotted: str, given: object, value: object, default: object) -> None:
+    """Refuse a number outside its range, also one of several.
+
+    Raises:
+        SettingsError: says the range.
     """
-    return isinstance(value, (int, float)) and not value >= 0
+    usable = range_of(dotted)
+    numbers = [number for number in (value if isinstance(value, tuple) else (value,)) if not isinstance(number, str)]
+    if usable is None or value == _CHOSEN.get(dotted) or all(usable[0] <= number <= usable[1] for number in numbers):
+        return
+    chosen = f", or {_CHOSEN[dotted]:g} to leave it to mammometry" if dotted in _CHOSEN else ""
+    raise SettingsError(
+        dotted,
+        found=shown(given),
+        expected=f"{usable[0]:g} to {usable[1]:g}{chosen}",
+        remedy=f"The default is {default!r}",
+    )
 
 
 def _unknown(dotted: str) -> SettingsError:

@@ -13,7 +13,7 @@ from mammometry.base.errors import CalibrationError, MammometryError, MatchingEr
 from mammometry.cli import main
 from mammometry.settings import Settings
 
-ALL_AROUND = "measure.base_rim.minimum_sectors=73"  # of 72: no rim is seen so well
+ALL_AROUND = "measure.base_rim.minimum_sectors=72"  # of 72: no rim is seen so well
 
 
 @pytest.mark.slow

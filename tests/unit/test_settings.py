@@ -13,7 +13,16 @@ from pathlib import Path
 import pytest
 
 from mammometry.base.errors import SettingsError
-from mammometry.settings import Settings, as_table, former_settings, key_table, names, paper_method
+from mammometry.settings import (
+    RANGES,
+    Settings,
+    as_table,
+    former_settings,
+    key_table,
+    names,
+    paper_method,
+    range_of,
+)
 
 
 def test_toml_round_trip() -> None:
@@ -65,11 +74,14 @@ def test_later_assignments_win_and_the_rest_stays() -> None:
         ("surface.repair.rho.x=3", r"surface\.repair\.rho: found a group"),
         ("matching.window_px", "no assignment"),
         ("=3", "no assignment"),
-        ("calibration.check.refuse_mm=-1", r"calibration\.check\.refuse_mm: found -1, expected 0 or more"),
-        ("calibration.check.refuse_mm=0", r"calibration\.check\.refuse_mm: found refuse_mm = 0\.0"),
-        ("matching.window_px=-3", r"matching\.window_px: found -3, expected 0 or more"),
-        ("matching.window_px=nan", r"matching\.window_px: found nan, expected 0 or more"),
-        ("matching.window_px=0", r"window_px must be positive"),
+        ("calibration.check.refuse_mm=-1", r"calibration\.check\.refuse_mm: found -1, expected 0.001 to 10"),
+        ("calibration.check.refuse_mm=0", r"calibration\.check\.refuse_mm: found 0, expected 0.001 to 10"),
+        ("matching.window_px=-3", r"matching\.window_px: found -3, expected 3 to 51"),
+        ("matching.window_px=nan", r"matching\.window_px: found nan, expected 3 to 51"),
+        ("matching.window_px=1000", r"matching\.window_px: found 1000, expected 3 to 51"),
+        ("surface.extract.cube_mm=100", r"cube_mm: found 100, expected 0\.1 to 5, or 0 to leave it"),
+        ("calibration.bundle.target_prior_mm=[1, 1, 40]", r"found \[1, 1, 40\], expected 0\.001 to 10"),
+        ("matching.window_px=0", r"found 0, expected 3 to 51"),
         ("surface.repair.reach_mm=5", r"reach_mm: found 5, expected 4\.0, since it is no setting any more\. Remove"),
         ("surface.texture=5", r"surface\.texture: found 5"),
         ("surface.texture.colour=5", r"surface\.texture\.colour: found an unknown setting"),
@@ -189,3 +201,23 @@ def test_the_papers_method_names_known_settings_each_with_its_section() -> None:
     assert (dents.rule, dents.angle_deg, dents.neighbourhood_mm) == ("patch", 60, 5)
     assert (mended.target, mended.fade_mm, mended.taper_mm) == ("closest", 0, 0)
     assert method.measure == Settings().measure, "the paper does not say how its wall is made"
+
+
+def test_every_number_has_a_range_that_holds_its_default() -> None:
+    """And every range belongs to a setting."""
+    table, used = as_table(Settings()), set[str]()
+    for name in names(Settings()):
+        value: object = table
+        for part in name.split("."):
+            value = value[part]  # type: ignore[index]
+        numbers = [one for one in (value if isinstance(value, tuple) else (value,)) if not isinstance(one, (bool, str))]
+        if not numbers:
+            continue
+        least, most = range_of(name) or pytest.fail(f"{name}: no range")
+        used |= {name, f"{name.rpartition('.')[0]}.*"}
+        assert all(least <= one <= most for one in numbers) or (name, value) == ("surface.extract.cube_mm", 0.0)
+        for one in (least, most):
+            text = f"[{one}, {one}, {one}]" if isinstance(value, tuple) else f"{one}"
+            with suppress(SettingsError):  # two limits of one group may contradict each other
+                assert Settings().overridden([f"{name}={text}"]) != Settings() or one == value
+    assert set(RANGES) <= used

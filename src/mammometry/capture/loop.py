@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,11 +11,13 @@ from types import TracebackType
 from typing import TYPE_CHECKING
 
 from mammometry.api.job import open_session
-from mammometry.base.errors import CalibrationError, CaptureError, SessionError
+from mammometry.base.errors import CalibrationError, CaptureError, MammometryError, SessionError
 from mammometry.base.machine.cores import available_cores
-from mammometry.calibration.detection.detect import Detection, detect_in
+from mammometry.base.shell import command_line
+from mammometry.calibration.detection.detect import SEARCH_WIDTH_PX, Detection, detect_in
 from mammometry.calibration.judge.camera_names import check_board_names
 from mammometry.calibration.targets.board import Board
+from mammometry.calibration.targets.kinds.points import PointsTarget
 from mammometry.calibration.targets.table import target_from_table
 from mammometry.capture.camera import BACKENDS, Backend, Holds
 from mammometry.capture.guide import Progress, Suggestion, opening, progress, suggest
@@ -36,6 +39,7 @@ from mammometry.job.stages import calibrate
 
 if TYPE_CHECKING:
     from mammometry.calibration.adjust.calibrated import Calibration
+    from mammometry.calibration.targets.target import Target
     from mammometry.settings import Settings
 
 _SEARCH_PX = 480  # width in which the board is sought to tell cameras apart: hundredths of a pixel do not matter
@@ -84,6 +88,7 @@ class OpenRig:
         backend: str | None = None,
         calibration: Path | None = None,
         own_calibration: bool = True,
+        needs_calibration: bool = True,
         settings: Settings | None = None,
     ) -> None:
         """Open the cameras.
@@ -93,10 +98,11 @@ class OpenRig:
             backend: another than the file's.
             calibration: session of the rig's calibration.
             own_calibration: without one, take that which the file names, if it does.
+            needs_calibration: whether it must be there. False where it is only now being made.
             settings: with which it is calibrated; None: the recommended ones.
 
         Raises:
-            SessionError: the rig's file is not as documented.
+            SessionError: the rig's file is not as documented, or the calibration that it names is not there.
             SettingsError: there is no such back-end, or it is not installed.
             CaptureError: cameras do not answer, or another rig holds them.
             CalibrationError: the calibration that the file names failed.
@@ -110,7 +116,7 @@ class OpenRig:
         if calibration is None and own_calibration and entry.calibration is not None:
             self.calibration = rig_file.parent / entry.calibration
         if self.calibration is not None:
-            self.rig = open_session(self.calibration, settings).calibrate().rig
+            self.rig = _rig_of(self.calibration, rig_file, settings) if needs_calibration else _known(self.calibration)
             self.skew = read_skew(self.calibration)
         self._holds = Holds(self.file.rig.name, backend or entry.backend, entry.cameras)
         try:
@@ -188,10 +194,14 @@ class OpenRig:
             session: of the calibration; made if there is none.
 
         Raises:
-            CaptureError: a camera gave no picture: all must, or the poses of the rig would not hang together. Or two
-                cables are exchanged.
+            CaptureError: a camera gave no picture: all must, or the poses of the rig would not hang together. No camera
+                saw the board, or two cables are exchanged. The pictures are then not kept.
+            SessionError: the rig's file has no target.
             StorageError: the disk is full or refuses.
         """
+        if self.file.target is None:
+            remedy = "Describe the calibration board, as docs/how-to/capture.md shows"
+            raise SessionError("the rig's file", found="no [target]", expected="the board to be held", remedy=remedy)
         prepare(session, self.file, None)
         shot = Shot(session, suffix=self.file.capture.format)
         try:
@@ -200,28 +210,39 @@ class OpenRig:
             )  # fmt: skip
             if taken.faults:
                 raise next(iter(taken.faults.values()))
-            self._require_named(session, taken)
+            self._require_named(session, self._seen_on(taken, target_from_table(self.file.target)))
         except BaseException:
             shot.drop()
             raise
         return self.guidance(session, pose=add_pose(session, shot.finish({"format": 1, "pose": True})))
 
-    def _require_named(self, session: Path, taken: Firing) -> None:
+    def _seen_on(self, taken: Firing, target: Target) -> dict[str, Detection]:
+        """Camera → the board in its picture. Refuse pictures of which none shows it.
+
+        The dots of a `PointsTarget` look alike and may be measured elsewhere: its pictures may show none to us.
+        """
+
+        def seen(width_px: int) -> dict[str, Detection]:
+            def detected(camera: str) -> Detection | None:
+                photograph = read_photograph(taken.frames[camera].path, camera)
+                return detect_in(photograph, target, camera=camera, pose="", search_width_px=width_px)
+
+            with ThreadPoolExecutor(available_cores()) as pool:
+                points = dict(zip(taken.frames, pool.map(detected, taken.frames), strict=True))
+            return {name: detection for name, detection in points.items() if detection is not None}
+
+        found = seen(_SEARCH_PX) or seen(SEARCH_WIDTH_PX)
+        if not found and not isinstance(target, PointsTarget):
+            raise CaptureError(
+                "the pose", found="no picture with the board: no camera saw it", expected="the board of [target]",
+                remedy="Hold it where the cameras look, in the light, and fire again; these pictures are not kept",
+            )  # fmt: skip
+        return found
+
+    def _require_named(self, session: Path, found: Mapping[str, Detection]) -> None:
         """Refuse a pose whose pictures show that two cables are exchanged."""
         known = self._calibrated_so_far(session) or self.rig
-        if known is None or self.file.target is None:
-            return
-        target = target_from_table(self.file.target)
-
-        def detected(camera: str) -> Detection | None:
-            photograph = read_photograph(taken.frames[camera].path, camera)
-            return detect_in(photograph, target, camera=camera, pose="", search_width_px=_SEARCH_PX)
-
-        with ThreadPoolExecutor(available_cores()) as pool:
-            points = dict(zip(taken.frames, pool.map(detected, taken.frames), strict=True))
-        swapped = check_board_names(
-            known, {name: detection for name, detection in points.items() if detection is not None}
-        )
+        swapped = None if known is None else check_board_names(known, found)
         if swapped is not None:
             raise CaptureError(
                 " and ".join(swapped), found="exchanged: by the board, each shows the other's view",
@@ -357,6 +378,33 @@ def record_of(taken: Firing, verdict: Verdict, backend: str) -> dict[str, object
         "faults": {name: str(error) for name, error in taken.faults.items()},
         "verdict": verdict.as_table(),
     }
+
+
+def _rig_of(calibration: Path, rig_file: Path, settings: Settings | None) -> Rig:
+    """Cameras by the calibration that a rig's file names.
+
+    Raises:
+        SessionError: it is not there. The sentence says how it is made.
+        CalibrationError: it failed.
+    """
+    if not calibration.exists():
+        made = command_line("mammometry", "capture", calibration, "--rig", rig_file, "--pose")
+        raise SessionError(
+            f"{rig_file}: capture.calibration",
+            found=f"no folder {calibration}",
+            expected="the session of the rig's calibration",
+            remedy=f"Calibrate the rig first, pose by pose: {made}",
+        )
+    return open_session(calibration, settings).calibrate().rig
+
+
+def _known(calibration: Path) -> Rig | None:
+    """Cameras by an earlier calibration. None where there is none yet."""
+    try:
+        made = _calibration_of(calibration)
+    except MammometryError:
+        return None
+    return None if made is None else made.rig
 
 
 def _calibration_of(session: Path) -> Calibration | None:

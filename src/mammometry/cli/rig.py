@@ -241,8 +241,9 @@ def capture(
 ) -> Answer:
     """Fire all cameras, and judge the pictures at once.
 
-    The pictures become SESSION/capture if nothing speaks against it. All firings are kept in SESSION/shots. The exit
-    code is 12 if a camera failed or the pictures are refused.
+    The pictures become SESSION/capture if nothing speaks against it. All firings are kept in SESSION/shots. A --pose
+    needs no calibration: it is one. The exit code is 12 if a camera failed, the pictures are refused, or no camera saw
+    the board.
     """
     from mammometry.capture.loop import OpenRig
 
@@ -272,7 +273,11 @@ def capture(
 def _pose(session: Path, rig: Path, backend: str | None, silent: bool) -> Answer:
     from mammometry.capture.loop import OpenRig
 
-    with Bars(silent) as bars, bars.task("open", "cameras"), OpenRig(rig, backend=backend) as rigged:
+    with (
+        Bars(silent) as bars,
+        bars.task("open", "cameras"),
+        OpenRig(rig, backend=backend, needs_calibration=False) as rigged,
+    ):
         posed = rigged.fire_pose(session)
     lines: list[Any] = [f"Pose {posed.pose} is taken, {posed.count} in all."]
     table: dict[str, Any] = {"session": str(session), "pose": posed.pose, "poses": posed.count, "next": posed.sentence}
@@ -304,7 +309,10 @@ def _on_a_page(
         if browser:
             webbrowser.open(local_page)
 
-    with OpenRig(rig, backend=backend) as rigged, suppress(KeyboardInterrupt):  # the way to stop it
+    with (
+        OpenRig(rig, backend=backend, needs_calibration=not posing) as rigged,
+        suppress(KeyboardInterrupt),
+    ):  # the way to stop it
         serve(rigged, Goal(session=session, subject_id=subject_id, posing=posing), ready=ready)
     made = session / ("calibration" if posing else "capture")
     taken = made.is_dir() and any(made.iterdir())
@@ -330,7 +338,11 @@ def skew(
     """
     from mammometry.capture.loop import OpenRig
 
-    with Bars(options.silent) as bars, bars.task("open", "cameras"), OpenRig(rig, backend=backend) as rigged:
+    with (
+        Bars(options.silent) as bars,
+        bars.task("open", "cameras"),
+        OpenRig(rig, backend=backend, needs_calibration=False) as rigged,
+    ):
         measured = rigged.measure_skew(session, firings=firings)
         limit_ms = rigged.file.capture.skew_limit_ms
     good = measured.spread_ms <= limit_ms
