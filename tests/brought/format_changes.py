@@ -272,6 +272,11 @@ def solid_binary(data: bytes, rng: Random) -> bytes:
     return b"solid made by a scanner".ljust(80) + data[80:] if data[:5] != b"solid" else data
 
 
+def counted(data: bytes, count: int) -> bytes:
+    """A binary STL whose count says something else."""
+    return data if data[:5] == b"solid" else data[:80] + struct.pack("<I", count) + data[84:]
+
+
 # --- photographs ---
 
 
@@ -422,6 +427,15 @@ CHANGES = (
     _change("PLY with quality", _PLY_AND_OBJ, as_ply(beside="q")),
     _change("PLY with faces first", _PLY_AND_OBJ, as_ply(faces_first=True), "face|order|element"),
     _change("PLY with another list", _PLY_AND_OBJ, as_ply(count="int", key="vertex_index")),
+    _change("PLY with a comment on its end", "ply", on_bytes(
+        lambda data, rng: data.replace(b" 1.0\n", b" 1.0\ncomment before the end_header comes\n", 1))),
+    _change("comments behind numbers", "obj", on_text(
+        lambda text, rng: re.sub(r"^((?:v|f) .*)$", r"\1 # no. 7", text, flags=re.MULTILINE))),
+    _change("a count of 0", "stl", on_bytes(lambda data, rng: counted(data, 0))),
+    _change("a count of another mesh", "stl", on_bytes(lambda data, rng: counted(data, 7))),
+    _change("a count that is far too large", "stl", on_bytes(lambda data, rng: counted(data, 2**32 - 1))),
+    _change("in inches, as it says", "obj", scaled(1 / 25.4, "Inches")),
+    _change("in feet, as it says", "obj", scaled(1 / 304.8, "ft")),
     _change("OBJ in another order", _PLY_AND_OBJ, as_obj("{0}")),
     _change("OBJ with texture's and normals' numbers", "obj", as_obj("{0}/1/1")),
     _change("OBJ with normals alone", "obj", as_obj("{0}//1")),

@@ -35,6 +35,9 @@ _FEW_FINS = 0.01  # share of the faces that may be left out because three or mor
 _RING_MM = 12.0  # skin around a hole that shows how it curves; by eye: 15 moved a scan by .1 %
 _RING_POINTS = 300  # of that skin; chosen for speed
 _SMOOTHING = 30.0  # of the thin plate, mm²; follows a tip, and not a millimetre of noise; by eye: 38 moved no volume
+_FEWEST_FACES = (
+    50  # of a scan: a dome with fewer has edges of a third of its radius, and its volume is a fifth too small
+)
 _FEWEST = 10  # points that show how skin curves
 _SAID_MM2 = 5.0  # invented skin below this is not worth a note
 _NO_AREA_MM2 = 1e-6  # a hole of less is a seam
@@ -63,11 +66,14 @@ def repair_scan(mesh: TriangleMesh, *, largest: bool = False) -> RepairedScan:
         largest: whether to take the largest piece alone, however large the others are.
 
     Raises:
-        MeasureError: it has no triangles, or two pieces of which either may be the body.
+        MeasureError: it has hardly any triangles, or two pieces of which either may be the body.
     """
-    if not len(mesh.faces):
+    if len(mesh.faces) < _FEWEST_FACES:
         raise MeasureError(
-            "mesh", found="no triangles", expected="a triangulated surface", remedy="Export it with its faces"
+            "mesh",
+            found=f"{len(mesh.faces) or 'no'} triangle{'s' if len(mesh.faces) != 1 else ''}",
+            expected=f"the surface of a body or a cast, {_FEWEST_FACES} at least",
+            remedy="Export the whole scan with its faces",
         )
     notes: list[str] = []
     mesh = _without_doubles(mesh)
