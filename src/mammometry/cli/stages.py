@@ -241,6 +241,7 @@ def report(
 
 def volume_lines(results: Results) -> list[Any]:
     """Volumes in words, and where the report is."""
+    from mammometry.io.meshes.scans import SIDES_DOUBTFUL
     from mammometry.report.words.volumes import MEANINGS, definition_words, measured_words
 
     lines: list[Any] = []
@@ -255,7 +256,7 @@ def volume_lines(results: Results) -> list[Any]:
         lines.append(
             f"    {name} lacks {measured_words(deficit.volume_cc, deficit.interval_cc)} to the other side, mirrored"
         )
-    lines += [f"note: {note}" for note in results.notes]
+    lines += [f"{'Warning' if note == SIDES_DOUBTFUL else 'note'}: {note}" for note in results.notes]
     if not lines:
         lines.append("The session shows an open surface, which has no volume.")
     made = f"{len(results.made)} results made in {results.seconds:.1f} s"
