@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -14,7 +14,7 @@ import numpy as np
 
 from mammometry.api.job import open_session
 from mammometry.base.csv_cells import csv_text
-from mammometry.base.errors import SessionError
+from mammometry.base.errors import CalibrationError, MammometryError, MeasureError, SessionError
 from mammometry.base.progress import MapTasks, Progress, StageProgress, map_in_sequence, no_progress, part
 from mammometry.io.outputs import require_apart, require_free, write_outputs
 from mammometry.io.results.stamp import stamped
@@ -24,7 +24,7 @@ from mammometry.job.stages import calibrate, match, measure, surface
 from mammometry.settings import Settings
 from mammometry.simulate.recipe import SessionRecipe
 from mammometry.simulate.session import write_session
-from mammometry.study.agreement import PairedMeasurements
+from mammometry.study.agreement import LEAST_SUBJECTS, PairedMeasurements
 from mammometry.study.evaluation import Evaluation, SessionResults, evaluate
 from mammometry.study.evaluation_tables import evaluation_tables
 
@@ -132,9 +132,12 @@ class PhantomResult:
 
     name: str
     true_cc: float
-    measured_cc: float
+    measured_cc: float | None
+    """None: it was refused."""
     interval_cc: tuple[float, float] | None
     """95 %."""
+    failed: str = ""
+    """Why it was refused, one sentence."""
 
     @property
     def holds(self) -> bool | None:
@@ -153,6 +156,8 @@ def measure_phantoms(
 ) -> tuple[PhantomResult, ...]:
     """Simulate, calibrate and measure each model. What is there already is not made again.
 
+    A refused model does not end the study. A refused calibration does: all models have the same.
+
     Args:
         out: folder of the study, with one session a model.
         scale: of the reference rig's 4504 × 3000 pixels.
@@ -163,7 +168,8 @@ def measure_phantoms(
 
     Raises:
         SessionError: the folder holds a study with another scale or seed, or something else.
-        MammometryError: whatever stands in a measurement's way.
+        CalibrationError: the photographs of the target do not calibrate the rig.
+        MammometryError: a process cannot be started, or ended.
     """
     _take(out, {"scale": scale, "seed": seed})
     text = (settings or Settings()).to_toml()
@@ -174,12 +180,17 @@ def measure_phantoms(
     results: dict[str, Any] = {}
     for some in (models[:1], models[1:]):
         results |= map_tasks(measure_model, {model: arguments[model] for model in some})
+        for refused in (results[model].get("uncalibrated") for model in some):
+            if refused is not None:
+                remedy = "Choose a larger --scale, or another --seed"
+                raise CalibrationError(f"{out}: {refused['subject']}", **{**refused["parts"], "remedy": remedy})
     return tuple(
         PhantomResult(
             name=model,
             true_cc=results[model]["true_cc"],
-            measured_cc=results[model]["measured_cc"],
-            interval_cc=None if results[model]["interval_cc"] is None else tuple(results[model]["interval_cc"]),
+            measured_cc=results[model].get("measured_cc"),
+            interval_cc=tuple(interval) if (interval := results[model].get("interval_cc")) is not None else None,
+            failed=results[model].get("failed", ""),
         )
         for model in models
     )
@@ -198,39 +209,58 @@ def measure_model(
         first: session whose calibration is taken over if its photographs of the target are the same.
 
     Returns:
-        ``true_cc``, ``measured_cc`` and ``interval_cc``.
+        ``true_cc``, and ``measured_cc`` and ``interval_cc``, or ``failed`` with the sentence of the refusal, or
+        ``uncalibrated`` with its parts.
 
     Raises:
-        MammometryError: whatever stands in the way.
+        MammometryError: the session cannot be made.
     """
     if not (session / "session.toml").is_file():
         write_session(session, recipe, progress=lambda fraction: progress("simulate", fraction))
     _share_calibration(first, session)
     progress("measure", 0.0)
-    measured = open_session(session, Settings.from_toml(settings)).run(report=False).measurements["model"]
-    return {
-        "true_cc": read_volumes(session / "truth")["model"],
-        "measured_cc": measured.volume_cc,
-        "interval_cc": measured.interval_cc,
-    }
+    true_cc = read_volumes(session / "truth")["model"]
+    try:
+        measured = open_session(session, Settings.from_toml(settings)).run(report=False).measurements["model"]
+    except CalibrationError as error:
+        parts = {"found": error.found, "expected": error.expected}
+        return {"true_cc": true_cc, "uncalibrated": {"subject": error.subject, "parts": parts}}
+    except MammometryError as error:
+        return {"true_cc": true_cc, "failed": str(error)}
+    return {"true_cc": true_cc, "measured_cc": measured.volume_cc, "interval_cc": measured.interval_cc}
 
 
-def paired(results: tuple[PhantomResult, ...]) -> PairedMeasurements:
-    """The results as a table of an agreement study. The reference is the exact volume, cc."""
+def paired(results: Sequence[PhantomResult]) -> PairedMeasurements:
+    """The measured results as a table of an agreement study. The reference is the exact volume, cc.
+
+    Raises:
+        MeasureError: fewer than three were measured.
+    """
+    refused = [result for result in results if result.measured_cc is None]
+    results = [result for result in results if result.measured_cc is not None]
+    if len(results) < LEAST_SUBJECTS:
+        raise MeasureError(
+            refused[0].name if refused else "the study",
+            found=f"{len(results)} measured models, since {refused[0].failed.rstrip('.')}" if refused else "no models",
+            expected=f"{LEAST_SUBJECTS} or more",
+            remedy="Choose a larger --scale, or another --seed",
+        )
     return PairedMeasurements(
         names=tuple(result.name for result in results),
         reference=np.array([result.true_cc for result in results]),
-        measured=np.array([result.measured_cc for result in results]),
+        measured=np.array([result.measured_cc for result in results], dtype=np.float64),
         reference_name="exact volume",
         measured_name="photographs",
         unit="cc",
     )
 
 
-def as_csv(results: list[PhantomResult] | tuple[PhantomResult, ...]) -> str:
-    """A table that `mammometry study agreement` reads."""
+def as_csv(results: Sequence[PhantomResult]) -> str:
+    """A table of the measured results that `mammometry study agreement` reads."""
     rows = []
     for result in results:
+        if result.measured_cc is None:
+            continue
         low, high = ("", "") if result.interval_cc is None else (f"{bound:.4f}" for bound in result.interval_cc)
         rows.append((result.name, f"{result.true_cc:.4f}", f"{result.measured_cc:.4f}", low, high))
     return csv_text(("model", "reference_cc", "measured_cc", "low_cc", "high_cc"), rows)

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 app = typer.Typer()
 SOME_FAILED = 11
-"""Exit code: the batch went through, and at least one session failed."""
+"""Exit code: the batch or study went through, and at least one session of it failed."""
 INTERRUPTED = 130
 """Exit code: stopped by Ctrl-C, 128 + SIGINT as shells say it."""
 _OUT = Path("batch")

@@ -32,7 +32,7 @@ app = typer.Typer(
     help="Measure breast volume, shape and symmetry from stereo photographs. Not a medical device.",
     epilog="Start with `mammometry demo`, then `mammometry new SESSION`. Exit codes: 0 success, 2 usage, "
     "3 session, settings or table, 4 photograph, 5 calibration, 6 matching, 7 surface, 8 measurement, 9 storage, "
-    "10 a camera moved (check), 11 a session of a batch failed, "
+    "10 a camera moved (check), 11 a session of a batch or a model of a study failed, "
     "12 a camera failed or the pictures are refused (capture), 13 the machine or the clinic is unwell (doctor), "
     "130 interrupted.",
     no_args_is_help=True,

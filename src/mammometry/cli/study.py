@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from mammometry.cli.batch import SOME_FAILED
 from mammometry.cli.common import Answer, Bars, Options, OutputOptions, SessionFolder, command
 
 if TYPE_CHECKING:
@@ -265,7 +266,7 @@ def phantoms(
 ) -> Answer:
     """Measure nine virtual plaster models and compare with their exact volumes.
 
-    An interrupted study continues where it stopped.
+    An interrupted study continues where it stopped. A refused model is listed, and the exit code is then 11.
     """
     from mammometry.api.truth import MODELS, as_csv, measure_phantoms, paired
     from mammometry.io.outputs import require_apart, require_free, write_outputs
@@ -280,15 +281,21 @@ def phantoms(
     data = paired(results)
     figures = agree(data)
     intervals = interval_table(results)
+    failed = {result.name: result.failed for result in results if result.failed}
     remark = (
         "These are virtual models, photographed by our own renderer. A real rig is harder: boards bend, cameras move, "
         "and there is stray light. The sessions give the rim radius of the models as 0 mm. The paper measured nine "
         "plaster models: 11.12 ± 23.23 cc, slope 0.078."
     )
-    written = agreement_files("Nine virtual plaster models", data, figures, more=(intervals,), remarks=(remark,))
+    refusals = [f"{name} was not measured: {sentence}" for name, sentence in failed.items()]
+    written = agreement_files(
+        "Nine virtual plaster models", data, figures, more=(intervals,), remarks=(*refusals, remark)
+    )
     written |= {"table.csv": as_csv(results).encode()}
     write_outputs(out / "report", written, command="study phantoms")
-    return _answer(out / "report", data, figures, (), intervals)
+    answer = _answer(out / "report", data, figures, (), intervals)
+    code = SOME_FAILED if failed else 0
+    return Answer({**answer.table, "failed": failed}, [*answer.lines, *refusals], exit_code=code)
 
 
 @contextmanager
@@ -326,7 +333,7 @@ def interval_table(results: Sequence[PhantomResult]) -> Table:
                 result.name,
                 number(result.true_cc, ".1f"),
                 "–" if result.interval_cc is None else " … ".join(number(bound, ".1f") for bound in result.interval_cc),
-                {True: "yes", False: "no", None: "–"}[result.holds],
+                "not measured" if result.failed else {True: "yes", False: "no", None: "–"}[result.holds],
             )
             for result in results
         ),

@@ -18,6 +18,7 @@ from mammometry.geometry.arrays import Array, Float64
 _OTHER = {",": ".", ".": ","}
 _GROUPED = {mark: re.compile(rf"[+-]?[1-9][0-9]{{0,2}}(?:[{mark}][0-9]{{3}})+", re.ASCII) for mark in _OTHER}
 """By what separates thousands."""
+_GROUP = 3  # digits between two marks of thousands
 _WHOLE = re.compile(r"[+-]?[0-9]+", re.ASCII)
 
 
@@ -57,10 +58,13 @@ def decimal_mark(columns: Iterable[Sequence[str]], *, separator: str = ";", alik
     Args:
         columns: cells of each column.
         separator: between the cells.
-        alike: whether all columns hold the same quantity. A whole number in one then counts for the others.
+        alike: whether all columns hold the same quantity by different methods. A whole number in one then counts for
+            the others; three decimals are believed only beside hundreds, such as ``412.125``: nobody measures 412,125;
+            and a column with whole numbers must show its decimal mark itself.
     """
     marks: list[str] = []
-    doubtful: list[tuple[int, str]] = []
+    shown_in: set[int] = set()
+    doubtful: list[tuple[int, str, str]] = []
     whole: set[int] = set()
     groups = False
     for place, cells in enumerate(columns):
@@ -71,18 +75,21 @@ def decimal_mark(columns: Iterable[Sequence[str]], *, separator: str = ";", alik
                     whole.add(place)
             elif len(letters) == 1:
                 if _GROUPED[letters[0]].fullmatch(cell):
-                    doubtful.append((place, letters[0]))
+                    doubtful.append((place, letters[0], cell))
                 else:
                     marks.append(letters[0])
+                    shown_in.add(place)
             else:
                 groups = True
+                shown_in.add(place)
                 several = cell.count(letters[-1]) > 1  # 1.860.000, else 1.860,5
                 marks.append(_OTHER[letters[-1]] if several else letters[-1])
     if marks:
-        return DecimalMark(mark=marks[0], groups=groups)
-    ambiguous = {
-        place for place, mark in doubtful if mark == "," or separator != "," or (whole if alike else place in whole)
-    }
+        unclear = {place for place, *_ in doubtful if place in whole - shown_in} if alike else set()
+        return DecimalMark(mark=marks[0], groups=groups, ambiguous=frozenset(unclear))
+    hundreds = {place for place, _, cell in doubtful if len(re.split(r"[.,]", cell.lstrip("+-"))[0]) == _GROUP}
+    written = {place for place, *_ in doubtful if place not in whole and (not alike or (hundreds and not whole))}
+    ambiguous = {place for place, mark, _ in doubtful if mark == "," or separator != "," or place not in written}
     return DecimalMark(mark=doubtful[0][1] if doubtful else ".", ambiguous=frozenset(ambiguous))
 
 

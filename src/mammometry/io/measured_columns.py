@@ -31,16 +31,16 @@ _UNITS = {
     "mm": _Unit(kind=_LENGTH, factor=1.0, shown="mm"),
     "cm": _Unit(kind=_LENGTH, factor=10.0, shown="cm"),
     "m": _Unit(kind=_LENGTH, factor=1000.0, shown="m", most=3.0),
-    "in": _Unit(kind=_LENGTH, factor=25.4, shown="in", most=120.0),
+    "in": _Unit(kind=_LENGTH, factor=25.4, shown="in"),
     "mm2": _Unit(kind=_AREA, factor=0.01, shown="mm2"),
     "cm2": _Unit(kind=_AREA, factor=1.0, shown="cm2"),
     "mm3": _Unit(kind=_VOLUME, factor=0.001, shown="mm3"),
     "cc": _Unit(kind=_VOLUME, factor=1.0, shown="cc"),
     "ml": _Unit(kind=_VOLUME, factor=1.0, shown="ml"),
-    "dl": _Unit(kind=_VOLUME, factor=100.0, shown="dl", most=200.0),
+    "dl": _Unit(kind=_VOLUME, factor=100.0, shown="dl"),
     "l": _Unit(kind=_VOLUME, factor=1000.0, shown="l", most=20.0),
     "g": _Unit(kind=_MASS, factor=1.0, shown="g"),
-    "kg": _Unit(kind=_MASS, factor=1000.0, shown="kg", most=200.0),
+    "kg": _Unit(kind=_MASS, factor=1000.0, shown="kg"),
 }
 _OTHER_WORDS = {"cm3": "cc", "ccm": "cc", "inch": "in", "inches": "in", "sqcm": "cm2", "gram": "g", "grams": "g",
                 "litre": "l", "liter": "l", "litres": "l", "liters": "l"}  # fmt: skip
@@ -59,6 +59,12 @@ class MeasuredColumn:
     """As reports write it. Empty: the name states none that is known."""
 
 
+def same_unit(reference: str, measured: str) -> bool:
+    """Whether the names of two columns end with one unit, or one of them with none."""
+    units = [_unit_of(name)[1] for name in (reference, measured)]
+    return units[0] is units[1] or None in units
+
+
 def measured_column(name: str, values: Float64[Array, " n"]) -> MeasuredColumn:
     """Split a column's name into title and unit: ``water_cc``, ``tape (cm)``, ``3D [mL]``.
 
@@ -66,13 +72,19 @@ def measured_column(name: str, values: Float64[Array, " n"]) -> MeasuredColumn:
         name: of the column.
         values: its numbers. They tell litres from the left side, and metres from other words.
     """
-    match = _ENDING.fullmatch(name)
-    word = "" if match is None else (match["bare"] or match["bracket"]).casefold()
-    word = word.replace("²", "2").replace("³", "3").replace("^", "")
-    unit = _UNITS.get(_OTHER_WORDS.get(word, word))
-    if match is None or unit is None or float(np.abs(values).max(initial=0.0)) > unit.most:
+    title, unit = _unit_of(name)
+    if unit is None or float(np.median(np.abs(values))) > unit.most:
         return MeasuredColumn(name=name, title=name.replace("_", " "), unit="")
-    return MeasuredColumn(name=name, title=match["name"].replace("_", " "), unit=unit.shown)
+    return MeasuredColumn(name=name, title=title.replace("_", " "), unit=unit.shown)
+
+
+def _unit_of(name: str) -> tuple[str, _Unit | None]:
+    """Title and unit that a column's name states."""
+    match = _ENDING.fullmatch(name)
+    if match is None:
+        return name, None
+    word = (match["bare"] or match["bracket"]).casefold().replace("²", "2").replace("³", "3").replace("^", "")
+    return match["name"], _UNITS.get(_OTHER_WORDS.get(word, word))
 
 
 def common_unit(table: Table, reference: MeasuredColumn, measured: MeasuredColumn) -> tuple[str, Float64[Array, " 2"]]:

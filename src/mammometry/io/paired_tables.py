@@ -12,7 +12,7 @@ from mammometry.base.errors import TableError
 from mammometry.base.parse import number, parsing, read_text, shown, toml_table
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.io.csv_tables import Table, both_readings, read_table
-from mammometry.io.measured_columns import MeasuredColumn, common_unit, measured_column
+from mammometry.io.measured_columns import MeasuredColumn, common_unit, measured_column, same_unit
 from mammometry.io.subject_columns import SubjectRows, subject_rows
 
 if TYPE_CHECKING:
@@ -45,12 +45,13 @@ def read_pairs(path: Path, *, reference: str, measured: str) -> PairedMeasuremen
     table = read_table(path, str(path), "a CSV table, one row a subject", refusal=TableError)
     if reference == measured:
         raise _refused(table, f"column {measured} twice", "two methods", "Give two columns: --reference and --measured")
-    pairs = table.numbers(reference, measured, alike=True)
-    _require_marks(table, (reference, measured), pairs)
-    who = subject_rows(table, (reference, measured), pairs)
+    pairs = table.numbers(reference, measured, alike=same_unit(reference, measured))
     columns = tuple(measured_column(name, pairs[:, place]) for place, name in enumerate((reference, measured)))
-    _require_values(table, columns, pairs)
     unit, factors = common_unit(table, *columns)
+    _require_marks(table, (reference, measured), pairs, factors)
+    who = subject_rows(table, (reference, measured), pairs)
+    _require_values(table, columns, pairs)
+    warnings = _codes(columns, pairs, who)
     pairs = pairs * factors
     count = len(set(who.subjects))
     if count < LEAST_SUBJECTS:
@@ -58,6 +59,7 @@ def read_pairs(path: Path, *, reference: str, measured: str) -> PairedMeasuremen
         found = f"{len(pairs)} rows of measurements" if count == len(pairs) else f"rows of {count} subjects"
         raise _refused(table, found, f"{LEAST_SUBJECTS} or more", remedy)
     _require_two_methods(table, columns, pairs)
+    _require_scale(table, columns, pairs)
     return PairedMeasurements(
         names=who.names,
         reference=pairs[:, 0].copy(),
@@ -66,26 +68,33 @@ def read_pairs(path: Path, *, reference: str, measured: str) -> PairedMeasuremen
         measured_name=columns[1].title,
         unit=unit,
         subjects=who.subjects if count < len(pairs) else (),
-        warnings=tuple(_warnings(columns, pairs, who)),
+        warnings=(*warnings, *_warnings(columns, pairs)),
     )
 
 
-def _require_marks(table: Table, names: tuple[str, str], pairs: Float64[Array, "n 2"]) -> None:
-    """Refuse ``1.422`` beside 1434: another cell said that the mark is decimal, and the other method says 1422."""
+def _require_marks(
+    table: Table, names: tuple[str, str], pairs: Float64[Array, "n 2"], factors: Float64[Array, " 2"]
+) -> None:
+    """Refuse ``1.422`` beside 1434: another cell says that the mark is decimal, and the other method says 1422."""
     for column, name in enumerate(names):
         for row, cell in enumerate(table.texts(name)):
-            other = abs(pairs[row, 1 - column])
+            other = abs(pairs[row, 1 - column]) * factors[1 - column] / factors[column]
             readings = both_readings(cell)
             if readings is None or not other:
                 continue
-            far = [abs(math.log(abs(float(reading)) / other)) for reading in readings]
-            if far[0] < math.log(_ALIKE) and far[1] > far[0]:
+            taken = _times(pairs[row, column], other)
+            if min(_times(float(reading), other) for reading in readings) < min(taken, _ALIKE):
                 raise TableError(
                     f"{table.name}, row {table.lines[row]}, column {name}",
-                    found=f"{shown(cell)}, which may mean {' or '.join(readings)}, beside {other:g}",
+                    found=f"{shown(cell)}, which may mean {' or '.join(readings)}, beside {pairs[row, 1 - column]:g}",
                     expected="numbers without marks between thousands",
-                    remedy="Write the number without the mark, or with another number of decimals",
+                    remedy="Write the number without the mark, or with one or two decimals",
                 )
+
+
+def _times(one: float, other: float) -> float:
+    """How many times the larger of two is the smaller, by their magnitudes."""
+    return math.exp(abs(math.log(abs(one) / abs(other))))
 
 
 def _require_values(table: Table, columns: tuple[MeasuredColumn, ...], pairs: Float64[Array, "n 2"]) -> None:
@@ -120,25 +129,48 @@ def _require_two_methods(table: Table, columns: tuple[MeasuredColumn, ...], pair
         raise _refused(table, found, "subjects that differ", "Check the columns")
 
 
-def _warnings(columns: tuple[MeasuredColumn, ...], pairs: Float64[Array, "n 2"], who: SubjectRows) -> list[str]:
+def _codes(columns: tuple[MeasuredColumn, ...], pairs: Float64[Array, "n 2"], who: SubjectRows) -> list[str]:
+    """Warnings of values that may stand for a missing one, as the table has them."""
+    found = []
+    for column, values in zip(columns, pairs.T, strict=True):
+        suspects = [row for row, value in enumerate(values) if value == 0 or _is_code(value)]
+        if suspects and len(suspects) < len(values):
+            value, name = values[suspects[0]], who.names[suspects[0]]
+            found.append(f"{column.name} is {value:g} for {name}: leave the row out if it stands for no value.")
+    return found
+
+
+def _warnings(columns: tuple[MeasuredColumn, ...], pairs: Float64[Array, "n 2"]) -> list[str]:
     found = []
     for place, column in enumerate(columns):
-        values = pairs[:, place]
-        if not np.ptp(values):
-            found.append(f"Every value of {column.name} is {values[0]:g}.")
-        suspects = [who.names[row] for row, value in enumerate(values) if value == 0 or _is_code(value)]
-        if suspects and len(suspects) < len(values):
-            value = values[who.names.index(suspects[0])]
-            found.append(f"{column.name} is {value:g} for {suspects[0]}: leave the row out if it stands for no value.")
+        if not np.ptp(pairs[:, place]):
+            found.append(f"Every value of {column.name} is {pairs[0, place]:g}.")
         if not column.unit and columns[1 - place].unit:
             found.append(f"Column {column.name} states no unit; {columns[1 - place].unit} was taken, as the other's.")
-    usable = (pairs > 0).all(axis=1)
-    ratio = float(np.median(pairs[usable, 1] / pairs[usable, 0])) if usable.any() else 1.0
+    ratio = _typical_ratio(pairs)
     if not 1 / _SCALES < ratio < _SCALES:
         found.append(
             f"{columns[1].name} is typically {ratio:.3g} times {columns[0].name}: check that both have the same unit."
         )
     return found
+
+
+def _typical_ratio(pairs: Float64[Array, "n 2"]) -> float:
+    usable = pairs[(pairs > 0).all(axis=1)]
+    return float(np.median(usable[:, 1] / usable[:, 0])) if len(usable) else 1.0
+
+
+def _require_scale(table: Table, columns: tuple[MeasuredColumn, ...], pairs: Float64[Array, "n 2"]) -> None:
+    """Refuse a column without a unit that does not have the other's."""
+    ratio = _typical_ratio(pairs)
+    unknown = [column for column in columns if not column.unit]
+    if len(unknown) == 1 and not 1 / _SCALES < ratio < _SCALES:
+        raise TableError(
+            f"{table.name}, column {unknown[0].name}",
+            found=f"no unit, and {columns[1].name} is typically {ratio:.3g} times {columns[0].name}",
+            expected="the unit at the end of the name, such as water_cc or water_l",
+            remedy="Rename the column",
+        )
 
 
 def _refused(table: Table, found: str, expected: str, remedy: str) -> TableError:

@@ -23,14 +23,17 @@ _SIDE_WORDS = {
 _SIDE_ENDING = re.compile(r"(?P<who>.+?)(?:[\s_,.;:/-]+\(?(?P<word>[^\W\d_]+)\)?|(?<=\d)(?P<letter>[lr]))")
 _SUMMARIES = frozenset(
     ("mean", "average", "avg", "median", "sd", "std", "stddev", "stdev", "standarddeviation", "sem", "variance",
-     "sum", "range", "cv", "mean±sd", "mean(sd)", "mittelwert", "durchschnitt", "mittel", "standardabweichung", "summe",
-     "gesamt", "moyenne", "médiane", "écart-type", "total", "media", "mediana", "desviación", "promedio", "suma")
+     "total", "sum", "range", "cv", "mean±sd", "mean(sd)", "mittelwert", "durchschnitt", "mittel", "standardabweichung",
+     "summe", "gesamt", "moyenne", "médiane", "écart-type", "media", "mediana", "desviación", "promedio", "suma",
+     "média", "gemiddelde", "medelvärde", "gennemsnit", "gjennomsnitt", "keskiarvo", "średnia", "průměr", "átlag",
+     "ortalama", "среднее", "平均", "平均値", "평균")
 )  # fmt: skip
-"""Names of rows that summarise the others, in English, German, French and Spanish."""
+"""Names of rows that summarise the others."""
 _FIRST_WORDS = frozenset(("mean", "average", "median", "sd", "mittelwert", "moyenne", "promedio"))
 """Those that no patient's name begins with."""
 _LEAST_ROWS = 3  # above a row, so that it is compared with their mean
-_ROUNDING = 1e-9  # of a mean in binary, as a share of 1
+_ROUNDING = 5e-6  # of numbers with six digits, as %g writes them, as a share
+_MOST_DECIMALS = 9  # of a printed number
 _TELLING = 20.0  # a value this many times its rounding is the mean by chance in less than 1 of 400 rows, both columns
 _LAST_ROWS = 6  # of a table: where summaries are. Mean, SD, median, least, largest and their count
 
@@ -65,7 +68,7 @@ def subject_rows(table: Table, measured: tuple[str, str], pairs: Float64[Array, 
     own = table.texts(column) if column else tuple(str(row + 1) for row in range(count))
     sides = table.texts(side) if side else ("",) * count
     for row in range(count):
-        _require_subject(table, row, own[row] if column else None, pairs)
+        _require_subject(table, row, own if column else None, pairs)
     subjects = _without_sides([folded(name) for name in own])
     _require_once(table, [(who, folded(part)) for who, part in zip(subjects, sides, strict=True)], pairs, bool(column))
     names = tuple(f"{name}, {part}" if part else name for name, part in zip(own, sides, strict=True))
@@ -97,27 +100,41 @@ def _without_sides(names: list[str]) -> list[str]:
     return [who if both else name for name, (who, _) in zip(names, parts, strict=True)]
 
 
-def _require_subject(table: Table, row: int, name: str | None, pairs: Float64[Array, "n 2"]) -> None:
+def _require_subject(table: Table, row: int, names: tuple[str, ...] | None, pairs: Float64[Array, "n 2"]) -> None:
+    """Refuse a row without a subject, and one that summarises the others, by its name or by its numbers.
+
+    A row named as the first one is, ``P-07`` as ``P-01``, is a subject whatever its numbers.
+    """
     where = f"{table.name}, row {table.lines[row]}"
-    if name == "":
-        raise TableError(
-            where, found="no subject", expected="a subject in every row", remedy="Name it, or remove the row"
-        )
-    words = folded(name or "").replace(".", "").replace(":", "").split()
+    name = "" if names is None else names[row]
+    if names is not None and not name:
+        remedy = "Name it, or remove the row"
+        raise TableError(where, found="no subject", expected="a subject in every row", remedy=remedy)
+    words = folded(name).replace(".", "").replace(":", "").split()
     listed = "".join(words) in _SUMMARIES or not _FIRST_WORDS.isdisjoint(words[:1])
     last = max(_LEAST_ROWS, len(pairs) - _LAST_ROWS) <= row
-    computed = last and _rounds_to(pairs[:row].mean(axis=0), pairs[row], table, row)
-    if listed or computed:
+    numbered = names is not None and any(map(str.isdigit, name)) and _shape(name) == _shape(names[0])
+    if listed or (last and not numbered and _rounds_to(pairs[:row].mean(axis=0), pairs[row])):
         found = f"{name!r}, a summary" if listed else "the mean of the rows above it"
         raise TableError(where, found=found, expected="a subject in every row", remedy="Remove rows of summaries")
 
 
-def _rounds_to(means: Float64[Array, " 2"], values: Float64[Array, " 2"], table: Table, row: int) -> bool:
-    """Whether both values are the means, as the row rounds. Small whole numbers are so by chance."""
-    parts = [re.split(r"[.,]", cell) for cell in table.rows[row] if re.fullmatch(r"[+-]?\d+[.,]\d+", cell)]
-    decimals = max((len(part[-1]) for part in parts), default=0)
-    within = 0.5 * 10.0**-decimals + _ROUNDING
-    return bool((np.abs(means - values) <= within).all() and np.abs(values).max() >= _TELLING * within)
+def _shape(name: str) -> str:
+    """``P-07`` → ``a-9``."""
+    return re.sub(r"\d+", "9", re.sub(r"[^\W\d_]+", "a", name))
+
+
+def _rounds_to(means: Float64[Array, " 2"], values: Float64[Array, " 2"]) -> bool:
+    """Whether both values are the means, as they are rounded. Small whole numbers are so by chance.
+
+    The means are of values that were rounded too, the summary perhaps of those before.
+    """
+    within = np.array([10.0 ** -_decimals(value) for value in values]) + _ROUNDING * np.abs(means)
+    return bool((np.abs(means - values) <= within).all() and (np.abs(values) >= _TELLING * within).all())
+
+
+def _decimals(value: float) -> int:
+    return len(f"{value:.{_MOST_DECIMALS}f}".rstrip("0").partition(".")[2])
 
 
 def _require_once(table: Table, who: list[tuple[str, str]], pairs: Float64[Array, "n 2"], named: bool) -> None:

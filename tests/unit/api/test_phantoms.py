@@ -10,7 +10,7 @@ import pytest
 
 from mammometry.api import truth
 from mammometry.api.truth import PhantomResult, as_csv, measure_phantoms, paired
-from mammometry.base.errors import SessionError
+from mammometry.base.errors import CalibrationError, MeasureError, SessionError, SurfaceError
 from mammometry.io.paired_tables import read_pairs
 from mammometry.simulate.recipe import SessionRecipe
 
@@ -86,6 +86,40 @@ def test_the_results_are_a_table_of_an_agreement_study(tmp_path: Path, bench: Be
     read = read_pairs(path, reference="reference_cc", measured="measured_cc")
     assert (read.names, read.unit) == (MODELS, "cc")
     assert np.array_equal(read.measured, data.measured)
+
+
+def test_a_refused_model_does_not_end_the_study(tmp_path: Path, bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    stand_in = truth.open_session
+
+    def refusing(session: Path, settings: object) -> object:
+        if session.name == "plaster_3":
+            raise SurfaceError("surface", found="a hole", expected="none", remedy="Close it")
+        return stand_in(session, settings)
+
+    monkeypatch.setattr(truth, "open_session", refusing)
+    models = (*MODELS, "plaster_4")
+    results = measure_phantoms(tmp_path / "study", models=models)
+    assert [result.measured_cc for result in results] == [101, 201, None, 401]
+    assert [bool(result.failed) for result in results] == [False, False, True, False]
+    assert (results[2].true_cc, results[2].holds) == (300, None)
+    assert "found a hole" in results[2].failed
+    assert paired(results).names == ("plaster_1", "plaster_2", "plaster_4")
+    assert [row.split(",")[0] for row in as_csv(results).splitlines()[1:]] == ["plaster_1", "plaster_2", "plaster_4"]
+    with pytest.raises(MeasureError, match="2 measured models, since surface: found a hole"):
+        paired(results[:3])
+
+
+def test_a_refused_calibration_ends_the_study_with_its_own_error(
+    tmp_path: Path, bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refusing(session: Path, settings: object) -> object:
+        raise CalibrationError("camera a", found="2 views", expected="3", remedy="Take them again")
+
+    monkeypatch.setattr(truth, "open_session", refusing)
+    with pytest.raises(CalibrationError, match=r"found 2 views, expected 3\. Choose a larger --scale") as caught:
+        measure_phantoms(tmp_path / "study", models=MODELS)
+    assert caught.value.exit_code == 5
+    assert [name for name, *_ in bench.simulated] == ["plaster_1"]
 
 
 def test_no_interval_is_neither_right_nor_wrong() -> None:

@@ -166,9 +166,14 @@ def test_units_of_two_kinds_are_refused(tmp_path: Path) -> None:
 
 
 def test_what_is_doubtful_is_said(tmp_path: Path) -> None:
-    text = "id,water,scan_cc\na,0.3,300\nb,0.31,310\nc,0.35,999\n"
+    text = "id,water,scan_cc\na,290,300\nb,300,310\nc,310,999\n"
     found = read_pairs(written(tmp_path, text), reference="water", measured="scan_cc")
-    assert [sum(word in each for each in found.warnings) for word in ("999", "no unit", "1e+03 times")] == [1, 1, 1]
+    assert [sum(word in line for line in found.warnings) for word in ("scan_cc is 999 for c", "no unit")] == [1, 1]
+    litres = text.replace("290", "0.29").replace("300,310", "0.30,310").replace("310,999", "0.31,320")
+    assert "column water: found no unit, and scan_cc is typically" in refused(tmp_path, litres, "water", "scan_cc")
+    text = litres.replace("scan_cc", "scan")
+    (warning,) = read_pairs(written(tmp_path, text), reference="water", measured="scan").warnings
+    assert "check that both have the same unit" in warning
 
 
 @pytest.mark.parametrize(
