@@ -177,10 +177,20 @@ def simulate(
         typer.Option(metavar="X,Y,Z", help="Rotation of the mesh, degrees. Then y is up and z points to the front."),
     ] = "0,0,0",
     scale: Annotated[
-        float, typer.Option(help="Image size as a share of the rig's full size.", min=0.02, max=2.0)
+        float,
+        typer.Option(
+            help="Image size as a share of the rig's full size. Least for the reference rig: 0.12.", min=0.02, max=2.0
+        ),
     ] = _RECIPE.scale,
     seed: Annotated[int, typer.Option(help="Seed of everything random.", min=0)] = _RECIPE.seed,
-    poses: Annotated[int, typer.Option(help="Number of poses of the calibration target.", min=1)] = _RECIPE.poses,
+    poses: Annotated[
+        int,
+        typer.Option(
+            help="Number of poses of the calibration target. Least for the reference rig: 6; 8 below scale "
+            "0.2; 10 below 0.15.",
+            min=1,
+        ),
+    ] = _RECIPE.poses,
     target: Annotated[
         str, typer.Option(help="charuco, chessboard, circles, circles-asymmetric, dotted-cylinder or frame.")
     ] = "charuco",
@@ -227,6 +237,8 @@ def simulate(
     from mammometry.simulate.studio import Studio, refusing
 
     begun = time.monotonic()
+    if rig.partition(":")[0] == _RECIPE.rig:
+        _require_calibratable(scale, poses)
     mesh_file = _mesh_file(subject, units, subject_scale, subject_turn)
     expected, remedy = "options that can be rendered", "Correct the option; --help names the choices"
     with refusing(SettingsError, expected=expected, remedy=remedy):
@@ -301,6 +313,25 @@ def target(
         {"file": str(out), "target": table},
         [f"{out}: print it at 100 %, measure its ruler, and describe it in session.toml:", "", "[target]", *lines],
     )
+
+
+_LEAST_POSES = ((0.2, 6), (0.15, 8), (0.12, 10))
+"""Scale of the reference rig from which on so many poses calibrate it. Below, corners are too few: at 0.12 six and
+eight poses were refused, ten and twelve were not; at 0.15 eight, and at 0.2 six were enough for the seeds tried."""
+
+
+def _require_calibratable(scale: float, poses: int) -> None:
+    least = next((count for share, count in _LEAST_POSES if scale >= share), None)
+    if least is None:
+        raise typer.BadParameter(
+            f"--scale is {_LEAST_POSES[-1][0]} or more for the reference rig, found {scale:g}: it cannot be calibrated "
+            "from smaller pictures"
+        )
+    if poses < least:
+        raise typer.BadParameter(
+            f"--poses is {least} or more for the reference rig at scale {scale:g}, found {poses}: fewer do not "
+            "calibrate it"
+        )
 
 
 def _mesh_file(subject: str, units: str | None, mm_per_unit: float | None, turn: str) -> MeshFile | None:

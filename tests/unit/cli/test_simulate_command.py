@@ -24,7 +24,28 @@ from mammometry.simulate.subjects.registry import SUBJECTS
 def test_disturbances_that_mean_nothing_are_refused(
     options: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main.run(["simulate", str(tmp_path / "out"), "--scale", "0.03", *options]) != 0
+    assert main.run(["simulate", str(tmp_path / "out"), "--scale", "0.2", *options]) != 0
+    assert said in " ".join(capsys.readouterr().err.replace("│", " ").split())
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("command", "options", "said"),
+    [
+        (
+            ["simulate"],
+            ["--scale", "0.12", "--poses", "6"],
+            "--poses is 10 or more for the reference rig at scale 0.12",
+        ),
+        (["simulate"], ["--scale", "0.1", "--poses", "30"], "--scale is 0.12 or more for the reference rig"),
+        (["simulate"], ["--scale", "0.25", "--poses", "5"], "--poses is 6 or more"),
+        (["study", "phantoms"], ["--scale", "0.12"], "0.15"),
+    ],
+)
+def test_pictures_that_do_not_calibrate_the_rig_are_refused(
+    command: list[str], options: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main.run([*command, str(tmp_path / "out"), *options]) == 2
     assert said in " ".join(capsys.readouterr().err.replace("│", " ").split())
     assert not (tmp_path / "out").exists()
 
